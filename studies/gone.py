@@ -11,7 +11,7 @@ found.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
@@ -27,7 +27,7 @@ from huepose.estimation.types import PosePrior
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
 from huepose.geometry import RgbdFrame
-from huepose.geometry.arrays import Rng
+from huepose.geometry.arrays import Float64, Rng
 from huepose.geometry.box import Box
 from huepose.judge.open_region import PreparedSurface
 from huepose.model import ReferenceModel, load_models
@@ -91,20 +91,22 @@ class Sight:
             known = asked.prior
             prior = None if known is None else PosePrior(known.predicted(frame.stamp_ns), known.covariance)
             instance = -1 if asked.instance is None else asked.instance
-            queries += [
-                ObjectQuery(asked.object, box=box, prior=prior, instance=instance, searched=not asked.known)
-                for box in self._boxes(asked, frame)
-            ]
+            others = tuple(other.predicted(frame.stamp_ns) for other in asked.others)
+            query = ObjectQuery(
+                asked.object, prior=prior, instance=instance, searched=not asked.known, others=others
+            )
+            queries += [replace(query, box=box) for box in self._boxes(asked, frame, others)]
         return self._estimator.estimate(frame, queries)
 
-    def _boxes(self, asked: RequestedObject, frame: RgbdFrame) -> list[Box]:
+    def _boxes(self, asked: RequestedObject, frame: RgbdFrame, others: Sequence[Float64]) -> list[Box]:
         camera, box = frame.camera, None
         if asked.prior is not None:
             box = asked.prior.fresh_box(frame.stamp_ns, lambda T: self._surface.box(T, camera))
         if box is not None:
             box = box.clipped(camera.width, camera.height)
             return [box] if box.w >= 1.0 and box.h >= 1.0 else []
-        return [d.box for d in self._detector.detect(frame, [asked.object])[: asked.wanted]]
+        found = self._detector.detect(frame, [asked.object], followed={asked.object: others})
+        return [d.box for d in found[: asked.wanted]]
 
 
 def shown(frame: RgbdFrame, number: int, rng: Rng) -> RgbdFrame:

@@ -27,6 +27,7 @@ from huepose.estimation.warm_up import warm_up
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.silhouette import taken_by
 from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
@@ -95,6 +96,8 @@ class Estimator:
                 presence = PresenceIn(frame, self._models, self.config.method)
 
         def look(seen: RgbdFrame, query: ObjectQuery) -> Answered:
+            if query.others:
+                seen, query = _free_of(seen, query, taken_by(self._models[query.object], seen, query.others))
             answer, led = self.explain(seen, query)
             if presence is not None and query.searched:
                 with stage("presence"):
@@ -181,11 +184,15 @@ def _without(
     doubtful = answer.quality < config.doubtful and _share_of_box(query.box, taken) > config.taken
     if not contested and not doubtful:
         return known
-    free = replace(frame, depth=np.where(taken, np.float32(0.0), frame.depth))
-    masks = tuple(np.asarray(m, bool) & ~taken for m in query.masks)
-    again, look = look_again(free, replace(query, masks=masks))
+    again, look = look_again(*_free_of(frame, query, taken))
     again = replace(again, seconds=again.seconds + answer.seconds)
     return (again, look) if contested or again.quality > answer.quality else known
+
+
+def _free_of(frame: RgbdFrame, query: ObjectQuery, taken: Bool) -> tuple[RgbdFrame, ObjectQuery]:
+    """A frame, and a query in it, without the depth of the pixels (H, W) that are taken."""
+    masks = tuple(np.asarray(m, bool) & ~taken for m in query.masks)
+    return replace(frame, depth=np.where(taken, np.float32(0.0), frame.depth)), replace(query, masks=masks)
 
 
 def _share_of_mask(mask: Bool | None, taken: Bool) -> float:

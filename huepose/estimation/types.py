@@ -27,7 +27,8 @@ class ObjectQuery:
 
     With neither box nor masks the prior's outline is used; with nothing at all InputError is raised.
     `instance` is handed through. searched: the place is a proposal, and the object may not be there: then the
-    answer says how likely it is there (`present`), and no pose of it is surer than that.
+    answer says how likely it is there (`present`), and no pose of it is surer than that. others: poses
+    T_cam_obj (4, 4) of other instances of the object, where this one is not.
     """
 
     object: str
@@ -36,6 +37,7 @@ class ObjectQuery:
     prior: PosePrior | None = None
     instance: int = 0
     searched: bool = False
+    others: tuple[Float64, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

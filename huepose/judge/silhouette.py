@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -10,6 +12,7 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
+from huepose.judge.region import tolerance_m
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.support.jit import jit_dividing
@@ -75,6 +78,19 @@ def visible_mask(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float, tole
     near = cv2.dilate(agrees.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     out[rows, columns] = agrees | (inside & (depth == 0) & near)
     return out
+
+
+RIM_PX = 5
+"""Side of the square by which what instances take is grown: colour and depth mix along an outline."""
+
+
+def taken_by(model: ReferenceModel, frame: RgbdFrame, poses: Sequence[Float64]) -> Bool:
+    """Pixels (H, W) of a frame that instances of an object at poses T_cam_obj (4, 4) explain, grown by their
+    rim: nothing else is there."""
+    seen = np.zeros(frame.depth.shape, bool)
+    for T in poses:
+        seen |= visible_mask(model, frame, T, tolerance_m(model.diameter_m, float(T[2, 3])))
+    return np.asarray(cv2.dilate(seen.view(np.uint8), np.ones((RIM_PX, RIM_PX), np.uint8)) > 0)
 
 
 VISIBLE_M, VISIBLE_SHARE = 0.01, 0.005

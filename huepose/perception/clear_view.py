@@ -3,13 +3,13 @@ opponents."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from huepose.colorpair.opponents import opponents_of_bytes
-from huepose.geometry.arrays import Bool, Float32, Float64, Int32, UInt8
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
@@ -38,13 +38,33 @@ class ClearView:
     """The part of a frame in which something stands. frame: the whole, as it came; crop: the part, with
     planes at FAR_M; clear (h, w): pixels that belong to no plane; colors (2, h, w, 3) float32: opponents at
     two scales, as in `judge.region`; pieces (P, 4): connected parts without a depth step: centre pixel, mean
-    depth, and longer side in metres."""
+    depth, and longer side in metres. taken (h, w): pixels of something known, which have no depth here; None
+    for none."""
 
     frame: RgbdFrame
     crop: Crop
     clear: Bool
     colors: Float32
     pieces: Float64
+    taken: Bool | None = None
+
+    def without(self, taken: Bool) -> ClearView:
+        """The same view in which pixels (H, W) of the frame belong to something known: no depth is read
+        there."""
+        c = self.crop
+        h, w = c.depth.shape
+        mine = taken[c.y0 : c.y0 + h, c.x0 : c.x0 + w]
+        frame = replace(self.frame, depth=np.where(taken, np.float32(0.0), self.frame.depth))
+        crop = replace(c, depth=np.where(mine, np.float32(0.0), c.depth))
+        return replace(self, frame=frame, crop=crop, clear=self.clear & ~mine, taken=mine)
+
+    def free(self, pixels: Float) -> Bool:
+        """Which of pixels (N, 2) of the crop belong to nothing that is known."""
+        if self.taken is None:
+            return np.ones(len(pixels), bool)
+        height, width = self.taken.shape
+        x, y = np.clip(np.rint(pixels), 0, [width - 1, height - 1]).astype(np.int64).T
+        return np.asarray(~self.taken[y, x])
 
     @property
     def depth(self) -> Float32:

@@ -9,7 +9,7 @@ visible there. An absent object gets places with low scores, too: the estimator 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -22,6 +22,7 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours
+from huepose.judge.silhouette import taken_by
 from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.config import DetectorConfig
@@ -75,12 +76,17 @@ class ColorPairDetector:
             self._keypoints.pop(name, None)
 
     def detect(
-        self, frame: RgbdFrame, names: Sequence[str], thorough: Collection[str] | None = None
+        self,
+        frame: RgbdFrame,
+        names: Sequence[str],
+        thorough: Collection[str] | None = None,
+        followed: Mapping[str, Sequence[Float64]] | None = None,
     ) -> list[Detection]:
         """Boxes of the named objects, best first. Raises InputError for an unknown name.
 
         thorough: the objects that get the full search if a first one does not find them; default all. The
-        others take a third of the time."""
+        others take a third of the time. followed: poses T_cam_obj (4, 4) of instances that are known already,
+        by object: others of it are looked for beside them."""
         for name in names:
             self._models[name]
         with stage("clear view"):
@@ -94,21 +100,21 @@ class ColorPairDetector:
             with stage("memory"):
                 memory = looking(self._memory, frame)
         features, windows = _FeaturesOnce(self._features, view, memory), WindowsBySize(view, memory)
-        guesses = self._guesses(view, features)
 
         def places_of(name: str) -> list[Proposal]:
-            model = self._models[name]
+            model, known = self._models[name], (followed or {}).get(name, ())
+            free = view.without(taken_by(model, frame, known)) if known else view
             proposed = propose(
                 model,
                 self._table(name),
-                view,
+                free,
                 windows.of(model.diameter_m),
                 most,
                 self._efforts(name, thorough),
-                None if guesses is None else partial(guesses, name),
+                partial(self._guessed, name, free, features) if "keypoints" in self.config.sources else None,
             )
             with stage("presence"):
-                return _rated(view, model, proposed)
+                return _rated(free, model, proposed)
 
         places = dict(zip(names, self._pool.map(places_of, names), strict=True))
         if memory is not None:
@@ -123,18 +129,13 @@ class ColorPairDetector:
         ]
         return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
 
-    def _guesses(self, view: ClearView, features: _FeaturesOnce) -> Callable[[str], Float64] | None:
-        """A function from an object's name to poses (K, 4, 4) from its keypoints; None if these are no
-        source."""
-        if "keypoints" not in self.config.sources:
-            return None
-
-        def guessed(name: str) -> Float64:
-            seen, sought = features.spots(), self._keypoints_of(name)
-            with stage("keypoints"):
-                return consensus_poses(match(sought, seen), view.crop.depth, view.crop.camera).poses
-
-        return guessed
+    def _guessed(self, name: str, view: ClearView, features: _FeaturesOnce) -> Float64:
+        """Poses (K, 4, 4) of an object from its keypoints in a view."""
+        seen, sought = features.spots(), self._keypoints_of(name)
+        with stage("keypoints"):
+            if view.taken is not None:
+                seen = PictureFeatures.of(seen.features[view.free(seen.features.pixels)])
+            return consensus_poses(match(sought, seen), view.crop.depth, view.crop.camera).poses
 
     def warm_up(self) -> None:
         """Load the views of all objects, and compile the kernels on a rendered frame of the first."""

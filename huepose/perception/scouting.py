@@ -102,6 +102,7 @@ def propose(
     if efforts:
         with stage("windows"):
             order = promising(table, windows)
+            order = order[view.free(windows.pixels[order])]
     for step in (*efforts[:1], guessed, *efforts[1:]):
         if step is None or any((rated >= SURE).any() for _, rated in (by_keypoints, by_views)):
             continue

@@ -98,18 +98,18 @@ def candidates(
     elsewhere: objects with doubtful instances only, for which a better place is looked for now."""
     out = []
     for slot in slots:
-        known = [t for key, t in tracks.items() if key[0] == slot.object]
+        followed = {
+            t: Prior(t.T_cam_obj, t.velocity, t.covariance, t.stamp_ns)
+            for key, t in tracks.items()
+            if key[0] == slot.object and t.T_cam_obj is not None
+        }
+        others = tuple(prior for t, prior in followed.items() if t.state is State.TRACKING)
         count = wanted.get(slot.object, 0)
-        if count > 0:
-            asked = RequestedObject(slot.object, None, None, count)
-            out.append(Candidate(0, looked_ns.get((slot.object, None), NEVER), asked))
-        elif slot.object in elsewhere:
-            asked = RequestedObject(slot.object, None)
-            out.append(Candidate(1, looked_ns.get((slot.object, None), NEVER), asked))
-        for t in known:
-            if t.T_cam_obj is None:
-                continue
-            prior = Prior(t.T_cam_obj, t.velocity, t.covariance, t.stamp_ns)
+        if count > 0 or slot.object in elsewhere:
+            asked = RequestedObject(slot.object, None, None, max(count, 1), others=others)
+            rank = 0 if count > 0 else 1
+            out.append(Candidate(rank, looked_ns.get((slot.object, None), NEVER), asked))
+        for t, prior in followed.items():
             rank = 1 if t.state is State.SUSPECT else 2
             asked = RequestedObject(slot.object, t.instance, prior, known=t.state is State.TRACKING)
             out.append(Candidate(rank, looked_ns.get((slot.object, t.instance), NEVER), asked))

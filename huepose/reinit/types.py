@@ -75,13 +75,15 @@ class Prior:
 class RequestedObject:
     """One object of a request. With an instance the tracked one is looked at again, and has a prior; with
     None the object is looked for anywhere, up to `wanted` instances that are not yet tracked. known: the
-    tracked one is TRACKING; of any other it is not sure that it is the object."""
+    tracked one is TRACKING; of any other it is not sure that it is the object. others: instances of it that
+    are TRACKING, where a new one is not."""
 
     object: str
     instance: int | None
     prior: Prior | None = None
     wanted: int = 1
     known: bool = False
+    others: tuple[Prior, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,13 +92,14 @@ class MountMessage(Message, frozen=True, kw_only=True):
 class RequestedObject(Struct, frozen=True, kw_only=True):
     """An object to look at: a tracked instance (with its prior), or, with instance null, up to `wanted` new
     ones anywhere in the image. `known`: the instance is TRACKING; of any other it is not sure that it is the
-    object."""
+    object. `others`: instances of it that are TRACKING, where a new one is not."""
 
     object: Name
     instance: Index | None
     prior: Prior | None = None
     wanted: Annotated[int, Meta(ge=1, le=64)] = 1
     known: bool = False
+    others: Annotated[list[Prior], Meta(max_length=64)] = []
 
 
 class PerceptionRequest(Message, frozen=True, kw_only=True):

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from huepose.datasets.boxes import disturbed
 from huepose.geometry import Box, Camera, RgbdFrame
+from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.exchanged import Order, order_of_channels
@@ -20,6 +21,7 @@ from huepose_protos.messages import (
     DetectedObject,
     FrameHeader,
     PerceptionRequest,
+    Prior,
     RequestedObject,
     TruthMessage,
     TruthObject,
@@ -72,12 +74,12 @@ class ByOutline:
         """Forget an object; nothing happens when it is not known."""
         self._outlines.pop(name, None)
 
-    def prior_box(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
-        """Where a tracked instance is predicted to be; None where none is tracked, or not in the image."""
-        outline = self._outlines.get(wanted.object)
-        if wanted.prior is None or outline is None:
+    def prior_box(self, name: str, prior: Prior | None, header: FrameHeader, camera: Camera) -> Box | None:
+        """Where an instance that is tracked is predicted to be; None where none is, or not in the image."""
+        outline = self._outlines.get(name)
+        if prior is None or outline is None:
             return None
-        return outline.box(prior_from_wire(wanted.prior).predicted(header.capture_ns), camera)
+        return outline.box(prior_from_wire(prior).predicted(header.capture_ns), camera)
 
     def fresh_box(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
         """A little more than the box of a prediction that may still be trusted; None where there is none."""
@@ -93,8 +95,9 @@ class ByOutline:
         """Detections, best first, to those who asked: a tracked instance gets the box that lies best on its
         prediction, a new one the best boxes that lie on nothing tracked."""
         camera = camera_from_wire(header.intrinsics)
-        priors = [self.prior_box(wanted, header, camera) for wanted in request.objects]
-        tracked = [box for box in priors if box is not None]
+        priors = [self.prior_box(w.object, w.prior, header, camera) for w in request.objects]
+        others = [self.prior_box(w.object, p, header, camera) for w in request.objects for p in w.others]
+        tracked = [box for box in (*priors, *others) if box is not None]
         found: list[DetectedObject] = []
         for wanted, prior in zip(request.objects, priors, strict=True):
             mine = [d for d in detections if d.object == wanted.object]
@@ -156,7 +159,12 @@ class SearchedBoxes(SeenBoxes):
         camera = camera_from_wire(header.intrinsics)
         predicted = [self._predicted(wanted, header, camera) for wanted in request.objects]
         names = [w.object for w, box in zip(request.objects, predicted, strict=True) if box is None]
-        seen = self.detections([name for name in dict.fromkeys(names) if name in self._outlines])
+        followed = {
+            w.object: [prior_from_wire(other).predicted(header.capture_ns) for other in w.others]
+            for w in request.objects
+            if w.others
+        }
+        seen = self.detections([name for name in dict.fromkeys(names) if name in self._outlines], followed)
         taken = [box for box in predicted if box is not None]
         found: list[DetectedObject] = []
         for wanted, box in zip(request.objects, predicted, strict=True):
@@ -168,11 +176,13 @@ class SearchedBoxes(SeenBoxes):
             found += [detected(wanted, d.box, d.score) for d in free[: wanted.wanted]]
         return found
 
-    def detections(self, names: list[str]) -> list[Detection]:
-        """What the detector sees of the named objects, best first."""
+    def detections(
+        self, names: list[str], followed: Mapping[str, Sequence[Float64]] | None = None
+    ) -> list[Detection]:
+        """What the detector sees of the named objects, best first, beside instances that are followed."""
         if self._frame is None or not names:
             return []
-        return self._searcher.detect(self._frame, names, (self._turn(names),))
+        return self._searcher.detect(self._frame, names, (self._turn(names),), followed)
 
     def order_of_channels(self, names: Sequence[str], seen: Mapping[str, float]) -> Order:
         """What the newest frame says of the order of its channels, by one of the objects, by turns, as in

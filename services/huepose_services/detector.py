@@ -49,19 +49,12 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         return DetectorWork(bus, SeenBoxes(outlines, detector), follower)
     if config.detector.kind == "colorpair":
         settings = profile(config.profile).detector
-        # Of an object with several instances, each may have its box.
-        proposals = max(settings.proposals, _most_instances(config))
-        threads = config.detector.threads
-        settings = replace(settings, proposals=proposals, threads=threads, remembering=True)
+        settings = replace(settings, threads=config.detector.threads, remembering=True)
         searcher = ColorPairDetector(known, settings)
         searcher.warm_up()
         return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower, config.camera.check)
     boxes = {name: Box(*box) for name, box in config.detector.boxes.items()}
     return DetectorWork(bus, FirstBoxes(outlines, boxes), follower)
-
-
-def _most_instances(config: Config) -> int:
-    return max((item.max_instances for item in config.objects), default=1)
 
 
 class DetectorWork(Work):

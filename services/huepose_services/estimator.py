@@ -146,4 +146,5 @@ class EstimatorWork(Work):
             prior=prior,
             instance=-1 if request.instance is None else request.instance,
             searched=not request.known,
+            others=tuple(prior_from_wire(other).predicted(stamp_ns) for other in request.others),
         )

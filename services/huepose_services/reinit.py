@@ -289,7 +289,12 @@ def result_from_wire(message: Estimates) -> PerceptionResult:
 def request_to_wire(request: Request) -> PerceptionRequest:
     """The message of a request."""
     objects = [
-        to_wire(RequestedObject, item, prior=None if item.prior is None else to_wire(Prior, item.prior))
+        to_wire(
+            RequestedObject,
+            item,
+            prior=None if item.prior is None else to_wire(Prior, item.prior),
+            others=[to_wire(Prior, other) for other in item.others],
+        )
         for item in request.objects
     ]
     return to_wire(PerceptionRequest, request, publish_ns=now_ns(), seq=request.number, objects=objects)

@@ -6,7 +6,7 @@ for.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -71,13 +71,20 @@ def play(
 ) -> list[Told]:
     """Track a film of one object from a first pose (4, 4) with its quality, None where perception has to find
     it; without `perception` alone."""
+    if first is not None:
+        frames = list(frames)
+        tracker.correct(Correction.first(model.name, first, frames[0].frame, quality))
     loop = ReinitLoop(objects=[slot_of(model)])
+    return [_told(seen, model, poses) for seen, poses in followed(frames, tracker, loop, perception)]
+
+
+def followed(
+    frames: Iterable[Seen], tracker: Tracker, loop: ReinitLoop, perception: Perception | None
+) -> Iterator[tuple[Seen, list[TrackedPose]]]:
+    """The frames of a film, and what is published of each."""
     due: list[tuple[int, PerceptionResult]] = []
-    told = []
-    for number, seen in enumerate(frames):
+    for seen in frames:
         frame, now_ns = seen.frame, seen.frame.stamp_ns
-        if number == 0 and first is not None:
-            tracker.correct(Correction.first(model.name, first, frame, quality))
         for item in [d for d in due if d[0] <= now_ns]:
             due.remove(item)
             for correction in loop.answer(now_ns, item[1]):
@@ -90,8 +97,7 @@ def play(
             found = tuple(perception.answer(request, seen))
             answer = PerceptionResult(request.number, frame.epoch, frame.frame_id, frame.stamp_ns, found)
             due.append((now_ns + round(CHAIN_S * 1e9), answer))
-        told.append(_told(seen, model, poses))
-    return told
+        yield seen, poses
 
 
 def _told(seen: Seen, model: ReferenceModel, poses: list[TrackedPose]) -> Told:
@@ -99,12 +105,12 @@ def _told(seen: Seen, model: ReferenceModel, poses: list[TrackedPose]) -> Told:
     stamp_ns, share = seen.frame.stamp_ns, seen.visib_fract
     if not poses:
         return Told(stamp_ns, share, None, 0.0, np.inf)
-    errors = [_error(model, pose.T_cam_obj, seen.T_cam_obj) for pose in poses]
+    errors = [error_of(model, pose.T_cam_obj, seen.T_cam_obj) for pose in poses]
     k = int(np.argmin(np.minimum(errors, FAR)))
     return Told(stamp_ns, share, poses[k].state.value, poses[k].quality, errors[k])
 
 
-def _error(model: ReferenceModel, T_cam_obj: Float64 | None, truth: Float64) -> float:
+def error_of(model: ReferenceModel, T_cam_obj: Float64 | None, truth: Float64) -> float:
     """ADD to the nearest equivalent pose, in diameters; inf without a pose."""
     if T_cam_obj is None:
         return np.inf

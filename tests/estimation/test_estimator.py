@@ -43,6 +43,19 @@ def same(a: PoseEstimate, b: PoseEstimate) -> bool:
     return np.array_equal(a.T_cam_obj, b.T_cam_obj) and (a.score, a.quality) == (b.score, b.quality)
 
 
+def test_another_one_is_found_beside_those_that_are_known(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    beside = standing.copy()
+    beside[0, 3] += 0.1
+    frame = take_picture([(tea_box.mesh, standing), (tea_box.mesh, beside)])
+    around = Box.around(*(box_of(frame, tea_box, T) for T in (standing, beside)))
+    for known, other in ((standing, beside), (beside, standing)):
+        (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", around, others=(known,))])
+        assert answer.T_cam_obj is not None
+        assert np.linalg.norm(answer.T_cam_obj[:3, 3] - other[:3, 3]) < 0.002
+
+
 def test_a_box_on_a_table_is_found_to_the_millimetre(
     estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:

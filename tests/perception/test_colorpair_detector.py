@@ -86,6 +86,21 @@ def test_both_of_a_kind_are_found_where_they_are(
         assert np.linalg.norm(difference[:3]) < 0.02
 
 
+@pytest.mark.parametrize("sources", [("views",), ("keypoints", "views")])
+def test_beside_those_that_are_followed_another_one_is_found(
+    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray,
+    sources: tuple[Source, ...],
+) -> None:  # fmt: skip
+    config = DetectorConfig(sources=sources, proposals=1, remembering=True)
+    detector = ColorPairDetector({"tea_box": tea_box}, config)
+    for known, other in ((standing, beside), (beside, standing)):
+        (found,) = detector.detect(frame, ["tea_box"], followed={"tea_box": [known]})
+        assert found.T_cam_obj is not None
+        assert np.linalg.norm(found.T_cam_obj[:3, 3] - other[:3, 3]) < 0.02
+        assert found.score > 0.9
+    assert detector.detect(frame, ["tea_box"], followed={"tea_box": [standing, beside]}) == []
+
+
 def test_a_place_without_the_object_scores_less(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> None:

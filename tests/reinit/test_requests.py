@@ -26,6 +26,22 @@ def test_first_request_asks_for_what_was_never_seen() -> None:
     assert [(s.object, s.missing) for s in loop.searching()] == [("mug", 2)]
 
 
+def test_a_missing_instance_is_looked_for_beside_those_that_are_sure() -> None:
+    loop = ReinitLoop(objects=[("mug", 4), ("can", 1)])
+    sure, doubtful, lost = (
+        track("mug", k, state, T=pose(0.1 * k))
+        for k, state in enumerate((State.TRACKING, State.SUSPECT, State.LOST))
+    )
+    request = loop.tick(0, [sure, doubtful, lost, track("can")])
+    assert request is not None
+    first = request.objects[0]
+    assert (first.object, first.instance, first.wanted) == ("mug", None, 2)
+    (other,) = first.others
+    np.testing.assert_array_equal(other.T_cam_obj, sure.T_cam_obj)
+    assert other.stamp_ns == sure.stamp_ns
+    assert not request.objects[1].others
+
+
 def test_requests_come_at_the_period_and_one_at_a_time() -> None:
     loop = ReinitLoop(objects=[("mug", 1)])
     first = loop.tick(0, [])

@@ -21,10 +21,11 @@ class Seer:
     """Sees what it was told, of those objects that are asked for, and remembers what was asked."""
 
     def __init__(self, *detections):
-        self.detections, self.asked, self.thorough = detections, [], []
+        self.detections, self.asked, self.thorough, self.followed = detections, [], [], {}
 
-    def detect(self, frame, names, thorough=()):
+    def detect(self, frame, names, thorough=(), followed=None):
         self.asked.append(tuple(names))
+        self.followed = followed
         self.thorough += thorough
         return [d for d in self.detections if d.object in names]
 
@@ -61,6 +62,6 @@ def tracked(age_s=0.0):
     return RequestedObject(object="cube", instance=3, prior=prior)
 
 
-def new(name="cube", wanted=1):
-    """Instances that have no pose yet."""
-    return RequestedObject(object=name, instance=None, wanted=wanted)
+def new(name="cube", wanted=1, others=()):
+    """Instances that have no pose yet, beside others with these priors."""
+    return RequestedObject(object=name, instance=None, wanted=wanted, others=list(others))

@@ -59,6 +59,24 @@ def box(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standin
     return ["--box", *(str(x) for x in bounds)]
 
 
+def test_so_many_instances_are_found_as_are_asked_for(
+    tmp_path: Path,
+    tea_box: ReferenceModel,
+    take_picture: Callable[..., RgbdFrame],
+    standing: np.ndarray,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    truths = [standing.copy() for _ in range(4)]
+    for k, T in enumerate(truths):
+        T[:3, 3] += [0.13 * (k - 1.5), 0.0, 0.03 * k]
+    files = written(tmp_path, take_picture([(tea_box.mesh, T) for T in truths]), tea_box)
+    assert main([*files, "--instances", "6", "--json"]) == 0
+    poses = json.loads(capsys.readouterr().out)["poses"]
+    assert len(poses) == 4, "and none that is not there"
+    x = sorted(pose["T_cam_obj"][0][3] for pose in poses)
+    np.testing.assert_allclose(x, [T[0, 3] for T in truths], atol=0.003)
+
+
 def test_a_pose_as_json_a_picture_and_an_explanation(
     files: list[str], box: list[str], tmp_path: Path, standing: np.ndarray
 ) -> None:

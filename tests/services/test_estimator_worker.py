@@ -12,7 +12,7 @@ from huepose.estimation.depth_offset import DepthOffset
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame
 from huepose_protos.examples import example
-from huepose_protos.messages import Estimates, FrameHeader, Masks
+from huepose_protos.messages import Estimates, FrameHeader, Masks, Prior
 from huepose_services import camera_doubts
 from huepose_services import estimator as worker
 from huepose_services.camera.publish import packed
@@ -100,6 +100,27 @@ def test_only_of_a_tracking_instance_it_is_not_asked_whether_it_is_the_object():
     bus.arriving = [(replace(message, objects=[known, new]), payload)]
     work.step()
     assert [query.searched for query in estimator.asked] == [False, True]
+
+
+def test_a_new_instance_is_told_where_the_others_are_in_this_frame():
+    bus, estimator = _Bus(), _Estimator()
+    estimator.answers = (PoseEstimate("cup"),)
+    work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
+    message, payload = masks(1.0, "cup")
+    (new,) = message.objects
+    other = Prior(
+        stamp_ns=message.frame.capture_ns - 100_000_000,
+        translation=(0.0, 0.0, 1.0),
+        quaternion=(0.0, 0.0, 0.0, 1.0),
+        velocity_linear=(1.0, 0.0, 0.0),
+        velocity_angular=(0.0, 0.0, 0.0),
+    )
+    request = replace(new.detection.request, others=[other])
+    new = replace(new, detection=replace(new.detection, request=request))
+    bus.arriving = [(replace(message, objects=[new]), payload)]
+    work.step()
+    (query,) = estimator.asked
+    assert [T[:3, 3].tolist() for T in query.others] == [[pytest.approx(0.1), 0.0, 1.0]]
 
 
 @pytest.fixture

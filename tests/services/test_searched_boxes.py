@@ -1,5 +1,8 @@
 """The detector without weights searches for what has no pose, and takes predictions for the rest."""
 
+import msgspec
+import pytest
+
 from huepose.geometry import Box
 from huepose.perception.types import Detection
 from huepose_services.boxes import SearchedBoxes
@@ -34,6 +37,17 @@ def test_what_has_no_pose_is_searched_for_away_from_what_has_one():
     ]
     assert [d.box for d in found[1:]] == [RIGHT, LEFT]
     assert detector.asked == [("cube", "can")]
+
+
+def test_a_new_instance_is_searched_for_beside_the_others():
+    detector = Seer(Detection("cube", LEFT, 0.9))
+    moving = msgspec.structs.replace(tracked(0.2).prior, velocity_linear=(1.0, 0.0, 0.0))
+    moving = msgspec.structs.replace(moving, velocity_angular=(0.0, 0.0, 0.0))
+    assert [d.box for d in _find(detector, new(others=[tracked().prior, moving]))] == [LEFT]
+    places = [T[:3, 3].tolist() for T in detector.followed["cube"]]
+    assert places == [[0.0, 0.0, 1.0], [pytest.approx(0.2), 0.0, 1.0]], "where they are in this frame"
+    _find(detector, new("can"))
+    assert not detector.followed
 
 
 def test_an_object_whose_model_is_not_here_yet_gets_nothing():

@@ -27,6 +27,11 @@ def test_a_tracked_instance_gets_the_box_at_its_prediction_and_a_new_one_another
     assert [(d.request.instance, d.box) for d in found] == [(3, MIDDLE), (None, LEFT)]
 
 
+def test_a_new_instance_gets_no_box_of_another_one():
+    detector = Seer(Detection("cube", MIDDLE, 0.9), Detection("cube", LEFT, 0.4))
+    assert [d.box for d in _find(detector, new(others=[tracked().prior]))] == [LEFT]
+
+
 def test_what_is_not_seen_gets_nothing():
     assert _find(Seer(), new(), tracked()) == []
 

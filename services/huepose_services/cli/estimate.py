@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
     from huepose.estimation.config import Method
     from huepose.geometry import RgbdFrame
+    from huepose.geometry.arrays import Float64
     from huepose.model import ReferenceModel
     from huepose.perception.types import Detection
 
@@ -46,6 +47,13 @@ def add_parser(subparsers: Any) -> None:
     add_path(parser, "--camera", "FILE.json", "intrinsics, depth scale", required=True)
     add_bundles(parser)
     parser.add_argument("--object", nargs="+", default=None, metavar="NAME", help="all of the folder without")
+    parser.add_argument(
+        "--instances",
+        type=int,
+        default=1,
+        metavar="N",
+        help="look for up to so many of each object; without, at its best places only",
+    )
     add_one_of(
         parser,
         "--method",
@@ -95,16 +103,22 @@ def call(arguments: argparse.Namespace) -> int:
 
         least = settings.detector.min_score
         # To explain, the places that are not worth an estimate are kept, too.
-        detector = replace(settings.detector, min_score=0.0 if arguments.explain else least, threads=THREADS)
-        proposed = ColorPairDetector(models, detector).detect(frame, names)
-        places = [place for place in proposed if place.score >= least]
-        # The best place last: its explanation is the one that is kept.
-        queries = [ObjectQuery(place.object, place.box, searched=True) for place in places[::-1]]
+        config = replace(settings.detector, min_score=0.0 if arguments.explain else least, threads=THREADS)
+        detector = ColorPairDetector(models, config)
+        proposed = detector.detect(frame, names)
+        queries = _queries(proposed, least)
     estimator.prepare([query.object for query in queries])
     estimator.estimate(frame, queries[:1])  # loads the kernels, so that `seconds` is the time of an answer
     prepared = time.monotonic()
     answers = [_answer(arguments, frame, models, estimator, query) for query in queries]
     if box is None:
+        found = _several(answers, names, arguments.instances)
+        while found:
+            more = detector.detect(frame, list(found), followed=found)
+            queries = _queries(more, least, found)
+            proposed, before = [*proposed, *more], len(answers)
+            answers += [_answer(arguments, frame, models, estimator, query) for query in queries]
+            found = _several(answers, found, arguments.instances, before)
         answers = _standing(arguments, frame, models, names, answers, proposed)
     else:
         answers = [a if a.found else _of_the_picture(frame, models[a.object], a) for a in answers]
@@ -133,6 +147,37 @@ def call(arguments: argparse.Namespace) -> int:
 
         write_picture(arguments.image, draw_answers(frame, models, answers))
     return 0
+
+
+def _queries(
+    places: Sequence[Detection], least: float, others: Mapping[str, Sequence[Float64]] | None = None
+) -> list[ObjectQuery]:
+    """What is asked about places that are likely enough; the best one last: its explanation is the one that
+    is kept. others: poses of instances that were found before."""
+    from huepose.estimation import ObjectQuery
+
+    known = others or {}
+    return [
+        ObjectQuery(place.object, place.box, searched=True, others=tuple(known.get(place.object, ())))
+        for place in places[::-1]
+        if place.score >= least
+    ]
+
+
+def _several(
+    answers: Sequence[PoseEstimate], names: Iterable[str], most: int, before: int = 0
+) -> dict[str, list[Float64]]:
+    """The poses of the objects that are looked for once more: those of which the answers from `before` on
+    found some, and all of them together fewer than `most`."""
+    from huepose.estimation.standing import standing_answers
+
+    standing = standing_answers(answers)
+    new = {a.object for a in standing if any(a is one for one in answers[before:])}
+    poses: dict[str, list[Float64]] = {name: [] for name in names if name in new}
+    for answer in standing:
+        if answer.object in poses and answer.T_cam_obj is not None:
+            poses[answer.object].append(answer.T_cam_obj)
+    return {name: mine for name, mine in poses.items() if len(mine) < most}
 
 
 def _against(

@@ -1,0 +1,34 @@
+"""All of a kind are found, and nothing is taken for one more."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry import se3
+from studies import several
+from studies.several import Row, report, watched
+
+
+def test_all_of_a_kind_are_found_and_no_more(tea_box, take_picture, standing, monkeypatch) -> None:
+    monkeypatch.setattr(several, "SECONDS", 2)
+    truths = []
+    for k in range(3):
+        turn = se3.make(se3.rotation_exp(np.array([0.0, 0.0, 0.9 * k])), np.zeros(3))
+        truths.append(standing @ turn)
+        truths[-1][0, 3] += 0.14 * (k - 1)
+    frame = take_picture([(tea_box.mesh, T) for T in truths])
+    first, right, wrong, twice = watched(frame, tea_box, truths, {0, 1, 2}, 2, np.random.default_rng(0))
+    assert set(first) == {0, 1, 2}
+    assert right > 60
+    assert wrong == twice == 0
+
+
+def test_the_report_counts_instances_and_poses() -> None:
+    done = [
+        Row("1", 0, "mug", 3, 2, (0.4, 1.0), 60, 80, 1, 0),
+        Row("1", 1, "can", 2, 2, (0.2, 0.4), 60, 90, 0, 4),
+    ]
+    assert report(done) == (
+        "found 4 of 5 instances, after (median, 90 %) 0.4 s, 0.8 s; "
+        "TRACKING: 170 right, 1 wrong, 4 on one that has a pose"
+    )

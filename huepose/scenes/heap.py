@@ -40,20 +40,22 @@ class Heap:
         self.heights = np.zeros((n, n), np.float32)
 
     def drop(self, mesh: Mesh, R: Float64, places: Float64) -> Float64:
-        """Let a mesh, turned by R (3, 3), down at that of `places` (K, 2) m where it comes to lie lowest.
+        """Let a mesh, turned by R (3, 3), down at that of `places` (K, 2) m where it comes to lie lowest; a
+        place where it would stick out is moved inwards.
 
-        Returns T_table_mesh (4, 4). Raises ValueError when it does not fit on the square there."""
+        Returns T_table_mesh (4, 4). Raises ValueError when it does not fit on the square."""
         T = se3.make(R, -(R @ mesh.centre))
         reach = float(np.abs(se3.apply(T, mesh.vertices)[:, :2]).max())
         n = 2 * (int(reach / CELL_M) + 2) + 1
         top, bottom = _seen(mesh, T, n, above=True), _seen(mesh, T, n, above=False)
         best_z, best_at = np.inf, (0, 0)
-        middle = self.heights.shape[0] // 2
+        middle, last = self.heights.shape[0] // 2, self.heights.shape[0] - n
+        if last < 0:
+            raise ValueError(f"a thing of {2 * reach:.2f} m does not fit on {self.side_m:.2f} m")
         for x, y in places:
-            row, column = middle - round(y / CELL_M) - n // 2, middle + round(x / CELL_M) - n // 2
+            row = min(max(middle - round(y / CELL_M) - n // 2, 0), last)
+            column = min(max(middle + round(x / CELL_M) - n // 2, 0), last)
             under = self.heights[row : row + n, column : column + n]
-            if row < 0 or column < 0 or under.shape != (n, n):
-                raise ValueError(f"a thing of {2 * reach:.2f} m does not fit at ({x:.2f}, {y:.2f})")
             z = float((under - bottom)[np.isfinite(bottom)].max()) + _GAP_M
             if z < best_z:
                 best_z, best_at = z, (row, column)

@@ -48,6 +48,14 @@ def test_flat_sides_are_found_and_carry_the_thing() -> None:
         assert min(abs(height - side) for side in (0.06, 0.09, 0.15)) < 1e-4
 
 
+def test_what_would_stick_out_lies_further_in() -> None:
+    heap = Heap(side_m=0.4)
+    T = heap.drop(OBJECTS["tea_box"], np.eye(3), np.array([[0.3, -0.3]]))
+    corners = se3.apply(T, OBJECTS["tea_box"].vertices)[:, :2]
+    assert np.abs(corners).max() < 0.2
+    assert T[0, 3] > 0.1 > -0.1 > T[1, 3], "in the corner where it was to be"
+
+
 def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(ValueError, match="does not fit"):
         Heap(side_m=0.08).drop(OBJECTS["tea_box"], np.eye(3), MIDDLE)

@@ -10,14 +10,13 @@ are drawn first: heaps of two kinds of the bundles, four of each.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from huepose.datasets.bop import BopScene
 from huepose.evaluation import metrics
-from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64, Rng
@@ -25,9 +24,8 @@ from huepose.model import ReferenceModel, load_models
 from huepose.profiles import profile
 from huepose.reinit.loop import ReinitLoop
 from huepose.scenes.rendered import write_rendered_set
-from huepose.support.progress import progress
 from huepose.tracking import State, Tracker
-from studies.gone import HZ, Sight, parser_of, shown
+from studies.gone import HZ, Sight, filmed, parser_of, shown
 from studies.stress.films import Seen
 from studies.stress.oracle import slot_of
 from studies.stress.play import error_of, followed
@@ -135,10 +133,7 @@ def main() -> None:
         if given.draw and not folder.exists():
             heaps(folder, models, np.random.default_rng([given.seed, number]), given.images)
     targets = Targets(models)
-    done: list[Row] = []
-    for scene in progress([BopScene(path) for path in given.bop], "scenes"):
-        done += rows(scene, targets, given.images, given.more, given.seed)
-        write_json(given.json, {"rows": [asdict(row) for row in done]})
+    done = filmed(given, lambda scene: rows(scene, targets, given.images, given.more, given.seed))
     for row in done:
         if row.found < row.there or row.wrong or row.twice:
             print(f"{row.scene} {row.image} {row.object}: {row.found} of {row.there}, {row.wrong} wrong")

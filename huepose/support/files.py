@@ -6,10 +6,12 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from huepose.support.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 
 def cache_folder() -> Path:
@@ -53,6 +55,7 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
     """Write an RGB picture (H, W, 3) uint8, or a grey one (H, W), as its ending says, PNG without one. Makes
     missing folders. Raises InputError."""
     import cv2
+    import numpy as np
 
     ending = path.suffix.lower() or ".png"
     if not cv2.haveImageWriter(f"picture{ending}"):

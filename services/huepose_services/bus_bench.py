@@ -7,7 +7,6 @@ worker pays for a frame.
 from __future__ import annotations
 
 import multiprocessing
-import socket
 import tempfile
 import time
 from typing import TYPE_CHECKING
@@ -18,6 +17,7 @@ import zenoh
 from huepose_protos.local import endpoint
 from huepose_services.runtime.bus import is_heard
 from huepose_services.runtime.inbox import Inbox, Place
+from huepose_services.runtime.run_folder import free_tcp_port
 from huepose_services.runtime.session import MIB, zenoh_config
 
 if TYPE_CHECKING:
@@ -48,34 +48,21 @@ def hop_spans(shared_memory: bool, seconds: float) -> list[tuple[float, float]]:
     """(wall, receiver's CPU) seconds of every frame after the first ones.
 
     Raises RuntimeError when none arrives by the asked way."""
-    pool_bytes = _POOL_BYTES if shared_memory else 0
     with tempfile.TemporaryDirectory() as folder:
-        return _hop_spans(_endpoint(shared_memory, folder), pool_bytes, seconds)
-
-
-def _endpoint(shared_memory: bool, folder: str) -> str:
-    """The way of a pipeline, or TCP for comparison."""
-    if shared_memory:
-        return endpoint(1, folder)
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
-def _hop_spans(endpoint: str, pool_bytes: int, seconds: float) -> list[tuple[float, float]]:
-    shared_memory = pool_bytes > 0
-    context = multiprocessing.get_context("spawn")
-    sender = context.Process(target=_send, args=(endpoint, pool_bytes, seconds), daemon=True)
-    session = zenoh.open(zenoh_config([endpoint], [], shared_memory=shared_memory))
-    inbox = Inbox(session)
-    try:
-        ring = inbox.ring(_KEY)
-        sender.start()
-        spans = _receive(inbox, ring, seconds, shared_memory)
-    finally:
-        inbox.close()
-        session.close()
-        sender.join(timeout=10.0)
+        # The way of a pipeline, or TCP for comparison.
+        way = endpoint(1, folder) if shared_memory else f"tcp/127.0.0.1:{free_tcp_port()}"
+        context = multiprocessing.get_context("spawn")
+        sender = context.Process(target=_send, args=(way, shared_memory, seconds), daemon=True)
+        session = zenoh.open(zenoh_config([way], [], shared_memory=shared_memory))
+        inbox = Inbox(session)
+        try:
+            ring = inbox.ring(_KEY)
+            sender.start()
+            spans = _receive(inbox, ring, seconds, shared_memory)
+        finally:
+            inbox.close()
+            session.close()
+            sender.join(timeout=10.0)
     if not spans:
         way = "shared memory" if shared_memory else "TCP"
         raise RuntimeError(f"no frame arrived by {way} within {_CONNECT_WITHIN_S + seconds:g} s")
@@ -104,8 +91,9 @@ def _receive(inbox: Inbox, ring: Place, seconds: float, shared: bool) -> list[tu
     return spans[WARM_UP:]
 
 
-def _send(endpoint: str, pool_bytes: int, seconds: float) -> None:
-    session = zenoh.open(zenoh_config([], [endpoint], shared_memory=pool_bytes > 0, pool_bytes=pool_bytes))
+def _send(way: str, shared_memory: bool, seconds: float) -> None:
+    pool_bytes = _POOL_BYTES if shared_memory else 0
+    session = zenoh.open(zenoh_config([], [way], shared_memory=shared_memory, pool_bytes=pool_bytes))
     frame = np.random.default_rng(0).integers(0, 255, FRAME_BYTES, dtype=np.uint8)
     publisher = session.declare_publisher(_KEY, congestion_control=zenoh.CongestionControl.DROP)
     waited_until = time.monotonic() + _CONNECT_WITHIN_S

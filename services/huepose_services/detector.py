@@ -14,7 +14,6 @@ from huepose_protos.messages import (
     DetectedObject,
     Detections,
     FrameHeader,
-    Look,
     PerceptionRequest,
     TruthMessage,
 )
@@ -25,7 +24,7 @@ from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.work import SOON_NS, Work
+from huepose_services.runtime.work import Requests, Work
 
 ASK_EVERY_NS = 2 * SECOND
 """How often the order of the colours is asked about, which takes as long as two searches for one object."""
@@ -58,7 +57,7 @@ def make(bus: Bus, config: Config) -> DetectorWork:
 
 
 class DetectorWork(Work):
-    """Keeps the newest frame, which a request may look at again when the camera stands still."""
+    """Answers the newest request."""
 
     def __init__(
         self,
@@ -69,13 +68,8 @@ class DetectorWork(Work):
     ) -> None:
         self._bus, self._finder, self._objects = bus, finder, objects
         self._hints = Hints()
-        keys = bus.keys
-        self._requests = bus.inbox.queue(keys.request)
-        self._looks = bus.inbox.ring(keys.look)
-        self._frames = bus.frames(wakes=False)
-        self._truths = bus.inbox.queue(keys.truth) if isinstance(finder, TruthBoxes) else None
-        self._frame: tuple[FrameHeader, bytes] | None = None
-        self._request: PerceptionRequest | None = None
+        self._requests = Requests(bus, looks=True)
+        self._truths = bus.inbox.queue(bus.keys.truth) if isinstance(finder, TruthBoxes) else None
         self._check_camera, self._colours = check_camera, ""
         self._ask_ns = now_ns() + ASK_EVERY_NS
         # Of an epoch of the camera: how often the order of its colours was asked, and whether it is known.
@@ -83,7 +77,7 @@ class DetectorWork(Work):
 
     def due_ns(self) -> int | None:
         """Soon, while a request waits for a newer frame."""
-        return None if self._request is None else now_ns() + SOON_NS
+        return self._requests.due_ns()
 
     def step(self) -> None:
         """Answer the newest request."""
@@ -91,13 +85,8 @@ class DetectorWork(Work):
         if self._truths is not None and isinstance(self._finder, TruthBoxes):
             while (truth := self._bus.take(self._truths, TruthMessage)) is not None:
                 self._finder.learn(truth)
-        while (newer := self._bus.take(self._requests, PerceptionRequest)) is not None:
-            self._request = newer
-        if (brought := self._bus.take_with_payload(self._looks, Look)) is not None:
-            look, payload = brought
-            self._request, self._frame = look.request, (look.frame, payload)
-        if self._request is not None:
-            self._answer(self._request)
+        if (asked := self._requests.take()) is not None:
+            self._answer(*asked)
 
     def _follow(self) -> None:
         """Objects that came or went, and boxes that were pointed at."""
@@ -110,18 +99,8 @@ class DetectorWork(Work):
             if entry.box is not None:
                 self._hints.point(entry.object, box_from_wire(entry.box), now_ns())
 
-    def _answer(self, request: PerceptionRequest) -> None:
-        started = now_ns()
-        health = self._bus.health
-        self._frame = self._bus.take_with_payload(self._frames, FrameHeader) or self._frame
-        if self._frame is None:
-            self._request = None
-            health.count("requests_without_a_frame")
-            return
-        header, payload = self._frame
-        if request.seen == (header.camera_epoch, header.frame_id):
-            return  # it waits for the next one
-        self._request = None
+    def _answer(self, request: PerceptionRequest, header: FrameHeader, payload: bytes) -> None:
+        started, health = now_ns(), self._bus.health
         if isinstance(self._finder, SeenBoxes):
             try:
                 self._finder.look(frame_from_wire(header, payload))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 
 from huepose.geometry import RgbdFrame
@@ -20,6 +21,7 @@ from huepose.geometry.picture_faults import NO_COLOUR, all_grey, dark, readings,
 from huepose.judge.open_region import PreparedSurface
 from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Applied, Doubt, TrackedPose
+from huepose_protos.messages import CorrectionMessage
 
 NOT_FOUND = "It is not seen where it was, and was not found elsewhere yet."
 OUTSIDE = "Most of it is outside of the picture."
@@ -157,6 +159,32 @@ def lens_doubted(frame: RgbdFrame, fx_of_size: dict[str, float]) -> str | None:
         f"the focal length of {size} pictures was {first:.0f} px and is {camera.fx:.0f} px now: one of the "
         "two is wrong. If it is another camera, restart the tracker"
     )
+
+
+class Against(msgspec.Struct, array_like=True):
+    """What perception says against a camera, and against single instances in its pictures: sentences, empty
+    where there is nothing to say; of one epoch of the camera, the newest."""
+
+    epoch: int = 0
+    camera: str = ""
+    instances: dict[str, str] = {}
+
+    def hear(self, message: CorrectionMessage) -> None:
+        """What a correction says is so until another one says otherwise."""
+        if message.camera_epoch != self.epoch:
+            self.epoch, self.instances = message.camera_epoch, {}
+        self.camera = message.camera
+        self.instances[f"{message.object}/{message.instance}"] = message.reason
+
+    def every_pose(self, epoch: int) -> str:
+        """What is said against every pose in a picture of that epoch."""
+        return self.camera if epoch == self.epoch else ""
+
+    def pose(self, pose: TrackedPose, epoch: int) -> str:
+        """What is said against one in particular; nothing of one that is lost."""
+        if epoch != self.epoch or pose.T_cam_obj is None:
+            return ""
+        return self.instances.get(f"{pose.object}/{pose.instance}", "")
 
 
 _NO_ACTION = "Nothing needs to be done: perception looks on"

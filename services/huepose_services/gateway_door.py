@@ -21,6 +21,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from huepose.support.errors import InputError
+from huepose_services.pem import tls_context
 from huepose_services.runtime.config import GatewayConfig
 from huepose_services.runtime.config_perception import TLS_FILES
 
@@ -229,19 +230,8 @@ def _context(gateway: GatewayConfig, section: str) -> ssl.SSLContext | None:
     tls = gateway.tls
     if tls is None:
         return None
-    try:
-        context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=tls.authority)
-        context.load_cert_chain(tls.certificate, tls.key)
-        if tls.revoked is not None:
-            context.load_verify_locations(cafile=tls.revoked)
-            context.verify_flags |= ssl.VERIFY_CRL_CHECK_LEAF
-    except (ssl.SSLError, OSError) as error:
-        raise InputError(
-            f"the certificates of {section}",
-            found=getattr(error, "reason", None) or str(error),
-            expected="the authority's certificate, the gateway's own, and the key that belongs to it",
-            fix="Make the certificates again (docs/subscribers.md).",
-        ) from None
+    what = f"the certificates of {section}"
+    context = tls_context(ssl.Purpose.CLIENT_AUTH, what, tls.authority, tls.certificate, tls.key, tls.revoked)
     context.verify_mode = ssl.CERT_REQUIRED
     return context
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from huepose.tracking import Tracker
 from huepose.tracking.hypothesis import shares
 from huepose_protos.messages import FrameHeader, HeldHypothesis, HeldObject, HypothesesMessage
-from huepose_services.convert import pose_to_wire
+from huepose_services.convert import to_wire
 
 
 def held(tracker: Tracker, header: FrameHeader, publish_ns: int) -> HypothesesMessage:
@@ -13,14 +13,10 @@ def held(tracker: Tracker, header: FrameHeader, publish_ns: int) -> HypothesesMe
     objects = []
     for name, instance in tracker.instances:
         opinions = tracker.hypotheses(name, instance)
-        said = []
-        for opinion, share in zip(opinions, shares(opinions), strict=True):
-            translation, quaternion = pose_to_wire(opinion.T_cam_obj)
-            said.append(
-                HeldHypothesis(
-                    translation=translation, quaternion=quaternion, share=share, source=opinion.source
-                )
-            )
+        said = [
+            to_wire(HeldHypothesis, opinion, share=share)
+            for opinion, share in zip(opinions, shares(opinions), strict=True)
+        ]
         objects.append(HeldObject(object=name, instance=instance, hypotheses=said))
     return HypothesesMessage(
         publish_ns=publish_ns,

@@ -1,8 +1,10 @@
-"""The reference models of a deployment, whole or only what a worker needs of them."""
+"""The reference models of a deployment, whole or only what a worker needs of them; and the verdict of
+onboarding on an object, kept beside its model as `BUNDLES/NAME.verdict.json`."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +16,7 @@ from huepose.geometry import Box, Camera, se3
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model import ReferenceModel, load_models
 from huepose.model.io import model_path
+from huepose.support.files import write_text
 from huepose_services.runtime.config import Config, ObjectConfig
 
 _OUTLINE_POINTS = 1500
@@ -79,3 +82,25 @@ def outlines(config: Config) -> dict[str, Outline]:
 def objects(config: Config, names: list[str]) -> list[ObjectConfig]:
     """The objects that are looked for: as configured, else one of each."""
     return list(config.objects) or [ObjectConfig(name=name) for name in names]
+
+
+def _verdict_path(bundles: Path, name: str) -> Path:
+    """Where the verdict on the object of that name is kept."""
+    return bundles / f"{name}.verdict.json"
+
+
+def keep_verdict(bundles: Path, model: ReferenceModel, verdict: str, words: str) -> None:
+    """Keep the verdict on a model and the line that says it. Raises InputError where it cannot write."""
+    kept = {"model": model.digest, "verdict": verdict, "words": words}
+    write_text(_verdict_path(bundles, model.name), json.dumps(kept, indent=1) + "\n")
+
+
+def limits(bundles: Path, model: ReferenceModel) -> str:
+    """The line about an object that does not suit, or suits with limits; empty for one that suits, and where
+    the verdict is on another model of that name, or none is kept."""
+    try:
+        kept = json.loads(_verdict_path(bundles, model.name).read_text(encoding="utf-8"))
+        of_it = kept["model"] == model.digest and kept["verdict"] != "suits"
+        return str(kept["words"]) if of_it else ""
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""

@@ -30,6 +30,26 @@ def check_pem(what: str, path: Path) -> None:
         )
 
 
+def tls_context(
+    purpose: ssl.Purpose, what: str, authority: str, certificate: str, key: str, revoked: str | None = None
+) -> ssl.SSLContext:
+    """Files in PEM for Python's own TLS. Raises InputError about `what` for files that do not fit."""
+    try:
+        context = ssl.create_default_context(purpose, cafile=authority)
+        context.load_cert_chain(certificate, key)
+        if revoked is not None:
+            context.load_verify_locations(cafile=revoked)
+            context.verify_flags |= ssl.VERIFY_CRL_CHECK_LEAF
+    except (ssl.SSLError, OSError) as error:
+        raise InputError(
+            what,
+            found=getattr(error, "reason", None) or str(error),
+            expected="an authority's certificate, one's own, and the key that belongs to it",
+            fix="docs/subscribers.md says how to make certificates.",
+        ) from None
+    return context
+
+
 @dataclass(frozen=True)
 class Credentials:
     """What a reader shows: files in PEM."""
@@ -40,19 +60,10 @@ class Credentials:
 
     def context(self) -> ssl.SSLContext:
         """Them as Python's own TLS knows them. Raises InputError for files that are none, or do not fit."""
-        for name in ("authority", "certificate", "key"):
-            check_pem(f"--tls {name}", getattr(self, name))
-        try:
-            context = ssl.create_default_context(cafile=str(self.authority))
-            context.load_cert_chain(self.certificate, self.key)
-        except (ssl.SSLError, OSError) as error:
-            raise InputError(
-                f"--tls {self.authority} {self.certificate} {self.key}",
-                found=getattr(error, "reason", None) or str(error),
-                expected="the authority's certificate, the reader's own, and the key that belongs to it",
-                fix="docs/subscribers.md says how to make certificates.",
-            ) from None
-        return context
+        files = {name: str(path) for name, path in vars(self).items()}
+        for name, path in files.items():
+            check_pem(f"--tls {name}", Path(path))
+        return tls_context(ssl.Purpose.SERVER_AUTH, f"--tls {' '.join(files.values())}", **files)
 
 
 def why_unreachable(host: str, port: int, credentials: Credentials | None) -> str | None:

@@ -18,10 +18,10 @@ from huepose.tracking.types import Applied, State, TrackedPose
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
 from huepose_services import models, networks
-from huepose_services.against import Against
 from huepose_services.convert import correction_from_wire, frame_from_wire, tracked_to_wire
 from huepose_services.doubts import (
     TOO_OLD,
+    Against,
     complaint_about,
     lens_doubted,
     refused_text,

@@ -18,14 +18,13 @@ from huepose_protos.messages import (
     Look,
     Masks,
     ObjectsMessage,
-    PerceptionRequest,
 )
 from huepose_services.gateway_door import Door
 from huepose_services.link import SILENT_NS, Sender, open_uplink, taken_up
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.work import SOON_NS, Work
+from huepose_services.runtime.work import Requests, Work
 
 _REMEMBERED = 256
 
@@ -45,12 +44,8 @@ class UplinkWork(Work):
         self._far = {*config.far, "downlink"}
         keys, inbox = bus.keys, bus.inbox
         self._found_key, self._kind = taken_up(config, keys)
-        if self._kind is Look:
-            self._requests, self._frames = inbox.queue(keys.request), bus.frames(wakes=False)
-        else:
-            self._found = inbox.ring(self._found_key)
-        self._frame: tuple[FrameHeader, bytes] | None = None
-        self._request: PerceptionRequest | None = None
+        self._requests = Requests(bus, looks=False) if self._kind is Look else None
+        self._found = None if self._kind is Look else inbox.ring(self._found_key)
         self._objects = inbox.ring(keys.objects)
         self._answers = inbox.queue(keys.down(keys.estimates), session=outside)
         self._health = inbox.queue(keys.down(keys.health()), session=outside)
@@ -63,9 +58,8 @@ class UplinkWork(Work):
 
     def due_ns(self) -> int | None:
         """When to look who is there; soon, while a request waits for a newer frame."""
-        if self._request is not None:
-            return min(self._next_look_ns, now_ns() + SOON_NS)
-        return self._next_look_ns
+        asked_ns = None if self._requests is None else self._requests.due_ns()
+        return self._next_look_ns if asked_ns is None else min(self._next_look_ns, asked_ns)
 
     def step(self) -> None:
         """Pass on what is there."""
@@ -92,22 +86,12 @@ class UplinkWork(Work):
             self._look(now)
 
     def _newest(self) -> tuple[Look | Detections | Masks, FrameHeader, bytes] | None:
-        if self._kind is not Look:
+        if self._found is not None:
             taken = self._bus.take_with_payload(self._found, self._kind)
             return None if taken is None else (taken[0], taken[0].frame, taken[1])
-        while (newer := self._bus.take(self._requests, PerceptionRequest)) is not None:
-            self._request = newer
-        if (request := self._request) is None:
+        if self._requests is None or (asked := self._requests.take()) is None:
             return None
-        self._frame = self._bus.take_with_payload(self._frames, FrameHeader) or self._frame
-        if self._frame is None:
-            self._request = None
-            self._bus.health.count("requests_without_a_frame")
-            return None
-        frame, payload = self._frame
-        if request.seen == (frame.camera_epoch, frame.frame_id):
-            return None  # it waits for the next one
-        self._request = None
+        request, frame, payload = asked
         return Look(publish_ns=now_ns(), request=request, frame=frame), frame, payload
 
     def _send(self, message: Look | Detections | Masks, frame: FrameHeader, payload: bytes) -> None:

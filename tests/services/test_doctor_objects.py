@@ -9,7 +9,7 @@ import numpy as np
 
 from huepose.geometry import RgbdFrame
 from huepose.model.types import ReferenceModel
-from huepose_services.doctor.objects import objects_in
+from huepose_services.doctor.pictures import objects_in
 
 
 def test_objects_are_found_or_asked_about(

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from huepose_protos.local import endpoint
-from huepose_services.runtime.leftovers import OLD_S
+from huepose_services.runtime.run_folder import OLD_S
 from huepose_services.runtime.running import Pipeline, noted
 
 WORKER = """import os, sys, time, zenoh

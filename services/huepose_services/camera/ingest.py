@@ -16,7 +16,7 @@ from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
 
-from huepose.datasets.types import GroundTruth, Scene
+from huepose.datasets.types import Scene
 from huepose_protos.keys import last
 from huepose_protos.messages import HealthMessage, PoseMessage
 from huepose_services.camera.live_ingest import LiveIngest
@@ -49,15 +49,6 @@ def make(bus: Bus, config: Config) -> Ingest | LiveIngest:
     """The camera worker's work."""
     kind = LiveIngest if config.camera.source in LIVE_SOURCES else Ingest
     return kind(bus, config, open_source(config))
-
-
-@dataclass(frozen=True)
-class _Shot:
-    """A frame that is ready to go."""
-
-    image: int
-    picture: Packed
-    truths: tuple[GroundTruth, ...]
 
 
 @dataclass
@@ -203,7 +194,7 @@ class Ingest(Work):
         self._publisher = FramePublisher(bus, config)
         self._made_ns = now_ns()
         self._index = 0
-        self._shot = self._prepare(source.image_ids[0])
+        self._picture = self._prepare(source.image_ids[0])
         self._schedule: Schedule | None = None
         self._stand: _Stand | None = None
         self._busy = Busy()
@@ -283,20 +274,15 @@ class Ingest(Work):
             return
         if schedule.begins_again(self._index) and self._camera.source != "synthetic":
             self._bus.log.seldom("again", _AGAIN, level="info")
-        self._shot = self._prepare(image)
+        self._picture = self._prepare(image)
 
-    def _prepare(self, image: int) -> _Shot:
-        frame = self._source.frame(image)
-        truths = self._source.truths(image) if self._camera.truth else ()
-        return _Shot(image, packed(frame, self._camera.depth_scale_m), truths)
+    def _prepare(self, image: int) -> Packed:
+        frame, source = self._source.frame(image), self._source
+        truths = source.truths(image) if self._camera.truth else None
+        return packed(frame, self._camera.depth_scale_m, truths, source.name, image)
 
     def _publish(self, frame_id: int, capture_ns: int, counted_as: str = "frames") -> None:
-        shot, publisher = self._shot, self._publisher
-        if self._camera.truth:
-            publisher.publish_truth(
-                shot.truths, self._epoch, frame_id, capture_ns, self._source.name, shot.image
-            )
-        publisher.publish(shot.picture, self._epoch, frame_id, capture_ns, counted_as)
+        self._publisher.publish(self._picture, self._epoch, frame_id, capture_ns, counted_as)
 
     def _wait_for_readers(self, ended_ns: int, now: int) -> None:
         """The pool of frames goes with this process: stay until the last frame was read."""

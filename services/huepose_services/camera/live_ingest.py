@@ -160,12 +160,9 @@ class LiveIngest(Work):
         else:
             capture_ns = self._clock.capture_ns(shot.device_ns, shot.arrived_ns)
             self._bus.health.counters["clock_restarts"] = self._clock.restarts
-        frame = RgbdFrame(shot.color, shot.depth, shot.camera)
-        picture = packed(frame, self._config.camera.depth_scale_m)
-        if self._config.camera.truth:
-            self._publisher.publish_truth(
-                shot.truths, self._epoch, self._frame_id, capture_ns, self._name, shot.number
-            )
+        frame, settings = RgbdFrame(shot.color, shot.depth, shot.camera), self._config.camera
+        truths = shot.truths if settings.truth else None
+        picture = packed(frame, settings.depth_scale_m, truths, self._name, shot.number)
         wrong = self._lasting(now_ns())
         self._publisher.publish(
             picture,

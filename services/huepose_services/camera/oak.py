@@ -8,7 +8,6 @@ and follows the device's drift.
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Mapping
 from contextlib import suppress
 from datetime import timedelta
@@ -152,11 +151,10 @@ class OakCamera:
 
     def read(self, timeout_s: float) -> Shot | None:
         """The next picture; None when none came in time. Raises CameraError when the camera is gone."""
-        deadline = time.monotonic() + timeout_s
         # `get` with a timeout raises the same error for an ended pipeline, so the state is asked first.
         if not self._pipeline.isRunning() or (self._device is not None and self._device.isClosed()):
             raise CameraError("the connection is lost. Look at the cable; it is looked for again.")
-        group = self._queue.get(timedelta(seconds=max(deadline - time.monotonic(), 0.001)))
+        group = self._queue.get(timedelta(seconds=max(timeout_s, 0.001)))
         return None if group is None else shot_of(group["color"], group["depth"], now_ns())
 
     def close(self) -> None:

@@ -35,18 +35,29 @@ _NOT_TOLD = (
 
 @dataclass(frozen=True)
 class Packed:
-    """A picture that is ready to go."""
+    """A picture that is ready to go. truths: what its source knows about it, None where nobody is told;
+    scene, image: which picture of the source it is."""
 
     intrinsics: Intrinsics
     buffers: list[BufferSpec]
     payload: bytes
+    truths: Sequence[GroundTruth] | None
+    scene: str
+    image: int
 
 
-def packed(frame: RgbdFrame, depth_scale_m: float) -> Packed:
+def packed(
+    frame: RgbdFrame,
+    depth_scale_m: float,
+    truths: Sequence[GroundTruth] | None = None,
+    scene: str = "",
+    image: int = 0,
+) -> Packed:
     """Colour and depth as they travel, depth in steps of depth_scale_m."""
     depth = depth_to_wire(frame.depth, depth_scale_m)
     buffers, payload = pack({"color": frame.color, "depth": depth})
-    return Packed(intrinsics_to_wire(frame.camera, depth_scale_m), buffers, payload)
+    intrinsics = intrinsics_to_wire(frame.camera, depth_scale_m)
+    return Packed(intrinsics, buffers, payload, truths, scene, image)
 
 
 class FramePublisher:
@@ -71,8 +82,19 @@ class FramePublisher:
         counted_as: str = "frames",
         said: tuple[str, str] = ("", ""),
     ) -> None:
-        """One frame, counted and timed in health. said: what is wrong with the picture and with the camera
-        (`picture` and `camera` of the header)."""
+        """One frame, counted and timed in health, after the truth about it. said: what is wrong with the
+        picture and with the camera (`picture` and `camera` of the header)."""
+        if picture.truths is not None:
+            truth = TruthMessage(
+                publish_ns=now_ns(),
+                camera_epoch=epoch,
+                frame_id=frame_id,
+                capture_ns=capture_ns,
+                scene=picture.scene,
+                image=picture.image,
+                objects=[to_wire(TruthObject, truth) for truth in picture.truths],
+            )
+            self._bus.put(self._keys.truth, truth)
         bus, started = self._bus, now_ns()
         header = FrameHeader(
             publish_ns=started,
@@ -97,27 +119,6 @@ class FramePublisher:
             self._tell_mounts(header, self._told_mounts)
         bus.health.count(counted_as)
         bus.health.worked_on(started, header)
-
-    def publish_truth(
-        self,
-        truths: Sequence[GroundTruth],
-        epoch: int,
-        frame_id: int,
-        capture_ns: int,
-        scene: str,
-        image: int,
-    ) -> None:
-        """What the source knows about a frame; said before the frame itself."""
-        message = TruthMessage(
-            publish_ns=now_ns(),
-            camera_epoch=epoch,
-            frame_id=frame_id,
-            capture_ns=capture_ns,
-            scene=scene,
-            image=image,
-            objects=[to_wire(TruthObject, truth) for truth in truths],
-        )
-        self._bus.put(self._keys.truth, message)
 
     def _tell(self, header: FrameHeader) -> None:
         """Which camera is open, for readers that take no frames: when it is new, and then once a second."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -26,6 +25,7 @@ from scipy.stats import poisson
 from huepose.evaluation.metrics import RECALL_FRACTION, add
 from huepose.model import load_models
 from huepose.scenes.builtin import SyntheticScene
+from huepose.support.files import whole
 from huepose_protos.client import Reader
 from huepose_protos.keys import last
 from huepose_protos.local import endpoint
@@ -34,7 +34,7 @@ from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.faulty import Orders
 from huepose_services.convert import optional_pose_from_wire, pose_of
 from huepose_services.runtime.config import CHAIN, WORKERS
-from huepose_services.runtime.run_folder import free_ports
+from huepose_services.runtime.run_folder import free_ports, free_tcp_port
 from huepose_services.runtime.running import Pipeline, pick
 
 _OLD_CORRECTIONS = 400
@@ -75,7 +75,7 @@ class LivePipeline:
         self.base_port = free_ports(len(WORKERS))
         self._orders = self._folder / "orders.json"
         self.workers = (*CHAIN, "gateway") if live else CHAIN
-        self.gateway_port = _free_tcp_port()
+        self.gateway_port = free_tcp_port()
         camera = {"source": "synthetic", "truth": True, "rate": 30.0 / slow}
         if live:
             self.order()
@@ -136,9 +136,8 @@ class LivePipeline:
 
     def order(self, **changes: object) -> None:
         """What the camera shall do wrong from now on; nothing: without changes."""
-        fresh = self._orders.with_suffix(".new")
-        fresh.write_bytes(msgspec.json.encode(msgspec.convert(changes, Orders)))
-        fresh.replace(self._orders)
+        with whole(self._orders) as part:
+            part.write_bytes(msgspec.json.encode(msgspec.convert(changes, Orders)))
 
     def forget(self) -> None:
         """What subscribers saw until now."""
@@ -221,12 +220,6 @@ class LivePipeline:
         """Whether each worker is there, and said since then that it works: its loop does, or it could not."""
         said = {w for w, m in self.health.items() if m.publish_ns > start * 1e9 and m.state == "ready"}
         return len(self.live) == len(self.workers) and said >= set(self.workers)
-
-
-def _free_tcp_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def gaps_s(poses: list[SeenPose], start: float, end: float) -> list[float]:

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from huepose.support.files import write_picture
 from huepose_services.cli.options import add_json, add_number, add_path, add_profile, answered
 
 _WHAT = ("estimate", "track", "detect", "bus", "all")
@@ -73,7 +74,6 @@ def draw_stages(path: Path, stages: list[tuple[str, float, float]]) -> None:
     import numpy as np
 
     from huepose.drawing.plots import bar_chart
-    from huepose.support.files import write_picture
 
     rows = []
     for whole in dict.fromkeys(name.split("/")[0].split()[0] for name, _, _ in stages):

@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.errors import InputError
+from huepose.support.files import write_picture
+from huepose.support.words import counted
 from huepose_services.cli.options import add_json, add_one_of, add_path, answered
 
 if TYPE_CHECKING:
@@ -57,7 +60,6 @@ def call(arguments: argparse.Namespace) -> int:
 
     from huepose.geometry import hand_eye, hand_eye_doubts, se3
     from huepose.geometry.hand_eye_certainty import certainty
-    from huepose.support.errors import InputError
 
     seen = _of_one_thing(arguments.object, arguments.name)
     hand = _of_one_thing(arguments.hand, None)
@@ -138,7 +140,6 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
     import numpy as np
 
     from huepose.geometry.hand_eye_certainty import WANTED_RAD
-    from huepose.support.words import counted
 
     text = (
         f"the mount may be wrong by {1e3 * sure.shift_m:.1f} mm and {np.degrees(sure.turn_rad):.2f} degrees "
@@ -172,7 +173,6 @@ def _of_one_thing(path: Path, name: str | None) -> dict[int, Float64]:
     from collections import Counter
 
     from huepose.evaluation.pose_files import read_pose_rows
-    from huepose.support.errors import InputError
 
     rows = read_pose_rows(path)
     counts = Counter(row.name for row in rows)
@@ -201,7 +201,6 @@ def _draw(path: Path, frames: list[int], found: HandEye) -> None:
     import numpy as np
 
     from huepose.drawing.plots import line_plot
-    from huepose.support.files import write_picture
 
     x = np.array(frames, float)
     series = {"shift, mm": (x, 1e3 * found.shift_m), "turn, degrees": (x, np.degrees(found.turn_rad))}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_number, add_path
+from huepose.support.errors import InputError
+from huepose_services.cli.options import add_number, add_path, say
 
 
 def add_parser(subparsers: Any) -> None:
@@ -33,7 +33,6 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Strike one after the other; exit 1 when something did not hold."""
-    from huepose.support.errors import InputError
     from huepose_services.chaos.faults import FAULTS
     from huepose_services.chaos.memory import draw, growth
     from huepose_services.chaos.outcome import Outcome, cells, strike, table
@@ -48,17 +47,14 @@ def call(arguments: argparse.Namespace) -> int:
     outcomes: list[Outcome] = []
     with LivePipeline(live=True, slow=arguments.slow) as system:
         if not system.wait_until_steady(3, 300.0):
-            print(
-                f"huepose chaos: the pipeline does not become steady:\n{system.log()[-3000:]}",
-                file=sys.stderr,
-            )
+            say(f"huepose chaos: the pipeline does not become steady:\n{system.log()[-3000:]}")
             return 1
         start = time.monotonic()
         until = start + 60.0 * (arguments.minutes or 0.0)
         while not outcomes or time.monotonic() < until:
             for fault in chosen:
                 outcomes.append(strike(system, fault, 60.0 + 30.0 * arguments.slow))
-                print("  ".join(cells(outcomes[-1])), file=sys.stderr, flush=True)
+                say("  ".join(cells(outcomes[-1])))
                 if arguments.minutes and time.monotonic() > until:
                     break
         grown = growth(system.health_log, start, until_s=time.monotonic())

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from huepose_services.cli.options import add_json, add_number, add_one_of, add_path, answered, until_told
+from huepose.support.errors import InputError
+from huepose_services.cli.options import add_json, add_number, add_one_of, add_path, answered, say, until_told
 
 
 def add_parser(subparsers: Any) -> None:
@@ -47,9 +48,6 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Run, judge, print."""
     import os
-    import sys
-
-    from huepose.support.errors import InputError
 
     if arguments.seconds < 5.0 or arguments.seed < 0:
         raise InputError(
@@ -76,17 +74,17 @@ def call(arguments: argparse.Namespace) -> int:
             arguments.object,
         )
     except DemoError as error:
-        print(f"huepose demo: {error}", file=sys.stderr)
+        say(f"huepose demo: {error}")
         return 1
     answered(arguments, result, report(result))
     load, cores = os.getloadavg()[0], os.cpu_count() or 1
     if load > 1.5 * cores + 2.0:
         text = f"other programs kept {cores} processors busy (load {load:.0f}): alone it is better and faster"
-        print(text, file=sys.stderr)
+        say(text)
     for name, worker in result["workers"].items():
         for text in worker["warnings"]:
-            print(f"{name}: {text}", file=sys.stderr)
+            say(f"{name}: {text}")
     missing = shortcomings(result["summary"])
     if missing:
-        print(f"huepose demo: not what it should be: {'; '.join(missing)}", file=sys.stderr)
+        say(f"huepose demo: not what it should be: {'; '.join(missing)}")
     return 1 if missing else 0

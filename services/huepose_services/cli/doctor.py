@@ -8,6 +8,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from huepose.support.errors import InputError
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
@@ -26,7 +28,6 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Look at everything; exit 1 when something has to be done."""
-    from huepose.support.errors import InputError
     from huepose_services.doctor.checks import examine
     from huepose_services.runtime.config import load_all
 

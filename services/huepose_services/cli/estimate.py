@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.files import write_picture
 from huepose_services.cli.options import (
     add_box,
     add_bundles,
@@ -17,6 +17,7 @@ from huepose_services.cli.options import (
     add_path,
     add_profile,
     answered,
+    say,
 )
 
 if TYPE_CHECKING:
@@ -124,10 +125,9 @@ def call(arguments: argparse.Namespace) -> int:
         answers = [a if a.found else _of_the_picture(frame, models[a.object], a) for a in answers]
     answers = [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
     loaded = "one model" if len(names) == 1 else f"{len(names)} models"
-    print(
+    say(
         f"{prepared - begun:.1f} s to load {loaded} and to find where objects may be, "
-        f"{time.monotonic() - prepared:.1f} s to answer",
-        file=sys.stderr,
+        f"{time.monotonic() - prepared:.1f} s to answer"
     )
     against: list[str] = []
     if arguments.check_camera:
@@ -138,11 +138,10 @@ def call(arguments: argparse.Namespace) -> int:
         ]
     doubts = [*against, *_doubts(frame, models, answers)]
     for doubt in doubts:
-        print(doubt, file=sys.stderr)
+        say(doubt)
     record = {"poses": [as_record(a) for a in answers], "doubts": doubts}
     answered(arguments, record, "\n".join(map(in_words, answers)))
     if arguments.image:
-        from huepose.support.files import write_picture
         from huepose_services.cli.explain import draw_answers
 
         write_picture(arguments.image, draw_answers(frame, models, answers))
@@ -231,7 +230,7 @@ def _answer(
         from huepose_services.cli.explain import write_explanation
 
         doubts = write_explanation(arguments.explain, frame, models[name], answer, explanation)
-        print(f"{name}: " + ("; ".join(doubts) or "nothing speaks against this answer"), file=sys.stderr)
+        say(f"{name}: " + ("; ".join(doubts) or "nothing speaks against this answer"))
     return answer
 
 
@@ -288,7 +287,6 @@ def _standing(
         why = bad_picture(frame, models[name].diameter_m) or why_none_stands(name, mine, said)
         out.append(PoseEstimate(name, reason=why))
         if arguments.explain:
-            from huepose.support.files import write_picture
             from huepose_services.cli.explain import draw_places
 
             tried = [

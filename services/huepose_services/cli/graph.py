@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, chosen, say_if_unknown
+from huepose_services.cli.options import add_choice, chosen, say, say_if_unknown
 
 if TYPE_CHECKING:
     from huepose_services.watch import View
@@ -47,7 +46,7 @@ def call(arguments: argparse.Namespace) -> int:
         watch.look(_LOOK_S)
         view = watch.view()
     if not view.seen:
-        print(f"huepose graph: {pipeline.absence}", file=sys.stderr)
+        say(f"huepose graph: {pipeline.absence}")
         return 1
     print(mermaid(view))
     return 0

@@ -18,6 +18,10 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from typing import Any
 
+from huepose.support.errors import InputError
+from huepose.support.extras import install_command
+from huepose_services.runtime.threads import single_threaded
+
 # In the order in which `huepose --help` lists them.
 _VERBS = (
     *("demo", "new", "onboard", "estimate", "evaluate", "render_scenes", "make_dataset", "train", "bench"),
@@ -94,8 +98,6 @@ def build_parser() -> argparse.ArgumentParser:
 
 def check_outputs(parsed: argparse.Namespace) -> None:
     """Look at the places that results go to before the work, not after it. Raises InputError."""
-    from huepose.support.errors import InputError
-
     for option in _OUTPUTS:
         path = getattr(parsed, option, None)
         if not isinstance(path, Path):
@@ -153,14 +155,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command line. Returns the exit code."""
     try:
         parsed = _parsed(arguments)
-        from huepose.support.errors import InputError
     except KeyboardInterrupt:
         return _interrupted("huepose")
     try:
         check_outputs(parsed)
         if parsed.verb in _SHORT:
-            from huepose_services.runtime.threads import single_threaded
-
             single_threaded()
         with _told(parsed.verb):
             code: int = parsed.call(parsed)
@@ -171,8 +170,6 @@ def main(arguments: list[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         if error.name not in _OF_EXTRAS:
             raise
-        from huepose.support.extras import install_command
-
         command = install_command(_OF_EXTRAS[error.name])
         print(
             f"huepose {parsed.verb}: this needs the Python package {error.name}; install it with: {command}",

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.errors import InputError
+from huepose.support.words import counted
 from huepose_services.cli.options import add_number, add_path
 
 if TYPE_CHECKING:
@@ -35,7 +37,6 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Draw, and say what is there."""
     from huepose.scenes import official_sets
-    from huepose.support.words import counted
 
     objects = _objects(arguments.models, arguments.objects)
     asked = arguments.out, objects, arguments.scenes, arguments.frames, arguments.seed
@@ -59,7 +60,6 @@ def _objects(models: str, ids: list[int] | None) -> list[SetObject]:
     from huepose.onboarding.meshes import read_mesh
     from huepose.scenes.official_sets import SetObject
     from huepose.scenes.shapes import demo_objects
-    from huepose.support.errors import InputError
 
     if models != "builtin":
         found = bop_models(Path(models), ids)

@@ -7,6 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from huepose.support.errors import InputError
+from huepose_services.cli.options import say
+
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job
     from huepose.onboarding.meshes import Unit
@@ -55,18 +58,16 @@ def _warn_of(given: Unit, sizes: dict[Unit, float]) -> None:
     text = f"its largest side is {length(sizes[given])} with --unit {given}"
     if sizes[given] > LARGEST_M:
         text += f": larger than drawn scenes hold ({length(LARGEST_M)})"
-    print(f"warning: {text}{f'; it would be {but}' if but else ''}", file=sys.stderr, flush=True)
+    say(f"warning: {text}{f'; it would be {but}' if but else ''}")
 
 
 def _note(text: str, others: list[str]) -> None:
     but = f" (it would be {', '.join(others)})" if others else ""
-    print(f"note: {text}{but}; --unit says another", file=sys.stderr)
+    say(f"note: {text}{but}; --unit says another")
 
 
 def _asked(path: Path, sizes: dict[Unit, float]) -> Unit:
     """The unit that the user names."""
-    from huepose.support.errors import InputError
-
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise InputError(
             path,
@@ -74,7 +75,7 @@ def _asked(path: Path, sizes: dict[Unit, float]) -> Unit:
             expected="its unit: few objects have the size that metres or millimetres would give it",
             fix=f"Say it: --unit {'|'.join(sizes)}.",
         )
-    print(f"{path} gives no unit. Its largest side is {_in_words(sizes)}.", file=sys.stderr)
+    say(f"{path} gives no unit. Its largest side is {_in_words(sizes)}.")
     while True:
         print(f"In which unit is it, {', '.join(sizes)}? ", end="", file=sys.stderr, flush=True)
         said = sys.stdin.readline()

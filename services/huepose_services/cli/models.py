@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,18 +50,8 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _facts(entry: Entry) -> dict[str, object]:
-    network = entry.network
-    return {
-        "name": network.name,
-        "role": network.role,
-        "here": entry.here,
-        "path": str(entry.path),
-        "licence": network.licence,
-        "size_bytes": _size(entry),
-        "sha256": network.sha256,
-        "source": network.source,
-        "url": network.url,
-    }
+    facts = {"here": entry.here, "path": str(entry.path), "size_bytes": _size(entry)}
+    return asdict(entry.network) | facts
 
 
 def _size(entry: Entry) -> int | None:

@@ -7,6 +7,8 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.errors import InputError
+from huepose.support.files import write_picture
 from huepose_services.cli.onboard import add_test
 from huepose_services.cli.options import add_path, add_unit
 
@@ -49,7 +51,6 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.onboarding.meshes import length, read_mesh
     from huepose.scenes.builtin import first_shot
     from huepose.scenes.camera import CAMERA
-    from huepose.support.errors import InputError
     from huepose_services.cli.mesh_unit import with_unit
     from huepose_services.cli.onboard import in_words, onboard_one, self_test
 
@@ -99,8 +100,6 @@ def write_frame(folder: Path, shot: Shot, camera: Camera) -> None:
 
     import cv2
     import numpy as np
-
-    from huepose.support.files import write_picture
 
     write_picture(folder / "color.png", shot.color)
     depth = np.rint(shot.depth * 10_000.0).clip(0, np.iinfo(np.uint16).max).astype(np.uint16)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.errors import InputError
 from huepose_services.cli.options import (
     add_box,
     add_choice,
     add_json,
     answered,
     chosen,
+    say,
     say_if_unknown,
 )
 
@@ -56,7 +57,6 @@ def call(arguments: argparse.Namespace) -> int:
     """Ask the pipeline; print what it answers."""
     import msgspec
 
-    from huepose.support.errors import InputError
     from huepose_protos.messages import ControlRequest
 
     box = getattr(arguments, "box", None)
@@ -83,10 +83,10 @@ def call(arguments: argparse.Namespace) -> int:
     say_if_unknown(pipeline)
     reply = ask(pipeline, request)
     if reply is None:
-        print(f"huepose objects: {pipeline.absence}", file=sys.stderr)
+        say(f"huepose objects: {pipeline.absence}")
         return 1
     if not reply.done:
-        print(f"huepose objects {arguments.action}: {reply.text}", file=sys.stderr)
+        say(f"huepose objects {arguments.action}: {reply.text}")
         return 2
     summary = _listed(reply) if arguments.action == "list" else reply.text
     answered(arguments, msgspec.to_builtins(reply.objects), summary)

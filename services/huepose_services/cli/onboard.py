@@ -13,9 +13,13 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.errors import InputError
+from huepose.support.files import write_picture
+from huepose.support.progress import Status, progress
+from huepose.support.words import counted
 from huepose_services.cli.mesh_unit import with_unit
 from huepose_services.cli.onboard_video import METRES, add_video, mesh_from_video
-from huepose_services.cli.options import add_json, add_number, add_path, add_unit, answered
+from huepose_services.cli.options import add_json, add_number, add_path, add_unit, answered, say
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job, Onboarded
@@ -112,9 +116,7 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
     kept beside the model. part: share of its surface of which the model was made, None for all of it."""
     from huepose.evaluation import suitability
     from huepose.model import load_models
-    from huepose.support.errors import InputError
-    from huepose.support.files import write_picture
-    from huepose_services.verdicts import keep_verdict
+    from huepose_services.models import keep_verdict
 
     model = load_models(bundles, [name])[name]
     try:
@@ -122,7 +124,7 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
         if part is not None:
             found = suitability.seen_in_part(found, part)
     except InputError as error:
-        print(f"{name} was not tried in drawn scenes: {error}", file=sys.stderr)
+        say(f"{name} was not tried in drawn scenes: {error}")
         return None, ""
     picture = bundles / f"{name}.png"
     write_picture(picture, suitability.sheet(model, found))
@@ -143,8 +145,6 @@ def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
     from huepose.model.io import check_name, model_path
     from huepose.onboarding import batch
     from huepose.onboarding.reference import STAGES
-    from huepose.support.errors import InputError
-    from huepose.support.progress import Status, progress
 
     check_name(job.name)
     _check_folder(out)
@@ -156,10 +156,9 @@ def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps), Status().line)
         deque(steps, maxlen=0)
     if before is not None and before[0] != result.path.read_bytes():
-        print(
+        say(
             f"note: {result.path} replaced another reference model named {job.name}, made on {before[1]}. "
-            "To have both, onboard that one again under another --name",
-            file=sys.stderr,
+            "To have both, onboard that one again under another --name"
         )
     return result
 
@@ -181,7 +180,7 @@ def call_bop(arguments: argparse.Namespace) -> int:
     failed = onboard_models(models, arguments.out, arguments.paper, arguments.processes)
     if failed:
         names = ", ".join(failed)
-        print(f"huepose onboard-bop: {len(failed)} of {len(models)} failed: {names}", file=sys.stderr)
+        say(f"huepose onboard-bop: {len(failed)} of {len(models)} failed: {names}")
         return 2
     return 0
 
@@ -190,8 +189,6 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
     """Onboard them, say what became of each, and return the names of those that failed."""
     from huepose.onboarding.batch import Job, Onboarded, StageBegun, onboard_many
     from huepose.onboarding.reference import STAGES
-    from huepose.support.progress import progress
-    from huepose.support.words import counted
 
     jobs = [
         Job(
@@ -222,8 +219,6 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
 
 
 def _check_folder(out: Path) -> None:
-    from huepose.support.errors import InputError
-
     if out.exists() and not out.is_dir():
         raise InputError(f"--out {out}", found="a file", expected="a folder, which may be new")
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from huepose.support.errors import InputError
+from huepose.support.progress import progress
 from huepose_services.cli.options import add_box, add_path
 
 if TYPE_CHECKING:
@@ -60,8 +62,6 @@ def add_video(parser: argparse.ArgumentParser) -> None:
 def mesh_from_video(arguments: argparse.Namespace) -> FromVideo | None:
     """The mesh of a recording, written to OUT/NAME_mesh; None where a mesh was given. Raises InputError where
     both or neither were."""
-    from huepose.support.errors import InputError
-
     video: Path | None = arguments.from_video
     if (video is None) == (arguments.mesh is None):
         raise InputError(
@@ -125,7 +125,6 @@ def _scene(path: Path) -> Scene:
 
 def _learned(scene: Scene, selection: Selection, name: str) -> Learned:
     from huepose.onboarding.from_video import learn
-    from huepose.support.progress import progress
 
     def frames() -> Iterator[RgbdFrame]:
         for image in progress(scene.image_ids, f"following {name}"):

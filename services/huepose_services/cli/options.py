@@ -43,6 +43,11 @@ def answered(arguments: argparse.Namespace, answer: Any, summary: str) -> None:
     print(text if arguments.json is True else summary)
 
 
+def say(text: str) -> None:
+    """Tell the user something beside the answer, which a program may read from standard output."""
+    print(text, file=sys.stderr, flush=True)
+
+
 def add_path(
     parser: argparse.ArgumentParser, option: str, metavar: str, text: str, *, required: bool = False
 ) -> None:
@@ -121,24 +126,23 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "--config", "PIPELINE", "the pipeline's configuration, for its ports")
 
 
-def chosen(arguments: argparse.Namespace, say: bool = True) -> Pipeline:
-    """The pipeline that is meant. say: tell which it is where that may be a surprise. Raises InputError where
+def chosen(arguments: argparse.Namespace, tell: bool = True) -> Pipeline:
+    """The pipeline that is meant. tell: say which it is where that may be a surprise. Raises InputError where
     it is not clear."""
     from huepose_services.runtime.config import DEFAULT_FILE
     from huepose_services.runtime.running import pick
 
     pipeline = pick(arguments.config, arguments.pipeline)
     unsaid = arguments.config is None and arguments.pipeline is None
-    if say and unsaid and pipeline.file and Path(pipeline.file) != Path(DEFAULT_FILE).absolute():
-        # Stderr, because the answer may be read by a program.
-        print(f"this is {pipeline.name}, which runs from {pipeline.file}", file=sys.stderr, flush=True)
+    if tell and unsaid and pipeline.file and Path(pipeline.file) != Path(DEFAULT_FILE).absolute():
+        say(f"this is {pipeline.name}, which runs from {pipeline.file}")
     return pipeline
 
 
 def say_if_unknown(pipeline: Pipeline) -> None:
     """Say what is waited for where nobody has noted that the pipeline runs: it may all the same."""
     if not pipeline.noted:
-        print(f"looking for a pipeline at port {pipeline.base_port} ...", file=sys.stderr, flush=True)
+        say(f"looking for a pipeline at port {pipeline.base_port} ...")
 
 
 def chosen_config(arguments: argparse.Namespace) -> Config:

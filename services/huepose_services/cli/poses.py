@@ -5,19 +5,20 @@ from __future__ import annotations
 import argparse
 import difflib
 import re
-import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, add_path, chosen, until_told
+from huepose.support.errors import InputError
+from huepose.support.words import counted
+from huepose_services.cli.options import add_choice, add_path, chosen, say, until_told
+from huepose_services.pem import Credentials, why_unreachable
 
 if TYPE_CHECKING:
     from huepose_protos.client import Reader
     from huepose_protos.messages import HealthMessage, Message, PoseMessage
-    from huepose_services.pem import Credentials
     from huepose_services.runtime.running import Pipeline
 
 
@@ -71,18 +72,16 @@ class Gateway:
                     if connected != before:
                         since = now
                     if before and not connected:
-                        _say(f"the gateway at {self.endpoint} is gone; waiting for it")
+                        say(f"the gateway at {self.endpoint} is gone; waiting for it")
                 message = reader.next(_LOOK_EVERY_S)
                 if message is not None:
                     since = float("inf")  # until the link is lost
                     yield message
                 elif now - since > _SAY_AFTER_S:
                     since = float("inf")
-                    _say(self._silence(connected, tail))
+                    say(self._silence(connected, tail))
 
     def _silence(self, connected: bool, tail: str) -> str:
-        from huepose_services.pem import why_unreachable
-
         if connected:
             names = ", or `readers` there does not name this certificate" if self.credentials else ""
             return (
@@ -94,9 +93,6 @@ class Gateway:
 
 def gateway_of(arguments: argparse.Namespace) -> Gateway | None:
     """The gateway that is meant, None for the pipeline of this machine. Raises InputError."""
-    from huepose.support.errors import InputError
-    from huepose_services.pem import Credentials
-
     if arguments.gateway is None:
         if arguments.tls is not None:
             raise InputError("--tls", found="no --gateway", expected="the gateway that it is for")
@@ -110,10 +106,6 @@ def gateway_of(arguments: argparse.Namespace) -> Gateway | None:
     if credentials is not None:
         credentials.context()  # an error of the files is said before any waiting
     return Gateway(match[1].strip("[]"), int(match[2] or _PORT), credentials)
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
 
 
 _POSES, _NO_POSE = "pose/**", "no pose"
@@ -177,7 +169,7 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.csv is not None or arguments.tum is not None:
         return _write(arguments, gateway, stopping)
     if not arguments.json and arguments.key.startswith("pose/"):
-        _say(_HEADING)
+        say(_HEADING)
     if arguments.robot:
         _print_on_robot(arguments, gateway, stopping)
     else:
@@ -187,8 +179,6 @@ def call(arguments: argparse.Namespace) -> int:
 
 def _write(arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]) -> int:
     """Into files, until interrupted; exit code 1 where nothing was written."""
-    from huepose.support.errors import InputError
-    from huepose.support.words import counted
     from huepose_services.cli.pose_export import PoseFiles
 
     beside = [
@@ -206,7 +196,7 @@ def _write(arguments: argparse.Namespace, gateway: Gateway | None, stopping: Cal
         )
     with PoseFiles(arguments.csv, arguments.tum) as files:
         _take_until_gone(arguments, gateway, stopping, files.take)
-    _say(f"{counted(files.written, 'pose')} written")
+    say(f"{counted(files.written, 'pose')} written")
     return 0 if files.written else 1
 
 
@@ -238,7 +228,6 @@ class _Only:
     def looked_up(self, message: Message) -> bool:
         """Whether it is such a list, which nobody asked for. Raises InputError where the first one is without
         the object: what is removed later is no mistake of who asked."""
-        from huepose.support.errors import InputError
         from huepose_protos.messages import ObjectsMessage
 
         if not (self.keys and isinstance(message, ObjectsMessage)):
@@ -262,7 +251,6 @@ def _print_on_robot(
     arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]
 ) -> None:
     """Until interrupted. Raises InputError beside a key of what is no pose."""
-    from huepose.support.errors import InputError
     from huepose_protos.pose_client import PoseClient
 
     if arguments.key != _POSES:
@@ -280,7 +268,7 @@ def _print_on_robot(
                     _print(there, arguments.json)
             if not told and time.monotonic() > say_at:
                 say_at = float("inf")
-                _say(
+                say(
                     "waiting for a camera that says where it is mounted: set camera.mount in pipeline.yaml "
                     "(docs/ros2.md)"
                 )
@@ -289,7 +277,6 @@ def _print_on_robot(
 def _endpoints_of_mounted(arguments: argparse.Namespace) -> list[str]:
     """Where the workers of the pipeline listen. Raises InputError where by its file nobody will ever tell
     where the camera is."""
-    from huepose.support.errors import InputError
     from huepose_services.runtime.config import load
 
     pipeline = chosen(arguments)
@@ -336,12 +323,12 @@ def _take_here(
                 if time.monotonic() > say_at:
                     # Once for a pipeline that is not there, once for one that says nothing.
                     say_at = float("inf")
-                    print(_silence(reader, pipeline, key), file=sys.stderr, flush=True)
+                    say(_silence(reader, pipeline, key))
                 if not reader.seen:
-                    before, pipeline = pipeline, chosen(arguments, say=False)
+                    before, pipeline = pipeline, chosen(arguments, tell=False)
                     again = pipeline != before
             if _is_over(reader):
-                _say(f"{pipeline.name} has ended")
+                say(f"{pipeline.name} has ended")
 
 
 def _warn(health: HealthMessage, told: set[str]) -> None:
@@ -349,7 +336,7 @@ def _warn(health: HealthMessage, told: set[str]) -> None:
     for text in health.warnings:
         if text not in told:
             told.add(text)
-            _say(f"{health.worker}: {text}")
+            say(f"{health.worker}: {text}")
 
 
 def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.errors import InputError
+from huepose.support.progress import Status
 from huepose.support.words import counted
-from huepose_services.cli.options import add_choice, add_number, chosen, chosen_config, until_told
+from huepose_services.cli.options import add_choice, add_number, chosen, chosen_config, say, until_told
+from huepose_services.runtime.log import Log
 
 if TYPE_CHECKING:
     from huepose_services.recording.parts import Parts
@@ -39,14 +41,11 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Record until it ends or is interrupted."""
-    from huepose.support.errors import InputError
-    from huepose.support.progress import Status
     from huepose_services.recording.parts import Limits, Parts
     from huepose_services.recording.record import Recorder, about_this_machine
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import this_clock
     from huepose_services.runtime.health import Health
-    from huepose_services.runtime.log import Log
     from huepose_services.runtime.session import open_recorder_session
     from huepose_services.runtime.worker import come_first
 
@@ -75,14 +74,14 @@ def call(arguments: argparse.Namespace) -> int:
             status.show(_how_far(recorder, parts))
             if time.monotonic() > say_at and recorder.span.first_ns is None:
                 say_at = float("inf")
-                text = f"waiting for a pipeline: {chosen(arguments, say=False).absence}"
-                print(text, file=sys.stderr, flush=True)
+                text = f"waiting for a pipeline: {chosen(arguments, tell=False).absence}"
+                say(text)
             if arguments.seconds is not None and recorder.span.first_ns is not None:
                 end_at = min(end_at, time.monotonic() + arguments.seconds)
             if time.monotonic() >= end_at:
                 break
     except OSError as error:
-        print(f"\nhuepose record: {error.strerror or error}; what was written stays", file=sys.stderr)
+        say(f"\nhuepose record: {error.strerror or error}; what was written stays")
         code = 1
     recorder.close()
     bus.close()
@@ -90,10 +89,10 @@ def call(arguments: argparse.Namespace) -> int:
     try:
         parts.close()
     except OSError as error:
-        print(f"\nhuepose record: {error.strerror or error}; the end is missing", file=sys.stderr)
+        say(f"\nhuepose record: {error.strerror or error}; the end is missing")
         code = 1
     if recorder.span.first_ns is None:
-        print("\nhuepose record: no pipeline said anything, so nothing was recorded", file=sys.stderr)
+        say("\nhuepose record: no pipeline said anything, so nothing was recorded")
         parts.path.unlink(missing_ok=True)
         return 1
     reason = f" ({recorder.finished})" if recorder.finished else ""

@@ -6,6 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from huepose.support.errors import InputError
+from huepose.support.progress import progress
+from huepose.support.words import counted
 from huepose_services.cli.options import add_number, add_one_of, add_path
 
 
@@ -45,8 +48,6 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.datasets.bop_writer import write_models_folder
     from huepose.scenes.rendered import PILES, SceneRanges, write_rendered_set
     from huepose.scenes.shapes import demo_objects
-    from huepose.support.errors import InputError
-    from huepose.support.words import counted
 
     if arguments.models == "builtin":
         meshes = demo_objects(arguments.textures)
@@ -75,7 +76,6 @@ def call(arguments: argparse.Namespace) -> int:
 def _read(folder: Path, ids: list[int] | None) -> tuple[dict[str, Any], dict[str, int]]:
     from huepose.onboarding.bop_folder import bop_models
     from huepose.onboarding.meshes import read_mesh
-    from huepose.support.progress import progress
 
     models = bop_models(folder, ids)
     meshes = {m.name: read_mesh(m.mesh_path, "mm") for m in progress(models, "reading meshes")}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Iterator
 from dataclasses import asdict
@@ -11,7 +10,11 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_number, add_path, answered, until_told
+from huepose.support.errors import InputError
+from huepose.support.progress import Status
+from huepose_services.cli.options import add_number, add_path, answered, say, until_told
+from huepose_services.runtime.log import Log
+from huepose_services.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
     from contextlib import ExitStack
@@ -55,8 +58,6 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Play until the end, or until interrupted; or verify; or export."""
-    from huepose_services.runtime.threads import single_threaded
-
     # As in the tracker's worker: what a long sum comes to depends on how many threads share it.
     single_threaded()
     from huepose_services.recording.read import Recording
@@ -80,7 +81,7 @@ def _events(recordings: list[Recording]) -> Iterator[Event]:
 def _say_cut(recordings: list[Recording]) -> None:
     for recording in recordings:
         if recording.cut:
-            print(f"{recording.path}: {recording.cut}; what came before was read", file=sys.stderr)
+            say(f"{recording.path}: {recording.cut}; what came before was read")
 
 
 def _verify(recordings: list[Recording], arguments: argparse.Namespace) -> int:
@@ -97,8 +98,6 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
 
     import msgspec
 
-    from huepose.support.errors import InputError
-    from huepose.support.progress import Status
     from huepose_services.recording.play import Player
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.config import WORKERS
@@ -159,7 +158,6 @@ def _of_cameras(
     arguments: argparse.Namespace, recordings: list[Recording]
 ) -> list[tuple[Config, list[Recording]]]:
     """Which recordings are played as which camera of the file."""
-    from huepose.support.errors import InputError
     from huepose_protos.keys import camera_of
     from huepose_services.runtime.config import Config, load, load_all
 
@@ -187,7 +185,6 @@ def _bus(config: Config, only: str | None, stack: ExitStack) -> Bus:
     """In the place of a camera's workers, until the stack is left."""
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.health import Health
-    from huepose_services.runtime.log import Log
     from huepose_services.runtime.session import open_player_session
 
     session = open_player_session(config, config.workers if only is None else [only])

@@ -8,7 +8,9 @@ import signal
 import sys
 from typing import Any
 
+from huepose.support.errors import InputError
 from huepose_services.cli.options import add_pipeline
+from huepose_services.runtime.threads import single_threaded
 
 
 def add_parser(subparsers: Any) -> None:
@@ -32,9 +34,7 @@ def call(arguments: argparse.Namespace) -> int:
     # Before anything that takes time: whoever started this process may die meanwhile.
     if (supervisor := os.environ.get(SUPERVISOR)) is not None:
         end_with(int(supervisor), ask_first=worker == "camera")
-    from huepose.support.errors import InputError
     from huepose_services.runtime.config import WORKERS, load
-    from huepose_services.runtime.threads import single_threaded
 
     # One that comes while it starts is for a file that it has yet to read.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)

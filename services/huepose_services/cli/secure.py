@@ -7,6 +7,8 @@ import socket
 from pathlib import Path
 from typing import Any
 
+from huepose.support.errors import InputError
+
 _DAYS = 3650
 
 
@@ -34,7 +36,6 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Do it, and say what to do with it."""
-    from huepose.support.errors import InputError
     from huepose_services.authority import AUTHORITY, GATEWAY, REVOKED, Authority
 
     folder, action = arguments.folder.absolute(), arguments.action

@@ -7,7 +7,7 @@ import sys
 import time
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, chosen
+from huepose_services.cli.options import add_choice, chosen, say
 
 if TYPE_CHECKING:
     from huepose_protos.messages import HealthMessage, PoseMessage
@@ -34,14 +34,14 @@ def call(arguments: argparse.Namespace) -> int:
     """Listen for a moment, print; exit code 1 when nothing runs or a worker is missing."""
     from huepose_services.watch import Watch
 
-    pipeline = chosen(arguments, say=False)  # the first line names it
+    pipeline = chosen(arguments, tell=False)  # the first line names it
     with Watch(pipeline) as watch:
         watch.look_at_all(_LEAST_S, _MOST_S)
         view = watch.view()
     if arguments.json:
         print(_as_json(view))
     elif not view.seen:
-        print(f"huepose status: {pipeline.absence}", file=sys.stderr)
+        say(f"huepose status: {pipeline.absence}")
     else:
         print(as_text(view))
     return 0 if view.well else 1
@@ -51,7 +51,7 @@ def call_again(arguments: argparse.Namespace) -> int:
     """Show until interrupted."""
     from huepose_services.watch import Watch
 
-    pipeline = chosen(arguments, say=False)  # the first line names it
+    pipeline = chosen(arguments, tell=False)  # the first line names it
     until = float("inf") if arguments.seconds is None else time.monotonic() + arguments.seconds
     with Watch(pipeline) as watch:
         try:

@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from huepose.support.errors import InputError
 from huepose_services.cli.options import add_number, add_path
 
 
@@ -87,8 +88,6 @@ def train_views(arguments: argparse.Namespace) -> int:
 
 def _common(arguments: argparse.Namespace) -> dict[str, Any]:
     """What both are told. Raises InputError."""
-    from huepose.support.errors import InputError
-
     if not arguments.hours > 0:
         raise InputError("--hours", found=str(arguments.hours), expected="more than 0")
     if arguments.workers < 1:

@@ -7,13 +7,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_host, add_path
+from huepose.support.files import writing
+from huepose_services.cli.options import add_host, add_path, add_pipeline
 
 
 def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("units", help="write systemd units for the workers of a pipeline")
-    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    add_pipeline(parser)
     add_path(parser, "--out", "DIR", "for example /etc/systemd/system", required=True)
     parser.add_argument("--user", default="huepose", metavar="NAME", help="whose processes; default huepose")
     add_host(parser)
@@ -22,7 +23,6 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Write them, and remove what an earlier pipeline had and this one has not."""
-    from huepose.support.files import writing
     from huepose_services.runtime.config import load_all
     from huepose_services.units import units
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_host, add_pipeline, until_told
+from huepose_services.cli.options import add_host, add_pipeline, say, until_told
 
 if TYPE_CHECKING:
     from huepose_services.runtime.supervisor import Supervisor
@@ -63,7 +62,7 @@ def call(arguments: argparse.Namespace) -> int:
             for supervisor in supervisors:
                 supervisor.stop()
     if stopping():
-        print("stopped", file=sys.stderr)
+        say("stopped")
     return max(supervisor.exit_code or 0 for supervisor in supervisors)
 
 

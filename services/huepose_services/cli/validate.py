@@ -99,10 +99,9 @@ def _limited(config: Config) -> list[str]:
     if config.bundles is None or not config.uses_models:
         return []
     from huepose_services import models
-    from huepose_services.verdicts import limits
 
     folder = models.bundles_folder(config)
-    return [said for model in models.load(config).values() if (said := limits(folder, model))]
+    return [said for model in models.load(config).values() if (said := models.limits(folder, model))]
 
 
 def _drawn_once(config: Config) -> str:

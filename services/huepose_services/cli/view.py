@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, add_path, chosen, chosen_config, until_told
+from huepose.support.errors import InputError
+from huepose_services.cli.options import add_choice, add_path, chosen, chosen_config, say, until_told
+from huepose_services.runtime.log import Log
+from huepose_services.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
@@ -46,8 +48,6 @@ def _port(text: str) -> int:
 
 def call(arguments: argparse.Namespace) -> int:
     """Show until told to stop."""
-    from huepose_services.runtime.threads import single_threaded
-
     _check_file(arguments.save)
     single_threaded()
     config = chosen_config(arguments)
@@ -62,17 +62,15 @@ def call(arguments: argparse.Namespace) -> int:
     recording.disconnect()
     if arguments.save is not None:
         if not pictures:
-            print("huepose view: no pipeline gave a picture, so nothing was saved", file=sys.stderr)
+            say("huepose view: no pipeline gave a picture, so nothing was saved")
             arguments.save.unlink(missing_ok=True)
             return 1
-        print(f"{arguments.save}: {arguments.save.stat().st_size / 1e6:.1f} MB", file=sys.stderr)
+        say(f"{arguments.save}: {arguments.save.stat().st_size / 1e6:.1f} MB")
     return 0
 
 
 def _check_file(path: Path | None) -> None:
     """Raises InputError for a file of another ending than that of the rerun viewer's files."""
-    from huepose.support.errors import InputError
-
     if path is not None and path.suffix.lower() != ".rrd":
         raise InputError(
             f"--save {path}",
@@ -103,7 +101,7 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
         config.viewer, web_port=arguments.web, grpc_port=sinks.free_port(config.viewer.grpc_port)
     )
     recording, address = sinks.served(viewer)
-    print(f"the page is {address}", file=sys.stderr, flush=True)
+    say(f"the page is {address}")
     return recording
 
 
@@ -119,7 +117,6 @@ def _run(
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.health import Health
-    from huepose_services.runtime.log import Log
     from huepose_services.runtime.session import open_reader_session
     from huepose_services.viewer.shapes import warm_up
     from huepose_services.viewer.show import Show
@@ -147,8 +144,8 @@ def _run(
         work.step()
         if time.monotonic() > say_at and not bus.health.counters.get("pictures"):
             say_at = float("inf")
-            text = f"waiting for a pipeline: {chosen(arguments, say=False).absence}"
-            print(text, file=sys.stderr, flush=True)
+            text = f"waiting for a pipeline: {chosen(arguments, tell=False).absence}"
+            say(text)
     bus.close()
     session.close()
     return bus.health.counters.get("pictures", 0)

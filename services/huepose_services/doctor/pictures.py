@@ -1,10 +1,10 @@
-"""What a camera's pictures are like: whether they come, how bright, how far, in which units, and whether
-depth lies on the colours."""
+"""What a camera's pictures are like: whether they come, how bright, how far, in which units, whether depth
+lies on the colours, and whether the objects that are looked for are found in them."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 
 import cv2
@@ -12,7 +12,10 @@ import numpy as np
 
 from huepose.datasets.image_files import FARTHEST_M, NEAREST_M
 from huepose.datasets.types import Scene
+from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.frame_offset import frame_offset
+from huepose.estimation.size_doubts import doubted_in
+from huepose.estimation.size_doubts import said as size_said
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.picture_faults import (
@@ -23,6 +26,10 @@ from huepose.geometry.picture_faults import (
     depth_doubted,
     readings,
 )
+from huepose.model import ReferenceModel
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.exchanged import PLAIN, order_of_channels
+from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.support.words import beside
 from huepose_services import models
@@ -31,7 +38,6 @@ from huepose_services.camera.live import CameraError, LiveSource
 from huepose_services.camera.sources import open_source
 from huepose_services.convert import LARGEST_STEP
 from huepose_services.doctor.finding import Finding
-from huepose_services.doctor.objects import objects_in
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import LIVE_SOURCES, CameraConfig
@@ -240,3 +246,41 @@ def distance(frames: Sequence[RgbdFrame], config: Config) -> Iterator[Finding]:
             yield Finding(
                 "distance", "note", f"{name} would show {pixels:.0f} pixels at {median_m:.1f} m", fix
             )
+
+
+MOST = 5
+"""Of the objects, so that an examination takes seconds with any number of them."""
+
+
+def objects_in(
+    frame: RgbdFrame, models: Mapping[str, ReferenceModel], aside: bool = False
+) -> Iterator[Finding]:
+    """What is found of the first objects, by name, and what their poses say of the camera. aside: whether
+    depth does not lie on the colours."""
+    names = sorted(models)[:MOST]
+    live = profile("live")
+    detector = ColorPairDetector({name: models[name] for name in names}, live.detector)
+    seen = detector.detect(frame, names)
+    places = [place for place in seen if place.score >= PLAIN]
+    scores = dict.fromkeys(names, 0.0) | {place.object: place.score for place in seen[::-1]}
+    why = order_of_channels(frame, detector, names, scores).exchanged
+    if why:
+        yield Finding("camera", "bad", "red and blue seem to be exchanged", why)
+    if not places:
+        yield Finding("objects", "none", f"none of {', '.join(names)} is in the last picture")
+        return
+    best = {place.object: place for place in places[::-1]}
+    estimator = Estimator(models, live.estimator)
+    answers = estimator.estimate(
+        frame, [ObjectQuery(name, best[name].box, searched=True) for name in sorted(best)]
+    )
+    said = ", ".join(f"{answer.object} {answer.state} {answer.quality:.2f}" for answer in answers)
+    size, doubted = doubted_in(frame, models, answers)
+    if size:
+        yield Finding("camera", "bad", "sizes do not fit", size.said(frame.camera))
+    for k, of_object in doubted.items():
+        yield Finding("objects", "bad", f"{answers[k].object} does not fit", size_said(of_object))
+    if aside or size or why:
+        yield Finding("objects", "note", said, "Seen, but not where these poses are: see what is BAD above.")
+    else:
+        yield Finding("objects", "ok", said)

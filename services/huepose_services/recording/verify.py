@@ -17,7 +17,7 @@ import cv2
 import msgspec
 
 from huepose.geometry import RgbdFrame
-from huepose.model import ReferenceModel, load_models
+from huepose.model import ReferenceModel
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 from huepose_protos import WireError, encode
@@ -152,7 +152,7 @@ class _Verifier:
                     expected=f"the one that was used, {expected[:12]}...",
                     fix="Give the folder that has it: --bundles DIR.",
                 )
-            self._models[name] = load_models(models.bundles_folder(config), [name])[name]
+            self._models[name] = models.load_one(config, name)
         return self._models[name]
 
     def _step(self, intake: IntakeMessage) -> None:

@@ -20,9 +20,9 @@ def prepare(config: Config) -> None:
 
     with telling_of_compiling():
         if own_models:
-            from huepose_services.builtin import builtin_bundles
+            from huepose_services.models import bundles_folder
 
-            builtin_bundles(config.camera.seed, config.estimator.method != "full")
+            bundles_folder(config)
         if drawn:
             from huepose_services.camera.sources import open_source
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import msgspec
 
 from huepose.support.errors import InputError
+from huepose.support.files import whole
 from huepose_protos.local import endpoint, run_folder
 from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load_all
-from huepose_services.runtime.leftovers import sweep
-from huepose_services.runtime.run_folder import is_private, known_folders, make_folder
+from huepose_services.runtime.run_folder import is_private, known_folders, make_folder, sweep
 
 
 class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
@@ -92,12 +92,9 @@ def noted(pipeline: Pipeline) -> Iterator[None]:
     note = folder / f"{os.getpid()}-{pipeline.base_port}.json"
     with suppress(OSError, InputError):
         make_folder()
-        # A reader sees all of it or nothing.
-        fresh = note.with_suffix(".new")
-        fresh.write_bytes(
-            msgspec.json.encode(msgspec.structs.replace(pipeline, folder=str(folder.absolute())))
-        )
-        fresh.replace(note)
+        with whole(note) as part:
+            there = msgspec.structs.replace(pipeline, folder=str(folder.absolute()))
+            part.write_bytes(msgspec.json.encode(there))
         sweep(folder, _ports)
     try:
         yield

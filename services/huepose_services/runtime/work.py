@@ -1,11 +1,13 @@
-"""What a worker does, as its process sees it (`runtime.worker`)."""
+"""What a worker does, as its process sees it (`runtime.worker`); the requests that perception works on."""
 
 from __future__ import annotations
 
-from huepose_services.runtime.clock import SECOND
+from huepose_protos.messages import FrameHeader, Look, PerceptionRequest
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 
-SOON_NS = SECOND // 50
+_SOON_NS = SECOND // 50
 """How often to look for a frame that does not wake the loop, while something waits for it."""
 
 
@@ -33,3 +35,44 @@ class Work:
     def close(self) -> None:
         """Let go of all that is not on the bus: a camera that is not has to be plugged in anew."""
         return None
+
+
+class Requests:
+    """What perception is asked for, each with the newest frame, which may be looked at again when the camera
+    stands still. looks: a request may also come with a frame of its own, from another computer."""
+
+    def __init__(self, bus: Bus, looks: bool) -> None:
+        self._bus = bus
+        self._requests = bus.inbox.queue(bus.keys.request)
+        self._looks = bus.inbox.ring(bus.keys.look) if looks else None
+        self._frames = bus.frames(wakes=False)
+        self._frame: tuple[FrameHeader, bytes] | None = None
+        self._waiting: PerceptionRequest | None = None
+
+    def due_ns(self) -> int | None:
+        """Soon, while a request waits for a newer frame."""
+        return None if self._waiting is None else now_ns() + _SOON_NS
+
+    def take(self) -> tuple[PerceptionRequest, FrameHeader, bytes] | None:
+        """The newest request, once, with a frame and its pixels; None where there is none, or it waits for a
+        newer frame."""
+        while (newer := self._bus.take(self._requests, PerceptionRequest)) is not None:
+            self._waiting = newer
+        if (
+            self._looks is not None
+            and (brought := self._bus.take_with_payload(self._looks, Look)) is not None
+        ):
+            look, payload = brought
+            self._waiting, self._frame = look.request, (look.frame, payload)
+        if (request := self._waiting) is None:
+            return None
+        self._frame = self._bus.take_with_payload(self._frames, FrameHeader) or self._frame
+        if self._frame is None:
+            self._waiting = None
+            self._bus.health.count("requests_without_a_frame")
+            return None
+        header, payload = self._frame
+        if request.seen == (header.camera_epoch, header.frame_id):
+            return None  # it waits for the next one
+        self._waiting = None
+        return request, header, payload

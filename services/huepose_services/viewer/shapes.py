@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry import Camera, se3
-from huepose.geometry.arrays import Bool, Float, Float32, Float64, UInt8, UInt16
+from huepose.geometry.arrays import Bool, Float, Float32, UInt8, UInt16
 from huepose.geometry.mesh import Mesh
 from huepose.rendering.render import render_depth
 
@@ -115,11 +115,6 @@ def depth_range(depth: UInt16) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = np.percentile(depth[known], [1.0, 95.0])
     return float(low), float(max(high, low + 1.0))
-
-
-def turned(quaternion: tuple[float, float, float, float], translation: tuple[float, float, float]) -> Float64:
-    """Pose (4, 4) of a message."""
-    return se3.make(se3.rotation_from_quaternion(np.array(quaternion)), np.array(translation))
 
 
 def label_size(text: str) -> tuple[float, float]:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from huepose.geometry import Camera
-from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry import Camera, se3
+from huepose.geometry.arrays import Bool, Float, Float64
 from huepose_protos.buffers import Array
 from huepose_protos.fields import StateName
 from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
-from huepose_services.convert import camera_from_wire
+from huepose_services.convert import camera_from_wire, pose_from_wire, pose_of
 from huepose_services.viewer import blueprint as place
 from huepose_services.viewer.shapes import (
     Body,
@@ -25,7 +25,6 @@ from huepose_services.viewer.shapes import (
     halved,
     label_size,
     outlines,
-    turned,
     yuv,
 )
 
@@ -68,7 +67,7 @@ class Show:
         self._bodies = bodies
         self._drawn: set[Instance] = set()
         self._colours: dict[Instance, Colour] = {}
-        self._trails: dict[Instance, deque[tuple[float, float, float]]] = {}
+        self._trails: dict[Instance, deque[Float]] = {}
         self._camera: Camera | None = None
         self._tell_static()
 
@@ -135,10 +134,9 @@ class Show:
             return
         lines, colors, tips, labels, label_colors, crosses = [], [], [], [], [], []
         for pose in poses:
-            body = self._bodies.get(pose.object)
-            if body is None or pose.translation is None or pose.quaternion is None:
+            body, T_cam_obj = self._bodies.get(pose.object), pose_of(pose)
+            if body is None or T_cam_obj is None:
                 continue
-            T_cam_obj = turned(pose.quaternion, pose.translation)
             border = outlines(body.mesh, T_cam_obj, self._camera)
             if not border:
                 continue
@@ -177,7 +175,7 @@ class Show:
             if body is None:
                 continue
             for rank, one in enumerate(item.hypotheses[1:], 2):
-                border = outlines(body.mesh, turned(one.quaternion, one.translation), camera)
+                border = outlines(body.mesh, pose_from_wire(one.translation, one.quaternion), camera)
                 if border:
                     lines += border
                     pixels = np.concatenate(border)
@@ -208,11 +206,13 @@ class Show:
         path = f"{place.OBJECTS}/{pose.object}_{pose.instance}"
         self._draw_once(instance, path)
         trail = self._trails.setdefault(instance, deque(maxlen=_TRAIL))
-        if pose.translation is None or pose.quaternion is None:
+        T_cam_obj = pose_of(pose)
+        if T_cam_obj is None:
             trail.clear()
             self._log(path, rr.Transform3D(scale=0.0))
         else:
-            trail.append(self._centre(pose))
+            body = self._bodies.get(pose.object)
+            trail.append(se3.apply(T_cam_obj, np.zeros(3) if body is None else body.mesh.centre))
             rotation = rr.Quaternion(xyzw=pose.quaternion)
             self._log(path, rr.Transform3D(translation=pose.translation, rotation=rotation, scale=1.0))
         self._log(
@@ -224,16 +224,6 @@ class Show:
             ),
         )
         self._log(f"{place.QUALITY}/{pose.object}_{pose.instance}", rr.Scalars(pose.quality))
-
-    def _centre(self, pose: PoseMessage) -> tuple[float, float, float]:
-        assert pose.translation is not None
-        assert pose.quaternion is not None
-        body = self._bodies.get(pose.object)
-        if body is None:
-            return pose.translation
-        T_cam_obj = turned(pose.quaternion, pose.translation)
-        x, y, z = (T_cam_obj[:3, :3] @ body.mesh.centre + T_cam_obj[:3, 3]).tolist()
-        return x, y, z
 
     def _draw_once(self, instance: Instance, path: str) -> None:
         import rerun as rr

@@ -21,12 +21,12 @@ from huepose_protos.fields import StateName
 from huepose_protos.keys import last
 from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
 from huepose_services import models
-from huepose_services.convert import frame_from_wire
+from huepose_services.convert import frame_from_wire, pose_of
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
-from huepose_services.viewer.shapes import Body, turned, warm_up
+from huepose_services.viewer.shapes import Body, warm_up
 from huepose_services.viewer.show import Show
 
 # So long a frame waits for the poses that are of it.
@@ -171,9 +171,9 @@ class ViewerWork(Work):
     ) -> None:
         """The colour pairs of all poses of a frame."""
         seen = [
-            pairs_seen(frame, known[pose.object], turned(pose.quaternion, pose.translation))
+            pairs_seen(frame, known[pose.object], T_cam_obj)
             for pose in poses
-            if pose.object in known and pose.quaternion is not None and pose.translation is not None
+            if pose.object in known and (T_cam_obj := pose_of(pose)) is not None
         ]
         pixels = np.concatenate([np.zeros((0, 2)), *(pixels for pixels, _ in seen)])
         self._show.pairs(pixels, np.concatenate([np.zeros(0, bool), *(other for _, other in seen)]))

@@ -12,6 +12,15 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
 
 
+def known(value: float | None, form: str = ".1f", unit: str = "") -> str:
+    """A number, or a dash where it is not known.
+
+    >>> known(93.27), known(None, ".3f"), known(1.5, ".2f", " s")
+    ('93.3', '-', '1.50 s')
+    """
+    return "-" if value is None else f"{value:{form}}{unit}"
+
+
 def rounded(value: float) -> str:
     """A number to two digits that count, so that a sentence with it stays the same while it wavers.
 

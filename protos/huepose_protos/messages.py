@@ -272,6 +272,11 @@ class PoseMessage(Message, frozen=True, kw_only=True):
         check_finite(velocity_linear=self.velocity_linear, velocity_angular=self.velocity_angular)
         check_covariance(self.covariance)
 
+    @property
+    def age_ms(self) -> float:
+        """From the capture of its frame until it was published."""
+        return (self.publish_ns - self.capture_ns) * 1e-6
+
 
 class HealthMessage(Message, frozen=True, kw_only=True):
     """How a worker is, once a second.

@@ -19,12 +19,12 @@ from pathlib import Path
 
 import zenoh
 
-from huepose_protos.client import open_session
+from huepose_protos.client import kind_of, open_session
 from huepose_protos.codec import decode
 from huepose_protos.fields import WireError
 from huepose_protos.keys import Keys
 from huepose_protos.local import boot_id
-from huepose_protos.messages import CameraMessage, Mount, ObjectsMessage, PoseMessage
+from huepose_protos.messages import CameraMessage, Message, Mount, ObjectsMessage, PoseMessage
 from huepose_protos.motion import PoseAt, carried, mount_at, pose_at
 
 _KEPT, _TOLD = 64, 512
@@ -69,15 +69,12 @@ class PoseClient:
         self._closed = threading.Event()
         keys = Keys(site, camera)
         inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
-        self._outside = keys.outside(inside)
+        self._outside = (keys.outside(inside), keys.outside(keys.camera_info))
         endpoints = [endpoints] if isinstance(endpoints, str) else list(endpoints)
         self._session = open_session(endpoints, authority, certificate, key)
-        for expression in (inside, self._outside):
+        for expression in (inside, keys.camera_info, *self._outside):
             self._session.declare_subscriber(expression, self._on_sample)
         self._lists = (keys.objects, keys.outside(keys.objects))
-        self._camera_key = keys.outside(keys.camera_info)
-        for expression in (keys.camera_info, self._camera_key):
-            self._session.declare_subscriber(expression, self._on_camera)
         self._asker = threading.Thread(target=self._ask_whoever_is_new, daemon=True)
         self._asker.start()
 
@@ -86,24 +83,31 @@ class PoseClient:
         while not self._closed.wait(_LOOK_EVERY_S):
             peers = {str(zid) for zid in self._session.info.peers_zid()}
             if peers - known:
-                self._session.get(self._outside, self._on_reply, timeout=_ASK_TIMEOUT_S)
-                self._session.get(self._camera_key, self._on_camera_reply, timeout=_ASK_TIMEOUT_S)
+                for expression in self._outside:
+                    self._session.get(expression, self._on_reply, timeout=_ASK_TIMEOUT_S)
             known = peers
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
         if reply.ok is not None:
             self._on_sample(reply.ok)
 
-    def _on_camera_reply(self, reply: zenoh.Reply) -> None:
-        if reply.ok is not None:
-            self._on_camera(reply.ok)
-
-    def _on_camera(self, sample: zenoh.Sample) -> None:
+    def _read(self, sample: zenoh.Sample) -> Message | None:
+        """The message of a key; None, and counted, for bytes that are none."""
+        kind = kind_of(str(sample.key_expr))
         try:
-            camera = decode(sample.payload.to_bytes(), CameraMessage)
+            return None if kind is None else decode(sample.payload.to_bytes(), kind)
         except WireError:
             self.refused += 1
-            return
+            return None
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        message = self._read(sample)
+        if isinstance(message, PoseMessage):
+            self._add(message)
+        elif isinstance(message, CameraMessage):
+            self._add_camera(message)
+
+    def _add_camera(self, camera: CameraMessage) -> None:
         with self._changed:
             self._camera_said = camera
             self._changed.notify_all()
@@ -119,12 +123,6 @@ class PoseClient:
         with self._changed:
             fixed, told = self._fixed.get(frame), list(self._moving.get(frame, ()))
         return fixed or mount_at(told, stamp_ns)
-
-    def _on_sample(self, sample: zenoh.Sample) -> None:
-        try:
-            self._add(decode(sample.payload.to_bytes(), PoseMessage))
-        except WireError:
-            self.refused += 1
 
     def _add(self, pose: PoseMessage) -> None:
         instance = (pose.frame, pose.object, pose.instance)
@@ -173,15 +171,9 @@ class PoseClient:
     def looked_for(self, timeout_s: float = _ASK_TIMEOUT_S) -> list[str] | None:
         """The names of the objects that are looked for now, seen or not yet; asks the tracker or the gateway.
         None where nobody answers in time."""
-        lists: list[ObjectsMessage] = []
-        for expression in self._lists:
-            for reply in self._session.get(expression, timeout=timeout_s):
-                if reply.ok is None:
-                    continue
-                try:
-                    lists.append(decode(reply.ok.payload.to_bytes(), ObjectsMessage))
-                except WireError:
-                    self.refused += 1
+        replies = (reply for key in self._lists for reply in self._session.get(key, timeout=timeout_s))
+        answers = [self._read(reply.ok) for reply in replies if reply.ok is not None]
+        lists = [one for one in answers if isinstance(one, ObjectsMessage)]
         return sorted({entry.object for one in lists for entry in one.objects}) if lists else None
 
     def mount(self, pose: PoseMessage) -> Mount | None:

@@ -151,10 +151,6 @@ class Retired:
         if below is not None:
             self.below[name] = below
 
-    def of(self, name: str) -> tuple[int, int] | None:
-        """What was noted for an object."""
-        return self.below.get(name)
-
     def includes(self, name: str, epoch: int, instance: int) -> bool:
         """Whether that instance is over."""
         below = self.below.get(name)

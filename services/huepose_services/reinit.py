@@ -224,7 +224,7 @@ class ReinitWork(Work):
                 del self._reasons[name]  # it is confirmed, and another one is looked for
             # The camera knows best why its pictures show nothing.
             reason = self._camera_says or (self._reasons.get(name, "") if count else "")
-            self._objects.tell(name, count, self._retired.of(name), reason)
+            self._objects.tell(name, count, self._retired.below.get(name), reason)
         self._bus.put(
             self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=self._objects.entries())
         )

@@ -194,7 +194,7 @@ def test_retired_instances_are_those_of_their_epoch_below_a_number():
     assert [retired.includes("mug", 7, i) for i in (0, 2, 3)] == [True, True, False]
     assert not retired.includes("mug", 8, 0)
     assert not retired.includes("jar", 7, 0)
-    assert retired.of("mug") == (7, 3)
+    assert retired.below == {"mug": (7, 3)}
 
 
 def test_a_box_that_was_pointed_at_counts_until_the_object_has_a_pose():

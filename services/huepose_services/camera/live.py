@@ -9,12 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from importlib import import_module
+from typing import Any, Protocol, TypeVar
 
 from huepose.datasets.types import GroundTruth
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.geometry.picture_faults import same
+from huepose.support.errors import InputError
+from huepose.support.extras import install_command
 
 Device = TypeVar("Device")
 
@@ -78,6 +81,19 @@ class LiveSource(Protocol):
     def open(self) -> LiveCamera:
         """Start it. Raises CameraError, in under two seconds when it is not there."""
         ...
+
+
+def sdk(package: str, source: str, what: str, more: str = "") -> Any:
+    """The package by which a source is read; what: it is; more: to install. Raises InputError without it."""
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise InputError(
+            f"camera.source {source}",
+            found=f"no {package} ({error})",
+            expected=what,
+            fix=f"Install it: {install_command(source)}{more}.",
+        ) from None
 
 
 def the_one(connected: Mapping[str, Device], serial: str | None, if_none: str) -> Device:

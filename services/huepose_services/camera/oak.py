@@ -18,8 +18,7 @@ import numpy as np
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32
 from huepose.support.errors import InputError
-from huepose.support.extras import install_command
-from huepose_services.camera.live import REPLUG, CameraError, Shot, the_one
+from huepose_services.camera.live import REPLUG, CameraError, Shot, sdk, the_one
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig
@@ -93,15 +92,7 @@ def open_source(config: Config) -> Oak:
     """The camera of the configuration, not opened. Raises InputError without the SDK."""
     # Looking for a camera that is not there takes 11 s by default; read when the SDK is imported.
     os.environ.setdefault("DEPTHAI_SEARCH_TIMEOUT", "0")
-    try:
-        import depthai
-    except ImportError as error:
-        raise InputError(
-            "camera.source oak",
-            found=f"no depthai ({error})",
-            expected="Luxonis' SDK for Python",
-            fix=f"Install it: {install_command('oak')}.",
-        ) from None
+    depthai = sdk("depthai", "oak", "Luxonis' SDK for Python")
     check_options(config.camera.device.options)
     return Oak(depthai, config.camera)
 

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from huepose.support.errors import InputError
-from huepose.support.extras import install_command
-from huepose_services.camera.live import REPLUG, CameraError, Shot, the_one
+from huepose_services.camera.live import REPLUG, CameraError, Shot, sdk, the_one
 from huepose_services.camera.realsense_setup import (
     Rectification,
     apply_options,
@@ -31,15 +30,7 @@ from huepose_services.runtime.config_perception import CameraConfig
 
 def open_source(config: Config) -> RealSense:
     """The camera of the configuration, not opened. Raises InputError without the SDK or the recording."""
-    try:
-        import pyrealsense2
-    except ImportError as error:
-        raise InputError(
-            "camera.source realsense",
-            found=f"no pyrealsense2 ({error})",
-            expected="Intel's SDK for Python",
-            fix=f"Install it: {install_command('realsense')}, and libusb-1.0-0 by apt-get.",
-        ) from None
+    rs = sdk("pyrealsense2", "realsense", "Intel's SDK for Python", ", and libusb-1.0-0 by apt-get")
     path = config.camera.path
     if path is not None and not (Path(path).is_file() and path.endswith((".db3", ".bag"))):
         raise InputError(
@@ -48,7 +39,7 @@ def open_source(config: Config) -> RealSense:
             expected="a .db3 file of the RealSense recorder",
             fix="Give its path, or null for the camera itself.",
         )
-    return RealSense(pyrealsense2, config.camera)
+    return RealSense(rs, config.camera)
 
 
 # A set of colour and depth may be followed by one of colour alone: it must not push the other out.

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import os
 import resource
+import select
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -23,7 +25,6 @@ from huepose_protos import PoseClient
 from huepose_protos.messages import ControlRequest, ObjectEntry
 from huepose_services.chaos import intruder
 from huepose_services.chaos.intruder import flood
-from huepose_services.chaos.relay import Relay
 from huepose_services.chaos.system import LivePipeline
 from huepose_services.cli.objects import ask
 from huepose_services.runtime.clock import now_ns
@@ -168,6 +169,52 @@ def _gateway_killed(system: LivePipeline) -> Iterator[list[str]]:
         _expect(broken, "a reader sees that the gateway is gone", lambda: not client.connected)
         yield broken
         _expect(broken, "a reader gets poses again", lambda: client.latest(max_age_s=1.0) is not None, 60.0)
+
+
+class Relay:
+    """A cable between a reader and a gateway: listens on `port` of this machine and passes everything on to
+    another, unless `cut`. What is sent then is held, and no end is told."""
+
+    def __init__(self, to_port: int) -> None:
+        self.cut = False
+        self._to_port = to_port
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.port = int(self._listener.getsockname()[1])
+        self._stopping = False
+        self._links: list[socket.socket] = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def _accept(self) -> None:
+        while not self._stopping:
+            with suppress(OSError):
+                near, _ = self._listener.accept()
+                far = socket.create_connection(("127.0.0.1", self._to_port))
+                self._links += [near, far]
+                threading.Thread(target=self._pass_on, args=(near, far), daemon=True).start()
+
+    def _pass_on(self, near: socket.socket, far: socket.socket) -> None:
+        other = {near: far, far: near}
+        with suppress(OSError):
+            while not self._stopping:
+                if self.cut:
+                    time.sleep(0.02)
+                    continue
+                for ready in select.select([near, far], [], [], 0.1)[0]:
+                    data = ready.recv(65_536)
+                    if not data:
+                        raise OSError
+                    other[ready].sendall(data)
+        for end in (near, far):
+            end.close()
+
+    def __enter__(self) -> Relay:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stopping = True
+        self._listener.close()
+        for link in self._links:
+            link.close()
 
 
 @contextmanager

@@ -122,29 +122,25 @@ def say_late_corrections(
 @contextmanager
 def slow_reader(system: LivePipeline, delay_s: float) -> Iterator[None]:
     """A subscriber that takes so long for each frame and each pose."""
-    session = open_reader_session(system.endpoints)
-    for tail in ("frame", "pose/**"):
-        session.declare_subscriber(system.pipeline.key(tail), lambda sample: time.sleep(delay_s))
-    try:
+    with open_reader_session(system.endpoints) as session:
+        for tail in ("frame", "pose/**"):
+            session.declare_subscriber(system.pipeline.key(tail), lambda sample: time.sleep(delay_s))
         yield
-    finally:
-        session.close()
 
 
 @contextmanager
 def hoarder(system: LivePipeline) -> Iterator[None]:
     """A reader by shared memory that never lets a frame go, so that the camera's pool has no room left."""
-    session = zenoh.open(zenoh_config([], [system.endpoints[0]], shared_memory=True))
     kept: list[Any] = []
-    # Two hundred frames are more than any pool holds, and not the whole of this computer's memory.
-    session.declare_subscriber(
-        system.pipeline.key("frame"), lambda sample: kept.append(sample) if len(kept) < 200 else None
-    )
-    try:
-        yield
-    finally:
-        kept.clear()
-        session.close()
+    with zenoh.open(zenoh_config([], [system.endpoints[0]], shared_memory=True)) as session:
+        # Two hundred frames are more than any pool holds, and not the whole of this computer's memory.
+        session.declare_subscriber(
+            system.pipeline.key("frame"), lambda sample: kept.append(sample) if len(kept) < 200 else None
+        )
+        try:
+            yield
+        finally:
+            kept.clear()
 
 
 _OVER_EVERY_CAP = 2 * 1024 * 1024
@@ -185,8 +181,7 @@ def bad_bytes(good: bytes) -> list[bytes]:
 
 def flood(endpoints: Sequence[str], site: str, camera: str, *, seconds: float, rate_hz: float) -> int:
     """Send bad messages on every key in turn, from a session of its own; returns how many."""
-    session = open_reader_session(endpoints)
-    try:
+    with open_reader_session(endpoints) as session:
         time.sleep(0.5)  # the links come up
         stream = _stream(Keys(site, camera))
         start, sent = time.monotonic(), 0
@@ -198,10 +193,8 @@ def flood(endpoints: Sequence[str], site: str, camera: str, *, seconds: float, r
                 )
                 sent += 1
             time.sleep(0.001)
-        return sent
-    finally:
         time.sleep(0.2)
-        session.close()
+        return sent
 
 
 def _stream(keys: Keys) -> Iterator[tuple[str, bytes, bytes | None]]:

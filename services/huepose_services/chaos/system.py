@@ -190,11 +190,10 @@ class LivePipeline:
             if T_true is not None:
                 points, diameter_m = self._yardsticks[pose.object]
                 error = add(points, T_cam_obj, T_true) / diameter_m
-        age_ms = (pose.publish_ns - pose.capture_ns) * 1e-6
         late_ms = (time.monotonic_ns() - pose.capture_ns) * 1e-6
         frame = (pose.camera_epoch, pose.frame_id)
         seen = (pose.object, pose.instance, frame, pose.state, error, pose.quality)
-        self.poses.append(SeenPose(now, pose.capture_ns, age_ms, late_ms, *seen))
+        self.poses.append(SeenPose(now, pose.capture_ns, pose.age_ms, late_ms, *seen))
 
     def tracking_now(self) -> set[str]:
         """Objects with a TRACKING pose in the last half second."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import add_number, add_path, say
+from huepose_services.cli.options import add_json, add_number, add_path, add_several, answered, say
 
 
 def add_parser(subparsers: Any) -> None:
@@ -21,11 +19,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--minutes", type=float, metavar="N", help="go on for so long; by default once through"
     )
-    parser.add_argument(
-        "--only", nargs="+", metavar="WORD", default=[], help="faults with such a word or number"
-    )
+    add_several(parser, "--only", "WORD", "faults with such a word or number", [], kind=str)
     add_number(parser, "--slow", 1.0, "so many times fewer pictures, more time for all", "F")
-    parser.add_argument("--json", type=Path, metavar="FILE")
+    add_json(parser, to_file=True)
     add_path(parser, "--table", "FILE", "the table as Markdown")
     add_path(parser, "--image", "PNG", "each worker's memory over time")
     parser.set_defaults(call=call)
@@ -61,15 +57,9 @@ def call(arguments: argparse.Namespace) -> int:
         if arguments.image is not None:
             draw(system.health_log, start, arguments.image)
     text = table(outcomes)
-    print(text)
-    for worker, memory in grown.items():
-        print(f"{worker:10s} {memory}")
     if arguments.table is not None:
         arguments.table.write_text(text + "\n")
-    if arguments.json is not None:
-        found = {
-            "faults": [asdict(o) for o in outcomes],
-            "memory": {worker: asdict(memory) for worker, memory in grown.items()},
-        }
-        arguments.json.write_text(json.dumps(found, indent=2) + "\n")
+    memory = {worker: asdict(one) for worker, one in grown.items()}
+    found = {"faults": [asdict(o) for o in outcomes], "memory": memory}
+    answered(arguments, found, "\n".join([text, *(f"{worker:10s} {one}" for worker, one in grown.items())]))
     return 1 if any(o.broken for o in outcomes) else 0

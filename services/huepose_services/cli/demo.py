@@ -6,7 +6,16 @@ import argparse
 from typing import Any
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import add_json, add_number, add_one_of, add_path, answered, say, until_told
+from huepose_services.cli.options import (
+    add_json,
+    add_number,
+    add_one_of,
+    add_path,
+    add_several,
+    answered,
+    say,
+    until_told,
+)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -20,13 +29,8 @@ def add_parser(subparsers: Any) -> None:
         "DIR",
         "a scene of your own objects: folder of reference models (default: built-in objects)",
     )
-    parser.add_argument(
-        "--object",
-        nargs="+",
-        default=[],
-        metavar="NAME",
-        help="only these; up to five or so have room side by side",
-    )
+    only = "only these; up to five or so have room side by side"
+    add_several(parser, "--object", "NAME", only, [], kind=str)
     add_one_of(
         parser,
         "--segmenter",

@@ -16,6 +16,7 @@ from huepose_services.cli.options import (
     add_one_of,
     add_path,
     add_profile,
+    add_several,
     answered,
     say,
 )
@@ -47,7 +48,7 @@ def add_parser(subparsers: Any) -> None:
     add_path(parser, "--depth", "FILE", "16 bit depth, aligned to it", required=True)
     add_path(parser, "--camera", "FILE.json", "intrinsics, depth scale", required=True)
     add_bundles(parser)
-    parser.add_argument("--object", nargs="+", default=None, metavar="NAME", help="all of the folder without")
+    add_several(parser, "--object", "NAME", "all of the folder without", kind=str)
     parser.add_argument(
         "--instances",
         type=int,

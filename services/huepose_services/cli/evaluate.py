@@ -7,7 +7,15 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_bundles, add_number, add_one_of, add_path, add_profile
+from huepose_services.cli.options import (
+    add_bundles,
+    add_number,
+    add_one_of,
+    add_path,
+    add_profile,
+    add_several,
+    add_some_of,
+)
 
 
 def add_parser(subparsers: Any) -> None:
@@ -39,14 +47,11 @@ def _common(parser: argparse.ArgumentParser) -> None:
 
 
 def _seeds(parser: argparse.ArgumentParser) -> None:
-    text = "of the perturbed boxes; results average"
-    parser.add_argument("--seed", type=int, nargs="+", default=[0], metavar="N", help=text)
+    add_several(parser, "--seed", "N", "of the perturbed boxes; results average", [0], kind=int)
 
 
 def _objects(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--objects", nargs="+", default=None, metavar="ID", help="only these BOP ids or names (default: all)"
-    )
+    add_several(parser, "--objects", "ID", "only these BOP ids or names (default: all)", kind=str)
 
 
 def _add_estimate(verbs: Any) -> None:
@@ -56,10 +61,10 @@ def _add_estimate(verbs: Any) -> None:
         description="Single-frame accuracy; one row for each labelled instance of an onboarded object.",
     )
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
+    add_several(source, "--bop", "SCENE_DIR", "scenes in BOP's layout")
     add_path(source, "--ycbv", "DIR", "YCB-Video as downloaded: BOP's folder or YCB_Video_Dataset")
     _common(parser)
-    parser.add_argument("--method", choices=("full", "colorpair", "paper"), default="full")
+    add_one_of(parser, "--method", ("full", "colorpair", "paper"), "as in huepose estimate (full)")
     add_profile(parser)
     parser.add_argument(
         "--boxes",
@@ -86,25 +91,13 @@ def _add_perception(verbs: Any) -> None:
         help="boxes and masks",
         description="Whole frames, no boxes given: recall at IoU 0.5, false boxes, IoU of masks.",
     )
-    parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
+    add_several(parser, "--bop", "SCENE_DIR", "scenes in BOP's layout", required=True)
     _common(parser)
     _objects(parser)
     add_profile(parser)
-    parser.add_argument(
-        "--proposals",
-        type=int,
-        nargs="+",
-        default=[1, 5, 20],
-        metavar="N",
-        help="numbers of boxes an object at which recall is given (1 5 20)",
-    )
-    parser.add_argument(
-        "--sources",
-        nargs="+",
-        choices=("views", "keypoints"),
-        default=["views", "keypoints"],
-        help="what proposes places (both)",
-    )
+    counts = "numbers of boxes an object at which recall is given (1 5 20)"
+    add_several(parser, "--proposals", "N", counts, [1, 5, 20], kind=int)
+    add_some_of(parser, "--sources", ("views", "keypoints"), "what proposes places (both)")
     add_number(parser, "--seed", 0, "of the perturbed boxes of masks")
     add_number(parser, "--threads", 2, "objects at the same time (2)")
     add_path(parser, "--plots", "DIR", "pictures of every frame")
@@ -113,10 +106,8 @@ def _add_perception(verbs: Any) -> None:
 def _add_track(verbs: Any) -> None:
     parser = verbs.add_parser("track", help="sequences", description="Tracking accuracy on sequences.")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument(
-        "--fast-ycb", type=Path, nargs="+", metavar="DIR", help="sequences, or the folder that holds them"
-    )
-    source.add_argument("--bop", type=Path, nargs="+", metavar="SCENE_DIR")
+    add_several(source, "--fast-ycb", "DIR", "sequences, or the folder that holds them")
+    add_several(source, "--bop", "SCENE_DIR", "scenes in BOP's layout")
     _common(parser)
     add_profile(parser)
     add_one_of(parser, "--method", ("full", "paper"), "paper: the paper's tracker as it is")
@@ -153,8 +144,8 @@ def _add_poses(verbs: Any) -> None:
     )
     parser.add_argument("poses", type=Path, metavar="POSES.jsonl")
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--fast-ycb", type=Path, metavar="SEQ_DIR")
-    source.add_argument("--bop", type=Path, metavar="SCENE_DIR")
+    add_path(source, "--fast-ycb", "SEQ_DIR", "the sequence that was played")
+    add_path(source, "--bop", "SCENE_DIR", "or the scene in BOP's layout")
     _common(parser)
 
 
@@ -164,7 +155,7 @@ def _add_ablation(verbs: Any) -> None:
         help="what colour pairs leave of flow",
         description="The raw motion between frames some frames apart, from all flow and from filtered flow.",
     )
-    parser.add_argument("--fast-ycb", type=Path, nargs="+", required=True, metavar="SEQ_DIR")
+    add_several(parser, "--fast-ycb", "SEQ_DIR", "sequences, or the folder that holds them", required=True)
     _common(parser)
     add_number(parser, "--gap", 5, "frames between the two of a pair (5)")
     add_path(parser, "--plots", "DIR", "where ablation.png goes")
@@ -178,7 +169,7 @@ def _add_calibration(verbs: Any) -> None:
         "share that is right, and how many of the poses over the level are right.",
     )
     parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json")
-    parser.add_argument("--method", choices=("full", "colorpair"), default="full")
+    add_one_of(parser, "--method", ("full", "colorpair"), "whose results they are (full)")
     add_path(parser, "--plots", "DIR", "reliability pictures")
 
 
@@ -216,29 +207,17 @@ def _add_tables(verbs: Any) -> None:
     add_path(parser, "--out", "DIR", "where everything goes", required=True)
     add_path(parser, "--bundles", "DIR", "reference models; without it they are made from the models folder")
     add_path(parser, "--models", "DIR", "textured meshes to make them from (the models folder of --ycbv)")
-    parser.add_argument(
-        "--methods",
-        nargs="+",
-        choices=("paper", "colorpair", "full"),
-        default=["paper", "colorpair", "full"],
-        help="side by side (all three); tracking has paper and full",
-    )
-    parser.add_argument(
-        "--quick",
-        type=int,
-        default=None,
-        metavar="N",
-        help="about N images spread over the scenes, and the first N frames of each sequence",
-    )
+    methods = "side by side (all three); tracking has paper and full"
+    add_some_of(parser, "--methods", ("paper", "colorpair", "full"), methods)
+    sample = "about N images spread over the scenes, and the first N frames of each sequence"
+    parser.add_argument("--quick", type=int, metavar="N", help=sample)
     parser.add_argument(
         "--boxes",
         default="paper",
         metavar="paper|perturbed|gt|FILE",
         help="as in the paper, true boxes moved by up to a tenth; or a JSON file in BOP's format (paper)",
     )
-    parser.add_argument(
-        "--every", type=int, nargs="+", default=[1, 5], metavar="N", help="feed every N-th frame (1 5)"
-    )
+    add_several(parser, "--every", "N", "feed every N-th frame (1 5)", [1, 5], kind=int)
     add_one_of(parser, "--protocol", ("free", "roft"), "as in eval track (free)")
     parser.add_argument(
         "--start",
@@ -246,13 +225,8 @@ def _add_tables(verbs: Any) -> None:
         default=None,
         help="first poses of tracks (DOPE's where the download has them, else the labels)",
     )
-    parser.add_argument(
-        "--submission",
-        nargs="+",
-        default=[],
-        metavar="NAME=FILE.csv",
-        help="results of others in the form of the BOP challenge, measured beside ours",
-    )
+    others = "results of others in the form of the BOP challenge, measured beside ours"
+    add_several(parser, "--submission", "NAME=FILE.csv", others, [], kind=str)
     add_path(
         parser, "--equivalent", "FILE", "poses that count as the labelled one does, in rows of their own"
     )

@@ -10,6 +10,7 @@ from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.support.files import write_picture
+from huepose.support.words import known
 from huepose_services.cli.evaluate_scenes import open_fast_ycb
 
 COLUMNS = {
@@ -21,6 +22,7 @@ COLUMNS = {
     "matches_median": "matches",
     "no_motion": "none",
 }
+_COUNTS = ("matches_median", "no_motion")
 
 
 def call(arguments: argparse.Namespace) -> int:
@@ -40,7 +42,8 @@ def call(arguments: argparse.Namespace) -> int:
 
 def _report(summary: dict[str, Any]) -> str:
     rows = [
-        [name, *(_shown(block[key], key) for key in COLUMNS)] for name, block in summary["variants"].items()
+        [name, *(known(block[key], ".0f" if key in _COUNTS else ".3f") for key in COLUMNS)]
+        for name, block in summary["variants"].items()
     ]
     return "\n".join(
         [
@@ -49,9 +52,3 @@ def _report(summary: dict[str, Any]) -> str:
             "out because they hardly move; medians, errors as shares of the true motion",
         ]
     )
-
-
-def _shown(value: float | None, key: str) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.0f}" if key in ("matches_median", "no_motion") else f"{value:.3f}"

@@ -11,6 +11,7 @@ from huepose.drawing.plots import reliability_plot
 from huepose.evaluation.calibration import Judged, Worth, read_judged, worth
 from huepose.evaluation.summary import table
 from huepose.support.files import write_picture
+from huepose.support.words import known
 
 HEADING = ("set", "n", "right %", "calibration error", "by chance", "found %", "over the level %",
            "right of them %")  # fmt: skip
@@ -32,11 +33,13 @@ def call(arguments: argparse.Namespace) -> int:
 
 def worth_row(name: str, worth: Worth) -> list[Any]:
     """A row under HEADING."""
-    ece = "-" if worth.ece is None else f"{worth.ece:.3f}"
     chance = "-" if worth.chance is None else "{:.3f} to {:.3f}".format(*worth.chance)
     precision = None if worth.precision is None else 100.0 * worth.precision
     right = 100.0 * worth.right / max(1, worth.poses)
-    return [name, worth.poses, right, ece, chance, 100.0 * worth.found, 100.0 * worth.coverage, precision]
+    return [
+        *(name, worth.poses, right, known(worth.ece, ".3f"), chance),
+        *(100.0 * worth.found, 100.0 * worth.coverage, precision),
+    ]
 
 
 def _draw(folder: Path, name: str, judged: Judged) -> None:

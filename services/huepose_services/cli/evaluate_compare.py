@@ -12,6 +12,7 @@ from huepose.evaluation.measured import read_measured
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.support.errors import InputError
+from huepose.support.words import known
 
 _WORSE = 1
 # Rows and scenes that are named under a set; the result file names all.
@@ -116,27 +117,22 @@ def _named(what: str, sets: Sequence[tuple[str, Sequence[Change]]]) -> list[str]
 
 
 def _changed(change: Change) -> str:
-    return f"{change.figure.label} {_number(change.change, change.figure.digits, '+')}"
+    return f"{change.figure.label} {known(change.change, f'+.{change.figure.digits}f')}"
 
 
 def _cells(change: Change) -> list[object]:
-    digits = change.figure.digits
-    interval = change.interval95
+    digits, interval = f".{change.figure.digits}f", change.interval95
     return [
         change.figure.label,
-        _number(change.before, digits),
-        _number(change.after, digits),
-        _number(change.change, digits, "+"),
-        "-" if interval is None else f"{interval[0]:+.{digits}f} to {interval[1]:+.{digits}f}",
+        known(change.before, digits),
+        known(change.after, digits),
+        known(change.change, f"+{digits}"),
+        "-" if interval is None else f"{interval[0]:+{digits}} to {interval[1]:+{digits}}",
         change.wins,
         change.losses,
-        _number(change.sign_test_p, 3),
+        known(change.sign_test_p, ".3f"),
         change.verdict,
     ]
-
-
-def _number(value: float | None, digits: int, sign: str = "") -> str:
-    return "-" if value is None else f"{value:{sign}.{digits}f}"
 
 
 def _moved_lines(comparison: Comparison) -> list[str]:

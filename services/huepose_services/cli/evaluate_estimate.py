@@ -19,6 +19,7 @@ from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
+from huepose.support.words import known
 from huepose_services.cli.evaluate_scenes import (
     bop_objects,
     figure_table,
@@ -121,11 +122,10 @@ def _report(summary: dict[str, Any]) -> str:
         lines.append(f"against the labels as they are: ADD {official}")
     if summary["boxes"] == "detect":
         lines.append(f"poses that belong to no label: {summary['false_poses']:g}")
-    ece = "-" if summary["ece"] is None else f"{summary['ece']:.3f}"
     lines.append(
         f"{summary['method']}, {summary['profile']}, boxes {summary['boxes']}, masks {summary['masks']}, "
-        f"seed {summary['seed']}; "
-        f"calibration error {ece}; {summary['seconds_per_frame_p50']:.2f} s a frame; "
+        f"seed {summary['seed']}; calibration error {known(summary['ece'], '.3f')}; "
+        f"{summary['seconds_per_frame_p50']:.2f} s a frame; "
         f"{summary['skipped_no_bundle']} labels without reference model skipped"
     )
     return "\n".join(lines)

@@ -16,7 +16,7 @@ from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.embedded import DepthSegmenter
 from huepose.profiles import profile
-from huepose.support.words import counted
+from huepose.support.words import counted, known
 from huepose_services.cli.evaluate_scenes import open_bop
 
 
@@ -79,7 +79,7 @@ def _report(summary: dict[str, Any]) -> str:
         if others:
             text.append(f"  {name}: {', '.join(others)}")
     for n, block in summary["by_onboarded"].items():
-        recall = "-" if block["recall_iou50"] is None else f"{block['recall_iou50']:.1f} %"
+        recall = known(block["recall_iou50"], unit=" %")
         text.append(
             f"{n} objects onboarded: recall {recall}, {block['false_boxes_per_frame']:.2f} false a frame"
         )

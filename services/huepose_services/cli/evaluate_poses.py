@@ -8,6 +8,7 @@ from typing import Any
 from huepose.evaluation.poses_protocol import evaluate_poses, read_messages
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
+from huepose.support.words import known
 from huepose_services.cli.evaluate_scenes import figure_table, open_scenes, states_line
 
 
@@ -24,12 +25,11 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _report(summary: dict[str, Any]) -> str:
-    fps = "-" if summary["fps"] is None else f"{summary['fps']:.1f}"
     return "\n".join(
         [
             figure_table("scene", summary["sequences"], {"instances": "n"}),
             states_line(summary),
-            f"poses for {summary['poses_for_frames']:.1f} % of frames, {fps} frames/s, capture to pose "
-            f"{summary['latency_ms_p50']:.1f} ms (p99 {summary['latency_ms_p99']:.1f} ms)",
+            f"poses for {summary['poses_for_frames']:.1f} % of frames, {known(summary['fps'])} frames/s, "
+            f"capture to pose {summary['latency_ms_p50']:.1f} ms (p99 {summary['latency_ms_p99']:.1f} ms)",
         ]
     )

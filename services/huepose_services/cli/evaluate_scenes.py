@@ -19,6 +19,7 @@ from huepose.evaluation.targets import Targets, posecnn_offset_m
 from huepose.model import ReferenceModel, load_models
 from huepose.onboarding import read_mesh
 from huepose.support.errors import InputError
+from huepose.support.words import known
 
 FIGURES = {"recall_add": "ADD", "recall_adds": "ADD-S", "auc_add": "AUC ADD", "auc_adds": "AUC ADD-S"}
 
@@ -124,11 +125,7 @@ def intervals_line(summary: Mapping[str, Any], units: str) -> str:
 def roft_line(summary: Mapping[str, Any]) -> str:
     """ROFT's errors in words."""
     units = {"rmse_cm": "cm", "rmse_deg": "degrees", "rmse_cm_s": "cm/s", "rmse_deg_s": "degrees/s"}
-    values = [
-        f"{summary[key]:.2f} {unit}" if summary.get(key) is not None else f"- {unit}"
-        for key, unit in units.items()
-    ]
-    return "RMSE " + ", ".join(values)
+    return "RMSE " + ", ".join(f"{known(summary.get(key), '.2f')} {unit}" for key, unit in units.items())
 
 
 def figure_table(first: str, blocks: Mapping[Any, Mapping[str, Any]], more: Mapping[str, str]) -> str:
@@ -140,16 +137,12 @@ def figure_table(first: str, blocks: Mapping[Any, Mapping[str, Any]], more: Mapp
 
 def states_line(summary: Mapping[str, Any]) -> str:
     """What the states were worth, in words."""
-
-    def shown_as(key: str, unit: str = "", form: str = ".1f") -> str:
-        value = summary[key]
-        return "-" if value is None else f"{value:{form}}{unit}"
-
+    s = summary
     return (
-        f"TRACKING in {shown_as('coverage_tracking', ' %')} of visible frames, "
-        f"false in {shown_as('false_tracking_frames', form='g')} "
-        f"({shown_as('false_tracking_rate', ' %', '.2f')}), LOST in {shown_as('lost_frames', form='g')}; "
-        f"confirmed after {shown_as('confirmed_after_s', ' s', '.2f')}, "
-        f"declared lost after {shown_as('declared_lost_after_frames', ' frames', 'g')}, "
-        f"reacquired after {shown_as('reacquired_after_s', ' s', '.2f')}"
+        f"TRACKING in {known(s['coverage_tracking'], unit=' %')} of visible frames, "
+        f"false in {known(s['false_tracking_frames'], 'g')} "
+        f"({known(s['false_tracking_rate'], '.2f', ' %')}), LOST in {known(s['lost_frames'], 'g')}; "
+        f"confirmed after {known(s['confirmed_after_s'], '.2f', ' s')}, "
+        f"declared lost after {known(s['declared_lost_after_frames'], 'g', ' frames')}, "
+        f"reacquired after {known(s['reacquired_after_s'], '.2f', ' s')}"
     )

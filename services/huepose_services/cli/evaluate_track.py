@@ -23,6 +23,7 @@ from huepose.model import ReferenceModel
 from huepose.paper.tracking import PaperStep
 from huepose.profiles import profile
 from huepose.support.errors import InputError
+from huepose.support.words import known
 from huepose_services.cli.evaluate_scenes import (
     figure_table,
     intervals_line,
@@ -91,7 +92,6 @@ def _source_names(arguments: argparse.Namespace) -> SourceNames:
 def _report(summary: dict[str, Any]) -> str:
     blocks = {**summary["sequences"], "mean": summary, "all frames": summary["frame_weighted"]}
     more = {"instances": "n", "coverage_tracking": "TRACKING", "false_tracking_frames": "false"}
-    fps = "-" if summary["fps"] is None else f"{summary['fps']:.1f}"
     delayed = f", late results {summary['delayed']}" if summary["delayed"] else ""
     return "\n".join(
         [
@@ -100,6 +100,7 @@ def _report(summary: dict[str, Any]) -> str:
             roft_line(summary),
             states_line(summary),
             f"{summary['method']}, {summary['profile']}, {summary['protocol']}, every {summary['every']}, "
-            f"first pose {summary['init']}{delayed}, seed {summary['seed']}; {fps} frames/s",
+            f"first pose {summary['init']}{delayed}, seed {summary['seed']}; "
+            f"{known(summary['fps'])} frames/s",
         ]
     )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose.support.words import counted
-from huepose_services.cli.options import add_number, add_path
+from huepose_services.cli.options import add_number, add_path, add_several
 
 if TYPE_CHECKING:
+    from huepose.geometry import Mesh
     from huepose.scenes.official_sets import SetObject
 
 
@@ -29,7 +31,7 @@ def add_parser(subparsers: Any) -> None:
     add_path(parser, "--out", "DIR", "folder of the data set", required=True)
     add_number(parser, "--scenes", 2, "scenes, or sequences (2)")
     add_number(parser, "--frames", 3, "in each of them; of a sequence 60 at most (3)")
-    parser.add_argument("--objects", type=int, nargs="+", default=None, metavar="ID", help="only these ids")
+    add_several(parser, "--objects", "ID", "only these ids", kind=int)
     add_number(parser, "--seed", 0, "of everything that varies (0)")
     parser.set_defaults(call=call)
 
@@ -59,7 +61,6 @@ def _objects(models: str, ids: list[int] | None) -> list[SetObject]:
     from huepose.onboarding.bop_folder import bop_models
     from huepose.onboarding.meshes import read_mesh
     from huepose.scenes.official_sets import SetObject
-    from huepose.scenes.shapes import demo_objects
 
     if models != "builtin":
         found = bop_models(Path(models), ids)
@@ -75,10 +76,15 @@ def _objects(models: str, ids: list[int] | None) -> list[SetObject]:
         ]
     # The real frames lie apart as well, by millimetres to centimetres.
     apart = np.array([0.003, -0.002, 0.008])
-    objects = [
-        SetObject(i, name, mesh, apart * i, {}) for i, (name, mesh) in enumerate(demo_objects().items(), 1)
-    ]
-    chosen = [obj for obj in objects if ids is None or obj.object_id in ids]
-    if not chosen or (ids and len(chosen) != len(set(ids))):
-        raise InputError("--objects", found=str(ids), expected=f"some of 1 to {len(objects)} with builtin")
-    return chosen
+    return [SetObject(i, name, mesh, apart * i, {}) for i, (name, mesh) in builtin(ids).items()]
+
+
+def builtin(ids: Collection[int] | None, textures: int = 0) -> dict[int, tuple[str, Mesh]]:
+    """The demo's objects, or those of them that are named, by number. Raises InputError."""
+    from huepose.scenes.shapes import demo_objects
+
+    every = dict(enumerate(demo_objects(textures).items(), 1))
+    wanted = every.keys() if ids is None else set(ids)
+    if not wanted or wanted - every.keys():
+        raise InputError("--objects", found=str(ids), expected=f"some of 1 to {len(every)} with builtin")
+    return {i: every[i] for i in sorted(wanted)}

@@ -100,8 +100,7 @@ def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:
     from huepose_services.runtime.config import WORKERS
     from huepose_services.runtime.session import open_reader_session
 
-    session = open_reader_session([pipeline.endpoints[WORKERS.index("reinit")]])
-    try:
+    with open_reader_session([pipeline.endpoints[WORKERS.index("reinit")]]) as session:
         until = time.monotonic() + _CONNECT_WITHIN_S
         while time.monotonic() < until:
             # The link comes up a moment after the session: until then nobody is there to answer.
@@ -111,8 +110,6 @@ def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:
                 if reply.ok is not None:
                     return decode(reply.ok.payload.to_bytes(), ControlReply)
             time.sleep(0.05)
-    finally:
-        session.close()
     return None
 
 

@@ -19,7 +19,7 @@ from huepose.support.progress import Status, progress
 from huepose.support.words import counted
 from huepose_services.cli.mesh_unit import with_unit
 from huepose_services.cli.onboard_video import METRES, add_video, mesh_from_video
-from huepose_services.cli.options import add_json, add_number, add_path, add_unit, answered, say
+from huepose_services.cli.options import add_json, add_number, add_path, add_several, add_unit, answered, say
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job, Onboarded
@@ -62,7 +62,7 @@ def add_parser(subparsers: Any) -> None:
     )
     many.add_argument("models_dir", type=Path, metavar="MODELS_DIR", help="BOP models folder")
     add_path(many, "--out", "BUNDLES", "folder of reference models", required=True)
-    many.add_argument("--ids", type=int, nargs="+", default=None, metavar="N", help="only these objects")
+    add_several(many, "--ids", "N", "only these objects", kind=int)
     _paper(many)
     add_number(many, "--processes", 2, "worker processes (2)")
     many.set_defaults(call=call_bop)

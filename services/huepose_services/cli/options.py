@@ -55,9 +55,32 @@ def add_path(
     parser.add_argument(option, type=Path, required=required, metavar=metavar, help=text)
 
 
+def add_several(
+    parser: argparse.ArgumentParser,
+    option: str,
+    metavar: str,
+    text: str,
+    default: Any = None,
+    *,
+    kind: Callable[[str], Any] = Path,
+    required: bool = False,
+) -> None:
+    """Add an option that takes one or more files or folders, or what `kind` makes of a word."""
+    parser.add_argument(
+        option, type=kind, nargs="+", default=default, required=required, metavar=metavar, help=text
+    )
+
+
 def add_one_of(parser: argparse.ArgumentParser, option: str, names: Sequence[str], text: str) -> None:
     """Add an option that is one of some names, the first of them by default."""
     parser.add_argument(option, choices=names, default=names[0], help=text)
+
+
+def add_some_of(
+    parser: argparse.ArgumentParser, option: str, names: Sequence[str], text: str, default: Sequence[str] = ()
+) -> None:
+    """Add an option that takes some of these names, all of them by default."""
+    parser.add_argument(option, nargs="+", choices=names, default=[*(default or names)], help=text)
 
 
 def add_box(parser: argparse.ArgumentParser, text: str) -> None:

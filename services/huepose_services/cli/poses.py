@@ -373,6 +373,5 @@ def _where(translation: Sequence[float], quaternion: Sequence[float]) -> str:
 
 
 def _line(pose: PoseMessage, where: str) -> str:
-    age_ms = (pose.publish_ns - pose.capture_ns) * 1e-6
     who = f"{pose.frame_id:6d} {pose.object}/{pose.instance:<3d} {pose.state:9s}"
-    return f"{who} {pose.quality:.2f}  {where}  {age_ms:.0f} ms  {pose.reason}".rstrip()
+    return f"{who} {pose.quality:.2f}  {where}  {pose.age_ms:.0f} ms  {pose.reason}".rstrip()

@@ -11,7 +11,6 @@ from huepose.support.errors import InputError
 from huepose.support.progress import Status
 from huepose.support.words import counted
 from huepose_services.cli.options import add_choice, add_number, chosen, chosen_config, say, until_told
-from huepose_services.runtime.log import Log
 
 if TYPE_CHECKING:
     from huepose_services.recording.parts import Parts
@@ -45,7 +44,6 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.recording.record import Recorder, about_this_machine
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import this_clock
-    from huepose_services.runtime.health import Health
     from huepose_services.runtime.session import open_recorder_session
     from huepose_services.runtime.worker import come_first
 
@@ -64,7 +62,7 @@ def call(arguments: argparse.Namespace) -> int:
     about = about_this_machine() | {"site": config.site, "camera": config.camera.name}
     parts = Parts(arguments.out, limits, this_clock().realtime_offset_ns, about, arguments.jpeg)
     session = open_recorder_session(config)
-    bus = Bus(session, config.keys, "record", Log("record"), Health("record"))
+    bus = Bus(session, config.keys, "record")
     recorder = Recorder(bus, parts, with_frames=not arguments.no_frames)
     status = Status()
     code, say_at, end_at = 0, time.monotonic() + _NOTHING_HEARD_AFTER_S, float("inf")

@@ -6,10 +6,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from huepose.support.errors import InputError
 from huepose.support.progress import progress
 from huepose.support.words import counted
-from huepose_services.cli.options import add_number, add_one_of, add_path
+from huepose_services.cli.make_dataset import builtin
+from huepose_services.cli.options import add_number, add_one_of, add_path, add_several
 
 
 def add_parser(subparsers: Any) -> None:
@@ -38,7 +38,7 @@ def add_parser(subparsers: Any) -> None:
     add_path(parser, "--out", "DIR", "scene folder", required=True)
     add_number(parser, "--frames", 100, "how many (100)")
     add_number(parser, "--seed", 0, "of everything that varies (0)")
-    parser.add_argument("--objects", type=int, nargs="+", default=None, metavar="ID", help="only these ids")
+    add_several(parser, "--objects", "ID", "only these ids", kind=int)
     parser.set_defaults(call=call)
 
 
@@ -47,17 +47,10 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.datasets.bop import BopScene
     from huepose.datasets.bop_writer import write_models_folder
     from huepose.scenes.rendered import PILES, SceneRanges, write_rendered_set
-    from huepose.scenes.shapes import demo_objects
 
     if arguments.models == "builtin":
-        meshes = demo_objects(arguments.textures)
-        ids = {name: k for k, name in enumerate(meshes, 1)}
-        wanted = set(arguments.objects or ids.values())
-        if wanted - set(ids.values()):
-            raise InputError(
-                "--objects", found=str(sorted(wanted)), expected=f"some of 1 to {len(ids)} with builtin"
-            )
-        meshes = {name: mesh for name, mesh in meshes.items() if ids[name] in wanted}
+        chosen = builtin(arguments.objects, arguments.textures)
+        meshes, ids = dict(chosen.values()), {name: i for i, (name, _) in chosen.items()}
     else:
         meshes, ids = _read(Path(arguments.models), arguments.objects)
     ranges = PILES if arguments.kind == "piles" else SceneRanges()

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 from huepose.support.errors import InputError
 from huepose.support.progress import Status
 from huepose_services.cli.options import add_number, add_path, answered, say, until_told
-from huepose_services.runtime.log import Log
 from huepose_services.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -184,12 +183,11 @@ def _of_cameras(
 def _bus(config: Config, only: str | None, stack: ExitStack) -> Bus:
     """In the place of a camera's workers, until the stack is left."""
     from huepose_services.runtime.bus import Bus
-    from huepose_services.runtime.health import Health
     from huepose_services.runtime.session import open_player_session
 
     session = open_player_session(config, config.workers if only is None else [only])
     stack.callback(session.close)
-    bus = Bus(session, config.keys, "replay", Log("replay"), Health("replay"))
+    bus = Bus(session, config.keys, "replay")
     stack.callback(bus.close)
     token = session.liveliness().declare_token(config.keys.live(only or "replay"))
     stack.callback(token.undeclare)

@@ -169,7 +169,7 @@ def _pose(pose: PoseMessage) -> str:
     if pose.translation is not None:
         x, y, z = pose.translation
         text += f"  {x:+.3f} {y:+.3f} {z:+.3f} m"
-    return f"{text}  {(pose.publish_ns - pose.capture_ns) * 1e-6:.0f} ms old"
+    return f"{text}  {pose.age_ms:.0f} ms old"
 
 
 def _cause(pose: PoseMessage, camera: HealthMessage | None) -> str:

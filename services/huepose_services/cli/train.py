@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import add_number, add_path
+from huepose_services.cli.options import add_number, add_path, add_some_of
 
 
 def add_parser(subparsers: Any) -> None:
@@ -32,13 +32,13 @@ def _add_rotation(whats: Any) -> None:
         description="Attention-DGCNN on canonical features of matched points of random objects, followed by "
         "flow as the tracker follows. Leaves KIND.onnx, KIND.json, KIND.png and checkpoint.pt.",
     )
-    parser.add_argument(
+    add_some_of(
+        parser,
         "--kind",
-        choices=("residual", "direct"),
-        nargs="+",
-        default=["residual"],
-        help="what is learned: what the closed form leaves over, the whole turn, or each by a network of its "
-        "own (residual)",
+        ("residual", "direct"),
+        "what is learned: what the closed form leaves over, the whole turn, or each by a network of its own "
+        "(residual)",
+        ["residual"],
     )
     _add_limits(parser)
     parser.set_defaults(call=train_rotation)

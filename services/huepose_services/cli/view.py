@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose_services.cli.options import add_choice, add_path, chosen, chosen_config, say, until_told
-from huepose_services.runtime.log import Log
 from huepose_services.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -116,14 +115,13 @@ def _run(
     from huepose_services import models
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
-    from huepose_services.runtime.health import Health
     from huepose_services.runtime.session import open_reader_session
     from huepose_services.viewer.shapes import warm_up
     from huepose_services.viewer.show import Show
     from huepose_services.viewer.work import ViewerWork, bodies
 
     session = open_reader_session([config.endpoint(worker) for worker in config.workers])
-    bus = Bus(session, config.keys, "view", Log("view"), Health("view"))
+    bus = Bus(session, config.keys, "view")
     known = models.load(config)
     drawn = bodies(known)
     warm_up(drawn)

@@ -100,8 +100,7 @@ class Score:
             return Latest()
         last = poses[-1]
         recent = [p for p in poses if last.capture_ns - p.capture_ns < SECOND]
-        age_ms = (last.publish_ns - last.capture_ns) * 1e-6
-        return Latest(last.state, self._error(name, last), float(len(recent)), age_ms)
+        return Latest(last.state, self._error(name, last), float(len(recent)), last.age_ms)
 
     def _error(self, name: str, pose: PoseMessage) -> float | None:
         label, T_cam_obj = self._labels[name].get(pose.frame_id), pose_of(pose)
@@ -120,12 +119,8 @@ class Score:
             reports[name], errors[name] = self._judge(name, until_ns)
         total = combined(list(reports.values()))
         rows = np.concatenate(list(errors.values())) if errors else np.zeros((0, 3))
-        ages = [
-            (p.publish_ns - p.capture_ns) * 1e-6
-            for poses in self._poses.values()
-            for p in poses.values()
-            if p.capture_ns <= until_ns
-        ]
+        poses = [p for mine in self._poses.values() for p in mine.values()]
+        ages = [p.age_ms for p in poses if p.capture_ns <= until_ns]
         acquired = all(r.acquired_after_s is not None or not r.visible_frames for r in reports.values())
         figures = four_figures(rows[:, 0], rows[:, 1], rows[:, 2])
         return {

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, TextIO
 
 from huepose.evaluation.summary import table
-from huepose.support.words import counted
+from huepose.support.words import counted, known
 from huepose_services.demo.score import Latest
 
 _PERIOD_S = 0.25
@@ -42,8 +42,7 @@ class Table:
         self._lines = len(lines)
 
     def _line(self, name: str, row: Latest) -> str:
-        error = "-" if row.error_m is None else f"{row.error_m * 1000.0:.1f}"
-        age = "-" if row.age_ms is None else f"{row.age_ms:.0f}"
+        error, age = known(row.error_m and 1000.0 * row.error_m), known(row.age_ms, ".0f")
         state = f"{row.state:10s}"
         if self._colour:
             state = f"\x1b[{_COLOURS[row.state]}m{state}\x1b[0m"
@@ -57,20 +56,20 @@ def report(result: Mapping[str, Any]) -> str:
     rows = [
         [
             name,
-            _figure(figures["acquired_after_s"], 2),
-            _figure(figures["confirmed_after_s"], 2),
+            known(figures["acquired_after_s"], ".2f"),
+            known(figures["confirmed_after_s"], ".2f"),
             figures["recall_add"],
-            _figure(figures.get("add_mm_p50"), 2),
+            known(figures.get("add_mm_p50"), ".2f"),
             figures["coverage_tracking"],
             figures["false_tracking_frames"],
         ]
         for name, figures in [*summary["per_object"].items(), ("all (times: the largest)", summary)]
     ]
     total = (
-        f"capture to pose {_figure(summary['latency_ms_p50'], 1)} ms "
-        f"(p99 {_figure(summary['latency_ms_p99'], 1)}) over {summary['frames']} frames, "
-        f"{counted(summary['objects'], 'object')}; AUC ADD {_figure(summary['auc_add'], 1)}, "
-        f"ADD-S recall {_figure(summary['recall_adds'], 1)} %"
+        f"capture to pose {known(summary['latency_ms_p50'])} ms "
+        f"(p99 {known(summary['latency_ms_p99'])}) over {summary['frames']} frames, "
+        f"{counted(summary['objects'], 'object')}; AUC ADD {known(summary['auc_add'])}, "
+        f"ADD-S recall {known(summary['recall_adds'])} %"
     )
     workers = [
         [name, f"{of['cpu_percent']:.0f}", of["memory_mib"], of["rate_hz"], *(of["work_ms"] or (None, None))]
@@ -88,7 +87,3 @@ def _why_not(name: str, figures: Mapping[str, Any]) -> str:
         return ""
     often = [f'{share:.0f} % "{reason}"' for reason, share in figures["doubts"].items() if share >= 1.0]
     return f"{name} was not TRACKING in {', '.join(often[:3])}" if often else ""
-
-
-def _figure(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"

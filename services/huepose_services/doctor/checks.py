@@ -20,7 +20,7 @@ def examine(configs: Sequence[Config]) -> list[Finding]:
     all but the cameras is the same in each."""
     config = configs[0] if configs else None
     wanted = config or Config()
-    findings = [
+    return [
         *machine.versions(),
         *providers(wanted),
         *machine.memory(wanted.bus.frame_pool_mib),
@@ -30,7 +30,6 @@ def examine(configs: Sequence[Config]) -> list[Finding]:
         *machine.clock(),
         *machine.processor(),
     ]
-    return findings
 
 
 def providers(config: Config) -> Iterator[Finding]:

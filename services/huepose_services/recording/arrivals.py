@@ -13,12 +13,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-import msgspec
 import zenoh
 
 from huepose_protos import WireError, decode
 from huepose_protos.keys import tail_of
 from huepose_protos.messages import IntakeMessage, MemoryMessage
+from huepose_services.runtime.bus import stamp_of
 
 FRAMES_AT_ONCE, STEPS_AT_ONCE = 4, 64
 _PATIENCE_S, _ASK_EVERY_S, _TIMES = 0.15, 0.5, 4
@@ -26,16 +26,6 @@ _PATIENCE_S, _ASK_EVERY_S, _TIMES = 0.15, 0.5, 4
 _KNOWN = 4096
 
 FrameKey = tuple[int, int]
-
-
-class _FrameId(msgspec.Struct):
-    """The fields of a frame's header that name the frame."""
-
-    camera_epoch: int
-    frame_id: int
-
-
-_id_decoder = msgspec.msgpack.Decoder(_FrameId)
 
 
 class Taken:
@@ -56,9 +46,8 @@ class Taken:
 
     def frame(self, header: bytes) -> FrameKey | None:
         """A frame came; which one, if it has a header."""
-        try:
-            frame = _id_decoder.decode(header)
-        except (msgspec.MsgspecError, RecursionError):
+        frame = stamp_of(header)
+        if frame is None:
             return None
         key = (frame.camera_epoch, frame.frame_id)
         with self._lock:

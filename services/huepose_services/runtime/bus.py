@@ -23,14 +23,23 @@ _FOREIGN_FRAMES = (
 )
 
 
-class _FrameStamp(msgspec.Struct):
-    """The fields of a frame's header that decide whether it may replace the frame that waits in the ring."""
+class FrameStamp(msgspec.Struct):
+    """Which frame a header is of: all that has to be known of one that is not decoded yet."""
 
     camera_epoch: int
+    frame_id: int
     capture_ns: int = 0
 
 
-_stamp_decoder = msgspec.msgpack.Decoder(_FrameStamp)
+_stamp_decoder = msgspec.msgpack.Decoder(FrameStamp)
+
+
+def stamp_of(header: bytes) -> FrameStamp | None:
+    """The stamp of a frame's header; None for bytes that are none."""
+    try:
+        return _stamp_decoder.decode(header)
+    except (msgspec.MsgspecError, RecursionError):
+        return None
 
 
 def bytes_of(data: zenoh.ZBytes | None) -> bytes:
@@ -47,9 +56,16 @@ def is_heard(publisher: zenoh.Publisher) -> bool:
 class Bus:
     """Publishers, subscriptions, log and health of one worker."""
 
-    def __init__(self, session: zenoh.Session, keys: Keys, worker: str, log: Log, health: Health) -> None:
+    def __init__(
+        self,
+        session: zenoh.Session,
+        keys: Keys,
+        worker: str,
+        log: Log | None = None,
+        health: Health | None = None,
+    ) -> None:
         self.session, self.keys, self.worker = session, keys, worker
-        self.log, self.health = log, health
+        self.log, self.health = log or Log(worker), health or Health(worker)
         self.inbox = Inbox(session)
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._camera = OneCamera()
@@ -63,10 +79,8 @@ class Bus:
         return self.inbox.ring(self.keys.frame, wakes, self._is_news)
 
     def _is_news(self, sample: zenoh.Sample) -> bool:
-        header = bytes_of(sample.attachment)
-        try:
-            said = _stamp_decoder.decode(header)
-        except (msgspec.MsgspecError, RecursionError):
+        said = stamp_of(bytes_of(sample.attachment))
+        if said is None:
             return True  # no header at all: refused and counted where it is taken
         now = now_ns()
         if not self._camera.accepts(said.camera_epoch, now):

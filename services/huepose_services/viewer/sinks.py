@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from huepose.support.errors import InputError
-from huepose.support.extras import install_command
 from huepose_services.runtime.config import ViewerConfig
 from huepose_services.viewer.blueprint import layout
 
@@ -21,15 +20,8 @@ _BATCH = timedelta(seconds=0.1)
 def _recording() -> Any:
     # Nothing is reported to anyone: a robot has no business on the internet.
     os.environ.setdefault("RERUN_ANALYTICS", "0")
-    try:
-        import rerun as rr
-    except ModuleNotFoundError:
-        raise InputError(
-            "the viewer",
-            found="no Python package rerun",
-            expected="the extra `viewer`",
-            fix=f"Install it with: {install_command('viewer')}.",
-        ) from None
+    import rerun as rr
+
     return rr.RecordingStream(_NAME, batcher_config=rr.ChunkBatcherConfig(flush_tick=_BATCH))
 
 

@@ -131,7 +131,7 @@ class ViewerWork(Work):
         if pose.frame_id != self._frame_id:
             # One point for each frame: its first pose.
             self._frame_id = pose.frame_id
-            self._show.latency((pose.publish_ns - pose.capture_ns) * 1e-6)
+            self._show.latency(pose.age_ms)
 
     def _worker(self, name: str, there: bool) -> None:
         """A worker has come or gone."""

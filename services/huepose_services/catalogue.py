@@ -9,17 +9,16 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from huepose.perception.sessions import NetworkSettings, check_file, digest, open_network
 from huepose.support.errors import InputError
-from huepose.support.files import whole
+from huepose.support.files import whole, write_text
+from huepose_protos.fields import is_name
 
 _NOTES = "networks.json"
-_NAME = re.compile(r"^[a-z0-9_-]{1,64}$")
 
 
 @dataclass(frozen=True)
@@ -129,7 +128,7 @@ def entry_of(name: str) -> Entry:
 
 def add(file: Path, name: str, *, licence: str = "", source: str = "") -> Entry:
     """Copy a network into the folder, once it opens and has the digest that a known one must have."""
-    if not _NAME.match(name):
+    if not is_name(name):
         raise InputError(f"name '{name}'", expected="1 to 64 of a-z, 0-9, _ and -", fix="Give one by --name.")
     known = next((k for k in KNOWN if k.name == name), None)
     check_file(file, known.sha256 if known else None)
@@ -149,7 +148,7 @@ def add(file: Path, name: str, *, licence: str = "", source: str = "") -> Entry:
         sha256=digest(path),
     )
     notes = {n: asdict(k) for n, k in _added(place).items()} | {name: asdict(network)}
-    (place / _NOTES).write_text(json.dumps(notes, indent=1))
+    write_text(place / _NOTES, json.dumps(notes, indent=1))
     return Entry(network, path, known is not None)
 
 

@@ -105,15 +105,7 @@ def depth_to_wire(depth_m: Float, depth_scale_m: float) -> UInt16:
 
 def intrinsics_to_wire(camera: Camera, depth_scale_m: float) -> Intrinsics:
     """The same pinhole camera, with the unit of its depth."""
-    return Intrinsics(
-        fx=camera.fx,
-        fy=camera.fy,
-        cx=camera.cx,
-        cy=camera.cy,
-        width=camera.width,
-        height=camera.height,
-        depth_scale_m=depth_scale_m,
-    )
+    return to_wire(Intrinsics, camera, depth_scale_m=depth_scale_m)
 
 
 def camera_from_wire(i: Intrinsics) -> Camera:

@@ -91,7 +91,9 @@ class Parts:
             free = shutil.disk_usage(self.path.parent).free
             if free < self._limits.free:
                 left = self._limits.free >> 20
-                raise DiskFullError(f"{free >> 20} MiB are free on the disk, and {left} are to be left (--free)")
+                raise DiskFullError(
+                    f"{free >> 20} MiB are free on the disk, and {left} are to be left (--free)"
+                )
         if self._part.size >= self._limits.part:
             self.close()
             self._done.append((self._part.path, self._part.size))

@@ -45,7 +45,8 @@ def growth(said: Said, start_s: float, until_s: float) -> dict[str, Growth]:
     """
     out = {}
     for worker in sorted({m.worker for _, m in said}):
-        lives = _lives([(at, m) for at, m in said if m.worker == worker and start_s <= at <= until_s])
+        own = [(at, m) for at, m in said if m.worker == worker and start_s <= at <= until_s]
+        lives = [list(group) for _, group in groupby(own, key=lambda one: one[1].pid)]
         life = max(lives, key=lambda one: one[-1][0] - one[0][0], default=[])
         settled = [
             (at, m) for at, m in life if at - life[0][0] >= min(_SETTLED_S, (life[-1][0] - life[0][0]) / 2)
@@ -66,10 +67,6 @@ def _slope(t: Float64, y: Float64) -> float:
         solution = np.linalg.lstsq(columns, y, rcond=None)[0]
         fits.append((float(((columns @ solution - y) ** 2).sum()), float(solution[0])))
     return min(fits)[1]
-
-
-def _lives(said: Said) -> list[Said]:
-    return [list(group) for _, group in groupby(said, key=lambda one: one[1].pid)]
 
 
 def draw(said: Said, start_s: float, path: Path) -> None:

@@ -28,7 +28,7 @@ from huepose.select.near_ties import TERMS
 from huepose.support.files import write_picture, write_text
 
 COLORS = ((60, 220, 60), (255, 170, 30), (70, 160, 255), (255, 80, 160), (240, 240, 60))
-"""As in the viewer: green may be acted on."""
+"""Of the places that were tried, likeliest first."""
 
 VIEWS = 12
 POSES = 3

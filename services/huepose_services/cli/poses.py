@@ -6,7 +6,7 @@ import argparse
 import difflib
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,26 +18,12 @@ from huepose_services.pem import Credentials, why_unreachable
 
 if TYPE_CHECKING:
     from huepose_protos.client import Reader
-    from huepose_protos.messages import HealthMessage, Message, PoseMessage
+    from huepose_protos.messages import HealthMessage, Message
     from huepose_services.runtime.running import Pipeline
 
 
 _PORT = 7447
 _SAY_AFTER_S, _LOOK_EVERY_S = 3.0, 0.1
-
-
-def add_gateway(parser: argparse.ArgumentParser) -> None:
-    """Add the options that choose a gateway."""
-    parser.add_argument(
-        "--gateway", metavar="HOST[:PORT]", help=f"read from another machine's gateway (port {_PORT})"
-    )
-    parser.add_argument(
-        "--tls",
-        type=Path,
-        nargs=3,
-        metavar=("AUTHORITY", "CERTIFICATE", "KEY"),
-        help="of a gateway with TLS: PEM files of its authority, and your own certificate and key",
-    )
 
 
 @dataclass(frozen=True)
@@ -108,7 +94,7 @@ def gateway_of(arguments: argparse.Namespace) -> Gateway | None:
     return Gateway(match[1].strip("[]"), int(match[2] or _PORT), credentials)
 
 
-_POSES, _NO_POSE = "pose/**", "no pose"
+_POSES = "pose/**"
 # Keys that could be an object's name.
 _NAMES = frozenset({"frame", "truth", "camera", "mount", "objects", "control", "correction"})
 _CSV_HELP = (
@@ -148,7 +134,16 @@ def add_parser(subparsers: Any) -> None:
         "write TRACKING poses there instead, OBJECT_INSTANCE.txt each, in TUM's format",
     )
     add_choice(parser)
-    add_gateway(parser)
+    parser.add_argument(
+        "--gateway", metavar="HOST[:PORT]", help=f"read from another machine's gateway (port {_PORT})"
+    )
+    parser.add_argument(
+        "--tls",
+        type=Path,
+        nargs=3,
+        metavar=("AUTHORITY", "CERTIFICATE", "KEY"),
+        help="of a gateway with TLS: PEM files of its authority, and your own certificate and key",
+    )
     parser.set_defaults(call=call)
 
 
@@ -167,17 +162,16 @@ def call(arguments: argparse.Namespace) -> int:
     """Print until interrupted, or until the pipeline that was seen here is gone."""
     gateway, stopping = gateway_of(arguments), until_told()
     if arguments.csv is not None or arguments.tum is not None:
-        return _write(arguments, gateway, stopping)
+        return _write(arguments, _messages(arguments, gateway, stopping))
     if not arguments.json and arguments.key.startswith("pose/"):
         say(_HEADING)
-    if arguments.robot:
-        _print_on_robot(arguments, gateway, stopping)
-    else:
-        _take_until_gone(arguments, gateway, stopping, lambda message: _print(message, arguments.json))
+    source = _poses_on_robot if arguments.robot else _messages
+    for message in source(arguments, gateway, stopping):
+        _print(message, arguments.json)
     return 0
 
 
-def _write(arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]) -> int:
+def _write(arguments: argparse.Namespace, messages: Iterator[Message]) -> int:
     """Into files, until interrupted; exit code 1 where nothing was written."""
     from huepose_services.cli.pose_export import PoseFiles
 
@@ -195,25 +189,23 @@ def _write(arguments: argparse.Namespace, gateway: Gateway | None, stopping: Cal
             "--csv and --tum", found=f"{beside[0]} beside it", expected="poses, in the camera's frame"
         )
     with PoseFiles(arguments.csv, arguments.tum) as files:
-        _take_until_gone(arguments, gateway, stopping, files.take)
+        for message in messages:
+            files.take(message)
     say(f"{counted(files.written, 'pose')} written")
     return 0 if files.written else 1
 
 
-def _take_until_gone(
-    arguments: argparse.Namespace,
-    gateway: Gateway | None,
-    stopping: Callable[[], bool],
-    take: Callable[[Message], None],
-) -> None:
-    """Give `take` every message until interrupted, or until the pipeline of this machine is gone."""
-    if gateway is None:
-        _take_here(arguments, stopping, take)
-        return
+def _messages(
+    arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]
+) -> Iterator[Message]:
+    """What is asked for, until interrupted, or until the pipeline of this machine is gone."""
     only = _Only(arguments.key)
+    if gateway is None:
+        yield from _messages_here(arguments, stopping, only)
+        return
     for message in gateway.messages(arguments.key, stopping, *only.keys):
         if not only.looked_up(message):
-            take(message)
+            yield message
 
 
 class _Only:
@@ -247,9 +239,9 @@ class _Only:
         return True
 
 
-def _print_on_robot(
+def _poses_on_robot(
     arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]
-) -> None:
+) -> Iterator[Message]:
     """Until interrupted. Raises InputError beside a key of what is no pose."""
     from huepose_protos.pose_client import PoseClient
 
@@ -265,7 +257,7 @@ def _print_on_robot(
                 there = client.on_robot(pose)
                 told = told or there is not None
                 if there is not None:
-                    _print(there, arguments.json)
+                    yield there
             if not told and time.monotonic() > say_at:
                 say_at = float("inf")
                 say(
@@ -292,9 +284,9 @@ def _endpoints_of_mounted(arguments: argparse.Namespace) -> list[str]:
     return pipeline.endpoints
 
 
-def _take_here(
-    arguments: argparse.Namespace, stopping: Callable[[], bool], take: Callable[[Message], None]
-) -> None:
+def _messages_here(
+    arguments: argparse.Namespace, stopping: Callable[[], bool], only: _Only
+) -> Iterator[Message]:
     import zenoh
 
     from huepose_protos.client import Reader
@@ -302,7 +294,6 @@ def _take_here(
 
     pipeline, again, say_at = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
     told: set[str] = set()
-    only = _Only(arguments.key)
     while again and not stopping():
         key, health = pipeline.key(arguments.key), pipeline.key("health/**")
         asks_for_health = zenoh.KeyExpr(key).intersects(zenoh.KeyExpr(health))
@@ -318,7 +309,7 @@ def _take_here(
                     message = None
                 if message is not None:
                     say_at = float("inf")
-                    take(message)
+                    yield message
                     continue
                 if time.monotonic() > say_at:
                     # Once for a pipeline that is not there, once for one that says nothing.
@@ -360,18 +351,11 @@ def _print(message: Message, as_json: bool) -> None:
     if as_json or not isinstance(message, PoseMessage):
         print(to_json(message), flush=True)
         return
-    where = _NO_POSE
-    if message.translation is not None and message.quaternion is not None:
-        where = _where(message.translation, message.quaternion)
-    print(_line(message, where), flush=True)
-
-
-def _where(translation: Sequence[float], quaternion: Sequence[float]) -> str:
-    x, y, z = translation
-    qx, qy, qz, qw = quaternion
-    return f"{x:+.4f} {y:+.4f} {z:+.4f} m   {qx:+.4f} {qy:+.4f} {qz:+.4f} {qw:+.4f}"
-
-
-def _line(pose: PoseMessage, where: str) -> str:
+    pose, where = message, "no pose"
+    if pose.translation is not None and pose.quaternion is not None:
+        place, turn = (
+            " ".join(f"{x:+.4f}" for x in values) for values in (pose.translation, pose.quaternion)
+        )
+        where = f"{place} m   {turn}"
     who = f"{pose.frame_id:6d} {pose.object}/{pose.instance:<3d} {pose.state:9s}"
-    return f"{who} {pose.quality:.2f}  {where}  {pose.age_ms:.0f} ms  {pose.reason}".rstrip()
+    print(f"{who} {pose.quality:.2f}  {where}  {pose.age_ms:.0f} ms  {pose.reason}".rstrip(), flush=True)

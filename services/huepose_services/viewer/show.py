@@ -63,17 +63,14 @@ class Show:
     """One recording. Static things (meshes, colours, the camera) are written when they are first needed."""
 
     def __init__(self, recording: Any, bodies: Mapping[str, Body]) -> None:
+        import rerun as rr
+
         self._recording = recording
         self._bodies = bodies
         self._drawn: set[Instance] = set()
         self._colours: dict[Instance, Colour] = {}
         self._trails: dict[Instance, deque[Float]] = {}
         self._camera: Camera | None = None
-        self._tell_static()
-
-    def _tell_static(self) -> None:
-        import rerun as rr
-
         self._log("world", rr.ViewCoordinates.RDF, static=True)
         line = rr.SeriesLines(colors=[(120, 200, 255)], widths=[1.5], names=["capture to pose"])
         self._log(place.LATENCY, line, static=True)

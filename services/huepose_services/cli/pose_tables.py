@@ -23,10 +23,11 @@ _FRAME_OF = {"poses_ycb.txt": "posecnn", "poses.txt": "nvdu"}
 
 
 class PoseSources:
-    """The sources of poses by name: `gt`, `estimate`, or a file or folder of poses."""
+    """The sources of poses by name: `gt`, `estimate`, or poses in a file, one for all sequences or a folder
+    of them. A CSV is in the reference models' own frame; of DOPE's files the name tells in which they are."""
 
     def __init__(self, models: Mapping[str, ReferenceModel], config: EstimatorConfig) -> None:
-        self._tables, self._models, self._config = PoseTables(models), models, config
+        self._models, self._config = models, config
 
     def of(self, name: str, sequence: str, seed: int) -> PoseSource:
         """Of a sequence. Raises InputError where a file is missing or broken."""
@@ -34,7 +35,7 @@ class PoseSources:
             return TruthSource()
         if name == "estimate":
             return EstimatorSource(self._estimator, seed)
-        return FileSource(self._tables.of(name, sequence))
+        return FileSource(self._table(Path(name), sequence))
 
     @cached_property
     def _estimator(self) -> Estimator:
@@ -42,24 +43,9 @@ class PoseSources:
         estimator.warm_up()
         return estimator
 
-
-def warm_tracker(models: Mapping[str, ReferenceModel], config: TrackerConfig) -> Tracker:
-    """Our tracker, ready."""
-    tracker = Tracker(models, config)
-    tracker.warm_up()
-    return tracker
-
-
-class PoseTables:
-    """Finds and reads files, one for all sequences or a folder of them, in the reference models' own
-    frame. A CSV is in it; of DOPE's files the name tells in which they are."""
-
-    def __init__(self, models: Mapping[str, ReferenceModel]) -> None:
-        self._models = models
-
-    def of(self, given: str, sequence: str) -> PoseTable:
+    def _table(self, given: Path, sequence: str) -> PoseTable:
         """The poses of a sequence. Raises InputError, listing where they were looked for."""
-        path = self._find(Path(given), sequence)
+        path = self._find(given, sequence)
         ours = path.suffix == ".csv"
         table = read_pose_csv(path) if ours else read_dope_poses(path, object_of(sequence))
         if not ours and path.name not in _FRAME_OF:
@@ -112,3 +98,10 @@ class PoseTables:
             found="no such file" if not given.is_dir() else f"no poses of sequence {sequence}",
             expected="a file, or a folder with " + " or ".join(str(p.relative_to(given)) for p in places),
         )
+
+
+def warm_tracker(models: Mapping[str, ReferenceModel], config: TrackerConfig) -> Tracker:
+    """Our tracker, ready."""
+    tracker = Tracker(models, config)
+    tracker.warm_up()
+    return tracker

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,6 @@ from huepose.evaluation.tables.journal import Entry, Journal, run_tracks
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
 from huepose.evaluation.track_rows import TrackResult
-from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_scenes import open_fast_ycb
@@ -69,7 +67,24 @@ def tracks(
     common = settings(
         arguments, protocol=arguments.protocol, start=arguments.start or source.start, seed=arguments.seed
     )
-    track = _Tracking(arguments, models, starts, paths)
+    named, roft = PoseSources(models, profile(arguments.profile).estimator), arguments.protocol == "roft"
+    ours = partial(warm_tracker, config=profile(arguments.profile).tracker)
+
+    def track(scene: Scene, method: str, every: int) -> TrackResult:
+        start = starts[scene.name]
+        name = str(paths[scene.name].parent) if start == "dope" else start
+        first = named.of(name, scene.name, arguments.seed)
+        delayed = named.of("estimate", scene.name, arguments.seed) if roft else None
+        return evaluate_tracking(
+            [scene],
+            Targets(models),
+            PaperTracker if method == "paper" else ours,
+            lambda scene, seed: Sources(first, delayed),
+            TrackOptions(arguments.protocol, every, (arguments.seed,)),
+            SourceNames(start, "estimate" if roft else None),
+            judge=LoopJudge(models) if roft else None,
+        )
+
     entries = {}
     for method in arguments.methods:
         if method == "colorpair":
@@ -114,35 +129,3 @@ def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) 
 def _start(asked: str | None, path: Path) -> str:
     there = any((path / "dope" / name).exists() for name in ("poses_ycb.txt", "poses.txt"))
     return asked or ("dope" if there else "gt")
-
-
-class _Tracking:
-    """One sequence by one method."""
-
-    def __init__(
-        self,
-        arguments: argparse.Namespace,
-        models: Mapping[str, ReferenceModel],
-        starts: Mapping[str, str],
-        paths: Mapping[str, Path],
-    ) -> None:
-        self.arguments, self.models, self.starts, self.paths = arguments, models, starts, paths
-        self.settings = profile(arguments.profile)
-        self.named = PoseSources(models, self.settings.estimator)
-
-    def __call__(self, scene: Scene, method: str, every: int) -> TrackResult:
-        """Track it."""
-        arguments, start = self.arguments, self.starts[scene.name]
-        roft = arguments.protocol == "roft"
-        name = str(self.paths[scene.name].parent) if start == "dope" else start
-        first = self.named.of(name, scene.name, arguments.seed)
-        delayed = self.named.of("estimate", scene.name, arguments.seed) if roft else None
-        return evaluate_tracking(
-            [scene],
-            Targets(self.models),
-            PaperTracker if method == "paper" else partial(warm_tracker, config=self.settings.tracker),
-            lambda scene, seed: Sources(first, delayed),
-            TrackOptions(arguments.protocol, every, (arguments.seed,)),
-            SourceNames(start, "estimate" if roft else None),
-            judge=LoopJudge(self.models) if roft else None,
-        )

@@ -33,7 +33,7 @@ from huepose_services.runtime.clock import SECOND, check_number, now_ns
 from huepose_services.runtime.config import Config, ObjectConfig
 from huepose_services.runtime.one_camera import OneCamera
 from huepose_services.runtime.work import Work
-from huepose_services.steering import ControlService, ObjectList
+from huepose_services.steering import ObjectList, answer_control
 
 _TICK_NS = SECOND // 30
 # Health warns when perception answers later than this.
@@ -87,7 +87,7 @@ class ReinitWork(Work):
     ) -> None:
         self._configured = configured
         self._bus, self._loop, self._objects = bus, loop, objects
-        self._control = ControlService(bus, objects)
+        answer_control(bus, objects)
         self._retired = Retired(objects.entries())
         self._poses = bus.inbox.queue(bus.keys.poses, wakes=False)
         self._answers = bus.inbox.queue(bus.keys.estimates)

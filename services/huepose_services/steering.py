@@ -129,23 +129,19 @@ class ObjectList:
                 self._entries[order.name] = order.entry
 
 
-class ControlService:
-    """Answers queries on the key `control`, in a thread of zenoh."""
+def answer_control(bus: Bus, objects: ObjectList) -> None:
+    """Answer queries on the key `control` from now on, in a thread of zenoh."""
 
-    def __init__(self, bus: Bus, objects: ObjectList) -> None:
-        self._bus, self._objects = bus, objects
-        bus.session.declare_queryable(bus.keys.control, self._answer)
-
-    def _answer(self, query: zenoh.Query) -> None:
+    def answer(query: zenoh.Query) -> None:
         try:
             request = decode(bytes_of(query.payload), ControlRequest)
-            done, text = self._objects.decide(request)
+            done, text = objects.decide(request)
             if request.action != "list":
-                self._bus.log.say(text if done else f"refused to {request.action}: {text}")
+                bus.log.say(text if done else f"refused to {request.action}: {text}")
         except WireError as error:
-            self._bus.refuse(self._bus.keys.control, error)
+            bus.refuse(bus.keys.control, error)
             done, text = False, f"not a request: {error.reason}"
-        reply = ControlReply(
-            publish_ns=now_ns(), done=done, text=text[:2000], objects=self._objects.entries()
-        )
-        query.reply(self._bus.keys.control, encode(reply))
+        reply = ControlReply(publish_ns=now_ns(), done=done, text=text[:2000], objects=objects.entries())
+        query.reply(bus.keys.control, encode(reply))
+
+    bus.session.declare_queryable(bus.keys.control, answer)

@@ -38,7 +38,9 @@ def export_bop(events: Iterable[Event], folder: Path) -> int:
     cameras: dict[str, Any] = {}
     truths: dict[str, list[Any]] = {}
     details: dict[str, list[Any]] = {}
-    numbers = _Numbers()
+    # Numbers of images are those of frames, moved on where a camera's epoch begins.
+    begins: dict[int, int] = {}
+    following = 0
     with (folder / "poses.jsonl").open("w") as poses:
         for event in progress(events, f"{folder}: messages"):
             message = event.message
@@ -46,7 +48,8 @@ def export_bop(events: Iterable[Event], folder: Path) -> int:
                 continue
             if tail_of(event.key) == GIVEN:
                 continue
-            number = numbers.of(message.camera_epoch, message.frame_id)
+            number = begins.setdefault(message.camera_epoch, following) + message.frame_id
+            following = max(following, number + 1)
             if isinstance(message, FrameHeader):
                 if str(number) not in cameras:
                     _write_images(folder, number, message, event.payload)
@@ -60,20 +63,6 @@ def export_bop(events: Iterable[Event], folder: Path) -> int:
         for name, values in (("scene_gt.json", truths), ("scene_gt_info.json", details)):
             write_text(folder / name, json.dumps({n: v for n, v in values.items() if n in cameras}))
     return len(cameras)
-
-
-class _Numbers:
-    """Numbers of images: those of frames, moved on where a camera's epoch begins."""
-
-    def __init__(self) -> None:
-        self._offsets: dict[int, int] = {}
-        self._next = 0
-
-    def of(self, epoch: int, frame_id: int) -> int:
-        """The number of the image of a frame."""
-        number = self._offsets.setdefault(epoch, self._next) + frame_id
-        self._next = max(self._next, number + 1)
-        return number
 
 
 def _write_images(folder: Path, number: int, header: FrameHeader, payload: bytes) -> None:

@@ -7,7 +7,6 @@ as a real one has.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -20,7 +19,7 @@ from msgspec import Meta
 from huepose.datasets.types import Scene
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.support.errors import InputError
-from huepose_services.camera.live import REPLUG, CameraError, Shot
+from huepose_services.camera.live import REPLUG, CameraError, LiveSource, Shot
 from huepose_services.camera.synthetic import open_source as open_scene
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
@@ -48,12 +47,18 @@ class Orders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Wrong intrinsics: such a multiple of the right focal length."""
 
 
-def open_source(config: Config) -> Faulty:
+def open_source(config: Config) -> LiveSource:
     """The camera with the orders in `camera.path`. Raises InputError where these cannot be read."""
     assert config.camera.path is not None  # the configuration was checked
     orders = Path(config.camera.path)
     read_orders(orders)
-    return Faulty(orders, lambda: open_scene(config), float(config.camera.rate))
+
+    def start() -> FaultyCamera:
+        if read_orders(orders).unplugged:
+            raise CameraError("no camera is connected. Plug it in.")
+        return FaultyCamera(orders, open_scene(config), float(config.camera.rate))
+
+    return LiveSource("faulty camera", REPLUG, start)
 
 
 def read_orders(path: Path) -> Orders:
@@ -62,22 +67,6 @@ def read_orders(path: Path) -> Orders:
         return msgspec.json.decode(path.read_bytes(), type=Orders)
     except (OSError, ValueError) as error:
         raise InputError(f"camera.path {path}", found=str(error)[:200], expected="orders in JSON") from None
-
-
-class Faulty:
-    """Plugged in or not."""
-
-    name = "faulty camera"
-    if_silent = REPLUG
-
-    def __init__(self, orders: Path, scene: Callable[[], Scene], rate_hz: float) -> None:
-        self._orders, self._scene, self._rate_hz = orders, scene, rate_hz
-
-    def open(self) -> FaultyCamera:
-        """Raises CameraError while it is unplugged."""
-        if read_orders(self._orders).unplugged:
-            raise CameraError("no camera is connected. Plug it in.")
-        return FaultyCamera(self._orders, self._scene(), self._rate_hz)
 
 
 class FaultyCamera:

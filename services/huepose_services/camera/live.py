@@ -7,7 +7,7 @@ that nobody waits for.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Protocol, TypeVar
@@ -70,17 +70,14 @@ class LiveCamera(Protocol):
         ...
 
 
-class LiveSource(Protocol):
-    """A camera that may be there or not."""
+@dataclass(frozen=True)
+class LiveSource:
+    """A camera that may be there or not. if_silent: what to do where it gives no picture, in a sentence;
+    open: starts it, and raises CameraError, in under two seconds when it is not there."""
 
     name: str
-
     if_silent: str
-    """What to do where it gives no picture, in a sentence."""
-
-    def open(self) -> LiveCamera:
-        """Start it. Raises CameraError, in under two seconds when it is not there."""
-        ...
+    open: Callable[[], LiveCamera]
 
 
 def sdk(package: str, source: str, what: str, more: str = "") -> Any:

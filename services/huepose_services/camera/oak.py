@@ -18,7 +18,7 @@ import numpy as np
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32
 from huepose.support.errors import InputError
-from huepose_services.camera.live import REPLUG, CameraError, Shot, sdk, the_one
+from huepose_services.camera.live import REPLUG, CameraError, LiveSource, Shot, sdk, the_one
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig
@@ -88,47 +88,41 @@ def synchronised(dai: Any, pipeline: Any, color: Any, depth: Any, fps: float, *,
     return sync.out.createOutputQueue(maxSize=1, blocking=False)
 
 
-def open_source(config: Config) -> Oak:
+def open_source(config: Config) -> LiveSource:
     """The camera of the configuration, not opened. Raises InputError without the SDK."""
     # Looking for a camera that is not there takes 11 s by default; read when the SDK is imported.
     os.environ.setdefault("DEPTHAI_SEARCH_TIMEOUT", "0")
     depthai = sdk("depthai", "oak", "Luxonis' SDK for Python")
     check_options(config.camera.device.options)
-    return Oak(depthai, config.camera)
+    return source_of(depthai, config.camera)
 
 
-class Oak:
+def source_of(dai: Any, settings: CameraConfig) -> LiveSource:
     """One camera, by its device id, or the only one."""
+    serial = settings.device.serial
 
-    if_silent = REPLUG
-
-    def __init__(self, dai: Any, settings: CameraConfig) -> None:
-        self._dai, self._settings = dai, settings
-        self.name = f"OAK {settings.device.serial}" if settings.device.serial else "OAK"
-
-    def open(self) -> OakCamera:
-        """Start it. Raises CameraError when it is not there or cannot do what is asked."""
-        info = self._find()
+    def start() -> OakCamera:
+        infos = {info.getDeviceId(): info for info in dai.Device.getAllAvailableDevices()}
+        info = the_one(infos, serial, _NONE)
         try:
-            device = self._dai.Device(info)
+            device = dai.Device(info)
         except RuntimeError as error:
             raise CameraError(f"it does not start: {error}. Is another program using it?") from None
         try:
-            pipeline, queue = build(self._dai, device, self._settings)
+            pipeline, queue = build(dai, device, settings)
             pipeline.start()
         except RuntimeError as error:
             device.close()
             raise CameraError(f"it cannot do what is asked: {error}. See camera.device.") from None
         return OakCamera(pipeline, queue, device)
 
-    def _find(self) -> Any:
-        infos = {info.getDeviceId(): info for info in self._dai.Device.getAllAvailableDevices()}
-        return the_one(
-            infos,
-            self._settings.device.serial,
-            "no OAK camera is connected. Plug it into a USB 3 port (or its network); if `lsusb -d 03e7:` "
-            "lists it, install the udev rules (deploy/jetson/install.sh --udev) and plug it in again.",
-        )
+    return LiveSource(f"OAK {serial}" if serial else "OAK", REPLUG, start)
+
+
+_NONE = (
+    "no OAK camera is connected. Plug it into a USB 3 port (or its network); if `lsusb -d 03e7:` lists it, "
+    "install the udev rules (deploy/jetson/install.sh --udev) and plug it in again."
+)
 
 
 class OakCamera:

@@ -17,7 +17,7 @@ import numpy as np
 
 from huepose.geometry import Camera
 from huepose.support.errors import InputError
-from huepose_services.camera.live import REPLUG, CameraError, Shot
+from huepose_services.camera.live import REPLUG, CameraError, LiveSource, Shot
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig
@@ -29,7 +29,7 @@ _NO_DEPTH = (
 _LOOK_AGAIN_S = 0.002
 
 
-def open_source(config: Config) -> OpenCv:
+def open_source(config: Config) -> LiveSource:
     """The camera of the configuration, not opened. Raises InputError where OpenCV cannot read any depth."""
     if not cv2.videoio_registry.hasBackend(cv2.CAP_OBSENSOR):
         raise InputError(
@@ -38,31 +38,26 @@ def open_source(config: Config) -> OpenCv:
             expected="one built with -D WITH_OBSENSOR=ON, which reads depth cameras of Orbbec",
             fix=f"{_NO_DEPTH}; of Orbbec's that is pyorbbecsdk.",
         )
-    return OpenCv(config.camera)
+    return source_of(config.camera)
 
 
-class OpenCv:
+def source_of(settings: CameraConfig, capture: Callable[..., Any] = cv2.VideoCapture) -> LiveSource:
     """One camera, by its place among those that OpenCV finds. capture: what opens it."""
+    index = settings.device.index
 
-    if_silent = REPLUG
-
-    def __init__(self, settings: CameraConfig, capture: Callable[..., Any] = cv2.VideoCapture) -> None:
-        self._settings, self._capture = settings, capture
-        self.name = f"OpenCV {settings.device.index}"
-
-    def open(self) -> OpenCvCamera:
-        """Start it. Raises CameraError when it is not there, or its intrinsics are not known."""
-        index = self._settings.device.index
-        capture = self._capture(index, cv2.CAP_OBSENSOR)
-        if not capture.isOpened():
+    def start() -> OpenCvCamera:
+        opened = capture(index, cv2.CAP_OBSENSOR)
+        if not opened.isOpened():
             there = Path(f"/dev/video{index}")
             other = f" What is at {there} is another camera. {_NO_DEPTH}." if there.exists() else ""
             raise CameraError(f"OpenCV finds no depth camera of Orbbec: plug it into a USB 3 port.{other}")
         try:
-            return OpenCvCamera(capture, self._settings)
+            return OpenCvCamera(opened, settings)
         except CameraError:
-            capture.release()
+            opened.release()
             raise
+
+    return LiveSource(f"OpenCV {index}", REPLUG, start)
 
 
 class OpenCvCamera:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import runpy
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,41 +22,31 @@ import numpy as np
 
 from huepose.geometry import RgbdFrame
 from huepose.support.errors import InputError
-from huepose_services.camera.live import CameraError, Shot
+from huepose_services.camera.live import CameraError, LiveSource, Shot
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 
+_IF_SILENT = "frames() waits for its next picture: does your camera still give some?"
 
-def open_source(config: Config) -> PythonSource:
-    """The file `camera.path`. Raises InputError for one that cannot be read or has no `frames`."""
+
+def open_source(config: Config) -> LiveSource:
+    """The file `camera.path`, which is run once, and its `frames()` at every opening. Raises InputError for
+    one that cannot be read or has no `frames`."""
     assert config.camera.path is not None  # the configuration was checked
-    return PythonSource(Path(config.camera.path))
-
-
-class PythonSource:
-    """Runs the file once, and its `frames()` at every opening."""
-
-    if_silent = "frames() waits for its next picture: does your camera still give some?"
-
-    def __init__(self, path: Path) -> None:
-        self.name, self._path = path.name, path
-        if not path.is_file():
-            raise InputError(path, found="no such file", expected="a Python file with a function frames()")
-        try:
-            names = runpy.run_path(str(path), run_name="huepose_camera")
-        except Exception as error:
-            found = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-            raise InputError(path, found=found, expected="a Python file that runs") from error
-        frames = names.get("frames")
-        if not callable(frames):
-            raise InputError(
-                path, found="no function frames()", expected="one that gives RgbdFrame after RgbdFrame"
-            )
-        self._frames: Callable[[], Iterator[RgbdFrame]] = frames
-
-    def open(self) -> PythonCamera:
-        """Begin anew."""
-        return PythonCamera(iter(self._frames()), self._path)
+    path = Path(config.camera.path)
+    if not path.is_file():
+        raise InputError(path, found="no such file", expected="a Python file with a function frames()")
+    try:
+        names = runpy.run_path(str(path), run_name="huepose_camera")
+    except Exception as error:
+        found = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
+        raise InputError(path, found=found, expected="a Python file that runs") from error
+    frames = names.get("frames")
+    if not callable(frames):
+        raise InputError(
+            path, found="no function frames()", expected="one that gives RgbdFrame after RgbdFrame"
+        )
+    return LiveSource(path.name, _IF_SILENT, lambda: PythonCamera(iter(frames()), path))
 
 
 class PythonCamera:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from huepose.support.errors import InputError
-from huepose_services.camera.live import REPLUG, CameraError, Shot, sdk, the_one
+from huepose_services.camera.live import REPLUG, CameraError, LiveSource, Shot, sdk, the_one
 from huepose_services.camera.realsense_setup import (
     Rectification,
     apply_options,
@@ -28,7 +28,7 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig
 
 
-def open_source(config: Config) -> RealSense:
+def open_source(config: Config) -> LiveSource:
     """The camera of the configuration, not opened. Raises InputError without the SDK or the recording."""
     rs = sdk("pyrealsense2", "realsense", "Intel's SDK for Python", ", and libusb-1.0-0 by apt-get")
     path = config.camera.path
@@ -39,47 +39,37 @@ def open_source(config: Config) -> RealSense:
             expected="a .db3 file of the RealSense recorder",
             fix="Give its path, or null for the camera itself.",
         )
-    return RealSense(rs, config.camera)
+    return source_of(rs, config.camera)
 
 
 # A set of colour and depth may be followed by one of colour alone: it must not push the other out.
 _QUEUE = 2
 
 
-class RealSense:
+_NONE = (
+    "no RealSense camera is connected. Plug it into a USB 3 port; if `lsusb -d 8086:` lists it, install the "
+    "udev rules (deploy/jetson/install.sh --udev) and plug it in again."
+)
+
+
+def source_of(rs: Any, settings: CameraConfig) -> LiveSource:
     """One camera, by serial number, or the only one; or a recording, from its start."""
+    context, path, serial = rs.context(), settings.path, settings.device.serial
 
-    if_silent = REPLUG
+    def device() -> Any:
+        if path is not None:
+            # The SDK keeps a recording that it has played until it is told otherwise.
+            with suppress(RuntimeError):
+                context.unload_device(path)
+            return context.load_device(path)
+        # A camera that is starting, or used by another program, may be listed and not answer.
+        serial_of = rs.camera_info.serial_number
+        devices = {d.get_info(serial_of): d for d in context.query_devices() if d.supports(serial_of)}
+        return the_one(devices, serial, _NONE)
 
-    def __init__(self, rs: Any, settings: CameraConfig) -> None:
-        self._rs, self._settings = rs, settings
-        self._context = rs.context()
-        serial = settings.device.serial
-        place = Path(settings.path).name if settings.path else serial
-        self.name = f"RealSense {place}" if place else "RealSense"
-
-    def open(self) -> RealSenseCamera:
-        """Start it. Raises CameraError when it is not there or cannot do what is asked."""
-        path = self._settings.path
-        device = self._find() if path is None else self._again(path)
-        return RealSenseCamera(self._rs, device, self._settings)
-
-    def _again(self, path: str) -> Any:
-        """A recording from its start. The SDK keeps one that it has played until it is told otherwise."""
-        with suppress(RuntimeError):
-            self._context.unload_device(path)
-        return self._context.load_device(path)
-
-    def _find(self) -> Any:
-        """The device. A camera that is starting, or used by another program, may be listed and not answer."""
-        serial_of = self._rs.camera_info.serial_number
-        devices = {d.get_info(serial_of): d for d in self._context.query_devices() if d.supports(serial_of)}
-        return the_one(
-            devices,
-            self._settings.device.serial,
-            "no RealSense camera is connected. Plug it into a USB 3 port; if `lsusb -d 8086:` lists it, "
-            "install the udev rules (deploy/jetson/install.sh --udev) and plug it in again.",
-        )
+    place = Path(path).name if path else serial
+    name = f"RealSense {place}" if place else "RealSense"
+    return LiveSource(name, REPLUG, lambda: RealSenseCamera(rs, device(), settings))
 
 
 class RealSenseCamera:

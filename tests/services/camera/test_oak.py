@@ -8,7 +8,7 @@ import pytest
 
 from huepose.support.errors import InputError
 from huepose_services.camera.live import CameraError
-from huepose_services.camera.oak import Oak, OakCamera, build, check_options, shot_of, synchronised
+from huepose_services.camera.oak import OakCamera, build, check_options, shot_of, source_of, synchronised
 from huepose_services.runtime.config_perception import CameraConfig, DeviceConfig
 
 dai = pytest.importorskip("depthai", reason="depthai, the OAK SDK, is not installed")
@@ -108,7 +108,7 @@ def test_pictures_that_do_not_belong_together_are_refused():
 def test_a_missing_camera_is_named_at_once_with_what_to_do():
     start = time.monotonic()
     with pytest.raises(CameraError, match="udev rules"):
-        Oak(dai, CameraConfig(source="oak")).open()
+        source_of(dai, CameraConfig(source="oak")).open()
     assert time.monotonic() - start < 5.0, "the SDK alone would take over 11 s"
 
 

@@ -12,7 +12,7 @@ import pytest
 from huepose.geometry import Camera
 from huepose.support.errors import InputError
 from huepose_services.camera.live import CameraError
-from huepose_services.camera.opencv import OpenCv, open_source
+from huepose_services.camera.opencv import open_source, source_of
 from huepose_services.runtime.config import load
 from huepose_services.runtime.config_perception import CameraConfig, DeviceConfig
 
@@ -56,7 +56,7 @@ class Capture:
 
 def test_colour_and_depth_that_come_one_by_one_are_one_picture() -> None:
     capture = Capture([(0.0, {COLOR: BGR}), (0.0, {DEPTH: MM}), (0.0, {})], INTRINSICS)
-    camera = OpenCv(CameraConfig(source="opencv"), capture).open()
+    camera = source_of(CameraConfig(source="opencv"), capture).open()
     shot = camera.read(1.0)
     assert shot is not None
     np.testing.assert_array_equal(shot.color, BGR[..., ::-1])
@@ -70,23 +70,23 @@ def test_colour_and_depth_that_come_one_by_one_are_one_picture() -> None:
 
 
 def test_a_picture_is_not_given_twice_nor_with_old_depth() -> None:
-    camera = OpenCv(
+    camera = source_of(
         CameraConfig(source="opencv"), Capture([(5.0, {COLOR: BGR, DEPTH: MM})], INTRINSICS)
     ).open()
     assert camera.read(1.0) is not None
     assert camera.read(0.05) is None  # the same stamp
     far_apart = Capture([(0.0, {COLOR: BGR}), *[(0.0, {})] * 40, (0.0, {DEPTH: MM}), (0.0, {})], INTRINSICS)
-    assert OpenCv(CameraConfig(source="opencv"), far_apart).open().read(0.5) is None
+    assert source_of(CameraConfig(source="opencv"), far_apart).open().read(0.5) is None
 
 
 def test_intrinsics_that_it_does_not_tell_are_given() -> None:
     grabs = [(0.0, {COLOR: BGR, DEPTH: MM})]
     silent = Capture(grabs, {})
     with pytest.raises(CameraError, match=r"set camera.device.intrinsics"):
-        OpenCv(CameraConfig(source="opencv"), silent).open()
+        source_of(CameraConfig(source="opencv"), silent).open()
     assert silent.released
     device = DeviceConfig(intrinsics=(400.0, 400.0, 2.5, 1.5))
-    shot = OpenCv(CameraConfig(source="opencv", device=device), Capture(grabs, {})).open().read(1.0)
+    shot = source_of(CameraConfig(source="opencv", device=device), Capture(grabs, {})).open().read(1.0)
     assert shot is not None
     assert shot.camera == Camera(400.0, 400.0, 2.5, 1.5, 6, 4)
 
@@ -94,18 +94,18 @@ def test_intrinsics_that_it_does_not_tell_are_given() -> None:
 def test_depth_of_another_size_is_refused() -> None:
     capture = Capture([(0.0, {COLOR: BGR, DEPTH: MM[:2]})], INTRINSICS)
     with pytest.raises(CameraError, match="6 x 2 uint16, colour 6 x 4"):
-        OpenCv(CameraConfig(source="opencv"), capture).open().read(1.0)
+        source_of(CameraConfig(source="opencv"), capture).open().read(1.0)
 
 
 def test_without_a_camera_the_real_call_says_so() -> None:
     with pytest.raises(CameraError, match="no depth camera of Orbbec"):
-        OpenCv(CameraConfig(source="opencv", device=DeviceConfig(index=200))).open()
+        source_of(CameraConfig(source="opencv", device=DeviceConfig(index=200))).open()
 
 
 def test_a_webcam_is_refused_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Path, "exists", lambda path: str(path) == "/dev/video200")
     with pytest.raises(CameraError, match=r"/dev/video200 is another camera. A webcam has no depth"):
-        OpenCv(CameraConfig(source="opencv", device=DeviceConfig(index=200))).open()
+        source_of(CameraConfig(source="opencv", device=DeviceConfig(index=200))).open()
 
 
 @pytest.mark.skipif(cv2.videoio_registry.hasBackend(cv2.CAP_OBSENSOR), reason="this OpenCV has the backend")

@@ -9,17 +9,21 @@ import numpy as np
 import pytest
 
 from huepose.support.errors import InputError
-from huepose_services.camera.live import CameraError
-from huepose_services.camera.python import PythonSource, open_source
+from huepose_services.camera.live import CameraError, LiveSource
+from huepose_services.camera.python import open_source
 from huepose_services.runtime.config import load
 
 PAGE = Path(__file__).parents[3] / "docs" / "cameras.md"
 
 
-def source(folder: Path, text: str) -> PythonSource:
+def source(folder: Path, text: str) -> LiveSource:
     (folder / "my_camera.py").write_text(text)
+    return open_file(folder, "my_camera.py")
+
+
+def open_file(folder: Path, name: str) -> LiveSource:
     (folder / "pipeline.yaml").write_text(
-        "camera: {source: python, path: my_camera.py}\nworkers: [camera]\nbundles: bundles\n"
+        f"camera: {{source: python, path: {name}}}\nworkers: [camera]\nbundles: bundles\n"
     )
     return open_source(load(folder / "pipeline.yaml"))
 
@@ -93,4 +97,4 @@ def test_a_path_is_needed(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="frames"):
         load(tmp_path / "pipeline.yaml")
     with pytest.raises(InputError, match="no such file"):
-        PythonSource(tmp_path / "gone.py")
+        open_file(tmp_path, "gone.py")

@@ -14,7 +14,7 @@ from huepose_protos.local import endpoint
 from huepose_protos.messages import CameraMessage, HealthMessage
 from huepose_services.camera import realsense
 from huepose_services.camera.live import CameraError
-from huepose_services.camera.realsense import RealSense, RealSenseCamera
+from huepose_services.camera.realsense import RealSenseCamera, source_of
 from huepose_services.camera.realsense_setup import Rectification, apply_options, made_filters
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig, DeviceConfig
@@ -142,7 +142,7 @@ def test_exposure_is_set_through_the_options():
 def test_a_missing_camera_is_named_at_once_with_what_to_do():
     start = time.monotonic()
     with pytest.raises(CameraError, match="udev rules"):
-        RealSense(rs, _settings()).open()
+        source_of(rs, _settings()).open()
     assert time.monotonic() - start < 5.0, "the SDK alone would take over 11 s"
 
 
@@ -185,7 +185,7 @@ def recording(tmp_path):
 
 
 def test_a_recording_gives_its_pictures_and_its_end(recording):
-    camera = RealSense(rs, _settings(str(recording))).open()
+    camera = source_of(rs, _settings(str(recording))).open()
     shots = []
     with suppress(CameraError):
         shots.extend(shot for shot in iter(lambda: camera.read(0.3), rs) if shot is not None)
@@ -200,7 +200,7 @@ def test_a_recording_gives_its_pictures_and_its_end(recording):
 
 
 def test_a_recording_that_has_ended_is_played_again(recording):
-    source = RealSense(rs, _settings(str(recording)))
+    source = source_of(rs, _settings(str(recording)))
     once = source.open()
     with suppress(CameraError):
         while True:

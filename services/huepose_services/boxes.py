@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 from huepose.datasets.boxes import disturbed
 from huepose.geometry import Box, Camera, RgbdFrame
@@ -44,24 +43,9 @@ _FORGET_S, _GROWTH_PER_S = 3.0, 0.5
 _HINT_NS = 3 * SECOND
 
 
-class BoxFinder(Protocol):
-    """Answers a request with boxes in one frame; an object that is not there gets none."""
-
-    def add(self, model: ReferenceModel) -> None:
-        """Know one more object, or another model of it."""
-        ...
-
-    def remove(self, name: str) -> None:
-        """Forget an object; nothing happens when it is not known."""
-        ...
-
-    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
-        """Boxes, in the request's order."""
-        ...
-
-
-class ByOutline:
-    """What those have in common that know objects by their outline."""
+class BoxFinder:
+    """Answers a request with boxes in one frame, and knows objects by their outlines; an object that is not
+    there gets no box."""
 
     def __init__(self, outlines: Mapping[str, Outline]) -> None:
         self._outlines = dict(outlines)
@@ -73,6 +57,10 @@ class ByOutline:
     def remove(self, name: str) -> None:
         """Forget an object; nothing happens when it is not known."""
         self._outlines.pop(name, None)
+
+    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+        """Boxes, in the request's order."""
+        raise NotImplementedError
 
     def prior_box(self, name: str, prior: Prior | None, header: FrameHeader, camera: Camera) -> Box | None:
         """Where an instance that is tracked is predicted to be; None where none is, or not in the image."""
@@ -110,7 +98,7 @@ class ByOutline:
         return found
 
 
-class SeenBoxes(ByOutline):
+class SeenBoxes(BoxFinder):
     """Shown a frame by `look`, it answers `find` about that frame's own pixels."""
 
     def __init__(self, outlines: Mapping[str, Outline], detector: Detector) -> None:
@@ -204,7 +192,7 @@ class SearchedBoxes(SeenBoxes):
         return box if box is not None and box.w >= 1.0 and box.h >= 1.0 else None
 
 
-class TruthBoxes(ByOutline):
+class TruthBoxes(BoxFinder):
     """Boxes of the true objects, shifted by up to 10 % of their size and scaled by up to 10 %."""
 
     def __init__(self, outlines: Mapping[str, Outline], seed: int) -> None:
@@ -246,7 +234,7 @@ class TruthBoxes(ByOutline):
         return disturbed(box, "perturbed", self._seed, message.scene, message.image, truth.instance, camera)
 
 
-class FirstBoxes(ByOutline):
+class FirstBoxes(BoxFinder):
     """A box that was given once, then the prediction; after a loss the last box, growing to the image."""
 
     def __init__(self, outlines: Mapping[str, Outline], boxes: Mapping[str, Box]) -> None:

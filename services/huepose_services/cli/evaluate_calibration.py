@@ -36,10 +36,8 @@ def worth_row(name: str, worth: Worth) -> list[Any]:
     chance = "-" if worth.chance is None else "{:.3f} to {:.3f}".format(*worth.chance)
     precision = None if worth.precision is None else 100.0 * worth.precision
     right = 100.0 * worth.right / max(1, worth.poses)
-    return [
-        *(name, worth.poses, right, known(worth.ece, ".3f"), chance),
-        *(100.0 * worth.found, 100.0 * worth.coverage, precision),
-    ]
+    ece, found, over = known(worth.ece, ".3f"), 100.0 * worth.found, 100.0 * worth.coverage
+    return [name, worth.poses, right, ece, chance, found, over, precision]
 
 
 def _draw(folder: Path, name: str, judged: Judged) -> None:

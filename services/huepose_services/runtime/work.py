@@ -58,10 +58,8 @@ class Requests:
         newer frame."""
         while (newer := self._bus.take(self._requests, PerceptionRequest)) is not None:
             self._waiting = newer
-        if (
-            self._looks is not None
-            and (brought := self._bus.take_with_payload(self._looks, Look)) is not None
-        ):
+        brought = None if self._looks is None else self._bus.take_with_payload(self._looks, Look)
+        if brought is not None:
             look, payload = brought
             self._waiting, self._frame = look.request, (look.frame, payload)
         if (request := self._waiting) is None:

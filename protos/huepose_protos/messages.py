@@ -28,7 +28,7 @@ from huepose_protos.fields import (
     check_finite,
     check_pose,
 )
-from huepose_protos.parts import KIB, check_masks
+from huepose_protos.parts import KIB, MAX_CANDIDATE_PIXELS, MAX_ESTIMATE_PIXELS, check_masks
 from huepose_protos.parts import BufferSpec as BufferSpec
 from huepose_protos.parts import Clock as Clock
 from huepose_protos.parts import ControlReply as ControlReply
@@ -44,11 +44,6 @@ from huepose_protos.parts import ObjectEntry as ObjectEntry
 from huepose_protos.parts import ObjectsMessage as ObjectsMessage
 from huepose_protos.parts import Prior as Prior
 from huepose_protos.parts import TruthObject as TruthObject
-
-MAX_CANDIDATE_PIXELS = 2**28
-"""Of all masks of a message: 8 candidates each of 16 objects in a picture of 1920 x 1080."""
-MAX_ESTIMATE_PIXELS = 2**27
-"""The same where each object has one: of 16 objects in a picture of 3840 x 2160."""
 
 
 class FrameHeader(Message, frozen=True, kw_only=True):

@@ -160,7 +160,10 @@ class ReinitLoop:
             return None
         for asked in chosen:
             self._looked_ns[asked.object, asked.instance] = now_ns
-        self._next_ns = now_ns + round(self.config.period_ms * 1e6)
+        period_ns = round(self.config.period_ms * 1e6)
+        # Ticks come when they come: a request that is a little late does not make the next ones later.
+        in_rhythm = now_ns - self._next_ns < period_ns
+        self._next_ns = (self._next_ns if in_rhythm else now_ns) + period_ns
         self.counters.requests += 1
         self._asked_ns = now_ns
         self._pace.asked(self.counters.requests, now_ns)

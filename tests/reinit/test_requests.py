@@ -54,6 +54,27 @@ def test_requests_come_at_the_period_and_one_at_a_time() -> None:
     assert loop.tick(200 * MS, []) is not None
 
 
+def test_ticks_that_do_not_fit_the_period_do_not_slow_requests_down() -> None:
+    loop = ReinitLoop(objects=[("mug", 1)])
+    sent = []
+    for ms in range(0, 3_000, 33):
+        request = loop.tick(ms * MS, [])
+        if request is not None:
+            sent.append(ms)
+            loop.answer((ms + 20) * MS, result(request, ms))
+    assert len(sent) == 15, "five a second"
+    assert min(np.diff(sent)) > 150
+
+
+def test_what_was_missed_is_not_made_up_for() -> None:
+    loop = ReinitLoop(objects=[("mug", 1)])
+    loop.answer(900 * MS, result(loop.tick(0, []), 0))
+    assert loop.tick(900 * MS, []) is not None
+    loop.answer(950 * MS, result(2, 900))
+    assert loop.tick(1_000 * MS, []) is None
+    assert loop.tick(1_100 * MS, []) is not None
+
+
 def test_lost_first_then_doubtful_then_stalest() -> None:
     loop = ReinitLoop(objects=[("a", 1), ("b", 1), ("c", 1), ("d", 1)])
     tracks = [track("a"), track("b", state=State.SUSPECT), track("c", state=State.LOST), track("d")]

@@ -26,6 +26,7 @@ _MAX_GAP_NS = SECOND // 5
 _VELOCITY = np.repeat([0.02, 0.2], 3)
 _ACCELERATION = np.repeat([1.0, 8.0], 3)
 _UNKNOWN_VELOCITY = np.repeat([0.3, 3.0], 3)
+_ROTATION = 1e-3
 _WORST_LAST: tuple[StateName, ...] = ("TRACKING", "SUSPECT", "SEARCHING", "LOST")
 
 
@@ -132,6 +133,29 @@ def inverted(mount: Mount, parent: str) -> Mount:
     """The pose of the frame `mount.parent` in the one that is mounted there, which is called `parent`."""
     q = _inverse(np.array(mount.quaternion))
     return mount_of(parent, -rotation_matrix(q) @ np.array(mount.translation), q)
+
+
+def rigid(T: ArrayLike) -> Array:
+    """The transform (4, 4) in float64. Raises ValueError for what is no rigid motion: a quaternion could not
+    show that it was mirrored, scaled or sheared."""
+    told = np.asarray(T, dtype=np.float64)
+    found = ""
+    if told.shape != (4, 4):
+        found = f"shape {told.shape}"
+    elif not np.isfinite(told).all():
+        found = "numbers that are not finite"
+    elif np.abs(told[3] - (0.0, 0.0, 0.0, 1.0)).max() > _ROTATION:
+        found = f"the last row {told[3].tolist()}"
+    elif np.abs(told[:3, :3] @ told[:3, :3].T - np.eye(3)).max() > _ROTATION:
+        found = "a rotation that is scaled or sheared"
+    elif np.linalg.det(told[:3, :3]) < 0.0:
+        found = "a rotation that is mirrored"
+    if found:
+        raise ValueError(
+            f"the pose is no rigid motion: found {found}; expected a (4, 4) matrix of a rotation, a "
+            "translation in metres and the last row 0 0 0 1"
+        )
+    return told
 
 
 def mount_of(parent: str, translation: Array, quaternion: Array) -> Mount:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from huepose_protos.client import open_session
@@ -17,7 +16,10 @@ from huepose_protos.codec import encode
 from huepose_protos.keys import Keys
 from huepose_protos.local import BASE_PORT, endpoint
 from huepose_protos.messages import MountMessage
-from huepose_protos.motion import mount_of, quaternion_from
+from huepose_protos.motion import SECOND, mount_of, quaternion_from, rigid
+
+_OLDEST_NS = 10 * SECOND
+"""What is told of an arm is a few milliseconds old: an older stamp is of another clock."""
 
 
 class MountSender:
@@ -33,10 +35,17 @@ class MountSender:
 
     def tell(self, T_parent: ArrayLike, stamp_ns: int | None = None) -> None:
         """The pose (4, 4) in `parent` of what `camera.mount` is fixed to, or without that of the camera's
-        optical frame; stamp_ns: when, on this machine's CLOCK_MONOTONIC, by default now."""
-        T, now = np.asarray(T_parent, dtype=np.float64), time.monotonic_ns()
+        optical frame; stamp_ns: when, on this machine's CLOCK_MONOTONIC, by default now. Raises ValueError
+        for what is no rigid motion, and for the stamp of another clock."""
+        T, now = rigid(T_parent), time.monotonic_ns()
+        stamp_ns = now if stamp_ns is None else stamp_ns
+        if not now - _OLDEST_NS <= stamp_ns <= now + SECOND:
+            raise ValueError(
+                f"stamp_ns {stamp_ns} is {(stamp_ns - now) / SECOND:+.1f} s from now: give the "
+                "time.monotonic_ns() at which the robot was there, not time.time_ns()"
+            )
         mount = mount_of(self._parent, T[:3, 3], quaternion_from(T[:3, :3]))
-        message = MountMessage(publish_ns=now, capture_ns=now if stamp_ns is None else stamp_ns, mount=mount)
+        message = MountMessage(publish_ns=now, capture_ns=stamp_ns, mount=mount)
         self._session.put(self._key, encode(message))
 
     def close(self) -> None:

@@ -16,6 +16,7 @@ from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos.buffers import frame_images, mask_of, runs_of
 from huepose_protos.messages import CorrectionMessage, FrameHeader, Intrinsics, PoseMessage
 from huepose_protos.messages import Prior as WirePrior
+from huepose_protos.motion import rigid
 
 S = TypeVar("S", bound=Struct)
 V = TypeVar("V", bound="_Value")
@@ -27,7 +28,6 @@ class _Value(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
 
-_ROTATION = 1e-2
 LARGEST_STEP = 65535
 """Of depth on the wire; what sensors say where they have none."""
 
@@ -37,13 +37,10 @@ BoxTuple = tuple[float, float, float, float]
 
 
 def pose_to_wire(T_cam_obj: Float) -> tuple[Vector, Quaternion]:
-    """Translation and quaternion (xyzw) of a pose (4, 4). Raises ValueError for what is no rotation: a
-    quaternion could not show that it was reflected or stretched."""
-    R = T_cam_obj[:3, :3]
-    if not (np.abs(R @ R.T - np.eye(3)).max() < _ROTATION and np.linalg.det(R) > 0.0):
-        raise ValueError("a pose has no rotation in it")
-    x, y, z = T_cam_obj[:3, 3].tolist()
-    qx, qy, qz, qw = se3.quaternion_from_rotation(T_cam_obj[:3, :3]).tolist()
+    """Translation and quaternion (xyzw) of a pose (4, 4). Raises ValueError for what is no rigid motion."""
+    T = rigid(T_cam_obj)
+    x, y, z = T[:3, 3].tolist()
+    qx, qy, qz, qw = se3.quaternion_from_rotation(T[:3, :3]).tolist()
     return (x, y, z), (qx, qy, qz, qw)
 
 

@@ -1,0 +1,55 @@
+"""What a robot's program tells the camera that it carries: a rigid motion, at a time of the right clock."""
+
+import queue
+import time
+
+import numpy as np
+import pytest
+
+from huepose_protos import decode
+from huepose_protos.messages import MountMessage
+from huepose_protos.mount_sender import MountSender
+
+TURNED = np.array([[0.0, -1.0, 0.0, 0.1], [1.0, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0, 0.3], [0.0, 0.0, 0.0, 1.0]])
+
+
+@pytest.fixture
+def sender(monkeypatch, tmp_path):
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
+    with MountSender("base_link") as sender:
+        yield sender
+
+
+@pytest.mark.parametrize(
+    ("T", "found"),
+    [
+        (2.0 * np.eye(4), "last row"),
+        (np.diag([2.0, 2.0, 2.0, 1.0]), "scaled or sheared"),
+        (np.diag([1.0, 1.0, 0.99, 1.0]), "scaled or sheared"),
+        (np.eye(4) + 0.1 * np.eye(4, k=1), "scaled or sheared"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), "mirrored"),
+        (np.zeros((4, 4)), "last row"),
+        (TURNED.T, "last row"),
+        (np.full((4, 4), np.nan), "not finite"),
+        (np.eye(3), r"shape \(3, 3\)"),
+        (None, r"shape \(\)"),
+    ],
+)
+def test_what_is_no_rigid_motion_is_refused_in_a_sentence(sender, T, found):
+    with pytest.raises(ValueError, match=f"no rigid motion: found .*{found}.*; expected a"):
+        sender.tell(T)
+
+
+@pytest.mark.parametrize("shift_ns", [time.time_ns() - time.monotonic_ns(), 2 * 10**9, -60 * 10**9])
+def test_the_stamp_of_another_clock_is_refused_with_the_right_one(sender, shift_ns):
+    with pytest.raises(ValueError, match=r"s from now: give the time\.monotonic_ns\(\)"):
+        sender.tell(TURNED, time.monotonic_ns() + shift_ns)
+
+
+def test_a_motion_that_is_rigid_to_a_thousandth_is_told(sender):
+    said = queue.SimpleQueue()
+    sender._session.declare_subscriber("huepose/local/cam0/mount", said.put)
+    nearly = TURNED.astype(np.float32) * [[1.0001], [1.0], [1.0], [1.0]]
+    sender.tell(nearly, time.monotonic_ns() - 20_000_000)
+    mount = decode(said.get(timeout=10.0).payload.to_bytes(), MountMessage).mount
+    assert mount.quaternion == pytest.approx((0.0, 0.0, 0.5**0.5, 0.5**0.5), abs=1e-4)

@@ -149,7 +149,9 @@ class ReinitWork(Work):
             for correction in corrections:
                 self._send(correction)
             acquired = {c.object for c in corrections if c.verdict is Verdict.ACQUIRE}
-            followed = {t.object for t in self._tracks.values() if t.T_cam_obj is not None}
+            # In its picture or later: an older pose is of a tracker that has died since.
+            tracks = (t for t in self._tracks.values() if t.stamp_ns >= answer.capture_ns)
+            followed = {t.object for t in tracks if t.T_cam_obj is not None}
             sought = self._sought.get(answer.request_seq, ())
             self._reasons |= reasons_not_seen(sought, answer, acquired, followed)
             if bool(answer.picture) != self._picture_blamed:

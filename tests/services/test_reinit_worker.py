@@ -179,6 +179,21 @@ def test_what_was_found_and_never_followed_is_not_said_to_be_followed(bus, objec
     assert (bus.mug().searching, bus.mug().reason) == (1, "")
 
 
+@pytest.mark.parametrize("since", [0, SECOND // 2])
+def test_a_second_one_is_spoken_of_only_while_the_first_is_followed(bus, objects, step, since):
+    """since: how long before perception's picture the tracker that followed it has died."""
+    objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
+    step()
+    last = pose(0)
+    bus.arriving[PoseMessage].append(last)
+    bus.arriving[Estimates].append(answer(bus, capture_ns=last.capture_ns + since))
+    step()
+    objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=3))
+    step()
+    said = "No place in the picture looks like the object." if since else "No second one is seen."
+    assert (bus.mug().searching, bus.mug().reason) == (2, said)
+
+
 def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus, objects, step):
     step()
     objects.decide(ControlRequest(publish_ns=1, action="reset", object="mug"))

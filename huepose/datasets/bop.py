@@ -2,7 +2,8 @@
 
 https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md: translations are millimetres,
 `depth_scale` takes a depth value to millimetres, `cam_K` is per image. Beyond the format, `timestamp_ns`
-in `scene_camera.json` is the capture time. Scenes without labels, label details or masks can be read, too.
+in `scene_camera.json` is the capture time, and `object` in `scene_gt.json` the reference model's name.
+Scenes without labels, label details or masks can be read, too.
 """
 
 from __future__ import annotations
@@ -119,6 +120,7 @@ class BopScene:
             instance=instance,
             T_cam_obj=files.rigid(R, t_m, where),
             object_id=int(files.numbers(label, "obj_id", (), where)),
+            object=name if isinstance(name := label.get("object"), str) else None,
             visib_fract=visib,
             box_visib=box if box is not None and box.w > 0 and box.h > 0 else None,
             mask_loader=partial(files.read_mask, mask_path) if mask_path.exists() else None,

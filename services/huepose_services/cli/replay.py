@@ -67,7 +67,7 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.bop is not None:
         from huepose_services.recording.export import export_bop
 
-        print(f"{arguments.bop}: {export_bop(_events(recordings), arguments.bop)} frames")
+        print(f"{arguments.bop}: {export_bop(_events(recordings), arguments.bop).text}")
         _say_cut(recordings)
         return 0
     return _play(arguments, recordings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +17,40 @@ from huepose.geometry import se3
 from huepose.support.errors import InputError
 from huepose.support.files import write_text
 from huepose.support.progress import progress
+from huepose.support.words import counted
 from huepose_protos import to_json
 from huepose_protos.buffers import frame_images
 from huepose_protos.keys import tail_of
-from huepose_protos.messages import FrameHeader, PoseMessage, TruthMessage
+from huepose_protos.messages import FrameHeader, PoseMessage, TruthMessage, TruthObject
 from huepose_services.recording.part import GIVEN
 from huepose_services.recording.read import Event
 
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 
-def export_bop(events: Iterable[Event], folder: Path) -> int:
-    """Write them to a new or empty folder; returns the number of frames. Frames keep their numbers; those of
-    a camera that was opened anew go on counting. Truths without BOP numbers are left out.
+@dataclass(frozen=True)
+class Exported:
+    """How many frames were written, of how many the truth, and of how many it could not be."""
+
+    frames: int
+    labelled: int
+    left_out: int
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        said = [counted(self.frames, "frame")]
+        if self.labelled or self.left_out:
+            said.append(f"the truth of {self.labelled}")
+        if self.left_out:
+            why = "in which an object has no pose, or neither name nor number"
+            said.append(f"that of {self.left_out} left out, {why}")
+        return "; ".join(said)
+
+
+def export_bop(events: Iterable[Event], folder: Path) -> Exported:
+    """Write them to a new or empty folder. Frames keep their numbers; those of a camera that was opened anew
+    go on counting. Labels name their objects; those without a BOP number get free ones.
 
     Raises InputError for a folder that has something in it."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -41,6 +63,7 @@ def export_bop(events: Iterable[Event], folder: Path) -> int:
     # Numbers of images are those of frames, moved on where a camera's epoch begins.
     begins: dict[int, int] = {}
     following = 0
+    left_out = set[str]()
     with (folder / "poses.jsonl").open("w") as poses:
         for event in progress(events, f"{folder}: messages"):
             message = event.message
@@ -56,13 +79,17 @@ def export_bop(events: Iterable[Event], folder: Path) -> int:
                     cameras[str(number)] = _camera(message)
             elif isinstance(message, PoseMessage):
                 poses.write(to_json(msgspec.structs.replace(message, frame_id=number)) + "\n")
-            elif all(o.object_id is not None and o.translation is not None for o in message.objects):
+            elif all(_is_label(o) for o in message.objects):
                 truths[str(number)], details[str(number)] = _labels(message)
+            else:
+                left_out.add(str(number))
     write_text(folder / "scene_camera.json", json.dumps(cameras))
+    truths = {number: labels for number, labels in truths.items() if number in cameras}
+    _number_objects([label for labels in truths.values() for label in labels])
     if truths:
-        for name, values in (("scene_gt.json", truths), ("scene_gt_info.json", details)):
-            write_text(folder / name, json.dumps({n: v for n, v in values.items() if n in cameras}))
-    return len(cameras)
+        write_text(folder / "scene_gt.json", json.dumps(truths))
+        write_text(folder / "scene_gt_info.json", json.dumps({n: details[n] for n in truths}))
+    return Exported(len(cameras), len(truths), len(left_out & cameras.keys()))
 
 
 def _write_images(folder: Path, number: int, header: FrameHeader, payload: bytes) -> None:
@@ -81,6 +108,19 @@ def _camera(header: FrameHeader) -> dict[str, Any]:
     }
 
 
+def _is_label(one: TruthObject) -> bool:
+    return one.translation is not None and (one.object_id is not None or one.object is not None)
+
+
+def _number_objects(labels: list[dict[str, Any]]) -> None:
+    """BOP has numbers, and a pipeline may have names alone."""
+    highest = max((label["obj_id"] for label in labels if label["obj_id"] is not None), default=0)
+    names = sorted({label["object"] for label in labels if label["obj_id"] is None})
+    for label in labels:
+        if label["obj_id"] is None:
+            label["obj_id"] = highest + 1 + names.index(label["object"])
+
+
 def _labels(message: TruthMessage) -> tuple[list[Any], list[Any]]:
     labels, details = [], []
     for o in sorted(message.objects, key=lambda one: one.instance):
@@ -92,6 +132,7 @@ def _labels(message: TruthMessage) -> tuple[list[Any], list[Any]]:
                 "cam_R_m2c": rotation.ravel().tolist(),
                 "cam_t_m2c": [1000.0 * v for v in o.translation],
                 "obj_id": o.object_id,
+                "object": o.object,
             }
         )
         box = [-1, -1, -1, -1] if o.box is None else list(o.box)

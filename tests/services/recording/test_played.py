@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from huepose.datasets.bop import BopScene
+from huepose.model.io import model_path, save_model
 from huepose.support.errors import InputError
 from huepose_protos.client import Reader
 from huepose_protos.local import endpoint
@@ -60,6 +61,39 @@ def test_it_is_exported_as_a_bop_scene(tmp_path):
     assert json.loads((folder / "poses.jsonl").read_text())["frame_id"] == 12
     with pytest.raises(InputError, match="a new or empty folder"):
         export_bop([], folder)
+
+
+def test_poses_of_objects_without_numbers_are_scored(tmp_path, tea_box, capsys):
+    """As in the recording of a pipeline of one's own objects, which have names alone."""
+    save_model(tea_box, model_path(tmp_path / "bundles", "tea_box"))
+    out = parts(tmp_path / "out")
+    one = msgspec.structs.replace(
+        EXAMPLES[TruthMessage].objects[0], object="tea_box", object_id=None, visib_fract=1.0
+    )
+    numbered = msgspec.structs.replace(one, object=None, object_id=7, instance=1)
+    nobody = msgspec.structs.replace(numbered, object_id=None)
+    for number, objects in ((0, [one, numbered]), (1, [one]), (2, [one, nobody])):
+        header, color, depth = tiny_frame(number)
+        out.frame(header, color, depth, KEY + "frame")
+        this = {"camera_epoch": header.camera_epoch, "frame_id": number}
+        out.message(KEY + "truth", msgspec.structs.replace(EXAMPLES[TruthMessage], **this, objects=objects))
+        pose = msgspec.structs.replace(
+            POSE,
+            **{**this, "object": "tea_box", "state": "TRACKING"},
+            **{"translation": one.translation, "quaternion": one.quaternion},
+            **{"capture_ns": header.capture_ns, "publish_ns": header.publish_ns},
+        )
+        out.message(KEY + "pose/tea_box/0", pose)
+    out.close()
+    folder, result = tmp_path / "bop", tmp_path / "result.json"
+    assert main(["replay", str(out.path), "--bop", str(folder)]) == 0
+    assert "3 frames; the truth of 2; that of 1 left out, in which an object has" in capsys.readouterr().out
+    labels = BopScene(folder).truths(0)
+    assert [(label.object, label.object_id) for label in labels] == [("tea_box", 8), (None, 7)]
+    arguments = ["--bop", str(folder), "--bundles", str(tmp_path / "bundles"), "--json", str(result)]
+    assert main(["eval", "poses", str(folder / "poses.jsonl"), *arguments]) == 0
+    summary = json.loads(result.read_text())["summary"]
+    assert (summary["instances"], summary["sequences"]["bop"]["recall_add"]) == (2, 100.0)
 
 
 def test_it_is_a_camera(tmp_path):

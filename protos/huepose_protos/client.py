@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import queue
+import re
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -32,6 +33,7 @@ from huepose_protos.messages import (
     PoseMessage,
     TruthMessage,
 )
+from huepose_protos.reach import endpoint_of
 
 _ASK_TIMEOUT_S = 2.0
 _KINDS: dict[str, type[Message]] = {
@@ -110,9 +112,15 @@ def open_session(
 ) -> zenoh.Session:
     """A session that listens nowhere and goes on trying to reach its endpoints, now and after they were gone.
 
-    The files, in PEM, are for endpoints with TLS (`tls/HOST:PORT`): who signed the other side's certificate,
-    and the reader's own certificate and key."""
-    return zenoh.open(peer(endpoints, more=tls_files(authority, certificate, key)))
+    endpoints: as `reach.endpoint_of` takes them. The files, in PEM, are for those with TLS
+    (`tls/HOST:PORT`): who signed the other side's certificate, and the reader's own certificate and key.
+    Raises ValueError for endpoints and files that zenoh cannot use."""
+    meant = [endpoint_of(one, tls=authority is not None) for one in endpoints]
+    try:
+        return zenoh.open(peer(meant, more=tls_files(authority, certificate, key)))
+    except zenoh.ZError as error:
+        said = re.sub(r" at \S+\.rs:\d+\.?", "", " ".join(str(error).split()))[:200]
+        raise ValueError(f"{', '.join(meant)} cannot be used: {said}") from None
 
 
 class Reader:

@@ -6,8 +6,10 @@ The folder is `$HUEPOSE_RUN`, else `huepose` in `$XDG_RUNTIME_DIR`, else `/tmp/h
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -41,6 +43,16 @@ def pose_endpoints(base_port: int = BASE_PORT, folder: Path | str | None = None)
     ['unixsock-stream//run/huepose/17448', 'unixsock-stream//run/huepose/17447']
     """
     return [endpoint(base_port + 1, folder), endpoint(base_port, folder)]
+
+
+def note_of(base_port: int, folder: Path) -> str | None:
+    """Of the pipeline that a process says that it runs there: SITE/CAMERA, from which file."""
+    for note in folder.glob(f"*-{base_port}.json"):
+        with suppress(OSError, ValueError, KeyError):
+            os.kill(int(note.name.partition("-")[0]), 0)
+            said = json.loads(note.read_bytes())
+            return f"{said['site']}/{said['camera']}, from {said['file']},"
+    return None
 
 
 @cache

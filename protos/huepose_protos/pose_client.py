@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import ssl
 import threading
 import time
 from collections import deque
@@ -26,6 +27,7 @@ from huepose_protos.keys import Keys
 from huepose_protos.local import boot_id
 from huepose_protos.messages import CameraMessage, Message, Mount, ObjectsMessage, PoseMessage
 from huepose_protos.motion import PoseAt, carried, mount_at, pose_at
+from huepose_protos.reach import endpoint_of, why_unreached
 
 _KEPT, _TOLD = 64, 512
 _WAITING = 1024
@@ -39,8 +41,9 @@ Instance = tuple[str, str, int]
 class PoseClient:
     """Subscribes to poses at a gateway or, on the pipeline's own machine, at `local.pose_endpoints()`.
 
-    endpoints: `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS the files in PEM of `open_session`. It may be made
-    before the pipeline runs, and finds it again when it was gone; each time it asks for the latest poses.
+    endpoints: `HOST`, `HOST:PORT`, `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS the files in PEM of
+    `open_session`. It may be made before the pipeline runs, and finds it again when it was gone; each time it
+    asks for the latest poses. Where none come, `why_silent()` says what is in the way.
     camera: the only one whose poses are read, else all, each for itself: `pose.frame` says which camera's a
     pose is. object: the only one that is of interest, else all. Can be used from several threads.
 
@@ -71,7 +74,9 @@ class PoseClient:
         inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
         self._outside = (keys.outside(inside), keys.outside(keys.camera_info))
         endpoints = [endpoints] if isinstance(endpoints, str) else list(endpoints)
-        self._session = open_session(endpoints, authority, certificate, key)
+        self._endpoints = [endpoint_of(one, tls=authority is not None) for one in endpoints]
+        self._files = authority, certificate, key
+        self._session = open_session(endpoints, *self._files)
         for expression in (inside, keys.camera_info, *self._outside):
             self._session.declare_subscriber(expression, self._on_sample)
         self._lists = (keys.objects, keys.outside(keys.objects))
@@ -154,6 +159,19 @@ class PoseClient:
     def connected(self) -> bool:
         """Whether there is a link to a gateway or tracker now."""
         return bool(self._session.info.peers_zid())
+
+    def why_silent(self) -> str:
+        """Why no pose comes, in a sentence, as far as this can be found out here; may take seconds."""
+        if self.connected:
+            return "connected, but no object is seen: `huepose status` says why"
+        authority, certificate, key = self._files
+        try:
+            context = ssl.create_default_context(cafile=authority)
+            if certificate is not None:
+                context.load_cert_chain(certificate, key)
+        except OSError as error:
+            return f"authority, certificate and key cannot be used: {getattr(error, 'reason', None) or error}"
+        return why_unreached(self._endpoints, context)
 
     def next(self, timeout_s: float | None = None) -> PoseMessage | None:
         """The next pose that was not returned yet; None after the timeout, or when the client is closed."""

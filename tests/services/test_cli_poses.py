@@ -20,6 +20,8 @@ from huepose_protos.motion import carried
 from huepose_services.cli.main import build_parser, main
 from huepose_services.cli.pose_export import PoseFiles
 from huepose_services.cli.poses import _print
+from huepose_services.runtime.config import load
+from huepose_services.runtime.running import described, noted
 from tests.services.repeating import repeating
 
 NO_POSE = ("translation", "quaternion", "velocity_linear", "velocity_angular", "covariance")
@@ -154,3 +156,25 @@ def test_an_object_that_is_not_looked_for_is_said_with_those_that_are(
         lines = [json.loads(known.stdout.readline()) for _ in range(30)]
         assert {line["object"] for line in lines} == {"jar"}
         known.terminate()
+
+
+@pytest.mark.live
+def test_why_no_pose_comes_in_the_robot_s_frame_is_said_as_it_is(pose, base_port, huepose, tmp_path):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(
+        f"site: lab\nbus: {{base_port: {base_port}}}\ncamera: {{source: synthetic, moving: true}}\n"
+    )
+
+    def publish(number):
+        now = time.monotonic_ns()
+        message = replace(pose, frame_id=number, capture_ns=now, publish_ns=now)
+        session.put(f"huepose/lab/cam0/pose/{pose.object}/0", encode(message))
+
+    config = configured({"listen/endpoints": [endpoint(base_port)], "scouting/multicast/enabled": False})
+    with noted(described(load(path), path)):
+        printing = huepose("poses", "--robot", "--json", "--config", path)
+        lines = iter(printing.stderr.readline, "")
+        assert any(f"lab/cam0, from {path}, is being started" in line for line in lines)
+        with zenoh.open(config) as session, repeating(publish, 0.05):
+            assert any("nobody tells where the camera is" in line for line in lines)
+    printing.terminate()

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from huepose.support.errors import InputError
 from huepose.support.words import counted
 from huepose_services.cli.options import add_choice, add_path, chosen, say, until_told
-from huepose_services.pem import Credentials, why_unreachable
+from huepose_services.pem import Credentials
 
 if TYPE_CHECKING:
     from huepose_protos.client import Reader
@@ -22,23 +22,15 @@ if TYPE_CHECKING:
     from huepose_services.runtime.running import Pipeline
 
 
-_PORT = 7447
 _SAY_AFTER_S, _LOOK_EVERY_S = 3.0, 0.1
 
 
 @dataclass(frozen=True)
 class Gateway:
-    """Where one is, and what it is shown."""
+    """Where one is, as zenoh writes it, and what it is shown."""
 
-    host: str
-    port: int
+    endpoint: str
     credentials: Credentials | None
-
-    @property
-    def endpoint(self) -> str:
-        """As zenoh writes it."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{'tcp' if self.credentials is None else 'tls'}/{host}:{self.port}"
 
     def messages(self, tail: str, stopping: Callable[[], bool], *more: str) -> Iterator[Message]:
         """What it shows under a key, and under others beside it, the latest at once, until stopped. Says on
@@ -68,30 +60,37 @@ class Gateway:
                     say(self._silence(connected, tail))
 
     def _silence(self, connected: bool, tail: str) -> str:
+        from huepose_protos.reach import why_unreached
+
         if connected:
             names = ", or `readers` there does not name this certificate" if self.credentials else ""
             return (
                 f"connected to {self.endpoint}, but nothing is said on {tail}: no pipeline runs there{names}"
             )
-        why = why_unreachable(self.host, self.port, self.credentials)
-        return f"waiting for a gateway at {self.endpoint}: {why or 'it does not answer as one'}"
+        context = None if self.credentials is None else self.credentials.context()
+        return why_unreached([self.endpoint], context)
 
 
 def gateway_of(arguments: argparse.Namespace) -> Gateway | None:
     """The gateway that is meant, None for the pipeline of this machine. Raises InputError."""
+    from huepose_protos.reach import address_of, endpoint_of
+
     if arguments.gateway is None:
         if arguments.tls is not None:
             raise InputError("--tls", found="no --gateway", expected="the gateway that it is for")
         return None
     if arguments.pipeline is not None or arguments.config is not None:
         raise InputError("--gateway", found="--pipeline or --config beside it", expected="one of the three")
-    match = re.fullmatch(r"(?:(?:tcp|tls)/)?(\[[^\]]+\]|[^\[\]:/\s]+)(?::(\d{1,5}))?", arguments.gateway)
-    if match is None or int(match[2] or _PORT) > 65_535:
-        raise InputError("--gateway", found=arguments.gateway, expected="HOST or HOST:PORT")
+    try:
+        address_of(arguments.gateway)
+        host_port = arguments.gateway.removeprefix("tcp/").removeprefix("tls/")
+        endpoint = endpoint_of(host_port, tls=arguments.tls is not None)
+    except ValueError:
+        raise InputError("--gateway", found=arguments.gateway, expected="HOST or HOST:PORT") from None
     credentials = None if arguments.tls is None else Credentials(*arguments.tls)
     if credentials is not None:
         credentials.context()  # an error of the files is said before any waiting
-    return Gateway(match[1].strip("[]"), int(match[2] or _PORT), credentials)
+    return Gateway(endpoint, credentials)
 
 
 _POSES = "pose/**"
@@ -135,7 +134,7 @@ def add_parser(subparsers: Any) -> None:
     )
     add_choice(parser)
     parser.add_argument(
-        "--gateway", metavar="HOST[:PORT]", help=f"read from another machine's gateway (port {_PORT})"
+        "--gateway", metavar="HOST[:PORT]", help="read from another machine's gateway (port 7447)"
     )
     parser.add_argument(
         "--tls",
@@ -239,6 +238,13 @@ class _Only:
         return True
 
 
+_NOT_TOLD = (
+    "poses come, but nobody tells where the camera is: of one that is fixed camera.mount of pipeline.yaml "
+    "does, of one that moves (camera.moving, camera.tf) MountSender of huepose_protos, or /tf by the worker "
+    "ros2 (docs/ros2.md)"
+)
+
+
 def _poses_on_robot(
     arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]
 ) -> Iterator[Message]:
@@ -249,21 +255,20 @@ def _poses_on_robot(
         raise InputError("--robot", found=f"{arguments.key} beside it", expected="poses, a line each")
     endpoints = _endpoints_of_mounted(arguments) if gateway is None else [gateway.endpoint]
     files = {} if gateway is None or gateway.credentials is None else vars(gateway.credentials)
-    say_at, told = time.monotonic() + _SAY_WAITING_AFTER_S, False
+    say_at, said = time.monotonic() + _SAY_WAITING_AFTER_S, ""
     with PoseClient(endpoints, **files) as client:
         while not stopping():
             pose = client.next(_LOOK_EVERY_S)
-            if pose is not None:
-                there = client.on_robot(pose)
-                told = told or there is not None
-                if there is not None:
-                    yield there
-            if not told and time.monotonic() > say_at:
-                say_at = float("inf")
-                say(
-                    "waiting for a camera that says where it is mounted: set camera.mount in pipeline.yaml "
-                    "(docs/ros2.md)"
-                )
+            there = None if pose is None else client.on_robot(pose)
+            if there is not None:
+                say_at, said = time.monotonic() + _SAY_WAITING_AFTER_S, ""
+                yield there
+            elif time.monotonic() > say_at:
+                say_at = time.monotonic() + _SAY_WAITING_AFTER_S
+                unplaced = client.latest(max_age_s=_SAY_WAITING_AFTER_S) is not None
+                before, said = said, _NOT_TOLD if unplaced else client.why_silent()
+                if said != before:
+                    say(said)
 
 
 def _endpoints_of_mounted(arguments: argparse.Namespace) -> list[str]:

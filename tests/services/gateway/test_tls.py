@@ -11,8 +11,9 @@ import zenoh
 from huepose_protos import PoseClient, encode
 from huepose_protos.client import open_session
 from huepose_protos.messages import CorrectionMessage
+from huepose_protos.reach import why_unreachable
 from huepose_services.cli.main import main
-from huepose_services.pem import Credentials, why_unreachable
+from huepose_services.pem import Credentials
 from huepose_services.runtime.config import Config, GatewayConfig
 
 from .conftest import EXAMPLES, credentials, tls
@@ -72,18 +73,26 @@ def test_other_readers_are_let_in_while_it_runs_and_these_sent_away(start, autho
 
 
 def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monkeypatch):
-    monkeypatch.setattr("huepose_services.pem._WITHIN_S", 0.5)
+    monkeypatch.setattr("huepose_protos.reach._WITHIN_S", 0.5)
     one = start(tls=tls(authority))
     shown = {name: Credentials(*credentials(authority, name).values()) for name in ("robot1", "stranger")}
     shown["no authority"] = replace(shown["robot1"], authority=authority / "robot2.pem")
-    reasons = {name: why_unreachable("localhost", one.port, files) for name, files in shown.items()}
+    reasons = {name: why_unreachable("localhost", one.port, files.context()) for name, files in shown.items()}
     assert reasons["robot1"] is None
     assert "does not accept this certificate" in reasons["stranger"]
     assert "its certificate is not accepted" in reasons["no authority"]
-    assert "give --tls" in why_unreachable("localhost", one.port, None)
+    assert "give authority, certificate and key" in why_unreachable("localhost", one.port, None)
     assert why_unreachable("localhost", base_port + 8, None) == "no program listens there"
+    address = f"localhost:{one.port}"
+    for given, files, found in (
+        (f"tls/{address}", credentials(authority, "stranger"), "does not accept this certificate"),
+        (f"tcp/{address}", {}, "give authority, certificate and key"),
+    ):
+        with PoseClient(given, **files) as client:
+            assert client.why_silent().startswith(f"waiting for a gateway at {given}: it ")
+            assert found in client.why_silent()
     with socket.create_server(("127.0.0.1", base_port + 1)):
-        assert "no TLS there" in why_unreachable("127.0.0.1", base_port + 1, shown["robot1"])
+        assert "no TLS there" in why_unreachable("127.0.0.1", base_port + 1, shown["robot1"].context())
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,122 @@
+"""Where a gateway or a worker is, and why it is not reached: zenoh itself says only nothing."""
+
+from __future__ import annotations
+
+import re
+import socket
+import ssl
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from huepose_protos.local import note_of
+
+PORT = 7447
+"""Of a gateway, where nothing else is said."""
+_LOCAL = "unixsock-stream/"
+_WITHIN_S, _REFUSED_WITHIN_S = 3.0, 0.5
+
+
+def address_of(text: str) -> tuple[str, int]:
+    """Host and port of `HOST` or `HOST:PORT`, perhaps after `tcp/` or `tls/`. Raises ValueError.
+
+    >>> address_of("robot.local"), address_of("tls/[::1]:7000")
+    (('robot.local', 7447), ('::1', 7000))
+    """
+    match = re.fullmatch(r"(?:(?:tcp|tls)/)?(\[[^\]]+\]|[^\[\]:/\s]+)(?::(\d{1,5}))?", text)
+    if match is None or int(match[2] or PORT) > 65_535:
+        raise ValueError(
+            f"the gateway: found {text!r}; expected HOST, HOST:PORT, tcp/HOST:PORT or tls/HOST:PORT"
+        )
+    return match[1].strip("[]"), int(match[2] or PORT)
+
+
+def endpoint_of(text: str, tls: bool = False) -> str:
+    """As zenoh writes it; tls: whether a bare host is meant to speak TLS. Raises ValueError.
+
+    >>> endpoint_of("robot.local"), endpoint_of("tls/[::1]:7000"), endpoint_of("unixsock-stream//run/x")
+    ('tcp/robot.local:7447', 'tls/[::1]:7000', 'unixsock-stream//run/x')
+    """
+    kind, slash, _ = text.partition("/")
+    if slash and kind not in ("tcp", "tls") and re.fullmatch(r"[a-z][a-z0-9_-]*", kind):
+        return text
+    host, port = address_of(text)
+    kind = kind if slash else "tls" if tls else "tcp"
+    return f"{kind}/{f'[{host}]' if ':' in host else host}:{port}"
+
+
+def why_unreached(endpoints: Sequence[str], context: ssl.SSLContext | None) -> str:
+    """What is in the way to the first of these, in words; may take seconds. context: what a reader shows to
+    one with TLS."""
+    first = endpoints[0]
+    if first.startswith(_LOCAL):
+        return f"waiting for a pipeline: {_why_none_runs(Path(first.removeprefix(_LOCAL)))}"
+    try:
+        host, port = address_of(first)
+    except ValueError:
+        return f"waiting for {first}"
+    why = why_unreachable(host, port, context if first.startswith("tls/") else None)
+    return f"waiting for a gateway at {first}: {why or 'it does not answer as one'}"
+
+
+def _why_none_runs(socket_of: Path) -> str:
+    port = int(socket_of.name) if socket_of.name.isdigit() else 0
+    for base_port in (port, port - 1):  # where poses are read: at the camera, and at the tracker
+        if (note := note_of(base_port, socket_of.parent)) is not None:
+            return f"{note} is being started; its log says how far it is"
+    return f"none runs at {socket_of}; `huepose up` starts one"
+
+
+def why_unreachable(host: str, port: int, context: ssl.SSLContext | None) -> str | None:
+    """What is in the way to a gateway, in words; None where nothing is found. context: what a reader shows;
+    None without TLS."""
+    try:
+        link = socket.create_connection((host, port), timeout=_WITHIN_S)
+    except socket.gaierror:
+        return "no computer of this name is known"
+    except ConnectionRefusedError:
+        return "no program listens there"
+    except TimeoutError:
+        return "nothing answers there"
+    except OSError as error:
+        return error.strerror or str(error)
+    with link:
+        return _speaks_tls(link) if context is None else _refusal(link, host, context)
+
+
+def _speaks_tls(link: socket.socket) -> str | None:
+    anyone = ssl.create_default_context()
+    anyone.check_hostname, anyone.verify_mode = False, ssl.CERT_NONE
+    try:
+        anyone.wrap_socket(link).close()
+    except OSError:
+        return None
+    return "it speaks TLS: give authority, certificate and key (in a shell: --tls AUTHORITY CERTIFICATE KEY)"
+
+
+def _is_kept(secured: ssl.SSLSocket) -> bool:
+    """Whether the other side holds the link: it says nothing before it is spoken to, and does not end it."""
+    try:
+        return bool(secured.recv(1))
+    except ConnectionError:
+        return False
+
+
+def _refusal(link: socket.socket, host: str, context: ssl.SSLContext) -> str | None:
+    try:
+        with context.wrap_socket(link, server_hostname=host) as secured:
+            # With TLS 1.3 a refusal of our certificate comes after the handshake, otherwise there is silence.
+            secured.settimeout(_REFUSED_WITHIN_S)
+            with suppress(TimeoutError):
+                if not _is_kept(secured):
+                    return "it does not accept this certificate, or has no place for it"
+    except ssl.SSLCertVerificationError as error:
+        return f"its certificate is not accepted: {error.verify_message}"
+    except ssl.SSLError as error:
+        said = str(error.reason or error).replace("_", " ").lower()
+        return f"it does not accept this certificate: {said}" if "alert" in said else f"no TLS there: {said}"
+    except TimeoutError:
+        return "no TLS there: no answer"
+    except OSError as error:
+        return f"no TLS there: {error.strerror or error}"
+    return None

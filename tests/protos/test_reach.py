@@ -1,0 +1,62 @@
+"""Where a client is told to read, and what it says where nothing comes from there."""
+
+import json
+import os
+
+import pytest
+
+from huepose_protos import PoseClient
+from huepose_protos.local import pose_endpoints
+from huepose_protos.reach import endpoint_of
+
+
+@pytest.mark.parametrize(
+    ("given", "tls", "meant"),
+    [
+        ("localhost", False, "tcp/localhost:7447"),
+        ("localhost", True, "tls/localhost:7447"),
+        ("robot.local:7000", False, "tcp/robot.local:7000"),
+        ("tcp/10.0.0.7", True, "tcp/10.0.0.7:7447"),
+        ("tls/robot.local:7000", False, "tls/robot.local:7000"),
+        ("[::1]:7000", False, "tcp/[::1]:7000"),
+        ("unixsock-stream//run/huepose/17448", False, "unixsock-stream//run/huepose/17448"),
+    ],
+)
+def test_a_client_takes_what_the_command_line_takes(given, tls, meant):
+    assert endpoint_of(given, tls) == meant
+
+
+@pytest.mark.parametrize(
+    "given", ["", "a b", "localhost:port", "localhost:99999", "tcp/", "robot/local", "::1"]
+)
+def test_what_is_no_place_is_refused_in_a_sentence(given):
+    with pytest.raises(ValueError, match=r"HOST|cannot be used") as refusal:
+        PoseClient(given)
+    assert "\n" not in str(refusal.value)
+    assert ".cargo" not in str(refusal.value)
+
+
+def test_nobody_at_a_host_is_said():
+    with PoseClient("127.0.0.1:1") as client:
+        said = "waiting for a gateway at tcp/127.0.0.1:1: no program listens there"
+        assert client.why_silent() == said
+
+
+def test_files_that_are_no_certificates_are_said(tmp_path):
+    for name in ("authority", "certificate", "key"):
+        (tmp_path / name).write_text("nothing")
+    files = {name: tmp_path / name for name in ("authority", "certificate", "key")}
+    with PoseClient("127.0.0.1:1", **files) as client:
+        assert "authority, certificate and key cannot be used" in client.why_silent()
+
+
+def test_a_pipeline_that_is_being_started_is_told_from_none(tmp_path):
+    with PoseClient(pose_endpoints(folder=tmp_path)) as client:
+        none = f"waiting for a pipeline: none runs at {tmp_path}/17448; `huepose up` starts one"
+        assert client.why_silent() == none
+        note = {"site": "lab", "camera": "left", "file": "/etc/lab.yaml"}
+        (tmp_path / f"{2**22 + 1}-17447.json").write_text(json.dumps(note))  # of a process that is gone
+        assert client.why_silent() == none
+        (tmp_path / f"{os.getpid()}-17447.json").write_text(json.dumps(note))
+        started = "waiting for a pipeline: lab/left, from /etc/lab.yaml, is being started"
+        assert client.why_silent() == f"{started}; its log says how far it is"

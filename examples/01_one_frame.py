@@ -10,12 +10,16 @@ from pathlib import Path
 from huepose import Estimator, ObjectQuery, load_models
 from huepose.datasets.image_files import read_frame
 from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.support.errors import InputError
 
 if len(sys.argv) < 2:
     sys.exit(__doc__)
 folder = Path(sys.argv[1])
-models = load_models(folder / "bundles")
-frame = read_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")
+try:
+    models = load_models(folder / "bundles")
+    frame = read_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")
+except InputError as error:  # says what to do
+    sys.exit(str(error))
 
 places = ColorPairDetector(models).detect(frame, sorted(models))  # needs no training; or boxes of your own
 queries = [ObjectQuery(place.object, place.box, searched=True) for place in places]

@@ -18,10 +18,8 @@ try:
             if pose is not None:
                 seen = (pose.object, pose.instance, pose.state, f"{pose.quality:.2f}", pose.translation)
                 print(*seen, flush=True)
-            elif client.connected:
-                print("connected, but no object is seen: `huepose status` says why", file=sys.stderr)
             else:
-                print(f"no pipeline runs: `huepose up` starts one (looked at {where[0]})", file=sys.stderr)
+                print(client.why_silent(), file=sys.stderr, flush=True)
 except KeyboardInterrupt:
     pass
 except BrokenPipeError:  # `| head` has read enough, and nothing is left to flush at exit

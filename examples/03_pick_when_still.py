@@ -22,7 +22,7 @@ SAY_EVERY_S = 3.0
 def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
     """T_parent_obj where `camera.mount` says where the camera is on the robot, else T_cam_obj."""
     if client.camera(5.0) is None:
-        sys.exit("no camera says where it is: does `huepose up` run?")
+        sys.exit(f"no camera says where it is: {client.why_silent()}")
     began, start, say_at = 0.0, None, time.monotonic() + SAY_EVERY_S
     while True:
         now = client.at(object=name)  # where it is at this moment; None where nothing is known that is new

@@ -27,7 +27,8 @@ from huepose_protos.keys import Keys
 from huepose_protos.messages import CameraMessage, Mount, ObjectEntry, ObjectsMessage, PoseMessage
 from huepose_services.camera.python import open_source
 from huepose_services.cli.new import write_frame
-from huepose_services.runtime.config import load
+from huepose_services.runtime.config import Config, load
+from huepose_services.runtime.running import described, noted
 from tests.services.repeating import repeating
 
 ROOT = Path(__file__).parents[2]
@@ -68,6 +69,14 @@ def test_a_frame_is_answered(name: str, folder: Path, true_place: np.ndarray) ->
     state, place = answer(name, folder)
     assert state == "TRACKING"
     assert np.allclose(place, true_place, atol=0.005)
+
+
+def test_a_folder_without_a_frame_is_said_in_a_paragraph(tmp_path: Path) -> None:
+    done = subprocess.run(example("01_one_frame.py", tmp_path / "no"), capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith(f"{tmp_path / 'no'}")
+    assert "Traceback" not in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 def test_the_camera_gives_frames(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -124,10 +133,8 @@ def test_the_subscriber_says_what_comes_and_why_nothing_comes(base_port: int) ->
         assert reader.stdout is not None
         assert reader.stderr is not None
         try:
-            assert (
-                f"no pipeline runs: `huepose up` starts one (looked at {endpoint})"
-                in reader.stderr.readline()
-            )
+            said = f"waiting for a gateway at {endpoint}: no program listens there\n"
+            assert reader.stderr.readline() == said
             with published(endpoint, lambda number: tracked()):
                 assert reader.stdout.readline().startswith(f"tea_box {EXAMPLE.instance} TRACKING")
         finally:
@@ -156,6 +163,24 @@ def test_the_subscriber_ends_quietly_with_who_reads_it(base_port: int) -> None:
             assert reader.stderr.read() == ""
         finally:
             reader.terminate()
+
+
+@pytest.mark.live
+@pytest.mark.parametrize("name", ["02_live_subscriber.py", "03_pick_when_still.py"])
+def test_a_pipeline_that_is_being_started_is_told_from_none(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
+    with noted(described(Config(), tmp_path / "pipeline.yaml")):
+        command = example(name, *(["tea_box"] if name.startswith("03") else []))
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as reader:
+            assert reader.stderr is not None
+            try:
+                line = reader.stderr.readline()
+            finally:
+                reader.terminate()
+    said = f"waiting for a pipeline: local/cam0, from {tmp_path / 'pipeline.yaml'}, is being started"
+    assert said in line
 
 
 @pytest.mark.live

@@ -86,6 +86,13 @@ def test_poses_to_be_acted_on_are_written_for_calibration_and_as_trajectories(po
     assert [float(value) for value in line.split()[1:]] == [0.1, 0.2, 0.8, 0.0, 0.0, 0.0, 1.0]
 
 
+def test_the_help_says_how_poses_of_a_bag_are_matched_with_its_pictures(capsys):
+    with pytest.raises(SystemExit):
+        build_parser().parse_args(["poses", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert "the time of playing; its pictures are known by `frame` of --csv" in said
+
+
 def test_files_of_poses_and_other_ways_to_print_them_do_not_go_together(tmp_path, capsys):
     assert main(["poses", "--csv", str(tmp_path / "a.csv"), "--robot"]) == 2
     assert "found --robot beside it" in capsys.readouterr().err

@@ -97,7 +97,12 @@ _POSES = "pose/**"
 # Keys that could be an object's name.
 _NAMES = frozenset({"frame", "truth", "camera", "mount", "objects", "control", "correction"})
 _CSV_HELP = (
-    "frame, object, position in metres and quaternion x y z w in the camera's frame, instance, stamp, quality"
+    "frame, object, position in metres and quaternion x y z w in the camera's frame, instance, stamp of the "
+    "capture, quality"
+)
+_PLAYED = (
+    "of a bag or recording that is played, the time of playing; its pictures are known by `frame` of --csv, "
+    "their number from 0 on the first pass"
 )
 _HEADING = (
     " frame object/instance state quality   position x y z   rotation as a quaternion x y z w   "
@@ -125,12 +130,12 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="poses in the frame that the camera is mounted in (camera.mount of pipeline.yaml)",
     )
-    add_path(parser, "--csv", "FILE.csv", f"write TRACKING poses there instead: {_CSV_HELP}")
+    add_path(parser, "--csv", "FILE.csv", f"write TRACKING poses there instead: {_CSV_HELP} ({_PLAYED})")
     add_path(
         parser,
         "--tum",
         "DIR",
-        "write TRACKING poses there instead, OBJECT_INSTANCE.txt each, in TUM's format",
+        "write TRACKING poses there instead, OBJECT_INSTANCE.txt each, in TUM's format, stamps as with --csv",
     )
     add_choice(parser)
     parser.add_argument(

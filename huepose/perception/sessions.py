@@ -143,10 +143,7 @@ def open_network(
 
     settings = settings or NetworkSettings()
     check_file(path, sha256)
-    have = ort.get_available_providers()
-    wanted = [key for key in settings.providers if PROVIDERS[key] in have]
-    if not wanted:
-        raise _no_provider(settings, have)
+    wanted = providers_here(settings)
     options = ort.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = settings.threads, 1
     # Waiting threads would spin, and take the core from the workers beside this one.
@@ -164,8 +161,21 @@ def open_network(
         ) from None
     network = Network(session, path)
     if network.provider not in settings.providers:
+        have = ort.get_available_providers()
         raise _no_provider(settings, [*have, f"of which {', '.join(wanted)} could not be started"])
     return network
+
+
+def providers_here(settings: NetworkSettings) -> list[str]:
+    """Those of the providers that this ONNX Runtime has, which is not to say that they can be started.
+    Raises InputError where it has none of them."""
+    import onnxruntime as ort
+
+    have = ort.get_available_providers()
+    wanted = [key for key in settings.providers if PROVIDERS[key] in have]
+    if not wanted:
+        raise _no_provider(settings, have)
+    return wanted
 
 
 def _no_provider(settings: NetworkSettings, have: Sequence[str]) -> InputError:

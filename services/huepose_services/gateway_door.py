@@ -248,11 +248,20 @@ def _changed(gateway: GatewayConfig) -> list[tuple[int, int]]:
     return out
 
 
-def _listener(gateway: GatewayConfig, section: str) -> socket.socket:
-    host, port = gateway.listen.rsplit(":", 1)
+def check_door(gateway: GatewayConfig, section: str) -> None:
+    """Raises InputError for what no Door can be made of, but for a port that is taken."""
+    _context(gateway, section)
+    _listener(gateway, section, port=0).close()
+
+
+def _listener(gateway: GatewayConfig, section: str, port: int | None = None) -> socket.socket:
+    """port: in the place of the one that is set, 0 for any."""
+    host, own = gateway.listen.rsplit(":", 1)
     try:
-        listener = socket.create_server((host.strip("[]"), int(port)), backlog=PENDING)
-    except (OSError, OverflowError) as error:
+        listener = socket.create_server(
+            (host.strip("[]"), int(own) if port is None else port), backlog=PENDING
+        )
+    except OSError as error:
         raise InputError(
             f"{section}.listen {gateway.listen}",
             found=getattr(error, "strerror", None) or str(error),

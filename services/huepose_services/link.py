@@ -20,7 +20,7 @@ from huepose_protos.client import tls_files
 from huepose_protos.keys import Keys
 from huepose_protos.messages import Detections, Estimates, FrameHeader, Look, Masks
 from huepose_services.gateway_door import Door
-from huepose_services.gateway_session import allowed, check_files, open_behind_door, outside_settings
+from huepose_services.gateway_session import allowed, check_outside, open_behind_door, outside_settings
 from huepose_services.pem import Credentials
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config, GatewayConfig, TlsConfig
@@ -51,11 +51,9 @@ def taken_up(config: Config, keys: Keys) -> tuple[str, type[Look] | type[Detecti
 
 
 def check_link(config: Config) -> None:
-    """Whether the files of this side are there. Raises InputError."""
+    """Whether the files of this side are there, and its address is. Raises InputError."""
     if "uplink" in config.workers:
-        tls = _door(config).tls
-        assert tls is not None
-        check_files(tls, "link")
+        check_outside(_door(config), "link")
     elif "downlink" in config.workers:
         credentials(config).context()
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 
 from huepose.perception.flow_network import NetworkFlow
 from huepose.perception.sam import SamSegmenter
-from huepose.perception.sessions import Network, NetworkSettings, open_network
+from huepose.perception.sessions import Network, NetworkSettings, open_network, providers_here
 from huepose.perception.yolo import YoloDetector, class_names
 from huepose.propose.flow import FlowSource, compute
 from huepose.propose.relative_pose import RelativePose, RobustKabsch
@@ -52,19 +53,31 @@ def opened(config: Config, named: str, *, half: bool = True) -> Network:
 
 
 def check(config: Config) -> None:
-    """Raises InputError when a network that a worker will open is not there, damaged, or of the wrong kind.
+    """Raises InputError when a network that a worker will open is not there, damaged, or of the wrong kind,
+    or nothing that may run it is installed.
 
-    On the processor: building engines for a GPU takes minutes, and is the worker's own affair."""
-    on_cpu = msgspec.structs.replace(
+    It is opened on the processor: building engines for a GPU takes minutes, and is the worker's affair."""
+    workers = config.workers
+    networks: list[Callable[[Config], object]] = []
+    if "detector" in workers and config.detector.kind == "yolo":
+        networks.append(yolo)
+    if "segmenter" in workers and config.segmenter.kind == "sam":
+        networks.append(sam)
+    if "tracker" in workers and config.tracker.flow == "neuflow":
+        networks.append(flow)
+    if networks:
+        providers_here(settings(config))
+    for opened_as in networks:
+        opened_as(on_processor(config))
+    if "tracker" in workers:
+        relative_pose(config)
+
+
+def on_processor(config: Config) -> Config:
+    """The same with networks that run on the processor alone."""
+    return msgspec.structs.replace(
         config, networks=msgspec.structs.replace(config.networks, providers=("cpu",))
     )
-    if "detector" in config.workers and config.detector.kind == "yolo":
-        yolo(on_cpu)
-    if "segmenter" in config.workers and config.segmenter.kind == "sam":
-        sam(on_cpu)
-    if "tracker" in config.workers:
-        flow(on_cpu)
-        relative_pose(on_cpu)
 
 
 def yolo(config: Config) -> tuple[YoloDetector, Network]:

@@ -60,6 +60,12 @@ GOOD = "camera: {truth: true}\n"
             ["camera.mount.parent", "found c", "expected b"],
         ),
         ("bus: {base_port: 80}", ["bus.base_port", "found 80", "a whole number of 1024 or more"]),
+        ("gateway: {listen: 'localhost:99999'}", ["gateway.listen", "localhost:99999", "65535 or less"]),
+        ("link: {listen: '0.0.0.0:65536'}", ["link.listen", "0.0.0.0:65536", "65535 or less"]),
+        (
+            "gateway: {listen: 'localhost:65535'}\ncameras: [{name: a}, {name: b}]",
+            ["gateway.listen", "localhost:65536", "65535 or less"],
+        ),
         ("- 1", ["the whole file", "found [1]"]),
         ("camera: [", ["YAML", "line 1"]),
         ("site: a\n\tworkers: [camera]", ["line 2", "\\t"]),
@@ -206,3 +212,27 @@ def test_validate_says_that_a_drawn_scene_shows_one_of_each(tmp_path, capsys):
     path.write_text("objects: [{name: tea_box}]\ncamera: {source: synthetic}\n")
     assert main(["validate", str(path)]) == 0
     assert "one of each" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("cpus: {tracker: [1022]}", "cpus: found 1022; expected processors of this computer"),
+        ("gateway: {listen: '192.0.2.1:7447'}", "gateway.listen 192.0.2.1:7447: found"),
+        ("gateway: {tls: {authority: a.pem, certificate: b.pem, key: c.pem}}", "gateway.tls.authority"),
+    ],
+)
+def test_what_a_worker_would_refuse_as_it_starts_is_refused_before(tmp_path, capsys, text, says):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(f"workers: [camera, tracker, gateway]\ncamera: {{source: synthetic}}\n{text}\n")
+    for verb in ("validate", "up"):
+        assert main([verb, str(path)]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith(f"huepose {verb}: "), "no worker was started to say so"
+        assert says in said
+
+
+def test_a_worker_that_does_not_run_here_is_not_asked_about(tmp_path):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("workers: [camera]\ncpus: {tracker: [1022]}\ngateway: {listen: '192.0.2.1:7447'}\n")
+    assert main(["validate", str(path)]) == 0

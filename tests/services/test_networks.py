@@ -9,10 +9,12 @@ from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
+import onnxruntime as ort
 import pytest
 
 from huepose.paper.rotation_network import ResidualRotation, RotationFirst
 from huepose.perception.flow_network import NetworkFlow
+from huepose.perception.sessions import PROVIDERS
 from huepose.propose.flow import compute
 from huepose.propose.relative_pose import RobustKabsch
 from huepose.support.errors import InputError
@@ -193,6 +195,15 @@ def test_paths_are_relative_to_the_file_and_digests_by_file_name(mine, tmp_path)
     deployed.check(parse(text.format(mine.name, mine.name, right), tmp_path / "p.yaml"))
     with pytest.raises(InputError, match="expected " + "0" * 64):
         deployed.check(parse(text.format(mine.name, mine.name, "'" + "0" * 64 + "'"), tmp_path / "p.yaml"))
+
+
+def test_a_provider_that_is_not_installed_is_refused_before_a_worker_needs_it(mine, tmp_path):
+    yolo = f"detector: {{kind: yolo, model: {mine.name}, classes: {{mug: 0}}}}\n"
+    missing = next(key for key, name in PROVIDERS.items() if name not in ort.get_available_providers())
+    deployed.check(parse(f"{yolo}networks: {{providers: [{missing}, cpu]}}", tmp_path / "p.yaml"))
+    with pytest.raises(InputError, match=f"execution providers .* expected one of {missing}. Add cpu"):
+        deployed.check(parse(f"{yolo}networks: {{providers: [{missing}]}}", tmp_path / "p.yaml"))
+    deployed.check(parse(f"networks: {{providers: [{missing}]}}", tmp_path / "p.yaml"))
 
 
 def test_without_classes_they_are_called_as_the_objects_are(tmp_path):

@@ -21,6 +21,8 @@ Hosts = Annotated[dict[Name, tuple[Far, ...]], Meta(max_length=1)]
 PERCEPTION: tuple[Far, ...] = ("detector", "segmenter", "estimator")
 """The workers that may run on a second computer, each after the one whose answers it needs."""
 
+_LAST_PORT = 65_535
+
 PORTS_OF_A_CAMERA = 20
 """Between the first ports of two cameras of a file: room for workers to come."""
 
@@ -65,7 +67,17 @@ def of_cameras(config: Config, path: Path) -> list[Config]:
 
 
 def check_ports(config: Config, refuse: Refuse) -> None:
-    """The gateway must not listen where the router of ROS 2 does: both have 7447 by default."""
+    """Each address has a port, and the gateway does not listen where the router of ROS 2 does: both have 7447
+    by default."""
+    addresses = {
+        "gateway.listen": config.gateway.listen,
+        "link.listen": config.link.listen,
+        "link.connect": config.link.connect,
+    }
+    for key, address in addresses.items():
+        if address is not None and int(address.rpartition(":")[2]) > _LAST_PORT:
+            fix = "Where there are several cameras, each gets the next port."
+            refuse(key, address, f"a port of {_LAST_PORT} or less", fix)
     router = config.ros2.connect.partition("/")[2]
     host, _, port = router.rpartition(":")
     here = host in ("localhost", "127.0.0.1", "[::1]")

@@ -6,6 +6,7 @@ from huepose.support.errors import InputError
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.run_folder import is_taken, make_folder
 from huepose_services.runtime.running import port_taken
+from huepose_services.runtime.threads import check_processors
 
 
 def prepare(config: Config) -> None:
@@ -30,9 +31,11 @@ def prepare(config: Config) -> None:
 
 
 def check(config: Config) -> None:
-    """Whether a configuration can be started; changes nothing."""
+    """Whether a configuration can be started, as far as that is known before workers are; changes nothing."""
     from huepose.model.io import load_models
 
+    for worker in config.workers:
+        check_processors(config.cpus.get(worker, ()))
     if config.bundles is None and config.objects:
         _check_builtin(config)
     elif config.bundles is not None and (config.objects or config.uses_models):
@@ -47,6 +50,10 @@ def check(config: Config) -> None:
 
         # Once: a worker must not be the first to find that one is damaged.
         networks.check(config)
+    if "gateway" in config.workers:
+        from huepose_services.gateway_session import check_outside
+
+        check_outside(config.gateway)
     if config.hosts:
         from huepose_services.link import check_link
 

@@ -20,7 +20,6 @@ from typing import cast
 
 import cv2
 
-from huepose.support.errors import InputError
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config, WorkerName
@@ -29,6 +28,7 @@ from huepose_services.runtime.log import Log
 from huepose_services.runtime.pulse import Pulse
 from huepose_services.runtime.reload import Reload, asked_again
 from huepose_services.runtime.session import open_worker_session
+from huepose_services.runtime.threads import check_processors
 from huepose_services.runtime.work import Work
 
 TELL_WHERE = signal.SIGUSR2
@@ -85,13 +85,7 @@ def come_first(worker: str) -> None:
 def keep_to(processors: Collection[int]) -> None:
     """This process and its threads to come run on these processors only; on any where there are none. Raises
     InputError for one that it may not use."""
-    allowed = os.sched_getaffinity(0)
-    if strange := sorted(set(processors) - allowed):
-        raise InputError(
-            "cpus",
-            found=", ".join(map(str, strange)),
-            expected=f"processors of this computer that the pipeline may use: {sorted(allowed)}",
-        )
+    check_processors(processors)
     if processors:
         os.sched_setaffinity(0, processors)
 

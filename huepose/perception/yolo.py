@@ -21,7 +21,7 @@ numbers. With one or two classes some shapes fit two layouts: then the layout ha
 from __future__ import annotations
 
 import ast
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -71,6 +71,10 @@ class YoloDetector:
         output = network.run({network.inputs[0].name: grey})[network.outputs[0].name]
         self.layout = _layout(network, output, self._input_size, layout)
         self._classes = self._numbers(classes, classes_in(self.layout, output.shape))
+
+    def without_class(self, names: Iterable[str]) -> list[str]:
+        """Those of these objects that no class means: they get no box, whatever is in the picture."""
+        return [name for name in names if not self._classes.get(name)]
 
     def _numbers(
         self, classes: Mapping[str, Sequence[Class]], count: int | None

@@ -106,6 +106,11 @@ class SeenBoxes(BoxFinder):
         self._detector = detector
         self._frame: RgbdFrame | None = None
 
+    @property
+    def objects(self) -> list[str]:
+        """Those that it knows."""
+        return list(self._outlines)
+
     def look(self, frame: RgbdFrame) -> None:
         """The frame that the next request is about."""
         self._frame = frame

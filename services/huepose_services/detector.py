@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from huepose.geometry import Box
@@ -45,7 +45,8 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         detector, network = networks.yolo(config)
         bus.log.say(f"YOLO of layout {detector.layout} on {network.provider}: {network.path.name}")
         bus.health.count(f"provider_{network.provider}")
-        return DetectorWork(bus, SeenBoxes(outlines, detector), follower)
+        seen = SeenBoxes(outlines, detector)
+        return DetectorWork(bus, seen, follower, lacks=lambda: networks.never_boxed(detector, seen.objects))
     if config.detector.kind == "colorpair":
         settings = profile(config.profile).detector
         settings = replace(settings, threads=config.detector.threads, remembering=True)
@@ -65,9 +66,12 @@ class DetectorWork(Work):
         finder: BoxFinder,
         objects: Follower[ReferenceModel],
         check_camera: bool = True,
+        lacks: Callable[[], str] = str,
     ) -> None:
         self._bus, self._finder, self._objects = bus, finder, objects
         self._hints = Hints()
+        self._lacks = lacks
+        self._tell_what_it_lacks()
         self._requests = Requests(bus, looks=True)
         self._truths = bus.inbox.queue(bus.keys.truth) if isinstance(finder, TruthBoxes) else None
         self._check_camera, self._colours = check_camera, ""
@@ -98,6 +102,10 @@ class DetectorWork(Work):
                 self._finder.add(change.added)
             if entry.box is not None:
                 self._hints.point(entry.object, box_from_wire(entry.box), now_ns())
+            self._tell_what_it_lacks()
+
+    def _tell_what_it_lacks(self) -> None:
+        self._bus.health.warn_while("classes", self._lacks() or None)
 
     def _answer(self, request: PerceptionRequest, header: FrameHeader, payload: bytes) -> None:
         started, health = now_ns(), self._bus.health

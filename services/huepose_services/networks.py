@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import msgspec
@@ -96,6 +96,17 @@ def yolo(config: Config) -> tuple[YoloDetector, Network]:
         overlap=detector.overlap,
     )
     return found, network
+
+
+def never_boxed(detector: YoloDetector, names: Iterable[str]) -> str:
+    """A sentence on those of the objects that a detector never gives a box, empty where there are none."""
+    missing = detector.without_class(names)
+    if not missing:
+        return ""
+    return (
+        f"The detector's network has no class for {', '.join(missing)}, so it never gives a box for that. "
+        "Name one in detector.classes, or show where it is (huepose objects reset NAME --box X Y W H)."
+    )
 
 
 def _by_name(network: Network, wanted: list[str]) -> dict[str, list[int | str]]:

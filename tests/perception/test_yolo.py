@@ -110,6 +110,11 @@ def test_classes_by_name_come_from_the_file(tmp_path):
         YoloDetector(network, {"mug": [3]})
 
 
+def test_an_object_that_no_class_means_is_told(tmp_path):
+    detector = YoloDetector(_network(tmp_path, OUTPUTS["v8"]()), {"mug": [2], "can": []})
+    assert detector.without_class(["mug", "can", "pan"]) == ["can", "pan"]
+
+
 def test_a_network_of_80_classes_without_names_has_those_of_coco(tmp_path):
     rows = np.zeros((GRID, 84), np.float32)
     rows[5] = [*_input_box(8), *np.eye(80)[41] * 0.9]

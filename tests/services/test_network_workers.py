@@ -1,24 +1,35 @@
 """Detector and segmenter with networks of known answers, on a real bus: a request in, the known mask out."""
 
+from dataclasses import replace
+
+import msgspec
 import numpy as np
 import pytest
 import zenoh
 
 from huepose.geometry import Box, Camera, RgbdFrame
-from huepose.model import save_model
+from huepose.model import load_models, save_model
 from huepose_protos.buffers import mask_of
 from huepose_protos.messages import Detections, FrameHeader, Masks, PerceptionRequest, RequestedObject
 from huepose_services import detector, segmenter
 from huepose_services.camera.publish import packed
+from huepose_services.cli.main import main
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
-from huepose_services.runtime.config import parse
+from huepose_services.runtime.config import ObjectConfig, parse
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.session import open_reader_session, zenoh_config
 from tests.perception import networks
 
 BOX = Box(200.0, 120.0, 160.0, 200.0)
+TEXT = """
+        workers: [detector, segmenter]
+        bundles: bundles
+        objects: [{name: tea_box}]
+        detector: {kind: yolo, model: yolo.onnx, classes: {tea_box: 1}}
+        segmenter: {kind: sam, encoder: encoder.onnx, decoder: decoder.onnx}
+"""
 
 
 @pytest.fixture
@@ -31,14 +42,7 @@ def config(tmp_path, tea_box, base_port):
     # 640 x 480 in 64 x 64: a tenth, 8 rows from the top.
     rows[4] = [BOX.x / 10, BOX.y / 10 + 8, BOX.x1 / 10, BOX.y1 / 10 + 8, 0.8, 1]
     networks.constant_output(tmp_path / "yolo.onnx", rows[None])
-    text = """
-        workers: [detector, segmenter]
-        bundles: bundles
-        objects: [{name: tea_box}]
-        detector: {kind: yolo, model: yolo.onnx, classes: {tea_box: 1}}
-        segmenter: {kind: sam, encoder: encoder.onnx, decoder: decoder.onnx}
-    """
-    return parse(text + f"\n        bus: {{base_port: {base_port}}}", tmp_path / "pipeline.yaml")
+    return parse(TEXT + f"\n        bus: {{base_port: {base_port}}}", tmp_path / "pipeline.yaml")
 
 
 @pytest.fixture
@@ -72,6 +76,29 @@ def _answer(ask, work, bus, place, kind, wait_until):
 
     wait_until(answered)
     return answers[0]
+
+
+def test_an_object_that_the_network_has_no_class_for_is_told_from_the_start(config, buses, tmp_path, capsys):
+    """By validate and by the worker's health, until there is a class or nobody looks for it any more."""
+    known = load_models(config.bundles, ["tea_box"])["tea_box"]
+    save_model(replace(known, name="can"), tmp_path / "bundles" / "can.huepose")
+    objects = [ObjectConfig(name="tea_box"), ObjectConfig(name="can")]
+    file = tmp_path / "pipeline.yaml"
+    text = TEXT.replace("[{name: tea_box}]", "[{name: tea_box}, {name: can}]")
+    file.write_text(text + "\n        camera: {source: realsense}")
+    assert main(["validate", str(file)]) == 0
+    said = "The detector's network has no class for can, so it never gives a box"
+    assert f"NOTE     {said}" in capsys.readouterr().out
+    file.write_text(
+        text.replace("tea_box: 1", "tea_box: 1, can: 0") + "\n        camera: {source: realsense}"
+    )
+    assert main(["validate", str(file)]) == 0
+    assert "never gives a box" not in capsys.readouterr().out
+    worker, _ = buses
+    detector.make(worker, msgspec.structs.replace(config, objects=objects))
+    assert [w for w in worker.health.message().warnings if w.startswith(said)]
+    detector.make(worker, config)
+    assert not [w for w in worker.health.message().warnings if "never gives a box" in w]
 
 
 def test_what_the_detector_sees_is_what_the_segmenter_outlines(config, buses, wait_until):

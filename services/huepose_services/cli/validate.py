@@ -78,8 +78,8 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
-    for limited in _limited(config):
-        summary += f"\n  NOTE     {limited}"
+    for note in (*_limited(config), *_never_boxed(config)):
+        summary += f"\n  NOTE     {note}"
     if one_of_each := _drawn_once(config):
         summary += f"\n  scene    {one_of_each}"
     if config.camera.mount is not None:
@@ -102,6 +102,18 @@ def _limited(config: Config) -> list[str]:
 
     folder = models.bundles_folder(config)
     return [said for model in models.load(config).values() if (said := models.limits(folder, model))]
+
+
+def _never_boxed(config: Config) -> list[str]:
+    """A sentence where the detector's network knows only some of the objects."""
+    if config.detector.kind != "yolo" or "detector" not in config.workers:
+        return []
+    from huepose_services import models, networks
+
+    detector, _ = networks.yolo(networks.on_processor(config))
+    names = [item.name for item in config.objects] or ([] if config.bundles is None else models.load(config))
+    said = networks.never_boxed(detector, names)
+    return [said] if said else []
 
 
 def _drawn_once(config: Config) -> str:

@@ -15,6 +15,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.hand_eye_methods import CLOSED_FORMS, Method, disagreement, rotation_vectors
 from huepose.support.errors import InputError
+from huepose.support.words import counted
 
 FEWEST = 4
 """Measurements: three moves are the fewest whose rotations also show how well they agree."""
@@ -49,16 +50,18 @@ def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
     if len(A) < FEWEST:
         raise InputError(
             "hand-eye calibration",
-            found=f"{len(A)} measurements",
+            found=counted(len(A), "measurement"),
             expected=f"{FEWEST} or more, better twelve, with the hand turned about different axes",
         )
     M, alpha = moves(A)  # M X = X N
     N, _ = moves(np.array([se3.inverse(b) for b in B]))
-    spread = np.linalg.svd(alpha, compute_uv=False)[1] / np.sqrt(len(alpha))
+    most, spread = np.linalg.svd(alpha, compute_uv=False)[:2] / np.sqrt(len(alpha))
     if spread < LEAST_SPREAD_RAD:
         raise InputError(
             "hand-eye calibration",
-            found=f"turns about one axis alone ({np.degrees(spread):.1f} degrees about any other)",
+            found=f"next to no turns of the hand ({np.degrees(most):.1f} degrees)"
+            if most < LEAST_SPREAD_RAD
+            else f"turns about one axis alone ({np.degrees(spread):.1f} degrees about any other)",
             expected="the hand turned about two axes or more, by 20 degrees or more",
         )
     X = CLOSED_FORMS[method](M, N)

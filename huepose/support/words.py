@@ -1,6 +1,8 @@
-"""Numbers in sentences."""
+"""Numbers and names in sentences."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 
 def counted(number: int, thing: str) -> str:
@@ -19,6 +21,19 @@ def known(value: float | None, form: str = ".1f", unit: str = "") -> str:
     ('93.3', '-', '1.50 s')
     """
     return "-" if value is None else f"{value:{form}}{unit}"
+
+
+def listed(names: Sequence[str], longest: int = 200) -> str:
+    """Names with commas between them, as many as so many characters hold, and how many more there are.
+
+    >>> listed(["box", "can", "mug"]), listed(["box", "tin can", "mug", "jug"], 14)
+    ('box, can, mug', 'box, tin can and 2 more')
+    """
+    shown = list(names)
+    while len(", ".join(shown)) > longest and len(shown) > 1:
+        shown.pop()
+    left = len(names) - len(shown)
+    return ", ".join(shown) + (f" and {left} more" if left else "")
 
 
 def rounded(value: float) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from huepose.propose.flow import FlowSource, compute
 from huepose.propose.relative_pose import RelativePose, RobustKabsch
 from huepose.support.errors import InputError
 from huepose.support.files import cache_folder
+from huepose.support.words import listed
 from huepose_services.catalogue import entry_of
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import is_network_file
@@ -114,11 +116,16 @@ def _by_name(network: Network, wanted: list[str]) -> dict[str, list[int | str]]:
     names = class_names(network, None)
     missing = [name for name in wanted if name not in names]
     if missing or not names:
+        one = missing[0] if missing else "cereal_box"
+        meant = difflib.get_close_matches(one, names, 1)
         raise InputError(
             f"{network.path}: classes",
-            found=", ".join(names) or "no names in the file",
-            expected=f"one of the name of {', '.join(missing) or 'each object'}",
-            fix="Say in detector.classes what the network calls it, for example {cereal_box: [0]}.",
+            found=f"none called {', '.join(missing)}, but {listed(names)}"
+            if names
+            else "no names in the file",
+            expected="a class that is called as the object is, for each",
+            fix="Say in detector.classes what the network calls it, for example "
+            f"{{{one}: {meant[0] if meant else 0}}}.",
         )
     return {name: [name] for name in wanted or names}
 

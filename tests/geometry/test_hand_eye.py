@@ -60,8 +60,14 @@ def test_a_wild_measurement_is_seen_and_does_little() -> None:
 def test_moves_that_cannot_tell_are_refused() -> None:
     with pytest.raises(InputError, match="one axis"):
         hand_eye.solve(*measured(8, axis=np.array([0.0, 0.0, 1.0])))
+    A, B = measured(8)
+    A[:, :3, :3] = np.eye(3)
+    with pytest.raises(InputError, match=r"found next to no turns of the hand \(0\.0 degrees\); expected"):
+        hand_eye.solve(A, B)
     with pytest.raises(InputError, match="3 measurements"):
         hand_eye.solve(*measured(3))
+    with pytest.raises(InputError, match="found 1 measurement;"):
+        hand_eye.solve(*measured(1))
 
 
 def test_the_error_that_is_told_is_that_of_many_tries() -> None:

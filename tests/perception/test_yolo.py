@@ -119,6 +119,8 @@ def test_a_network_of_80_classes_without_names_has_those_of_coco(tmp_path):
     rows = np.zeros((GRID, 84), np.float32)
     rows[5] = [*_input_box(8), *np.eye(80)[41] * 0.9]
     classes = {"mug": ["cup"], "bottle": ["bottle"]}
+    with pytest.raises(InputError, match=r"cat, dog, [a-z ,]* and \d+ more\).*Did you mean 'book'\?"):
+        YoloDetector(_network(tmp_path, rows.T), {"novel": ["bok"]}, layout="v8")
     detector = YoloDetector(_network(tmp_path, rows.T), classes, layout="v8")
     assert [d.object for d in detector.detect(_frame(), ["mug", "bottle"])] == ["mug"]
 

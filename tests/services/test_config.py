@@ -134,11 +134,18 @@ def test_each_of_several_cameras_has_a_configuration_of_its_own(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "text", [SEVERAL + "camera: {source: oak}", "cameras: [{name: a}, {name: b}, {name: a}]"]
+    ("text", "says"),
+    [
+        (SEVERAL + "camera: {source: oak}", "found `camera` and `cameras`; expected one of them."),
+        (SEVERAL + "camera: {source: synthetic}", "found `camera` and `cameras`; expected one of them."),
+        ("cameras: [{name: a}, {name: b}, {name: a}]", "found the names a, b, a; expected every name once."),
+        ("cameras: [{}, {}]", "found the names cam0, cam0; expected every name once."),
+    ],
 )
-def test_either_one_camera_or_several_each_with_a_name(text):
-    with pytest.raises(InputError, match="either `camera` or `cameras`"):
+def test_either_one_camera_or_several_each_with_a_name(text, says):
+    with pytest.raises(InputError) as error:
         parse(text, Path("p.yaml"))
+    assert str(error.value).startswith(f"p.yaml: cameras: {says}")
 
 
 def test_the_default_file_shows_every_key_with_its_default():

@@ -213,8 +213,8 @@ def test_without_classes_they_are_called_as_the_objects_are(tmp_path):
     text = "detector: {{kind: yolo, model: {}.onnx}}\nobjects: [{}]"
     deployed.check(parse(text.format("named", "{name: jug}"), tmp_path / "p.yaml"))
     deployed.check(parse(text.format("named", ""), tmp_path / "p.yaml"))
-    with pytest.raises(InputError, match=r"found mug, jug.*expected one of the name of pan"):
-        deployed.check(parse(text.format("named", "{name: jug}, {name: pan}"), tmp_path / "p.yaml"))
+    with pytest.raises(InputError, match=r"found none called muug, pan, but mug, jug;.* example {muug: mug}"):
+        deployed.check(parse(text.format("named", "{name: muug}, {name: pan}"), tmp_path / "p.yaml"))
     with pytest.raises(InputError, match="no names in the file"):
         deployed.check(parse(text.format("nameless", ""), tmp_path / "p.yaml"))
 

@@ -296,8 +296,9 @@ def parse_all(text: str, path: Path) -> list[Config]:
         raise explain(error, data, Config, path) from None
     except RecursionError:
         raise InputError(f"configuration {path}", found="values within values without an end") from None
+    of_each = of_cameras(config, path, isinstance(data, dict) and "camera" in data)
     try:
-        configs = [absolute(one, path.absolute().parent) for one in of_cameras(config, path)]
+        configs = [absolute(one, path.absolute().parent) for one in of_each]
     except (RuntimeError, ValueError) as error:
         raise InputError(f"{path}: a path in it", found=str(error)[:200], expected="a path") from None
     for one in configs:

@@ -10,7 +10,7 @@ from msgspec import Meta
 
 from huepose.support.errors import InputError
 from huepose_protos.fields import Name
-from huepose_services.runtime.config_perception import CameraConfig, Refuse
+from huepose_services.runtime.config_perception import Refuse
 
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
@@ -27,8 +27,9 @@ PORTS_OF_A_CAMERA = 20
 """Between the first ports of two cameras of a file: room for workers to come."""
 
 
-def of_cameras(config: Config, path: Path) -> list[Config]:
-    """For each camera what it would be alone: with ports of its own, and a namespace in ROS 2."""
+def of_cameras(config: Config, path: Path, has_camera: bool) -> list[Config]:
+    """For each camera what it would be alone: with ports of its own, and a namespace in ROS 2. has_camera:
+    whether the file has the key `camera`, which it may have in the place of `cameras` only."""
     if not config.cameras:
         return [config]
     names = [camera.name for camera in config.cameras]
@@ -39,12 +40,19 @@ def of_cameras(config: Config, path: Path) -> list[Config]:
             expected="one of them",
             fix="Give each camera whose workers run on two computers a file of its own.",
         )
-    if config.camera != CameraConfig() or len(set(names)) != len(names):
+    if has_camera:
         raise InputError(
             f"{path}: cameras",
-            found=", ".join(names) if config.camera == CameraConfig() else "`camera` and `cameras`",
-            expected="either `camera` or `cameras`, and every name once",
-            fix="Give each of `cameras` a name of its own, and leave `camera` out.",
+            found="`camera` and `cameras`",
+            expected="one of them",
+            fix="Leave `camera` out.",
+        )
+    if len(set(names)) != len(names):
+        raise InputError(
+            f"{path}: cameras",
+            found=f"the names {', '.join(names)}",
+            expected="every name once",
+            fix="Give each a `name` of its own.",
         )
     replace = msgspec.structs.replace
     host, port = config.gateway.listen.rsplit(":", 1)

@@ -45,12 +45,13 @@ class Topics:
 
 
 class RosbagScene:
-    """Frames by their places in the bag, from 0, rectified. Raises InputError for a bag that is broken or has
-    no pair of colour and depth."""
+    """Frames by their places in the bag, from 0, rectified. topics: None where nobody can name them, which
+    errors then do not propose. Raises InputError for a bag that is broken or has no pair of colour and
+    depth."""
 
     def __init__(self, path: Path, topics: Topics | None = None) -> None:
         self.name, self._path = path.stem, path
-        chosen = _Choice(path, _firsts(path), topics or Topics())
+        chosen = _Choice(path, _firsts(path), topics)
         self.topics = Topics(chosen.color, chosen.depth, chosen.info)
         self._camera, self._rectifier = chosen.camera
         self._color, self._depth = _Stream(path, chosen.color), _Stream(path, chosen.depth)
@@ -209,12 +210,12 @@ def _broken(path: Path, error: Exception | str) -> InputError:
 class _Choice:
     """Which topics of a bag belong together: those named, else the only ones that fit."""
 
-    def __init__(self, path: Path, firsts: Mapping[str, Any], topics: Topics) -> None:
-        self._path, self._topics = path, topics
+    def __init__(self, path: Path, firsts: Mapping[str, Any], topics: Topics | None) -> None:
+        self._path, self._topics, self._can_name = path, topics or Topics(), topics is not None
         self._infos = {topic: m for topic, m in firsts.items() if m.__msgtype__ == _INFO}
         self._first = {topic: m for topic, m in firsts.items() if topic not in self._infos}
-        colors = self._candidates("color", topics.color)
-        depths = self._candidates("depth", topics.depth)
+        colors = self._candidates("color", self._topics.color)
+        depths = self._candidates("depth", self._topics.depth)
         pairs = [(color, depth) for color in colors for depth in depths]
         refusals = {pair: reason for pair in pairs if (reason := self._apart(*pair))}
         fitting = [pair for pair in pairs if pair not in refusals]
@@ -225,8 +226,10 @@ class _Choice:
                 path,
                 found=f"{len(fitting) or 'no'} pairs of colour and depth that fit, in {self._listed()}",
                 expected="one",
-                fix="Name them: camera.color_topic and camera.depth_topic, or leave others out: "
-                f"rosbags-convert --include-topic. {'' if fitting else _ALIGNED}",
+                fix=self._named_or(
+                    "name them: camera.color_topic and camera.depth_topic",
+                    f"leave others out: rosbags-convert --include-topic. {'' if fitting else _ALIGNED}",
+                ),
             )
         self.color, self.depth = fitting[0]
         self.info = self._info_of(self.color)
@@ -238,7 +241,7 @@ class _Choice:
                 where,
                 found=f"a camera of {info.width} x {info.height}",
                 expected=f"{width} x {height}, as the pictures of {self.color}",
-                fix="Name the topic of its CameraInfo: camera.info_topic.",
+                fix=self._named_or("name another: camera.info_topic", "record the one of these pictures."),
             )
         # By convention of image_proc.
         self.camera = camera_of(info, _base(self.color).rpartition("/")[2].startswith("image_rect"), where)
@@ -292,9 +295,17 @@ class _Choice:
                 self._path if named is None else f"camera.info_topic {named}",
                 found=f"no CameraInfo {_beside(color)}" if named is None else "no CameraInfo of that name",
                 expected=f"one of {', '.join(self._infos) or 'its topics (it has none)'}",
-                fix="Record the camera_info of the colour camera; camera.info_topic names another.",
+                fix=self._named_or(
+                    "name another: camera.info_topic" if self._infos else "",
+                    "record the camera_info of the colour camera.",
+                ),
             )
         return named
+
+    def _named_or(self, named: str, other: str) -> str:
+        """What to do: the first, where there is such a thing and topics can be named, or the other."""
+        fix = f"{named}, or {other}" if named and self._can_name else other
+        return fix[0].upper() + fix[1:]
 
     def _listed(self) -> str:
         return ", ".join(f"{t} ({encoding_of(m)})" for t, m in self._first.items()) or "no pictures"

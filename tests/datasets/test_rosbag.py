@@ -105,7 +105,10 @@ def desk(ros: Ros, d: Iterable[float] = (), **made: Any) -> list[tuple[str, int,
     return messages
 
 
-def refusal(path: Path, topics: Topics | None = None) -> str:
+ANY = Topics()
+
+
+def refusal(path: Path, topics: Topics | None = ANY) -> str:
     with pytest.raises(InputError) as error:
         RosbagScene(path, topics)
     assert "\n" not in str(error.value)
@@ -195,6 +198,7 @@ def test_of_several_pairs_one_is_named(tmp_path: Path) -> None:
     path = ros.write(tmp_path / "a", [*desk(ros), *other])
     said = refusal(path)
     assert all(part in said for part in ("2 pairs", COLOR, "/rear/image_raw (rgb8)", "camera.color_topic"))
+    assert "Leave others out" in refusal(path, None)
     assert RosbagScene(path, Topics(color=COLOR)).topics.depth == DEPTH
     assert "no pictures of that name" in refusal(path, Topics(color="/nothing"))
     assert "camera.info_topic /x: found no CameraInfo" in refusal(path, Topics(color=COLOR, info="/x"))
@@ -227,7 +231,13 @@ def test_what_cannot_be_used_is_said(tmp_path: Path) -> None:
     mono = desk(ros, color=lambda n, ns: ros.image(COLORS[n, ..., 0].copy(), "mono8", ns))
     assert "'mono8'; expected rgb8, bgr8" in refusal(ros.write(tmp_path / "mono", mono))
     none = [message for message in desk(ros) if message[0] != INFO]
-    assert f"no CameraInfo {INFO}" in refusal(ros.write(tmp_path / "none", none))
+    said = refusal(ros.write(tmp_path / "none", none))
+    assert f"no CameraInfo {INFO}" in said
+    assert said.endswith("Record the camera_info of the colour camera.")
+    others = [(f"/{k}/camera_info", START_NS, ros.info()) for k in "ab"]
+    path = ros.write(tmp_path / "others", [*none, *others])
+    assert "Name another: camera.info_topic, or record" in refusal(path)
+    assert "camera.info_topic" not in refusal(path, None), "who cannot name it is not told to"
     flat = [(t, ns, m) for t, ns, m in desk(ros) if t != DEPTH]
     assert f"no depth pictures, but {COLOR} (rgb8)" in refusal(ros.write(tmp_path / "flat", flat))
     unset = desk(ros, color=lambda n, ns: ros.image(COLORS[n], "rgb8", 0))

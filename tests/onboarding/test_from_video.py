@@ -122,6 +122,21 @@ def test_the_table_and_holes_are_refused_as_an_object() -> None:
         first_mask(blind, box_of(pose(0.0)))
 
 
+@pytest.mark.parametrize(
+    ("selection", "given"),
+    [
+        (Selection(Box(700.0, 10.0, 60.0, 60.0)), "--box: found 700 10 60 60; expected X Y W H"),
+        (Selection(click=(10.0, float(CAMERA.height))), f"--click 10 {CAMERA.height}: expected X Y"),
+        (Selection(click=(-1.0, 10.0)), "--click -1 10: expected X Y"),
+    ],
+)
+def test_what_points_outside_of_the_picture_is_told_its_size(selection: Selection, given: str) -> None:
+    with pytest.raises(InputError) as error:
+        first_mask(drawn(pose(0.0), 0), selection)
+    assert str(error.value).startswith(given)
+    assert f"in the picture of {CAMERA.width} x {CAMERA.height}" in str(error.value)
+
+
 def test_an_object_that_stands_still_is_refused() -> None:
     with pytest.raises(InputError, match="turned by less than 5 degrees"):
         learn((drawn(pose(0.0), k) for k in range(3)), box_of(pose(0.0)))

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float64
-from huepose.geometry.box import Box
+from huepose.geometry.box import Box, given_box
 from huepose.geometry.frame import RgbdFrame
 from huepose.onboarding.from_video.views import tolerance_m
 from huepose.propose.relative_pose import EDGE_M, EDGE_SHARE
@@ -42,8 +42,11 @@ def first_mask(frame: RgbdFrame, selection: Selection) -> tuple[Bool, Bool, Floa
     (4,): normal towards the camera and offset in camera axes, None where there is none. Raises InputError
     that says what to point at instead."""
     depth, (rows, columns) = frame.depth, np.indices(frame.depth.shape)
-    box = selection.box
-    where = f"--box {' '.join(f'{x:g}' for x in box)}" if box else f"--click {selection.click}"
+    size = (depth.shape[1], depth.shape[0])
+    box = None if selection.box is None else given_box(selection.box, size)
+    where = (
+        f"--{'click' if box is None else 'box'} {' '.join(f'{x:g}' for x in box or selection.click or ())}"
+    )
     inside = np.ones(depth.shape, bool)
     if box is not None:
         inside[:] = False
@@ -55,6 +58,8 @@ def first_mask(frame: RgbdFrame, selection: Selection) -> tuple[Bool, Bool, Floa
     else:
         assert selection.click is not None
         middle = selection.click
+        if not (0 <= middle[0] < size[0] and 0 <= middle[1] < size[1]):
+            raise InputError(where, expected="X Y (left, top) in the picture of {} x {}".format(*size))
         central = np.hypot(columns - middle[0], rows - middle[1]) < 4
     seeds = central & (depth > 0)
     if seeds.sum() < 0.2 * max(int(central.sum()), 1) or not seeds.any():

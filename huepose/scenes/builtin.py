@@ -168,7 +168,7 @@ class SyntheticScene:
         workers = max(1, min(4, os.cpu_count() or 1))
         with ThreadPoolExecutor(workers) as pool:
             ahead: list[Future[Shot]] = []
-            for i in progress(range(self._n_frames), "drawing the scene, once"):
+            for i in progress(range(self._n_frames), f"drawing the scene of seed {self.seed}, once"):
                 take = partial(
                     shoot, self.stage, seed=self.seed, color_sensor=COLOR, depth_sensor=self._depth_sensor
                 )

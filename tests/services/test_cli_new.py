@@ -74,7 +74,7 @@ def test_ctrl_c_ends_a_demo_whose_scene_is_still_being_drawn(tea_box: ReferenceM
         ),  # what starts the tests may ignore it
     ) as running:
         assert running.stderr is not None
-        while "drawing the scene, once" not in (line := running.stderr.readline()):
+        while f"drawing the scene of seed {seed}, once" not in (line := running.stderr.readline()):
             assert line, "it ended"
         running.send_signal(signal.SIGINT)
         said = running.stderr.read()

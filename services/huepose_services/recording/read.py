@@ -46,7 +46,8 @@ class Event:
 
 class Recording:
     """`events()`: all of it, in the order in which it was written. Afterwards `cut` says why it ended early
-    (empty: it did not), and `notes` what it says of itself, by subject."""
+    (empty: it did not), and `notes` what it says of itself, by subject. Raises InputError at once for what is
+    no recording."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -54,6 +55,7 @@ class Recording:
         self.notes: dict[str, dict[str, str]] = {}
         self._channels: dict[int, Channel] = {}
         self._images: dict[str, McapMessage] = {}
+        next(self.chunks(), None)
 
     @property
     def exact(self) -> bool:

@@ -196,7 +196,10 @@ def test_what_is_no_recording_is_refused(tmp_path, content, capsys):
     path.mkdir() if content is None else path.write_bytes(content)
     for arguments in ([], ["--verify"], ["--bop", str(tmp_path / "bop")]):
         assert main(["replay", str(path), *arguments]) == 2
-    assert str(path) in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert said.startswith(f"huepose replay: {path}: found"), "before anything is begun"
+        assert said.count("\n") == 1
+    assert not (tmp_path / "bop").exists()
 
 
 def test_a_small_file_does_not_fill_the_memory(tmp_path):

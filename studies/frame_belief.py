@@ -32,9 +32,10 @@ from huepose.judge.terms import NOTHING
 from huepose.model import ReferenceModel
 from huepose.support.progress import progress
 from huepose.tracking import TrackerConfig, evidence
-from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.motion import increment_velocity
-from huepose.tracking.step import Anchor, advance, best_of
+from huepose.tracking.refined import best_of
+from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
 from studies.likelihood import logistic
 from studies.stress.causes import on_a_surface

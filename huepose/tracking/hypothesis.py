@@ -1,4 +1,5 @@
-"""One opinion about where an object is. A track holds up to three, and time decides between them."""
+"""One opinion about where an object is, and an object as the last frame left it. A track holds up to three
+opinions, and time decides between them."""
 
 from __future__ import annotations
 
@@ -8,9 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import Terms
+from huepose.tracking.motion import Reach
 
 MOST = 3
 """Hypotheses of a track."""
@@ -39,6 +42,28 @@ class Hypothesis:
     velocity: Float64 | None = None
     log_odds: float = 0.0
     goes_on: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Anchor:
+    """The object in the last frame. hypotheses: best first; baseline: its usual total; light (3,): the
+    light's offset of opponent colours; mask (H, W): its mask there, if known better than by rendering;
+    unseen_s: for how long its pose had only been predicted; place: where the last frame looked most like it,
+    if no search was made there yet; known: whether it is sure that it is this object."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    frame: RgbdFrame
+    baseline: float | None = None
+    light: Float64 | None = None
+    mask: Bool | None = None
+    unseen_s: float = 0.0
+    place: Reach | None = None
+    known: bool = False
+
+    @property
+    def first(self) -> Hypothesis:
+        """The best hypothesis."""
+        return self.hypotheses[0]
 
 
 def same_pose(surface: PreparedSurface, T_a: Float64, T_b: Float64, share: float = SAME) -> bool:

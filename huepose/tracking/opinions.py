@@ -22,9 +22,11 @@ from huepose.judge.borders import outline
 from huepose.refine.ends import moved_to_ends
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.hypothesis import POINTS, Hypothesis, distinct
+from huepose.tracking.hypothesis import POINTS, Anchor, Hypothesis, distinct
 from huepose.tracking.motion import Reach, filtered, increment_velocity, jump_odds, predicted
-from huepose.tracking.step import Advance, Anchor, best_of, found_at, unmoved
+from huepose.tracking.refined import best_of, unmoved
+from huepose.tracking.stages import found_at
+from huepose.tracking.step import Advance
 from huepose.tracking.subject import Subject
 
 LOOSE = 0.012

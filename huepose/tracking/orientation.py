@@ -19,9 +19,9 @@ from huepose.refine.photometric import COARSE, refine_all
 from huepose.select.distinct import RIGHT
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import NEW_VIEW, odds_of
-from huepose.tracking.hypothesis import Hypothesis, same_pose
+from huepose.tracking.hypothesis import Anchor, Hypothesis, same_pose
 from huepose.tracking.motion import jump_odds, most_turned, predicted
-from huepose.tracking.step import Anchor, best_of, ranked, region_of
+from huepose.tracking.refined import best_of, ranked, region_of
 from huepose.tracking.subject import Subject
 
 LOOKED_FOR = ("search", "views")

@@ -19,11 +19,13 @@ from huepose.tracking.effort import Effort
 from huepose.tracking.elsewhere import PARTS, likeliest_place
 from huepose.tracking.evidence import Identity, Standing, next_standing, turned_over
 from huepose.tracking.history import PoseHistory
-from huepose.tracking.hypothesis import Hypothesis, distinct, share_of_first
+from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, share_of_first
 from huepose.tracking.motion import Reach, predicted, same_motion
 from huepose.tracking.opinions import LOOSE, found_again, opinions, uncertainty, weighed
 from huepose.tracking.orientation import LOOKED_FOR, SAME_VIEW, Orientation
-from huepose.tracking.step import END, FLOW, Advance, Anchor, advance, found_nearby, unmoved
+from huepose.tracking.refined import unmoved
+from huepose.tracking.stages import END, FLOW
+from huepose.tracking.step import Advance, advance, found_nearby
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt, State, TrackedPose
 
@@ -48,13 +50,12 @@ class Track:
         self.history = PoseHistory()
         self.hypotheses: tuple[Hypothesis, ...] = ()
         self.covariance: Float64 | None = None
-        self.quality = 0.0
+        self.quality = self.evidence = 0.0
         self.applied_seq = 0
         self.baseline: float | None = None
         self.light: Float64 | None = None
         self.sure_light: Float64 | None = None
         self.frame: RgbdFrame | None = None
-        self.evidence = 0.0
         self._config = config
         self._standing = Standing(State.SEARCHING)
         self._identity = Identity.none()
@@ -121,10 +122,8 @@ class Track:
             return self._look_everywhere(frame, tries)
         begun = self._effort.begun
         resting = begun == FLOW and self._effort.resting
-        unseen_s, known = self._unseen_s, self._known
-        anchor = Anchor(
-            self.hypotheses, self.frame, self.baseline, self.light, mask, unseen_s, self._place, known
-        )
+        seen = self.hypotheses, self.frame, self.baseline, self.light
+        anchor = Anchor(*seen, mask, self._unseen_s, self._place, self._known)
         found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, begun, tries)
         orientation, facing = self._orientation, self._orientation.facing
         orientation.slide(found.margin, self._view())

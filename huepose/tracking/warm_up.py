@@ -15,8 +15,8 @@ from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import NOTHING
 from huepose.rendering.render import render
-from huepose.tracking.hypothesis import Hypothesis
-from huepose.tracking.step import Anchor, advance
+from huepose.tracking.hypothesis import Anchor, Hypothesis
+from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Correction, Verdict
 

@@ -19,7 +19,7 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.judge.borders import outline
 from huepose.model.types import ReferenceModel
 from huepose.tracking import evidence
-from huepose.tracking.step import best_of
+from huepose.tracking.refined import best_of
 from huepose.tracking.subject import Subject
 from studies.stress.films import Seen
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.tracking import Correction, State, Tracker, track
-from huepose.tracking import step as one_step
+from huepose.tracking import Correction, State, Tracker, stages, track
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
@@ -90,7 +89,7 @@ def test_the_place_is_found_in_one_frame_and_searched_in_the_next(tea_box, shoot
         return real(*arguments)
 
     for name in ("likeliest_place", "search"):
-        monkeypatch.setattr(one_step, name, partial(spied, name, getattr(one_step, name)))
+        monkeypatch.setattr(stages, name, partial(spied, name, getattr(stages, name)))
     T = path(0)
     tracker, elsewhere = _tracked(tea_box, shoot, _away(T, -0.15)), _away(T, 0.2, 1.2)
     by_frame = []

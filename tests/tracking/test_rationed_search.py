@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.tracking import Correction, State, Tracker, TrackerConfig, Verdict
-from huepose.tracking import step as one_step
+from huepose.tracking import Correction, State, Tracker, TrackerConfig, Verdict, stages
 from tests.studies.moments import printed_board
 
 TWO = (0, 1)
@@ -17,13 +16,13 @@ TWO = (0, 1)
 def searched(monkeypatch):
     """Surfaces that were searched for, once for each part of a search, by the real search."""
     seen: list[int] = []
-    real = one_step.search
+    real = stages.search
 
     def search(surface, frame, reach, effort, light=None, parts=range(1)):
         seen.extend([id(surface)] * len(parts))
         return real(surface, frame, reach, effort, light, parts)
 
-    monkeypatch.setattr(one_step, "search", search)
+    monkeypatch.setattr(stages, "search", search)
     return seen
 
 

@@ -16,10 +16,12 @@ from huepose.propose.relative_pose import RobustKabsch
 from huepose.refine.photometric import FULL, QUICK, refine, refine_all
 from huepose.select.distinct import first_different
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.motion import Reach
+from huepose.tracking.refined import about_its_axis, best_of, unmoved
 from huepose.tracking.search import search
-from huepose.tracking.step import Anchor, about_its_axis, advance, best_of, flow_start, unmoved
+from huepose.tracking.stages import flow_start
+from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
 
 SMALL = np.array([0.004, -0.005, 0.004, 0.04, -0.05, 0.05])

@@ -27,7 +27,7 @@ from huepose.tracking.orientation import (
     best_rival,
     reached,
 )
-from huepose.tracking.step import best_of
+from huepose.tracking.refined import best_of
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
 from studies.stress.objects import builtin_meshes

@@ -6,17 +6,16 @@ from dataclasses import replace
 
 from huepose.geometry import Box, Camera
 from huepose.judge.open_region import open_region
-from huepose.tracking import Tracker
-from huepose.tracking import step as one_step
+from huepose.tracking import Tracker, refined, stages
 
-PARTS = {"search", "flow_start", "refine", "look"}
+PARTS = {"search": stages, "flow_start": stages, "refine": refined, "look": refined}
 
 
 def test_everything_is_tried_and_nothing_is_left_behind(tea_box, soup_can, monkeypatch) -> None:
     tried = set()
 
     def spied(name):
-        real = getattr(one_step, name)
+        real = getattr(PARTS[name], name)
 
         def call(*arguments, **more):
             tried.add(name)
@@ -25,10 +24,10 @@ def test_everything_is_tried_and_nothing_is_left_behind(tea_box, soup_can, monke
         return call
 
     for name in PARTS:
-        monkeypatch.setattr(one_step, name, spied(name))
+        monkeypatch.setattr(PARTS[name], name, spied(name))
     tracker = Tracker({"tea_box": tea_box, "soup_can": soup_can})
     tracker.warm_up()
-    assert tried == PARTS
+    assert tried == set(PARTS)
     assert tracker.instances == ()
     assert tracker.poses() == []
 

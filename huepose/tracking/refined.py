@@ -1,0 +1,157 @@
+"""A pose on one frame: the best of several starts, refined and judged. Pure functions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.box import Box
+from huepose.geometry.camera import NEAR_M
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.open_region import SAMPLES, OpenRegion, PreparedSurface, look, open_region, totals
+from huepose.judge.terms import NOTHING, score_arrays
+from huepose.refine.photometric import FINE, refine
+from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.subject import Subject
+
+START_SAMPLES = 150
+"""Surface samples by which the best of several starts is chosen."""
+
+MARGIN_M = 0.012
+"""How far refinement may move the object out of its start's window."""
+
+SETTLED_M = 0.004
+MORE_PASSES = 3
+"""Refinement of the first hypothesis is repeated, at most MORE_PASSES times, while it moves the object's rim
+by more than SETTLED_M. That of others continues in the next frame."""
+
+DRAWN_AWAY = 0.1
+"""A refinement whose total falls by more than this has followed something else; its start is kept."""
+
+ROLLED_BACK = 0.015
+"""A rotation about the axis of revolution is taken where its total is so much higher; less is chance. Chosen
+on drawn scenes of a printed bottle, cans, mugs and bowls."""
+
+ROLLED_OVER, OPEN = 0.03, 0.1
+"""A slender object's rotation by any angle is taken where its total is so much higher, and at most OPEN of it
+is hidden: a small print may tell it, and be what is hidden. Chosen on films of a handle."""
+
+
+def followed(
+    surface: PreparedSurface,
+    frame: RgbdFrame,
+    before: Hypothesis,
+    expected: Float64,
+    light: Float64 | None,
+    more_passes: int,
+) -> Hypothesis:
+    """A hypothesis of the last frame, refined in this one from where it was or where it is expected."""
+    starts = [(before.T_cam_obj, "still")]
+    if expected is not before.T_cam_obj:
+        starts.append((expected, "velocity"))
+    return best_of(surface, frame, starts, light, more_passes)
+
+
+def best_of(
+    surface: PreparedSurface,
+    frame: RgbdFrame,
+    starts: list[tuple[Float64, str]],
+    light: Float64 | None = None,
+    more_passes: int = MORE_PASSES,
+) -> Hypothesis:
+    """Refine the start with the highest total and judge the result. starts: poses (4, 4) with their
+    sources."""
+    boxes = [b for b in (surface.box(T, frame.camera) for T, _ in starts) if b is not None]
+    region = None
+    if boxes:
+        z = float(surface.centre_cam(starts[-1][0])[2])
+        region = _window(surface, frame, Box.around(*boxes), z, light)
+    if region is None:
+        return Hypothesis(starts[-1][0], NOTHING, np.zeros((6, 6)), starts[-1][1])
+    poses = np.array([T for T, _ in starts])
+    chosen = int(np.argmax(totals(surface, region, poses, START_SAMPLES))) if len(starts) > 1 else 0
+    T_start, name = starts[chosen]
+    refined, T = refine(surface, region, T_start), T_start
+    for _ in range(more_passes):
+        if moved_m(surface, T, refined.T_cam_obj) < SETTLED_M:
+            break
+        T = refined.T_cam_obj
+        refined = refine(surface, region, T)
+    best = Hypothesis(refined.T_cam_obj, look(surface, region, refined.T_cam_obj), refined.information, name)
+    unmoved_terms = look(surface, region, T_start)
+    if unmoved_terms.total > best.terms.total + DRAWN_AWAY:
+        # Drawn away by something close by, a hand that holds the object for one: only what is near counts.
+        careful = refine(surface, region, T_start, FINE)
+        seen = look(surface, region, careful.T_cam_obj)
+        if seen.total > best.terms.total:
+            best = Hypothesis(careful.T_cam_obj, seen, careful.information, name)
+        if unmoved_terms.total > best.terms.total:
+            best = Hypothesis(T_start, unmoved_terms, best.information, name)
+    return best
+
+
+def unmoved(
+    surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64, light: Float64 | None
+) -> Hypothesis:
+    """A pose as it is, with what is seen of it."""
+    region = region_of(surface, frame, T_cam_obj, light)
+    terms = NOTHING if region is None else look(surface, region, T_cam_obj)
+    return Hypothesis(T_cam_obj, terms, np.zeros((6, 6)), "velocity")
+
+
+def about_its_axis(
+    subject: Subject, frame: RgbdFrame, followed: Hypothesis, light: Float64 | None, known: bool
+) -> tuple[Hypothesis, float, tuple[Hypothesis, ...]]:
+    """Rotate a pose about its axis of revolution: refinement does not see further than a letter of the label
+    is wide. Returns the pose, or if the object is `known` what it becomes from a rotation that explains more;
+    its total less that after the best small rotation; and that rotation as a proposal if it is better."""
+    surface, total = subject.surface, followed.terms.total
+    rolls = subject.rolls if followed.terms.hidden < OPEN else subject.rolls[:0]
+    turns = np.concatenate([subject.slides, rolls]) if known else subject.small_turns
+    region = region_of(surface, frame, followed.T_cam_obj, light) if len(turns) else None
+    if known and region is not None:
+        gain = np.repeat([ROLLED_BACK, ROLLED_OVER], [len(subject.slides), len(rolls)])
+        poses = followed.T_cam_obj @ turns
+        rated = score_arrays(surface.arrays, region.arrays, poses, SAMPLES)[:, 0]
+        k = int(np.argmax(rated - gain))
+        if rated[k] >= total - ROLLED_BACK:
+            best = best_of(surface, frame, [(poses[k], followed.source)], light, 0)
+            if best.terms.total > total + gain[k]:
+                followed, total = best, best.terms.total
+                region = region_of(surface, frame, best.T_cam_obj, light)
+    if region is None or not len(subject.small_turns):
+        return followed, np.inf, ()
+    poses, rated = ranked(surface, region, followed.T_cam_obj @ subject.small_turns)
+    margin = total - float(rated[0])
+    better = (best_of(surface, frame, [(poses[0], "turn")], light, 0),) if margin < 0.0 else ()
+    return followed, margin, better
+
+
+def ranked(surface: PreparedSurface, region: OpenRegion, poses: Float64) -> tuple[Float64, Float64]:
+    """Poses (K, 4, 4), best first, and their totals (K,)."""
+    rated = score_arrays(surface.arrays, region.arrays, np.ascontiguousarray(poses), SAMPLES)[:, 0]
+    order = np.argsort(-rated, kind="stable")
+    return np.ascontiguousarray(poses[order]), rated[order]
+
+
+def region_of(
+    surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64, light: Float64 | None
+) -> OpenRegion | None:
+    """The window of a frame that a pose is looked at in; None outside of the image."""
+    box, z = surface.box(T_cam_obj, frame.camera), float(surface.centre_cam(T_cam_obj)[2])
+    return None if box is None else _window(surface, frame, box, z, light)
+
+
+def moved_m(surface: PreparedSurface, T_a: Float64, T_b: Float64) -> float:
+    """How far the object's centre and rim moved at most."""
+    shift = float(np.linalg.norm(surface.centre_cam(T_a) - surface.centre_cam(T_b)))
+    return shift + surface.radius_m * se3.rotation_angle(T_a, T_b)
+
+
+def _window(
+    surface: PreparedSurface, frame: RgbdFrame, box: Box, z: float, light: Float64 | None
+) -> OpenRegion | None:
+    margin = max(8.0, MARGIN_M / max(z, NEAR_M) * frame.camera.fx)
+    region = open_region(frame, box.grown(0.0, margin), z, surface.diameter_m)
+    return None if region is None else region.lit(light)

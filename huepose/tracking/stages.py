@@ -1,0 +1,205 @@
+"""More poses of an object that its followed hypotheses explain too little.
+
+Cheap sources come first: optical flow (paper, section III-E), then searches of the places that it can have
+reached, then its near-symmetric rotations. They are tried stage by stage until a pose explains enough; what
+does not fit into one frame's time continues in the next. All poses are refined and judged alike."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.box import Box
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.silhouette import visible_within
+from huepose.propose import flow as optical_flow
+from huepose.propose.correspondences import match
+from huepose.propose.relative_pose import RelativePose, lift_matches
+from huepose.tracking.config import TrackerConfig
+from huepose.tracking.elsewhere import likeliest_place
+from huepose.tracking.hypothesis import Anchor, Hypothesis
+from huepose.tracking.motion import Reach
+from huepose.tracking.refined import best_of
+from huepose.tracking.search import (
+    GREAT_EFFORT,
+    NORMAL_EFFORT,
+    PARTS,
+    SMALL_EFFORT,
+    is_wide,
+    parts_a_try,
+    search,
+)
+from huepose.tracking.subject import Subject
+
+FLOW, NEAR, PLACE, THERE, FAR = 0, 1, 2, 3, 4
+TURN = FAR + PARTS
+END = TURN + 1
+"""Stages that are tried, in this order, while the best total is too low: optical flow, a search nearby, the
+place that looks most like the object, a search there, parts of a wide search, near-symmetric rotations."""
+
+HIDDEN_COSTS = 0.5
+"""A right pose loses this much of its total per hidden share of the object; no search is needed for that."""
+
+FLOW_GROWTH = 0.3
+"""Room round the object in which flow is computed, as a share of its size."""
+
+RETURNING_SEEN = 0.2
+"""If this share of an object is seen again after it was hidden, its rotation is checked."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What more poses are proposed for: the object of `anchor` in a later frame. expected (4, 4): its
+    predicted pose; near, far: where it is likely, and where it can be; seconds: since the last frame; long:
+    these are many; uneasy: its pose may be wrong though it explains enough; back: it is in full view again,
+    so it need not be searched for nearby."""
+
+    subject: Subject
+    anchor: Anchor
+    frame: RgbdFrame
+    config: TrackerConfig
+    relative_pose: RelativePose
+    expected: Float64
+    near: Reach
+    far: Reach
+    seconds: float
+    long: bool
+    uneasy: bool
+    back: bool
+
+    @property
+    def doubt(self) -> float:
+        """How far under its baseline the total of a pose may lie."""
+        return self.config.long_doubt if self.long else self.config.doubt
+
+    def doubts(self, best: Hypothesis) -> bool:
+        """Whether the best pose explains less than it should."""
+        return not convincing(best, self.anchor.baseline, self.doubt, self.config)
+
+    def wants(self, stage: int, best: Hypothesis, place: Reach | None) -> bool:
+        """Whether a stage is worth its time. place: where the picture looks most like the object, if no
+        search was made there yet."""
+        doubtful = self.doubts(best)
+        if stage == FLOW:
+            # It needs pixels of the object in the last frame.
+            followable = self.anchor.unseen_s == 0.0 and self.frame.camera == self.anchor.frame.camera
+            return doubtful and followable and 0.0 < self.seconds <= self.config.long_step_s
+        if stage == NEAR:
+            # A wide one would be all of a wide search in one frame.
+            fits = self.long or not is_wide(self.near)
+            return fits and (doubtful or (self.uneasy and not self.back))
+        if stage == THERE:
+            return doubtful and place is not None
+        if stage == TURN:
+            seen = len(self.subject.near_symmetries) > 0 and best.terms.seen >= RETURNING_SEEN
+            return seen and (doubtful or self.uneasy)
+        return doubtful
+
+    def starts(
+        self, stage: int, parts: range, best: Hypothesis, place: Reach | None
+    ) -> list[list[tuple[Float64, str]]]:
+        """What a stage proposes: of each list of poses (4, 4) with their source, the best is refined. parts:
+        of the wide search."""
+        surface, frame, light = self.subject.surface, self.frame, self.anchor.light
+        if stage == FLOW:
+            T = flow_start(
+                self.subject, self.anchor, frame, self.expected, self.relative_pose, self.config.flow
+            )
+            return [[(T, "flow")]] if T is not None and self.far.holds(surface.centre_cam(T)) else []
+        if stage == TURN:
+            return [[(best.T_cam_obj @ turn, "turn") for turn in self.subject.near_symmetries]]
+        if stage == THERE and place is not None:
+            return [[(T, "views")] for T in found_at(self.subject, frame, place, light)]
+        if stage == NEAR:
+            found = search(surface, frame, self.near, NORMAL_EFFORT, light)
+        else:
+            found = search(surface, frame, self.far, GREAT_EFFORT, light, parts)
+        return [[(T, "search")] for T in found]
+
+
+@dataclass(frozen=True, eq=False)
+class Proposed:
+    """proposed: poses, refined and judged; best: of them and of what there was before; tried: costly
+    proposals; begun: the stage to try next, END if all were tried; place: as in `Anchor`, for the next
+    frame."""
+
+    proposed: tuple[Hypothesis, ...]
+    best: Hypothesis
+    tried: int
+    begun: int
+    place: Reach | None
+
+
+def propose(task: Task, best: Hypothesis, begun: int, tries: float) -> Proposed:
+    """Try stages from `begun` on until a pose explains enough, with at most `tries` costly proposals. best:
+    the pose that explains most so far."""
+    surface, frame, light = task.subject.surface, task.frame, task.anchor.light
+    proposed: tuple[Hypothesis, ...] = ()
+    tried, stage, place = 0, begun, task.anchor.place
+    if stage == THERE and task.long:
+        stage = PLACE
+    while stage < END:
+        if not task.wants(stage, best, place):
+            stage += 1
+            continue
+        wide = FAR <= stage < TURN
+        left, each = tries - tried, parts_a_try(task.far, task.long) if wide else 1
+        if left < 1:
+            break
+        steps = int(min(left * each, TURN - stage)) if wide else 1
+        if stage == PLACE:
+            place = likeliest_place(task.subject.model, task.subject.views, frame)
+        else:
+            parts = range(stage - FAR, stage - FAR + steps)
+            starts = task.starts(stage, parts, best, place)
+            place = None if stage == THERE else place
+            proposed += tuple(best_of(surface, frame, one, light, 0) for one in starts)
+            best = max([best, *proposed], key=lambda h: h.terms.total)
+        tried, stage = tried - (-steps // each), stage + steps
+    return Proposed(proposed, best, tried, stage, place)
+
+
+def found_at(subject: Subject, frame: RgbdFrame, place: Reach, light: Float64 | None) -> list[Float64]:
+    """At most two poses (4, 4) at the place that looks most like the object."""
+    return search(subject.surface, frame, place, SMALL_EFFORT, light)
+
+
+def in_full(found: Hypothesis, baseline: float | None, config: TrackerConfig) -> bool:
+    """Whether a hypothesis has the total of the object in full view."""
+    total = found.terms.total
+    return total >= config.doubtful_total and baseline is not None and total >= baseline - config.long_doubt
+
+
+def convincing(found: Hypothesis, baseline: float | None, doubt: float, config: TrackerConfig) -> bool:
+    """Whether a hypothesis has the total to be expected, so that no search is needed."""
+    total, allowed = found.terms.total, doubt + HIDDEN_COSTS * found.terms.hidden
+    return total >= config.doubtful_total and (baseline is None or total >= baseline - allowed)
+
+
+def flow_start(
+    subject: Subject,
+    anchor: Anchor,
+    frame: RgbdFrame,
+    expected: Float64,
+    relative_pose: RelativePose,
+    flow_source: optical_flow.FlowSource = optical_flow.compute,
+) -> Float64 | None:
+    """The pose (4, 4) from optical flow: flow on the region of the old and the expected outline, matches
+    filtered by mask and colour pairs, lifted to 3D, and a relative pose (paper, III-E). None if it fails."""
+    surface, camera, T_last = subject.surface, frame.camera, anchor.first.T_cam_obj
+    old, new = surface.box(T_last, camera), surface.box(expected, camera)
+    if old is None or new is None:
+        return None
+    flow = flow_source(anchor.frame.color, frame.color, Box.around(old, new).grown(FLOW_GROWTH, 8.0))
+    # A network may return NaN.
+    if flow is None or not (np.isfinite(flow.forward).all() and np.isfinite(flow.backward).all()):
+        return None
+    mask = anchor.mask
+    if mask is None:
+        mask = visible_within(subject.mesh, T_last, anchor.frame, old)
+    matches = match(anchor.frame.color, frame.color, mask, flow)
+    motion = relative_pose.estimate(lift_matches(anchor.frame, frame, matches))
+    return None if motion is None else se3.compose(motion.T_b_a, T_last)

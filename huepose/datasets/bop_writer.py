@@ -24,7 +24,7 @@ from huepose.geometry import Box, Camera
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError
-from huepose.support.files import whole, writing
+from huepose.support.files import whole, write_bytes, write_text, writing
 
 DEPTH_SCALE_MM = 0.1
 JPEG_QUALITY = 95
@@ -163,7 +163,8 @@ def extents_mm(mesh: Mesh) -> dict[str, float]:
 
 def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
     """Write PATH as BOP has its models, with a PNG of the same stem; lengths times `scale`. Texture
-    coordinates are the vertices' there, so each is written for every corner of a face. Raises OSError."""
+    coordinates are the vertices' there, so each is written for every corner of a face. Raises
+    InputError."""
     corners = scale * mesh.vertices[mesh.faces].reshape(-1, 3).astype(np.float64)
     uv = mesh.uv.reshape(-1, 2).astype(np.float64) * [1.0, -1.0] + [0.0, 1.0]
     header = ["ply", "format ascii 1.0", f"comment TextureFile {path.stem}.png"]
@@ -172,12 +173,13 @@ def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
     header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header"]
     rows = [" ".join(f"{v:.7g}" for v in row) for row in np.concatenate([corners, uv], 1)]
     faces = [f"3 {3 * k} {3 * k + 1} {3 * k + 2}" for k in range(len(mesh.faces))]
-    path.write_text("\n".join([*header, *rows, *faces]) + "\n")
-    path.with_suffix(".png").write_bytes(_encoded(".png", mesh.texture[..., ::-1]))
+    write_text(path, "\n".join([*header, *rows, *faces]) + "\n")
+    write_bytes(path.with_suffix(".png"), _encoded(".png", mesh.texture[..., ::-1]))
 
 
 def write_obj(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
-    """Write PATH with a material file and a PNG of the same stem; lengths times `scale`. Raises OSError."""
+    """Write PATH with a material file and a PNG of the same stem; lengths times `scale`. Raises
+    InputError."""
     lines = [f"mtllib {path.stem}.mtl", "usemtl print"]
     lines += ["v {:.6f} {:.6f} {:.6f}".format(*(scale * v)) for v in mesh.vertices.astype(np.float64)]
     lines += [f"vt {u:.7f} {1.0 - v:.7f}" for u, v in mesh.uv.reshape(-1, 2).astype(np.float64)]
@@ -185,6 +187,6 @@ def write_obj(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
         "f " + " ".join(f"{corner + 1}/{3 * k + j + 1}" for j, corner in enumerate(face))
         for k, face in enumerate(mesh.faces)
     ]
-    path.write_text("\n".join(lines) + "\n")
-    path.with_suffix(".mtl").write_text(f"newmtl print\nKd 1 1 1\nmap_Kd {path.stem}.png\n")
-    path.with_suffix(".png").write_bytes(_encoded(".png", mesh.texture[..., ::-1]))
+    write_text(path, "\n".join(lines) + "\n")
+    write_text(path.with_suffix(".mtl"), f"newmtl print\nKd 1 1 1\nmap_Kd {path.stem}.png\n")
+    write_bytes(path.with_suffix(".png"), _encoded(".png", mesh.texture[..., ::-1]))

@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING
 
 from huepose.support.errors import InputError
@@ -22,11 +23,16 @@ def cache_folder() -> Path:
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A path beside this one to write to, which then takes its place: nobody ever reads a part of a file."""
+    """A path beside this one to write to, which then takes its place: nobody ever reads a part of a file.
+    What the disk refuses is an OSError that names this path."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield part
         part.replace(path)
+    except OSError as error:
+        if error.filename in (None, str(part)):  # none where an open file was written to
+            error.filename = str(path)
+        raise
     finally:
         part.unlink(missing_ok=True)
 
@@ -42,13 +48,21 @@ def writing(
         raise InputError(place, found=error.strerror or str(error), expected=expected, fix=fix) from None
 
 
-def write_text(path: Path | str, text: str) -> None:
-    """Write a file, whole or not at all. Makes missing folders. Raises InputError."""
-    path = Path(path)
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file, whole or not at all; a link or a device stays one. Makes missing folders. Raises
+    InputError."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            path.write_bytes(data)
+            return
         with whole(path) as part:
-            part.write_text(text, encoding="utf-8")
+            part.write_bytes(data)
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """The same with a text."""
+    write_bytes(Path(path), text.encode())
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
@@ -62,6 +76,34 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
         raise InputError(path, found="a picture that cannot be encoded", expected="an ending such as .png")
     bgr = picture if picture.ndim == 2 else picture[..., ::-1]
     data = cv2.imencode(ending, np.ascontiguousarray(bgr))[1].tobytes()
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(data)
+    write_bytes(path, data)
+
+
+def check_place(path: Path, makes_folders: bool = True) -> None:
+    """Raises InputError unless something can be written there: asked before the work, not after it.
+    makes_folders: whether those that are missing are made then."""
+    path = path.absolute()
+    there = next(p for p in (path, *path.parents) if p.exists())
+    if there != path and not there.is_dir():
+        found = f"{there} is no folder"
+    elif not makes_folders and not path.parent.is_dir():
+        found = f"no folder {path.parent}"
+    elif not _can_be_written(there):
+        found = f"{there} cannot be written"
+    else:
+        return
+    raise InputError(path, found=found, expected="a place that can be written")
+
+
+def _can_be_written(there: Path) -> bool:
+    """Whether a file, or something new in a folder, can be written. Permissions alone do not tell: no user
+    can make anything in /proc."""
+    if not os.access(there, os.W_OK):
+        return False
+    if not there.is_dir():
+        return True
+    try:
+        with TemporaryFile(dir=there):
+            return True
+    except OSError:
+        return False

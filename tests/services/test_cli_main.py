@@ -4,12 +4,16 @@ import json
 import os
 import subprocess
 import sys
+from argparse import Namespace
 from pathlib import Path
 
 import pytest
 
+from huepose.support.errors import InputError
 from huepose_services.cli import main as command_line
 from huepose_services.cli.main import BAD_INPUT, main
+from huepose_services.cli.options import answered
+from tests.disk import full_disk
 
 
 @pytest.mark.parametrize(
@@ -38,13 +42,17 @@ def test_results_that_cannot_be_written_end_it_before_the_work(
         ["view", "--save", "/proc/out.rrd"],
         ["new", "brick", "no_mesh.obj", "--out", "/proc/brick"],
         ["onboard", "no_mesh.obj", "--name", "brick", "--out", "/proc"],
+        ["new", "brick", "no_mesh.obj"],
+        ["record", "r.mcap"],
     ],
 )
 def test_a_folder_in_which_nothing_can_be_made_ends_it_before_the_work(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
+    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir("/proc")
     assert main(arguments) == BAD_INPUT
     error = capsys.readouterr().err
+    assert "--" not in error, "no option that was not given"
     assert "/proc cannot be written; expected a place that can be written" in error
     assert "no_" not in error
 
@@ -80,6 +88,25 @@ def test_what_the_disk_says_is_told_and_anything_else_is_our_mistake(
     else:
         with pytest.raises(OSError, match="the reason"):
             command_line.main(["validate"])
+
+
+def test_an_answer_is_printed_before_a_full_disk_refuses_its_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "out.json"
+    with full_disk(), pytest.raises(InputError, match=f"{path}: found File too large"):
+        answered(Namespace(json=path), {"found": 1}, "found it")
+    assert capsys.readouterr().out == "found it\n"
+    assert not path.exists()
+
+
+def test_output_that_cannot_be_written_is_told_once() -> None:
+    command = [sys.executable, "-m", "huepose_services.cli.main", "models", "list"]
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=environment)
+    assert ended.returncode == BAD_INPUT
+    assert ended.stderr == "huepose models: what it prints: found No space left on device.\n"
 
 
 @pytest.mark.parametrize(

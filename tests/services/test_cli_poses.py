@@ -9,6 +9,7 @@ import zenoh
 from msgspec.structs import replace
 
 from huepose.evaluation.pose_files import read_pose_csv
+from huepose.support.errors import InputError
 from huepose_protos import encode
 from huepose_protos.client import configured
 from huepose_protos.examples import messages
@@ -22,6 +23,7 @@ from huepose_services.cli.pose_export import PoseFiles
 from huepose_services.cli.poses import _print
 from huepose_services.runtime.config import load
 from huepose_services.runtime.running import described, noted
+from tests.disk import full_disk
 from tests.services.repeating import repeating
 
 NO_POSE = ("translation", "quaternion", "velocity_linear", "velocity_angular", "covariance")
@@ -58,6 +60,19 @@ def test_a_pose_in_the_robots_frame_as_a_message(pose, capsys):
     assert carried(seen, MOUNT, still=False).velocity_linear is None
     lost = replace(seen, state="LOST", **dict.fromkeys(NO_POSE))
     assert carried(lost, MOUNT, still=True) == replace(lost, frame="base_link")
+
+
+def test_what_a_full_disk_does_not_take_is_named_and_no_empty_file_stays(pose, tmp_path):
+    csv, tum = tmp_path / "object.csv", tmp_path / "tum"
+    with full_disk(), pytest.raises(InputError, match=f"{csv}: found File too large"), PoseFiles(csv, None):
+        pass
+    assert not csv.exists()
+    with PoseFiles(csv, tum) as files:
+        files.take(pose)
+        written = csv.read_bytes()
+        with full_disk(len(written)), pytest.raises(InputError, match=f"{csv}: found File too large"):
+            files.take(pose)
+    assert csv.read_bytes() == written
 
 
 def test_poses_to_be_acted_on_are_written_for_calibration_and_as_trajectories(pose, tmp_path):

@@ -15,11 +15,11 @@ import sys
 from contextlib import AbstractContextManager, nullcontext
 from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryFile
 from typing import Any
 
 from huepose.support.errors import InputError
 from huepose.support.extras import install_command
+from huepose.support.files import check_place
 from huepose_services.runtime.threads import single_threaded
 
 # In the order in which `huepose --help` lists them.
@@ -100,32 +100,8 @@ def check_outputs(parsed: argparse.Namespace) -> None:
     """Look at the places that results go to before the work, not after it. Raises InputError."""
     for option in _OUTPUTS:
         path = getattr(parsed, option, None)
-        if not isinstance(path, Path):
-            continue
-        there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
-        if there != path.absolute() and not there.is_dir():
-            found = f"{there} is no folder"
-        elif option in _IN_FOLDERS and not path.absolute().parent.is_dir():
-            found = f"no folder {path.absolute().parent}"
-        elif not _can_be_written(there):
-            found = f"{there} cannot be written"
-        else:
-            continue
-        raise InputError(f"--{option} {path}", found=found, expected="a place that can be written")
-
-
-def _can_be_written(there: Path) -> bool:
-    """Whether a file, or something new in a folder, can be written. Permissions alone do not tell: no user
-    can make anything in /proc."""
-    if not os.access(there, os.W_OK):
-        return False
-    if not there.is_dir():
-        return True
-    try:
-        with TemporaryFile(dir=there):
-            return True
-    except OSError:
-        return False
+        if isinstance(path, Path):
+            check_place(path, makes_folders=option not in _IN_FOLDERS)
 
 
 def _told(verb: str) -> AbstractContextManager[Any]:
@@ -163,6 +139,7 @@ def main(arguments: list[str] | None = None) -> int:
             single_threaded()
         with _told(parsed.verb):
             code: int = parsed.call(parsed)
+        sys.stdout.flush()
         return code
     except InputError as error:
         print(f"huepose {parsed.verb}: {error}", file=sys.stderr)
@@ -179,15 +156,22 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _interrupted(f"huepose {parsed.verb}")
     except BrokenPipeError:
-        # The reader of our output has left: nothing more to say, and nothing to flush at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _say_no_more()  # the reader of our output has left
         return DONE
     except OSError as error:
         if error.errno not in _OF_THE_DISK:
             raise
         reason = error.strerror or str(error)
-        print(f"huepose {parsed.verb}: {error.filename or 'a file'}: found {reason}.", file=sys.stderr)
+        if error.filename is None:  # what writes to a file names it
+            _say_no_more()
+        where = error.filename or "what it prints"
+        print(f"huepose {parsed.verb}: {where}: found {reason}.", file=sys.stderr)
         return BAD_INPUT
+
+
+def _say_no_more() -> None:
+    """Standard output takes nothing any more: what waits for it is not to fail again at the exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

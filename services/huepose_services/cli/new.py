@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
-from huepose.support.files import write_picture
+from huepose.support.files import check_place, write_bytes, write_picture, write_text
 from huepose_services.cli.onboard import add_test
 from huepose_services.cli.options import add_path, add_unit
 
@@ -55,6 +55,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.cli.onboard import in_words, onboard_one, self_test
 
     out: Path = arguments.out or Path(arguments.name)
+    check_place(out)
     path = out / "pipeline.yaml"
     if path.exists():
         raise InputError(
@@ -81,7 +82,7 @@ def call(arguments: argparse.Namespace) -> int:
         _, words = self_test(out / "bundles", job.name)
         print(words)
     write_frame(out, shot, CAMERA)
-    path.write_text(_PIPELINE.format(name=job.name))
+    write_text(path, _PIPELINE.format(name=job.name))
     at = shlex.quote(str(out))
     print(
         f"""
@@ -103,6 +104,6 @@ def write_frame(folder: Path, shot: Shot, camera: Camera) -> None:
 
     write_picture(folder / "color.png", shot.color)
     depth = np.rint(shot.depth * 10_000.0).clip(0, np.iinfo(np.uint16).max).astype(np.uint16)
-    (folder / "depth.png").write_bytes(cv2.imencode(".png", depth)[1].tobytes())
+    write_bytes(folder / "depth.png", cv2.imencode(".png", depth)[1].tobytes())
     intrinsics = {key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy", "width", "height")}
-    (folder / "camera.json").write_text(json.dumps({**intrinsics, "depth_scale_m": 0.0001}) + "\n")
+    write_text(folder / "camera.json", json.dumps({**intrinsics, "depth_scale_m": 0.0001}) + "\n")

@@ -12,6 +12,8 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.files import write_text
+
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
     from huepose_services.runtime.running import Pipeline
@@ -37,10 +39,9 @@ def add_json(parser: argparse.ArgumentParser, to_file: bool = False) -> None:
 def answered(arguments: argparse.Namespace, answer: Any, summary: str) -> None:
     """Print the summary, or the answer as JSON; write it where a file was named."""
     text = json.dumps(answer, indent=2)
-    if isinstance(arguments.json, Path):
-        arguments.json.parent.mkdir(parents=True, exist_ok=True)
-        arguments.json.write_text(text + "\n")
     print(text if arguments.json is True else summary)
+    if isinstance(arguments.json, Path):
+        write_text(arguments.json, text + "\n")
 
 
 def say(text: str) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
 
+from huepose.support.files import writing
 from huepose_protos.messages import Message, PoseMessage
 
 CSV_COLUMNS = "frame,object,x,y,z,qx,qy,qz,qw,instance,stamp,quality"
@@ -17,21 +19,35 @@ class PoseFiles:
     """Writes every TRACKING pose: a row of `csv`, and a line of DIR/OBJECT_INSTANCE.txt (`tum`).
 
     Stamps are of the capture, on the realtime clock, seconds; poses are T_cam_obj, metres. A line is in its
-    file at once."""
+    file at once.
+
+    Raises InputError for a file that the disk does not take."""
 
     def __init__(self, csv: Path | None, tum: Path | None) -> None:
         self._tum = tum
-        self._files: dict[str, TextIO] = {}
+        self._files: dict[Path, TextIO] = {}
         self.written = 0
-        self._csv = None if csv is None else self._begun(csv, CSV_COLUMNS)
+        self._csv = csv
+        if csv is not None:
+            self._write(csv, CSV_COLUMNS)
         if tum is not None:
-            tum.mkdir(parents=True, exist_ok=True)
+            with writing(tum):
+                tum.mkdir(parents=True, exist_ok=True)
 
-    def _begun(self, path: Path, heading: str) -> TextIO:
-        file = path.open("w", buffering=1)
-        self._files[str(path)] = file
-        file.write(heading + "\n")
-        return file
+    def _write(self, path: Path, *lines: str) -> None:
+        """Lines at the end of a file; no empty one stays."""
+        with writing(path):
+            file = self._files.get(path) or path.open("w", buffering=1)
+            self._files[path] = file
+            try:
+                for line in lines:
+                    file.write(line + "\n")
+            except OSError:
+                with suppress(OSError):
+                    file.close()
+                if path.is_file() and path.stat().st_size == 0:
+                    path.unlink()
+                raise
 
     def take(self, message: Message) -> None:
         """Write it, where it is a pose that may be acted on."""
@@ -46,11 +62,11 @@ class PoseFiles:
         if self._csv is not None:
             who = f"{message.frame_id},{message.object}"
             more = f"{message.instance},{stamp},{message.quality:.4f}"
-            self._csv.write(f"{who},{','.join(values)},{more}\n")
+            self._write(self._csv, f"{who},{','.join(values)},{more}")
         if self._tum is not None:
             path = self._tum / f"{message.object}_{message.instance}.txt"
-            file = self._files.get(str(path)) or self._begun(path, TUM_COLUMNS)
-            file.write(f"{stamp} {' '.join(values)}\n")
+            heading = () if path in self._files else (TUM_COLUMNS,)
+            self._write(path, *heading, f"{stamp} {' '.join(values)}")
 
     def __enter__(self) -> PoseFiles:
         return self

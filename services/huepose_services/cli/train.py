@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from huepose.support.errors import InputError
+from huepose.support.files import write_text
 from huepose_services.cli.options import add_number, add_path, add_some_of
 
 
@@ -101,5 +102,5 @@ def _told(file: Path, report: dict[str, Any]) -> None:
 
     whole = {"command": shlex.join(["huepose", *sys.argv[1:]]), **report}
     text = json.dumps(whole, indent=2)
-    file.write_text(text + "\n")
     print(text)
+    write_text(file, text + "\n")

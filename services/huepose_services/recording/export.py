@@ -15,7 +15,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.support.errors import InputError
-from huepose.support.files import write_text
+from huepose.support.files import write_bytes, write_text
 from huepose.support.progress import progress
 from huepose.support.words import counted
 from huepose_protos import to_json
@@ -95,7 +95,7 @@ def export_bop(events: Iterable[Event], folder: Path) -> Exported:
 def _write_images(folder: Path, number: int, header: FrameHeader, payload: bytes) -> None:
     color, depth = frame_images(header, payload)
     for name, image in (("rgb", cv2.cvtColor(color, cv2.COLOR_RGB2BGR)), ("depth", depth)):
-        (folder / name / f"{number:06d}.png").write_bytes(cv2.imencode(".png", image, _PNG)[1].tobytes())
+        write_bytes(folder / name / f"{number:06d}.png", cv2.imencode(".png", image, _PNG)[1].tobytes())
 
 
 def _camera(header: FrameHeader) -> dict[str, Any]:

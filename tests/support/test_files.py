@@ -1,0 +1,54 @@
+"""How files are written: whole or not at all, and named where the disk refuses them."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from huepose.support.errors import InputError
+from huepose.support.files import whole, write_picture, write_text
+from tests.disk import full_disk
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path: write_text(path, "x" * 100),
+        lambda path: write_picture(path, np.zeros((9, 9, 3), np.uint8)),
+    ],
+)
+@pytest.mark.parametrize("before", [b"", b"what was there"])
+def test_on_a_full_disk_the_file_is_named_and_stays_as_it_was(write, before, tmp_path: Path) -> None:
+    path = tmp_path / "out.png"
+    if before:
+        path.write_bytes(before)
+    with full_disk(), pytest.raises(InputError) as error:
+        write(path)
+    assert str(error.value) == f"{path}: found File too large; expected a place that can be written."
+    assert [p.read_bytes() for p in tmp_path.iterdir()] == ([before] if before else [])
+
+
+def test_what_is_written_to_an_open_file_is_named_too(tmp_path: Path) -> None:
+    path = tmp_path / "model"
+    with full_disk(), pytest.raises(OSError, match="File too large") as error:
+        with whole(path) as part, zipfile.ZipFile(part, "w") as archive:
+            archive.writestr("a", b"x" * 100)
+    assert error.value.filename == str(path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_of_another_file_that_is_missing_it_is_that_one(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="other") as error, whole(tmp_path / "out"):
+        (tmp_path / "other").read_bytes()
+    assert error.value.filename == str(tmp_path / "other")
+
+
+def test_a_link_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    for text in ("first", "second"):
+        write_text(tmp_path / "link", text)
+        assert (tmp_path / "link").is_symlink()
+        assert (tmp_path / "file").read_text() == text
+    write_text("/dev/null", "nothing")
+    assert Path("/dev/null").is_char_device()

@@ -130,7 +130,7 @@ class LoopJudge:
     def __init__(self, models: Mapping[str, ReferenceModel]) -> None:
         self._config = ReinitConfig()
         self._slots = {
-            name: ObjectSlot(name, 1, model.diameter_m, tuple(model.equivalents))
+            name: ObjectSlot(name, 1, model.diameter_m, tuple(model.equivalents), model.mesh.bounds)
             for name, model in models.items()
         }
 

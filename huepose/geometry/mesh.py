@@ -24,6 +24,11 @@ class Mesh:
     digest: str | None = None
 
     @cached_property
+    def bounds(self) -> Float64:
+        """Least and greatest coordinates (2, 3), which everyone shares: not to be written to."""
+        return np.stack([self.vertices.min(0), self.vertices.max(0)]).astype(np.float64)
+
+    @cached_property
     def centre(self) -> Float64:
         """Centre of the bounding box (3,), which everyone shares: not to be written to."""
         return np.asarray((self.vertices.min(0) + self.vertices.max(0)) / 2.0, dtype=np.float64)

@@ -109,10 +109,18 @@ TURN_SHARE = 0.1
 a diameter."""
 
 
-def near(T: Float64, T_tracked: Float64, slot: ObjectSlot) -> bool:
-    """Whether a pose lies on the object that is tracked there."""
-    shift = T[:3, 3] - T_tracked[:3, 3]
-    return float(shift @ shift) < (0.5 * slot.diameter_m) ** 2
+def near(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> bool:
+    """Whether poses of one object can only be of one instance, since two would lie in each other: the middle
+    of one is nearer to the other's bounds than a quarter of its least side. Where these are not known, their
+    origins are nearer than half a diameter."""
+    if slot.bounds_m is None:
+        shift = T_a[:3, 3] - T_b[:3, 3]
+        return float(shift @ shift) < (0.5 * slot.diameter_m) ** 2
+    low, high = slot.bounds_m
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    there = se3.inverse(T_b) @ T_a, se3.inverse(T_a) @ T_b
+    off = np.abs([se3.apply(T, middle[None])[0] - middle for T in there])
+    return bool((off < half + 0.5 * half.min()).all(1).any())
 
 
 def displacement_m(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
@@ -128,12 +136,17 @@ def _displacement(T_a: Float64, T_b: Float64, diameter_m: float) -> float:
 
 
 def assign(
-    estimates: Sequence[Float64], priors: Sequence[Prior], stamp_ns: int, slot: ObjectSlot
+    estimates: Sequence[Float64],
+    priors: Sequence[Prior],
+    stamp_ns: int,
+    slot: ObjectSlot,
+    sure: Sequence[bool] = (),
 ) -> list[int | None]:
     """For each estimated pose the index of its instance, or None.
 
     Every instance is predicted to `stamp_ns`. Of all assignments within the gates, those with most pairs are
-    taken, and of these the one with the least sum of distances.
+    taken, and of these the one with the least sum of distances. sure: which instances are where they are
+    expected, so that a pose beside one is of another.
     """
     # Every worker imports this room for its types; this one function needs a quarter of a second more, or
     # seconds on a busy computer that reads it from its disk: see `warm_up`.
@@ -148,7 +161,7 @@ def assign(
         for i, T in enumerate(estimates):
             shift = float(np.linalg.norm(T[:3, 3] - expected[:3, 3]))
             turn = min(se3.rotation_angle(T @ turn, expected) for turn in slot.equivalents or (np.eye(4),))
-            outside = shift > gate
+            outside = shift > gate or (any(sure[j : j + 1]) and not near(T, expected, slot))
             cost[i, j] = 1e3 if outside else shift + TURN_SHARE * slot.diameter_m * turn
     for i, j in zip(*linear_sum_assignment(cost), strict=True):
         if cost[i, j] < 1e3:

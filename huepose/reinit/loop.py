@@ -20,10 +20,8 @@ from huepose.geometry.arrays import Float64
 from huepose.reinit.answered import Answered, Frame, held
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import (
-    SAME_POSE,
     acquires,
     assign,
-    displacement_m,
     judge_tracked,
     near,
     same_sight,
@@ -42,7 +40,7 @@ from huepose.reinit.schedule import (
     missing,
 )
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
-from huepose.tracking.types import Correction, TrackedPose, Verdict
+from huepose.tracking.types import Correction, State, TrackedPose, Verdict
 
 PATIENCE_PERIODS = 2.0
 """For this many periods after an acquisition its instance counts as arriving, and no other is requested for
@@ -238,7 +236,8 @@ class ReinitLoop:
         tracked = [t for t in self._tracks.values() if t.object == slot.object and t.T_cam_obj is not None]
         priors = [self._past.at(t, result.stamp_ns) for t in tracked]
         poses = [_pose(e) for e in found]
-        assigned = assign(poses, priors, result.stamp_ns, slot)
+        sure = [t.state is State.TRACKING and slot.max_instances > 1 for t in tracked]
+        assigned = assign(poses, priors, result.stamp_ns, slot, sure)
         out = []
         for estimate, which in zip(found, assigned, strict=True):
             if which is not None:
@@ -270,7 +269,7 @@ class ReinitLoop:
         back."""
         T = _pose(estimate)
         taken = [c for c in before if c.verdict is Verdict.ACQUIRE]
-        if any(displacement_m(T, c.T_cam_obj, slot) < slot.diameter_m * SAME_POSE * 3 for c in taken):
+        if any(near(T, c.T_cam_obj, slot) for c in taken):
             self._count(Verdict.REJECT)
             return None
         key = self._free_instance(slot, {(c.object, c.instance) for c in taken})

@@ -29,12 +29,14 @@ class ObjectSlot:
     """An object to look for, and how many of it there may be.
 
     diameter_m: of its model; what counts as the same pose scales with it. equivalents: turns (4, 4) under
-    which shape and texture look the same; poses that differ by one of them are the same."""
+    which shape and texture look the same; poses that differ by one of them are the same. bounds_m (2, 3):
+    least and greatest coordinates of its model; two instances do not lie in each other."""
 
     object: str
     max_instances: int = 1
     diameter_m: float = 0.15
     equivalents: tuple[Float64, ...] = field(default=(), compare=False)
+    bounds_m: Float64 | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if self.max_instances < 1:

@@ -68,7 +68,7 @@ def make(bus: Bus, config: Config) -> ReinitWork:
 
 
 def _slot(name: str, count: int, outline: models.Outline) -> ObjectSlot:
-    return ObjectSlot(name, count, outline.diameter_m, outline.equivalents)
+    return ObjectSlot(name, count, outline.diameter_m, outline.equivalents, outline.bounds_obj)
 
 
 def _settings(config: Config) -> ReinitConfig:

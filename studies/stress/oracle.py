@@ -21,7 +21,7 @@ SCORE, SCORE_PER_DIAMETER = 1.9, 2.5
 
 def slot_of(model: ReferenceModel) -> ObjectSlot:
     """What the loop looks for."""
-    return ObjectSlot(model.name, 1, model.diameter_m, tuple(model.equivalents))
+    return ObjectSlot(model.name, 1, model.diameter_m, tuple(model.equivalents), model.mesh.bounds)
 
 
 class Oracle:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.reinit.judge import assign, displacement_m
+from huepose.reinit.judge import assign, displacement_m, near
 from huepose.reinit.types import ObjectSlot, Prior
 
 SLOT = ObjectSlot("mug", 3, 0.2)
@@ -44,6 +44,36 @@ def test_the_gate_follows_the_covariance() -> None:
 def test_turns_decide_between_equal_distances() -> None:
     priors = [prior(0.0, 0.05, 0.0), prior(0.0, 0.05, 90.0)]
     assert assign([at(0.0, 80.0), at(0.0, 5.0)], priors, 0, SLOT) == [1, 0]
+
+
+FLAT = ObjectSlot("book", 3, 0.26, (), np.array([[-0.1, -0.08, 0.0], [0.1, 0.08, 0.03]]))
+
+
+@pytest.mark.parametrize(
+    ("shift_m", "turn_deg", "same"),
+    [
+        ((0.0, 0.0, 0.035), (0.0, 0.0, 0.0), False),  # on top of it
+        ((0.0, 0.0, 0.015), (0.0, 0.0, 0.0), True),
+        ((0.12, 0.0, 0.1), (0.0, 90.0, 0.0), False),  # it leans on its side
+        ((0.0, 0.0, 0.03), (180.0, 0.0, 0.0), True),  # turned over in its place
+        ((0.09, 0.0, 0.0), (0.0, 0.0, 0.0), True),  # slid along it
+        ((0.21, 0.0, 0.0), (0.0, 0.0, 40.0), False),
+    ],
+)
+def test_two_instances_do_not_lie_in_each_other(
+    shift_m: tuple[float, ...], turn_deg: tuple[float, ...], same: bool
+) -> None:
+    one = at(0.1, 30.0)
+    other = one @ se3.make(se3.rotation_exp(np.radians(turn_deg)), np.array(shift_m))
+    assert near(one, other, FLAT) == near(other, one, FLAT) == same
+
+
+def test_what_lies_beside_a_sure_instance_is_another_one() -> None:
+    beside = at(0.0)
+    beside[2, 3] += 0.035
+    assert assign([beside], [prior(0.0)], 0, FLAT) == [0], "it may have moved there"
+    assert assign([beside], [prior(0.0)], 0, FLAT, [True]) == [None]
+    assert assign([at(0.01)], [prior(0.0)], 0, FLAT, [True]) == [0]
 
 
 def test_nothing_to_assign() -> None:

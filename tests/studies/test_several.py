@@ -10,16 +10,15 @@ from studies.several import Row, report, watched
 
 
 def test_all_of_a_kind_are_found_and_no_more(tea_box, take_picture, standing, monkeypatch) -> None:
+    """Three stand side by side, 3 mm apart."""
     monkeypatch.setattr(several, "SECONDS", 2)
-    truths = []
-    for k in range(3):
-        turn = se3.make(se3.rotation_exp(np.array([0.0, 0.0, 0.9 * k])), np.zeros(3))
-        truths.append(standing @ turn)
-        truths[-1][0, 3] += 0.14 * (k - 1)
+    sides = np.ptp(tea_box.mesh.bounds, axis=0)
+    apart = np.where(sides == sides.min(), sides + 0.003, 0.0)
+    truths = [standing @ se3.make(np.eye(3), apart * (k - 1)) for k in range(3)]
     frame = take_picture([(tea_box.mesh, T) for T in truths])
     first, right, wrong, twice = watched(frame, tea_box, truths, {0, 1, 2}, 2, np.random.default_rng(0))
     assert set(first) == {0, 1, 2}
-    assert right > 60
+    assert right > 50, "of 90"
     assert wrong == twice == 0
 
 

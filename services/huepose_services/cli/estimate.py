@@ -13,6 +13,7 @@ from huepose_services.cli.options import (
     add_box,
     add_bundles,
     add_json,
+    add_number,
     add_one_of,
     add_path,
     add_profile,
@@ -49,12 +50,8 @@ def add_parser(subparsers: Any) -> None:
     add_path(parser, "--camera", "FILE.json", "intrinsics, depth scale", required=True)
     add_bundles(parser)
     add_several(parser, "--object", "NAME", "all of the folder without", kind=str)
-    parser.add_argument(
-        "--instances",
-        type=int,
-        default=1,
-        metavar="N",
-        help="look for up to so many of each object; without, at its best places only",
+    add_number(
+        parser, "--instances", 1, "look for up to so many of each object; without, at its best places alone"
     )
     add_one_of(
         parser,

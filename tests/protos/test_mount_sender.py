@@ -40,10 +40,11 @@ def test_what_is_no_rigid_motion_is_refused_in_a_sentence(sender, T, found):
         sender.tell(T)
 
 
-@pytest.mark.parametrize("shift_ns", [time.time_ns() - time.monotonic_ns(), 2 * 10**9, -60 * 10**9])
-def test_the_stamp_of_another_clock_is_refused_with_the_right_one(sender, shift_ns):
-    with pytest.raises(ValueError, match=r"s from now: give the time\.monotonic_ns\(\)"):
-        sender.tell(TURNED, time.monotonic_ns() + shift_ns)
+def test_the_stamp_of_another_clock_is_refused_with_the_right_one(sender):
+    now = time.monotonic_ns()
+    for stamp_ns in (time.time_ns(), now + 2 * 10**9, now - 60 * 10**9):
+        with pytest.raises(ValueError, match=r"s from now: give the time\.monotonic_ns\(\)"):
+            sender.tell(TURNED, stamp_ns)
 
 
 def test_a_motion_that_is_rigid_to_a_thousandth_is_told(sender):

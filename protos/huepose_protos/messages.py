@@ -102,6 +102,7 @@ class PerceptionRequest(Message, frozen=True, kw_only=True):
     newest tracked frame, null before the first. An answer after deadline_ns is not waited for. `seen`: epoch
     and number of a frame about which all was answered: where it is still the newest, wait for the next."""
 
+    max_bytes: ClassVar[int] = 1024 * KIB
     seq: Count
     camera_epoch: Epoch | None
     deadline_ns: Stamp
@@ -113,6 +114,7 @@ class Look(Message, frozen=True, kw_only=True):
     """A request that brings the frame to look at, for a detector on another computer; the payload is that
     frame's."""
 
+    max_bytes: ClassVar[int] = 1024 * KIB
     request: PerceptionRequest
     frame: FrameHeader
 
@@ -132,6 +134,7 @@ class Detections(Message, frozen=True, kw_only=True):
     """Boxes in one frame; the payload is that frame's. `request_ns`: when the request was published;
     `camera`: what the picture says against this camera."""
 
+    max_bytes: ClassVar[int] = 1024 * KIB
     request_seq: Count
     request_ns: Stamp
     frame: FrameHeader
@@ -149,6 +152,7 @@ class MaskedObject(Struct, frozen=True, kw_only=True):
 class Masks(Message, frozen=True, kw_only=True):
     """Masks in one frame; the payload is that frame's. `camera`: as in Detections."""
 
+    max_bytes: ClassVar[int] = 1024 * KIB
     request_seq: Count
     request_ns: Stamp
     frame: FrameHeader

@@ -12,7 +12,17 @@ from huepose_protos import WireError, decode, encode
 from huepose_protos.buffers import frame_images, mask_of, pack, runs_of, unpack
 from huepose_protos.examples import images, messages
 from huepose_protos.keys import Keys
-from huepose_protos.messages import MESSAGES, BufferSpec, FrameHeader, MaskRuns, Masks, PoseMessage
+from huepose_protos.messages import (
+    MESSAGES,
+    BufferSpec,
+    Detections,
+    FrameHeader,
+    Look,
+    MaskRuns,
+    Masks,
+    PerceptionRequest,
+    PoseMessage,
+)
 
 EXAMPLES = {type(m): m for m in messages()}
 POSE = EXAMPLES[PoseMessage]
@@ -43,6 +53,23 @@ def test_deep_nesting_and_huge_lengths_are_wire_errors(byte):
     for kind in MESSAGES:
         with pytest.raises(WireError):
             decode(b"\x81\xa3foo" + byte * (kind.max_bytes // len(byte) // 2), kind)
+
+
+def test_perception_of_many_of_many_kinds_fits_its_messages():
+    """Of as many kinds as a request may name, as many instances as a file may ask for, all but one known."""
+    replace = msgspec.structs.replace
+    asked = next(one for one in EXAMPLES[PerceptionRequest].objects if one.prior is not None)
+    asked = replace(asked, instance=None, prior=None, others=[asked.prior] * 15)
+    request = replace(EXAMPLES[PerceptionRequest], objects=[asked] * 64)
+    boxed = replace(EXAMPLES[Detections].objects[0], request=asked)
+    masked = replace(EXAMPLES[Masks].objects[0], detection=boxed)
+    for message in (
+        request,
+        replace(EXAMPLES[Look], request=request),
+        replace(EXAMPLES[Detections], objects=[boxed] * 64),
+        replace(EXAMPLES[Masks], objects=[masked] * 64),
+    ):
+        assert decode(encode(message), type(message)) == message
 
 
 @pytest.mark.parametrize(

@@ -49,11 +49,12 @@ def writing(
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file, whole or not at all; a link or a device stays one. Makes missing folders. Raises
-    InputError."""
+    """Write a file, whole or not at all; in its place where it is a link or a device, which stays one, or
+    where its folder takes nothing new. Makes missing folders. Raises InputError."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_symlink() or (path.exists() and not path.is_file()):
+        there = path.exists()
+        if path.is_symlink() or (there and not (path.is_file() and os.access(path.parent, os.W_OK))):
             path.write_bytes(data)
             return
         with whole(path) as part:
@@ -83,7 +84,8 @@ def check_place(path: Path, makes_folders: bool = True) -> None:
     """Raises InputError unless something can be written there: asked before the work, not after it.
     makes_folders: whether those that are missing are made then."""
     path = path.absolute()
-    there = next(p for p in (path, *path.parents) if p.exists())
+    with writing(path):
+        there = next(p for p in (path, *path.parents) if p.exists())
     if there != path and not there.is_dir():
         found = f"{there} is no folder"
     elif not makes_folders and not path.parent.is_dir():

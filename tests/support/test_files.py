@@ -1,13 +1,17 @@
 """How files are written: whole or not at all, and named where the disk refuses them."""
 
+import os
+import tempfile
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from huepose.support.errors import InputError
-from huepose.support.files import whole, write_picture, write_text
+from huepose.support.files import check_place, whole, write_picture, write_text
 from tests.disk import full_disk
 
 
@@ -52,3 +56,37 @@ def test_a_link_stays_a_link(tmp_path: Path) -> None:
         assert (tmp_path / "file").read_text() == text
     write_text("/dev/null", "nothing")
     assert Path("/dev/null").is_char_device()
+
+
+@contextmanager
+def _another_user() -> Iterator[None]:
+    if os.getuid() != 0:
+        pytest.skip("only root can be another user")
+    nobody = 65534
+    os.setresuid(nobody, nobody, 0)
+    try:
+        yield
+    finally:
+        os.setresuid(0, 0, 0)
+
+
+def test_what_the_disk_says_of_a_place_is_an_input_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="found File name too long; expected a place that can be written"):
+        check_place(tmp_path / ("x" * 300))
+    (tmp_path / "private").mkdir(mode=0o700)
+    with _another_user(), pytest.raises(InputError, match="found Permission denied; expected a place"):
+        check_place(tmp_path / "private" / "out.json")
+
+
+def test_a_file_of_ones_own_in_a_folder_that_takes_nothing_new_is_written() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        folder, path = Path(name), Path(name) / "out.json"
+        path.write_text("before")
+        path.chmod(0o666)
+        folder.chmod(0o755)
+        with _another_user():
+            check_place(path)
+            write_text(path, "after")
+            with pytest.raises(InputError, match="cannot be written"):
+                check_place(folder / "another.json")
+        assert path.read_text() == "after"

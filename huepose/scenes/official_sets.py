@@ -27,7 +27,7 @@ from huepose.scenes import carried
 from huepose.scenes.camera import COLOR
 from huepose.scenes.frame import Shot, shoot
 from huepose.scenes.rendered import SceneRanges, write_rendered_set
-from huepose.support.files import write_picture
+from huepose.support.files import write_picture, write_text
 from huepose.support.progress import progress
 
 FIRST_SCENE = 48
@@ -91,7 +91,7 @@ def write_bop_ycbv(
                     targets.append(
                         {"im_id": image, "inst_count": 1, "obj_id": truth.object_id, "scene_id": scene}
                     )
-    (out / "test_targets_bop19.json").write_text(json.dumps(targets))
+    write_text(out / "test_targets_bop19.json", json.dumps(targets))
     _write_models(out, objects)
 
 
@@ -100,7 +100,6 @@ def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
     for obj in objects:
         for folder in ("models", "models_eval"):
             path = out / folder / f"obj_{obj.object_id:06d}.ply"
-            path.parent.mkdir(parents=True, exist_ok=True)
             write_ply(path, obj.mesh, scale=1000.0)
         points = 1000.0 * obj.mesh.vertices.astype(np.float64)
         infos[str(obj.object_id)] = {
@@ -112,8 +111,8 @@ def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
         offset_mm = (1000.0 * obj.offset_m).tolist()
         offsets[obj.name] = {"bop_obj_id": obj.object_id, "posecnn_to_bop_t_mm": offset_mm}
     for folder in ("models", "models_eval"):
-        (out / folder / "models_info.json").write_text(json.dumps(infos, indent=1))
-    (out / "models" / "frame_offsets.json").write_text(json.dumps(offsets, indent=1))
+        write_text(out / folder / "models_info.json", json.dumps(infos, indent=1))
+    write_text(out / "models" / "frame_offsets.json", json.dumps(offsets, indent=1))
 
 
 def fast_ycb_frame(shot: Shot) -> FastYcbFrame:

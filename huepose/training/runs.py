@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, IterableDataset, get_worker_info
 
 from huepose.support.errors import InputError
-from huepose.support.files import whole
+from huepose.support.files import whole, write_text
 from huepose.support.progress import progress
 
 CHECKPOINT = "checkpoint.pt"
@@ -124,7 +124,7 @@ class Training:
             "torch": torch.__version__,
             **figures,
         }
-        (self.out / f"{name}.json").write_text(json.dumps(record, indent=2) + "\n")
+        write_text(self.out / f"{name}.json", json.dumps(record, indent=2) + "\n")
         return record
 
 

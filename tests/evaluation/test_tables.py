@@ -23,6 +23,7 @@ from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_rows import TrackResult, row_of
 from huepose.geometry import se3
 from huepose.support.errors import InputError
+from tests.disk import full_disk
 
 from .conftest import MemoryScene, ScriptedEstimator, estimate_of, pose_at, reference_model, truth
 
@@ -279,3 +280,9 @@ def test_the_page_holds_tables_and_pictures_and_nothing_from_elsewhere(models, s
     assert text.count("data:image/png;base64,") == 6  # two curves, objects, quality; a curve, a sequence
     assert "http" not in text.replace("https://", "")
     assert 'src="data:' in text
+
+
+def test_on_a_full_disk_a_journal_is_named(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "j.jsonl", {})
+    with full_disk(10), pytest.raises(InputError, match=r"j\.jsonl: found File too large"):
+        journal.add("a", {"rows": [1.0] * 100})

@@ -14,7 +14,7 @@ from huepose.evaluation.estimate_protocol import EstimateSetup
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.track_rows import TrackResult
 from huepose.support.errors import InputError
-from huepose.support.files import write_text
+from huepose.support.files import write_text, writing
 from huepose.support.progress import progress
 
 Entry = Mapping[str, Any]
@@ -53,10 +53,10 @@ class Journal:
         return key in self.entries and "error" not in self.entries[key]
 
     def add(self, key: str, entry: Entry) -> None:
-        """Keep a finished piece of work."""
+        """Keep a finished piece of work. Raises InputError where it cannot be written."""
         whole = plain({"key": key, **entry})
         self.entries[key] = whole
-        with self.path.open("a") as file:
+        with writing(self.path), self.path.open("a") as file:
             file.write(json.dumps(whole, allow_nan=False) + "\n")
 
 

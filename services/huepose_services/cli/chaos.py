@@ -8,6 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from huepose.support.errors import InputError
+from huepose.support.files import write_text
 from huepose_services.cli.options import add_json, add_number, add_path, add_several, answered, say
 
 
@@ -58,7 +59,7 @@ def call(arguments: argparse.Namespace) -> int:
             draw(system.health_log, start, arguments.image)
     text = table(outcomes)
     if arguments.table is not None:
-        arguments.table.write_text(text + "\n")
+        write_text(arguments.table, text + "\n")
     memory = {worker: asdict(one) for worker, one in grown.items()}
     found = {"faults": [asdict(o) for o in outcomes], "memory": memory}
     answered(arguments, found, "\n".join([text, *(f"{worker:10s} {one}" for worker, one in grown.items())]))

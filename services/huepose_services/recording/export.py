@@ -15,7 +15,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.support.errors import InputError
-from huepose.support.files import write_bytes, write_text
+from huepose.support.files import whole, write_bytes, write_text
 from huepose.support.progress import progress
 from huepose.support.words import counted
 from huepose_protos import to_json
@@ -64,7 +64,7 @@ def export_bop(events: Iterable[Event], folder: Path) -> Exported:
     begins: dict[int, int] = {}
     following = 0
     left_out = set[str]()
-    with (folder / "poses.jsonl").open("w") as poses:
+    with whole(folder / "poses.jsonl") as part, part.open("w") as poses:
         for event in progress(events, f"{folder}: messages"):
             message = event.message
             if not isinstance(message, FrameHeader | PoseMessage | TruthMessage):

@@ -24,6 +24,7 @@ from huepose_services.recording.export import export_bop
 from huepose_services.recording.play import Player, in_order, said_by
 from huepose_services.recording.read import Recording
 from huepose_services.runtime.bus import Bus
+from tests.disk import full_disk
 from tests.services.conftest import free_port_range
 
 from .conftest import EXAMPLES, KEY, chunks_of, frames, mcap_of, parts, tiny_frame, written
@@ -61,6 +62,18 @@ def test_it_is_exported_as_a_bop_scene(tmp_path):
     assert json.loads((folder / "poses.jsonl").read_text())["frame_id"] == 12
     with pytest.raises(InputError, match="a new or empty folder"):
         export_bop([], folder)
+
+
+def test_on_a_full_disk_an_export_names_its_file(tmp_path, capsys):
+    out = parts(tmp_path / "out")
+    header, color, depth = tiny_frame(7)
+    out.frame(header, color, depth, KEY + "frame")
+    out.message(KEY + "pose/x/1", msgspec.structs.replace(POSE, camera_epoch=header.camera_epoch, frame_id=7))
+    out.close()
+    folder = tmp_path / "bop"
+    with full_disk(room_bytes=500):  # a picture has room there, a pose has not
+        assert main(["replay", str(out.path), "--bop", str(folder)]) == 2
+    assert f"{folder / 'poses.jsonl'}: found File too large" in capsys.readouterr().err
 
 
 def test_poses_of_objects_without_numbers_are_scored(tmp_path, tea_box, capsys):

@@ -77,6 +77,14 @@ def test_so_many_instances_are_found_as_are_asked_for(
     np.testing.assert_allclose(x, [T[0, 3] for T in truths], atol=0.003)
 
 
+@pytest.mark.parametrize(("number", "said"), [("0", "1 or more"), ("2", "one of the two")])
+def test_a_number_of_instances_that_means_nothing_is_refused(
+    number: str, said: str, files: list[str], box: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*files, *box, "--instances", number]) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_a_pose_as_json_a_picture_and_an_explanation(
     files: list[str], box: list[str], tmp_path: Path, standing: np.ndarray
 ) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.errors import InputError
 from huepose.support.files import write_picture
 from huepose_services.cli.options import (
     add_box,
@@ -50,9 +51,8 @@ def add_parser(subparsers: Any) -> None:
     add_path(parser, "--camera", "FILE.json", "intrinsics, depth scale", required=True)
     add_bundles(parser)
     add_several(parser, "--object", "NAME", "all of the folder without", kind=str)
-    add_number(
-        parser, "--instances", 1, "look for up to so many of each object; without, at its best places alone"
-    )
+    more = "go on looking for an object until so many are found; without, at its best places only"
+    add_number(parser, "--instances", 1, more)
     add_one_of(
         parser,
         "--method",
@@ -82,6 +82,14 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.model import load_models
     from huepose.profiles import profile
 
+    if arguments.instances < 1:
+        raise InputError("--instances", found=str(arguments.instances), expected="1 or more")
+    if arguments.instances > 1 and arguments.box is not None:
+        raise InputError(
+            "--instances",
+            found="--box beside it, in which one of each is looked for",
+            expected="one of the two",
+        )
     begun = time.monotonic()
     frame = read_frame(arguments.color, arguments.depth, arguments.camera)
     size = (frame.camera.width, frame.camera.height)

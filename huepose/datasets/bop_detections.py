@@ -40,7 +40,7 @@ class BopDetections:
 
     @staticmethod
     def ordered(found: Iterable[tuple[int, int, BopDetection]]) -> BopDetections:
-        """Of (scene, image, detection) in any order."""
+        """Those of (scene, image, detection) in any order; of each image the surest first."""
         by_image: dict[tuple[int, int], list[BopDetection]] = {}
         for scene, image, one in sorted(found, key=lambda item: -item[2].score):
             by_image.setdefault((scene, image), []).append(one)

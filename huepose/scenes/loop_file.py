@@ -99,7 +99,7 @@ def open_loop(path: Path) -> tuple[Loop, list[dict[str, Any]]] | None:
         names = [f"{i}.{kind}" for i in range(len(stored["rows"])) for kind in ("jpg", "depth")]
         if file.namelist() != [*names, _FACTS]:
             return None
+        height, width = stored["size"]
+        return Loop(stored["facts"], file, len(stored["rows"]), (height, width)), stored["rows"]
     except Exception:  # of what is damaged, zipfile trips over anything
         return None
-    height, width = stored["size"]
-    return Loop(stored["facts"], file, len(stored["rows"]), (height, width)), stored["rows"]

@@ -1,4 +1,4 @@
-"""More poses of an object that its followed hypotheses explain too little.
+"""More poses for an object, where those that were followed explain less than they should.
 
 Cheap sources come first: optical flow (paper, section III-E), then searches of the places that it can have
 reached, then its near-symmetric rotations. They are tried stage by stage until a pose explains enough; what

@@ -1,7 +1,8 @@
 """One tracking step: from the hypotheses of one frame to those of the next. Pure functions.
 
-Each hypothesis is followed from its last pose and from where its velocity takes it. Where the best explains
-less than it should, more are proposed (`tracking.stages`); the track decides what to believe."""
+Each hypothesis is followed from its last pose and from where its velocity takes it (`tracking.refined`).
+Where the best explains less than it should, more are proposed (`tracking.stages`). The track decides what to
+believe."""
 
 from __future__ import annotations
 
@@ -81,9 +82,19 @@ def advance(
     # Back in full view with its usual total: no search nearby is needed, only the check of its rotation.
     back = not long and begun <= NEAR and in_full(best, anchor.baseline, config)
     task = Task(
-        subject, anchor, frame, config, relative_pose or RobustKabsch(), expected, near, far, seconds, long,
-        uneasy, back
-    )  # fmt: skip
+        subject,
+        anchor,
+        frame,
+        config,
+        relative_pose or RobustKabsch(),
+        expected=expected,
+        near=near,
+        far=far,
+        seconds=seconds,
+        long=long,
+        uneasy=uneasy,
+        back=back,
+    )
     doubtful = task.doubts(best)
     if not (doubtful or uneasy):
         return Advance(tuple(found), rolled, margin=margin)

@@ -108,7 +108,7 @@ class SeenBoxes(BoxFinder):
 
     @property
     def objects(self) -> list[str]:
-        """Those that it knows."""
+        """Names of the objects that it knows."""
         return list(self._outlines)
 
     def look(self, frame: RgbdFrame) -> None:

@@ -55,12 +55,12 @@ def call(arguments: argparse.Namespace) -> int:
                 if arguments.minutes and time.monotonic() > until:
                     break
         grown = growth(system.health_log, start, until_s=time.monotonic())
-        if arguments.image is not None:
-            draw(system.health_log, start, arguments.image)
     text = table(outcomes)
-    if arguments.table is not None:
-        write_text(arguments.table, text + "\n")
     memory = {worker: asdict(one) for worker, one in grown.items()}
     found = {"faults": [asdict(o) for o in outcomes], "memory": memory}
     answered(arguments, found, "\n".join([text, *(f"{worker:10s} {one}" for worker, one in grown.items())]))
+    if arguments.image is not None:
+        draw(system.health_log, start, arguments.image)
+    if arguments.table is not None:
+        write_text(arguments.table, text + "\n")
     return 1 if any(o.broken for o in outcomes) else 0

@@ -26,17 +26,17 @@ _COUNTS = ("matches_median", "no_motion")
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Compare, write, draw, print a table."""
+    """Compare, print a table, write, draw."""
     import cv2
 
     cv2.setNumThreads(1)  # as the tracker's worker does
     scenes, models = open_fast_ycb(arguments.fast_ycb, arguments.bundles)
     result = evaluate_ablation(scenes, Targets(models), arguments.gap, with_networks())
     record = result.as_json()
+    print(_report(record["summary"]))
     write_json(arguments.json, record)
     if arguments.plots is not None:
         write_picture(arguments.plots / "ablation.png", result.picture())
-    print(_report(record["summary"]))
     return 0
 
 

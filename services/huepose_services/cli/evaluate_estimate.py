@@ -33,7 +33,7 @@ _BOP = ("AR", "AR_VSD", "AR_MSSD", "AR_MSPD")
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Evaluate, write, print a table."""
+    """Evaluate, print a table, write."""
     models = load_models(arguments.bundles)
     scenes = open_ycbv_folder(arguments.ycbv, models).scenes if arguments.ycbv else open_bop(arguments.bop)
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
@@ -82,12 +82,12 @@ def call(arguments: argparse.Namespace) -> int:
     )
     record = result.as_json()
     record["summary"] |= {"method": arguments.method, "profile": arguments.profile}
+    print(_report(record["summary"]))
     write_json(arguments.json, record | {"origin": origin()})
     if pictures is not None:
         pictures.estimates(result)
     if arguments.csv:
         write_bop_csv(arguments.csv, _bop_results(result))
-    print(_report(record["summary"]))
     if failures is not None:
         print(failures.finish())
     return 0

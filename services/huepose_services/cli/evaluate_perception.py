@@ -21,7 +21,7 @@ from huepose_services.cli.evaluate_scenes import open_bop
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Evaluate, write, print a table."""
+    """Evaluate, print a table, write."""
     scenes = open_bop(arguments.bop)
     targets = Targets(load_models(arguments.bundles), arguments.objects)
     models = {model.name: model for model in targets.models}
@@ -56,8 +56,8 @@ def call(arguments: argparse.Namespace) -> int:
     record = result.as_json(arguments.proposals)
     how = {"detector": "colorpair", "sources": arguments.sources, "segmenter": "depth"}
     record["summary"] |= how | {"profile": arguments.profile}
-    write_json(arguments.json, record | {"origin": origin()})
     print(_report(record["summary"]))
+    write_json(arguments.json, record | {"origin": origin()})
     return 0
 
 

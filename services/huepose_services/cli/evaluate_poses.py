@@ -13,14 +13,14 @@ from huepose_services.cli.evaluate_scenes import figure_table, open_scenes, stat
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Score, write, print a table."""
+    """Score, print a table, write."""
     messages = read_messages(arguments.poses)
     fast_ycb = [arguments.fast_ycb] if arguments.fast_ycb else None
     bop = [arguments.bop] if arguments.bop else None
     (scene,), models = open_scenes(fast_ycb, bop, arguments.bundles)
     record = evaluate_poses(messages, scene, Targets(models)).as_json()
-    write_json(arguments.json, record)
     print(_report(record["summary"]))
+    write_json(arguments.json, record)
     return 0
 
 

@@ -36,7 +36,7 @@ from huepose_services.cli.pose_tables import PoseSources, warm_tracker
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Evaluate, write, print a table."""
+    """Evaluate, print a table, write."""
     import cv2
 
     cv2.setNumThreads(1)  # as the tracker's worker does
@@ -71,10 +71,10 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.method == "paper":
         record["summary"]["rotation"] = arguments.rotation
     record["summary"]["profile"] = arguments.profile
+    print(_report(record["summary"]))
     write_json(arguments.json, record | {"origin": origin()})
     if pictures is not None:
         pictures.tracks(result)
-    print(_report(record["summary"]))
     return 0
 
 

@@ -107,6 +107,13 @@ def test_poses_of_objects_without_numbers_are_scored(tmp_path, tea_box, capsys):
     assert main(["eval", "poses", str(folder / "poses.jsonl"), *arguments]) == 0
     summary = json.loads(result.read_text())["summary"]
     assert (summary["instances"], summary["sequences"]["bop"]["recall_add"]) == (2, 100.0)
+    result.unlink()
+    capsys.readouterr()
+    with full_disk():
+        assert main(["eval", "poses", str(folder / "poses.jsonl"), *arguments]) == 2
+    said = capsys.readouterr()
+    assert "poses for 100.0 % of frames" in said.out, "what was measured is told all the same"
+    assert f"{result}: found File too large" in said.err
 
 
 def test_it_is_a_camera(tmp_path):

@@ -139,8 +139,8 @@ class Track:
         return tried
 
     def _look_everywhere(self, frame: RgbdFrame, tries: float) -> float:
-        """Search for a lost object, one part of the picture per frame. What is found is `SUSPECT` until the
-        next frames confirm it."""
+        """Search for a lost object at the likeliest place of the picture, among other windows each time. What
+        is found is `SUSPECT` until the next frames confirm it."""
         self._effort = effort = self._effort.missed()
         sure_pose = self._orientation.sure
         if tries < 1.0 or sure_pose is None or effort.resting:

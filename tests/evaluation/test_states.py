@@ -87,7 +87,6 @@ def test_coverage_counts_visible_frames_only() -> None:
 def test_false_tracking_is_a_wrong_pose_or_more_than_five_gone_frames() -> None:
     assert judged("TttsT").false_tracking_frames == 2
     assert judged("TTTTTTTTT", ".gggggggg").false_tracking_frames == 3
-    assert judged("TTTTTTTTT", ".gggggggg").false_tracking_frames == 3
 
 
 def test_a_wrong_run_is_declared_when_it_is_published_as_suspect_then_lost() -> None:

@@ -74,6 +74,8 @@ class PoseClient:
         inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
         self._outside = (keys.outside(inside), keys.outside(keys.camera_info))
         endpoints = [endpoints] if isinstance(endpoints, str) else list(endpoints)
+        if not endpoints:
+            raise ValueError("PoseClient: no endpoints; give a gateway's HOST, or local.pose_endpoints()")
         self._endpoints = [endpoint_of(one, tls=authority is not None) for one in endpoints]
         self._files = authority, certificate, key
         self._session = open_session(endpoints, *self._files)

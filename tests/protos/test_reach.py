@@ -36,6 +36,11 @@ def test_what_is_no_place_is_refused_in_a_sentence(given):
     assert ".cargo" not in str(refusal.value)
 
 
+def test_a_client_needs_a_place():
+    with pytest.raises(ValueError, match=r"no endpoints; give a gateway's HOST, or local\.pose_endpoints"):
+        PoseClient([])
+
+
 def test_nobody_at_a_host_is_said():
     with PoseClient("127.0.0.1:1") as client:
         said = "waiting for a gateway at tcp/127.0.0.1:1: no program listens there"

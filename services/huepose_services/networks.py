@@ -67,10 +67,10 @@ def check(config: Config) -> None:
         networks.append(sam)
     if "tracker" in workers and config.tracker.flow == "neuflow":
         networks.append(flow)
-    if networks:
-        providers_here(settings(config))
     for opened_as in networks:
         opened_as(on_processor(config))
+    if networks:
+        providers_here(settings(config))
     if "tracker" in workers:
         relative_pose(config)
 

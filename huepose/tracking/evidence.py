@@ -17,6 +17,7 @@ from math import erf, log
 import numpy as np
 
 from huepose.believe import frame
+from huepose.believe.logistic import probability
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.judge.terms import Terms
@@ -31,6 +32,9 @@ correlated errors."""
 LEAST_SEEN, ONE_SENSE = 0.15, 0.45
 """If depth confirms less than LEAST_SEEN of the surface, or colour does, the pose rests on one sense and its
 quality is at most ONE_SENSE."""
+
+LOOSE = 0.7
+"""Highest quality of a pose that may be wrong by its own covariance: it is followed and not TRACKING."""
 
 HIDDEN, SCARCE_FADE = 0.6, 0.93
 """If more than HIDDEN of the surface is occluded, the quality falls by SCARCE_FADE per frame."""
@@ -79,11 +83,18 @@ def vouched(quality: float, spread: float) -> float:
     """A quality when the pose is that uncertain by its own covariance; spread: RMS displacement of the
     object's points as a share of its diameter. Right means within a tenth of it.
 
-    >>> round(vouched(0.99, 0.02), 2), vouched(0.99, 0.3)
-    (0.99, 0.45)
+    >>> round(vouched(0.99, 0.02), 2), vouched(0.99, 0.05), vouched(0.99, 0.3)
+    (0.99, 0.7, 0.45)
     """
     within = erf(RIGHT / (max(spread, 1e-6) * np.sqrt(2.0)))
-    return min(quality, max(quality * within, ONE_SENSE))
+    most = LOOSE if is_loose(spread) else 1.0
+    return min(quality, most, max(quality * within, ONE_SENSE))
+
+
+def is_loose(spread: float) -> bool:
+    """Whether a pose may be wrong by its own covariance: three standard deviations are more than what is
+    right."""
+    return spread > RIGHT / 3.0
 
 
 def scarce(terms: Terms) -> bool:
@@ -197,6 +208,9 @@ LEAST_LEFT = 0.25
 """Share of the doubt of its surest answer that perception leaves from one viewpoint, however often it is
 asked. Origin: see docs/tracking.md (before a still camera)."""
 
+LOOK_SHARE = 0.3
+"""Weight of a new frame in the running mean of what the tracker sees of a thing that it found by itself."""
+
 LARGEST = 0.995
 """No belief in an identity is surer."""
 
@@ -276,7 +290,9 @@ class Identity:
         return Identity(min(self.value, likely), view, max(self.value, self.lost))
 
     def looked_at(self, likely: float) -> Identity:
-        """After a later frame that supports the pose, and makes it that likely by itself: it may be again
-        what it was before the loss, and no more."""
-        value = min(likely, self.lost)
-        return replace(self, value=value) if value > self.value else self
+        """After a later frame that makes it that likely by itself: it may be again what it was before the
+        loss, and no more. The log-odds are a running mean, since another thing fits now well, now badly."""
+        if self.lost == 0.0:
+            return self
+        mean = odds_of(self.value) + LOOK_SHARE * (odds_of(likely) - odds_of(self.value))
+        return replace(self, value=min(probability(mean), self.lost))

@@ -124,6 +124,8 @@ def uncertainty(subject: Subject, h: Hypothesis) -> tuple[Float64, float]:
     """Covariance (6, 6) of a pose, and its expected error as a share of the diameter."""
     surface, T = subject.surface, h.T_cam_obj
     known = covariance(h.information, float(surface.centre_cam(T)[2]))
+    # What readings have in common turns the object about the part that is in the picture.
+    known /= max(1.0 - h.terms.outside, LEAST_INSIDE)
     return known, spread_m(known, T, surface.arrays.points[:POINTS]) / surface.diameter_m
 
 
@@ -155,6 +157,10 @@ RESIDUALS_PER_READING = 12.0
 """This many residuals are worth one independent one."""
 
 FLOOR_SIGMA = np.array([0.0003, 0.0003, 0.0005, 0.004, 0.004, 0.004])
+LEAST_INSIDE = 0.05
+"""What is inside of the picture counts as this share at least. That errors grow with the inverse root of it:
+medians of error over expected error in 5,900 frames of drawn objects that the picture's edge cuts."""
+
 BIAS_SHARE = 0.15
 """Of the depth sensor's noise: what its errors have in common over an object."""
 

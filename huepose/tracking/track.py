@@ -96,6 +96,8 @@ class Track:
             return Doubt.TURN
         if not self._known:
             return Doubt.IDENTITY
+        if evidence.is_loose(self._spread):
+            return Doubt.LOOSE
         sure = self.quality >= self._config.least_quality
         return Doubt.FOUND if sure and self._standing.just_found else None
 
@@ -215,11 +217,10 @@ class Track:
             elif self.evidence >= self._config.suspect_quality:
                 self.learn()
                 self._supported_ns = frame.stamp_ns
-                if self.evidence >= self._config.tracking_quality:
-                    if self._spread < LOOSE:
-                        self._identity = self._identity.carried(self.terms, self._view())
-                    if self._may_be_another:
-                        self._identity = self._identity.looked_at(self._seen_alone())
+                if self.evidence >= self._config.tracking_quality and self._spread < LOOSE:
+                    self._identity = self._identity.carried(self.terms, self._view())
+                if self._may_be_another:
+                    self._identity = self._identity.looked_at(self._seen_alone())
             self._judge()
         self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
         self.history.forget_before(since_ns)

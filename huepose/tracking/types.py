@@ -31,6 +31,8 @@ class Doubt(str, Enum):
     """Whether it was the right pose, or the right object, to begin with."""
     ANOTHER = "another"
     """It is more likely another thing, or was found after a loss by its looks alone."""
+    LOOSE = "loose"
+    """Too little of it is seen to fix its pose."""
     FOUND = "found"
     """It fits, and did not in the frame before."""
 

@@ -41,6 +41,7 @@ DARK = "The picture is too dark there."
 TURN = "It fits, but turned another way it would fit nearly as well: seen from another side it becomes sure."
 UNCONFIRMED = "It fits, but was found on little: found here again or seen from another side, it is sure."
 ANOTHER = "It may be another thing that looks like it: found again or seen from another side, it is sure."
+LOOSE = "It fits, but too little of it is seen to say exactly where it is."
 FOUND = "It was found just now: if the next frames agree it is sure."
 RELIT = "The colour of the light changed when it was last sure: found again in this light it is sure."
 DISAGREES = "Too little of what is seen there agrees with its shape and texture."
@@ -49,6 +50,7 @@ _SAID = {
     Doubt.TURN: TURN,
     Doubt.IDENTITY: UNCONFIRMED,
     Doubt.ANOTHER: ANOTHER,
+    Doubt.LOOSE: LOOSE,
     Doubt.FOUND: FOUND,
 }
 

@@ -94,6 +94,7 @@ def test_the_reason_is_the_one_that_was_made(expected: str) -> None:
         (Doubt.TURN, why.TURN),
         (Doubt.IDENTITY, why.UNCONFIRMED),
         (Doubt.ANOTHER, why.ANOTHER),
+        (Doubt.LOOSE, why.LOOSE),
         (Doubt.FOUND, why.FOUND),
     ],
 )

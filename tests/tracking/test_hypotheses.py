@@ -11,10 +11,12 @@ from huepose.geometry import se3
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import NOTHING
 from huepose.tracking import Correction, State, Tracker, TrackerConfig
-from huepose.tracking.evidence import ONE_SENSE, vouched
+from huepose.tracking.evidence import LOOSE, ONE_SENSE, vouched
 from huepose.tracking.hypothesis import Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.motion import jump_odds
-from huepose.tracking.opinions import spread_m
+from huepose.tracking.opinions import spread_m, uncertainty
+from huepose.tracking.subject import Subject
+from huepose.tracking.types import Doubt
 
 FLIP = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 FRAME_S = 1.0 / 30.0
@@ -43,6 +45,40 @@ def test_a_quality_is_no_better_than_what_the_covariance_vouches_for() -> None:
     assert vouched(1.0, 0.1) == pytest.approx(0.6827, abs=1e-4)
     assert vouched(1.0, 1.0) == ONE_SENSE
     assert vouched(0.1, 1.0) == 0.1
+    assert vouched(1.0, 0.033) > 0.99
+    assert vouched(1.0, 0.034) == LOOSE < TrackerConfig().least_quality, "right is less than three sigmas"
+
+
+def test_a_pose_is_less_certain_the_more_of_the_object_is_outside_of_the_picture(tea_box) -> None:
+    subject, known = Subject.of(tea_box), np.diag([1e8, 1e8, 1e8, 1e4, 1e4, 1e4])
+    away = se3.make(np.eye(3), np.array([0.0, 0.0, 0.7]))
+    spreads = []
+    for outside in (0.0, 0.75, 1.0):
+        h = Hypothesis(away, replace(NOTHING, outside=outside), known, "still")
+        covariance, spread = uncertainty(subject, h)
+        assert np.allclose(covariance, covariance.T)
+        spreads.append(spread)
+    assert spreads[1] == pytest.approx(2.0 * spreads[0])
+    assert spreads[2] == pytest.approx(np.sqrt(20.0) * spreads[0])
+
+
+def test_what_leaves_the_picture_is_followed_but_not_believed_until_it_is_back(
+    plain_box, shoot, path
+) -> None:
+    tracker, T = Tracker({"plain_box": plain_box}), path(0).copy()
+    first = shoot([(plain_box.mesh, T)], 0)
+    tracker.step(first)
+    tracker.correct(Correction.first("plain_box", T, first))
+    middle, edge = T[0, 3], 160.0 / 420.0 * T[2, 3]
+    outwards = np.linspace(middle, edge + 0.03, 30)
+    said = []
+    for number, x in enumerate(np.concatenate([outwards, outwards[::-1]]), 1):
+        T[0, 3] = x
+        (pose,) = tracker.step(shoot([(plain_box.mesh, T)], number))
+        said.append((pose.state, tracker.doubt("plain_box", 0)))
+    assert said[20] == said[-1] == (State.TRACKING, None)
+    assert said[29] == (State.SUSPECT, Doubt.LOOSE)
+    assert all(state is not State.LOST for state, _ in said)
 
 
 def turned(degrees: float) -> np.ndarray:

@@ -192,7 +192,7 @@ def _without(
 def _free_of(frame: RgbdFrame, query: ObjectQuery, taken: Bool) -> tuple[RgbdFrame, ObjectQuery]:
     """A frame, and a query in it, without the depth of the pixels (H, W) that are taken."""
     masks = tuple(np.asarray(m, bool) & ~taken for m in query.masks)
-    return replace(frame, depth=np.where(taken, np.float32(0.0), frame.depth)), replace(query, masks=masks)
+    return frame.without(taken), replace(query, masks=masks)
 
 
 def _share_of_mask(mask: Bool | None, taken: Bool) -> float:

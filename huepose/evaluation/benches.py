@@ -150,7 +150,7 @@ def _again(frame: RgbdFrame, seed: int) -> RgbdFrame:
 def _taken_out(frame: RgbdFrame, truth: GroundTruth | None) -> RgbdFrame:
     """The frame without depth where an object is seen: nothing else looks like it there."""
     mask = None if truth is None else truth.mask()
-    return frame if mask is None else replace(frame, depth=np.where(mask, np.float32(0.0), frame.depth))
+    return frame if mask is None else frame.without(mask)
 
 
 def _segmented(

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from huepose.geometry.arrays import Float32, UInt8
+from huepose.geometry.arrays import Bool, Float32, UInt8
 from huepose.geometry.camera import Camera
 from huepose.support.errors import InputError
 
@@ -48,3 +48,7 @@ class RgbdFrame:
                 expected=f"{size} float32 metres, aligned to the colour image",
                 fix=fix,
             )
+
+    def without(self, pixels: Bool) -> RgbdFrame:
+        """The same frame without the depth of some pixels (H, W)."""
+        return replace(self, depth=np.where(pixels, np.float32(0.0), self.depth))

@@ -54,9 +54,9 @@ class ClearView:
         c = self.crop
         h, w = c.depth.shape
         mine = taken[c.y0 : c.y0 + h, c.x0 : c.x0 + w]
-        frame = replace(self.frame, depth=np.where(taken, np.float32(0.0), self.frame.depth))
         crop = replace(c, depth=np.where(mine, np.float32(0.0), c.depth))
-        return replace(self, frame=frame, crop=crop, clear=self.clear & ~mine, taken=mine)
+        clear = self.clear & ~mine
+        return replace(self, frame=self.frame.without(taken), crop=crop, clear=clear, taken=mine)
 
     def free(self, pixels: Float) -> Bool:
         """Which of pixels (N, 2) of the crop belong to nothing that is known."""

@@ -155,13 +155,14 @@ def assign(
     out: list[int | None] = [None] * len(estimates)
     if not estimates or not priors:
         return out
+    sure = sure or [False] * len(priors)
     cost = np.empty((len(estimates), len(priors)))
     for j, prior in enumerate(priors):
         expected, gate = prior.predicted(stamp_ns), _gate_m(prior, stamp_ns, slot)
         for i, T in enumerate(estimates):
             shift = float(np.linalg.norm(T[:3, 3] - expected[:3, 3]))
             turn = min(se3.rotation_angle(T @ turn, expected) for turn in slot.equivalents or (np.eye(4),))
-            outside = shift > gate or (any(sure[j : j + 1]) and not near(T, expected, slot))
+            outside = shift > gate or (sure[j] and not near(T, expected, slot))
             cost[i, j] = 1e3 if outside else shift + TURN_SHARE * slot.diameter_m * turn
     for i, j in zip(*linear_sum_assignment(cost), strict=True):
         if cost[i, j] < 1e3:

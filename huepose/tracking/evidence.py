@@ -33,7 +33,7 @@ LEAST_SEEN, ONE_SENSE = 0.15, 0.45
 """If depth confirms less than LEAST_SEEN of the surface, or colour does, the pose rests on one sense and its
 quality is at most ONE_SENSE."""
 
-LOOSE = 0.7
+MOST_LOOSE = 0.7
 """Highest quality of a pose that may be wrong by its own covariance: it is followed and not TRACKING."""
 
 HIDDEN, SCARCE_FADE = 0.6, 0.93
@@ -87,7 +87,7 @@ def vouched(quality: float, spread: float) -> float:
     (0.99, 0.7, 0.45)
     """
     within = erf(RIGHT / (max(spread, 1e-6) * np.sqrt(2.0)))
-    most = LOOSE if is_loose(spread) else 1.0
+    most = MOST_LOOSE if is_loose(spread) else 1.0
     return min(quality, most, max(quality * within, ONE_SENSE))
 
 

@@ -29,9 +29,9 @@ from huepose.tracking.stages import found_at
 from huepose.tracking.step import Advance
 from huepose.tracking.subject import Subject
 
-LOOSE = 0.012
-"""Expected pose error, as a share of the diameter, above which the texture does not fix the pose; textured
-objects have half of it."""
+FIXED = 0.012
+"""Expected pose error, as a share of the diameter, up to which the texture fixes the pose; textured objects
+have half of it."""
 
 
 class Opinions(NamedTuple):
@@ -112,7 +112,7 @@ def _held_by_its_ends(
 ) -> Hypothesis | None:
     """A followed pose that could slide along the object's surface, moved so that its outline fits; or
     None."""
-    if h.goes_on == 0.0 and uncertainty(subject, h)[1] < LOOSE:
+    if h.goes_on == 0.0 and uncertainty(subject, h)[1] < FIXED:
         return None
     T = moved_to_ends(subject.contours, h.T_cam_obj, frame)
     if T is None:
@@ -157,12 +157,12 @@ RESIDUALS_PER_READING = 12.0
 """This many residuals are worth one independent one."""
 
 FLOOR_SIGMA = np.array([0.0003, 0.0003, 0.0005, 0.004, 0.004, 0.004])
+BIAS_SHARE = 0.15
+"""Of the depth sensor's noise: what its errors have in common over an object."""
+
 LEAST_INSIDE = 0.05
 """What is inside of the picture counts as this share at least. That errors grow with the inverse root of it:
 medians of error over expected error in 5,900 frames of drawn objects that the picture's edge cuts."""
-
-BIAS_SHARE = 0.15
-"""Of the depth sensor's noise: what its errors have in common over an object."""
 
 WEAK_SIGMA = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])
 """What is known even where nothing was measured: the object was tracked a moment ago."""

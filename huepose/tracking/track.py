@@ -21,7 +21,7 @@ from huepose.tracking.evidence import Identity, Standing, next_standing, turned_
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, share_of_first
 from huepose.tracking.motion import Reach, predicted, same_motion
-from huepose.tracking.opinions import LOOSE, found_again, opinions, uncertainty, weighed
+from huepose.tracking.opinions import FIXED, found_again, opinions, uncertainty, weighed
 from huepose.tracking.orientation import LOOKED_FOR, SAME_VIEW, Orientation
 from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, FLOW
@@ -217,7 +217,7 @@ class Track:
             elif self.evidence >= self._config.suspect_quality:
                 self.learn()
                 self._supported_ns = frame.stamp_ns
-                if self.evidence >= self._config.tracking_quality and self._spread < LOOSE:
+                if self.evidence >= self._config.tracking_quality and self._spread < FIXED:
                     self._identity = self._identity.carried(self.terms, self._view())
                 if self._may_be_another:
                     self._identity = self._identity.looked_at(self._seen_alone())

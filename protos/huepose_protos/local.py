@@ -45,13 +45,28 @@ def pose_endpoints(base_port: int = BASE_PORT, folder: Path | str | None = None)
     return [endpoint(base_port + 1, folder), endpoint(base_port, folder)]
 
 
+def writer_runs(note: Path) -> bool:
+    """Whether the process that noted which pipeline it runs is there: the note's name begins with its
+    number."""
+    number = note.stem.partition("-")[0]
+    if not number.isdigit():
+        return False
+    try:
+        os.kill(int(number), 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
 def note_of(base_port: int, folder: Path) -> str | None:
     """Of the pipeline that a process says that it runs there: SITE/CAMERA, from which file."""
     for note in folder.glob(f"*-{base_port}.json"):
-        with suppress(OSError, ValueError, KeyError):
-            os.kill(int(note.name.partition("-")[0]), 0)
+        with suppress(OSError, ValueError, KeyError, TypeError):
             said = json.loads(note.read_bytes())
-            return f"{said['site']}/{said['camera']}, from {said['file']},"
+            if writer_runs(note):
+                return f"{said['site']}/{said['camera']}, from {said['file']},"
     return None
 
 

@@ -11,7 +11,7 @@ from huepose.geometry import se3
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import NOTHING
 from huepose.tracking import Correction, State, Tracker, TrackerConfig
-from huepose.tracking.evidence import LOOSE, ONE_SENSE, vouched
+from huepose.tracking.evidence import MOST_LOOSE, ONE_SENSE, vouched
 from huepose.tracking.hypothesis import Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.motion import jump_odds
 from huepose.tracking.opinions import spread_m, uncertainty
@@ -46,7 +46,9 @@ def test_a_quality_is_no_better_than_what_the_covariance_vouches_for() -> None:
     assert vouched(1.0, 1.0) == ONE_SENSE
     assert vouched(0.1, 1.0) == 0.1
     assert vouched(1.0, 0.033) > 0.99
-    assert vouched(1.0, 0.034) == LOOSE < TrackerConfig().least_quality, "right is less than three sigmas"
+    assert vouched(1.0, 0.034) == MOST_LOOSE < TrackerConfig().least_quality, (
+        "right is less than three sigmas"
+    )
 
 
 def test_a_pose_is_less_certain_the_more_of_the_object_is_outside_of_the_picture(tea_box) -> None:

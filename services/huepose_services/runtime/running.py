@@ -15,7 +15,7 @@ import msgspec
 
 from huepose.support.errors import InputError
 from huepose.support.files import whole
-from huepose_protos.local import endpoint, run_folder
+from huepose_protos.local import endpoint, run_folder, writer_runs
 from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load_all
 from huepose_services.runtime.run_folder import is_private, known_folders, make_folder, sweep
 
@@ -107,12 +107,11 @@ def running(without_this: bool = False) -> list[Pipeline]:
     """The pipelines that run now, each once; perhaps without what this process has noted."""
     found = {}
     for note in [note for folder in known_folders() for note in sorted(folder.glob("*.json"))]:
-        process = note.stem.partition("-")[0]
-        if not process.isdigit() or not _runs(int(process)):
+        if not writer_runs(note):
             with suppress(OSError):
                 note.unlink(missing_ok=True)
             continue
-        if without_this and int(process) == os.getpid():
+        if without_this and note.stem.partition("-")[0] == str(os.getpid()):
             continue
         with suppress(OSError, msgspec.MsgspecError):
             pipeline = msgspec.json.decode(note.read_bytes(), type=Pipeline)
@@ -196,13 +195,3 @@ def usual() -> Pipeline:
 
 def _listed(pipelines: list[Pipeline]) -> str:
     return ", ".join(f"{p.name} at port {p.base_port} ({p.file})" for p in pipelines)
-
-
-def _runs(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

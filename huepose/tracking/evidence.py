@@ -272,6 +272,19 @@ class Identity:
         value = 1.0 - (1.0 - self.value) * (1.0 - quality)
         return Identity(min(value, LARGEST), view, said=quality, doubt=1.0 - self.value)
 
+    def contradicted(self, quality: float) -> Identity:
+        """After perception found another pose, being that sure of it, while the picture goes on to speak for
+        this one: at worst nobody knows.
+
+        >>> known = Identity.of(0.99, np.zeros(3))
+        >>> round(known.contradicted(0.6).value, 3), known.contradicted(0.99).value
+        (0.985, 0.5)
+        """
+        if quality < LIKELIER:
+            return self
+        value = probability(odds_of(self.value) - odds_of(quality))
+        return replace(self, value=max(value, min(self.value, LIKELIER)))
+
     def carried(self, terms: Terms, view: Float64) -> Identity:
         """After a frame that supports the pose, seen from `view`."""
         if terms.color < COLOR or float(view @ self.view) > np.cos(NEW_VIEW):

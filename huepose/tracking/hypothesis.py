@@ -11,9 +11,10 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import Terms
+from huepose.select.distinct import RIGHT
 from huepose.tracking.motion import Reach
+from huepose.tracking.subject import Subject
 
 MOST = 3
 """Hypotheses of a track."""
@@ -23,9 +24,6 @@ SAME = 0.05
 
 HOPELESS = 4.0
 """An opinion whose log-odds lie this far behind the best is dropped."""
-
-POINTS = 48
-"""Surface points over which the distance of two poses, or the spread of one, is averaged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,31 +64,36 @@ class Anchor:
         return self.hypotheses[0]
 
 
-def same_pose(surface: PreparedSurface, T_a: Float64, T_b: Float64, share: float = SAME) -> bool:
-    """Whether two poses (4, 4) are one for all practical purposes, or nearer than a share of the diameter."""
-    points = surface.arrays.points[:POINTS].astype(np.float64)
-    apart = np.linalg.norm(se3.apply(T_a, points) - se3.apply(T_b, points), axis=1).mean()
-    return bool(apart < share * surface.diameter_m)
+def same_pose(subject: Subject, T_a: Float64, T_b: Float64, share: float = SAME) -> bool:
+    """Whether two poses (4, 4) are one for all practical purposes, or nearer than a share of the diameter, up
+    to the rotations under which the object looks the same."""
+    points = subject.points
+    here, there = se3.apply(T_a, points[0]), se3.apply(T_b, points.reshape(-1, 3)).reshape(points.shape)
+    apart = np.linalg.norm(there - here, axis=2).mean(axis=1).min()
+    return bool(apart < share * subject.surface.diameter_m)
 
 
-def distinct(surface: PreparedSurface, opinions: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+def distinct(subject: Subject, opinions: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
     """The likeliest different ones, at most three, best first; those without a chance are left out."""
     kept: list[Hypothesis] = []
     for one in sorted(opinions, key=lambda h: -h.log_odds):
         if kept and one.log_odds < kept[0].log_odds - HOPELESS:
             break
-        if len(kept) < MOST and not any(same_pose(surface, one.T_cam_obj, k.T_cam_obj) for k in kept):
+        if len(kept) < MOST and not any(same_pose(subject, one.T_cam_obj, k.T_cam_obj) for k in kept):
             kept.append(one)
     return tuple(kept)
 
 
-def share_of_first(opinions: Sequence[Hypothesis]) -> float:
-    """What part of the belief the first of different opinions has.
-
-    >>> share_of_first([])
-    0.0
-    """
-    return shares(opinions)[0] if opinions else 0.0
+def share_of_first(subject: Subject, opinions: Sequence[Hypothesis]) -> float:
+    """What part of the belief says that the first of different opinions is right: its own, and that of those
+    which lie so near that it would count as right where they are."""
+    first = opinions[0].T_cam_obj
+    own, *others = shares(opinions)
+    return own + sum(
+        share
+        for other, share in zip(opinions[1:], others, strict=True)
+        if same_pose(subject, first, other.T_cam_obj, RIGHT)
+    )
 
 
 def shares(opinions: Sequence[Hypothesis]) -> list[float]:

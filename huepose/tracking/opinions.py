@@ -22,12 +22,12 @@ from huepose.judge.borders import outline
 from huepose.refine.ends import moved_to_ends
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.hypothesis import POINTS, Anchor, Hypothesis, distinct
+from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct
 from huepose.tracking.motion import Reach, filtered, increment_velocity, jump_odds, predicted
 from huepose.tracking.refined import best_of, unmoved
 from huepose.tracking.stages import found_at
 from huepose.tracking.step import Advance
-from huepose.tracking.subject import Subject
+from huepose.tracking.subject import POINTS, Subject
 
 FIXED = 0.012
 """Expected pose error, as a share of the diameter, up to which the texture fixes the pose; textured objects
@@ -66,6 +66,7 @@ def opinions(
     for h in found.proposed:
         if impossible(h, found.followed[0], gone_s):
             continue
+        h = replace(h, T_cam_obj=subject.like(h.T_cam_obj, expected))
         jump = jump_odds(subject.surface, before.T_cam_obj, expected, h.T_cam_obj, gone_s, config)
         opinion = _moved(subject, anchor, h, before, seconds, frame, jump)
         # A jump, or a motion that was not seen, does not measure the velocity.
@@ -144,10 +145,10 @@ def found_again(
     surface = subject.surface
     found = []
     for T in found_at(subject, frame, place, light):
-        h = best_of(surface, frame, [(T, "views")], light, 0)
+        h = best_of(surface, frame, [(subject.like(T, seen.T_cam_obj), "views")], light, 0)
         jump = jump_odds(surface, seen.T_cam_obj, seen.T_cam_obj, h.T_cam_obj, gone_s, config)
         found.append(weighed(subject, h, frame, baseline, light, 0.0, jump))
-    opinions = distinct(surface, found)
+    opinions = distinct(subject, found)
     if not opinions or evidence.one_sense(opinions[0].terms):
         return ()
     return opinions if probability(opinions[0].log_odds) >= config.suspect_quality else ()

@@ -223,10 +223,10 @@ def best_rival(
         return None
     poses = ranked(surface, region, first.T_cam_obj @ turns)[0][:COARSELY]
     near = refine_all(surface, region, poses, COARSE, float(surface.centre_cam(first.T_cam_obj)[2]))
-    apart = [T for T in near if not same_pose(surface, T, first.T_cam_obj, RIGHT)]
+    apart = [T for T in near if not same_pose(subject, T, first.T_cam_obj, RIGHT)]
     for T in ranked(surface, region, np.array(apart))[0][:TRIES] if apart else ():
         found = best_of(surface, frame, [(T, "turn")], light, 0)
-        if not same_pose(surface, found.T_cam_obj, first.T_cam_obj, RIGHT):
+        if not same_pose(subject, found.T_cam_obj, first.T_cam_obj, RIGHT):
             return found
     return None
 

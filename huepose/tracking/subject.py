@@ -21,13 +21,19 @@ SMALL_TURN = np.radians(45.0)
 """Near-symmetric rotations up to this angle exist only about an axis of revolution."""
 
 
+POINTS = 48
+"""Surface points over which the distance of two poses, or the spread of one, is averaged."""
+
+
 @dataclass(frozen=True, eq=False)
 class Subject:
     """The object: its reference model and prepared surface, and the rotations (M, 4, 4) that nearly map its
     shape to itself, without the identity; other_turns: those of them after which a pose is wrong;
     small_turns: of these those about an axis of revolution, by which it can be slid in small steps; slides
     (K, 4, 4): rotations about that axis that are tried while it is followed; rolls (L, 4, 4): those that
-    move a slender object too little to be wrong; contours: where it ends, seen from anywhere."""
+    move a slender object too little to be wrong; points (E, P, 3): of its surface, after each of the
+    rotations under which it looks the same, the identity first; contours: where it ends, seen from
+    anywhere."""
 
     model: ReferenceModel
     surface: PreparedSurface
@@ -36,19 +42,36 @@ class Subject:
     small_turns: Float64
     slides: Float64
     rolls: Float64
+    points: Float64
     contours: Contours
 
     @staticmethod
     def of(model: ReferenceModel) -> Subject:
         """Prepare a reference model for tracking."""
         turns = np.asarray(model.near_symmetries[1:], np.float64)
-        other = [not _same_turn(model, turn) for turn in turns]
-        contours, wrong = Contours.of(model), turns[np.array(other, bool)]
+        moved = np.array([_moved(model, turn) for turn in turns])
+        contours, wrong = Contours.of(model), turns[moved >= RIGHT]
         small = [se3.rotation_angle(turn, np.eye(4)) <= SMALL_TURN for turn in wrong]
         small_wrong = wrong[np.array(small, bool)]
+        surface = contours.surface
+        few = surface.arrays.points[:POINTS].astype(np.float64)
+        points = np.stack([se3.apply(T, few) for T in model.equivalents])
         return Subject(
-            model, contours.surface, turns, wrong, small_wrong, _slides(turns), rolls(model), contours
+            model,
+            surface,
+            turns,
+            wrong,
+            small_wrong,
+            _slides(turns[moved > ALIKE]),
+            rolls(model),
+            points,
+            contours,
         )
+
+    def like(self, T_cam_obj: Float64, T_near: Float64) -> Float64:
+        """Of the poses (4, 4) that look the same as one, that which is rotated least from another."""
+        poses = T_cam_obj @ self.model.equivalents
+        return np.asarray(poses[np.einsum("ij,kij->k", T_near[:3, :3], poses[:, :3, :3]).argmax()])
 
     @property
     def mesh(self) -> Mesh:
@@ -79,11 +102,16 @@ def _slides(turns: Float64) -> Float64:
     return np.array([se3.exp(part * step) for part in SLIDES])
 
 
-def _same_turn(model: ReferenceModel, turn: Float64) -> bool:
-    """Whether a pose is still right after this rotation (4, 4): a true symmetry of the model."""
+ALIKE = 0.01
+"""Mean displacement of the surface, in diameters, up to which a rotation is one under which the object looks
+the same: these are given in steps."""
+
+
+def _moved(model: ReferenceModel, turn: Float64) -> float:
+    """How far a pose is from right after this rotation (4, 4), in diameters: 0 for a true symmetry."""
     points = model.eval_points.astype(np.float64)
     apart = [
         np.linalg.norm(se3.apply(turn, points) - se3.apply(T, points), axis=1).mean()
         for T in model.equivalents
     ]
-    return bool(min(apart) < RIGHT * model.diameter_m)
+    return float(min(apart) / model.diameter_m)

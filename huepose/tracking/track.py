@@ -13,13 +13,14 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.uncertainty import grown
 from huepose.judge.terms import NOTHING, Terms
 from huepose.propose.relative_pose import RelativePose
+from huepose.select.distinct import RIGHT
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.effort import Effort
 from huepose.tracking.elsewhere import PARTS, likeliest_place
 from huepose.tracking.evidence import Identity, Standing, next_standing, turned_over
 from huepose.tracking.history import PoseHistory
-from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, share_of_first
+from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.motion import Reach, predicted, same_motion
 from huepose.tracking.opinions import FIXED, found_again, opinions, uncertainty, weighed
 from huepose.tracking.orientation import LOOKED_FOR, SAME_VIEW, Orientation
@@ -156,7 +157,7 @@ class Track:
         found = found_again(self.subject, sure_pose, gone_s, frame, self.light, baseline, place, self._config)
         if not found:
             return 2
-        sure = probability(found[0].log_odds) * share_of_first(found)
+        sure = probability(found[0].log_odds) * share_of_first(self.subject, found)
         anchor = Anchor((sure_pose,), frame, light=self.light, unseen_s=gone_s)
         self.hypotheses, self.frame, first = found, frame, found[0]
         self.covariance, self._spread = uncertainty(self.subject, first)
@@ -173,9 +174,9 @@ class Track:
         seen = opinions(self.subject, anchor, found, frame, self._config, impossible)
         corrected = self._corrected_from
         self._corrected_from = None
-        self.hypotheses = distinct(self.subject.surface, seen.all)
+        self.hypotheses = distinct(self.subject, seen.all)
         first = self.hypotheses[0]
-        sure = probability(first.log_odds) * share_of_first(self.hypotheses)
+        sure = probability(first.log_odds) * share_of_first(self.subject, self.hypotheses)
         if evidence.one_sense(first.terms) or any(first.T_cam_obj is T for T in seen.leaps):
             # An implausible jump has to be confirmed by the next frame.
             sure = min(sure, evidence.ONE_SENSE)
@@ -277,6 +278,12 @@ class Track:
         self._standing = Standing(State.TRACKING)
         self._judge()
 
+    def contradict(self, other: Track, quality: float) -> None:
+        """Perception found the pose of another track, being that sure of it; this one explains more."""
+        T, T_other = self.T_cam_obj, other.T_cam_obj
+        if T is not None and T_other is not None and not same_pose(self.subject, T, T_other, RIGHT):
+            self._identity = self._identity.contradicted(quality)
+
     def lose(self) -> None:
         """Give up its pose."""
         self._standing = Standing(State.LOST)
@@ -304,13 +311,13 @@ class Track:
         before the correction stays as a hypothesis that the next frames may confirm.
 
         Raises ValueError where the history does not reach back unbroken."""
-        moved = self.history.replay(stamp_ns, T_cam_obj)
         before = self.hypotheses[0]
+        moved = self.subject.like(self.history.replay(stamp_ns, T_cam_obj), before.T_cam_obj)
         velocity = same_motion(before.velocity, before.T_cam_obj, moved)
         odds = max(evidence.odds_of(quality), before.log_odds)
         corrected = replace(before, T_cam_obj=moved, velocity=velocity, source="correction", log_odds=odds)
         self.hypotheses, self._orientation.sure = (corrected, before), None
-        self._corrected_from = self._identity
+        self._corrected_from = self._identity.contradicted(quality)
         if turned_over(before.T_cam_obj, moved):
             self._identity = Identity.of(quality, self._view())
             self._orientation.begin(quality, self._view())

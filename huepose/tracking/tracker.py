@@ -307,6 +307,7 @@ class Tracker:
             self._tracks[key] = track
             track.history.append(frame.frame_id, frame.stamp_ns, None)
         elif track.T_cam_obj is not None and track.worth > found.worth:
+            track.contradict(found, correction.quality)
             return
         track.place(found, correction.quality, frame)
         for stamp_ns, T in pursuit.poses:

@@ -104,19 +104,33 @@ def test_a_turn_that_no_hand_makes_costs_log_odds(tea_box) -> None:
 
 
 def test_one_pose_is_one_hypothesis_and_the_hopeless_are_dropped(tea_box) -> None:
-    surface = PreparedSurface.of(tea_box)
+    subject = Subject.of(tea_box)
     best, twin, other = opinion(turned(0), 3.0), opinion(turned(2), 2.9), opinion(turned(90), 1.0)
     hopeless = opinion(turned(180), -2.0)
-    assert same_pose(surface, best.T_cam_obj, twin.T_cam_obj)
-    assert distinct(surface, [hopeless, twin, other, best]) == (best, other)
-    assert len(distinct(surface, [opinion(turned(60 * k), 1.0) for k in range(6)])) == 3
+    assert same_pose(subject, best.T_cam_obj, twin.T_cam_obj)
+    assert distinct(subject, [hopeless, twin, other, best]) == (best, other)
+    assert len(distinct(subject, [opinion(turned(60 * k), 1.0) for k in range(6)])) == 3
 
 
-def test_a_near_tie_is_shared() -> None:
-    one = opinion(turned(0), 2.0)
-    assert share_of_first((one,)) == 1.0
-    assert share_of_first((one, opinion(turned(90), 2.0))) == pytest.approx(0.5)
-    assert share_of_first((one, opinion(turned(90), 0.0))) == pytest.approx(1 / (1 + np.exp(-2.0)))
+def test_a_near_tie_is_shared(tea_box) -> None:
+    subject, one = Subject.of(tea_box), opinion(turned(0), 2.0)
+    assert share_of_first(subject, (one,)) == 1.0
+    assert share_of_first(subject, (one, opinion(turned(90), 2.0))) == pytest.approx(0.5)
+    assert share_of_first(subject, (one, opinion(turned(90), 0.0))) == pytest.approx(1 / (1 + np.exp(-2.0)))
+
+
+def test_opinions_that_would_be_right_together_share_nothing(tea_box) -> None:
+    subject, one, near = Subject.of(tea_box), opinion(turned(0), 2.0), opinion(turned(14), 2.0)
+    assert distinct(subject, [one, near]) == (one, near)
+    assert share_of_first(subject, (one, near)) == pytest.approx(1.0)
+    assert share_of_first(subject, (one, near, opinion(turned(90), 2.0))) == pytest.approx(2 / 3)
+
+
+def test_a_rotation_under_which_the_object_looks_the_same_is_no_other_pose(tea_box) -> None:
+    alike = Subject.of(replace(tea_box, equivalents=np.stack([np.eye(4), turned(180)])))
+    one, same, other = opinion(turned(0), 2.0), opinion(turned(181), 1.9), opinion(turned(90), 1.8)
+    assert distinct(alike, [one, same, other]) == (one, other)
+    assert distinct(Subject.of(tea_box), [one, same, other]) == (one, same, other)
 
 
 @pytest.mark.parametrize("right", [True, False])

@@ -285,7 +285,7 @@ def believe(
         state="TRACKING" if chances[0] >= fit.level else "SUSPECT",
         score=float(ranked.totals[0]),
         margin=terms.margin,
-        covariance=covariance(alignment),
+        covariance=covariance(alignment, model.mesh.centre),
         mask=mask,
         box=projected_box(model, frame, T),
         alternatives=tuple((se3.orthonormalised(other), float(p)) for other, p in others),

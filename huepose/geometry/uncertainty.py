@@ -9,6 +9,19 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
 
 
+def carrying(lever: Float) -> Float64:
+    """The matrix (6, 6) that takes a small motion about one point of a body to the same motion about another,
+    lever (3,) from the first to the second, metres, camera axes. So a covariance C about the first is
+    `carrying(lever) @ C @ carrying(lever).T` about the second.
+
+    >>> carrying([0.0, 0.0, 2.0]) @ [0, 0, 0, 0.1, 0, 0]
+    array([ 0. , -0.2,  0. ,  0.1,  0. ,  0. ])
+    """
+    out = np.eye(6)
+    out[:3, 3:] = -se3.hat(np.asarray(lever, np.float64))
+    return out
+
+
 def mahalanobis(T_a: Float, T_b: Float, covariance: Float) -> float:
     """Distance of two poses in standard deviations of `covariance` (6, 6), positive definite."""
     delta = se3.difference(np.asarray(T_a), np.asarray(T_b))

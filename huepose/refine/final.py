@@ -26,6 +26,7 @@ from huepose.geometry.arrays import Bool, Float, Float32, Float64
 from huepose.geometry.camera import FLOOR_M, POINTS_PER_READING, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.median import median
+from huepose.geometry.uncertainty import carrying
 from huepose.judge.region import Region
 from huepose.judge.silhouette import visible_mask
 from huepose.judge.terms import totals
@@ -114,13 +115,15 @@ class PoseNoise:
     floor_sigma: tuple[float, ...] = (0.0005, 0.0005, 0.0010, 0.006, 0.006, 0.006)
 
 
-def covariance(alignment: Alignment, noise: PoseNoise | None = None) -> Float64:
-    """Covariance (6, 6) of a pose from the point-to-plane fit at it; order tx ty tz rx ry rz, camera axes."""
+def covariance(alignment: Alignment, centre_obj: Float64, noise: PoseNoise | None = None) -> Float64:
+    """Covariance (6, 6) of a pose from the point-to-plane fit at it; order tx ty tz rx ry rz, camera axes,
+    about the origin. centre_obj (3,): of the object; the noise is about it."""
     noise = noise or PoseNoise()
     variance = (alignment.rms_m**2 + noise.depth_sigma_m**2) * noise.points_per_reading
     texture, floor = np.array(noise.texture_sigma), np.array(noise.floor_sigma)
-    information = alignment.information / variance + np.diag(1.0 / texture**2)
-    return np.asarray(np.linalg.inv(information) + np.diag(floor**2))
+    to_origin = carrying(-alignment.T_cam_obj[:3, :3] @ centre_obj)
+    information = to_origin.T @ alignment.information @ to_origin / variance + np.diag(1.0 / texture**2)
+    return np.asarray(to_origin @ (np.linalg.inv(information) + np.diag(floor**2)) @ to_origin.T)
 
 
 PAIRS = 800

@@ -10,7 +10,7 @@ import numpy as np
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.geometry.uncertainty import grown, mahalanobis
+from huepose.geometry.uncertainty import carrying, grown, mahalanobis
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.types import ObjectSlot, Prior
 from huepose.tracking.types import State, Verdict
@@ -114,8 +114,7 @@ def near(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> bool:
     of one is nearer to the other's bounds than a quarter of its least side. Where these are not known, their
     origins are nearer than half a diameter."""
     if slot.bounds_m is None:
-        shift = T_a[:3, 3] - T_b[:3, 3]
-        return float(shift @ shift) < (0.5 * slot.diameter_m) ** 2
+        return _shift_m(T_a, T_b, slot) < 0.5 * slot.diameter_m
     low, high = slot.bounds_m
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     there = se3.inverse(T_b) @ T_a, se3.inverse(T_a) @ T_b
@@ -127,12 +126,16 @@ def displacement_m(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
     """Approximate surface distance of two poses T_cam_obj (4, 4), metres, the least over the object's
     symmetries."""
     turns = slot.equivalents or (np.eye(4),)
-    return min(_displacement(T_a, T_b @ turn, slot.diameter_m) for turn in turns)
+    return min(_displacement(T_a, T_b @ turn, slot) for turn in turns)
 
 
-def _displacement(T_a: Float64, T_b: Float64, diameter_m: float) -> float:
-    shift = float(np.linalg.norm(T_a[:3, 3] - T_b[:3, 3]))
-    return shift + 0.25 * diameter_m * se3.rotation_angle(T_a, T_b)
+def _displacement(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
+    return _shift_m(T_a, T_b, slot) + 0.25 * slot.diameter_m * se3.rotation_angle(T_a, T_b)
+
+
+def _shift_m(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
+    """How far the middle of the object lies apart in two poses (4, 4), metres."""
+    return float(np.linalg.norm(slot.middle_cam(T_a) - slot.middle_cam(T_b)))
 
 
 def assign(
@@ -160,7 +163,7 @@ def assign(
     for j, prior in enumerate(priors):
         expected, gate = prior.predicted(stamp_ns), _gate_m(prior, stamp_ns, slot)
         for i, T in enumerate(estimates):
-            shift = float(np.linalg.norm(T[:3, 3] - expected[:3, 3]))
+            shift = _shift_m(T, expected, slot)
             turn = min(se3.rotation_angle(T @ turn, expected) for turn in slot.equivalents or (np.eye(4),))
             outside = shift > gate or (sure[j] and not near(T, expected, slot))
             cost[i, j] = 1e3 if outside else shift + TURN_SHARE * slot.diameter_m * turn
@@ -174,6 +177,8 @@ def _gate_m(prior: Prior, stamp_ns: int, slot: ObjectSlot) -> float:
     least, most = GATE_DIAMETERS * slot.diameter_m, 2.0 * slot.diameter_m
     if prior.covariance is None:
         return most
-    covariance = grown(prior.covariance, abs(stamp_ns - prior.stamp_ns) * 1e-9)
+    to_middle = carrying(slot.middle_cam(prior.T_cam_obj) - prior.T_cam_obj[:3, 3])
+    known = to_middle @ prior.covariance @ to_middle.T
+    covariance = grown(known, abs(stamp_ns - prior.stamp_ns) * 1e-9)
     sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance[:3, :3])[-1], 0.0)))
     return min(max(least, GATE_SIGMAS * sigma), most)

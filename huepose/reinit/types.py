@@ -38,6 +38,12 @@ class ObjectSlot:
     equivalents: tuple[Float64, ...] = field(default=(), compare=False)
     bounds_m: Float64 | None = field(default=None, compare=False)
 
+    def middle_cam(self, T_cam_obj: Float64) -> Float64:
+        """The middle (3,) of its bounds in camera axes, which its origin may lie far from; the origin where
+        they are not known."""
+        middle = np.zeros(3) if self.bounds_m is None else self.bounds_m.mean(0)
+        return np.asarray(T_cam_obj[:3, :3] @ middle + T_cam_obj[:3, 3])
+
     def __post_init__(self) -> None:
         if self.max_instances < 1:
             raise InputError(

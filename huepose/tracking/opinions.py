@@ -18,6 +18,7 @@ from huepose.believe.logistic import probability
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.uncertainty import carrying
 from huepose.judge.borders import outline
 from huepose.refine.ends import moved_to_ends
 from huepose.tracking import evidence
@@ -124,7 +125,11 @@ def _held_by_its_ends(
 def uncertainty(subject: Subject, h: Hypothesis) -> tuple[Float64, float]:
     """Covariance (6, 6) of a pose, and its expected error as a share of the diameter."""
     surface, T = subject.surface, h.T_cam_obj
-    known = covariance(h.information, float(surface.centre_cam(T)[2]))
+    centre = surface.centre_cam(T)
+    # What is known without the picture, and its floors, are about the object, wherever its origin is.
+    to_origin = carrying(T[:3, 3] - centre)
+    known = covariance(to_origin.T @ h.information @ to_origin, float(centre[2]))
+    known = to_origin @ known @ to_origin.T
     # What readings have in common turns the object about the part that is in the picture.
     known /= max(1.0 - h.terms.outside, LEAST_INSIDE)
     return known, spread_m(known, T, surface.arrays.points[:POINTS]) / surface.diameter_m
@@ -172,7 +177,8 @@ _WEAK = np.diag(1.0 / WEAK_SIGMA**2)
 
 
 def covariance(information: Float64, distance_m: float) -> Float64:
-    """Covariance (6, 6) of a refined pose at that distance."""
+    """Covariance (6, 6) of a refined pose at that distance, about the point that the information (6, 6) is
+    about."""
     out = np.linalg.inv(information / RESIDUALS_PER_READING + _WEAK)
     bias = BIAS_SHARE * depth_noise_m(distance_m)
     out.flat[::7] += FLOOR_SIGMA**2 + np.array([0.0, 0.0, bias**2, 0.0, 0.0, 0.0])

@@ -28,7 +28,7 @@ from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, FLOW
 from huepose.tracking.step import Advance, advance, found_nearby
 from huepose.tracking.subject import Subject
-from huepose.tracking.types import Doubt, State, TrackedPose
+from huepose.tracking.types import Doubt, State
 
 COASTING_SEEN = 0.15
 """If less than this share of the surface is seen, the predicted pose is better than the refined one."""
@@ -60,7 +60,7 @@ class Track:
         self._config = config
         self._standing = Standing(State.SEARCHING)
         self._identity = Identity.none()
-        self._corrected_from: Identity | None = None
+        self._corrected_from: tuple[Identity, float] | None = None
         self._orientation = Orientation(subject, config)
         self._spread = 0.0
         self._supported_ns, self._agreed_ns = 0, -1
@@ -183,7 +183,10 @@ class Track:
         self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(first.terms) else 0
         sure = evidence.bounded(sure, self._scarce_frames)
         if corrected is not None and len(seen.all) > 1 and first.T_cam_obj is seen.all[1].T_cam_obj:
-            self._identity = corrected  # The image prefers what was believed before the correction.
+            # The image prefers what was believed before the correction.
+            self._identity, quality = corrected
+            if probability(seen.all[0].log_odds) >= self._config.suspect_quality:
+                self._identity = self._identity.contradicted(quality)
         turned = se3.rotation_angle(anchor.first.T_cam_obj, first.T_cam_obj)
         if turned > SAME_VIEW:
             self._identity = self._identity.leapt(self._view())
@@ -280,8 +283,8 @@ class Track:
 
     def contradict(self, other: Track, quality: float) -> None:
         """Perception found the pose of another track, being that sure of it; this one explains more."""
-        T, T_other = self.T_cam_obj, other.T_cam_obj
-        if T is not None and T_other is not None and not same_pose(self.subject, T, T_other, RIGHT):
+        T, T_other, fits = self.T_cam_obj, other.T_cam_obj, other.evidence >= self._config.suspect_quality
+        if fits and T is not None and T_other is not None and not same_pose(self.subject, T, T_other, RIGHT):
             self._identity = self._identity.contradicted(quality)
 
     def lose(self) -> None:
@@ -317,7 +320,7 @@ class Track:
         odds = max(evidence.odds_of(quality), before.log_odds)
         corrected = replace(before, T_cam_obj=moved, velocity=velocity, source="correction", log_odds=odds)
         self.hypotheses, self._orientation.sure = (corrected, before), None
-        self._corrected_from = self._identity.contradicted(quality)
+        self._corrected_from = self._identity, quality
         if turned_over(before.T_cam_obj, moved):
             self._identity = Identity.of(quality, self._view())
             self._orientation.begin(quality, self._view())
@@ -343,22 +346,6 @@ class Track:
         """Whether it may have rotated by a near symmetry, unseen, after that stamp. Then a pose of that time
         does not fix its orientation now."""
         return self._orientation.turned_ns > stamp_ns
-
-    def published(self, frame: RgbdFrame) -> TrackedPose:
-        """The pose message for a frame."""
-        return TrackedPose(
-            self.object,
-            self.instance,
-            frame.epoch,
-            frame.frame_id,
-            frame.stamp_ns,
-            self.state,
-            self.T_cam_obj,
-            self.hypotheses[0].velocity if self.hypotheses else None,
-            self.quality,
-            self.covariance,
-            self.applied_seq,
-        )
 
     def _coast(self, before: Hypothesis, seconds: float) -> None:
         """Handle a frame that does not support the pose: follow the prediction if hardly anything is seen."""

@@ -133,7 +133,7 @@ class Tracker:
         frame = self._frames.newest
         if frame is None:
             return []
-        return [self._tracks[key].published(frame) for key in self.instances]
+        return [_published(self._tracks[key], frame) for key in self.instances]
 
     def step(self, frame: RgbdFrame) -> list[TrackedPose]:
         """Track all instances to a new frame and return their poses there.
@@ -356,3 +356,20 @@ class Tracker:
         self._pursuits.clear()
         self._seen_seq.clear()
         self._waiting.clear()
+
+
+def _published(track: Track, frame: RgbdFrame) -> TrackedPose:
+    """The pose message of a track for a frame."""
+    return TrackedPose(
+        track.object,
+        track.instance,
+        frame.epoch,
+        frame.frame_id,
+        frame.stamp_ns,
+        track.state,
+        track.T_cam_obj,
+        track.hypotheses[0].velocity if track.hypotheses else None,
+        track.quality,
+        track.covariance,
+        track.applied_seq,
+    )

@@ -10,6 +10,7 @@ import pytest
 
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.camera import POINTS_PER_READING
+from huepose.geometry.uncertainty import carrying
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.onboarding.surface import build_grid
@@ -19,23 +20,33 @@ from huepose.refine.point_to_plane import Alignment
 from huepose.rendering.render import render_depth
 from tests.judge.regions import region_of
 
-NOISE = PoseNoise()
+NOISE, MIDDLE = PoseNoise(), np.zeros(3)
 
 
 def test_where_depth_fixes_nothing_the_texture_does() -> None:
     expected = np.array(NOISE.texture_sigma) ** 2 + np.array(NOISE.floor_sigma) ** 2
-    np.testing.assert_allclose(covariance(fitted(np.zeros((6, 6)))), np.diag(expected), rtol=1e-12)
+    np.testing.assert_allclose(covariance(fitted(np.zeros((6, 6))), MIDDLE), np.diag(expected), rtol=1e-12)
 
 
 def test_no_number_of_points_averages_the_floor_away() -> None:
     floor = np.diag(np.array(NOISE.floor_sigma) ** 2)
-    np.testing.assert_allclose(covariance(fitted(1e15 * np.eye(6))), floor, rtol=1e-6, atol=1e-15)
+    np.testing.assert_allclose(covariance(fitted(1e15 * np.eye(6)), MIDDLE), floor, rtol=1e-6, atol=1e-15)
 
 
 def test_four_times_the_points_halve_what_depth_leaves_open() -> None:
     noise = PoseNoise(texture_sigma=(1e3,) * 6, floor_sigma=(0.0,) * 6)
-    few, many = (np.sqrt(np.diag(covariance(fitted(n * np.eye(6)), noise))) for n in (1e4, 4e4))
+    few, many = (np.sqrt(np.diag(covariance(fitted(n * np.eye(6)), MIDDLE, noise))) for n in (1e4, 4e4))
     np.testing.assert_allclose(few, 2.0 * many, rtol=1e-6)
+
+
+def test_the_noise_is_about_the_object_wherever_its_origin_is() -> None:
+    known, off = 1e15 * np.eye(6), np.array([0.0, 5.0, 0.0])
+    far = covariance(fitted(known), off)
+    assert np.sqrt(far[2, 2]) == pytest.approx(5.0 * NOISE.floor_sigma[3], rel=0.01)
+    to_object = carrying(off)
+    np.testing.assert_allclose(
+        to_object @ far @ to_object.T, np.diag(np.array(NOISE.floor_sigma) ** 2), rtol=1e-4, atol=1e-9
+    )
 
 
 def fitted(information: np.ndarray) -> Alignment:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
+from huepose.geometry.uncertainty import carrying
 from huepose.reinit.judge import assign, displacement_m, near
 from huepose.reinit.types import ObjectSlot, Prior
 
@@ -44,6 +45,24 @@ def test_the_gate_follows_the_covariance() -> None:
 def test_turns_decide_between_equal_distances() -> None:
     priors = [prior(0.0, 0.05, 0.0), prior(0.0, 0.05, 90.0)]
     assert assign([at(0.0, 80.0), at(0.0, 5.0)], priors, 0, SLOT) == [1, 0]
+
+
+def test_where_the_origin_lies_changes_nothing() -> None:
+    off = np.array([0.0, 0.0, 4.0])
+    far = ObjectSlot("mug", 3, 0.2, (), np.array([off - 0.1, off + 0.1]))
+
+    def moved(T: np.ndarray) -> np.ndarray:
+        return T @ se3.make(np.eye(3), -off)
+
+    tracked = prior(0.0, 0.001, 0.0)
+    lever = carrying(moved(tracked.T_cam_obj)[:3, 3] - tracked.T_cam_obj[:3, 3])
+    priors = [Prior(moved(tracked.T_cam_obj), None, lever @ tracked.covariance @ lever.T, 0)]
+    for x, turn_deg in ((0.01, 0.0), (0.09, 0.0), (0.11, 0.0), (0.02, 20.0), (0.15, 0.0)):
+        near_origin = assign([at(x, turn_deg)], [tracked], 0, SLOT)
+        assert assign([moved(at(x, turn_deg))], priors, 0, far) == near_origin, (x, turn_deg)
+        assert displacement_m(moved(at(x, turn_deg)), moved(at(0.0)), far) == pytest.approx(
+            displacement_m(at(x, turn_deg), at(0.0), SLOT)
+        )
 
 
 FLAT = ObjectSlot("book", 3, 0.26, (), np.array([[-0.1, -0.08, 0.0], [0.1, 0.08, 0.03]]))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
+from huepose.geometry.uncertainty import carrying
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import NOTHING
 from huepose.tracking import Correction, State, Tracker, TrackerConfig
@@ -16,6 +17,7 @@ from huepose.tracking.hypothesis import Hypothesis, distinct, same_pose, share_o
 from huepose.tracking.motion import jump_odds
 from huepose.tracking.opinions import spread_m, uncertainty
 from huepose.tracking.subject import Subject
+from huepose.tracking.track import Track
 from huepose.tracking.types import Doubt
 
 FLIP = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
@@ -62,6 +64,22 @@ def test_a_pose_is_less_certain_the_more_of_the_object_is_outside_of_the_picture
         spreads.append(spread)
     assert spreads[1] == pytest.approx(2.0 * spreads[0])
     assert spreads[2] == pytest.approx(np.sqrt(20.0) * spreads[0])
+
+
+def test_a_pose_is_as_certain_wherever_the_origin_of_the_object_is(tea_box) -> None:
+    subject, off = Subject.of(tea_box), np.array([0.0, 5.0, 0.0])
+    arrays = subject.surface.arrays
+    far = arrays._replace(points=(arrays.points + off).astype(np.float32), centre=arrays.centre + off)
+    T, known = se3.make(np.eye(3), np.array([0.0, 0.0, 0.7])), np.diag([1e8, 1e8, 1e8, 1e5, 1e5, 1e5])
+    to_origin = carrying(off - subject.surface.centre_cam(np.eye(4)))  # the same motions about another point
+    here = Hypothesis(T, NOTHING, known, "still")
+    there = replace(
+        here, T_cam_obj=T @ se3.make(np.eye(3), -off), information=to_origin.T @ known @ to_origin
+    )
+    spread = uncertainty(subject, here)[1]
+    assert uncertainty(replace(subject, surface=replace(subject.surface, arrays=far)), there)[
+        1
+    ] == pytest.approx(spread, rel=1e-3)
 
 
 def test_what_leaves_the_picture_is_followed_but_not_believed_until_it_is_back(
@@ -161,3 +179,24 @@ def test_a_wrong_correction_is_taken_back_by_the_image(tea_box, shoot, path) -> 
     tracker._tracks["tea_box", 0].replay(frames[3].stamp_ns, path(3) @ FLIP, 0.95)
     poses = [tracker.step(frame)[0] for frame in frames[5:]]
     assert se3.rotation_angle(poses[-1].T_cam_obj, path(8)) < np.radians(1.0)
+    assert poses[-1].state is State.TRACKING, "the picture shows that the other pose is wrong"
+
+
+@pytest.mark.parametrize(
+    ("fits", "apart_deg", "state"),
+    [(0.9, 90, State.SUSPECT), (0.1, 90, State.TRACKING), (0.9, 2, State.TRACKING)],
+)
+def test_where_perception_and_tracker_disagree_nobody_knows(
+    tea_box, film, started, fits, apart_deg, state
+) -> None:
+    """A pose that perception is sure of and that fits the picture, though less: then neither is believed."""
+    track = started._tracks["tea_box", 0]
+    other = Track(track.subject, "tea_box", 0, TrackerConfig())
+    other.hypotheses, other.evidence = (opinion(track.T_cam_obj @ turned(apart_deg), 2.0),), fits
+    track.contradict(other, 0.98)
+    frames = film(8)[6:]
+    assert started.step(frames[0])[0].state is state
+    if state is State.SUSPECT:
+        assert started.doubt("tea_box", 0) is Doubt.IDENTITY
+        track.agree(0.98, frames[0].stamp_ns)
+        assert started.step(frames[1])[0].state is State.TRACKING

@@ -388,7 +388,9 @@ class Track:
         return likely if against == 0.0 else probability(evidence.odds_of(likely) + against)
 
     def _view(self) -> Float64:
-        """Unit vector (3,) from the object to the camera, in the object's axes."""
+        """Unit vector (3,) from the object to the camera, in the object's axes. Of those that show the same
+        it is the one nearest to that of the identity: what looks the same all round shows nothing new."""
         T = self.hypotheses[0].T_cam_obj
         eye = -T[:3, :3].T @ self.subject.surface.centre_cam(T)
-        return np.asarray(eye / max(float(np.linalg.norm(eye)), 1e-9))
+        alike = eye / max(float(np.linalg.norm(eye)), 1e-9) @ self.subject.model.equivalents[:, :3, :3]
+        return np.asarray(alike[np.argmax(alike @ self._identity.view)])

@@ -168,6 +168,17 @@ def test_a_rotation_under_which_the_object_looks_the_same_is_no_other_pose(tea_b
     assert distinct(Subject.of(tea_box), [one, same, other]) == (one, same, other)
 
 
+def test_what_looks_the_same_all_round_shows_no_new_side(tea_box, started, film) -> None:
+    track = started._tracks["tea_box", 0]
+    first, seen = track.hypotheses[0], track._view()
+    round_ = replace(tea_box, equivalents=np.stack([turned(5 * k) for k in range(72)]))
+    for subject, same in ((track.subject, False), (Subject.of(round_), True)):
+        track.subject, track.hypotheses = subject, (first,)
+        track._identity = replace(track._identity, view=seen)
+        track.hypotheses = (replace(first, T_cam_obj=first.T_cam_obj @ turned(60)),)
+        assert (track._view() @ seen > np.cos(np.radians(5))) == same
+
+
 @pytest.mark.parametrize("right", [True, False])
 def test_the_image_decides_between_two_hypotheses(tea_box, shoot, path, right) -> None:
     """Two sides of the box are believed alike: within a few frames the one that is seen is left."""

@@ -3,7 +3,9 @@
 import re
 from pathlib import Path
 
+import cv2
 import numpy as np
+import pytest
 
 from huepose.geometry import se3
 from huepose.model import save_model
@@ -14,15 +16,21 @@ from huepose_services.cli.new import write_frame
 ROOT = Path(__file__).parents[1]
 
 
-def test_the_library_example_finds_and_tracks_the_object(tea_box, tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def example(tea_box, tmp_path, monkeypatch):
+    """The example's code, in a folder with what it reads, and the true pose."""
     (tmp_path / "tea_box" / "bundles").mkdir(parents=True)
     save_model(tea_box, tmp_path / "tea_box" / "bundles" / "tea_box.huepose")
     shot = first_shot({"tea_box": tea_box.mesh})
     write_frame(tmp_path / "tea_box", shot, CAMERA)
-    T_cam_obj = shot.labels.T_cam_obj[0]
     (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     assert len(code.strip().splitlines()) <= 11
     monkeypatch.chdir(tmp_path)
+    return code, shot.labels.T_cam_obj[0]
+
+
+def test_the_library_example_finds_and_tracks_the_object(example, capsys):
+    code, T_cam_obj = example
     names = {}
     exec(compile(code, "README.md", "exec"), names)
     assert capsys.readouterr().out.startswith("True ")
@@ -31,3 +39,14 @@ def test_the_library_example_finds_and_tracks_the_object(tea_box, tmp_path, monk
     (tracked,) = names["tracker"].poses()
     assert tracked.state == "TRACKING"
     assert se3.rotation_angle(tracked.T_cam_obj, T_cam_obj) < np.radians(1.0)
+
+
+def test_the_library_example_goes_on_where_no_pose_is_found(example, capsys):
+    code, _ = example
+    depth = cv2.imread("tea_box/depth.png", cv2.IMREAD_UNCHANGED)
+    depth[:, :200] = 0
+    cv2.imwrite("tea_box/depth.png", depth)
+    exec(compile(code, "README.md", "exec"), {})
+    found, tracked = capsys.readouterr().out.splitlines()
+    assert found.startswith("False ")
+    assert tracked == "[]"

@@ -104,7 +104,8 @@ def find_ridges(gradient: Gradient, mask: Bool | None = None, config: RidgeConfi
     offsets = suppress(gradient, allowed, threshold)
     is_ridge = long_enough(~np.isnan(offsets), config.min_length)
     counts = associate(gradient.magnitude, is_ridge, threshold, config.member_share)
-    cells = np.argwhere(is_ridge).astype(np.int32)
+    # rows one after the other also where there are none: kernels are compiled for a layout
+    cells = np.argwhere(is_ridge).astype(np.int32, order="C")
     v, u = cells[:, 0], cells[:, 1]
     directions = gradient.direction[v, u]
     pixels = np.stack([u, v], 1).astype(np.float32) + offsets[v, u][:, None] * directions

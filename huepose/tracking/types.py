@@ -5,8 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
+from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.support.errors import InputError
+
+ROUNDED = 1e-2
+"""A pose whose numbers were rounded in a file is rigid to this tolerance."""
 
 
 class State(str, Enum):
@@ -71,7 +78,7 @@ class TrackedPose:
 @dataclass(frozen=True, eq=False)
 class Correction:
     """A verdict on one instance at one (past) frame. `seq` counts per instance; mask (H, W) at that frame;
-    reason: of the estimate behind it."""
+    reason: of the estimate behind it. Raises InputError where T_cam_obj is no rigid transform (4, 4)."""
 
     object: str
     instance: int
@@ -85,12 +92,37 @@ class Correction:
     mask: Bool | None = None
     reason: str = ""
 
+    def __post_init__(self) -> None:
+        try:
+            T = np.asarray(self.T_cam_obj, np.float64)
+        except (TypeError, ValueError):
+            T = np.zeros(0)
+        if not se3.is_rigid(T, ROUNDED):
+            raise _no_pose(self.object, self.T_cam_obj, T)
+        object.__setattr__(self, "T_cam_obj", T)
+
     @staticmethod
     def first(name: str, T_cam_obj: Float64, frame: RgbdFrame, quality: float = 1.0) -> Correction:
         """What starts the first instance of an object at a frame, for those who run a tracker themselves."""
         return Correction(
             name, 0, frame.epoch, frame.frame_id, frame.stamp_ns, T_cam_obj, quality, Verdict.ACQUIRE, 1
         )
+
+
+def _no_pose(name: str, given: object, T: Float64) -> InputError:
+    """What a correction of that object was given as its pose; T: as far as that is numbers."""
+    fix = "Give `pose.T_cam_obj` of an estimate."
+    if given is None:
+        found, fix = "None", "Ask `pose.found` first: an estimate without a pose has None."
+    elif T.shape != (4, 4):
+        found = f"a {type(given).__name__} of shape {T.shape}" if T.size else f"a {type(given).__name__}"
+    elif not np.isfinite(T).all():
+        found = "numbers that are not finite"
+    else:
+        found = "a matrix that is no rotation and translation: " + " ".join(f"{x:.4g}" for x in T[0]) + " ..."
+    return InputError(
+        f"T_cam_obj of the correction of '{name}'", found=found, expected="a rigid transform (4, 4)", fix=fix
+    )
 
 
 class Applied(str, Enum):

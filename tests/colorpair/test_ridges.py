@@ -7,6 +7,7 @@ import pytest
 from scipy.special import erf
 
 from huepose.colorpair.ridges import RidgeConfig, Ridges, find_ridges, long_enough, unified_gradient
+from tests.kernels import compiled
 
 
 def ramp(slopes: tuple[tuple[float, float], ...]) -> np.ndarray:
@@ -106,3 +107,11 @@ def test_short_lines_are_dropped() -> None:
     lines[2, 2:5] = True
     lines[6, 2:12] = True
     assert long_enough(lines, 5).sum() == 10
+
+
+def test_a_black_picture_compiles_no_kernel_anew() -> None:
+    assert len(find_ridges(unified_gradient(edge(0.0, 0.0, 1.0)))) > 0
+    before = compiled()
+    black = np.zeros((60, 60, 3), np.float32)
+    assert len(find_ridges(unified_gradient(black))) == 0
+    assert compiled() == before

@@ -182,3 +182,33 @@ def test_an_answer_about_a_time_when_it_was_seen_says_nothing_of_what_is_usual_n
     assert track.terms.total < 0.2
     tracker.correct(correction(frames[3], path(3), 2, Verdict.AGREE))
     assert track.baseline == usual
+
+
+_SHEARED = np.eye(4) + 0.2 * np.eye(4, k=1)
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        (None, r"found None; .*Ask `pose\.found` first"),
+        (np.eye(3), r"found a ndarray of shape \(3, 3\)"),
+        (np.full((4, 4), np.nan), "found numbers that are not finite"),
+        (np.zeros((4, 4)), "found a matrix that is no rotation and translation: 0 0 0 0"),
+        (_SHEARED, "found a matrix that is no rotation and translation: 1 0.2 0 0"),
+        ([[1.0, 0.0], [0.0]], "found a list;"),
+        ("tea_box", "found a str;"),
+    ],
+)
+def test_what_is_no_pose_starts_nothing(film, given, found) -> None:
+    with pytest.raises(InputError, match=f"'tea_box': {found}") as caught:
+        Correction.first("tea_box", given, film(1)[0])
+    assert "expected a rigid transform (4, 4)" in str(caught.value)
+
+
+def test_numbers_of_any_kind_that_are_a_pose_start_an_object(tea_box, film, path) -> None:
+    frame = film(1)[0]
+    for given in (path(0).tolist(), path(0).astype(np.float32)):
+        tracker = Tracker({"tea_box": tea_box})
+        tracker.correct(Correction.first("tea_box", given, frame))
+        (pose,) = tracker.step(frame)
+        assert errors(pose, path(0))[1] < 1.0

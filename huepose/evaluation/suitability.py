@@ -42,6 +42,10 @@ WELL, SOMETIMES = 0.9, 0.5
 """Shares of right poses from which an object suits, and from which it suits with limits: what a user would
 call reliable, and what tracking still confirms over several frames."""
 
+LEAST_SURE = 0.2
+"""Share of poses that are right and TRACKING under which an object does not suit, however many are right: a
+pipeline would seldom have one to act on."""
+
 MOST_FALSE = 0.1
 """Share of poses that are wrong and TRACKING above which an object does not suit, however many others are
 right: those are acted on. One in 16 may be chance."""
@@ -187,6 +191,7 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
     right = np.array([t.right for t in trials], bool)
     sure = np.array([t.state == "TRACKING" for t in trials], bool)
     share = float(right.mean()) if len(trials) else 0.0
+    tracking = float((right & sure).mean()) if len(trials) else 0.0
     shape = float(np.mean([t.shape_right for t in trials])) if len(trials) else 0.0
     reasons = []
     lab = model.surface.lab[0]
@@ -216,7 +221,13 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
             f"{trials[0].size_px * trials[0].distance_m / smallest:.1f} m with this camera: {sum(large)} of "
             f"{len(large)} answers are right there, and {sum(small)} of {len(small)} farther away."
         )
-    if share >= SOMETIMES and float((right & sure).mean()) < SOMETIMES:
+    if share >= SOMETIMES and tracking < LEAST_SURE:
+        reasons.insert(
+            0,
+            f"In {int((right & sure).sum())} of {len(trials)} scenes its pose is right and sure (TRACKING): "
+            "a pipeline would seldom have one to act on.",
+        )
+    elif share >= SOMETIMES and tracking < SOMETIMES:
         reasons.append(
             "One picture alone seldom makes it sure (TRACKING): a pipeline needs several that agree, and "
             "takes longer to confirm it."
@@ -228,14 +239,14 @@ def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
     verdict: Verdict = "suits" if share >= WELL else "does not suit"
     if (plain or wrong or verdict != "suits") and max(share, shape) >= SOMETIMES:
         verdict = "suits with limits"
-    if wrong > MOST_FALSE * len(trials):
+    if wrong > MOST_FALSE * len(trials) or tracking < LEAST_SURE:
         verdict = "does not suit"
     if len(trials) and verdict == "does not suit" and not reasons:
         reasons.append("Its pose is seldom right, alone or among other things: look at the trials.")
     return Suitability(
         verdict,
         share,
-        float((right & sure).mean()) if len(trials) else 0.0,
+        tracking,
         wrong,
         len(turns),
         smallest,

@@ -150,9 +150,7 @@ def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> 
     folder = Path(bundles_dir)
     known = sorted(p.name[: -len(SUFFIX)] for p in folder.glob(f"*{SUFFIX}") if not p.name.startswith("."))
     if not known:
-        found = "no such folder" if not folder.is_dir() else "no reference models"
-        fix = f"Make them: huepose onboard MESH --name NAME --out {folder}."
-        raise InputError(folder, found=found, expected=f"reference models, files *{SUFFIX}", fix=fix)
+        raise _no_models(folder)
     wanted = known if names is None else list(dict.fromkeys(names))
     unknown = [n for n in wanted if n not in known]
     if unknown:
@@ -163,6 +161,17 @@ def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> 
             fix="Correct the name, or onboard the object.",
         )
     return {name: load_model(model_path(folder, name)) for name in wanted}
+
+
+def _no_models(folder: Path) -> InputError:
+    """Of what is no folder of reference models, with what may be meant."""
+    found = "no reference models" if folder.is_dir() else "no such folder"
+    fix = f"Make them: huepose onboard MESH --name NAME --out {folder}."
+    if folder.is_file():
+        found, fix = "a file", f"Give its folder: {folder.parent}."
+    elif below := sorted(path.parent for path in folder.glob(f"*/*{SUFFIX}")):
+        fix = f"Did you mean {below[0]}?"
+    return InputError(folder, found=found, expected=f"a folder of reference models, files *{SUFFIX}", fix=fix)
 
 
 def _array_fields(kind: type) -> list[str]:

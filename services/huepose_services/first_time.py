@@ -6,39 +6,41 @@ afterwards is silent for a minute, learns the objects of the built-in scene, and
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
 import time
 from collections.abc import Callable, Mapping
-from typing import TypeVar
+from types import FrameType
+from typing import TYPE_CHECKING, TypeVar
 
-import numpy as np
-
-from huepose import reinit
-from huepose.colorpair.lifting import GATE_M, RADIUS_PX, local_planes
-from huepose.estimation import Estimator, ObjectQuery
-from huepose.evaluation import suitability
-from huepose.geometry import Box, RgbdFrame
-from huepose.model import ReferenceModel, load_models
-from huepose.onboarding.reference import reference_model
-from huepose.perception.colorpair_detector import ColorPairDetector
-from huepose.perception.stillness import Tiles
-from huepose.profiles import profile
-from huepose.scenes.builtin import SyntheticScene, first_shot
-from huepose.scenes.camera import CAMERA
-from huepose.scenes.rendered import rendered_frame
-from huepose.support.compiling import telling_of_compiling
-from huepose.tracking import Tracker
-from huepose_services.builtin import builtin_bundles, bundles_are_kept
+if TYPE_CHECKING:
+    from huepose.model import ReferenceModel
 
 T = TypeVar("T")
 
 
 def main() -> None:
     """Each step in turn, and how long it took."""
+    signal.signal(signal.SIGINT, _interrupted)
+    from huepose.model import load_models
+    from huepose.scenes.builtin import SyntheticScene
+    from huepose.support.compiling import telling_of_compiling
+    from huepose_services.builtin import builtin_bundles, bundles_are_kept
+
     kept = bundles_are_kept(0)
     folder = _told("the built-in objects", lambda: builtin_bundles(0))
     with telling_of_compiling(every=True):
         _told("the numeric kernels", lambda: compile_all(load_models(folder), learn=kept))
     _told("the built-in scene", lambda: SyntheticScene(0))
+
+
+def _interrupted(number: int, frame: FrameType | None) -> None:
+    """Ends at once, also within the compiler, which takes an exception for a fault of its own: what is kept
+    is written whole."""
+    clear = "\r\x1b[K" if sys.stderr.isatty() else ""
+    os.write(2, f"{clear}setup: interrupted; `make setup` goes on here\n".encode())
+    os._exit(130)
 
 
 def _told(what: str, work: Callable[[], T]) -> T:
@@ -52,6 +54,20 @@ def _told(what: str, work: Callable[[], T]) -> T:
 def compile_all(models: Mapping[str, ReferenceModel], learn: bool) -> None:
     """Do once, on the built-in objects, what commands and workers will do: all kernels are compiled then.
     learn: one of them is learnt, which has compiled nothing here where all were kept from before."""
+    import numpy as np
+
+    from huepose import reinit
+    from huepose.colorpair.lifting import GATE_M, RADIUS_PX, local_planes
+    from huepose.estimation import Estimator
+    from huepose.geometry import RgbdFrame
+    from huepose.onboarding.reference import reference_model
+    from huepose.perception.colorpair_detector import ColorPairDetector
+    from huepose.perception.stillness import Tiles
+    from huepose.profiles import profile
+    from huepose.scenes.builtin import first_shot
+    from huepose.scenes.camera import CAMERA
+    from huepose.tracking import Tracker
+
     if learn:
         reference_model(models["corner_bracket"].mesh, "corner_bracket")
     live, names = profile("live"), sorted(models)
@@ -70,6 +86,12 @@ def compile_all(models: Mapping[str, ReferenceModel], learn: bool) -> None:
 
 def _in_a_drawn_scene(model: ReferenceModel) -> None:
     """As the self-test of a new object."""
+    from huepose.estimation import Estimator, ObjectQuery
+    from huepose.evaluation import suitability
+    from huepose.geometry import Box, RgbdFrame
+    from huepose.profiles import profile
+    from huepose.scenes.rendered import rendered_frame
+
     drawn = rendered_frame({model.name: model.mesh}, 0, 0, suitability.RANGES)
     box = Box.of_mask(drawn.shot.owner == 0)
     frame = RgbdFrame(drawn.shot.color, drawn.shot.depth, drawn.camera)

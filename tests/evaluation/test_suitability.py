@@ -47,6 +47,16 @@ def test_an_object_that_is_often_wrong_and_sure_does_not_suit_however_often_it_i
     assert found.reasons[0] == f"In {wrong} of 16 scenes a wrong pose was taken as sure (TRACKING)."
 
 
+@pytest.mark.parametrize(("sure", "verdict"), [(3, "does not suit"), (4, "suits")])
+def test_an_object_that_is_seldom_right_and_sure_does_not_suit_however_often_it_is_right(
+    tea_box: ReferenceModel, sure: int, verdict: str
+) -> None:
+    found = judged(tea_box, [*[trial(True)] * sure, *[trial(True, state="SUSPECT")] * (16 - sure)])
+    assert (found.verdict, found.right) == (verdict, 1.0)
+    said = "In 3 of 16 scenes its pose is right and sure (TRACKING): a pipeline would seldom have"
+    assert found.reasons[0].startswith(said) == (verdict == "does not suit")
+
+
 def test_the_size_is_not_blamed_where_smaller_ones_are_right(tea_box: ReferenceModel) -> None:
     """A jar that is seen from above looks alike from all sides, near and far."""
     wrong = [trial(False, size, state="SUSPECT") for size in (138.0, 120.0, 70.0)]

@@ -207,6 +207,16 @@ def test_empty_and_missing_folders_are_told_apart(tmp_path: Path) -> None:
         load_model(tmp_path / "none.huepose")
 
 
+def test_the_folder_that_is_meant_is_named(saved: Path, tmp_path: Path) -> None:
+    (tmp_path / "kettle" / "bundles").mkdir(parents=True)
+    model = tmp_path / "kettle" / "bundles" / "kettle.huepose"
+    model.write_bytes(saved.read_bytes())
+    with pytest.raises(InputError, match=r"found no reference models; .* Did you mean .*kettle/bundles[?]"):
+        load_models(tmp_path / "kettle")
+    with pytest.raises(InputError, match=r"found a file; .* Give its folder: .*kettle/bundles[.]"):
+        load_models(model)
+
+
 def test_a_failed_write_leaves_the_old_file(saved: Path, tea_box: ReferenceModel, tmp_path: Path) -> None:
     path = tmp_path / "tea_box.huepose"
     path.write_bytes(b"the old one")

@@ -1,7 +1,13 @@
 """What is done when HuePose is set up."""
 
+import os
+import signal
 import subprocess
 import sys
+import time
+from pathlib import Path
+
+import pytest
 
 _CODE = """
 import gc
@@ -33,3 +39,26 @@ def test_no_kernel_of_what_is_set_up_is_left_for_later():
         "the built-in scene",
     ]
     assert compiled == "not compiled: []"
+
+
+@pytest.mark.parametrize("during", ["", "learning the built-in objects", "kernels compiled"])
+def test_ctrl_c_ends_it_at_any_time_in_one_line(tmp_path: Path, during: str) -> None:
+    """At once, while an object is learnt, and within the compiler; caches are empty."""
+    kept = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "NUMBA_CACHE_DIR": str(tmp_path / "numba")}
+    command = [sys.executable, "-u", "-m", "huepose_services.first_time"]
+    with (tmp_path / "said").open("w") as said:
+        setup = subprocess.Popen(command, env=os.environ | kept, stdout=said, stderr=said)
+    text, deadline = "", time.monotonic() + 240.0
+    try:
+        while during not in text and setup.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.2)
+            text = (tmp_path / "said").read_text()
+        time.sleep(1.0)
+        setup.send_signal(signal.SIGINT)
+        assert setup.wait(20.0) == 130
+    finally:
+        setup.kill()
+        setup.wait()
+    lines = (tmp_path / "said").read_text()[len(text) :].splitlines()
+    assert lines[-1] == "setup: interrupted; `make setup` goes on here"
+    assert all(" kernels compiled, " in line or line.startswith("learning ") for line in lines[:-1])

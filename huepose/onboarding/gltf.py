@@ -150,7 +150,8 @@ def read_gltf(files: MeshFiles) -> RawMesh:
 def _merged(asset: Asset) -> RawMesh:
     parts: list[tuple[Float64, Int64, Float64 | None, Float64 | None, int]] = []
     path = asset.files.mesh
-    for T, primitive in _placed_primitives(asset):
+    primitives, names = _placed_primitives(asset)
+    for T, primitive in primitives:
         faces = _faces(asset, primitive)
         attributes = primitive["attributes"]
         vertices = se3.apply(T, asset.accessor(attributes["POSITION"])[:, :3].astype(np.float64))
@@ -196,11 +197,13 @@ def _merged(asset: Asset) -> RawMesh:
         colors,
         np.concatenate([np.full(len(p[1]), used.index(p[4])) for p in parts]).astype(np.int32),
         materials,
+        names,
     )
 
 
-def _placed_primitives(asset: Asset) -> list[tuple[Float64, dict[str, Any]]]:
-    """Every primitive of the scene that has triangles, with its transform to the scene (4, 4).
+def _placed_primitives(asset: Asset) -> tuple[list[tuple[Float64, dict[str, Any]]], tuple[str, ...]]:
+    """Every primitive of the scene that has triangles, with its transform to the scene (4, 4); and the names
+    of the meshes that they are of.
 
     Raises InputError for too many, before memory is taken for them: nodes may show one mesh many times.
     """
@@ -215,25 +218,29 @@ def _placed_primitives(asset: Asset) -> list[tuple[Float64, dict[str, Any]]]:
         )
     triangles = 0
     out: list[tuple[Float64, dict[str, Any]]] = []
-    for T, mesh in _placed_meshes(asset.tree):
+    names: list[str] = []
+    for T, mesh, name in _placed_meshes(asset.tree):
+        before = len(out)
         for primitive in asset.tree["meshes"][mesh]["primitives"]:
             if primitive.get("mode", 4) in (_TRIANGLES, _STRIP, _FAN):
                 triangles += _size(asset.tree, primitive)
                 check_count(path, triangles)
                 out.append((T, primitive))
-    return out
+        names += [str(name)] * (len(out) > before)
+    return out, tuple(names)
 
 
-def _placed_meshes(tree: dict[str, Any]) -> list[tuple[Float64, int]]:
-    """Every mesh of the scene with its transform to the scene (4, 4), which may scale."""
+def _placed_meshes(tree: dict[str, Any]) -> list[tuple[Float64, int, str]]:
+    """Every mesh of the scene with its transform to the scene (4, 4), which may scale, and its name."""
     nodes = tree.get("nodes", [])
+    called = [entry.get("name") or f"mesh {i}" for i, entry in enumerate(tree.get("meshes", []))]
     if not nodes:
-        return [(np.eye(4), i) for i in range(len(tree.get("meshes", [])))]
+        return [(np.eye(4), i, name) for i, name in enumerate(called)]
     if tree.get("scenes"):
         roots = tree["scenes"][tree.get("scene", 0)].get("nodes", [])
     else:
         roots = sorted(set(range(len(nodes))) - {c for n in nodes for c in n.get("children", [])})
-    out: list[tuple[Float64, int]] = []
+    out: list[tuple[Float64, int, str]] = []
     met: set[int] = set()
     stack = [(np.eye(4), i) for i in reversed(roots)]
     while stack:
@@ -243,7 +250,8 @@ def _placed_meshes(tree: dict[str, Any]) -> list[tuple[Float64, int]]:
         met.add(i)
         T = T_parent @ _node_transform(nodes[i])
         if "mesh" in nodes[i]:
-            out.append((T, nodes[i]["mesh"]))
+            mesh = nodes[i]["mesh"]
+            out.append((T, mesh, nodes[i].get("name") or called[mesh]))
         stack += [(T, c) for c in reversed(nodes[i].get("children", []))]
     return out
 

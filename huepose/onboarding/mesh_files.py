@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import UInt8
+from huepose.onboarding.kinds import GIT_LFS
 from huepose.support.errors import InputError
 
 LARGEST_BYTES = 2**30
@@ -125,12 +126,16 @@ class MeshFiles:
                 )
             self._bytes_left -= status.st_size
             with path.open("rb") as file:
-                return file.read(status.st_size)
+                data = file.read(status.st_size)
         except FileNotFoundError:
             raise InputError(path, found="no such file", expected=expected, fix="Check the path.") from None
         except OSError as error:
             found = error.strerror or str(error)
             raise InputError(path, found=found, expected=f"a readable {role}") from None
+        if data.startswith(GIT_LFS):
+            fix = "Fetch it: git lfs pull."
+            raise InputError(path, found="a pointer of Git LFS", expected=expected, fix=fix)
+        return data
 
 
 def decoded(data: bytes) -> str:

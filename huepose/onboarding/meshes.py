@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -13,6 +14,7 @@ import numpy as np
 from huepose.geometry.arrays import Float64, Int32
 from huepose.geometry.mesh import Mesh
 from huepose.onboarding.gltf import read_gltf
+from huepose.onboarding.kinds import check_kind
 from huepose.onboarding.mesh_files import MeshFiles
 from huepose.onboarding.obj import read_obj
 from huepose.onboarding.ply import read_ply
@@ -60,13 +62,28 @@ def unit_of_format(path: Path) -> Unit | None:
     return "m" if _READERS.get(path.suffix.lower()) is read_gltf else None
 
 
-def sizes_by_unit(path: Path) -> dict[Unit, float]:
-    """The largest side of a mesh, metres, by the units in which it is that of an object, metres and
-    millimetres first. Raises InputError as `read_mesh`."""
+@dataclass(frozen=True)
+class Looked:
+    """What a mesh is before its unit is settled. sizes: its largest side, metres, by the units in which it is
+    that of an object, metres and millimetres first; parts: the names of the meshes that are taken as one;
+    away, diameter: from its origin to its middle, and across its bounds, in the file's unit."""
+
+    sizes: dict[Unit, float]
+    parts: tuple[str, ...]
+    away: float
+    diameter: float
+
+
+def look_at(path: Path) -> Looked:
+    """What there is to say of a mesh file. Raises InputError as `read_mesh`."""
     with np.errstate(all="ignore"), _damage_named(path):
-        side = _extent(_referenced(_raw(path))[0])
+        raw = _raw(path)
+        vertices = _referenced(raw)[0]
+        side, low, high = _extent(vertices), vertices.min(0), vertices.max(0)
     units: tuple[Unit, ...] = ("m", "mm", "cm", "in")
-    return {unit: side * METRES[unit] for unit in units if SMALLEST_M <= side * METRES[unit] <= LARGEST_M}
+    sizes = {unit: side * METRES[unit] for unit in units if SMALLEST_M <= side * METRES[unit] <= LARGEST_M}
+    away, diameter = float(np.linalg.norm((low + high) / 2.0)), float(np.linalg.norm(high - low))
+    return Looked(sizes, raw.parts, away, diameter)
 
 
 def _raw(path: Path) -> RawMesh:
@@ -75,15 +92,8 @@ def _raw(path: Path) -> RawMesh:
         raise InputError(
             path, found="a folder", expected=f"a mesh file: {', '.join(_READERS)}", fix=_inside(path)
         )
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        raise InputError(
-            path,
-            found=f"a file of type '{path.suffix}'",
-            expected=", ".join(_READERS),
-            fix="Convert the mesh, for example to GLB.",
-        )
-    return reader(MeshFiles(path))
+    check_kind(path, _READERS)
+    return _READERS[path.suffix.lower()](MeshFiles(path))
 
 
 def _inside(folder: Path) -> str:
@@ -121,29 +131,20 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
     if extent == 0.0:
         found = "a mesh without size: all its points are in one place"
         raise InputError(path, found=found, expected="an object", fix=RE_EXPORT)
-    scales: dict[Unit, float] = {"m": 1.0, "mm": 0.001}
-    if unit is not None:
-        scales[unit] = METRES[unit]
-    plausible = [u for u, s in scales.items() if SMALLEST_M <= extent * s <= LARGEST_M]
-    if unit is not None and unit in plausible:
-        return scales[unit]
-    if unit is None and len(plausible) == 1:
-        return scales[plausible[0]]
-    others = plausible or [u for u, s in METRES.items() if SMALLEST_M <= extent * s <= LARGEST_M]
-    if unit is not None and not was_told:  # The format says metres: the file was scaled wrongly.
-        others = [u for u in ("mm", "cm") if SMALLEST_M <= extent * METRES[u] <= LARGEST_M]
-        scales = {unit: METRES[unit], **{u: METRES[u] for u in others}}
-    sizes = " or ".join(f"{length(extent * s)} if it is in {u}" for u, s in scales.items())
-    if others and unit is not None and was_told:
-        fix = f"Did you mean --unit {others[0]}?"
-    elif others and unit is not None:
-        fix = f"Give {' or '.join(f'--unit {other}' for other in others)}."
+    tried: tuple[Unit, ...] = ("m", "mm") if unit is None else (unit,)
+    plausible = [u for u, s in METRES.items() if SMALLEST_M <= extent * s <= LARGEST_M]
+    taken = next((u for u in tried if u in plausible), None)
+    if taken is not None:
+        return METRES[taken]
+    sizes = " or ".join(f"{length(extent * METRES[u])} if it is in {u}" for u in (*tried, *plausible))
+    said = " or ".join(f"--unit {u}" for u in plausible)
+    if plausible:
+        fix = f"Did you mean {said}?" if was_told else f"Give {said}."
     else:
-        fix = f"Say what its unit is: --unit {'|'.join(METRES)}; or scale the mesh."
-    taken = f" (taken as {unit})" if unit else ""
+        fix = f"By no --unit ({', '.join(METRES)}) is it one: scale the mesh."
     raise InputError(
         path,
-        found=f"a largest side of {_number(extent)} units{taken}: {sizes}",
+        found=f"a largest side of {_number(extent)} units{f' (taken as {unit})' if unit else ''}: {sizes}",
         expected=f"an object of {length(SMALLEST_M)} to {length(LARGEST_M)}",
         fix=fix,
     )

@@ -11,6 +11,7 @@ from huepose.geometry.arrays import Float, Float32, Float64, Int, Int32, UInt8
 from huepose.support.errors import InputError
 
 RE_EXPORT = "Export the mesh again as OBJ, PLY or GLB with its texture."
+SIMPLIFY = "Simplify the mesh (Blender: Decimate; MeshLab: Quadric Edge Collapse Decimation)"
 LARGEST_FACES = 5_000_000
 """Triangles of a mesh: a scan of a hand-sized object at a tenth of a millimetre has fewer."""
 
@@ -27,7 +28,8 @@ class Material:
 @dataclass(frozen=True, eq=False)
 class RawMesh:
     """vertices (V, 3) float64 in the file's unit; faces (F, 3) int32; per face corner, where the file has
-    them: uv (F, 3, 2) with v down, colors (F, 3, 3) uint8 RGB; face_materials (F,) int32 into `materials`."""
+    them: uv (F, 3, 2) with v down, colors (F, 3, 3) uint8 RGB; face_materials (F,) int32 into `materials`;
+    parts: the names of the meshes of the file, where it tells them apart."""
 
     vertices: Float64
     faces: Int32
@@ -35,6 +37,7 @@ class RawMesh:
     colors: UInt8 | None
     face_materials: Int32
     materials: tuple[Material, ...]
+    parts: tuple[str, ...] = ()
 
 
 def check_count(path: Path, faces: int) -> None:
@@ -44,7 +47,7 @@ def check_count(path: Path, faces: int) -> None:
             path,
             found=f"{faces} triangles",
             expected=f"at most {LARGEST_FACES}",
-            fix="Simplify the mesh (decimate it); 20,000 triangles are kept of it.",
+            fix=f"{SIMPLIFY}; 20,000 triangles are kept of it.",
         )
 
 

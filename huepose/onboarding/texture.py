@@ -16,7 +16,7 @@ from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 from huepose.geometry.shelves import on_shelves
 from huepose.onboarding.mesh_files import LARGEST_TEXTURE
 from huepose.onboarding.patches import LARGEST, equal_patches
-from huepose.onboarding.raw_mesh import RawMesh
+from huepose.onboarding.raw_mesh import SIMPLIFY, RawMesh
 from huepose.rendering.textures import mark_specks, triangle_areas
 from huepose.support.errors import InputError
 
@@ -115,7 +115,7 @@ def _baked(raw: RawMesh, colors: UInt8, path: Path) -> tuple[Float32, UInt8]:
             path,
             found=f"{len(raw.faces)} coloured triangles",
             expected=f"at most {LARGEST**2}",
-            fix="Simplify the mesh.",
+            fix=f"{SIMPLIFY}, or give it a texture in place of colours at its vertices.",
         )
     corners = colors.astype(np.float64)
     return layout.uv, layout.baked(lambda faces, w: np.einsum("fk,fkc->fc", w, corners[faces]))

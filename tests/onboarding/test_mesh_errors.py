@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from huepose.geometry import Mesh
 from huepose.onboarding.meshes import read_mesh
 from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
 
 
 def broken(tmp_path: Path, mesh: Mesh, how: str) -> Path:
@@ -49,7 +52,9 @@ def broken(tmp_path: Path, mesh: Mesh, how: str) -> Path:
     elif how == "missing":
         return tmp_path / "other.obj"
     elif how == "foreign type":
-        return obj.rename(tmp_path / "m.step")
+        return obj.rename(tmp_path / "m.off")
+    elif how == "pointer to a texture":
+        (tmp_path / "m.png").write_bytes(POINTER)
     return obj
 
 
@@ -69,7 +74,11 @@ def broken(tmp_path: Path, mesh: Mesh, how: str) -> Path:
         ("cut glb", "m.glb: found 200 of "),
         ("no glb", "m.glb: found no glTF header"),
         ("missing", "other.obj: found no such file; expected the mesh"),
-        ("foreign type", "m.step: found a file of type '.step'; expected .obj, .ply, .glb, .gltf"),
+        ("foreign type", "m.off: found a file of type '.off'; expected .obj, .ply, .glb, .gltf"),
+        (
+            "pointer to a texture",
+            "m.png: found a pointer of Git LFS; expected the texture, which m.mtl names",
+        ),
     ],
 )
 def test_broken_files_are_named_with_the_fix(tmp_path: Path, printed_box: Mesh, how: str, named: str) -> None:
@@ -90,3 +99,59 @@ def test_draco_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "m.glb").write_bytes(files.glb(tree, b""))
     with pytest.raises(InputError, match=r"KHR_draco_mesh_compression.*without compression"):
         read_mesh(tmp_path / "m.glb")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("m.stl", b"", "found an STL mesh; expected .obj, .ply, .glb, .gltf. It holds no texture"),
+        ("m.STP", b"", "found a STEP file; expected .obj, .ply, .glb, .gltf. It holds no texture"),
+        ("m.blend", b"", "found a file of Blender; expected .obj, .ply, .glb, .gltf. Open it in its program"),
+        (
+            "m.fbx",
+            b"",
+            "found an FBX file; expected .obj, .ply, .glb, .gltf. Open it in its program, and export",
+        ),
+        ("m.dae", b"", "found a COLLADA file; expected .obj, .ply, .glb, .gltf. Open it in its program"),
+        ("m.png", b"", "found a picture; expected .obj, .ply, .glb, .gltf. Give the mesh that it belongs to"),
+        ("m.obj", b"BLENDER-v279", "found a file of Blender by its first bytes, with the ending '.obj'"),
+        ("m.glb", b"ISO-10303-21;", "found a STEP file by its first bytes, with the ending '.glb'"),
+        ("m.ply", b"Kaydara FBX Binary", "found an FBX file by its first bytes, with the ending '.ply'"),
+        ("m.glb", b"PK\x03\x04", "found a zip archive by its first bytes, with the ending '.glb'"),
+        ("m.obj", b"solid cube\nfacet", "found an STL mesh by its first bytes, with the ending '.obj'"),
+        ("m", b"PK\x03\x04", "found a zip archive by its first bytes, with the ending ''"),
+        ("m", b"v 0 0 0", "found a file without an ending; expected .obj"),
+        ("m.obj", POINTER, "found a pointer of Git LFS; expected the mesh. Fetch it: git lfs pull."),
+        ("m.glb", POINTER, "found a pointer of Git LFS; expected the mesh. Fetch it: git lfs pull."),
+    ],
+)
+def test_a_file_that_is_no_mesh_is_named_for_what_it_is(
+    tmp_path: Path, name: str, content: bytes, said: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_mesh(tmp_path / name)
+    assert str(caught.value).startswith(f"{tmp_path / name}: {said}")
+
+
+def test_more_coloured_triangles_than_there_are_texels_are_refused_with_how_to_have_fewer(
+    tmp_path: Path,
+) -> None:
+    """One more than 1024 x 1024, as a strip between two lines of vertices."""
+    count = 1024**2 + 1
+    k = np.arange(count + 2)
+    vertices = np.stack([k // 2, k % 2, np.zeros(len(k))], 1) * 1e-3
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(k)}\n"
+    header += "".join(f"property float {axis}\n" for axis in "xyz")
+    header += "".join(f"property uchar {color}\n" for color in ("red", "green", "blue"))
+    header += f"element face {count}\nproperty list uchar int vertex_indices\nend_header\n"
+    rows = np.zeros(len(k), [("at", "<f4", 3), ("color", "u1", 3)])
+    rows["at"], rows["color"] = vertices, 90
+    faces = np.zeros(count, [("count", "u1"), ("of", "<i4", 3)])
+    faces["count"], faces["of"] = 3, np.arange(count)[:, None] + np.arange(3)
+    (tmp_path / "m.ply").write_bytes(header.encode() + rows.tobytes() + faces.tobytes())
+    with pytest.raises(
+        InputError, match="found 1048577 coloured triangles; expected at most 1048576"
+    ) as caught:
+        read_mesh(tmp_path / "m.ply", "mm")
+    assert "Simplify the mesh (Blender: Decimate; MeshLab: Quadric Edge" in str(caught.value)

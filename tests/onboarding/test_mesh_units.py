@@ -25,14 +25,33 @@ def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, met
     assert np.ptp(read_mesh(tmp_path / "m.obj", unit).vertices[:, 0]) == pytest.approx(metres)
 
 
-@pytest.mark.parametrize(("size", "unit"), [(5.0, None), (0.2, "mm"), (200.0, "m"), (4000.0, None)])
-def test_implausible_sizes_are_refused_with_both_readings(
-    tmp_path: Path, size: float, unit: str | None
+@pytest.mark.parametrize(
+    ("size", "unit", "said"),
+    [
+        (
+            5.0,
+            None,
+            "5 m if it is in m or 5 mm if it is in mm or 5 cm if it is in cm or 12.7 cm if it is in in; "
+            "expected an object of 1 cm to 2 m. Give --unit cm or --unit in.",
+        ),
+        (
+            15.0,
+            "m",
+            "(taken as m): 15 m if it is in m or 1.5 cm if it is in mm or 15 cm if it is in cm or 38.1 cm if it "
+            "is in in; expected an object of 1 cm to 2 m. Did you mean --unit mm or --unit cm or --unit in?",
+        ),
+        (0.2, "mm", "20 cm if it is in m; expected an object of 1 cm to 2 m. Did you mean --unit m?"),
+        (4000.0, None, "By no --unit (mm, cm, m, in) is it one: scale the mesh."),
+    ],
+)
+def test_implausible_sizes_are_refused_with_all_units_that_make_an_object_of_it(
+    tmp_path: Path, size: float, unit: Unit | None, said: str
 ) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((1.0, 0.5, 0.5)), scale=size)
-    with pytest.raises(InputError, match=r"if it is in m or .* if it is in mm.*--unit") as caught:
+    with pytest.raises(InputError) as caught:
         read_mesh(tmp_path / "m.obj", unit)
-    assert "m.obj" in str(caught.value)
+    assert "m.obj: found a largest side of" in str(caught.value)
+    assert str(caught.value).endswith(said)
 
 
 @pytest.mark.parametrize("unit", [None, "mm"])

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -171,6 +172,42 @@ def test_of_a_unit_that_makes_an_unusual_size_it_is_warned_before_anything_is_le
     files.write_obj(tmp_path / "m.obj", solids.box((0.12, 0.08, 0.06)), scale=scale)
     assert with_unit(Job(tmp_path / "m.obj", "m", unit="cm")).unit == "cm"
     assert capsys.readouterr().err == (f"warning: its largest side is {said}\n" if said else "")
+
+
+def test_the_meshes_of_a_file_that_are_taken_as_one_object_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    box = solids.box((0.06, 0.04, 0.03))
+    for names in (["carton"], ["carton", "second"], [f"part {k}" for k in range(8)]):
+        w = files.GlbWriter()
+        corners = box.vertices[box.faces].reshape(-1, 3).astype("<f4")
+        attributes = {"POSITION": w.accessor(corners, "VEC3")}
+        attributes["TEXCOORD_0"] = w.accessor(box.uv.reshape(-1, 2).astype("<f4"), "VEC2")
+        mesh = w.mesh(attributes, material=w.textured_material(box.texture))
+        nodes = [{"name": name, "mesh": mesh, "translation": [0.1 * k, 0, 0]} for k, name in enumerate(names)]
+        nodes.append({"name": "a light"})
+        w.write(tmp_path / f"{len(names)}.glb", nodes, list(range(len(nodes))))
+
+    def said(count: int) -> str:
+        with_unit(Job(tmp_path / f"{count}.glb", "m"))
+        return capsys.readouterr().err
+
+    assert said(1) == ""
+    assert "note: the file holds 2 meshes: carton, second; they are taken as one object. Export" in said(2)
+    assert "8 meshes: part 0, part 1, part 2, part 3, part 4 and 3 more; they" in said(8)
+
+
+@pytest.mark.parametrize(("away_m", "noted"), [(0.1, ""), (5.4, "5.4 m")])
+def test_a_mesh_whose_origin_is_far_from_it_is_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], away_m: float, noted: str
+) -> None:
+    box = solids.box((0.06, 0.04, 0.03))
+    moved = replace(box, vertices=box.vertices + np.array([0.0, away_m, 0.0], np.float32))
+    files.write_obj(tmp_path / "m.obj", moved, scale=1000.0)
+    with_unit(Job(tmp_path / "m.obj", "m", unit="mm"))
+    said = capsys.readouterr().err
+    note = f"note: the mesh's origin lies {noted} from the object; poses are those of that origin."
+    assert said.startswith(note) if noted else said == ""
 
 
 def test_the_warning_of_an_unusual_size_comes_first_and_once(

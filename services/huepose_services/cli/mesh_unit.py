@@ -1,4 +1,5 @@
-"""The unit of a mesh that gives none is settled before anything is learnt: said, asked for, or demanded."""
+"""What is said of a mesh before anything is learnt: its unit, which is settled where it gives none (said,
+asked for, or demanded), that it is of several parts, that its origin is far off."""
 
 from __future__ import annotations
 
@@ -12,21 +13,38 @@ from huepose_services.cli.options import say
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job
-    from huepose.onboarding.meshes import Unit
+    from huepose.onboarding.meshes import Looked, Unit
 
 SMALL_M, LARGE_M = 0.03, 0.6
 """Few objects that are handled have a smaller or larger largest side: such a mesh may be in another unit."""
+
+FAR = 2.0
+"""Diameters from its origin to the middle of a mesh from which it is said."""
+
+_NAMED = 5
+"""Parts of a mesh that are named."""
 
 _IN_WORDS: dict[Unit, str] = {"m": "metres", "mm": "millimetres", "cm": "centimetres", "in": "inches"}
 
 
 def with_unit(job: Job) -> Job:
-    """A job whose unit is known. A usual size is taken, and said with the others that it could be; of another
-    the unit is asked for at a terminal. Of a unit that was given, an unusual size is said. Raises InputError
-    where nobody can be asked."""
-    from huepose.onboarding.meshes import sizes_by_unit, unit_of_format
+    """A job whose unit is known, after what there is to say of its mesh. A usual size is taken, and said with
+    the others that it could be; of another the unit is asked for at a terminal. Of a unit that was given, an
+    unusual size is said. Raises InputError where nobody can be asked."""
+    from huepose.onboarding.meshes import look_at
 
-    sizes, standard = sizes_by_unit(job.mesh_path), unit_of_format(job.mesh_path)
+    looked = look_at(job.mesh_path)
+    job = _with_unit(job, looked.sizes)
+    _say_of_parts(looked.parts)
+    if job.unit in looked.sizes:
+        _say_of_origin(looked, job.unit)
+    return job
+
+
+def _with_unit(job: Job, sizes: dict[Unit, float]) -> Job:
+    from huepose.onboarding.meshes import unit_of_format
+
+    standard = unit_of_format(job.mesh_path)
     if job.unit is not None:
         _warn_of(job.unit, sizes)
         return job
@@ -44,6 +62,27 @@ def with_unit(job: Job) -> Job:
             f"the mesh is in metres as all of its format: its largest side is {_size(sizes, taken)}", others
         )
     return replace(job, unit=taken)
+
+
+def _say_of_parts(parts: tuple[str, ...]) -> None:
+    """Of a file with several meshes: they may be several objects."""
+    if len(parts) > 1:
+        more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
+        say(
+            f"note: the file holds {len(parts)} meshes: {', '.join(parts[:_NAMED])}{more}; they are taken as "
+            "one object. Export several objects each by itself"
+        )
+
+
+def _say_of_origin(looked: Looked, unit: Unit) -> None:
+    """Of a mesh in the coordinates of an assembly or of a scan."""
+    from huepose.onboarding.meshes import METRES, length
+
+    if looked.away >= FAR * looked.diameter:
+        say(
+            f"note: the mesh's origin lies {length(looked.away * METRES[unit])} from the object; poses are "
+            "those of that origin. For poses of the object itself move it there, and export the mesh again"
+        )
 
 
 def _warn_of(given: Unit, sizes: dict[Unit, float]) -> None:

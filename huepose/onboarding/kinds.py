@@ -1,0 +1,72 @@
+"""What a file is that is no mesh that is read, told by its ending or by its first bytes, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+
+from huepose.support.errors import InputError
+
+GIT_LFS = b"version https://git-lfs"
+"""How a text begins that stands for a file which Git LFS keeps elsewhere."""
+
+_COLOURLESS = (
+    "It holds no texture, and HuePose needs one: give the mesh a texture in a modelling program, and export "
+    "it as GLB."
+)
+_EXPORT = "Open it in its program, and export it as GLB with its texture."
+_LONGEST = 64
+
+
+@dataclass(frozen=True)
+class _Kind:
+    name: str
+    endings: tuple[str, ...]
+    starts: tuple[bytes, ...]
+    fix: str
+
+
+_KINDS = (
+    _Kind("an STL mesh", (".stl",), (b"solid ",), _COLOURLESS),
+    _Kind("a STEP file", (".step", ".stp"), (b"ISO-10303",), _COLOURLESS),
+    _Kind("a file of Blender", (".blend",), (b"BLENDER",), _EXPORT),
+    _Kind("an FBX file", (".fbx",), (b"Kaydara",), _EXPORT),
+    _Kind("a COLLADA file", (".dae",), (), _EXPORT),
+    _Kind(
+        "a picture",
+        (".png", ".jpg", ".jpeg"),
+        (b"\x89PNG", b"\xff\xd8\xff"),
+        "Give the mesh that it belongs to: that names its texture itself.",
+    ),
+    _Kind("a zip archive", (".zip",), (b"PK\x03\x04",), "Unpack it, and give the mesh in it."),
+)
+
+
+def check_kind(path: Path, readable: Collection[str]) -> None:
+    """Raises InputError for a file of another kind than those whose endings are `readable`, also where it
+    has such an ending."""
+    ending = path.suffix.lower()
+    start = _start(path)
+    kind = next((k for k in _KINDS if ending in k.endings or start.startswith(k.starts)), None)
+    if kind is None and ending in readable:
+        return
+    if kind is None:
+        found = f"a file of type '{path.suffix}'" if ending else "a file without an ending"
+        fix = "Export the mesh as GLB with its texture."
+    else:
+        found, fix = kind.name, kind.fix
+        if ending not in kind.endings:
+            found += f" by its first bytes, with the ending '{path.suffix}'"
+    raise InputError(path, found=found, expected=", ".join(readable), fix=fix)
+
+
+def _start(path: Path) -> bytes:
+    """Its first bytes; none of what cannot be read, which its reader says."""
+    if not path.is_file():
+        return b""
+    try:
+        with path.open("rb") as file:
+            return file.read(_LONGEST)
+    except OSError:
+        return b""

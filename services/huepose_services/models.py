@@ -92,10 +92,23 @@ def _verdict_path(bundles: Path, name: str) -> Path:
     return bundles / f"{name}.verdict.json"
 
 
+def sheet_path(bundles: Path, name: str) -> Path:
+    """Where the picture of the self-test of the object of that name is."""
+    return bundles / f"{name}.png"
+
+
 def keep_verdict(bundles: Path, model: ReferenceModel, verdict: str, words: str) -> None:
     """Keep the verdict on a model and the line that says it. Raises InputError where it cannot write."""
     kept = {"model": model.digest, "verdict": verdict, "words": words}
     write_text(_verdict_path(bundles, model.name), json.dumps(kept, indent=1) + "\n")
+
+
+def forget_verdict(bundles: Path, name: str) -> None:
+    """Remove the verdict on a model that is no more, and the sheet that shows how it came about."""
+    path = _verdict_path(bundles, name)
+    if path.is_file():
+        sheet_path(bundles, name).unlink(missing_ok=True)
+        path.unlink()
 
 
 def limits(bundles: Path, model: ReferenceModel) -> str:

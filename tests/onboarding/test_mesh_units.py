@@ -37,8 +37,9 @@ def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, met
         (
             15.0,
             "m",
-            "(taken as m): 15 m if it is in m or 1.5 cm if it is in mm or 15 cm if it is in cm or 38.1 cm if it "
-            "is in in; expected an object of 1 cm to 2 m. Did you mean --unit mm or --unit cm or --unit in?",
+            "(taken as m): 15 m if it is in m or 1.5 cm if it is in mm or 15 cm if it is in cm or 38.1 cm if "
+            "it is in in; expected an object of 1 cm to 2 m. "
+            "Did you mean --unit mm or --unit cm or --unit in?",
         ),
         (0.2, "mm", "20 cm if it is in m; expected an object of 1 cm to 2 m. Did you mean --unit m?"),
         (4000.0, None, "By no --unit (mm, cm, m, in) is it one: scale the mesh."),

@@ -79,7 +79,10 @@ def test_validate_repeats_the_verdict_on_an_object_that_suits_with_limits_or_not
     assert verdict.startswith(("brick suits with limits: ", "brick does not suit: "))
     assert main(["validate", str(pipeline)]) == 0
     assert f"\n  NOTE     {verdict}\n" in capsys.readouterr().out
+    assert main(["onboard", "--no-test", str(plain), *given]) == 0
+    assert (out / "brick.png").exists(), "the same model"
     assert main(["onboard", "--no-test", str(mesh), *given]) == 0  # another model: nothing is known of it
+    assert sorted(path.name for path in out.iterdir()) == ["brick.huepose"]
     capsys.readouterr()
     assert main(["validate", str(pipeline)]) == 0
     assert "NOTE" not in capsys.readouterr().out

@@ -101,6 +101,19 @@ def test_poses_to_be_acted_on_are_written_for_calibration_and_as_trajectories(po
     assert [float(value) for value in line.split()[1:]] == [0.1, 0.2, 0.8, 0.0, 0.0, 0.0, 1.0]
 
 
+def test_poses_that_were_written_before_are_not_written_over(pose, tmp_path):
+    csv, tum = tmp_path / "object.csv", tmp_path / "tum"
+    with PoseFiles(csv, tum) as files:
+        files.take(pose)
+    before = csv.read_bytes()
+    with pytest.raises(InputError, match=rf"{csv}: found a file of that name; expected a new one"):
+        PoseFiles(csv, None)
+    with pytest.raises(InputError, match=rf"{tum}: found something there; expected a new or empty folder"):
+        PoseFiles(tmp_path / "other.csv", tum)
+    assert csv.read_bytes() == before
+    assert not (tmp_path / "other.csv").exists()
+
+
 def test_the_help_says_how_poses_of_a_bag_are_matched_with_its_pictures(capsys):
     with pytest.raises(SystemExit):
         build_parser().parse_args(["poses", "--help"])
@@ -119,6 +132,7 @@ def test_poses_on_a_robot_need_a_camera_that_is_somewhere_on_it(tmp_path, capsys
     path.write_text("bus: {base_port: 29247}\ncamera: {source: synthetic}\n")
     assert main(["poses", "--robot", "--config", str(path)]) == 2
     said = capsys.readouterr().err
+    assert said.startswith("huepose poses: "), "no heading of poses that do not come"
     assert "found no camera.mount" in said
     assert "camera.moving or camera.tf" in said
 

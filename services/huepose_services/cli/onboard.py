@@ -116,7 +116,7 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
     kept beside the model. part: share of its surface of which the model was made, None for all of it."""
     from huepose.evaluation import suitability
     from huepose.model import load_models
-    from huepose_services.models import keep_verdict
+    from huepose_services.models import keep_verdict, sheet_path
 
     model = load_models(bundles, [name])[name]
     try:
@@ -126,7 +126,7 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
     except InputError as error:
         say(f"{name} was not tried in drawn scenes: {error}")
         return None, ""
-    picture = bundles / f"{name}.png"
+    picture = sheet_path(bundles, name)
     write_picture(picture, suitability.sheet(model, found))
     facts = {
         key: getattr(found, key)
@@ -145,6 +145,7 @@ def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
     from huepose.model.io import check_name, model_path
     from huepose.onboarding import batch
     from huepose.onboarding.reference import STAGES
+    from huepose_services.models import forget_verdict
 
     check_name(job.name)
     _check_folder(out)
@@ -156,6 +157,7 @@ def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps), Status().line)
         deque(steps, maxlen=0)
     if before is not None and before[0] != result.path.read_bytes():
+        forget_verdict(out, job.name)
         say(
             f"note: {result.path} replaced another reference model named {job.name}, made on {before[1]}. "
             "To have both, onboard that one again under another --name"

@@ -6,6 +6,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TextIO
 
+from huepose.support.errors import InputError
 from huepose.support.files import writing
 from huepose_protos.messages import Message, PoseMessage
 
@@ -21,13 +22,17 @@ class PoseFiles:
     Stamps are of the capture, on the realtime clock, seconds; poses are T_cam_obj, metres. A line is in its
     file at once.
 
-    Raises InputError for a file that the disk does not take."""
+    Raises InputError for a file or a folder that has something in it, and for what the disk does not take."""
 
     def __init__(self, csv: Path | None, tum: Path | None) -> None:
         self._tum = tum
         self._files: dict[Path, TextIO] = {}
         self.written = 0
         self._csv = csv
+        if csv is not None and csv.is_file() and csv.stat().st_size:
+            raise InputError(csv, found="a file of that name", expected="a new one")
+        if tum is not None and tum.is_dir() and any(tum.iterdir()):
+            raise InputError(tum, found="something there", expected="a new or empty folder")
         if csv is not None:
             self._write(csv, CSV_COLUMNS)
         if tum is not None:

@@ -130,12 +130,15 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="poses in the frame that the camera is mounted in (camera.mount of pipeline.yaml)",
     )
-    add_path(parser, "--csv", "FILE.csv", f"write TRACKING poses there instead: {_CSV_HELP} ({_PLAYED})")
+    add_path(
+        parser, "--csv", "FILE.csv", f"write TRACKING poses to a new file instead: {_CSV_HELP} ({_PLAYED})"
+    )
     add_path(
         parser,
         "--tum",
         "DIR",
-        "write TRACKING poses there instead, OBJECT_INSTANCE.txt each, in TUM's format, stamps as with --csv",
+        "write TRACKING poses to a new folder instead, OBJECT_INSTANCE.txt each, in TUM's format, stamps as "
+        "with --csv",
     )
     add_choice(parser)
     parser.add_argument(
@@ -167,10 +170,12 @@ def call(arguments: argparse.Namespace) -> int:
     gateway, stopping = gateway_of(arguments), until_told()
     if arguments.csv is not None or arguments.tum is not None:
         return _write(arguments, _messages(arguments, gateway, stopping))
-    if not arguments.json and arguments.key.startswith("pose/"):
-        say(_HEADING)
+    headed = arguments.json or not arguments.key.startswith("pose/")
     source = _poses_on_robot if arguments.robot else _messages
     for message in source(arguments, gateway, stopping):
+        if not headed:
+            say(_HEADING)
+            headed = True
         _print(message, arguments.json)
     return 0
 

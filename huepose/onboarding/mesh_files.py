@@ -30,10 +30,11 @@ _PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")
 
 
 class MeshFiles:
-    """Reads a mesh file and the files that it names, and counts what they take."""
+    """Reads a mesh file and the files that it names, and counts what they take. textured: its pictures are
+    asked for; else they are black, of one texel, and only their sizes are looked at."""
 
-    def __init__(self, mesh: Path) -> None:
-        self.mesh = mesh
+    def __init__(self, mesh: Path, textured: bool = True) -> None:
+        self.mesh, self._textured = mesh, textured
         self._bytes_left, self._texels_left = LARGEST_BYTES, LARGEST_TEXTURES
         self._textures: dict[Path, UInt8] = {}
 
@@ -69,6 +70,8 @@ class MeshFiles:
                 expected=f"at most {LARGEST_TEXTURES / 1e6:.0f} million texels in all",
                 fix="Make the textures smaller.",
             )
+        if not self._textured:
+            return np.zeros((1, 1, 3), np.uint8)
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
         try:
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

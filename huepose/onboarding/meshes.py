@@ -77,7 +77,7 @@ class Looked:
 def look_at(path: Path) -> Looked:
     """What there is to say of a mesh file. Raises InputError as `read_mesh`."""
     with np.errstate(all="ignore"), _damage_named(path):
-        raw = _raw(path)
+        raw = _raw(path, textured=False)  # a large one takes seconds
         vertices = _referenced(raw)[0]
         side, low, high = _extent(vertices), vertices.min(0), vertices.max(0)
     units: tuple[Unit, ...] = ("m", "mm", "cm", "in")
@@ -86,14 +86,14 @@ def look_at(path: Path) -> Looked:
     return Looked(sizes, raw.parts, away, diameter)
 
 
-def _raw(path: Path) -> RawMesh:
-    """The mesh as the file has it."""
+def _raw(path: Path, textured: bool = True) -> RawMesh:
+    """The mesh as the file has it; textured: with its pictures."""
     if path.is_dir():
         raise InputError(
             path, found="a folder", expected=f"a mesh file: {', '.join(_READERS)}", fix=_inside(path)
         )
     check_kind(path, _READERS)
-    return _READERS[path.suffix.lower()](MeshFiles(path))
+    return _READERS[path.suffix.lower()](MeshFiles(path, textured))
 
 
 def _inside(folder: Path) -> str:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from huepose.onboarding.meshes import Unit, read_mesh
+from huepose.geometry import Mesh
+from huepose.onboarding.meshes import Unit, look_at, read_mesh
 from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
@@ -53,6 +57,22 @@ def test_implausible_sizes_are_refused_with_all_units_that_make_an_object_of_it(
         read_mesh(tmp_path / "m.obj", unit)
     assert "m.obj: found a largest side of" in str(caught.value)
     assert str(caught.value).endswith(said)
+
+
+@pytest.mark.parametrize("write", [files.write_obj, files.write_glb])
+def test_sizes_are_looked_at_without_decoding_a_texture(
+    tmp_path: Path, write: Callable[[Path, Mesh], None]
+) -> None:
+    """One of 8192 texels a side takes seconds."""
+    texture = np.full((4096, 4096, 3), 90, np.uint8)
+    path = tmp_path / f"m.{'obj' if write is files.write_obj else 'glb'}"
+    write(path, replace(solids.box((0.2, 0.1, 0.1)), texture=texture))
+    tracemalloc.start()
+    sizes = look_at(path).sizes
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert sizes["mm" if write is files.write_obj else "m"] == pytest.approx(0.2)
+    assert peak < texture.nbytes / 8
 
 
 @pytest.mark.parametrize("unit", [None, "mm"])

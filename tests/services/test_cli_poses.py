@@ -20,7 +20,7 @@ from huepose_protos.messages import Mount, ObjectEntry, ObjectsMessage, PoseMess
 from huepose_protos.motion import carried
 from huepose_services.cli.main import build_parser, main
 from huepose_services.cli.pose_export import PoseFiles
-from huepose_services.cli.poses import _print
+from huepose_services.cli.poses import _HEADING, _print
 from huepose_services.runtime.config import load
 from huepose_services.runtime.running import described, noted
 from tests.disk import full_disk
@@ -178,8 +178,9 @@ def test_an_object_that_is_not_looked_for_is_said_with_those_that_are(
 
     config = configured({"listen/endpoints": [where], "scouting/multicast/enabled": False})
     with zenoh.open(config) as session, repeating(publish, 0.05):
-        misspelt = huepose("poses", "biscit", "--json", *choice)
-        strange = huepose("poses", "cup", "--json", *choice)
+        misspelt = huepose("poses", "biscit", *choice)
+        strange = huepose("poses", "cup", *choice)
+        headed = huepose("poses", "jar", *choice)
         known = huepose("poses", "jar", "--json", *choice)
         for process, fix in (
             (misspelt, "Did you mean biscuit?"),
@@ -189,6 +190,10 @@ def test_an_object_that_is_not_looked_for_is_said_with_those_that_are(
             assert process.returncode == 2
             assert "found no object of that name that is looked for; expected one of biscuit, jar." in said
             assert said.endswith(f"{fix}\n")
+            assert _HEADING not in said
+        assert " jar/0 " in [headed.stdout.readline() for _ in range(2)][1]
+        headed.terminate()
+        assert headed.communicate(timeout=30.0)[1].splitlines().count(_HEADING) == 1
         lines = [json.loads(known.stdout.readline()) for _ in range(30)]
         assert {line["object"] for line in lines} == {"jar"}
         known.terminate()

@@ -5,6 +5,10 @@ That is the case for an object that had no pose, and for a gross correction, who
 the wrong surface. Nothing is published on the way. Frames are skipped so that it ends: the frames that are
 left are halved with every step, up to a stride that the tracker's search still bridges. Where frames were
 kept farther apart than that, it goes from one to the next.
+
+How fast the object moves is not known at first. Where a long step loses it, the pursuit goes back to where it
+was and on to the next frame, then by strides that grow as its velocity gets known. It is given up when it is
+lost again no nearer to now, so it ends.
 """
 
 from __future__ import annotations
@@ -40,7 +44,8 @@ class Pursuit:
         if before is not None:
             self.track.baseline, self.track.light = before.remembered(correction.stamp_ns), before.sure_light
         self.poses: list[tuple[int, Float64]] = []
-        self._config = config
+        self._config, self._stride = config, config.catch_up_stride
+        self._lost_behind = np.inf
 
     def arrived(self, newest: RgbdFrame) -> bool:
         """Whether it has reached that frame."""
@@ -58,22 +63,27 @@ class Pursuit:
     ) -> float:
         """One step towards the newest of the kept frames (oldest first, none before the correction's); says
         how many of at most `tries` dear proposals that took."""
-        mask, tried = None, 0.0
+        tried = 0.0
         if self.track.frame is None:
             # Settled on its own frame first, or on the one next to it: so it is known how well it should fit.
             first = kept[0]
-            if first.stamp_ns == self.correction.stamp_ns:
-                mask = self.correction.mask
             apart_s = abs(first.stamp_ns - self.correction.stamp_ns) * 1e-9
             tried = self.track.start(self.correction.T_cam_obj, self.correction.quality, first, apart_s)
             self._remember(first)
             if first is kept[-1] or not self.supported:
                 return tried
-        assert self.track.frame is not None
-        frame = _next(self.track.frame, kept, self._config.catch_up_stride)
+        before, reached = self.track.copy(), self.track.frame
+        assert reached is not None
+        mask = self.correction.mask if reached.stamp_ns == self.correction.stamp_ns else None
+        ahead = _ahead(reached, kept)
+        frame = _next(reached, kept, self._stride)
         tried += self.track.look(frame, relative_pose, tries - tried, mask)
-        self.track.learn()
-        self._remember(frame)
+        if self.supported:
+            self._stride = min(self._stride + 1, self._config.catch_up_stride)
+            self.track.learn()
+            self._remember(frame)
+        elif frame is not ahead[0] and len(ahead) < self._lost_behind:
+            self.track, self._stride, self._lost_behind = before, 1, len(ahead)
         return tried
 
     def needs_search(self, kept: Sequence[RgbdFrame]) -> bool:
@@ -82,8 +92,8 @@ class Pursuit:
         if reached is None:
             apart_ns, reached = abs(kept[0].stamp_ns - self.correction.stamp_ns), kept[0]
         if reached is not kept[-1]:
-            ahead = _next(reached, kept, self._config.catch_up_stride)
-            apart_ns = max(apart_ns, ahead.stamp_ns - reached.stamp_ns)
+            following = _next(reached, kept, self._stride)
+            apart_ns = max(apart_ns, following.stamp_ns - reached.stamp_ns)
         normal_ns = self._config.catch_up_stride * _interval_ns(kept, self._config.catch_up_stride)
         return apart_ns > SLACK * normal_ns
 
@@ -96,12 +106,17 @@ class Pursuit:
 def _next(reached: RgbdFrame, kept: Sequence[RgbdFrame], stride: int) -> RgbdFrame:
     """The kept frame to go to: with half of those that are left skipped, and no more time than `stride`
     frames take; at least one frame on."""
-    ahead = [f for f in kept if f.stamp_ns > reached.stamp_ns]
+    ahead = _ahead(reached, kept)
     count = min(len(ahead), stride, max(1, (len(ahead) + 1) // 2 + 1))
     limit_ns = SLACK * stride * _interval_ns(kept, stride)
     while count > 1 and ahead[count - 1].stamp_ns - reached.stamp_ns > limit_ns:
         count -= 1
     return ahead[count - 1]
+
+
+def _ahead(reached: RgbdFrame, kept: Sequence[RgbdFrame]) -> list[RgbdFrame]:
+    """The kept frames after one."""
+    return [f for f in kept if f.stamp_ns > reached.stamp_ns]
 
 
 def _interval_ns(kept: Sequence[RgbdFrame], count: int) -> float:

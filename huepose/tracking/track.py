@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -62,8 +63,7 @@ class Track:
         self._identity = Identity.none()
         self._corrected_from: tuple[Identity, float] | None = None
         self._orientation = Orientation(subject, config)
-        self._spread = 0.0
-        self._supported_ns, self._agreed_ns = 0, -1
+        self._spread, self._supported_ns, self._agreed_ns = 0.0, 0, -1
         self._begin()
 
     def _begin(self) -> None:
@@ -187,8 +187,7 @@ class Track:
             self._identity, quality = corrected
             if probability(seen.all[0].log_odds) >= self._config.suspect_quality:
                 self._identity = self._identity.contradicted(quality)
-        turned = se3.rotation_angle(anchor.first.T_cam_obj, first.T_cam_obj)
-        if turned > SAME_VIEW:
+        if se3.rotation_angle(anchor.first.T_cam_obj, first.T_cam_obj) > SAME_VIEW:
             self._identity = self._identity.leapt(self._view())
         self.frame, self.evidence = frame, sure
         if anchor.unseen_s > 0.0 and first.source == "views":
@@ -294,8 +293,7 @@ class Track:
         self._begin()
 
     def set_back(self, stamp_ns: int) -> None:
-        """Continue as if the last frame had this stamp (the camera's clock was set back); the velocity is
-        dropped."""
+        """Continue as if the last frame had this stamp (the camera's clock was set back), at rest."""
         self.history = PoseHistory()
         self._supported_ns = stamp_ns
         self._orientation.set_back(stamp_ns)
@@ -346,6 +344,12 @@ class Track:
         """Whether it may have rotated by a near symmetry, unseen, after that stamp. Then a pose of that time
         does not fix its orientation now."""
         return self._orientation.turned_ns > stamp_ns
+
+    def copy(self) -> Track:
+        """Another track in the same state, to go back to after a `look`; both share the history."""
+        other = copy(self)
+        other._orientation = copy(self._orientation)
+        return other
 
     def _coast(self, before: Hypothesis, seconds: float) -> None:
         """Handle a frame that does not support the pose: follow the prediction if hardly anything is seen."""

@@ -11,6 +11,10 @@ from huepose.geometry import se3
 from huepose.tracking import Applied, Correction, State, Tracker, TrackerConfig, Verdict
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.subject import Subject
+from huepose.tracking.track import Track
+
+LATE = 12
+"""Frames that an answer of perception is behind: a third of a second and one more."""
 
 CONFIG = TrackerConfig(tries_per_s=None, catch_up_stride=5)
 LIVE = TrackerConfig()
@@ -19,6 +23,20 @@ LIVE = TrackerConfig()
 def late(frame, T, stamp_ns=None) -> Correction:
     stamp = frame.stamp_ns if stamp_ns is None else stamp_ns
     return Correction("tea_box", 0, frame.epoch, frame.frame_id, stamp, T, 0.95, Verdict.ACQUIRE, 1)
+
+
+@pytest.fixture(scope="module")
+def whirled(tea_box, shoot):
+    """The frames of a box that is whirled about at 0.6 m/s, its poses, and as many frames without it."""
+
+    def at(number: int) -> np.ndarray:
+        t = number / 30.0
+        turn = se3.rotation_exp(np.array([0.6, 3.0, 0.9]) * t) @ se3.rotation_exp(np.array([1.9, 0.3, 0.4]))
+        return se3.make(turn, np.array([0.06 * np.cos(10.0 * t), 0.036 * np.sin(10.0 * t), 0.6]))
+
+    numbers = range(LATE + 20)
+    frames = [shoot([(tea_box.mesh, at(k))], k) for k in numbers]
+    return frames, [at(k) for k in numbers], [shoot([], k) for k in numbers]
 
 
 @pytest.mark.parametrize("behind", [1, 3, 6, 12])
@@ -87,3 +105,73 @@ def test_an_answer_that_is_seconds_late_is_still_of_use(tea_box, shoot, path, lo
     assert np.linalg.norm(poses[0].T_cam_obj[:3, 3] - path(number)[:3, 3]) < 2e-3
     assert se3.rotation_angle(poses[0].T_cam_obj, path(number)) < np.radians(1.0)
     assert tracker.correct(replace(correction, seq=2, stamp_ns=-1)) is Applied.REFUSED_OLD
+
+
+def test_what_moves_too_fast_for_a_long_step_is_caught_up_all_the_same(tea_box, whirled, monkeypatch) -> None:
+    """In a live frame there is time for two steps, as when none has to be taken back."""
+    frames, truth, _ = whirled
+    look, looks = Track.look, []
+    monkeypatch.setattr(Track, "look", lambda track, *args: looks.append(track) or look(track, *args))
+    tracker = Tracker({"tea_box": tea_box}, LIVE)
+    for frame in frames[:LATE]:
+        assert tracker.step(frame) == []
+    tracker.correct(late(frames[0], truth[0]))
+    published = []
+    for frame in frames[LATE:]:
+        looks.clear()
+        published.append(tracker.step(frame))
+        assert len(looks) <= 2
+    reached = next(k for k, poses in enumerate(published) if poses)
+    assert 2 <= reached <= 8
+    for number, poses in enumerate(published[reached:], LATE + reached):
+        assert poses[0].state is State.TRACKING
+        assert np.linalg.norm(poses[0].T_cam_obj[:3, 3] - truth[number][:3, 3]) < 2e-3
+
+
+def test_a_step_that_lost_the_object_is_taken_back_and_strides_grow_again(tea_box, whirled) -> None:
+    frames, truth, _ = whirled
+    pursuit, reached = Pursuit(late(frames[0], truth[0]), Subject.of(tea_box), LIVE), [0]
+    for now in range(LATE, len(frames)):
+        pursuit.follow(frames[reached[-1] : now + 1], None, 1.0)
+        assert pursuit.supported
+        reached.append(pursuit.track.frame.frame_id)
+        if pursuit.arrived(frames[now]):
+            break
+    assert reached[:5] == [0, 0, 1, 3, 6], "the first step lost it"
+    assert reached[-1] == now
+    stamps = [stamp for stamp, _ in pursuit.poses]
+    assert stamps == sorted(set(stamps))
+
+
+def test_what_is_lost_again_and_again_is_given_up(tea_box, whirled) -> None:
+    """It vanishes on the way, and a second long step comes no nearer to now."""
+    frames, truth, empty = whirled
+    film = [*frames[:5], *empty[5:]]
+    pursuit, reached = Pursuit(late(frames[0], truth[0]), Subject.of(tea_box), LIVE), 0
+    for now in range(LATE, LATE + 8):
+        pursuit.follow(film[reached : now + 1])
+        reached = pursuit.track.frame.frame_id
+        if not pursuit.supported:
+            break
+    assert not pursuit.supported
+    assert reached == 6
+
+
+@pytest.mark.parametrize("wrong", ["elsewhere", "turned", "turned over", "absent"])
+def test_a_wrong_answer_about_a_fast_object_stays_dropped(tea_box, whirled, wrong) -> None:
+    frames, truth, empty = whirled
+    T = truth[0].copy()
+    if wrong == "elsewhere":
+        T[:3, 3] += (-0.15, 0.02, 0.1)
+    elif wrong != "absent":
+        radians = np.pi if wrong == "turned over" else np.pi / 2
+        T[:3, :3] = T[:3, :3] @ se3.rotation_exp(np.array([radians, 0.0, 0.0]))
+    shown = empty if wrong == "absent" else frames
+    tracker = Tracker({"tea_box": tea_box}, LIVE)
+    for frame in shown[:LATE]:
+        tracker.step(frame)
+    tracker.correct(late(shown[0], T))
+    for number, frame in enumerate(shown[LATE:], LATE):
+        for pose in tracker.step(frame):
+            right = np.linalg.norm(pose.T_cam_obj - truth[number]) < 0.05
+            assert (right and wrong != "absent") or pose.state is not State.TRACKING

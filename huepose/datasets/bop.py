@@ -19,6 +19,13 @@ from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
 
+_HOLDS = (
+    "The folder of a scene has rgb/000000.png ..., depth/000000.png ... (16 bit) and scene_camera.json: "
+    '{"0": {"cam_K": [fx, 0, cx, 0, fy, cy, 0, 0, 1], "depth_scale": 1.0}, ...}, an entry for each picture; '
+    "depth_scale is millimetres a depth value"
+)
+"""What has to be there, in words."""
+
 
 class BopScene:
     """One scene folder. `image_ids`: the images on disk, in numeric order; `name`: the folder's name."""
@@ -26,10 +33,12 @@ class BopScene:
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         if not self.path.is_dir():
-            raise InputError(self.path, found="no such folder", expected="a BOP scene folder")
+            raise InputError(
+                self.path, found="no such folder", expected="a BOP scene folder", fix=f"{_HOLDS}."
+            )
         self.name = files.folder_name(self.path)
         self._colors = files.numbered_files(self.path / "rgb")
-        self._cameras = files.read_json(self.path / "scene_camera.json", "Give the folder of a scene.")
+        self._cameras = files.read_json(self.path / "scene_camera.json", f"{_HOLDS}.")
         self._labels = self._optional("scene_gt.json")
         self._details = self._optional("scene_gt_info.json")
         if not self._colors:

@@ -39,14 +39,15 @@ def read_bytes(path: Path, fix: str = "") -> bytes:
         raise InputError(path, found=error.strerror or str(error), expected="a readable file") from None
 
 
-def read_json(path: Path, fix: str = "") -> dict[str, Any]:
-    """A JSON object. Raises InputError when the file is missing, is not JSON, or holds something else."""
+def read_json(path: Path, fix: str = "", form: str = "") -> dict[str, Any]:
+    """A JSON object. fix, form: what to do where it is missing, and where it is none. Raises
+    InputError when the file is missing, is not JSON, or holds something else."""
     content = read_bytes(path, fix)
     try:
         value = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(
-            path, found=f"no valid JSON ({str(error)[:200]})", fix="Write the file again."
+            path, found=f"no valid JSON ({str(error)[:200]})", fix=form or "Write the file again."
         ) from None
     if not isinstance(value, dict):
         raise InputError(path, found=f"a JSON {type(value).__name__}", expected="a JSON object")
@@ -125,15 +126,35 @@ def read_color(path: Path) -> UInt8:
     return np.ascontiguousarray(image[..., ::-1])
 
 
+_SAVE_METRES = (
+    "Of depth in metres save millimetres: cv2.imwrite('depth.png', (depth * 1000).astype(np.uint16)), with "
+    "0.001 as 'depth_scale_m'."
+)
+
+
+def _instead_of(depth: np.ndarray) -> str:
+    """What to save instead of a picture that is not one of 16 bit depth values."""
+    if depth.ndim == 2 and depth.dtype.kind == "f":
+        return _SAVE_METRES
+    if depth.ndim == 2 and depth.dtype == np.uint8:
+        return "8 bits have 256 steps only: save the camera's own values, as 16 bits."
+    return "Save the depth values themselves, not a coloured picture of them."
+
+
 def read_depth(path: Path, scale_m: float) -> Float32:
     """Depth picture (H, W) float32 metres from 16 bit values times `scale_m`; 0 = no reading."""
+    if path.suffix.lower() in (".npy", ".npz"):
+        raise InputError(
+            path, found="an array of numpy", expected="a picture of 16 bit values", fix=_SAVE_METRES
+        )
     image = _decode(path, cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype != np.uint16:
+        channels = 1 if image.ndim == 2 else image.shape[2]
         raise InputError(
             path,
-            found=f"{image.dtype} values in {1 if image.ndim == 2 else image.shape[2]} channels",
+            found=f"{image.dtype} values in {channels} channel{'s'[: channels > 1]}",
             expected="one channel of 16 bit values",
-            fix="Save the depth values themselves, not a coloured picture of them.",
+            fix=_instead_of(image),
         )
     return np.asarray(image * np.float32(scale_m), dtype=np.float32)
 

@@ -1,8 +1,9 @@
 """One frame from three files: a colour picture, a depth picture, and a JSON with the camera's intrinsics.
 
-Forms of the JSON: `fx fy cx cy` with `width height`, `depth_scale_m` (metres a depth value) and optionally
-`distortion_model`, `distortion`; BOP's `camera.json` with `depth_scale` (millimetres a depth value); `cam_K`
-(nine numbers) with `depth_scale`; BOP's `scene_camera.json`, of which the entry of the image number counts.
+Forms of the JSON: the intrinsics are `fx fy cx cy`, or nine numbers as `cam_K` or `K` (row by row), or
+Open3D's `intrinsic_matrix` (column by column); the unit of depth is `depth_scale_m` (metres a depth value) or
+BOP's `depth_scale` (millimetres a depth value); `width height`, and `distortion_model` with `distortion`, may
+be left out. Of BOP's `scene_camera.json` the entry of the image number counts.
 """
 
 from __future__ import annotations
@@ -22,6 +23,19 @@ from huepose.support.errors import InputError
 
 NEAREST_M, FARTHEST_M = 0.02, 50.0
 """A picture whose median depth lies outside was read in wrong units."""
+
+FORMS = (
+    "fx, fy, cx, cy (or K or cam_K, nine numbers row by row, or Open3D's intrinsic_matrix), width, height, "
+    "depth_scale_m, and for a distorted lens distortion_model (brown_conrady, plumb_bob, rational) with "
+    "distortion, as in OpenCV"
+)
+"""What a camera's JSON may hold, in words."""
+
+_OTHER_NAMES = frozenset(
+    {"d", "dist", "disto", "coeffs", "dist_coeffs", "distcoeffs", "distortion_coefficients"}
+    | {"distortion_coeffs", "dist_coeff", *(f"k{n}" for n in range(1, 7)), "p1", "p2"}
+)
+"""What others call `distortion`, in small letters: overlooked, it would leave pictures wrong at their rim."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,13 +68,22 @@ def read_camera(path: Path | str, image: int | None = None) -> CameraFile:
     Raises InputError that names the file and the key."""
     path = Path(path)
     record = files.read_json(
-        path, "Write the camera's intrinsics to it: fx, fy, cx, cy, width, height, depth_scale_m."
+        path,
+        "Write the camera's intrinsics to it: fx, fy, cx, cy, width, height, depth_scale_m.",
+        f"A camera file is JSON with {FORMS}.",
     )
     where = str(path)
     if record and all(key.isdigit() and isinstance(value, dict) for key, value in record.items()):
         if str(image) not in record:
             raise InputError(path, found=f"no entry for image {image}", expected="the number of the image")
         record, where = record[str(image)], f"{path}, image {image}"
+    if overlooked := [key for key in record if key.lower() in _OTHER_NAMES]:
+        raise InputError(
+            where,
+            found=f"the key '{overlooked[0]}'",
+            expected="distortion under 'distortion', with its 'distortion_model'",
+            fix=f"A camera file holds {FORMS}.",
+        )
     return CameraFile(
         path,
         _matrix(record, where),
@@ -72,14 +95,30 @@ def read_camera(path: Path | str, image: int | None = None) -> CameraFile:
 
 
 def _matrix(record: dict[str, Any], where: str) -> Float64:
-    if "cam_K" in record:
-        K = files.numbers(record, "cam_K", (3, 3), where)
+    if key := next((key for key in ("cam_K", "K") if key in record), None):
+        K = files.numbers(record, key, (3, 3), where)
+    elif "intrinsic_matrix" in record:
+        K = files.numbers(record, "intrinsic_matrix", (3, 3), where).T  # Open3D's is stored by columns
+    elif not {"fx", "fy", "cx", "cy"} & set(record):
+        raise InputError(
+            where,
+            found=f"keys {', '.join(sorted(record)) or 'none'}"[:200],
+            expected="intrinsics",
+            fix=f"A camera file holds {FORMS}.",
+        )
     else:
         fx, fy = files.positive(record, "fx", where), files.positive(record, "fy", where)
         cx, cy = (float(files.numbers(record, key, (), where)) for key in ("cx", "cy"))
         K = Camera(fx, fy, cx, cy, 1, 1).K
     if K[0, 0] <= 0 or K[1, 1] <= 0:
         raise InputError(where, found=f"focal lengths {K[0, 0]}, {K[1, 1]}", expected="numbers over 0")
+    if K[2].tolist() != [0.0, 0.0, 1.0]:
+        raise InputError(
+            where,
+            found=f"a matrix whose last row is {K[2].tolist()}",
+            expected="0, 0, 1",
+            fix="cam_K and K are row by row: fx, 0, cx, 0, fy, cy, 0, 0, 1; intrinsic_matrix is by columns.",
+        )
     return K
 
 

@@ -1,6 +1,7 @@
 """Removing lens distortion: colour bilinearly, depth by the nearest reading, once, at the edge.
 
-Models as in OpenCV: `brown_conrady` has k1 k2 p1 p2 [k3], `rational` has k1 k2 p1 p2 k3 k4 k5 k6. The
+Models as in OpenCV: `brown_conrady` (ROS: `plumb_bob`) has k1 k2 p1 p2 [k3], `rational` (ROS:
+`rational_polynomial`) has k1 k2 p1 p2 k3 k4 k5 k6. The
 rectified picture has the same intrinsics and size; where it looks past the original it is black, depth 0.
 """
 
@@ -17,12 +18,20 @@ from huepose.support.errors import InputError
 
 COEFFICIENTS = {"none": (0,), "brown_conrady": (4, 5), "rational": (8,)}
 
+_OF_ROS = {"plumb_bob": "brown_conrady", "rational_polynomial": "rational", "": "none"}
+"""Names of ROS for the models of OpenCV."""
+
 
 def checked_coefficients(model: str, coefficients: Sequence[float], where: object) -> Float64:
     """The coefficients (N,) in OpenCV's order; empty for no distortion. Raises InputError, naming `where`."""
-    if not isinstance(model, str) or model not in COEFFICIENTS:
+    model = _OF_ROS.get(model, model) if isinstance(model, str) else f"{model!r:.60}"
+    if model not in COEFFICIENTS:
         raise InputError(
-            where, found=f"distortion_model '{model}'", expected="one of " + ", ".join(COEFFICIENTS)
+            where,
+            found=f"distortion_model '{model}'",
+            expected="one of " + ", ".join([*COEFFICIENTS, *filter(None, _OF_ROS)]),
+            fix="Rectify the pictures of another lens first (OpenCV's cv2.fisheye), and give the intrinsics "
+            "of the rectified ones.",
         )
     try:
         values = np.asarray(coefficients, dtype=np.float64).ravel()
@@ -30,6 +39,12 @@ def checked_coefficients(model: str, coefficients: Sequence[float], where: objec
         values = np.array([np.nan])
     if model == "none" and not values.any():
         return np.empty(0)
+    if model == "none":
+        raise InputError(
+            where,
+            found=f"distortion {coefficients!r:.60} with distortion_model 'none'",
+            expected="distortion_model: " + " or ".join([*COEFFICIENTS][1:]),
+        )
     if len(values) not in COEFFICIENTS[model] or not np.isfinite(values).all():
         counts = " or ".join(str(n) for n in COEFFICIENTS[model])
         raise InputError(

@@ -40,9 +40,6 @@ _WANTED: dict[Kind, tuple[str, str]] = {
 }
 """What is expected of a picture that is to be used so, and what to do where it is not."""
 
-# Names of ROS for the models of OpenCV.
-_MODELS = {"plumb_bob": "brown_conrady", "rational_polynomial": "rational", "": "none"}
-
 
 def kind_of(message: Any) -> Kind | None:
     """What a picture can be used as; None where it is neither."""
@@ -97,11 +94,10 @@ def camera_of(info: Any, rectified: bool, where: object) -> tuple[Camera, Rectif
             fix="Calibrate it (camera_calibration) and record again.",
         )
     camera = Camera.from_matrix(K, int(info.width), int(info.height))
-    model = str(info.distortion_model)
     coefficients = [] if rectified else [float(x) for x in field(info, "d")]
     if not any(coefficients):
         return camera, Rectifier(None)
-    return camera, Rectifier.of(camera, checked_coefficients(_MODELS.get(model, model), coefficients, where))
+    return camera, Rectifier.of(camera, checked_coefficients(str(info.distortion_model), coefficients, where))
 
 
 def field(info: Any, name: str) -> Any:

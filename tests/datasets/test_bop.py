@@ -150,3 +150,9 @@ def test_the_name_is_that_of_the_folder_as_it_is_given(
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere"):
         BopScene(tmp_path / "nowhere")
+
+
+def test_a_folder_without_cameras_is_answered_with_what_to_write(bop_scene: Path) -> None:
+    (bop_scene / "scene_camera.json").unlink()
+    with pytest.raises(InputError, match=r'no such file\. The folder of a scene has rgb/.*"cam_K": \[fx, 0'):
+        BopScene(bop_scene)

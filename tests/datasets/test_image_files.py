@@ -40,7 +40,16 @@ def files(tmp_path: Path) -> tuple[Path, Path, Path]:
 
 
 @pytest.mark.parametrize(
-    "form", [OWN, BOP, MATRIX, {"3": {}, "4": MATRIX}, {**OWN, "distortion_model": "none"}]
+    "form",
+    [
+        OWN,
+        BOP,
+        MATRIX,
+        {"3": {}, "4": MATRIX},
+        {**OWN, "distortion_model": "none"},
+        {"K": [[20.0, 0, 7.5], [0, 21.0, 5.5], [0, 0, 1]], "depth_scale_m": 0.0001},
+        {"intrinsic_matrix": [20.0, 0, 0, 0, 21.0, 0, 7.5, 5.5, 1], "depth_scale_m": 0.0001},
+    ],
 )
 def test_every_form_of_intrinsics_gives_the_same_frame(files, form: dict) -> None:
     color, depth, camera = files
@@ -65,6 +74,19 @@ def test_every_form_of_intrinsics_gives_the_same_frame(files, form: dict) -> Non
         ({**OWN, "distortion_model": "none", "distortion": [0.1]}, "none"),
         ({"9": MATRIX}, "image 4"),
         ({}, "fx"),
+        (
+            {**OWN, "distortion": [0.1, 0, 0, 0]},
+            r"with distortion_model 'none'; expected distortion_model: brown_conrady",
+        ),
+        ({**MATRIX, "cam_K": [20.0, 0, 0, 0, 21.0, 0, 7.5, 5.5, 1]}, r"row by row"),
+        ({"camera_matrix": {"data": [1.0] * 9}}, r"keys camera_matrix; .*intrinsic_matrix"),
+        *(
+            (
+                {**OWN, key: value},
+                f"found the key '{key}'; .*'distortion'.*brown_conrady, plumb_bob, rational",
+            )
+            for key, value in (("dist", [0.1] * 5), ("D", [0.0] * 5), ("coeffs", [0.1] * 5), ("k1", 0.1))
+        ),
     ],
 )
 def test_a_wrong_camera_file_is_named_with_its_key(files, form: dict, named: str) -> None:
@@ -72,6 +94,47 @@ def test_a_wrong_camera_file_is_named_with_its_key(files, form: dict, named: str
     camera.write_text(json.dumps(form))
     with pytest.raises(InputError, match=named):
         read_frame(color, depth, camera)
+
+
+def test_a_camera_file_of_ros_is_answered_with_the_forms_that_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "ros.yaml"
+    path.write_text("image_width: 640\ncamera_matrix:\n  data: [20.0, 0.0, 7.5]\n")
+    with pytest.raises(
+        InputError, match=r"no valid JSON .*A camera file is JSON with fx, fy, cx, cy \(or K or cam_K"
+    ):
+        read_camera(path)
+
+
+def test_the_name_of_ros_for_a_distortion_means_the_same(files) -> None:
+    frames = []
+    for model in ("brown_conrady", "plumb_bob"):
+        record = {**OWN, "distortion_model": model, "distortion": [0.2, 0.05, 0.0, 0.0, 0.0]}
+        files[2].write_text(json.dumps(record))
+        frames.append(read_frame(*files))
+    np.testing.assert_array_equal(frames[0].color, frames[1].color)
+    assert not np.array_equal(frames[0].color, color_of(4))
+
+
+@pytest.mark.parametrize(
+    ("values", "name", "says"),
+    [
+        (np.ones((HEIGHT, WIDTH), np.float32), "depth.tif", r"float32 .* \(depth \* 1000\)\.astype"),
+        (np.ones((HEIGHT, WIDTH), np.uint8), "depth.png", r"uint8 values in 1 channel; .*256 steps"),
+        (np.ones((HEIGHT, WIDTH, 3), np.uint8), "depth.png", r"3 channels; .*coloured picture"),
+    ],
+)
+def test_depth_of_another_type_is_answered_with_what_to_save(files, values, name: str, says: str) -> None:
+    depth = files[1].with_name(name)
+    write(depth, values)
+    with pytest.raises(InputError, match=says):
+        read_frame(files[0], depth, files[2])
+
+
+def test_an_array_of_numpy_is_answered_with_what_to_save(files) -> None:
+    depth = files[1].with_name("depth.npy")
+    np.save(depth, np.ones((HEIGHT, WIDTH), np.float32))
+    with pytest.raises(InputError, match=r"array of numpy; .*\(depth \* 1000\)\.astype"):
+        read_frame(files[0], depth, files[2])
 
 
 def test_missing_and_mismatched_pictures_are_named(files, tmp_path: Path) -> None:

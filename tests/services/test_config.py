@@ -30,6 +30,8 @@ GOOD = "camera: {truth: true}\n"
         ("camera: {source: webcam}", ["camera.source", "'webcam'", "synthetic, bop, fast_ycb"]),
         ("camera: {source: bop}", ["camera.path", "null", "folder of the recording"]),
         ("camera: {source: bop, path: x}\nobjects: [{name: a}]", ["bundles", "null"]),
+        ("camera: {source: realsense, once: true}", ["camera.once", "false with the source realsense"]),
+        ("camera: {source: python, path: a.py, truth: true}", ["camera.truth", "false with the source pyt"]),
         ("camera: {source: realsense}", ["bundles", "null", "realsense", "huepose onboard"]),
         ("camera: {rate: recorded, truth: true}", ["camera.rate", "recorded"]),
         ("camera: {truth: maybe}", ["camera.truth", "'maybe'", "true or false"]),

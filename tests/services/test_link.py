@@ -24,7 +24,7 @@ from huepose_protos.messages import (
 )
 from huepose_services import downlink, uplink
 from huepose_services.authority import Authority
-from huepose_services.camera.ingest import Audience
+from huepose_services.camera.audience import Audience
 from huepose_services.cli.graph import mermaid
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, LinkConfig, parse

@@ -69,6 +69,29 @@ def test_a_recording_is_played_once_on_time_and_ends_the_pipeline(
     assert lines[-1]["counters"]["frames"] == 12
 
 
+def test_a_film_of_a_python_file_is_played_once_to_the_workers_that_are_there_and_ends_the_pipeline(
+    huepose, base_port, tmp_path, python_camera, recording
+):
+    """Twelve pictures, 0.1 s apart: the tracker takes longer to start, and has read all of them."""
+    python_camera("pass", every_s=0.1)
+    film = tmp_path / "cam.py"
+    film.write_text(film.read_text().replace("while True", "for _ in range(12)"))
+    (tmp_path / "pipeline.yaml").write_text(
+        f"bundles: {recording[0] / 'bundles'}\nworkers: [camera, tracker]\nbus: {{base_port: {base_port}}}\n"
+        "camera: {source: python, path: cam.py, once: true}\n"
+    )
+    with Reader([endpoint(base_port), endpoint(base_port + 1)], "huepose/*/*/health/*") as reader:
+        process = huepose("up", tmp_path / "pipeline.yaml")
+        said = _messages(reader, HealthMessage, 60.0)
+    _, err = process.communicate(timeout=15.0)
+    assert process.returncode == 0, err
+    assert "cam.py has ended after 12 pictures" in err
+    last = {health.worker: health for health in said}
+    assert last["camera"].counters["frames"] == 12
+    assert last["tracker"].counters["frames"] == 12
+    assert len({health.camera_epoch for health in said if health.frame_id is not None}) == 1
+
+
 def test_readers_that_leave_and_foreign_bytes_change_nothing_and_ctrl_c_ends_all_in_two_seconds(
     pipeline, huepose, base_port
 ):

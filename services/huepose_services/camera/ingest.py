@@ -17,8 +17,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from huepose.datasets.types import Scene
-from huepose_protos.keys import last
-from huepose_protos.messages import HealthMessage, PoseMessage
+from huepose_services.camera.audience import WAIT_TO_PLAY_ONCE_NS, Audience
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.publish import FramePublisher, Packed, packed
 from huepose_services.camera.sources import open_source
@@ -29,9 +28,8 @@ from huepose_services.runtime.config_perception import LIVE_SOURCES, CameraConfi
 from huepose_services.runtime.work import Work
 
 _BEHIND_NS = SECOND // 10
-_WAIT_TO_PLAY_ONCE_NS, _WAIT_TO_LOOP_NS = 120 * SECOND, 20 * SECOND
+_WAIT_TO_LOOP_NS = 20 * SECOND
 _SHOW_AGAIN_NS = SECOND // 2
-_GRACE_NS, _WAIT_FOR_READERS_NS = SECOND // 2, int(2.5 * SECOND)
 _LONGEST_GAP_NS = 10 * SECOND
 _BUSY_WINDOW_NS, _BUSY_FROM = 60 * SECOND, 3
 # A drawn scene closes; a recording does not.
@@ -135,55 +133,6 @@ class Busy:
         )
 
 
-class Audience:
-    """The other workers: whether they are connected, have found the objects, and have read the last frame.
-    Each subscription ends as soon as its answer is known."""
-
-    def __init__(self, bus: Bus, config: Config) -> None:
-        self._bus = bus
-        self.missing = {str(worker) for worker in (*config.workers, *config.far) if worker != "camera"}
-        self._not_acquired = {item.name for item in config.objects}
-        self._read: tuple[int | None, int | None] = (None, None)
-        self.reads = config.camera.once and "tracker" in config.workers
-        inbox, keys = bus.inbox, config.keys
-        self._live = inbox.liveliness(keys.live()) if self.missing else None
-        self._poses = inbox.queue(keys.poses, wakes=False) if self.reads and config.objects else None
-        self._health = inbox.queue(keys.health("tracker"), wakes=False) if self.reads else None
-
-    def complete(self) -> bool:
-        """Whether every worker has been connected."""
-        while self._live is not None and (sample := self._live.take()) is not None:
-            self.missing.discard(last(str(sample.key_expr)))
-        if self._live is not None and not self.missing:
-            self._bus.inbox.forget(self._live)
-            self._live = None
-        return not self.missing
-
-    def begin_without(self) -> None:
-        """Stop waiting for workers that are missing."""
-        self.missing.clear()
-        self.complete()
-
-    def has_acquired_all(self) -> bool:
-        """Whether every object that is looked for by name has had a pose."""
-        while self._poses is not None and (pose := self._bus.take(self._poses, PoseMessage)) is not None:
-            if pose.translation is not None:
-                self._not_acquired.discard(pose.object)
-        return self._poses is not None and not self._not_acquired
-
-    def ignore_poses(self) -> None:
-        """End the subscription to poses: the first frame is over."""
-        if self._poses is not None:
-            self._bus.inbox.forget(self._poses)
-            self._poses = None
-
-    def has_read(self, camera_epoch: int, frame_id: int) -> bool:
-        """Whether the tracker says that this frame was its last."""
-        while self._health is not None and (said := self._bus.take(self._health, HealthMessage)) is not None:
-            self._read = (said.camera_epoch, said.frame_id)
-        return self._read == (camera_epoch, frame_id)
-
-
 class Ingest(Work):
     """Waits for the audience, plays, and waits until the last frame was read."""
 
@@ -222,11 +171,8 @@ class Ingest(Work):
             self._play(self._schedule, now)
 
     def _may_begin(self, now: int) -> bool:
-        patience_ns = _WAIT_TO_PLAY_ONCE_NS if self._camera.once else _WAIT_TO_LOOP_NS
-        if not self._audience.complete() and now - self._made_ns > patience_ns:
-            self._bus.log.say(f"playing without {', '.join(sorted(self._audience.missing))}")
-            self._audience.begin_without()
-        return self._audience.complete()
+        patience_ns = WAIT_TO_PLAY_ONCE_NS if self._camera.once else _WAIT_TO_LOOP_NS
+        return self._audience.may_begin(now - self._made_ns > patience_ns)
 
     def _begin(self, now: int) -> None:
         """The first frame, which takes long because zenoh makes the pool of shared memory for it."""
@@ -286,11 +232,7 @@ class Ingest(Work):
 
     def _wait_for_readers(self, ended_ns: int, now: int) -> None:
         """The pool of frames goes with this process: stay until the last frame was read."""
-        if self._audience.reads:
-            read = self._audience.has_read(self._epoch, self._bus.health.frame_id or 0)
-        else:
-            read = now - ended_ns > _GRACE_NS
-        if read or now - ended_ns > _WAIT_FOR_READERS_NS:
+        if self._audience.is_done(self._epoch, self._bus.health.frame_id or 0, now - ended_ns):
             self._bus.log.say(f"the recording has ended after {self._index} frames")
             self._bus.health.state = "ended"
             self.finished = True

@@ -52,6 +52,10 @@ class CameraError(RuntimeError):
     """The camera cannot give pictures now: what was found, and what to do. It is tried again."""
 
 
+class FilmOver(Exception):  # noqa: N818 - no error
+    """A source that is played once has given its last picture."""
+
+
 class LiveCamera(Protocol):
     """An open camera."""
 

@@ -3,7 +3,8 @@
 A picture goes out once, the newest first. While there is none, health says `waiting` and why: what was looked
 for, what was found, what to do; it also says what is wrong with pictures that do come. Each opening of the
 camera, and each change of its intrinsics, begins a new camera epoch, so nothing that was believed about the
-old pictures is applied to new ones.
+old pictures is applied to new ones. What is played once is opened when the other workers are there, and ends
+the pipeline.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import secrets
 
 from huepose.geometry import Camera, RgbdFrame
+from huepose_services.camera.audience import WAIT_TO_PLAY_ONCE_NS, Audience
 from huepose_services.camera.condition import STOPPED, Condition
 from huepose_services.camera.device_clock import DeviceClock
 from huepose_services.camera.live import LiveSource
@@ -43,7 +45,9 @@ class LiveIngest(Work):
     def __init__(self, bus: Bus, config: Config, source: LiveSource) -> None:
         self._bus, self._config = bus, config
         self._publisher = FramePublisher(bus, config)
-        self._reader = Reader(source)
+        self._audience = Audience(bus, config) if config.camera.once else None
+        self._reader = Reader(source, starts=self._audience is None)
+        self._made_ns, self._ended_ns = now_ns(), 0
         self._name = source.name
         self._clock = DeviceClock()
         settings = config.camera
@@ -59,14 +63,24 @@ class LiveIngest(Work):
         self._none_comes = False
         self._say_ns = 0
         bus.health.state = "waiting"
+        # Who waits for others does not keep them waiting.
+        self.ready = config.camera.once
 
     def due_ns(self) -> int | None:
-        """At once: the step itself waits for a picture."""
-        return now_ns()
+        """At once, since the step itself waits for a picture; soon where nothing is opened yet."""
+        return now_ns() + (0 if self._reader.started else int(_LONGEST_STEP_S * SECOND))
 
     def step(self) -> None:
         """Publish the newest picture, or say what is wrong. Raises SystemExit when the SDK hangs."""
+        if self._audience is not None and not self._reader.started:
+            if self._audience.may_begin(now_ns() - self._made_ns > WAIT_TO_PLAY_ONCE_NS):
+                self._reader.start()
+            return
+        over = self._reader.over
         taken = self._reader.take(_LONGEST_STEP_S)
+        if self._audience is not None and over and taken is None:
+            self._end(self._audience)
+            return
         counters = self._bus.health.counters
         counters["frames_skipped"], counters["frames_repeated"] = self._reader.skipped, self._reader.repeated
         if taken is not None:
@@ -97,6 +111,14 @@ class LiveIngest(Work):
     def close(self) -> None:
         """Let the camera go."""
         self._reader.close()
+
+    def _end(self, audience: Audience) -> None:
+        """The pool of frames goes with this process: stay until the last frame was read."""
+        now = now_ns()
+        self._ended_ns = self._ended_ns or now
+        if audience.is_done(self._epoch, self._bus.health.frame_id or 0, now - self._ended_ns):
+            self._bus.log.say(f"{self._name} has ended after {self._reader.pictures} pictures")
+            self.finished = True
 
     def _silence(self) -> str | None:
         """That no picture has come for a while, before it is known what keeps them away."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import runpy
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from huepose.geometry import RgbdFrame
 from huepose.support.errors import InputError
-from huepose_services.camera.live import CameraError, LiveSource, Shot
+from huepose_services.camera.live import CameraError, FilmOver, LiveSource, Shot
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 
@@ -46,23 +46,34 @@ def open_source(config: Config) -> LiveSource:
         raise InputError(
             path, found="no function frames()", expected="one that gives RgbdFrame after RgbdFrame"
         )
-    return LiveSource(path.name, _IF_SILENT, lambda: PythonCamera(iter(frames()), path))
+    return LiveSource(path.name, _IF_SILENT, lambda: PythonCamera(_opened(frames), path, config.camera.once))
+
+
+def _opened(frames: Callable[[], Any]) -> Iterator[Any]:
+    """What `frames` gives. Raises CameraError for what gives nothing."""
+    given = frames()
+    if not isinstance(given, Iterable):
+        raise CameraError(f"frames() returned {type(given).__name__}: it has to yield huepose.RgbdFrame")
+    return iter(given)
 
 
 class PythonCamera:
-    """Takes what the iterator gives; path: of the file that it is from."""
+    """Takes what the iterator gives; path: of the file that it is from; once: its end is the end."""
 
     device_clock_is_host = True
     is_sensor = False
 
-    def __init__(self, frames: Iterator[Any], path: Path) -> None:
-        self._frames, self._path, self._number = frames, path, 0
+    def __init__(self, frames: Iterator[Any], path: Path, once: bool) -> None:
+        self._frames, self._path, self._once, self._number = frames, path, once, 0
 
     def read(self, timeout_s: float) -> Shot | None:
-        """The next picture, however long it takes. Raises CameraError for none and for what is none."""
+        """The next picture, however long it takes. Raises CameraError for none and for what is none, FilmOver
+        after the last where it is played once."""
         try:
             frame = next(self._frames)
         except StopIteration:
+            if self._once:
+                raise FilmOver from None
             raise CameraError("frames() has ended. It is called again.") from None
         except Exception as error:
             steps = traceback.extract_tb(error.__traceback__)

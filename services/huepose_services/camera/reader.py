@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
-from huepose_services.camera.live import CameraError, LiveCamera, LiveSource, Shot
+from huepose_services.camera.live import CameraError, FilmOver, LiveCamera, LiveSource, Shot
 from huepose_services.runtime.clock import SECOND, now_ns
 
 T = TypeVar("T")
@@ -33,9 +33,10 @@ class Taken:
 
 
 class Reader:
-    """Starts at once. `take` gives each picture once, the newest; `trouble` says why there is none."""
+    """Starts at once, or by `start`. `take` gives each picture once, the newest; `trouble` says why there is
+    none."""
 
-    def __init__(self, source: LiveSource) -> None:
+    def __init__(self, source: LiveSource, starts: bool = True) -> None:
         self._source = source
         self._ready = threading.Condition()
         self._taken: Taken | None = None
@@ -48,7 +49,16 @@ class Reader:
         """Of this opening, those that were taken from here and those that were not."""
         self.skipped = 0
         self.repeated = 0
+        self.over = False
+        """No picture comes any more, and none is missing."""
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
+        self.started = False
+        if starts:
+            self.start()
+
+    def start(self) -> None:
+        """Open the camera."""
+        self.started = True
         self._thread.start()
 
     def take(self, timeout_s: float) -> Taken | None:
@@ -82,7 +92,8 @@ class Reader:
     def close(self) -> None:
         """Ask the thread to let the camera go; it is not waited for longer than a moment."""
         self._stopping.set()
-        self._thread.join(0.6)
+        if self.started:
+            self._thread.join(0.6)
 
     def _run(self) -> None:
         while not self._stopping.is_set():
@@ -96,6 +107,9 @@ class Reader:
                 self.pictures = 0
                 try:
                     self._read_on(camera)
+                except FilmOver:
+                    self._stopping.set()
+                    self.over = True
                 except Exception as error:
                     self._trouble = _said(self._source.name, error)
                 with suppress(Exception):  # what was unplugged cannot be closed well

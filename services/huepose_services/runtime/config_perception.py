@@ -172,9 +172,9 @@ def check_camera(camera: CameraConfig, workers: Collection[str], refuse: Refuse)
         refuse("camera.path", "null", *_PATH_IS[source])
     if (live or source == "synthetic") and camera.rate == "recorded":
         refuse("camera.rate", "recorded", f"frames per second with the source {source}", "Set it to 30.")
-    if live and (camera.once or (camera.truth and source != "faulty")):
-        key = "once" if camera.once else "truth"
-        refuse(f"camera.{key}", "true", f"false with the source {source}", "Take the line out.")
+    for key, allowed in (("once", "python"), ("truth", "faulty")):
+        if live and getattr(camera, key) and source != allowed:
+            refuse(f"camera.{key}", "true", f"false with the source {source}", "Take the line out.")
     if source == "rosbag" and camera.truth:
         refuse("camera.truth", "true", "false: a bag has no labels", "Take the line out.")
     for key in ("color_topic", "depth_topic", "info_topic"):

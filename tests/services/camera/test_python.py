@@ -78,6 +78,7 @@ def test_a_file_that_is_no_camera_is_refused(tmp_path: Path, text: str, says: st
     ("text", "says"),
     [
         ("def frames():\n    return iter(())", "has ended"),
+        ("def frames():\n    return 5", r"frames\(\) returned int: it has to yield"),
         ("def frames():\n    yield 3", "gave int"),
         ("def frames():\n    yield None", "gave NoneType"),
         (

@@ -1,5 +1,6 @@
-"""The commands of the README and of the quick start do what is said there: each block, in the order of its
-page, as it is written, in a fresh bash with the environment activated."""
+"""The commands of the README, of the quick start and of the section about a folder of pictures do what is
+said there: each block, in the order of its page, as it is written, in a fresh bash with the environment
+activated."""
 
 from __future__ import annotations
 
@@ -16,6 +17,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from huepose_services.cli.main import build_parser
@@ -48,6 +51,7 @@ SAYS = {
     "huepose new": r"tea_box suits",
     "huepose onboard": r"tea_box suits",
     "huepose estimate": r"tea_box +TRACKING",
+    "python write_scene_camera.py": "",
     "huepose validate": r"tracker 17448",
     "huepose objects reset": r"tea_box is searched for anew",
     "huepose status": r"tracker +ready",
@@ -58,10 +62,16 @@ _PIPELINES = ("huepose demo", "huepose up")
 _TIMEOUT_S = 180.0
 
 
-def commands(page: str) -> list[str]:
-    """The lines of a page's blocks for a shell, with the comments behind them."""
-    blocks = re.findall(r"^```bash\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL)
+def commands(page: str, section: str = "") -> list[str]:
+    """The lines of a page's blocks for a shell, with the comments behind them; section: of that one alone."""
+    blocks = re.findall(r"^```bash\n(.*?)^```", text_of(page, section), re.MULTILINE | re.DOTALL)
     return [line for block in blocks for line in re.sub(r"\\\n\s*", " ", block).splitlines() if line.strip()]
+
+
+def text_of(page: str, section: str = "") -> str:
+    """A page, or the part of it under a heading."""
+    text = (ROOT / page).read_text()
+    return text if not section else text.split(f"\n## {section}\n")[1].split("\n## ")[0]
 
 
 def begins(line: str, beginnings: dict[str, str] | tuple[str, ...]) -> str | None:
@@ -218,3 +228,27 @@ def test_the_commands_do_what_the_pages_say(tmp_path: Path) -> None:
                 someone.follow(line)
                 done.add(meant(line))
     assert (tmp_path / "out.png").stat().st_size > 10_000
+
+
+FOLDER = ("docs/cameras.md", "A folder of pictures")
+
+
+@pytest.mark.live
+@pytest.mark.timeout(300)
+@pytest.mark.skipif(not ACTIVATE.exists(), reason="there is no .venv: make setup")
+def test_a_folder_of_pictures_is_played_as_the_page_says(tmp_path: Path, recording) -> None:
+    """Its files are written as they stand there; the pictures are drawn ones of the page's camera."""
+    shutil.copytree(recording[0] / "bundles", tmp_path / "bundles")
+    shutil.copytree(recording[0] / "scene" / "rgb", tmp_path / "desk" / "rgb")
+    (tmp_path / "desk" / "depth").mkdir()
+    for path in (recording[0] / "scene" / "depth").iterdir():
+        tenths_mm = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        millimetres = np.rint(tenths_mm / 10.0).astype(np.uint16)
+        assert cv2.imwrite(str(tmp_path / "desk" / "depth" / path.name), millimetres)
+    files = re.findall(r"^```(?:python|yaml)\n# (\S+)\n(.*?)^```", text_of(*FOLDER), re.MULTILINE | re.DOTALL)
+    assert [name for name, _ in files] == ["write_scene_camera.py", "desk.yaml"]
+    for name, text in files:
+        (tmp_path / name).write_text(text)
+    with reader(tmp_path) as someone:
+        for line in commands(*FOLDER):
+            someone.follow(line)

@@ -32,6 +32,7 @@ from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
 from huepose.propose.templates import table_of
+from huepose.support.errors import require
 from huepose.support.pool import Pool
 from huepose.support.stages import stage
 
@@ -88,7 +89,10 @@ class Estimator:
     def explained(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[Answered]:
         """The same answers, each with what led to it: of a pose that was looked for again without the depth
         of others, what was seen then."""
+        require(frame, RgbdFrame, "frame", "an RgbdFrame")
+        require(queries, Sequence, "queries", "a list of ObjectQuery")
         for query in queries:
+            require(query, ObjectQuery, "query", "an ObjectQuery", "Make one: ObjectQuery(name, box).")
             self._models[query.object]  # raises before anything is looked at
         presence = None
         if any(query.searched for query in queries):

@@ -77,14 +77,17 @@ def _of_masks(mask: Bool | None, masks: Sequence[Bool]) -> list[str]:
 def why_absent(explanation: Explanation, terms: QualityTerms | None, chance: float, least: float) -> str:
     """Why an answer says that nothing is there, in one sentence. terms: of the best pose, if there is one;
     chance: probability that the object is there; least: that from which it is."""
+    box = explanation.box
+    if explanation.evidence is None and min(box.w, box.h) <= 0.0:
+        return f"The box is empty ({box.w:g} x {box.h:g} pixels), so there is nothing to look at."
     if explanation.evidence is None:
         return "There is no depth in the box, so there is nothing to look at."
     if terms is None:
         return "No view of the object resembles what is in the box."
     against = _of_terms(terms) or [f"the best pose scores {terms.total:.2f}"]
     return (
-        f"The object is not in this box (probability {chance:.2f}, at least {least:.2f} is asked): "
-        f"{' and '.join(against[:2])}."
+        f"The object is not in this box (it is with a probability of {chance:.2f}; {least:.2f} is needed): "
+        f"{', and '.join(against[:2])}."
     )
 
 
@@ -108,12 +111,12 @@ def _of_terms(terms: _Measured) -> list[str]:
     said = (
         (
             terms.violation > MUCH_SEEN_THROUGH,
-            f"depth contradicts {100 * terms.violation:.0f} % of the pose: what lies behind it is seen there",
+            f"depth shows what lies behind the object on {100 * terms.violation:.0f} % of the pose",
         ),
         (terms.occluded > MUCH_HIDDEN, f"something is in front of {100 * terms.occluded:.0f} % of the pose"),
         (
             unknown > MUCH_WITHOUT_DEPTH,
-            f"on {100 * unknown:.0f} % of the pose depth is missing, off, or of something else",
+            f"{100 * unknown:.0f} % of the pose has no depth, or depth that does not fit",
         ),
         (terms.color < LITTLE_TEXTURE, f"the texture agrees little (correlation {terms.color:.2f})"),
         (terms.box_iou < LITTLE_BOX, f"the pose's bounds overlap the box by {terms.box_iou:.2f} only"),

@@ -8,6 +8,7 @@ from typing import Literal
 from huepose.believe.quality import QualityTerms
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
+from huepose.support.errors import require
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,8 @@ class PosePrior:
 class ObjectQuery:
     """One object to look for: in a box, or in given candidate masks (H, W), with an optional prior.
 
-    With neither box nor masks the prior's outline is used; with nothing at all InputError is raised.
+    With neither box nor masks the prior's outline is used; with nothing at all InputError is raised, as
+    for a box of another type.
     `instance` is handed through. searched: the place is a proposal, and the object may not be there: then the
     answer says how likely it is there (`present`), and no pose of it is surer than that. others: poses
     T_cam_obj (4, 4) of other instances of the object, where this one is not.
@@ -38,6 +40,12 @@ class ObjectQuery:
     instance: int = 0
     searched: bool = False
     others: tuple[Float64, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.box is not None:
+            require(
+                self.box, Box, f"box of '{self.object}'", "a Box", "Make one: Box(x, y, w, h), in pixels."
+            )
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ Lengths in metres, in the object's own frame. Colours are CIELAB (L 0..100), flo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 from huepose.geometry.mesh import Mesh
-from huepose.support.errors import InputError
+from huepose.support.errors import InputError, require
 
 COLOR_SCALES_M = (0.0010, 0.0035)
 """Standard deviations of the two Gaussians over which texture is averaged, on the model and in a picture."""
@@ -157,7 +158,11 @@ class ReferenceModel:
 
 
 class ReferenceModels(dict[str, ReferenceModel]):
-    """Models by name. Asked for an unknown one it raises InputError."""
+    """Models by name. Raises InputError where it is made of something else, and asked for an unknown one."""
+
+    def __init__(self, models: Mapping[str, ReferenceModel]) -> None:
+        require(models, Mapping, "models", "reference models by name", "Load them: load_models(dir).")
+        super().__init__(models)
 
     def __missing__(self, name: str) -> ReferenceModel:
         raise InputError(

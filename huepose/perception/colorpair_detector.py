@@ -51,7 +51,7 @@ class ColorPairDetector:
 
     def __init__(self, models: Mapping[str, ReferenceModel], config: DetectorConfig | None = None) -> None:
         self.config = config or DetectorConfig()
-        self._models = ReferenceModels()
+        self._models = ReferenceModels({})
         self._tables: dict[str, WindowTable] = {}
         self._features: FeatureSource = Sift()
         self._keypoints: dict[str, ModelKeypoints] = {}

@@ -16,3 +16,15 @@ class InputError(ValueError):
         text = f"{what}: {facts}." if facts else f"{what}."
         super().__init__(f"{text} {fix}".strip())
         self.what, self.found, self.expected, self.fix = str(what), found, expected, fix
+
+
+def require(value: object, kind: type, what: object, expected: str, fix: str = "") -> None:
+    """Raises InputError where what a caller gave is of another type.
+
+    >>> require((1, 2), str, "a name", "text")
+    Traceback (most recent call last):
+    huepose.support.errors.InputError: a name: found tuple; expected text.
+    """
+    if not isinstance(value, kind):
+        found = "None" if value is None else type(value).__name__
+        raise InputError(what, found=found, expected=expected, fix=fix)

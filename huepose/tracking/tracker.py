@@ -9,9 +9,9 @@ import numpy as np
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.silhouette import silhouette_iou
-from huepose.model.types import ReferenceModel
+from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.propose.relative_pose import RelativePose
-from huepose.support.errors import InputError
+from huepose.support.errors import InputError, require
 from huepose.support.stages import stage
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.competition import Claim, losers
@@ -69,7 +69,7 @@ class Tracker:
         self._waiting: list[Correction] = []
         self._frames = FrameHistory(self.config.history_frames, self.config.older_frames)
         self._whose_turn, self._tries = 0, 1.0
-        for model in models.values():
+        for model in ReferenceModels(models).values():
             self.add_object(model)
 
     def add_object(self, model: ReferenceModel) -> None:
@@ -140,8 +140,9 @@ class Tracker:
 
         A frame of another epoch removes all instances. A frame that is not newer than the last one is ignored
         and gives an empty list. One with a later number but an earlier stamp is the newest: the camera's
-        clock was set back.
+        clock was set back. Raises InputError for what is no frame.
         """
+        require(frame, RgbdFrame, "frame", "an RgbdFrame")
         newest = self._frames.newest
         if newest is not None and frame.epoch != newest.epoch:
             self._forget()

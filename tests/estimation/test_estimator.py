@@ -184,17 +184,36 @@ def test_nothing_there_is_not_found(
     blind = replace(frame, depth=np.zeros_like(frame.depth))
     box = box_of(frame, tea_box, standing)
     behind = PosePrior(se3.make(np.eye(3), np.array([0.0, 0.0, -1.0])))
-    for picture, query in (
-        (blind, ObjectQuery("tea_box", box)),
-        (blind, ObjectQuery("tea_box", box, prior=PosePrior(standing))),
-        (frame, ObjectQuery("tea_box", Box(-50, -50, 20, 20))),
-        (frame, ObjectQuery("tea_box", prior=behind)),
+    no_depth = "There is no depth in the box, so there is nothing to look at."
+    for picture, query, why in (
+        (blind, ObjectQuery("tea_box", box), no_depth),
+        (blind, ObjectQuery("tea_box", box, prior=PosePrior(standing)), no_depth),
+        (frame, ObjectQuery("tea_box", Box(-50, -50, 20, 20)), no_depth),
+        (frame, ObjectQuery("tea_box", prior=behind), "The box is empty (0 x 0 pixels), so"),
+        (frame, ObjectQuery("tea_box", Box(30, 30, 0, 20)), "The box is empty (0 x 20 pixels), so"),
     ):
         (answer,) = estimator.estimate(picture, [query])
         assert not answer.found
         assert (answer.T_cam_obj, answer.covariance, answer.mask) == (None, None, None)
         assert (answer.state, answer.quality) == ("LOST", 0.0)
-        assert answer.reason == "There is no depth in the box, so there is nothing to look at."
+        assert answer.reason.startswith(why)
+
+
+def test_what_is_of_another_type_is_refused_at_the_door(
+    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    query = ObjectQuery("tea_box", box_of(frame, tea_box, standing))
+    with pytest.raises(InputError, match=r"found str; expected reference models.*load_models\(dir\)"):
+        Estimator("bundles")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"found tuple; expected a Box\. Make one: Box\(x, y, w, h\)"):
+        ObjectQuery("tea_box", (1, 2, 3, 4))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"queries: found ObjectQuery; expected a list of ObjectQuery"):
+        estimator.estimate(frame, query)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"query: found str; expected an ObjectQuery"):
+        estimator.estimate(frame, ["tea_box"])  # type: ignore[list-item]
+    with pytest.raises(InputError, match=r"frame: found None; expected an RgbdFrame"):
+        estimator.estimate(None, [query])  # type: ignore[arg-type]
 
 
 def test_wrong_queries_say_what_to_do(

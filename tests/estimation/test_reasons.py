@@ -73,7 +73,7 @@ def test_a_pose_in_the_air_is_seen_through(
     answer, explanation = looked
     nearer = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -0.1]), explanation.ranked.poses[0])
     said = reasons(tea_box, answer, replace(explanation, ranked=Ranked.of(nearer[None], np.ones(1))))
-    assert any("what lies behind it is seen there" in text for text in said)
+    assert any("depth shows what lies behind the object" in text for text in said)
     assert any(text.startswith("the texture agrees little") for text in said)
 
 
@@ -97,13 +97,16 @@ def test_why_nothing_is_there_is_said_by_what_was_measured(
     assert terms is not None
     through = replace(terms, violation=0.35, color=0.12, seen=0.9, occluded=0.0, box_iou=0.8)
     assert why_absent(explanation, through, 0.04, 0.12) == (
-        "The object is not in this box (probability 0.04, at least 0.12 is asked): depth contradicts 35 % of "
-        "the pose: what lies behind it is seen there and the texture agrees little (correlation 0.12)."
+        "The object is not in this box (it is with a probability of 0.04; 0.12 is needed): depth shows what "
+        "lies behind the object on 35 % of the pose, and the texture agrees little (correlation 0.12)."
     )
     poor = replace(terms, total=0.71, violation=0.0, color=0.5, seen=0.9, occluded=0.0, box_iou=0.8)
-    assert why_absent(explanation, poor, 0.04, 0.12).endswith("0.12 is asked): the best pose scores 0.71.")
+    assert why_absent(explanation, poor, 0.04, 0.12).endswith("0.12 is needed): the best pose scores 0.71.")
     assert why_absent(explanation, None, 0.0, 0.12).startswith("No view of the object")
-    assert why_absent(replace(explanation, evidence=None), None, 0.0, 0.12).startswith("There is no depth")
+    blind = replace(explanation, evidence=None)
+    assert why_absent(blind, None, 0.0, 0.12).startswith("There is no depth")
+    empty = replace(blind, box=Box(3.0, 4.0, 0.0, 30.0))
+    assert why_absent(empty, None, 0.0, 0.12).startswith("The box is empty (0 x 30 pixels)")
 
 
 def test_a_turn_is_the_doubt_only_where_nothing_else_is(standing: np.ndarray) -> None:

@@ -10,4 +10,4 @@ def test_a_known_model_is_given_and_an_unknown_name_lists_the_known(tea_box) -> 
     with pytest.raises(InputError, match=r"object 'mug'.*one of a_can, tea_box"):
         ReferenceModels(models)["mug"]
     with pytest.raises(InputError, match="no objects at all"):
-        ReferenceModels()["mug"]
+        ReferenceModels({})["mug"]

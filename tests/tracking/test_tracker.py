@@ -225,3 +225,10 @@ def test_configuration_is_checked() -> None:
         TrackerConfig(older_frames=-1)
     with pytest.raises(InputError, match="qualities"):
         TrackerConfig(suspect_quality=0.9)
+
+
+def test_what_is_of_another_type_is_refused_at_the_door(tea_box) -> None:
+    with pytest.raises(InputError, match=r"found str; expected reference models.*load_models\(dir\)"):
+        Tracker("bundles")
+    with pytest.raises(InputError, match="frame: found None; expected an RgbdFrame"):
+        Tracker({"tea_box": tea_box}).step(None)

@@ -87,9 +87,12 @@ class ApparentSize:
 
 def apparent_size(supports: Sequence[Float64], others: float = 0.0) -> ApparentSize:
     """The size that looks (S,) of `support` speak for together. others: what the camera shows other objects
-    larger by (share); what is usual beside that is usual, too."""
+    larger by (share); what is usual beside that is usual, too. The best at an end of SCALES is no size, and
+    nothing is clear."""
     total = np.sum([np.zeros(len(SCALES)), *supports], axis=0)
     best = int(np.argmax(total))
+    if best in (0, len(SCALES) - 1):
+        return ApparentSize(float(SCALES[best]), 0.0)
     usual = np.minimum(np.abs(SCALES), np.abs(SCALES - others)) <= USUAL
     return ApparentSize(float(SCALES[best]), float(total[best] - total[usual].max()))
 

@@ -36,7 +36,7 @@ def chance(answer: PoseEstimate) -> float:
 
 
 def why_none_stands(name: str, answers: Sequence[PoseEstimate], doubts: Sequence[str] = ()) -> str:
-    """Why no pose of an object stands, in one sentence: of the likeliest of its answers where it has any.
+    """Why no pose of an object stands, in words: of the likeliest of its answers where it has any.
 
     answers: as for `standing_answers`, of all objects of the frame; doubts: of each answer, what speaks most
     against its object (`estimation.present`)."""
@@ -44,7 +44,10 @@ def why_none_stands(name: str, answers: Sequence[PoseEstimate], doubts: Sequence
     doubts = doubts or [""] * len(answers)
     mine = [x for x in zip(answers, doubts, strict=True) if x[0].object == name]
     if not mine:
-        return "The detector found no place in the frame that looks like the object."
+        return (
+            "The detector found no place in the frame that looks like the object. If it is in plain view, "
+            "look at the depth scale, and at fx and fy."
+        )
     best, doubt = max(mine, key=lambda item: chance(item[0]))
     if not best.found:
         return best.reason

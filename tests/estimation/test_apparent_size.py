@@ -68,3 +68,10 @@ def test_looks_add_up_and_none_says_nothing() -> None:
     usual = np.where(np.abs(SCALES) <= USUAL - 0.005, 40.0, 0.0)
     assert not apparent_size([usual]).clear
     assert "smaller" in ApparentSize(-0.1, 20.0).said(Camera(600.0, 600.0, 320.0, 240.0, 640, 480))
+
+
+@pytest.mark.parametrize(("at", "clear"), [(0, False), (1, True), (-2, True), (-1, False)])
+def test_the_best_at_an_end_of_the_search_is_no_size(at: int, clear: bool) -> None:
+    support = np.zeros(len(SCALES))
+    support[at] = 100.0
+    assert apparent_size([support]).clear is clear

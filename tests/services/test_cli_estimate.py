@@ -200,6 +200,7 @@ def test_no_pose_is_tracking_where_depth_lies_far_beside_the_colours(
     said = json.loads(capsys.readouterr().out)
     assert said["poses"][0]["state"] != "TRACKING"
     assert "20.0 px to the left" in said["doubts"][0]
+    assert not any("than their depth says" in doubt for doubt in said["doubts"]), "sizes are seen aside, too"
 
 
 def test_why_an_object_is_not_found_is_said_and_drawn(

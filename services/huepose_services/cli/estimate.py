@@ -194,11 +194,12 @@ def _against(
     from huepose.estimation.size_doubts import doubted_in, said
 
     offset = frame_offset(frame)
+    if offset is not None:  # sizes that are seen beside their depth say nothing
+        return [offset.said()], {}
     size, objects = doubted_in(frame, models, answers)
-    out = [] if offset is None else [offset.said()]
     if size is not None:
-        out.append(size.said(frame.camera))
-    return out, {} if out else {k: said(one) for k, one in objects.items()}
+        return [size.said(frame.camera)], {}
+    return [], {k: said(one) for k, one in objects.items()}
 
 
 def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> list[str]:

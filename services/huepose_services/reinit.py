@@ -111,7 +111,7 @@ class ReinitWork(Work):
         before = {item.name: item.max_instances for item in self._configured}
         after = {item.name: item.max_instances for item in config.objects}
         if bool(before) != bool(after):
-            return ["until the next start as it was: objects (that all models are looked for, or some)"]
+            return ["a change that waits for the next start: objects (from all models to some, or back)"]
         self._configured = config.objects
         now = {entry.object: entry.max_instances for entry in self._objects.entries()}
         orders = [_order("remove", name) for name in before if name not in after and name in now]

@@ -4,7 +4,8 @@ import json
 import os
 import subprocess
 import sys
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -120,6 +121,33 @@ def test_a_mistyped_word_is_answered_with_the_one_that_may_be_meant(
     with pytest.raises(SystemExit):
         main(arguments)
     assert f"there is no '{arguments[-1]}': did you mean '{meant}'?" in capsys.readouterr().err
+
+
+def test_without_a_command_the_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([])
+    assert ended.value.code == BAD_INPUT
+    said = capsys.readouterr()
+    assert said.err == ""
+    assert "Live 6D object poses" in said.out
+    assert "130 ended by Ctrl-C" in " ".join(said.out.split())
+
+
+def _commands(parser: ArgumentParser) -> Iterator[ArgumentParser]:
+    """All parsers of commands, and of what these have below them."""
+    for action in parser._actions:
+        if isinstance(action.choices, dict):
+            for below in action.choices.values():
+                yield below
+                yield from _commands(below)
+
+
+def test_every_command_says_what_it_does_and_what_its_arguments_are() -> None:
+    commands = list(_commands(command_line.build_parser()))
+    assert len(commands) > 30
+    assert [one.prog for one in commands if not one.description] == []
+    named = [(one.prog, action) for one in commands for action in one._actions if not action.choices]
+    assert [(prog, action.dest) for prog, action in named if not action.help] == []
 
 
 def test_a_mistyped_option_is_answered_by_its_command(capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,9 +25,11 @@ def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
     tea_box: ReferenceModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_obj(tmp_path / "box.obj", tea_box.mesh)
-    out = tmp_path / "mine"
+    out = tmp_path / "mine ä"
     assert main(["new", "box", str(tmp_path / "box.obj"), "--unit", "m", "--no-test", "--out", str(out)]) == 0
-    assert f"huepose demo --bundles {out}/bundles" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"huepose demo --bundles '{out}/bundles'" in said
+    assert f"--color '{out}/color.png' --depth" in said
     names = {"color": "color.png", "depth": "depth.png", "camera": "camera.json"}
     files = [word for key, name in names.items() for word in (f"--{key}", str(out / name))]
     assert main(["estimate", *files, "--bundles", str(out / "bundles"), "--json", str(out / "o.json")]) == 0

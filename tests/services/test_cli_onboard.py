@@ -150,12 +150,10 @@ def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
     assert settled == {"m.obj": "mm", "m.glb": "m", "l.glb": "m"}
     first, second = capsys.readouterr().err.splitlines()
     assert first == (
-        "note: the mesh gives no unit; its largest side is taken as 12 cm in millimetres (it would be 1.2 m "
-        "in centimetres); --unit says another"
+        "note: the mesh gives no unit, and is read in millimetres: its largest side is 12 cm (it would be "
+        "1.2 m in centimetres). If that is wrong, give the unit with --unit."
     )
-    assert second.startswith(
-        "note: the mesh is in metres as all of its format: its largest side is 1.2 m in metres"
-    )
+    assert second.startswith("note: a .glb file is read in metres: its largest side is 1.2 m")
 
 
 @pytest.mark.parametrize(

@@ -118,7 +118,7 @@ def test_the_help_says_how_poses_of_a_bag_are_matched_with_its_pictures(capsys):
     with pytest.raises(SystemExit):
         build_parser().parse_args(["poses", "--help"])
     said = " ".join(capsys.readouterr().out.split())
-    assert "the time of playing; its pictures are known by `frame` of --csv" in said
+    assert "the time is that of playing; `frame` is then the picture's number in it" in said
 
 
 def test_files_of_poses_and_other_ways_to_print_them_do_not_go_together(tmp_path, capsys):

@@ -50,7 +50,7 @@ def test_what_can_be_is_taken_over_and_the_rest_waits_in_words(worker):
     assert config.tracker.max_age_ms == 200.0
     assert "was read again: tracker.max_age_ms (300.0 > 200.0)" in said
     assert warnings == [
-        'until the next start as it was: site ("local" > "roof"), tracker.history_frames (20 > 30)'
+        'changes that wait for the next start: site ("local" > "roof"), tracker.history_frames (20 > 30)'
     ]
     # What waits is compared with how it was started; as it was, nothing waits.
     config, said, warnings = write({"tracker": {"max_age_ms": 250}})

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 
 import pytest
 
@@ -52,16 +53,28 @@ def test_a_folder_that_others_may_write_is_not_believed(runtime_folder):
 def test_of_two_pipelines_one_has_to_be_named(runtime_folder):
     with noted(HERE):
         # Another process that surely runs: the one that started this one.
-        (runtime_folder / f"{os.getppid()}.json").write_text('{"base_port": 18200, "site": "hall"}')
+        (runtime_folder / f"{os.getppid()}.json").write_text(
+            '{"base_port": 18200, "site": "hall", "camera": "eye"}'
+        )
         with pytest.raises(InputError) as refusal:
             pick()
         assert "2 that run here" in str(refusal.value)
         assert "lab/cam0 at port 18100 (/etc/lab.yaml)" in str(refusal.value)
-        assert "--pipeline" in str(refusal.value)
+        lab, hall = r"18100 \(or lab/cam0\), or --config /etc/lab", r"18200 \(or hall/eye\), or --config PIPE"
+        assert re.search(f"Say which: --pipeline ({lab}|{hall})", str(refusal.value))
         assert pick(which="lab/cam0") == pick(which="cam0") == pick(which="18100") == HERE
         assert pick(which="hall").base_port == 18200
         with pytest.raises(InputError, match="no such pipeline runs here"):
             pick(which="attic")
+
+
+def test_of_two_pipelines_of_one_name_the_port_says_which(runtime_folder):
+    with noted(HERE):
+        other = '{"base_port": 18200, "site": "lab", "camera": "cam0"}'
+        (runtime_folder / f"{os.getppid()}.json").write_text(other)
+        with pytest.raises(InputError, match=r"Say which: --pipeline 18[12]00, or --config"):
+            pick(which="lab/cam0")
+        assert pick(which="18200").base_port == 18200
 
 
 def test_a_configuration_names_its_pipeline_whether_it_runs_or_not(tmp_path):

@@ -50,8 +50,8 @@ def add_parser(subparsers: Any) -> None:
     add_path(parser, "--depth", "FILE", "16 bit depth, aligned to it", required=True)
     add_path(parser, "--camera", "FILE.json", "intrinsics, depth scale", required=True)
     add_bundles(parser)
-    add_several(parser, "--object", "NAME", "all of the folder without", kind=str)
-    more = "go on looking for an object until so many are found; without, at its best places only"
+    add_several(parser, "--object", "NAME", "which to look for (all of the folder)", kind=str)
+    more = "go on until so many of each object are found (1: only where it most likely is)"
     add_number(parser, "--instances", 1, more)
     add_one_of(
         parser,
@@ -61,7 +61,7 @@ def add_parser(subparsers: Any) -> None:
         "(the last two need models that were onboarded with --paper)",
     )
     add_profile(parser)
-    add_box(parser, "where it is; all over the picture without")
+    add_box(parser, "where the object is, in pixels (without: the whole picture is searched)")
     parser.add_argument(
         "--check-camera",
         action=argparse.BooleanOptionalAction,

@@ -142,7 +142,7 @@ def _add_poses(verbs: Any) -> None:
         help="what a live run published",
         description="Score what `huepose poses --json` printed against the scene that was played.",
     )
-    parser.add_argument("poses", type=Path, metavar="POSES.jsonl")
+    parser.add_argument("poses", type=Path, metavar="POSES.jsonl", help="what was printed")
     source = parser.add_mutually_exclusive_group(required=True)
     add_path(source, "--fast-ycb", "SEQ_DIR", "the sequence that was played")
     add_path(source, "--bop", "SCENE_DIR", "or the scene in BOP's layout")
@@ -168,7 +168,7 @@ def _add_calibration(verbs: Any) -> None:
         description="What the quality of results of `huepose eval estimate` is worth: how far it is from the "
         "share that is right, and how many of the poses over the level are right.",
     )
-    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json")
+    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json", help="result files")
     add_one_of(parser, "--method", ("full", "colorpair"), "whose results they are (full)")
     add_path(parser, "--plots", "DIR", "reliability pictures")
 
@@ -246,6 +246,6 @@ def _add_results(verbs: Any) -> None:
         description="Writes a Markdown page of result files of `huepose eval tables`, `estimate`, `track` or "
         "`perception`, each with its command, machine, versions and date.",
     )
-    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json")
+    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json", help="result files")
     add_path(parser, "--out", "FILE.md", "the page", required=True)
     add_path(parser, "--readme", "FILE.md", "a document whose marked table is cut from the results as well")

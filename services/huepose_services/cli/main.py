@@ -57,8 +57,22 @@ _OF_THE_DISK = (
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
+class _Verbs(argparse._SubParsersAction):
+    """Verbs whose own help begins with what the list of them says, where they have no more to say."""
+
+    def add_parser(self, name: str, **settings: Any) -> Any:
+        """As usual, with a description."""
+        text = settings.get("help") or ""
+        settings.setdefault("description", f"{text[:1].upper()}{text[1:]}." if text else None)
+        return super().add_parser(name, **settings)
+
+
 class _Parser(argparse.ArgumentParser):
     """Says of a mistyped command, choice or option which one may be meant."""
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self.register("action", "parsers", _Verbs)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         """As usual, but the command that meets an unknown option answers itself, with its own usage."""
@@ -87,7 +101,8 @@ def build_parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="huepose",
         description="Live 6D object poses from an RGB-D camera and textured CAD models.",
-        epilog="Exit codes: 0 done, 1 the work failed, 2 wrong usage or bad input.",
+        epilog="Exit codes: 0 done, 1 the work failed, 2 wrong usage or bad input, "
+        "130 ended by Ctrl-C before it was done.",
     )
     parser.add_argument("--version", action="version", version=f"huepose {__version__}")
     subparsers = parser.add_subparsers(dest="verb", required=True, metavar="COMMAND")
@@ -119,6 +134,9 @@ def _parsed(arguments: list[str] | None) -> argparse.Namespace:
         import argcomplete
 
         argcomplete.autocomplete(parser)
+    elif not (sys.argv[1:] if arguments is None else arguments):
+        parser.print_help()
+        parser.exit(BAD_INPUT)
     return parser.parse_args(arguments)
 
 

@@ -54,13 +54,10 @@ def _with_unit(job: Job, sizes: dict[Unit, float]) -> Job:
     usual = taken is not None and SMALL_M < sizes[taken] < LARGE_M
     if taken is None or not (usual or standard):
         return replace(job, unit=_asked(job.mesh_path, sizes))
-    others = [_size(sizes, unit) for unit in sizes if unit != taken]
     if not standard:
-        _note(f"the mesh gives no unit; its largest side is taken as {_size(sizes, taken)}", others)
+        _note("the mesh gives no unit, and", taken, sizes)
     elif not usual:
-        _note(
-            f"the mesh is in metres as all of its format: its largest side is {_size(sizes, taken)}", others
-        )
+        _note(f"a {job.mesh_path.suffix} file", taken, sizes)
     return replace(job, unit=taken)
 
 
@@ -100,9 +97,14 @@ def _warn_of(given: Unit, sizes: dict[Unit, float]) -> None:
     say(f"warning: {text}{f'; it would be {but}' if but else ''}")
 
 
-def _note(text: str, others: list[str]) -> None:
+def _note(head: str, taken: Unit, sizes: dict[Unit, float]) -> None:
+    """In which unit a mesh is read, and how large it would be in others."""
+    from huepose.onboarding.meshes import length
+
+    others = [_size(sizes, unit) for unit in sizes if unit != taken]
     but = f" (it would be {', '.join(others)})" if others else ""
-    say(f"note: {text}{but}; --unit says another")
+    side = f"its largest side is {length(sizes[taken])}{but}"
+    say(f"note: {head} is read in {_IN_WORDS[taken]}: {side}. If that is wrong, give the unit with --unit.")
 
 
 def _asked(path: Path, sizes: dict[Unit, float]) -> Unit:

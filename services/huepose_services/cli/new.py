@@ -83,14 +83,17 @@ def call(arguments: argparse.Namespace) -> int:
         print(words)
     write_frame(out, shot, CAMERA)
     write_text(path, _PIPELINE.format(name=job.name))
-    at = shlex.quote(str(out))
+
+    def at(name: str) -> str:
+        return shlex.quote(str(out / name))
+
     print(
         f"""
 {out} is ready. Next (the first start of a pipeline draws its scene, half a minute or more):
-  huepose estimate --color {at}/color.png --depth {at}/depth.png --camera {at}/camera.json \\
-      --bundles {at}/bundles --image {at}/pose.png
-  huepose demo --bundles {at}/bundles      # the whole pipeline on it, with its accuracy
-  huepose up {at}/pipeline.yaml      # live, until Ctrl-C; in another terminal: huepose poses, huepose view"""
+  huepose estimate --color {at("color.png")} --depth {at("depth.png")} --camera {at("camera.json")} \\
+      --bundles {at("bundles")} --image {at("pose.png")}
+  huepose demo --bundles {at("bundles")}      # the whole pipeline on it, with its accuracy
+  huepose up {at("pipeline.yaml")}   # live, until Ctrl-C; in another terminal: huepose poses, huepose view"""
     )
     return 0
 

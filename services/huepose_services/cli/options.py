@@ -103,13 +103,20 @@ def add_number(
 
 def add_pipeline(parser: argparse.ArgumentParser) -> None:
     """Add the file that describes a deployment, as `config`."""
-    parser.add_argument("config", nargs="?", type=Path, default=Path("pipeline.yaml"), metavar="PIPELINE")
+    parser.add_argument(
+        "config",
+        nargs="?",
+        type=Path,
+        default=Path("pipeline.yaml"),
+        metavar="PIPELINE",
+        help="the file that describes the pipeline (pipeline.yaml in this folder)",
+    )
 
 
 def add_host(parser: argparse.ArgumentParser) -> None:
     """Add `--host`."""
     parser.add_argument(
-        "--host", metavar="NAME", help="the computer of `hosts` whose part it is; without it the camera's"
+        "--host", metavar="NAME", help="which computer's workers: a name of `hosts` (without: the camera's)"
     )
 
 
@@ -145,7 +152,7 @@ def until_told() -> Callable[[], bool]:
 def add_choice(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose a pipeline."""
     parser.add_argument(
-        "--pipeline", metavar="NAME", help="where several run here: SITE/CAMERA of one, or its first port"
+        "--pipeline", metavar="NAME", help="which one, where several run here: its first port, or SITE/CAMERA"
     )
     add_path(parser, "--config", "PIPELINE", "the pipeline's configuration, for its ports")
 

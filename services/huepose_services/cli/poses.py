@@ -97,12 +97,10 @@ _POSES = "pose/**"
 # Keys that could be an object's name.
 _NAMES = frozenset({"frame", "truth", "camera", "mount", "objects", "control", "correction"})
 _CSV_HELP = (
-    "frame, object, position in metres and quaternion x y z w in the camera's frame, instance, stamp of the "
-    "capture, quality"
-)
-_PLAYED = (
-    "of a bag or recording that is played, the time of playing; its pictures are known by `frame` of --csv, "
-    "their number from 0 on the first pass"
+    "write TRACKING poses to a new file instead, a row each: frame, object, position in metres, quaternion "
+    "x y z w (both in the camera's frame), instance, time of capture in seconds, quality. While a recording "
+    "is played the time is that of playing; `frame` is then the picture's number in it, and goes on counting "
+    "when it begins again"
 )
 _HEADING = (
     " frame object/instance state quality   position x y z   rotation as a quaternion x y z w   "
@@ -130,15 +128,13 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="poses in the frame that the camera is mounted in (camera.mount of pipeline.yaml)",
     )
-    add_path(
-        parser, "--csv", "FILE.csv", f"write TRACKING poses to a new file instead: {_CSV_HELP} ({_PLAYED})"
-    )
+    add_path(parser, "--csv", "FILE.csv", _CSV_HELP)
     add_path(
         parser,
         "--tum",
         "DIR",
-        "write TRACKING poses to a new folder instead, OBJECT_INSTANCE.txt each, in TUM's format, stamps as "
-        "with --csv",
+        "write TRACKING poses to a new folder instead, OBJECT_INSTANCE.txt each, in TUM's format, with times "
+        "as for --csv",
     )
     add_choice(parser)
     parser.add_argument(

@@ -26,7 +26,7 @@ def add_parser(subparsers: Any) -> None:
     add = verbs.add_parser("add", help="a certificate for a reader")
     revoke = verbs.add_parser("revoke", help="the certificate of a reader no longer counts")
     for verb in (add, revoke):
-        verb.add_argument("name", metavar="NAME")
+        verb.add_argument("name", metavar="NAME", help="what the reader is called")
     for verb in (init, add):
         verb.add_argument("--days", type=int, default=_DAYS, metavar="N", help=f"how long it holds ({_DAYS})")
     for verb in (init, add, revoke):

@@ -97,7 +97,7 @@ class Reload:
         refused = take_over(new) if live else []
         if live:
             self._log.say(f"{self._path} was read again: {', '.join(live.values())}")
-        later = f"until the next start as it was: {', '.join(waits)}" if waits else ""
+        later = f"changes that wait for the next start: {', '.join(waits)}" if waits else ""
         self._tell("; ".join([*refused, *([later] if later else [])]))
         return new
 

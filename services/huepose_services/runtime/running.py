@@ -176,11 +176,14 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
             )
         found = meant
     if len(found) > 1:
+        first = found[0]
+        alone = "*" not in first.name and [p.name for p in found].count(first.name) == 1
+        which = f"{first.base_port} (or {first.name})" if alone else f"{first.base_port}"
         raise InputError(
             "the pipeline to attach to",
             found=f"{len(found)} that run here: {_listed(found)}",
             expected="one",
-            fix=f"Say which: --pipeline {found[0].base_port} (or SITE/CAMERA), or --config PIPELINE.yaml.",
+            fix=f"Say which: --pipeline {which}, or --config {first.file or 'PIPELINE.yaml'}.",
         )
     return found[0] if found else usual()
 

@@ -35,6 +35,10 @@ _ALIGNED = (
 )
 
 
+_UNALIGNED, _SAME_SENSOR = "/depth/image_rect_raw", "/image_rect_raw"
+"""How realsense2_camera calls depth in its own pixels, and colour of a D405, which has the same ones."""
+
+
 @dataclass(frozen=True)
 class Topics:
     """Which topics are read; None: the only one that fits."""
@@ -276,6 +280,10 @@ class _Choice:
         depth_size = depth_of(self._first[depth], f"{self._path}, {depth}").shape[::-1]
         if size != depth_size:
             return "depth of {} x {}, and colour of {} x {}".format(*depth_size, *size)
+        unsaid = _beside(depth) not in self._infos and self._topics.depth is None
+        if unsaid and _base(depth).endswith(_UNALIGNED) and not _base(color).endswith(_SAME_SENSOR):
+            way_out = " (if it is, name it: camera.depth_topic)" if self._can_name else ""
+            return f"no CameraInfo of RealSense's own depth, which is not aligned to colour{way_out}"
         if _beside(depth) not in self._infos:
             return None
         ours, its = self._infos[self._info_of(color)], self._infos[_beside(depth)]

@@ -115,6 +115,20 @@ def refusal(path: Path, topics: Topics | None = ANY) -> str:
     return str(error.value)
 
 
+def test_unaligned_depth_of_a_realsense_is_refused_unless_it_is_named_or_of_the_sensor_of_colour(
+    tmp_path: Path,
+) -> None:
+    ros, unaligned = Ros("desk.bag"), "/cam/depth/image_rect_raw"
+    bag = ros.write(tmp_path / "desk.bag", desk(ros, depth_topic=unaligned))
+    said = refusal(bag)
+    assert f"{unaligned}: found no CameraInfo of RealSense's own depth, which is not aligned" in said
+    assert "name it: camera.depth_topic" in said
+    assert "its topic aligned_depth_to_color" in said
+    assert RosbagScene(bag, Topics(depth=unaligned)).topics.depth == unaligned
+    of_one_sensor = desk(ros, depth_topic=unaligned, color_topic="/cam/color/image_rect_raw")
+    assert RosbagScene(ros.write(tmp_path / "d405.bag", of_one_sensor)).image_ids == (0, 1, 2)
+
+
 @pytest.mark.parametrize("name", BAGS)
 def test_frames_are_what_was_written(name: str, tmp_path: Path) -> None:
     ros = Ros(name)

@@ -8,14 +8,13 @@ are not, and a sensor and a scanned model err alike everywhere, which no number 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from huepose.believe.logistic import probability
-from huepose.geometry import se3
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
@@ -124,8 +123,7 @@ def _held_by_its_ends(
 
 
 def uncertainty(subject: Subject, h: Hypothesis) -> tuple[Float64, float]:
-    """Covariance (6, 6) of a pose, and its expected error as a share of the diameter, but for rotations under
-    which the object looks the same."""
+    """Covariance (6, 6) of a pose, and its expected error as a share of the diameter."""
     surface, T = subject.surface, h.T_cam_obj
     centre = surface.centre_cam(T)
     # What is known without the picture, and its floors, are about the object, wherever its origin is.
@@ -134,7 +132,7 @@ def uncertainty(subject: Subject, h: Hypothesis) -> tuple[Float64, float]:
     known = to_origin @ known @ to_origin.T
     # What readings have in common turns the object about the part that is in the picture.
     known /= max(1.0 - h.terms.outside, LEAST_INSIDE)
-    return known, spread_m(known, T, surface.arrays.points[:POINTS], subject.alike) / surface.diameter_m
+    return known, spread_m(known, T, surface.arrays.points[:POINTS]) / surface.diameter_m
 
 
 def found_again(
@@ -187,21 +185,12 @@ def covariance(information: Float64, distance_m: float) -> Float64:
     return np.asarray(out)
 
 
-def spread_m(
-    covariance: Float64, T_cam_obj: Float64, points_obj: Float32, alike: Sequence[Float64] = ()
-) -> float:
-    """By how much the object's points (N, 3) lie off, RMS, if the pose errs as that covariance says. alike:
-    small motions (6,) about its origin, object axes, that nobody would see, so that they are no errors; at
-    most one."""
+def spread_m(covariance: Float64, T_cam_obj: Float64, points_obj: Float32) -> float:
+    """By how much the object's points (N, 3) lie off, RMS, if the pose errs as that covariance says."""
     # A point p moves by t + r x p: its mean square needs the mean and the second moments of the points only.
-    R = T_cam_obj[:3, :3]
-    points = points_obj.astype(np.float64) @ R.T
+    points = points_obj.astype(np.float64) @ T_cam_obj[:3, :3].T
     mean, second = points.mean(axis=0), points.T @ points / len(points)
-    turned = np.trace(second) * np.eye(3) - second
-    square = np.block([[np.eye(3), -se3.hat(mean)], [se3.hat(mean), turned]])
-    off = float((square * covariance).sum())
-    for motion in alike:
-        unseen = np.concatenate([R @ motion[:3], R @ motion[3:]])
-        moved = square @ unseen
-        off -= float(moved @ covariance @ moved / (unseen @ moved))
-    return float(np.sqrt(max(off, 0.0)))
+    moved, mixed, turned = covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:]
+    curl = np.array([mixed[1, 2] - mixed[2, 1], mixed[2, 0] - mixed[0, 2], mixed[0, 1] - mixed[1, 0]])
+    square = np.trace(moved) + 2.0 * mean @ curl + np.trace(turned) * np.trace(second)
+    return float(np.sqrt(square - (turned * second).sum()))

@@ -21,10 +21,6 @@ SMALL_TURN = np.radians(45.0)
 """Near-symmetric rotations up to this angle exist only about an axis of revolution."""
 
 
-SMALL_STEP = np.radians(10.0)
-"""Rotations up to this angle under which an object looks the same say that it does so all round: they are
-given every 5 degrees then."""
-
 POINTS = 48
 """Surface points over which the distance of two poses, or the spread of one, is averaged."""
 
@@ -36,8 +32,8 @@ class Subject:
     small_turns: of these those about an axis of revolution, by which it can be slid in small steps; slides
     (K, 4, 4): rotations about that axis that are tried while it is followed; rolls (L, 4, 4): those that
     move a slender object too little to be wrong; points (E, P, 3): of its surface, after each of the
-    rotations under which it looks the same, the identity first; alike: the small motion (6,) about its axis
-    where it looks the same all round, else none; contours: where it ends, seen from anywhere."""
+    rotations under which it looks the same, the identity first; contours: where it ends, seen from
+    anywhere."""
 
     model: ReferenceModel
     surface: PreparedSurface
@@ -47,7 +43,6 @@ class Subject:
     slides: Float64
     rolls: Float64
     points: Float64
-    alike: tuple[Float64, ...]
     contours: Contours
 
     @staticmethod
@@ -61,8 +56,6 @@ class Subject:
         surface = contours.surface
         few = surface.arrays.points[:POINTS].astype(np.float64)
         points = np.stack([se3.apply(T, few) for T in model.equivalents])
-        steps = [T for T in model.equivalents[1:] if se3.rotation_angle(T, np.eye(4)) < SMALL_STEP]
-        alike = tuple(se3.log(T) for T in steps[:1])
         return Subject(
             model,
             surface,
@@ -72,7 +65,6 @@ class Subject:
             _slides(turns[moved > ALIKE]),
             rolls(model),
             points,
-            alike,
             contours,
         )
 

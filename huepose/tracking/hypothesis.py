@@ -12,7 +12,6 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import Terms
-from huepose.select.distinct import RIGHT
 from huepose.tracking.motion import Reach
 from huepose.tracking.subject import Subject
 
@@ -84,16 +83,13 @@ def distinct(subject: Subject, opinions: Sequence[Hypothesis]) -> tuple[Hypothes
     return tuple(kept)
 
 
-def share_of_first(subject: Subject, opinions: Sequence[Hypothesis]) -> float:
-    """What part of the belief says that the first of different opinions is right: its own, and that of those
-    which lie so near that it would count as right where they are."""
-    first = opinions[0].T_cam_obj
-    own, *others = shares(opinions)
-    return own + sum(
-        share
-        for other, share in zip(opinions[1:], others, strict=True)
-        if same_pose(subject, first, other.T_cam_obj, RIGHT)
-    )
+def share_of_first(opinions: Sequence[Hypothesis]) -> float:
+    """What part of the belief the first of different opinions has.
+
+    >>> share_of_first([])
+    0.0
+    """
+    return shares(opinions)[0] if opinions else 0.0
 
 
 def shares(opinions: Sequence[Hypothesis]) -> list[float]:

@@ -157,7 +157,7 @@ class Track:
         found = found_again(self.subject, sure_pose, gone_s, frame, self.light, baseline, place, self._config)
         if not found:
             return 2
-        sure = probability(found[0].log_odds) * share_of_first(self.subject, found)
+        sure = probability(found[0].log_odds) * share_of_first(found)
         anchor = Anchor((sure_pose,), frame, light=self.light, unseen_s=gone_s)
         self.hypotheses, self.frame, first = found, frame, found[0]
         self.covariance, self._spread = uncertainty(self.subject, first)
@@ -176,7 +176,7 @@ class Track:
         self._corrected_from = None
         self.hypotheses = distinct(self.subject, seen.all)
         first = self.hypotheses[0]
-        sure = probability(first.log_odds) * share_of_first(self.subject, self.hypotheses)
+        sure = probability(first.log_odds) * share_of_first(self.hypotheses)
         if evidence.one_sense(first.terms) or any(first.T_cam_obj is T for T in seen.leaps):
             # An implausible jump has to be confirmed by the next frame.
             sure = min(sure, evidence.ONE_SENSE)

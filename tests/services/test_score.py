@@ -80,6 +80,19 @@ def test_a_perfect_run_has_perfect_figures():
     assert shortcomings(summary) == []
 
 
+def test_a_rotation_under_which_it_looks_the_same_is_no_error():
+    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    changes = {}
+    changes["translation"], changes["quaternion"] = pose_to_wire(_place(0) @ half_turn)
+    turned = replace(_pose(0), **changes)
+    for equivalents, false in ((None, 1), (np.stack([np.eye(4), half_turn]), 0)):
+        score = Score({"thing": Yardstick.of(POINTS, 0.17, equivalents)})
+        score.add_truth(_truth(0))
+        score.add_pose(turned)
+        assert score.summary(score.last_ns)["false_tracking_frames"] == false
+        assert (score.latest()["thing"].error_m < 1e-6) == (false == 0)
+
+
 def test_frames_without_a_pose_are_wrong_from_the_confirmation_on_and_acquisition_is_timed():
     states = [_pose(i, "SEARCHING") for i in range(10)]
     states += [_pose(i, "SUSPECT") for i in range(10, 15)] + [_pose(i) for i in range(15, 48)]

@@ -70,7 +70,10 @@ def run_demo(
     except KeyboardInterrupt:
         shutil.rmtree(folder)
         raise
-    yardsticks = {name: Yardstick.of(model.eval_points, model.diameter_m) for name, model in models.items()}
+    yardsticks = {
+        name: Yardstick.of(model.eval_points, model.diameter_m, model.equivalents)
+        for name, model in models.items()
+    }
     score = Score(yardsticks)
     log_path = folder / "huepose.log"
     try:

@@ -19,23 +19,37 @@ from huepose_protos.messages import PoseMessage, TruthMessage
 from huepose_services.convert import optional_pose_from_wire, pose_of
 from huepose_services.runtime.clock import SECOND
 
+_FEW = 50
+"""Points by which it is found which of the poses that look alike is nearest."""
+
 _MIN_RECALL = 90.0
 _CONFIRMED_WITHIN_S = 3.0
 
 
 @dataclass(frozen=True, eq=False)
 class Yardstick:
-    """points (N, 3) that errors are measured on, and the diameter of the object."""
+    """points (N, 3) that errors are measured on, the diameter of the object, and the rotations (E, 4, 4) under
+    which it looks the same."""
 
     points_obj: Float32
     diameter_m: float
+    equivalents: Float64
     tree: cKDTree = field(repr=False)
 
     @staticmethod
-    def of(points_obj: Float32, diameter_m: float, at_most: int = 2000) -> Yardstick:
-        """Every k-th of the points, at most so many."""
+    def of(
+        points_obj: Float32, diameter_m: float, equivalents: Float64 | None = None, at_most: int = 2000
+    ) -> Yardstick:
+        """Every k-th of the points, at most so many; without rotations but the identity by default."""
         points = points_obj[:: max(1, -(-len(points_obj) // at_most))]
-        return Yardstick(points, diameter_m, cKDTree(points))
+        alike = np.eye(4)[None] if equivalents is None else np.asarray(equivalents, np.float64)
+        return Yardstick(points, diameter_m, alike, cKDTree(points))
+
+    def add(self, T_cam_obj: Float64, truth: Float64) -> float:
+        """ADD of a pose (4, 4) to the nearest of those that look like the true one, metres."""
+        alike, few = truth @ self.equivalents, self.points_obj[:: max(1, len(self.points_obj) // _FEW)]
+        rough = [add(few, T_cam_obj, T) for T in alike] if len(alike) > 1 else [0.0]
+        return add(self.points_obj, T_cam_obj, alike[int(np.argmin(rough))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +120,7 @@ class Score:
         label, T_cam_obj = self._labels[name].get(pose.frame_id), pose_of(pose)
         if label is None or T_cam_obj is None:
             return None
-        return add(self._yardsticks[name].points_obj, T_cam_obj, label.T_cam_obj)
+        return self._yardsticks[name].add(T_cam_obj, label.T_cam_obj)
 
     def summary(self, until_ns: int) -> dict[str, Any]:
         """The demo's figures, over the frames captured until then, by the words of the evaluation.
@@ -160,7 +174,7 @@ class Score:
             T_cam_obj = None if pose is None else pose_of(pose)
             error = error_s = np.inf
             if T_cam_obj is not None:
-                error = add(yardstick.points_obj, T_cam_obj, label.T_cam_obj)
+                error = yardstick.add(T_cam_obj, label.T_cam_obj)
                 error_s = adds(yardstick.points_obj, T_cam_obj, label.T_cam_obj, yardstick.tree)
             visible = label.visib_fract is None or label.visib_fract >= VISIBLE
             gone = label.visib_fract is not None and label.visib_fract < GONE

@@ -28,8 +28,8 @@ _CONFIRMED_WITHIN_S = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Yardstick:
-    """points (N, 3) that errors are measured on, the diameter of the object, and the rotations (E, 4, 4) under
-    which it looks the same."""
+    """points (N, 3) that errors are measured on, the diameter of the object, and the rotations (E, 4, 4)
+    under which it looks the same."""
 
     points_obj: Float32
     diameter_m: float

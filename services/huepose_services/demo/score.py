@@ -48,8 +48,7 @@ class Yardstick:
     def add(self, T_cam_obj: Float64, truth: Float64) -> float:
         """ADD of a pose (4, 4) to the nearest of those that look like the true one, metres."""
         alike, few = truth @ self.equivalents, self.points_obj[:: max(1, len(self.points_obj) // _FEW)]
-        rough = [add(few, T_cam_obj, T) for T in alike] if len(alike) > 1 else [0.0]
-        return add(self.points_obj, T_cam_obj, alike[int(np.argmin(rough))])
+        return add(self.points_obj, T_cam_obj, min(alike, key=lambda T: add(few, T_cam_obj, T)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ import numpy as np
 
 from huepose.believe.quality import QualityTerms, quality_fits
 from huepose.estimation.config import ConfirmConfig, EstimatorConfig, FullPathConfig
-from huepose.estimation.explanation import Explanation, Trail
+from huepose.estimation.explanation import Explanation
 from huepose.estimation.methods import PairMethod
 from huepose.estimation.reasons import why_absent
 from huepose.estimation.types import ObjectQuery, PoseEstimate
@@ -89,11 +89,11 @@ def answered(
             with stage("retrieval"):
                 crop, bounds = evidence.region.crop, evidence.region.bounds
                 views = retrieve(table_of(model), crop, bounds, evidence.sources, config.full.retrieval)
-            trail = refine(model, evidence, views.poses, views.masks, config.full)
-            ranked = judge(model, evidence.region, trail.searched, look.prior, config.full)
+            poses = refine(model, evidence, views.poses, views.masks, config.full)
+            ranked = judge(model, evidence.region, poses, look.prior, config.full)
             with stage("contest"):
                 ranked, held = decided(model, evidence.region, ranked, config.near_ties)
-            look = replace(look, ranked=ranked, trail=trail, contest=held)
+            look = replace(look, ranked=ranked, contest=held)
         with stage("answer"):
             bare = method is not None and method.bare
             answer = (
@@ -151,15 +151,15 @@ def _found_by(
 
 def refine(
     model: ReferenceModel, evidence: Evidence, proposed: Float64, sources: Int64, config: FullPathConfig
-) -> Trail:
-    """Proposed poses (N, 4, 4) brought home, each from the source (N,) of the evidence that proposed it."""
+) -> Float64:
+    """Proposed poses (N, 4, 4) brought home (M, 4, 4), each from the source (N,) of the evidence that
+    proposed it."""
     with stage("icp"):
         aligned = [
             _icp(model, points, proposed[sources == k], 0.1 * model.diameter_m, 0.008, 12)
             for k, points in enumerate(evidence.points_cam)
         ]
-    registered = np.concatenate(aligned)
-    return Trail(proposed, registered, refine_coarse(model, evidence.region, registered, config))
+    return refine_coarse(model, evidence.region, np.concatenate(aligned), config)
 
 
 def refine_coarse(model: ReferenceModel, region: Region, poses: Float64, config: FullPathConfig) -> Float64:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.arrays import Bool
 from huepose.geometry.box import Box
 from huepose.propose.evidence import Evidence
 from huepose.select.distinct import NONE, Ranked
@@ -12,21 +12,11 @@ from huepose.select.near_ties import Contest
 
 
 @dataclass(frozen=True, eq=False)
-class Trail:
-    """What the steps left on the way to an answer: poses (N, 4, 4) of the views that were retrieved, of these
-    after registration on depth, and of those that were searched."""
-
-    retrieved: Float64
-    registered: Float64
-    searched: Float64
-
-
-@dataclass(frozen=True, eq=False)
 class Explanation:
     """What led to an answer: the box, the candidate masks (H, W), what was looked at (None where there is no
     depth), and the different poses, best first; prior: the refined prior, where there was one; confirmed: it
-    was plainly right, and no other views were sought; trail: what the full method's steps left on the way;
-    contest: between the best poses, where they scored nearly alike."""
+    was plainly right, and no other views were sought; contest: between the best poses,
+    where they scored nearly alike."""
 
     box: Box
     masks: tuple[Bool, ...]
@@ -34,5 +24,4 @@ class Explanation:
     ranked: Ranked = NONE
     prior: Ranked = NONE
     confirmed: bool = False
-    trail: Trail | None = None
     contest: Contest | None = None

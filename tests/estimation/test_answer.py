@@ -29,13 +29,11 @@ def box_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Box:
     return box
 
 
-def test_every_view_that_is_retrieved_is_registered_and_the_best_is_the_answer(
+def test_the_best_of_the_views_is_the_answer(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
-    answer, look = explained(tea_box, frame, box_of(frame, tea_box, standing))
-    assert look.trail is not None
-    assert len(look.trail.registered) == len(look.trail.retrieved) <= 30
+    answer, _ = explained(tea_box, frame, box_of(frame, tea_box, standing))
     assert answer.T_cam_obj is not None
     assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.001
     assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(0.5)

@@ -42,9 +42,6 @@ def test_nothing_speaks_against_a_plain_view(
     tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]
 ) -> None:
     assert reasons(tea_box, *looked) == []
-    trail = looked[1].trail
-    assert trail is not None
-    assert len(trail.retrieved) == len(trail.registered) > 0
 
 
 def test_a_near_tie_is_named(tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]) -> None:

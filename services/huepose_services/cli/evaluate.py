@@ -82,7 +82,6 @@ def _add_estimate(verbs: Any) -> None:
     add_path(parser, "--csv", "BOP19.csv", "poses for the BOP toolkit")
     add_path(parser, "--models-info", "FILE", "models_info.json of the set: BOP's errors and AR as well")
     add_path(parser, "--plots", "DIR", "curves and pictures")
-    add_path(parser, "--failures", "DIR", "a page of pictures and a line why for every wrong pose")
 
 
 def _add_perception(verbs: Any) -> None:

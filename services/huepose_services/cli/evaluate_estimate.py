@@ -7,11 +7,9 @@ from dataclasses import replace
 from typing import Any
 
 from huepose.datasets.bop_detections import BopDetections, read_detections
-from huepose.datasets.types import Sample
 from huepose.estimation import Estimator
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
-from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow
-from huepose.evaluation.failures import FailureFolder
+from huepose.evaluation.estimate_rows import EstimateResult
 from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.pose_files import BopResult, write_bop_csv
 from huepose.evaluation.result_files import origin, write_json
@@ -59,16 +57,6 @@ def call(arguments: argparse.Namespace) -> int:
     else:
         estimator.warm_up(shown(scenes, targets))
     pictures = PictureFolder(arguments.plots, targets) if arguments.plots else None
-    failures = None
-    if arguments.failures:
-        true_masks = arguments.masks == "gt"
-        failures = FailureFolder(arguments.failures, targets, estimator, equivalents, true_masks)
-    watchers = [folder.frame for folder in (pictures, failures) if folder is not None]
-
-    def on_frame(sample: Sample, rows: list[EstimateRow]) -> None:
-        for watch in watchers:
-            watch(sample, rows)
-
     result = evaluate_estimates(
         scenes,
         targets,
@@ -76,7 +64,7 @@ def call(arguments: argparse.Namespace) -> int:
         options,
         equivalents=equivalents,
         detector=detector,
-        on_frame=on_frame,
+        on_frame=None if pictures is None else pictures.frame,
         given=given,
         bop_objects=bop_objects(arguments.models_info, models) if arguments.models_info else {},
     )
@@ -88,8 +76,6 @@ def call(arguments: argparse.Namespace) -> int:
         pictures.estimates(result)
     if arguments.csv:
         write_bop_csv(arguments.csv, _bop_results(result))
-    if failures is not None:
-        print(failures.finish())
     return 0
 
 

@@ -1,0 +1,30 @@
+"""What a page that explains an answer shows of a pose."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from huepose.estimation.panels import AGREES, SEEN_THROUGH, Panels
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.model.types import ReferenceModel
+from huepose.rendering.render import render_depth
+
+
+def test_where_a_pose_agrees_is_green_and_where_it_is_in_the_air_red(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    assert box is not None
+    panels = Panels.around(frame, box, [], 0.008)
+    right = panels.judged(tea_box, standing)
+    nearer = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -0.1]), standing)
+    wrong = panels.judged(tea_box, nearer)
+    share = {
+        name: [float((np.abs(p.astype(int) - c).max(-1) < 30).mean()) for c in (AGREES, SEEN_THROUGH)]
+        for name, p in (("right", right), ("wrong", wrong))
+    }
+    assert share["right"][0] > 0.3 > 0.02 > share["right"][1]
+    assert share["wrong"][1] > 0.3 > 0.02 > share["wrong"][0]

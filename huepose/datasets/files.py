@@ -182,14 +182,6 @@ def read_mask(path: Path) -> Bool:
     return np.asarray((image if image.ndim == 2 else image[..., :3].max(2)) > 0)
 
 
-def read_labels(path: Path) -> UInt8:
-    """Picture of class numbers (H, W) uint8. Raises InputError."""
-    image = _decode(path, cv2.IMREAD_UNCHANGED)
-    if image.ndim != 2 or image.dtype != np.uint8:
-        raise InputError(path, found=f"{image.shape} {image.dtype}", expected="one channel of 8 bit numbers")
-    return np.asarray(image)
-
-
 def same_size(color: UInt8, color_path: Path, other: np.ndarray, other_path: Path) -> None:
     """Raises InputError when two pictures of one frame differ in size."""
     if color.shape[:2] != other.shape[:2]:
@@ -201,16 +193,13 @@ def same_size(color: UInt8, color_path: Path, other: np.ndarray, other_path: Pat
         )
 
 
-def numbered_files(folder: Path, suffix_after_number: str = "") -> dict[int, Path]:
-    """Pictures named by a number (then `suffix_after_number`), by number, ascending. Raises InputError."""
+def numbered_files(folder: Path) -> dict[int, Path]:
+    """Pictures named by a number, by number, ascending. Raises InputError."""
     if not folder.is_dir():
         raise InputError(folder, found="no such folder", fix="Check the path of the scene.")
     found: dict[int, Path] = {}
     for path in sorted(folder.iterdir()):
-        stem = path.stem
-        if path.suffix.lower() not in _COLOR_SUFFIXES or not stem.endswith(suffix_after_number):
-            continue
-        digits = stem[: len(stem) - len(suffix_after_number)]
-        if digits.isascii() and digits.isdigit():
+        digits = path.stem
+        if path.suffix.lower() in _COLOR_SUFFIXES and digits.isascii() and digits.isdigit():
             found.setdefault(int(digits), path)
     return dict(sorted(found.items()))

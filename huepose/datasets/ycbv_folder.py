@@ -1,7 +1,6 @@
-"""YCB-Video as it is downloaded, told by looking: BOP's folder (`test/`, `test_targets_bop19.json`), or the
-raw data set (`data/0048/`, `keyframe.txt`); and what of it is missing.
+"""YCB-Video as BOP has it (`test/`, `test_targets_bop19.json`), and what of a download is missing.
 
-The images that count are those of the targets or key frames, where the folder has that list.
+The images that count are those of the targets, where the folder has that list.
 """
 
 from __future__ import annotations
@@ -15,16 +14,11 @@ from pathlib import Path
 from huepose.datasets import files
 from huepose.datasets.bop import BopScene
 from huepose.datasets.types import GroundTruth, Scene, SomeImages
-from huepose.datasets.ycb_objects import ycb_objects
-from huepose.datasets.ycb_video import YcbVideoSequence
-from huepose.geometry.arrays import Float, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
 
 Targets = Mapping[tuple[int, int], Mapping[int, int]]
 """By (scene, image), how many instances of which object are asked for."""
-
-TEST_SCENES = tuple(range(48, 60))
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,9 +40,8 @@ class Coverage:
                 f"{len(self.there)} scenes are evaluated"
             ]
         total, found = sum(self.asked.values()), sum(self.there.values())
-        lines = [f"{found} of {total} images of {self.listed} are there"]
-        if self.targets:
-            lines[0] += f", {sum(self.targets_there.values())} of {sum(self.targets.values())} labels"
+        labels = f"{sum(self.targets_there.values())} of {sum(self.targets.values())} labels"
+        lines = [f"{found} of {total} images of {self.listed} are there, {labels}"]
         gone = [f"{scene:06d}" for scene in sorted(self.asked) if not self.there.get(scene)]
         if gone:
             lines.append(f"missing scenes: {', '.join(gone)}")
@@ -67,35 +60,26 @@ class YcbvFolder:
     """scenes: with the images that count; coverage: what is missing; models: folder of textured meshes, None
     where there is none; info: models_info.json of the meshes that errors are measured on, or None."""
 
-    layout: str
     scenes: tuple[Scene, ...]
     coverage: Coverage
     models: Path | None
     info: Path | None
 
 
-def open_ycbv(path: Path | str, offsets_m: Mapping[int, Float64] | None = None) -> YcbvFolder:
-    """Look what is there. offsets_m: by object id, from the PoseCNN frame to the reference model's (3,), for
-    the raw layout (default: BOP's models). Raises InputError for a folder of another layout."""
+def open_ycbv(path: Path | str) -> YcbvFolder:
+    """Look what is there. Raises InputError for a folder of another layout."""
     root = Path(path)
     if not root.is_dir():
         raise InputError(root, found="no such folder", expected="a download of YCB-Video")
-    raw = next((d for d in (root / "data", root) if any(d.glob("[0-9][0-9][0-9][0-9]/*-color.*"))), None)
-    if raw is not None:
-        return _raw(root, raw, offsets_m or {i: o.frame_offset_m for i, o in ycb_objects().items()})
-    scenes = next((d for d in (root / "test", root) if any(d.glob("*/scene_camera.json"))), None)
-    if scenes is None:
+    folder = next((d for d in (root / "test", root) if any(d.glob("*/scene_camera.json"))), None)
+    if folder is None:
         names = ", ".join(sorted(p.name for p in root.iterdir())[:8]) or "nothing"
         raise InputError(
             root,
             found=names,
-            expected="test/NNNNNN/scene_camera.json (BOP) or data/NNNN/NNNNNN-color.png (YCB_Video_Dataset)",
-            fix="Unpack the archive, and give the folder that holds it.",
+            expected="test/NNNNNN/scene_camera.json, as BOP has YCB-Video",
+            fix="Unpack BOP's archive (ycbv_test_bop19.zip), and give the folder that holds it.",
         )
-    return _bop(root, scenes)
-
-
-def _bop(root: Path, folder: Path) -> YcbvFolder:
     there = {
         int(p.name): BopScene(p)
         for p in sorted(folder.iterdir())
@@ -106,30 +90,10 @@ def _bop(root: Path, folder: Path) -> YcbvFolder:
             folder, found="no scene with rgb/ and scene_gt.json", expected="test/000048 and so on"
         )
     listed = root / "test_targets_bop19.json"
-    targets = read_targets(listed) if listed.exists() else None
     return YcbvFolder(
-        "BOP",
-        *_chosen(there, targets, listed.name if targets is not None else None),
+        *_chosen(there, read_targets(listed) if listed.exists() else None, listed.name),
         _first(root, ("models", "models_fine", "models_eval")),
         _first(root, ("models_eval/models_info.json", "models/models_info.json")),
-    )
-
-
-def _raw(root: Path, folder: Path, offsets_m: Mapping[int, Float]) -> YcbvFolder:
-    there = {
-        int(p.name): YcbVideoSequence(p, offsets_m)
-        for p in sorted(folder.iterdir())
-        if p.name.isdigit() and any(p.glob("*-color.*"))
-    }
-    listed = _first(root, ("image_sets/keyframe.txt", "keyframe.txt"))
-    images = None if listed is None else {key: dict[int, int]() for key in _keyframes(listed)}
-    if listed is None:
-        there = {n: scene for n, scene in there.items() if n in TEST_SCENES} or there
-    return YcbvFolder(
-        "YCB_Video_Dataset",
-        *_chosen(there, images, None if listed is None else listed.name),
-        _first(root, ("models",)),
-        None,
     )
 
 
@@ -148,19 +112,8 @@ def read_targets(path: Path) -> Targets:
     return targets
 
 
-def _keyframes(path: Path) -> list[tuple[int, int]]:
-    """Lines `0048/000001`. Raises InputError."""
-    keys = []
-    for number, line in enumerate(files.read_bytes(path).decode("utf-8", "replace").split(), 1):
-        parts = line.split("/")
-        if len(parts) != 2 or not all(part.isdigit() for part in parts):
-            raise InputError(f"{path}, line {number}", found=line[:40], expected="0048/000001")
-        keys.append((int(parts[0]), int(parts[1])))
-    return keys
-
-
 def _chosen(
-    there: Mapping[int, Scene], targets: Targets | None, listed: str | None
+    there: Mapping[int, Scene], targets: Targets | None, listed: str
 ) -> tuple[tuple[Scene, ...], Coverage]:
     """The scenes with the images that are asked for, and what is missing."""
     if targets is None:
@@ -193,7 +146,7 @@ class TargetImages:
     """A scene of which only some images count, and of their labels only the objects that are asked for."""
 
     def __init__(self, scene: Scene, wanted: Mapping[int, Mapping[int, int]]) -> None:
-        """wanted: by image, how many labels of which object id; none named: all labels of the image."""
+        """wanted: by image, how many labels of which object id."""
         self._scene, self._wanted = scene, wanted
         self.name, self.image_ids = scene.name, tuple(wanted)
         self.stamp_ns = scene.stamp_ns
@@ -205,8 +158,6 @@ class TargetImages:
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
         """The labels that are asked for: of an object those that show most."""
         truths, left = self._scene.truths(image), dict(self._wanted[image])
-        if not left:
-            return truths
         chosen = set[int]()
         for truth in sorted(truths, key=lambda t: -(t.visib_fract or 0.0)):
             if truth.object_id is not None and left.get(truth.object_id, 0) > 0:

@@ -8,19 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from huepose.datasets import files
 from huepose.datasets.ycb_objects import YcbObject, is_ycbv, ycb_objects
 from huepose.geometry.arrays import Float64
 from huepose.onboarding.declared import check_symmetries
-from huepose.onboarding.meshes import Unit
 from huepose.support.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
 class BopModel:
-    """mesh_path: in `unit`, millimetres as BOP has it; info: the object's entry of models_info.json;
+    """mesh_path: in millimetres; info: the object's entry of models_info.json;
     frame_offset_m (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame, or None."""
 
     object_id: int
@@ -28,21 +25,6 @@ class BopModel:
     mesh_path: Path
     info: Mapping[str, Any]
     frame_offset_m: Float64 | None
-    unit: Unit = "mm"
-
-
-def ycb_video_models(folder: Path | str) -> list[BopModel]:
-    """The meshes that come with YCB_Video_Dataset, `models/NAME/textured.obj`, in metres and in the frame of
-    its labels (PoseCNN's), by id: the line of the name in `image_sets/classes.txt` beside the folder, else
-    YCB-Video's own. Empty where there are none."""
-    folder = Path(folder)
-    listed = folder.parent / "image_sets" / "classes.txt"
-    names = listed.read_text().split() if listed.exists() else [o.name for o in ycb_objects().values()]
-    return [
-        BopModel(object_id, name, path, {}, np.zeros(3), "m")
-        for object_id, name in enumerate(names, 1)
-        if (path := folder / name / "textured.obj").exists()
-    ]
 
 
 def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[BopModel]:

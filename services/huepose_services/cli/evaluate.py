@@ -62,7 +62,7 @@ def _add_estimate(verbs: Any) -> None:
     )
     source = parser.add_mutually_exclusive_group(required=True)
     add_several(source, "--bop", "SCENE_DIR", "scenes in BOP's layout")
-    add_path(source, "--ycbv", "DIR", "YCB-Video as downloaded: BOP's folder or YCB_Video_Dataset")
+    add_path(source, "--ycbv", "DIR", "YCB-Video as BOP has it")
     _common(parser)
     add_one_of(parser, "--method", ("full", "colorpair", "paper"), "as in huepose estimate (full)")
     add_profile(parser)
@@ -195,7 +195,7 @@ def _add_tables(verbs: Any) -> None:
         "published columns beside what this code gives, as text, Markdown, LaTeX, CSV and one HTML page. "
         "What is done is kept in OUT/runs: an interrupted command goes on where it stopped.",
     )
-    add_path(parser, "--ycbv", "DIR", "YCB-Video: BOP's folder, or YCB_Video_Dataset")
+    add_path(parser, "--ycbv", "DIR", "YCB-Video as BOP has it")
     add_path(parser, "--fast-ycb", "DIR", "Fast-YCB: the folder of its sequences, or one of them")
     add_path(
         parser,

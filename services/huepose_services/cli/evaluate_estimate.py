@@ -33,7 +33,7 @@ _BOP = ("AR", "AR_VSD", "AR_MSSD", "AR_MSPD")
 def call(arguments: argparse.Namespace) -> int:
     """Evaluate, print a table, write."""
     models = load_models(arguments.bundles)
-    scenes = open_ycbv_folder(arguments.ycbv, models).scenes if arguments.ycbv else open_bop(arguments.bop)
+    scenes = open_ycbv_folder(arguments.ycbv).scenes if arguments.ycbv else open_bop(arguments.bop)
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
     boxes, given = box_source(arguments.boxes)
     options = EstimateOptions(boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))

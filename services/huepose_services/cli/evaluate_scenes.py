@@ -37,11 +37,10 @@ def open_bop(paths: Sequence[Path]) -> list[Scene]:
     return scenes
 
 
-def open_ycbv_folder(path: Path, models: Mapping[str, ReferenceModel]) -> YcbvFolder:
+def open_ycbv_folder(path: Path) -> YcbvFolder:
     """A download of YCB-Video; says what is missing of its test images. Raises InputError."""
-    offsets = {m.object_id: posecnn_offset_m(m) for m in models.values() if m.object_id is not None}
-    folder = open_ycbv(path, {i: offset for i, offset in offsets.items() if offset is not None})
-    say([f"{path}: {folder.layout} layout", *folder.coverage.lines()])
+    folder = open_ycbv(path)
+    say([f"{path}: {line}" for line in folder.coverage.lines()])
     return folder
 
 

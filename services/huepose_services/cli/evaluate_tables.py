@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from huepose.datasets.fast_ycb import labelled_sequences, object_of
-from huepose.datasets.ycbv_folder import YcbvFolder, open_ycbv
+from huepose.datasets.ycbv_folder import open_ycbv
 from huepose.evaluation.ablation_rows import AblationResult
 from huepose.evaluation.pose_files import BopResult, write_bop_csv
 from huepose.evaluation.result_files import origin, write_json
@@ -23,7 +23,7 @@ from huepose.evaluation.tables.report import page
 from huepose.evaluation.tables.table import Table
 from huepose.model import ReferenceModel, load_models
 from huepose.model.io import model_path
-from huepose.onboarding.bop_folder import BopModel, bop_models, ycb_video_models
+from huepose.onboarding.bop_folder import BopModel, bop_models
 from huepose.support.errors import InputError
 from huepose.support.files import write_text
 from huepose_services.cli.onboard import onboard_models
@@ -125,8 +125,7 @@ def _unseen(arguments: argparse.Namespace) -> Unseen:
 
 def _onboarded(arguments: argparse.Namespace) -> Path:
     """Reference models in OUT/bundles; those that are there already are kept. Raises InputError."""
-    folder: YcbvFolder | None = open_ycbv(arguments.ycbv) if arguments.ycbv else None
-    meshes = arguments.models or (folder.models if folder is not None else None)
+    meshes = arguments.models or (open_ycbv(arguments.ycbv).models if arguments.ycbv else None)
     if meshes is None:
         raise InputError(
             "huepose eval tables",
@@ -135,7 +134,7 @@ def _onboarded(arguments: argparse.Namespace) -> Path:
             fix="BOP's ycbv_models.zip has the meshes of both data sets.",
         )
     out: Path = arguments.out / "bundles"
-    models = ycb_video_models(meshes) or bop_models(meshes)
+    models = bop_models(meshes)
     asked = set(arguments.objects or published("table1").rows)
     chosen = [m for m in models if {m.name, str(m.object_id)} & asked]
     if not chosen:  # other objects than the paper's: all of them

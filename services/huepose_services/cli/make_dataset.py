@@ -68,7 +68,7 @@ def _objects(models: str, ids: list[int] | None) -> list[SetObject]:
             SetObject(
                 m.object_id,
                 m.name,
-                read_mesh(m.mesh_path, m.unit),
+                read_mesh(m.mesh_path, "mm"),
                 np.zeros(3) if m.frame_offset_m is None else m.frame_offset_m,
                 {key: value for key, value in m.info.items() if key.startswith("symmetries")},
             )

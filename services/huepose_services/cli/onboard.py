@@ -197,7 +197,7 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
             m.mesh_path,
             m.name,
             m.object_id,
-            m.unit,
+            "mm",
             info=m.info,
             frame_offset_m=m.frame_offset_m,
             paper=paper,

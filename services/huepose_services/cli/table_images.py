@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from huepose.datasets.ycb_objects import ycb_named, ycb_objects
+from huepose.datasets.ycb_objects import ycb_objects
 from huepose.datasets.ycbv_folder import spread
 from huepose.estimation import Estimator
 from huepose.evaluation.estimate_protocol import EstimateOptions, EstimateSetup
@@ -38,7 +38,7 @@ def images(
     arguments: argparse.Namespace, source: ImageSource, models: Mapping[str, ReferenceModel]
 ) -> tuple[dict[str, list[Entry]], list[str], dict[str, int]]:
     """Entries by method, notes on what is not in them, labels of the whole set by object name."""
-    folder = open_ycbv_folder(source.path, models)
+    folder = open_ycbv_folder(source.path)
     scenes = folder.scenes if arguments.quick is None else spread(folder.scenes, arguments.quick)
     targets = Targets(models, source.objects)
     ids = [m.object_id for m in models.values() if m.object_id is not None]
@@ -46,13 +46,7 @@ def images(
     listed = bool(folder.coverage.targets)
     options = EstimateOptions(boxes, "auto", 0.0 if listed else 0.1, (arguments.seed,))
     equivalents = read_equivalents(source.equivalent) if source.equivalent else {}
-    # BOP's symmetries are in the frame of BOP's meshes.
-    in_bops_frame = {
-        name: m
-        for name, m in models.items()
-        if m.frame_offset_m is None or m.frame_offset_m.any() or ycb_named(name) is None
-    }
-    measured_on = bop_objects(folder.info, in_bops_frame) if folder.info is not None else {}
+    measured_on = bop_objects(folder.info, models) if folder.info is not None else {}
     common = settings(arguments, boxes=arguments.boxes, seed=arguments.seed, objects=arguments.objects)
     entries = {}
     for method in arguments.methods:

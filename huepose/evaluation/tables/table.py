@@ -1,4 +1,4 @@
-"""A table as data, and its forms: text, Markdown, LaTeX, CSV, HTML."""
+"""A table as data, and its forms: text, Markdown, CSV, HTML."""
 
 from __future__ import annotations
 
@@ -92,19 +92,6 @@ class Table:
         lines += [_piped([name, *(self.cell(v) for v in values)]) for name, values in self.rows]
         return "\n".join([f"### {self.title}", "", *lines, "", *(f"- {note}" for note in self.notes), ""])
 
-    def latex(self) -> str:
-        """A `tabular` as the paper sets it."""
-        columns = "l|" + "|".join("c" * count for _, count in self.groups)
-        over = [rf"\multicolumn{{{n}}}{{c}}{{{_tex(m)}}}" if n > 1 else _tex(m) for m, n in self.groups]
-        lines = [rf"% {self.title}", rf"\begin{{tabular}}{{{columns}}}", r"\hline"]
-        lines += [" & ".join(["", *over]) + r" \\"]
-        lines += [" & ".join(["", *(_tex(head.figure) for head in self.heads)]) + r" \\", r"\hline"]
-        lines += [
-            " & ".join([_tex(name), *(_tex(self.cell(v)) for v in values)]) + r" \\"
-            for name, values in self.rows
-        ]
-        return "\n".join([*lines, r"\hline", r"\end{tabular}", *(f"% {note}" for note in self.notes), ""])
-
     def csv(self) -> str:
         """Values with all their digits; two lines of heads, and a third that says what each figure means."""
         out = io.StringIO()
@@ -153,18 +140,6 @@ def _kind(head: Head) -> str:
 
 def _piped(cells: Sequence[str]) -> str:
     return "| " + " | ".join(cells) + " |"
-
-
-def _tex(text: str) -> str:
-    for plain, escaped in (
-        ("\\", r"\textbackslash "),
-        ("_", r"\_"),
-        ("%", r"\%"),
-        ("&", r"\&"),
-        ("#", r"\#"),
-    ):
-        text = text.replace(plain, escaped)
-    return text
 
 
 _UNSEEN = {

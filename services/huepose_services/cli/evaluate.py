@@ -192,7 +192,7 @@ def _add_tables(verbs: Any) -> None:
         "tables",
         help="the paper's tables from the official data",
         description="The paper's Tables I and II from YCB-Video and Fast-YCB as they are downloaded, "
-        "published columns beside what this code gives, as text, Markdown, LaTeX, CSV and one HTML page. "
+        "published columns beside what this code gives, as text, Markdown, CSV and one HTML page. "
         "What is done is kept in OUT/runs: an interrupted command goes on where it stopped.",
     )
     add_path(parser, "--ycbv", "DIR", "YCB-Video as BOP has it")

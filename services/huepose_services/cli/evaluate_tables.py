@@ -195,7 +195,6 @@ def _write(
     text = "\n\n\n".join(table.text() for table in tables)
     write_text(out / "tables.txt", f"{heading}\n\n{text}\n")
     write_text(out / "tables.md", "\n".join(table.markdown() for table in tables))
-    write_text(out / "tables.tex", "\n".join(table.latex() for table in tables))
     for table in tables:
         write_text(out / f"{table.key}.csv", table.csv())
     for method, entries in images.items():
@@ -206,4 +205,4 @@ def _write(
         out / "report.html", page(tables, facts, coverage, image_rows, track_rows, names, unseen, flow)
     )
     print(text)
-    print(f"\n{out}/report.html, tables.txt, .md, .tex, results.json, CSV of the tables and for BOP")
+    print(f"\n{out}/report.html, tables.txt, .md, results.json, CSV of the tables and for BOP")

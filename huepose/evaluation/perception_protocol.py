@@ -30,14 +30,10 @@ SAME = 0.5
 @dataclass(frozen=True)
 class PerceptionOptions:
     """judged: most proposals of one object that the estimator looks at; least: score of a proposal that is
-    worth it; onboarded: numbers of objects that are asked for; subsets: how many random choices of each;
-    masks: whether outlines are measured. Labels that are hardly visible are neither asked for nor false."""
+    worth it; seed: of the disturbed boxes. Labels that are hardly visible are neither asked for nor false."""
 
     judged: int = 2
     least: float = 0.0
-    onboarded: tuple[int, ...] = (5, 10, 20)
-    subsets: int = 10
-    masks: bool = True
     seed: int = 0
 
 
@@ -81,7 +77,7 @@ def evaluate_perception(
             expected="labels in scene_gt.json of objects that have a reference model",
             fix="Onboard the objects, or check --objects and --bundles.",
         )
-    return PerceptionResult(frames, names, options.onboarded, options.subsets, options.seed)
+    return PerceptionResult(frames, len(names))
 
 
 def _labels(sample: Sample, targets: Targets) -> list[_Label]:
@@ -118,17 +114,21 @@ class _FrameRun:
         queries = [ObjectQuery(d.object, box=d.box, instance=i, searched=True) for i, d in enumerate(judged)]
         answers = self.estimator.estimate(sample.frame, queries) if queries else []
         seconds = time.perf_counter() - start
-        by_object = {name: [d for d in detections if d.object == name] for name in names}
-        rows = [self._row(label, by_object[label.model.name]) for label in self.labels if label.truth.visible]
+        taken, false = self._assigned(standing_answers(answers))
+        rows = [
+            self._row(
+                label,
+                [d for d in detections if d.object == label.model.name],
+                taken.get(label.truth.instance),
+            )
+            for label in self.labels
+            if label.truth.visible
+        ]
+        return FrameFigures(sample.scene, sample.image, rows, false, found_s, seconds)
 
-        def verdict(asked: Sequence[str]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
-            return self._assigned(standing_answers([a for a in answers if a.object in set(asked)]))
-
-        return FrameFigures(sample.scene, sample.image, rows, names, verdict, found_s, seconds)
-
-    def _row(self, label: _Label, proposals: Sequence[Detection]) -> PerceptionRow:
+    def _row(self, label: _Label, proposals: Sequence[Detection], pose: PoseEstimate | None) -> PerceptionRow:
         rank = next((k for k, d in enumerate(proposals, 1) if d.box.iou(label.box) >= SAME), None)
-        mask_iou, final_iou = self._mask_ious(label) if self.options.masks else (None, None)
+        mask_iou, final_iou = self._mask_ious(label)
         return PerceptionRow(
             self.sample.scene,
             self.sample.image,
@@ -141,6 +141,7 @@ class _FrameRun:
             max((d.box.iou(label.box) for d in proposals), default=0.0),
             mask_iou,
             final_iou,
+            None if pose is None else pose.quality,
         )
 
     def _mask_ious(self, label: _Label) -> tuple[float | None, float | None]:

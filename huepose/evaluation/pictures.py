@@ -159,12 +159,10 @@ class PerceptionPictures:
 def draw_perception(sample: Sample, figures: FrameFigures) -> UInt8:
     """The frame (H, W, 3) uint8 RGB with boxes and names."""
     picture = sample.frame.color.copy()
-    taken, false = figures.verdict(figures.asked)
     for row in figures.rows:
-        pose = taken.get(row.instance)
-        note = row.name if pose is None else f"{row.name} {pose.quality:.2f}"
-        picture = _named_box(picture, row.box, note, MISSED if pose is None else RIGHT)
-    for wrong in false:
+        note = row.name if row.quality is None else f"{row.name} {row.quality:.2f}"
+        picture = _named_box(picture, row.box, note, RIGHT if row.found else MISSED)
+    for wrong in figures.false:
         picture = _named_box(picture, wrong.box, f"{wrong.name} {wrong.quality:.2f}", WRONG)
     return picture
 

@@ -16,7 +16,7 @@ from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.embedded import DepthSegmenter
 from huepose.profiles import profile
-from huepose.support.words import counted, known
+from huepose.support.words import counted
 from huepose_services.cli.evaluate_scenes import open_bop
 
 
@@ -78,11 +78,6 @@ def _report(summary: dict[str, Any]) -> str:
         others = [f"{other} {n}" for other, n in shown.items() if other != name]
         if others:
             text.append(f"  {name}: {', '.join(others)}")
-    for n, block in summary["by_onboarded"].items():
-        recall = known(block["recall_iou50"], unit=" %")
-        text.append(
-            f"{n} objects onboarded: recall {recall}, {block['false_boxes_per_frame']:.2f} false a frame"
-        )
     recall, false = (summary["interval95"][key] for key in ("recall_iou50", "false_boxes_per_frame"))
     text.append(
         f"95 % intervals over frames: recall {recall[0]:.1f} to {recall[1]:.1f}, "

@@ -39,6 +39,7 @@ from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
 from studies.likelihood import logistic
 from studies.stress.causes import on_a_surface
+from studies.stress.play import error_of
 from studies.stress.playing import Job, film_of
 
 EVERY = 8
@@ -158,8 +159,10 @@ def collect(job: Job) -> list[Row]:
         for kind, usual, lit, h in found:
             error = turned = FAR_OFF
             if not gone:
-                error = error_of(model, h.T_cam_obj, truth[i])
-                turned = error_of(model, h.T_cam_obj, truth[i], model.near_symmetries)
+                error, turned = (
+                    min(error_of(model, h.T_cam_obj, truth[i], turns), FAR_OFF)
+                    for turns in (model.equivalents, model.near_symmetries)
+                )
             goes_on = outline(subject.contours, h.T_cam_obj, frames[i]).goes_on
             seen = features(h.terms, usual, goes_on, lit)
             rows.append(Row(film.name, i, kind, h.source, seen, error, turned))
@@ -193,16 +196,6 @@ def wrong_starts(
         place = on_a_surface(frame, rng)
         out.append(("elsewhere", at(rng.normal(0, 1.5, 3), place)))
     return out
-
-
-def error_of(
-    model: ReferenceModel, T_cam_obj: Float64, truth: Float64, turns: Float64 | None = None
-) -> float:
-    """ADD in diameters, at most FAR_OFF, to the nearest of the true poses after the turns (M, 4, 4); those of
-    the model's symmetry by default."""
-    turns = model.equivalents if turns is None else turns
-    add = min(metrics.add(model.eval_points, T_cam_obj, truth @ turn) for turn in turns)
-    return min(add / model.diameter_m, FAR_OFF)
 
 
 def _table(rows: Sequence[Row]) -> tuple[list[str], Float64, Bool]:

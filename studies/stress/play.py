@@ -110,9 +110,12 @@ def _told(seen: Seen, model: ReferenceModel, poses: list[TrackedPose]) -> Told:
     return Told(stamp_ns, share, poses[k].state.value, poses[k].quality, errors[k])
 
 
-def error_of(model: ReferenceModel, T_cam_obj: Float64 | None, truth: Float64) -> float:
-    """ADD to the nearest equivalent pose, in diameters; inf without a pose."""
+def error_of(
+    model: ReferenceModel, T_cam_obj: Float64 | None, truth: Float64, turns: Float64 | None = None
+) -> float:
+    """ADD in diameters to the nearest of the true pose after the turns (M, 4, 4), by default those under
+    which the object looks the same; inf without a pose."""
     if T_cam_obj is None:
         return np.inf
-    add = min(metrics.add(model.eval_points, T_cam_obj, truth @ turn) for turn in model.equivalents)
-    return add / model.diameter_m
+    turns = model.equivalents if turns is None else turns
+    return min(metrics.add(model.eval_points, T_cam_obj, truth @ turn) for turn in turns) / model.diameter_m

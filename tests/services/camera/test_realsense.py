@@ -14,8 +14,13 @@ from huepose_protos.local import endpoint
 from huepose_protos.messages import CameraMessage, HealthMessage
 from huepose_services.camera import realsense
 from huepose_services.camera.live import CameraError
-from huepose_services.camera.realsense import RealSenseCamera, source_of
-from huepose_services.camera.realsense_setup import Rectification, apply_options, made_filters
+from huepose_services.camera.realsense import (
+    RealSenseCamera,
+    Rectification,
+    apply_options,
+    made_filters,
+    source_of,
+)
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig, DeviceConfig
 from tests.services.camera.realsense_device import FOCAL, HEIGHT, WIDTH, SoftwareCamera, depth_of, intrinsics

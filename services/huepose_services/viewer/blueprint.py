@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import rerun.blueprint as rrb
+from rerun import TimeRange, TimeRangeBoundary
+
 CAMERA, COLOR, OVERLAY = "world/camera", "world/camera/color", "world/camera/overlay"
 OBJECTS, TRAILS, CLOUD = "world/objects", "world/trails", "world/cloud"
 DEPTH, EVENTS = "depth", "events"
@@ -15,9 +18,6 @@ _PLOTTED_S = 20.0
 
 def layout() -> Any:
     """The blueprint: what the camera sees and what is believed on the left, where things are on the right."""
-    import rerun.blueprint as rrb
-    from rerun import TimeRange, TimeRangeBoundary
-
     recent = rrb.VisibleTimeRange(
         TIMELINE,
         range=TimeRange(

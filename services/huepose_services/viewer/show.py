@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import rerun as rr
 
 from huepose.geometry import Camera, se3
 from huepose.geometry.arrays import Bool, Float, Float64
@@ -63,8 +64,6 @@ class Show:
     """One recording. Static things (meshes, colours, the camera) are written when they are first needed."""
 
     def __init__(self, recording: Any, bodies: Mapping[str, Body]) -> None:
-        import rerun as rr
-
         self._recording = recording
         self._bodies = bodies
         self._drawn: set[Instance] = set()
@@ -95,8 +94,6 @@ class Show:
 
     def frame(self, header: FrameHeader, color: Array, depth: Array, with_cloud: bool) -> None:
         """Colour, every other pixel of depth, and now and then the point cloud."""
-        import rerun as rr
-
         camera = camera_from_wire(header.intrinsics)
         if camera != self._camera:
             self._camera = camera
@@ -125,8 +122,6 @@ class Show:
 
     def beliefs(self, poses: list[PoseMessage]) -> None:
         """Outlines, axes and names in the image, of the poses of its frame."""
-        import rerun as rr
-
         if self._camera is None:
             return
         lines, colors, tips, labels, label_colors, crosses = [], [], [], [], [], []
@@ -161,8 +156,6 @@ class Show:
 
     def hypotheses(self, held: HypothesesMessage | None) -> None:
         """Outlines of what is held possible beside the poses of a frame, with their share of the belief."""
-        import rerun as rr
-
         camera = self._camera
         if camera is None:
             return
@@ -188,8 +181,6 @@ class Show:
 
     def pairs(self, pixels: Float64, elsewhere: Bool) -> None:
         """Colour pairs (N, 2) of the models that a frame shows, and whether it contradicts them (N,)."""
-        import rerun as rr
-
         colors = np.where(elsewhere[:, None], CONTRADICTS, AGREES).astype(np.uint8)
         self._log(
             f"{place.OVERLAY}/pairs", rr.Points2D(pixels, colors=colors, radii=rr.Radius.ui_points(2.0))
@@ -197,8 +188,6 @@ class Show:
 
     def pose(self, pose: PoseMessage) -> None:
         """Where the model stands in space, its trail, its quality; gone from space while it has no pose."""
-        import rerun as rr
-
         instance = (pose.object, pose.instance)
         path = f"{place.OBJECTS}/{pose.object}_{pose.instance}"
         self._draw_once(instance, path)
@@ -223,8 +212,6 @@ class Show:
         self._log(f"{place.QUALITY}/{pose.object}_{pose.instance}", rr.Scalars(pose.quality))
 
     def _draw_once(self, instance: Instance, path: str) -> None:
-        import rerun as rr
-
         if instance in self._drawn:
             return
         self._drawn.add(instance)
@@ -245,12 +232,8 @@ class Show:
 
     def latency(self, milliseconds: float) -> None:
         """From capture to a frame's first pose."""
-        import rerun as rr
-
         self._log(place.LATENCY, rr.Scalars(milliseconds))
 
     def event(self, text: str, state: StateName) -> None:
         """A line in the log of the page."""
-        import rerun as rr
-
         self._log(place.EVENTS, rr.TextLog(text, level=_LEVELS[state], color=STATE_COLOURS[state]))

@@ -8,6 +8,8 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+import rerun as rr
+
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import ViewerConfig
 from huepose_services.viewer.blueprint import layout
@@ -18,10 +20,6 @@ _BATCH = timedelta(seconds=0.1)
 
 
 def _recording() -> Any:
-    # Nothing is reported to anyone: a robot has no business on the internet.
-    os.environ.setdefault("RERUN_ANALYTICS", "0")
-    import rerun as rr
-
     return rr.RecordingStream(_NAME, batcher_config=rr.ChunkBatcherConfig(flush_tick=_BATCH))
 
 
@@ -33,8 +31,6 @@ def served(config: ViewerConfig) -> tuple[Any, str]:
         if why := _why_taken(port, config.bind):
             fix = "Close the other viewer, or choose another port."
             raise InputError(f"viewer.{name} {port}", found=why, expected="a free port", fix=fix)
-    import rerun as rr
-
     recording = _recording()
     sink = rr.GrpcServerSink(config.bind, config.grpc_port, server_memory_limit=f"{config.memory_mib}MiB")
     recording.set_sinks(sink, default_blueprint=layout())

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 import zenoh
@@ -27,7 +28,9 @@ from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
 from huepose_services.viewer.shapes import Body, warm_up
-from huepose_services.viewer.show import Show
+
+if TYPE_CHECKING:
+    from huepose_services.viewer.show import Show
 
 # So long a frame waits for the poses that are of it.
 _PATIENCE_NS = SECOND // 8
@@ -37,6 +40,7 @@ _CLOUD_EVERY = 2
 
 def make(bus: Bus, config: Config) -> ViewerWork:
     """The viewer's work, its page being served."""
+    from huepose_services.viewer.show import Show
     from huepose_services.viewer.sinks import served
 
     known = bodies(models.load(config))
@@ -54,8 +58,8 @@ def bodies(known: Mapping[str, ReferenceModel]) -> dict[str, Body]:
 class ViewerWork(Work):
     """Pairs frames with their poses and shows both; tells what changes. hypotheses: shows all that the
     tracker holds possible; it says so only while somebody listens. pairs: the reference models whose colour
-    pairs are shown. begins_with_picture: shows nothing
-    before the first picture, as a file must, whose beginning is looked at."""
+    pairs are shown. begins_with_picture: shows nothing before the first picture, as a file must, whose
+    beginning is looked at."""
 
     def __init__(
         self,

@@ -183,6 +183,7 @@ def test_instances_of_one_object_differ_in_colour(tmp_path):
 
 
 def test_a_taken_port_is_named():
+    pytest.importorskip("rerun")
     import socket
 
     from huepose.support.errors import InputError
@@ -197,6 +198,7 @@ def test_a_taken_port_is_named():
 
 
 def test_without_a_screen_it_says_what_to_do(monkeypatch):
+    pytest.importorskip("rerun")
     from huepose.support.errors import InputError
     from huepose_services.viewer.sinks import window
 

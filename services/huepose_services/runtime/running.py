@@ -17,7 +17,7 @@ from huepose.support.errors import InputError
 from huepose.support.files import whole
 from huepose_protos.local import endpoint, run_folder, writer_runs
 from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load_all
-from huepose_services.runtime.run_folder import is_private, known_folders, make_folder, sweep
+from huepose_services.runtime.run_folder import is_private, known_folders, make_folder
 
 
 class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
@@ -86,8 +86,7 @@ def described(config: Config, path: Path) -> Pipeline:
 
 @contextmanager
 def noted(pipeline: Pipeline) -> Iterator[None]:
-    """While a pipeline runs in this process. Without a folder to write, nobody finds it: that is all. What
-    killed workers have left there goes."""
+    """While a pipeline runs in this process. Without a folder to write, nobody finds it: that is all."""
     folder = run_folder()
     note = folder / f"{os.getpid()}-{pipeline.base_port}.json"
     with suppress(OSError, InputError):
@@ -95,7 +94,6 @@ def noted(pipeline: Pipeline) -> Iterator[None]:
         with whole(note) as part:
             there = msgspec.structs.replace(pipeline, folder=str(folder.absolute()))
             part.write_bytes(msgspec.json.encode(there))
-        sweep(folder, _ports)
     try:
         yield
     finally:
@@ -117,11 +115,6 @@ def running(without_this: bool = False) -> list[Pipeline]:
             pipeline = msgspec.json.decode(note.read_bytes(), type=Pipeline)
             found[pipeline.folder, pipeline.base_port, pipeline.name] = pipeline
     return list(found.values())
-
-
-def _ports() -> set[int]:
-    """Of the pipelines that run now."""
-    return {pipeline.base_port + place for pipeline in running() for place in range(len(WORKERS))}
 
 
 def occupant(config: Config, worker: str) -> str:

@@ -7,12 +7,12 @@ Serialised and read by rosbags, which also computes the hashes of the types.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from huepose.geometry.arrays import Float64
 from huepose_protos import WireError
 from huepose_protos.messages import CameraMessage, Mount, PoseMessage
 from huepose_protos.motion import mount_of, rotation_matrix
@@ -35,17 +35,6 @@ VISION_MSGS = {
     "vision_msgs/BoundingBox3D bbox\nstring id\n",
     DETECTIONS: "std_msgs/Header header\nvision_msgs/Detection3D[] detections\n",
 }
-
-
-@dataclass(frozen=True)
-class BoxM:
-    """Bounds of an object along its own axes, metres: middle and sides (3,)."""
-
-    centre: tuple[float, float, float]
-    size: tuple[float, float, float]
-
-
-NO_BOX = BoxM((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 @cache
@@ -129,10 +118,10 @@ def _transform_in(one: Any, refuse: Callable[[WireError], None]) -> tuple[int, s
     return one.header.stamp.sec * SECOND + one.header.stamp.nanosec, child, place
 
 
-def detections(poses: Sequence[PoseMessage], boxes: Mapping[str, BoxM]) -> Any:
+def detections(poses: Sequence[PoseMessage], bounds: Mapping[str, Float64]) -> Any:
     """vision_msgs/Detection3DArray of the poses of one frame, one or more; score is the quality.
 
-    boxes: by object, its bounds along its own axes."""
+    bounds: by object, its least and greatest coordinates (2, 3), metres."""
     make = types().types
     found = []
     for pose in poses:
@@ -141,10 +130,11 @@ def detections(poses: Sequence[PoseMessage], boxes: Mapping[str, BoxM]) -> Any:
         hypothesis = make["vision_msgs/msg/ObjectHypothesis"](pose.object, pose.quality)
         spread = make["geometry_msgs/msg/PoseWithCovariance"](where, covariance)
         result = make["vision_msgs/msg/ObjectHypothesisWithPose"](hypothesis, spread)
-        bounds = boxes.get(pose.object, NO_BOX)
-        middle = np.array(pose.translation) + rotation_matrix(np.array(pose.quaternion)) @ bounds.centre
+        low, high = bounds.get(pose.object, np.zeros((2, 3)))
+        R_cam_obj = rotation_matrix(np.array(pose.quaternion))
+        middle = np.array(pose.translation) + R_cam_obj @ (0.5 * (low + high))
         at = make["geometry_msgs/msg/Pose"](make["geometry_msgs/msg/Point"](*middle), where.orientation)
-        box = make["vision_msgs/msg/BoundingBox3D"](at, _vector(bounds.size))
+        box = make["vision_msgs/msg/BoundingBox3D"](at, _vector(high - low))
         name = f"{pose.object}_{pose.instance}"
         found.append(make["vision_msgs/msg/Detection3D"](_header(pose), [result], box, name))
     return make[DETECTIONS](_header(poses[0]), found)

@@ -16,13 +16,12 @@ from typing import Any
 
 import zenoh
 
-from huepose.geometry import Mesh
+from huepose.geometry.arrays import Float64
 from huepose.support.errors import InputError
 from huepose_protos.client import configured
 from huepose_protos.messages import CameraMessage, MountMessage, PoseMessage
 from huepose_services import models
 from huepose_services.ros2 import messages
-from huepose_services.ros2.messages import BoxM
 from huepose_services.ros2.publisher import Node
 from huepose_services.ros2.tree import Tree
 from huepose_services.runtime.bus import Bus
@@ -42,17 +41,11 @@ _MOST_NAMES = 12
 
 def make(bus: Bus, config: Config) -> Ros2Work:
     """The ros2 worker's work, with all message types loaded."""
-    boxes = {name: bounds(model.mesh) for name, model in models.load(config).items()}
+    bounds = {name: model.mesh.bounds.copy() for name, model in models.load(config).items()}
     for kind in (messages.POSE, messages.TRANSFORMS, messages.DETECTIONS, messages.CAMERA):
         messages.type_hash(kind)
     mount = None if config.camera.tf is None else MountFromTf(bus, config.camera.tf)
-    return Ros2Work(bus, Router(config.ros2), config.ros2, boxes, mount)
-
-
-def bounds(mesh: Mesh) -> BoxM:
-    """The bounding box of a mesh along its own axes."""
-    low, high = (end.astype(float) for end in (mesh.vertices.min(0), mesh.vertices.max(0)))
-    return BoxM(tuple((0.5 * (low + high)).tolist()), tuple((high - low).tolist()))
+    return Ros2Work(bus, Router(config.ros2), config.ros2, bounds, mount)
 
 
 def open_ros_session(ros2: Ros2Config, waiting: Callable[[str], None] | None = None) -> zenoh.Session:
@@ -188,10 +181,10 @@ class Ros2Work(Work):
         bus: Bus,
         router: Router,
         ros2: Ros2Config,
-        boxes: Mapping[str, BoxM],
+        bounds: Mapping[str, Float64],
         mount: MountFromTf | None = None,
     ) -> None:
-        self._bus, self._router, self._boxes, self._mount = bus, router, boxes, mount
+        self._bus, self._router, self._bounds, self._mount = bus, router, bounds, mount
         self._no_router, self._look_ns = without_router(ros2), now_ns() + _LOOK_NS
         self._root = f"/{ros2.namespace}"
         self._poses = bus.inbox.queue(bus.keys.poses)
@@ -243,7 +236,7 @@ class Ros2Work(Work):
         for pose in poses:
             self._say(f"{pose.object}/{pose.instance}/pose", messages.pose_stamped(pose))
         self._transform(poses)
-        self._say("detections", messages.detections(poses, self._boxes))
+        self._say("detections", messages.detections(poses, self._bounds))
         self._bus.health.count("poses", len(poses))
         self._bus.health.worked_on(started, poses[0])
 

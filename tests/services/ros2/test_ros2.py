@@ -23,7 +23,6 @@ from huepose_services.ros2.messages import (
     DETECTIONS,
     POSE,
     TRANSFORMS,
-    BoxM,
     camera_info,
     cdr,
     detections,
@@ -99,7 +98,7 @@ def test_the_tree_leads_from_the_robot_to_the_object() -> None:
 
 
 def test_detections_and_the_camera() -> None:
-    box = BoxM((0.0, 0.0, 0.1), (0.1, 0.2, 0.3))
+    box = np.array([[-0.05, -0.1, -0.05], [0.05, 0.1, 0.25]])
     upright = pose(quaternion=(0.0, 0.0, 0.0, 1.0))
     (found,) = read(DETECTIONS, cdr(detections([upright], {upright.object: box}))).detections
     assert found.id == f"{upright.object}_{upright.instance}"
@@ -107,7 +106,7 @@ def test_detections_and_the_camera() -> None:
     assert (result.hypothesis.class_id, result.hypothesis.score) == (upright.object, upright.quality)
     assert list(result.pose.covariance) == upright.covariance
     assert found.bbox.center.position.z == pytest.approx(upright.translation[2] + 0.1)
-    assert (found.bbox.size.x, found.bbox.size.y, found.bbox.size.z) == box.size
+    assert (found.bbox.size.x, found.bbox.size.y, found.bbox.size.z) == pytest.approx((0.1, 0.2, 0.3))
     seen = read(CAMERA, cdr(camera_info(CAMERA_SEEN, CAMERA_SEEN.publish_ns)))
     k = CAMERA_SEEN.intrinsics
     assert (seen.k[0], seen.k[2], seen.k[4], seen.k[5]) == (k.fx, k.cx, k.fy, k.cy)

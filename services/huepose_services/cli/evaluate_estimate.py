@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from huepose.datasets.bop_detections import BopDetections, read_detections
 from huepose.estimation import Estimator
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
-from huepose.evaluation.estimate_rows import EstimateResult
+from huepose.evaluation.figures import Row
 from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.pose_files import BopResult, write_bop_csv
 from huepose.evaluation.result_files import origin, write_json
@@ -75,7 +78,8 @@ def call(arguments: argparse.Namespace) -> int:
     if pictures is not None:
         pictures.estimates(result)
     if arguments.csv:
-        write_bop_csv(arguments.csv, _bop_results(result))
+        rows = [row.as_json() for row in result.rows if row.seed == result.seeds[0]]
+        write_bop_csv(arguments.csv, bop_results(rows))
     return 0
 
 
@@ -86,12 +90,19 @@ def box_source(given: str) -> tuple[Any, BopDetections | None]:
     return "file", read_detections(given)
 
 
-def _bop_results(result: EstimateResult) -> list[BopResult]:
-    """The poses of the first seed of objects that have a BOP id."""
+def bop_results(rows: Iterable[Row]) -> list[BopResult]:
+    """What bop_toolkit evaluates: of rows of a result file, the poses of objects with a BOP id."""
     return [
-        BopResult(row.scene, row.image, row.object, row.quality, row.T_cam_obj, row.seconds)
-        for row in result.rows
-        if row.seed == result.seeds[0] and row.T_cam_obj is not None and isinstance(row.object, int)
+        BopResult(
+            row["scene"],
+            row["image"],
+            row["object"],
+            row["quality"],
+            np.array(row["T_cam_obj"]),
+            row["seconds"],
+        )
+        for row in rows
+        if row["T_cam_obj"] is not None and isinstance(row["object"], int)
     ]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ from huepose.model import ReferenceModel, load_models
 from huepose.onboarding import read_mesh
 from huepose.support.errors import InputError
 from huepose.support.words import known
+from huepose_services.cli.options import say
 
 FIGURES = {"recall_add": "ADD", "recall_adds": "ADD-S", "auc_add": "AUC ADD", "auc_adds": "AUC ADD-S"}
 
@@ -40,14 +40,9 @@ def open_bop(paths: Sequence[Path]) -> list[Scene]:
 def open_ycbv_folder(path: Path) -> YcbvFolder:
     """A download of YCB-Video; says what is missing of its test images. Raises InputError."""
     folder = open_ycbv(path)
-    say([f"{path}: {line}" for line in folder.coverage.lines()])
+    for line in folder.coverage.lines():
+        say(f"{path}: {line}")
     return folder
-
-
-def say(notes: Sequence[str]) -> None:
-    """Notes on what is evaluated, beside the results."""
-    for note in notes:
-        print(note, file=sys.stderr, flush=True)
 
 
 def open_fast_ycb(
@@ -60,7 +55,8 @@ def open_fast_ycb(
     for folder in given:
         found, notes = labelled_sequences(folder)
         paths += found
-        say(notes)
+        for note in notes:
+            say(note)
     models = load_models(bundles, sorted({object_of(path) for path in paths}))
     scenes: list[Scene] = []
     for path in paths:

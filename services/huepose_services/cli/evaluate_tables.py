@@ -7,12 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from huepose.datasets.fast_ycb import labelled_sequences, object_of
 from huepose.datasets.ycbv_folder import open_ycbv
 from huepose.evaluation.ablation_rows import AblationResult
-from huepose.evaluation.pose_files import BopResult, write_bop_csv
+from huepose.evaluation.pose_files import write_bop_csv
 from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.tables.assemble import single_frame_tables
 from huepose.evaluation.tables.assemble_tracks import tracking_tables
@@ -26,6 +24,7 @@ from huepose.model.io import model_path
 from huepose.onboarding.bop_folder import BopModel, bop_models
 from huepose.support.errors import InputError
 from huepose.support.files import write_text
+from huepose_services.cli.evaluate_estimate import bop_results
 from huepose_services.cli.onboard import onboard_models
 from huepose_services.cli.table_images import ImageSource, images
 from huepose_services.cli.table_tracks import TrackSource, ablation, tracks
@@ -156,22 +155,6 @@ def _onboard(models: Sequence[BopModel], out: Path, meshes: Path) -> None:
         )
 
 
-def _poses(entries: Sequence[Entry]) -> list[BopResult]:
-    """What bop_toolkit evaluates: the poses of objects with a BOP id."""
-    return [
-        BopResult(
-            row["scene"],
-            row["image"],
-            row["object"],
-            row["quality"],
-            np.array(row["T_cam_obj"]),
-            row["seconds"],
-        )
-        for row in rows_of(entries)
-        if row["T_cam_obj"] is not None and isinstance(row["object"], int)
-    ]
-
-
 def _write(
     out: Path,
     tables: Sequence[Table],
@@ -197,9 +180,9 @@ def _write(
     write_text(out / "tables.md", "\n".join(table.markdown() for table in tables))
     for table in tables:
         write_text(out / f"{table.key}.csv", table.csv())
-    for method, entries in images.items():
-        write_bop_csv(out / f"huepose-{method}_ycbv-test.csv", _poses(entries))
     image_rows = {method: rows_of(entries) for method, entries in images.items()}
+    for method, rows in image_rows.items():
+        write_bop_csv(out / f"huepose-{method}_ycbv-test.csv", bop_results(rows))
     track_rows = {run: rows_of(entries) for run, entries in tracks.items()}
     write_text(
         out / "report.html", page(tables, facts, coverage, image_rows, track_rows, names, unseen, flow)

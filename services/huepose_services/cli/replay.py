@@ -31,7 +31,7 @@ def add_parser(subparsers: Any) -> None:
         "replay",
         help="play a recording back, compute its poses again (--verify), or write it as a BOP scene (--bop)",
         description="Publishes what huepose record wrote, at its times, on the ports of a pipeline. To let a "
-        "pipeline estimate poses in the frames anew, set camera.source: recording, or play its camera alone.",
+        "pipeline estimate poses in the frames anew, set camera.source: recording.",
     )
     parser.add_argument(
         "files", type=Path, nargs="+", metavar="FILE", help="in their order, where there are several"
@@ -44,7 +44,6 @@ def add_parser(subparsers: Any) -> None:
     )
     add_number(parser, "--speed", 1.0, "1: as it was (default)", "X")
     parser.add_argument("--loop", action="store_true", help="again and again")
-    parser.add_argument("--only", metavar="WORKER", help="what this worker said: camera, tracker, ...")
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument(
         "--verify", action="store_true", help="compute the poses again and compare them bit by bit"
@@ -95,35 +94,29 @@ def _verify(recordings: list[Recording], arguments: argparse.Namespace) -> int:
 def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
     from contextlib import ExitStack
 
-    import msgspec
+    from msgspec.structs import replace
 
     from huepose_services.recording.play import Player
     from huepose_services.runtime.clock import SECOND, now_ns
-    from huepose_services.runtime.config import WORKERS
     from huepose_services.runtime.running import described, noted
 
     if not 0.05 <= arguments.speed <= 20.0:
         raise InputError("--speed", found=f"{arguments.speed:g}", expected="0.05 to 20")
-    only = arguments.only
-    if only is not None and only not in WORKERS:
-        raise InputError("--only", found=only, expected=f"one of {', '.join(WORKERS)}")
     cameras = _of_cameras(arguments, recordings)
     names = ", ".join(f"{config.site}/{config.camera.name}" for config, _ in cameras)
     stopping = until_told()
     with ExitStack() as stack:
-        buses = [_bus(config, only, stack) for config, _ in cameras]
+        buses = [_bus(config, stack) for config, _ in cameras]
         for config, files in cameras:
-            played = described(config, arguments.config or files[0].path)
             # No workers: nobody is missing who does not run.
-            stack.enter_context(
-                noted(msgspec.structs.replace(played, workers=() if only is None else (only,)))
-            )
+            played = replace(described(config, arguments.config or files[0].path), workers=())
+            stack.enter_context(noted(played))
         # Who waits for a pipeline needs a moment to connect.
         time.sleep(_SETTLE_S)
         again, status = True, Status()
         while again and not stopping():
             players = [
-                Player(_events(files), bus, arguments.speed, only)
+                Player(_events(files), bus, arguments.speed)
                 for (_, files), bus in zip(cameras, buses, strict=True)
             ]
             left = [player for player in players if not player.finished]
@@ -180,15 +173,15 @@ def _of_cameras(
     return [(config, of[config.camera.name]) for config in configs if of[config.camera.name]]
 
 
-def _bus(config: Config, only: str | None, stack: ExitStack) -> Bus:
+def _bus(config: Config, stack: ExitStack) -> Bus:
     """In the place of a camera's workers, until the stack is left."""
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.session import open_player_session
 
-    session = open_player_session(config, config.workers if only is None else [only])
+    session = open_player_session(config)
     stack.callback(session.close)
     bus = Bus(session, config.keys, "replay")
     stack.callback(bus.close)
-    token = session.liveliness().declare_token(config.keys.live(only or "replay"))
+    token = session.liveliness().declare_token(config.keys.live("replay"))
     stack.callback(token.undeclare)
     return bus

@@ -21,24 +21,6 @@ from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, this_clock
 
 _REORDER_NS = SECOND // 2
-_SAID_BY = {
-    **dict.fromkeys(("frame", "camera", "truth"), "camera"),
-    **dict.fromkeys(("pose", "tracker"), "tracker"),
-    **dict.fromkeys(("objects", "correction"), "reinit"),
-}
-_PERCEPTION = {"request": "reinit", "estimates": "estimator"}
-
-
-def said_by(key: str) -> str:
-    """The worker that says what comes under a key.
-
-    >>> said_by("huepose/lab/cam0/pose/mug/0"), said_by("huepose/lab/cam0/health/camera")
-    ('tracker', 'camera')
-    """
-    head, *rest = tail_of(key).split("/")
-    if head == "health":
-        return rest[-1] if rest else ""
-    return _PERCEPTION.get(rest[-1], "") if head == "perception" and rest else _SAID_BY.get(head, "")
 
 
 def in_order(events: Iterable[Event]) -> Iterator[Event]:
@@ -58,13 +40,10 @@ def _is_for_verify(event: Event) -> bool:
 
 
 class Player:
-    """One pass through a recording. Say when it begins, ask `due_ns`, then call `play`.
+    """One pass through a recording. Say when it begins, ask `due_ns`, then call `play`."""
 
-    only: the worker whose messages are played; None: all."""
-
-    def __init__(self, events: Iterable[Event], bus: Bus, speed: float, only: str | None = None) -> None:
-        said = (event for event in events if not _is_for_verify(event))
-        self._events = (event for event in in_order(said) if only in (None, said_by(event.key)))
+    def __init__(self, events: Iterable[Event], bus: Bus, speed: float) -> None:
+        self._events = in_order(event for event in events if not _is_for_verify(event))
         self._bus, self._speed = bus, speed
         self._epochs: dict[int, int] = {}
         self._next = next(self._events, None)

@@ -141,11 +141,11 @@ def open_reader_session(endpoints: Sequence[str]) -> zenoh.Session:
     return zenoh.open(zenoh_config([], endpoints))
 
 
-def open_player_session(config: Config, workers: Sequence[str]) -> zenoh.Session:
-    """A session in the place of these workers of a pipeline: it listens on their ports, so that who looks for
-    one of them finds it. Raises InputError when one of them is taken."""
+def open_player_session(config: Config) -> zenoh.Session:
+    """A session in the place of a pipeline's workers: it listens on their ports, so that who looks for one of
+    them finds it. Raises InputError when one of them is taken."""
     make_folder()
     try:
-        return zenoh.open(zenoh_config([config.endpoint(worker) for worker in workers], []))
+        return zenoh.open(zenoh_config([config.endpoint(worker) for worker in config.workers], []))
     except zenoh.ZError as error:
-        raise port_taken(config, workers[0], _other_than_held(error)) from None
+        raise port_taken(config, config.workers[0], _other_than_held(error)) from None

@@ -21,7 +21,7 @@ from huepose_services.camera.recording import RecordedScene
 from huepose_services.chaos.system import LivePipeline
 from huepose_services.cli.main import main
 from huepose_services.recording.export import export_bop
-from huepose_services.recording.play import Player, in_order, said_by
+from huepose_services.recording.play import Player, in_order
 from huepose_services.recording.read import Recording
 from huepose_services.runtime.bus import Bus
 from tests.disk import full_disk
@@ -183,31 +183,6 @@ def test_it_is_played_in_order_with_its_ages_at_any_speed(tmp_path):
     assert out[0][1].camera_epoch != events[0].message.camera_epoch
 
 
-@pytest.mark.parametrize(
-    ("only", "keys"), [("camera", {"frame"}), ("tracker", {"pose/x/1"}), ("reinit", set())]
-)
-def test_one_worker_alone_is_played(tmp_path, only, keys):
-    events = Recording(written(tmp_path / "out").path).events()
-    out, _ = _played(events, speed=1.0, only=only)
-    assert {key.removeprefix("huepose/here/cam/") for key, _ in out} == keys
-
-
-@pytest.mark.parametrize(
-    ("tail", "worker"),
-    [
-        ("frame", "camera"),
-        ("camera", "camera"),
-        ("health/estimator", "estimator"),
-        ("correction", "reinit"),
-        ("perception/estimates", "estimator"),
-        ("perception/request", "reinit"),
-        ("tracker/intake", "tracker"),
-    ],
-)
-def test_every_key_has_a_worker(tail, worker):
-    assert said_by(KEY + tail) == worker
-
-
 def test_recordings_of_several_cameras_are_played_each_as_its_own(tmp_path, monkeypatch, capsys):
     """Together, as far apart as they were recorded; or one, as the camera that is named."""
     for camera, number in (("left", 4), ("right", 7)):  # a tenth of a second later
@@ -263,7 +238,7 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
 
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     with Reader([endpoint(base_port)], "huepose/*/*/health/*") as reader:
-        assert main(["replay", str(out), "--config", str(path), "--speed", "20", "--only", "camera"]) == 0
+        assert main(["replay", str(out), "--config", str(path), "--speed", "20"]) == 0
         assert reader.next(5.0).worker == "camera"
     for number, handler in before.items():
         signal.signal(number, handler)

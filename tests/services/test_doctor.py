@@ -5,8 +5,8 @@ import json
 import pytest
 
 from huepose_services.cli.main import main
-from huepose_services.doctor import machine
-from huepose_services.doctor.finding import Finding
+from huepose_services.doctor import checks
+from huepose_services.doctor.checks import Finding
 from huepose_services.runtime.session import MIB
 
 
@@ -70,16 +70,16 @@ def test_a_damaged_network_is_noticed(folder, capsys):
     [(None, "ok", "no limit"), (8 * MIB, "ok", "8192 KiB"), (6 * MIB, "note", "so they go by the socket")],
 )
 def test_locked_memory_is_held_against_the_pool(monkeypatch, limit, state, text):
-    monkeypatch.setattr(machine, "lock_limit", lambda: limit)
-    finding = next(machine.memory(6.0))
+    monkeypatch.setattr(checks, "lock_limit", lambda: limit)
+    finding = next(checks.memory(6.0))
     assert (finding.subject, finding.state) == ("locked memory", state)
     assert text in finding.found
 
 
 def test_two_onnxruntimes_are_named(monkeypatch):
     versions = {"onnxruntime": "1.31.1", "onnxruntime-gpu": "1.31.1", "numba": "0.68"}
-    monkeypatch.setattr(machine, "installed_version", versions.get)
-    bad = [finding for finding in machine.versions() if finding.bad]
+    monkeypatch.setattr(checks, "installed_version", versions.get)
+    bad = [finding for finding in checks.versions() if finding.bad]
     assert len(bad) == 1
     assert "overwrite each other" in bad[0].fix
 

@@ -37,7 +37,7 @@ from huepose_services.camera.condition import Condition
 from huepose_services.camera.live import CameraError, LiveSource
 from huepose_services.camera.sources import open_source
 from huepose_services.convert import LARGEST_STEP
-from huepose_services.doctor.finding import Finding
+from huepose_services.doctor.checks import Finding
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import LIVE_SOURCES, CameraConfig

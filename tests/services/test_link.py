@@ -26,13 +26,13 @@ from huepose_services import downlink, uplink
 from huepose_services.authority import Authority
 from huepose_services.camera.audience import Audience
 from huepose_services.cli.graph import mermaid
+from huepose_services.cli.units import units
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, LinkConfig, parse
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.running import described
 from huepose_services.runtime.session import open_worker_session
-from huepose_services.units import units
 from huepose_services.watch import View
 
 EXAMPLES = {type(m): m for m in messages()}

@@ -20,8 +20,8 @@ from huepose.propose.relative_pose import RobustKabsch
 from huepose.support.errors import InputError
 from huepose_services import catalogue
 from huepose_services import networks as deployed
+from huepose_services.catalogue import fetch
 from huepose_services.cli.main import main
-from huepose_services.fetching import fetch
 from huepose_services.runtime.config import parse
 from tests.perception import networks
 

@@ -11,9 +11,9 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 from huepose_services.cli.main import main
+from huepose_services.cli.units import units
 from huepose_services.runtime.config import CHAIN, Config, ObjectConfig, load, load_all
 from huepose_services.runtime.config_perception import CameraConfig, DetectorConfig
-from huepose_services.units import units
 
 ROOT = Path(__file__).parents[2]
 INSTALL = ROOT / "deploy" / "jetson" / "install.sh"

@@ -34,9 +34,8 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services import catalogue
 
     if arguments.action == "fetch":
-        from huepose_services.fetching import fetch
-
-        print(f"{fetch(catalogue.entry_of(arguments.name), arguments.url)}: here, and its digest is right")
+        path = catalogue.fetch(catalogue.entry_of(arguments.name), arguments.url)
+        print(f"{path}: here, and its digest is right")
     elif arguments.action == "add":
         name = arguments.name or arguments.file.stem.lower().replace(".", "_")
         entry = catalogue.add(arguments.file, name, licence=arguments.licence, source=arguments.source)

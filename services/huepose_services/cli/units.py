@@ -1,14 +1,124 @@
-"""`huepose units`: systemd units for the workers of a pipeline.yaml."""
+"""`huepose units`: systemd units of a pipeline.yaml: a template for all workers, what single ones need beside
+it, a target.
+
+They are generated from pipeline.yaml, so the target starts exactly the workers that the file names, and the
+limits of `restarts` are those of `huepose up`. Every worker is a process of its own under an ordinary user:
+it sees no devices, no homes and no network but loopback, except where its work needs them.
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterator, Sequence
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Any
 
 from huepose.support.files import writing
 from huepose_services.cli.options import add_host, add_path, add_pipeline
+from huepose_services.runtime.threads import THREAD_VARIABLES
+
+if TYPE_CHECKING:
+    from huepose_services.runtime.config import Config
+
+TEMPLATE, TARGET = "huepose@.service", "huepose.target"
+_FIRST = ("camera", "tracker")
+_FIRST_START = 5
+
+_UNIT = """\
+# Written by `huepose units`; make it again when pipeline.yaml changes.
+[Unit]
+Description=HuePose worker %i
+PartOf={target}
+StartLimitIntervalSec={window}
+StartLimitBurst={burst}
+
+[Service]
+Type=notify
+NotifyAccess=main
+ExecStart={huepose} run %i {config}
+# Reads pipeline.yaml again, takes over what it can, and says what waits for a restart.
+ExecReload=/bin/kill -HUP $MAINPID
+User={user}
+Group={user}
+WorkingDirectory=/var/lib/huepose
+StateDirectory=huepose
+CacheDirectory=huepose
+Environment=XDG_CACHE_HOME=/var/cache/huepose NUMBA_CACHE_DIR=/var/cache/huepose/numba
+# The workers' sockets: nobody but this user opens the folder, which outlives the single worker.
+RuntimeDirectory=huepose
+RuntimeDirectoryMode=0700
+RuntimeDirectoryPreserve=yes
+Environment=HUEPOSE_RUN=/run/huepose
+Environment=HUEPOSE_NETWORKS=/var/lib/huepose/networks
+Environment={threads}
+# A worker that is ended for hanging says where it hung.
+Environment=PYTHONFAULTHANDLER=1 PYTHONUNBUFFERED=1
+LimitCORE=0
+UnsetEnvironment=LD_PRELOAD LD_LIBRARY_PATH PYTHONPATH PYTHONHOME
+
+# Wrong input (2) stays wrong; everything else is tried again.
+Restart=on-failure
+RestartSec=1
+RestartPreventExitStatus=2
+# The first start compiles its kernels, which takes minutes on a small board.
+TimeoutStartSec={start}
+TimeoutStopSec=5
+# Fed by the loop that works, not by a thread beside it: a worker that hangs is started again.
+WatchdogSec={watchdog}
+# Frames travel through shared memory, which is locked in memory.
+LimitMEMLOCK=infinity
+
+NoNewPrivileges=yes
+CapabilityBoundingSet=
+AmbientCapabilities=
+ProtectSystem=strict
+ProtectHome=yes
+PrivateTmp=yes
+PrivateDevices=yes
+DevicePolicy=closed
+ProtectKernelTunables=yes
+ProtectKernelModules=yes
+ProtectKernelLogs=yes
+ProtectControlGroups=yes
+ProtectClock=yes
+ProtectHostname=yes
+ProtectProc=invisible
+RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6
+RestrictNamespaces=yes
+RestrictRealtime=yes
+RestrictSUIDSGID=yes
+LockPersonality=yes
+KeyringMode=private
+SystemCallArchitectures=native
+SystemCallFilter=@system-service
+SystemCallErrorNumber=EPERM
+IPAddressDeny=any
+IPAddressAllow=localhost
+UMask=0077
+"""
+
+_CAMERA = """\
+# The camera's own devices, and news of what is plugged in.
+PrivateDevices=no
+DeviceAllow=char-usb_device rw
+DeviceAllow=char-video4linux rw
+DeviceAllow=char-media rw
+DeviceAllow=char-hidraw rw
+RestrictAddressFamilies=AF_NETLINK
+"""
+
+_GPU = """\
+# The GPU: its devices have no group of one name on all boards.
+PrivateDevices=no
+DevicePolicy=auto
+"""
+
+_NETWORK = """\
+# Other machines may reach it.
+IPAddressDeny=
+IPAddressAllow=
+"""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -24,7 +134,6 @@ def add_parser(subparsers: Any) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Write them, and remove what an earlier pipeline had and this one has not."""
     from huepose_services.runtime.config import load_all
-    from huepose_services.units import units
 
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
     command = (Path(sys.executable).parent / "huepose").absolute()
@@ -39,3 +148,71 @@ def call(arguments: argparse.Namespace) -> int:
             path.write_text(text)
             print(path)
     return 0
+
+
+def units(configs: Sequence[Config], huepose: PurePath, config_path: PurePath, user: str) -> dict[str, str]:
+    """The files by name, relative to the folder of the units.
+
+    configs: of each camera of pipeline.yaml; huepose: the command,
+    config_path: where pipeline.yaml will be, both absolute; user: whose processes."""
+    restarts = configs[0].restarts
+    files = {
+        TEMPLATE: _UNIT.format(
+            target=TARGET,
+            window=f"{restarts.window_s:g}",
+            burst=restarts.limit + 1,
+            huepose=_quoted(huepose),
+            config=_quoted(config_path),
+            user=user,
+            threads=" ".join(f"{name}=1" for name in THREAD_VARIABLES),
+            start=f"{_FIRST_START * restarts.start_within_s:g}",
+            watchdog=f"{restarts.hung_after_s:g}",
+        ),
+        TARGET: _target(configs),
+    }
+    for config, worker, unit in _instances(configs):
+        if extra := _extra(config, worker):
+            files[f"{unit}.d/needs.conf"] = extra
+    return files
+
+
+def _instances(configs: Sequence[Config]) -> Iterator[tuple[Config, str, str]]:
+    """Each worker with its configuration and its unit, named as `huepose run` is told which one it is."""
+    for config in configs:
+        of = f"{config.camera.name}." if len(configs) > 1 else ""
+        yield from ((config, worker, f"huepose@{of}{worker}.service") for worker in config.workers)
+
+
+def _target(configs: Sequence[Config]) -> str:
+    wants = "".join(f"Wants={unit}\n" for _, _, unit in _instances(configs))
+    site = configs[0].site
+    return f"[Unit]\nDescription=HuePose, site {site}\n{wants}\n[Install]\nWantedBy=multi-user.target\n"
+
+
+def _extra(config: Config, worker: str) -> str:
+    """What a worker needs beyond the template; empty when nothing."""
+    unit, service = "", ""
+    if worker in _FIRST:
+        service += "# Frames and tracking come first where the cores do not suffice for all.\nNice=-5\n"
+    if worker == "camera" and config.camera.source in ("realsense", "oak", "opencv"):
+        service += _CAMERA
+        service += _NETWORK if config.camera.source == "oak" else ""
+    if worker in ("gateway", "viewer", "ros2", "uplink", "downlink"):
+        unit = "Wants=network-online.target\nAfter=network-online.target\n"
+        service += _NETWORK
+    if _uses_gpu(config, worker):
+        service += _GPU
+    return (f"[Unit]\n{unit}\n" if unit else "") + (f"[Service]\n{service}" if service else "")
+
+
+def _uses_gpu(config: Config, worker: str) -> bool:
+    network = (worker == "detector" and config.detector.kind == "yolo") or (
+        worker == "segmenter" and config.segmenter.kind == "sam"
+    )
+    return network and bool({"cuda", "tensorrt"} & set(config.networks.providers))
+
+
+def _quoted(path: PurePath) -> str:
+    """A path as one word of a command line in a unit."""
+    text = str(path).replace("%", "%%").replace("$", "$$")
+    return f'"{text}"' if any(c in text for c in " \t'\";") else text

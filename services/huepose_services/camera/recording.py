@@ -10,7 +10,7 @@ from huepose.support.errors import InputError
 from huepose_protos.keys import tail_of
 from huepose_protos.messages import FrameHeader, TruthMessage
 from huepose_services.convert import frame_from_wire, from_wire
-from huepose_services.recording.part import GIVEN
+from huepose_services.recording.parts import GIVEN
 from huepose_services.recording.read import Recording
 from huepose_services.runtime.config import Config
 

@@ -22,7 +22,7 @@ from huepose_protos import to_json
 from huepose_protos.buffers import frame_images
 from huepose_protos.keys import tail_of
 from huepose_protos.messages import FrameHeader, PoseMessage, TruthMessage, TruthObject
-from huepose_services.recording.part import GIVEN
+from huepose_services.recording.parts import GIVEN
 from huepose_services.recording.read import Event
 
 _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]

@@ -1,21 +1,172 @@
-"""A recording as files one after the other, each of limited size, all together too, on a disk that is not
-filled."""
+"""A recording in MCAP (mcap.dev): files one after the other, each of limited size, all together too, on a
+disk that is not filled.
+
+Each can be read by itself, here and in Foxglove and rerun. Our own messages are there as JSON with their
+schemas, under the keys that they have on the wire. Pictures, poses and intrinsics are there for viewers as
+well, in Foxglove's messages, under the camera's name. A frame is three messages of one sequence number:
+colour, depth, and last its header.
+"""
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
 import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.schema import register_schema
 
 from huepose.support.errors import InputError
+from huepose_protos import to_json
 from huepose_protos.buffers import Array
-from huepose_protos.messages import FrameHeader, Message
-from huepose_services.recording.part import Part
+from huepose_protos.keys import camera_of
+from huepose_protos.messages import FrameHeader, Message, PoseMessage
 
+COLOR, DEPTH = "color", "depth"
+GIVEN = "tracker/frame"
+"""The end of the key of frames that the tracker gave again, late and some from before the recording."""
+JPEG_QUALITY = 90
 SUFFIX = ".mcap"
 _LOOK_EVERY_S = 1.0
+_CHUNK_BYTES, _CHUNK_S = 8 * 1024 * 1024, 0.5
+"""A chunk is on the disk for good when it is as large, or as old; what comes after it may be lost."""
+
+
+class Part:
+    """Takes frames and messages; `commit` makes them last when it is time. offset_ns: from stamps to Unix
+    time.
+
+    All of it raises OSError where the disk does not take it."""
+
+    def __init__(self, path: Path, offset_ns: int, about: dict[str, str], jpeg: bool = False) -> None:
+        self.path, self._offset_ns, self._jpeg = path, offset_ns, jpeg
+        self._file = path.open("xb")
+        # LZ4 takes a third of zstd's time, and images are most of it.
+        self._writer = Writer(self._file, chunk_size=2**40, compression=CompressionType.LZ4)
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[type, int] = {}
+        self._pending, self._due = 0, time.monotonic() + _CHUNK_S
+        self._frames = self._closed_at = 0
+        self._writer.start(library="huepose")
+        self.note("huepose", about)
+
+    @property
+    def size(self) -> int:
+        """Bytes on the disk."""
+        return self._file.tell() if not self._file.closed else self._closed_at
+
+    def note(self, name: str, values: dict[str, str]) -> None:
+        """Something about the recording itself."""
+        self._writer.flush()
+        self._writer.add_metadata(name, values)
+
+    def frame(self, header: FrameHeader, color: Array, depth: Array, key: str) -> None:
+        """A frame; key: where it came on the wire."""
+        self._frames += 1
+        stamps = (header.capture_ns, header.publish_ns)
+        camera, name, at = camera_of(key), header.frame, self._time(header.capture_ns)
+        i = header.intrinsics
+        calibration = CameraCalibration(timestamp=at, frame_id=name, width=i.width, height=i.height)
+        calibration.K[:] = [i.fx, 0.0, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0]
+        calibration.R[:] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
+        calibration.P[:] = [i.fx, 0.0, i.cx, 0.0, 0.0, i.fy, i.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+        self._show(f"/{camera}/calibration", calibration, *stamps)
+        if self._jpeg:
+            bgr = cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
+            data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
+            picture: Any = CompressedImage(timestamp=at, frame_id=name, data=data, format="jpeg")
+        else:
+            picture = _raw(at, name, color, "rgb8")
+        self._show(f"/{camera}/{COLOR}", picture, *stamps)
+        self._show(f"/{camera}/{DEPTH}", _raw(at, name, depth, "16UC1"), *stamps)
+        self._say(key, header, *stamps)
+
+    def message(self, key: str, message: Message) -> None:
+        """A message without pixels."""
+        stamp_ns = message.publish_ns
+        self._say(key, message, stamp_ns, stamp_ns)
+        if isinstance(message, PoseMessage) and message.translation and message.quaternion:
+            camera, at = camera_of(key), self._time(message.capture_ns)
+            name = f"{message.object}/{message.instance}"
+            t = Vector3(**dict(zip("xyz", message.translation, strict=True)))
+            q = Quaternion(**dict(zip("xyzw", message.quaternion, strict=True)))
+            pose = PoseInFrame(timestamp=at, frame_id=message.frame)
+            pose.pose.position.CopyFrom(t)
+            pose.pose.orientation.CopyFrom(q)
+            turned = FrameTransform(
+                timestamp=at, parent_frame_id=message.frame, child_frame_id=name, translation=t, rotation=q
+            )
+            for topic, shown in ((f"/{camera}/pose/{name}", pose), ("/tf", turned)):
+                self._show(topic, shown, message.capture_ns, stamp_ns)
+
+    def _time(self, stamp_ns: int) -> Timestamp:
+        at = Timestamp()
+        at.FromNanoseconds(stamp_ns + self._offset_ns)
+        return at
+
+    def _say(self, key: str, message: Message, stamp_ns: int, publish_ns: int) -> None:
+        self._open(key, "json", type(message))
+        self._add(key, to_json(message).encode(), stamp_ns, publish_ns)
+
+    def _show(self, topic: str, shown: Any, stamp_ns: int, publish_ns: int) -> None:
+        self._open(topic, "protobuf", type(shown))
+        self._add(topic, shown.SerializeToString(), stamp_ns, publish_ns)
+
+    def _open(self, topic: str, encoding: str, kind: type) -> None:
+        """A channel for messages of a kind, where it is not there yet."""
+        if topic in self._channels:
+            return
+        if kind not in self._schemas and encoding == "json":
+            schema = json.dumps({"type": "object"} | msgspec.json.schema(kind)).encode()
+            self._schemas[kind] = self._writer.register_schema(kind.__name__, "jsonschema", schema)
+        elif kind not in self._schemas:
+            self._schemas[kind] = register_schema(self._writer, kind)
+        self._channels[topic] = self._writer.register_channel(topic, encoding, self._schemas[kind])
+
+    def _add(self, topic: str, data: bytes, stamp_ns: int, publish_ns: int) -> None:
+        offset_ns = self._offset_ns
+        self._writer.add_message(
+            self._channels[topic],
+            log_time=stamp_ns + offset_ns,
+            data=data,
+            publish_time=publish_ns + offset_ns,
+            sequence=self._frames % 2**32,
+        )
+        self._pending += len(data)
+
+    def commit(self) -> bool:
+        """End the chunk and wait until the disk has it, if it is time; says whether it was."""
+        if not self._pending or (self._pending < _CHUNK_BYTES and time.monotonic() < self._due):
+            return False
+        self._writer.flush()
+        os.fdatasync(self._file.fileno())
+        self._pending, self._due = 0, time.monotonic() + _CHUNK_S
+        return True
+
+    def close(self) -> None:
+        """Write the index, and all that is left."""
+        try:
+            self._writer.finish()
+            self._file.flush()
+            self._closed_at = self._file.tell()
+            os.fsync(self._file.fileno())
+        finally:
+            self._file.close()
 
 
 @dataclass(frozen=True)
@@ -109,3 +260,17 @@ class Parts:
     def close(self) -> None:
         """Write the rest."""
         self._part.close()
+
+
+def _raw(at: Timestamp, name: str, image: Array, encoding: str) -> RawImage:
+    height, width = image.shape[:2]
+    step = image.nbytes // height
+    return RawImage(
+        timestamp=at,
+        frame_id=name,
+        width=width,
+        height=height,
+        encoding=encoding,
+        step=step,
+        data=image.tobytes(),
+    )

@@ -15,7 +15,7 @@ import msgspec
 
 from huepose_protos.keys import tail_of
 from huepose_protos.messages import FrameHeader, IntakeMessage, MemoryMessage, Message
-from huepose_services.recording.part import GIVEN
+from huepose_services.recording.parts import GIVEN
 from huepose_services.recording.read import Event
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, this_clock

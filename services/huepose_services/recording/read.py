@@ -29,7 +29,7 @@ from huepose_protos import WireError
 from huepose_protos.buffers import Array, frame_images, pack
 from huepose_protos.client import kind_of
 from huepose_protos.messages import FrameHeader, Message
-from huepose_services.recording.part import COLOR, DEPTH
+from huepose_services.recording.parts import COLOR, DEPTH
 
 _MAX_RECORD = 256 * 1024 * 1024
 """Of a chunk before and after it is unpacked: a file of a few bytes must not fill the memory."""

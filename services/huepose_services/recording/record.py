@@ -17,8 +17,7 @@ from huepose_protos.client import kind_of
 from huepose_protos.messages import AgainRequest, FrameHeader, IntakeMessage, MemoryMessage
 from huepose_services import models
 from huepose_services.recording.arrivals import Arrivals, Arrived, FrameKey
-from huepose_services.recording.part import GIVEN
-from huepose_services.recording.parts import Parts
+from huepose_services.recording.parts import GIVEN, Parts
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config

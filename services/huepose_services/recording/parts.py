@@ -47,37 +47,79 @@ _CHUNK_BYTES, _CHUNK_S = 8 * 1024 * 1024, 0.5
 """A chunk is on the disk for good when it is as large, or as old; what comes after it may be lost."""
 
 
-class Part:
-    """Takes frames and messages; `commit` makes them last when it is time. offset_ns: from stamps to Unix
-    time.
+@dataclass(frozen=True)
+class Limits:
+    """In bytes: of one file, of all together (None: no limit; else the oldest files are deleted), and what is
+    left free on the disk."""
 
-    All of it raises OSError where the disk does not take it."""
+    part: int
+    keep: int | None
+    free: int
 
-    def __init__(self, path: Path, offset_ns: int, about: dict[str, str], jpeg: bool = False) -> None:
-        self.path, self._offset_ns, self._jpeg = path, offset_ns, jpeg
-        self._file = path.open("xb")
-        # LZ4 takes a third of zstd's time, and images are most of it.
-        self._writer = Writer(self._file, chunk_size=2**40, compression=CompressionType.LZ4)
+
+class DiskFullError(OSError):
+    """There is not more free than is to be left."""
+
+
+class Parts:
+    """Takes frames and messages; `commit` makes them last when it is time. `name.mcap` first, then
+    `name_0001.mcap` and so on. offset_ns: from stamps to Unix time; about: what is noted in each file.
+
+    Raises InputError for a file that is there already or cannot be made. All of it raises OSError where the
+    disk does not take it."""
+
+    def __init__(self, path: Path, limits: Limits, offset_ns: int, about: dict[str, str], jpeg: bool) -> None:
+        self.path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
+        self._limits, self._offset_ns, self._jpeg = limits, offset_ns, jpeg
+        self._about = about | {"color": "jpeg" if jpeg else "exact"}
+        self._notes: dict[str, dict[str, str]] = {}
+        self._done: deque[tuple[Path, int]] = deque()
+        self._number = self.frames = self._bytes_done = 0
+        self._look_at = 0.0
+        self._begin()
+
+    def _begin(self) -> None:
+        """The next file."""
+        number = f"_{self._number:04d}" if self._number else ""
+        self._path = self.path.with_name(f"{self.path.stem}{number}{SUFFIX}")
         self._channels: dict[str, int] = {}
         self._schemas: dict[type, int] = {}
         self._pending, self._due = 0, time.monotonic() + _CHUNK_S
-        self._frames = self._closed_at = 0
-        self._writer.start(library="huepose")
-        self.note("huepose", about)
+        self._closed_at = 0
+        try:
+            self._file = self._path.open("xb")
+            # LZ4 takes a third of zstd's time, and images are most of it.
+            self._writer = Writer(self._file, chunk_size=2**40, compression=CompressionType.LZ4)
+            self._writer.start(library="huepose")
+            notes = {"huepose": self._about | {"part": str(self._number)}, **self._notes}
+            for name, values in notes.items():
+                self._writer.add_metadata(name, values)
+        except FileExistsError:
+            raise InputError(self._path, found="a file of that name", expected="a new one") from None
+        except OSError as error:
+            if self._number:
+                raise
+            found = error.strerror or str(error)
+            raise InputError(self._path, found=found, expected="a new file") from None
+
+    @property
+    def _size(self) -> int:
+        """Bytes of this file on the disk."""
+        return self._file.tell() if not self._file.closed else self._closed_at
 
     @property
     def size(self) -> int:
-        """Bytes on the disk."""
-        return self._file.tell() if not self._file.closed else self._closed_at
+        """Bytes of all files, with those that were deleted since."""
+        return self._bytes_done + self._size
 
     def note(self, name: str, values: dict[str, str]) -> None:
-        """Something about the recording itself."""
+        """Something about the recording itself, for this file and those to come."""
+        self._notes[name] = self._notes.get(name, {}) | values
         self._writer.flush()
         self._writer.add_metadata(name, values)
 
     def frame(self, header: FrameHeader, color: Array, depth: Array, key: str) -> None:
         """A frame; key: where it came on the wire."""
-        self._frames += 1
         stamps = (header.capture_ns, header.publish_ns)
         camera, name, at = camera_of(key), header.frame, self._time(header.capture_ns)
         i = header.intrinsics
@@ -95,6 +137,7 @@ class Part:
         self._show(f"/{camera}/{COLOR}", picture, *stamps)
         self._show(f"/{camera}/{DEPTH}", _raw(at, name, depth, "16UC1"), *stamps)
         self._say(key, header, *stamps)
+        self.frames += 1
 
     def message(self, key: str, message: Message) -> None:
         """A message without pixels."""
@@ -145,18 +188,37 @@ class Part:
             log_time=stamp_ns + offset_ns,
             data=data,
             publish_time=publish_ns + offset_ns,
-            sequence=self._frames % 2**32,
+            sequence=self.frames % 2**32,
         )
         self._pending += len(data)
 
-    def commit(self) -> bool:
-        """End the chunk and wait until the disk has it, if it is time; says whether it was."""
+    def commit(self) -> None:
+        """Where it is time, end the chunk and wait until the disk has it; begin a new file, delete old ones.
+        Raises DiskFullError before the disk is."""
         if not self._pending or (self._pending < _CHUNK_BYTES and time.monotonic() < self._due):
-            return False
+            return
         self._writer.flush()
         os.fdatasync(self._file.fileno())
         self._pending, self._due = 0, time.monotonic() + _CHUNK_S
-        return True
+        if time.monotonic() >= self._look_at:
+            self._look_at = time.monotonic() + _LOOK_EVERY_S
+            free = shutil.disk_usage(self.path.parent).free
+            if free < self._limits.free:
+                left = self._limits.free >> 20
+                raise DiskFullError(
+                    f"{free >> 20} MiB are free on the disk, and {left} are to be left (--free)"
+                )
+        if self._size >= self._limits.part:
+            self.close()
+            self._done.append((self._path, self._size))
+            self._bytes_done += self._size
+            self._number += 1
+            self._begin()
+        kept = sum(size for _, size in self._done) + self._size
+        while self._limits.keep is not None and self._done and kept > self._limits.keep:
+            path, size = self._done.popleft()
+            path.unlink(missing_ok=True)
+            kept -= size
 
     def close(self) -> None:
         """Write the index, and all that is left."""
@@ -167,99 +229,6 @@ class Part:
             os.fsync(self._file.fileno())
         finally:
             self._file.close()
-
-
-@dataclass(frozen=True)
-class Limits:
-    """In bytes: of one file, of all together (None: no limit; else the oldest files are deleted), and what is
-    left free on the disk."""
-
-    part: int
-    keep: int | None
-    free: int
-
-
-class DiskFullError(OSError):
-    """There is not more free than is to be left."""
-
-
-class Parts:
-    """Takes what a Part takes. `name.mcap` first, then `name_0001.mcap` and so on.
-
-    Raises InputError for a file that is there already or cannot be made, OSError for a disk that is full."""
-
-    def __init__(self, path: Path, limits: Limits, offset_ns: int, about: dict[str, str], jpeg: bool) -> None:
-        self.path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
-        self._limits, self._offset_ns, self._jpeg = limits, offset_ns, jpeg
-        self._about = about | {"color": "jpeg" if jpeg else "exact"}
-        self._notes: dict[str, dict[str, str]] = {}
-        self._done: deque[tuple[Path, int]] = deque()
-        self._number = self.frames = self._bytes_done = 0
-        self._look_at = 0.0
-        self._part = self._begin()
-
-    @property
-    def size(self) -> int:
-        """Bytes of all files, with those that were deleted since."""
-        return self._bytes_done + self._part.size
-
-    def _begin(self) -> Part:
-        number = f"_{self._number:04d}" if self._number else ""
-        path = self.path.with_name(f"{self.path.stem}{number}{SUFFIX}")
-        try:
-            part = Part(path, self._offset_ns, self._about | {"part": str(self._number)}, self._jpeg)
-        except FileExistsError:
-            raise InputError(path, found="a file of that name", expected="a new one") from None
-        except OSError as error:
-            if self._number:
-                raise
-            raise InputError(path, found=error.strerror or str(error), expected="a new file") from None
-        for name, values in self._notes.items():
-            part.note(name, values)
-        return part
-
-    def note(self, name: str, values: dict[str, str]) -> None:
-        """Something about the recording itself, for this file and those to come."""
-        self._notes[name] = self._notes.get(name, {}) | values
-        self._part.note(name, values)
-
-    def frame(self, header: FrameHeader, color: Array, depth: Array, key: str) -> None:
-        """A frame."""
-        self._part.frame(header, color, depth, key)
-        self.frames += 1
-
-    def message(self, key: str, message: Message) -> None:
-        """A message without pixels."""
-        self._part.message(key, message)
-
-    def commit(self) -> None:
-        """Make what is complete last, begin a new file and delete old ones where it is time. Raises
-        DiskFullError before the disk is."""
-        if not self._part.commit():
-            return
-        if time.monotonic() >= self._look_at:
-            self._look_at = time.monotonic() + _LOOK_EVERY_S
-            free = shutil.disk_usage(self.path.parent).free
-            if free < self._limits.free:
-                left = self._limits.free >> 20
-                raise DiskFullError(
-                    f"{free >> 20} MiB are free on the disk, and {left} are to be left (--free)"
-                )
-        if self._part.size >= self._limits.part:
-            self.close()
-            self._done.append((self._part.path, self._part.size))
-            self._bytes_done += self._part.size
-            self._number += 1
-            self._part = self._begin()
-        kept = sum(size for _, size in self._done) + self._part.size
-        while self._limits.keep is not None and self._done and kept > self._limits.keep:
-            path, size = self._done.popleft()
-            path.unlink(missing_ok=True)
-            kept -= size
-
-    def close(self) -> None:
-        """Write the rest."""
-        self._part.close()
 
 
 def _raw(at: Timestamp, name: str, image: Array, encoding: str) -> RawImage:

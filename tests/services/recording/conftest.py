@@ -177,7 +177,7 @@ def written(path, numbers=(7, 8, 12), jpeg=False, chunks=False):
         )
         out.message(KEY + "pose/x/1", pose)
         if chunks:
-            out._part._due = 0.0
+            out._due = 0.0
             out.commit()
     out.close()
     return out

@@ -120,7 +120,7 @@ def test_it_is_a_camera(tmp_path):
     out = parts(tmp_path / "out")
     for number in (4, 4, 5):  # shown again, as the first frame of a recording is
         out.frame(*tiny_frame(number), KEY + "frame")
-        out._part._due = 0.0
+        out._due = 0.0
         out.commit()
     truth = msgspec.structs.replace(EXAMPLES[TruthMessage], frame_id=5)
     out.message(KEY + "truth", msgspec.structs.replace(truth, camera_epoch=tiny_frame(5)[0].camera_epoch))

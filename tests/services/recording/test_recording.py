@@ -109,7 +109,7 @@ def test_every_chunk_is_on_the_disk_when_it_is_done(tmp_path, monkeypatch):
     out.frame(*tiny_frame(0), KEY + "frame")
     out.commit()
     assert not synced
-    out._part._due = 0.0
+    out._due = 0.0
     out.commit()
     # Here the power goes: nothing was closed.
     assert len(synced) == 1
@@ -134,7 +134,7 @@ def test_it_goes_on_in_new_files_and_deletes_the_oldest(tmp_path):
     out.note("models", {"mug": "12"})
     for number in range(400):
         out.frame(*tiny_frame(number), KEY + "frame")
-        out._part._due = 0.0
+        out._due = 0.0
         out.commit()
     out.close()
     paths = sorted(tmp_path.iterdir())
@@ -154,7 +154,7 @@ def test_it_goes_on_in_new_files_and_deletes_the_oldest(tmp_path):
 def test_it_ends_before_the_disk_is_full(tmp_path):
     out = parts(tmp_path / "out", Limits(2**40, None, free=2**60))
     out.frame(*tiny_frame(0), KEY + "frame")
-    out._part._due = 0.0
+    out._due = 0.0
     with pytest.raises(DiskFullError, match="are to be left"):
         out.commit()
     out.close()

@@ -17,8 +17,6 @@ from huepose.evaluation.targets import PoseError
 from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box
 
-_FIGURES = (*metrics.FIGURES, "recall_add_official", "auc_add_official")
-
 
 @dataclass(frozen=True, eq=False)
 class EstimateRow:
@@ -131,9 +129,6 @@ def summary_of(rows: Sequence[Row], false: Sequence[Row] = (), settings: Row | N
         **mean_figures(by_seed.values()),
         "false_poses": len(false) / seeds,
         "per_object": per_object,
-        "object_mean": mean_figures(
-            {key: figures[key] for key in _FIGURES} for figures in per_object.values()
-        ),
         "interval95": pose_intervals(rows, _frame),
         "by_seed": by_seed,
     }

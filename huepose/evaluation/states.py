@@ -49,10 +49,8 @@ class Loss:
 
 @dataclass(frozen=True)
 class StateReport:
-    """Counts and times of one instance, or summed over several (times: the largest).
-
-    undeclared_losses: losses of more than 5 frames during which LOST was never published;
-    never_confirmed, never_reacquired: how often it did not happen though the object was visible."""
+    """Counts and times of one instance, or summed over several (times: the largest). never_confirmed: how
+    often it did not happen though the object was visible."""
 
     frames: int
     false_tracking_frames: int
@@ -62,12 +60,10 @@ class StateReport:
     visible_frames: int
     declared_suspect_after_frames: int | None
     declared_lost_after_frames: int | None
-    undeclared_losses: int
     acquired_after_s: float | None
     confirmed_after_s: float | None
     reacquired_after_s: float | None
     never_confirmed: int
-    never_reacquired: int
 
     @property
     def coverage_tracking(self) -> float | None:
@@ -86,7 +82,6 @@ def report(moments: Sequence[Moment]) -> StateReport:
     appeared = next((i for i, m in enumerate(moments) if m.visible), None)
     acquired = _first_right(moments, appeared)
     confirmed = _first_right(moments, appeared, confirmed=True)
-    reacquired = [_reacquired(moments, loss) for loss in losses]
     return StateReport(
         frames=len(moments),
         false_tracking_frames=sum(false_tracking(moments)),
@@ -96,12 +91,10 @@ def report(moments: Sequence[Moment]) -> StateReport:
         visible_frames=sum(m.visible for m in moments),
         declared_suspect_after_frames=_worst(suspect, SUSPECT_WITHIN_FRAMES),
         declared_lost_after_frames=_worst(lost, LOST_WITHIN_FRAMES),
-        undeclared_losses=sum(not d.declared and d.frames > LOST_WITHIN_FRAMES for d in lost),
         acquired_after_s=_seconds(moments, appeared, acquired),
         confirmed_after_s=_seconds(moments, appeared, confirmed),
-        reacquired_after_s=largest(seconds for _, seconds in reacquired),
+        reacquired_after_s=largest(_reacquired(moments, loss) for loss in losses),
         never_confirmed=int(appeared is not None and confirmed is None),
-        never_reacquired=sum(visible and seconds is None for visible, seconds in reacquired),
     )
 
 
@@ -194,11 +187,11 @@ def _first_right(moments: Sequence[Moment], start: int | None, *, confirmed: boo
     return None
 
 
-def _reacquired(moments: Sequence[Moment], loss: Loss) -> tuple[bool, float | None]:
-    """Whether the object was visible again, and the seconds from then to its next right pose."""
+def _reacquired(moments: Sequence[Moment], loss: Loss) -> float | None:
+    """Seconds from when the object was visible again to its next right pose."""
     end = len(moments) if loss.end is None else loss.end + 1
     visible = next((i for i in range(loss.start, end) if moments[i].visible), None)
-    return visible is not None, _seconds(moments, visible, loss.end)
+    return _seconds(moments, visible, loss.end)
 
 
 def _seconds(moments: Sequence[Moment], start: int | None, end: int | None) -> float | None:

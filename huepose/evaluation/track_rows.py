@@ -143,9 +143,6 @@ class TrackResult:
             "seed": seeds[0] if len(seeds) == 1 else seeds,
             **_counts_as_whole(mean_figures(flat)),
             **{key: largest(block[key] for block in flat) for key in TIMES},
-            "min_auc_add": min(
-                (b["min_auc_add"] for b in flat if b["min_auc_add"] is not None), default=None
-            ),
             **self.measured,
             "frame_weighted": _counts_as_whole(
                 mean_figures(block["frame_weighted"] for block in blocks.values())
@@ -174,12 +171,10 @@ class TrackResult:
             }
         total = _state_figures(combined(reports), sum(n for (_, s), n in self.phantoms.items() if s == seed))
         figures = mean_figures({key: block[key] for key in _MEANS} for block in sequences.values())
-        areas = [block["auc_add"] for block in sequences.values() if block["auc_add"] is not None]
         return {
             **figures,
             **{key: value for key, value in total.items() if key not in _MEANS},
             "instances": float(sum(row.scored for row in rows)),
-            "min_auc_add": min(areas, default=None),
             **_fps(rows),
             "frame_weighted": _pose_figures(rows),
             "sequences": sequences,
@@ -197,7 +192,7 @@ class TrackResult:
         }
 
 
-_FAULTS = ("lost_frames", "undeclared_losses", "never_confirmed", "never_reacquired")
+_FAULTS = ("lost_frames", "never_confirmed")
 _WHOLE = (
     *("instances", "false_tracking_frames", "declared_suspect_after_frames", "declared_lost_after_frames"),
     *_FAULTS,

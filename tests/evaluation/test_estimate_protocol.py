@@ -63,7 +63,6 @@ def test_rows_are_the_labels_of_onboarded_objects(models, scene) -> None:
     assert summary["recall_add"] == 100.0
     assert summary["auc_add"] == pytest.approx(90.0)
     assert summary["per_object"][5]["instances"] == 3
-    assert summary["object_mean"]["auc_add"] == pytest.approx(90.0)
 
 
 def test_the_estimator_gets_the_documented_boxes(models, scene) -> None:

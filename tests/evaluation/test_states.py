@@ -93,14 +93,12 @@ def test_a_wrong_run_is_declared_when_it_is_published_as_suspect_then_lost() -> 
     r = judged("TTttsssLL")
     assert r.declared_suspect_after_frames == 2
     assert r.declared_lost_after_frames == 5
-    assert (r.never_reacquired, r.undeclared_losses) == (1, 0)
 
 
 def test_a_long_wrong_run_that_is_never_declared_counts_with_its_length() -> None:
     r = judged("TtttttttT")
     assert r.declared_lost_after_frames == 7
     assert r.declared_suspect_after_frames == 7
-    assert r.undeclared_losses == 1
 
 
 def test_a_short_wrong_run_needs_no_declaration() -> None:

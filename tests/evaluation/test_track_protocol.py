@@ -246,7 +246,6 @@ def test_sequences_count_alike_whatever_their_length(models) -> None:
     assert summary["sequences"]["short"]["auc_add"] == pytest.approx(10.0)  # only its first frame
     assert summary["auc_add"] == pytest.approx(55.0)
     assert summary["frame_weighted"]["auc_add"] == pytest.approx(100 * 31 / 40)
-    assert summary["min_auc_add"] == pytest.approx(10.0)
     assert summary["false_tracking_frames"] == 9
     assert summary["false_tracking_rate"] == pytest.approx(100 * 9 / 40)
 
@@ -256,7 +255,7 @@ def test_the_result_file_has_the_documented_keys(run) -> None:
     record = json.loads(json.dumps(plain(result.as_json()), allow_nan=False))
     assert {
         "recall_add", "recall_adds", "auc_add", "auc_adds", "auc_voc_add", "frame_weighted", "sequences",
-        "min_auc_add", "coverage_tracking", "lost_frames", "false_tracking_frames", "false_tracking_rate",
+        "coverage_tracking", "lost_frames", "false_tracking_frames", "false_tracking_rate",
         "declared_lost_after_frames", "reacquired_after_s", "confirmed_after_s", "fps", "by_seed",
     } <= record["summary"].keys()  # fmt: skip
     assert {

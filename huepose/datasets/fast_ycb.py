@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -206,15 +206,14 @@ def write_fast_ycb(
     camera: Camera,
     rate_hz: float,
     frame_offset_m: Float | None,
-    dope: Sequence[Float64 | None] | None = None,
 ) -> None:
     """Write a sequence of the object `name`; `gt/poses_ycb.txt` is written last, so that it says that all is
-    there. frame_offset_m (3,): takes points of the PoseCNN frame to the reference model's, by default none;
-    dope: poses for `dope/poses_ycb.txt`, None where nothing was found. Raises InputError."""
+    there. frame_offset_m (3,): takes points of the PoseCNN frame to the reference model's, by default none.
+    Raises InputError."""
     T_obj_posecnn = se3.inverse(T_posecnn_obj(np.zeros(3) if frame_offset_m is None else frame_offset_m))
     rows = []
     with writing(folder):
-        for part in ("depth", "gt", *(["dope"] if dope is not None else [])):
+        for part in ("depth", "gt"):
             (folder / part).mkdir(parents=True, exist_ok=True)
         size = np.array([camera.width, camera.height], "<u8").tobytes()
         for i, frame in enumerate(frames):
@@ -225,9 +224,6 @@ def write_fast_ycb(
         facts = {key: getattr(camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
         (folder / "cam_K.json").write_text(json.dumps(facts))
         (folder / "data.txt").write_text("".join(f"{i / rate_hz:.6f}\n" for i in range(len(rows))))
-        if dope is not None:
-            found = ["0 0 0 0 0 0 0" if T is None else _row(se3.compose(T, T_obj_posecnn)) for T in dope]
-            (folder / "dope" / "poses_ycb.txt").write_text("\n".join(found) + "\n")
         (folder / "gt" / "poses_ycb.txt").write_text("\n".join(rows) + "\n")
 
 

@@ -1,7 +1,6 @@
-"""Stand-ins for YCB-Video and Fast-YCB: their folders and files, filled with drawn frames of any meshes.
+"""The folders and files of YCB-Video and Fast-YCB, filled with drawn frames of any meshes.
 
-What reads the official downloads can be tried on them, with known answers: unless told otherwise, light is
-even, and little is hidden.
+What reads the official downloads reads these, with known answers.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from huepose.datasets.bop import BopScene
 from huepose.datasets.bop_writer import extents_mm, write_ply
 from huepose.datasets.fast_ycb import FastYcbFrame, write_fast_ycb
 from huepose.datasets.types import GONE
-from huepose.geometry import Mesh, se3
+from huepose.geometry import Mesh
 from huepose.geometry.arrays import Float64
 from huepose.rendering import render_depth
 from huepose.scenes import carried
@@ -32,21 +31,6 @@ from huepose.support.progress import progress
 
 FIRST_SCENE = 48
 """Of the test scenes of YCB-Video."""
-
-EASY = SceneRanges(
-    objects=(4, 6),
-    others=(0, 1),
-    spread_m=(0.28, 0.34),
-    distance_m=(0.55, 0.75),
-    exposure=(-0.3, 0.3),
-    tint=(-0.05, 0.05),
-    key=(0.5, 0.7),
-    sky=(0.3, 0.4),
-    gloss=(0.0, 0.1),
-    shake_px=(0.5, 1.0),
-)
-_DOPE_MISSES = 7
-"""Every so many frames the stand-in for DOPE finds nothing, first in frame 0 of every second sequence."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +51,7 @@ def write_bop_ycbv(
     scenes: int,
     frames: int,
     seed: int,
-    ranges: SceneRanges = EASY,
+    ranges: SceneRanges,
 ) -> None:
     """BOP's download: `test/NNNNNN/`, `test_targets_bop19.json`, `models/`, `models_eval/`. Scenes that were
     begun are gone on with. Raises InputError."""
@@ -123,7 +107,7 @@ def fast_ycb_frame(shot: Shot) -> FastYcbFrame:
 def write_fast_ycb_set(
     out: Path, objects: Sequence[SetObject], sequences: int, frames: int, seed: int
 ) -> None:
-    """Fast-YCB: a sequence of each of the first objects, with DOPE's poses; those there are kept."""
+    """Fast-YCB: a sequence of each of the first objects; those there are kept."""
     wanted = list(enumerate(objects[:sequences]))
     missing = [(k, obj) for k, obj in wanted if not (out / obj.name / "gt" / "poses_ycb.txt").exists()]
     for number, obj in progress(missing, "drawing sequences") if missing else ():
@@ -131,14 +115,6 @@ def write_fast_ycb_set(
         rng = np.random.default_rng([seed, number, 67])
         stage = carried.staged(obj.mesh, [o.mesh for o in objects if o is not obj], rng)
         n = min(frames, carried.FRAMES)
-        missed = {i for i in range(n) if (i + 1 - number % 2) % _DOPE_MISSES == 0}
-        dope = [None if i in missed else _as_dope(stage.in_camera(i)[0][1], rng) for i in range(n)]
         shots = (shoot(stage, i, seed * 1000 + number, COLOR, None) for i in range(n))
-        write_fast_ycb(
-            folder, obj.name, map(fast_ycb_frame, shots), stage.camera, carried.RATE_HZ, obj.offset_m, dope
-        )
-
-
-def _as_dope(T: Float64, rng: np.random.Generator) -> Float64:
-    """A few millimetres and degrees beside the truth."""
-    return se3.perturb(T, rng.normal(0.0, 1.0, 6) * (0.004, 0.004, 0.004, 0.03, 0.03, 0.03))
+        frames_of = map(fast_ycb_frame, shots)
+        write_fast_ycb(folder, obj.name, frames_of, stage.camera, carried.RATE_HZ, obj.offset_m)

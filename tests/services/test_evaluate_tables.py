@@ -17,17 +17,14 @@ from huepose.scenes.unseen.objects import unseen_objects
 from huepose.support.errors import InputError
 from huepose_services.cli import evaluate_scenes
 from huepose_services.cli.main import main
+from tests.scenes.stand_ins import stand_in_objects, write_stand_ins
 
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory) -> Path:
     """One scene of two images of two objects, of which one image is lost; a sequence of six frames."""
     root = tmp_path_factory.mktemp("data")
-    common = ["make-dataset", "--models", "builtin", "--objects", "1", "2"]
-    bop = ["--format", "bop-ycbv", "--out", str(root / "ycbv"), "--scenes", "1", "--frames", "2"]
-    fast = ["--format", "fast-ycb", "--out", str(root / "fast"), "--scenes", "1", "--frames", "6"]
-    assert main([*common, *bop]) == 0
-    assert main([*common, *fast]) == 0
+    write_stand_ins(root, stand_in_objects(2), images=2, sequences=1, frames=6, seed=0)
     (root / "ycbv" / "test" / "000048" / "rgb" / "000001.png").unlink()
     return root
 

@@ -24,15 +24,13 @@ from huepose_services.runtime.threads import single_threaded
 
 # In the order in which `huepose --help` lists them.
 _VERBS = (
-    *("demo", "new", "onboard", "estimate", "evaluate", "render_scenes", "make_dataset", "train", "bench"),
-    "chaos",
+    *("demo", "new", "onboard", "estimate", "evaluate", "render_scenes", "train", "bench", "chaos"),
     *("up", "run", "status", "graph", "objects", "poses", "view", "record", "replay", "validate"),
     *("doctor", "models", "calibrate", "units", "secure"),
 )
 # Those that run compiled kernels in their own process.
 _COMPILING = frozenset(
-    {"demo", "new", "onboard", "onboard-bop", "estimate", "eval", "replay", "render-scenes", "make-dataset"}
-    | {"bench"}
+    {"demo", "new", "onboard", "onboard-bop", "estimate", "eval", "replay", "render-scenes", "bench"}
 )
 # Those whose work is too short for more threads of the numeric libraries than the workers have.
 _SHORT = frozenset({"estimate"})

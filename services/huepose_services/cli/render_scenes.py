@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Collection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from huepose.support.errors import InputError
 from huepose.support.progress import progress
 from huepose.support.words import counted
-from huepose_services.cli.make_dataset import builtin
 from huepose_services.cli.options import add_number, add_one_of, add_path, add_several
+
+if TYPE_CHECKING:
+    from huepose.geometry import Mesh
 
 
 def add_parser(subparsers: Any) -> None:
@@ -49,7 +53,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.scenes.rendered import PILES, SceneRanges, write_rendered_set
 
     if arguments.models == "builtin":
-        chosen = builtin(arguments.objects, arguments.textures)
+        chosen = _builtin(arguments.objects, arguments.textures)
         meshes, ids = dict(chosen.values()), {name: i for i, (name, _) in chosen.items()}
     else:
         meshes, ids = _read(Path(arguments.models), arguments.objects)
@@ -64,6 +68,17 @@ def call(arguments: argparse.Namespace) -> int:
         f"{sum(truth.visible for truth in truths)} of them visible by 30 % or more"
     )
     return 0
+
+
+def _builtin(ids: Collection[int] | None, textures: int) -> dict[int, tuple[str, Mesh]]:
+    """The demo's objects, or those of them that are named, by number. Raises InputError."""
+    from huepose.scenes.shapes import demo_objects
+
+    every = dict(enumerate(demo_objects(textures).items(), 1))
+    wanted = every.keys() if ids is None else set(ids)
+    if not wanted or wanted - every.keys():
+        raise InputError("--objects", found=str(ids), expected=f"some of 1 to {len(every)} with builtin")
+    return {i: every[i] for i in sorted(wanted)}
 
 
 def _read(folder: Path, ids: list[int] | None) -> tuple[dict[str, Any], dict[str, int]]:

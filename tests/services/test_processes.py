@@ -92,6 +92,27 @@ def test_a_film_of_a_python_file_is_played_once_to_the_workers_that_are_there_an
     assert len({health.camera_epoch for health in said if health.frame_id is not None}) == 1
 
 
+def test_a_film_of_a_python_file_that_raises_is_not_begun_again_and_its_error_ends_the_pipeline(
+    huepose, base_port, tmp_path, python_camera, recording
+):
+    python_camera("pass", every_s=0.1)
+    film = tmp_path / "cam.py"
+    text = film.read_text().replace("while True", "for _ in range(4)")
+    film.write_text(text + "    raise OSError('the disk is gone')\n")
+    (tmp_path / "pipeline.yaml").write_text(
+        f"bundles: {recording[0] / 'bundles'}\nworkers: [camera, tracker]\nbus: {{base_port: {base_port}}}\n"
+        "camera: {source: python, path: cam.py, once: true}\n"
+    )
+    process = huepose("up", tmp_path / "pipeline.yaml")
+    _, err = process.communicate(timeout=60.0)
+    assert process.returncode == 1, err
+    assert "cam.py has ended after 4 pictures" in err
+    assert err.count("OSError: the disk is gone, in cam.py, line 17;") == 1
+    assert "the recording has ended, with an error" in err
+    assert "starting camera again" not in err
+    assert "is called again" not in err
+
+
 def test_readers_that_leave_and_foreign_bytes_change_nothing_and_ctrl_c_ends_all_in_two_seconds(
     pipeline, huepose, base_port
 ):

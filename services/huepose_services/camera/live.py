@@ -82,6 +82,8 @@ class LiveSource:
     name: str
     if_silent: str
     open: Callable[[], LiveCamera]
+    once: bool = False
+    """Whether it is opened once: what goes wrong with it is then its end."""
 
 
 def sdk(package: str, source: str, what: str, more: str = "") -> Any:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import secrets
 
 from huepose.geometry import Camera, RgbdFrame
+from huepose.support.errors import InputError
 from huepose_services.camera.audience import WAIT_TO_PLAY_ONCE_NS, Audience
 from huepose_services.camera.condition import STOPPED, Condition
 from huepose_services.camera.device_clock import DeviceClock
@@ -119,6 +120,13 @@ class LiveIngest(Work):
         if audience.is_done(self._epoch, self._bus.health.frame_id or 0, now - self._ended_ns):
             self._bus.log.say(f"{self._name} has ended after {self._reader.pictures} pictures")
             self.finished = True
+            if (trouble := self._reader.trouble) is not None:
+                self._bus.health.failed(trouble)
+                self.fault = InputError(
+                    self._config.camera.path,
+                    found=trouble.removeprefix(f"{self._name}: ").rstrip("."),
+                    expected="pictures to the end: with camera.once it is not begun again",
+                )
 
     def _silence(self) -> str | None:
         """That no picture has come for a while, before it is known what keeps them away."""

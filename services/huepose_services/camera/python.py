@@ -46,7 +46,8 @@ def open_source(config: Config) -> LiveSource:
         raise InputError(
             path, found="no function frames()", expected="one that gives RgbdFrame after RgbdFrame"
         )
-    return LiveSource(path.name, _IF_SILENT, lambda: PythonCamera(_opened(frames), path, config.camera.once))
+    once = config.camera.once
+    return LiveSource(path.name, _IF_SILENT, lambda: PythonCamera(_opened(frames), path, once), once)
 
 
 def _opened(frames: Callable[[], Any]) -> Iterator[Any]:
@@ -81,7 +82,8 @@ class PythonCamera:
             where = [step for step in steps if Path(step.filename) == self._path][-1:] or steps[-1:]
             text = f"{type(error).__name__}: {' '.join(str(error).split())[:200].rstrip('.')}"
             at = f"{Path(where[0].filename).name}, line {where[0].lineno}"
-            raise CameraError(f"{text}, in {at}. frames() is called again.") from error
+            again = "" if self._once else " frames() is called again."
+            raise CameraError(f"{text}, in {at}.{again}") from error
         if not isinstance(frame, RgbdFrame):
             raise CameraError(f"frames() gave {type(frame).__name__}, expected huepose.RgbdFrame")
         if not np.isfinite(frame.depth).all():

@@ -50,7 +50,7 @@ class Reader:
         self.skipped = 0
         self.repeated = 0
         self.over = False
-        """No picture comes any more, and none is missing."""
+        """No picture comes any more: all have come, or `trouble` says what ended it."""
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self.started = False
         if starts:
@@ -101,20 +101,28 @@ class Reader:
             try:
                 camera = self._timed("opening", self._source.open)
             except Exception as error:
-                self._trouble = _said(self._source.name, error)
+                self._fail(error)
             else:
                 self.openings += 1
                 self.pictures = 0
                 try:
                     self._read_on(camera)
                 except FilmOver:
-                    self._stopping.set()
-                    self.over = True
+                    self._end()
                 except Exception as error:
-                    self._trouble = _said(self._source.name, error)
+                    self._fail(error)
                 with suppress(Exception):  # what was unplugged cannot be closed well
                     self._timed("closing", camera.close)
             self._stopping.wait(_RETRY_S)
+
+    def _fail(self, error: Exception) -> None:
+        self._trouble = _said(self._source.name, error)
+        if self._source.once:
+            self._end()
+
+    def _end(self) -> None:
+        self._stopping.set()
+        self.over = True
 
     def _timed(self, what: str, call: Callable[[], T]) -> T:
         """Note since when the SDK has been in a call."""

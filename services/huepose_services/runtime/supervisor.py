@@ -40,7 +40,7 @@ _HEAD_START_S = 0.1
 """In which each worker may stop before those that it reads from are told to stop as well."""
 _BACKOFF_S, _BACKOFF_MAX_S = 0.25, 8.0
 _STANDSTILL_S = 0.5
-_BAD_INPUT = 2
+_FAILED, _BAD_INPUT = 1, 2
 _QUICK = ("camera", "tracker", "reinit")
 _PATIENCE = 3.0
 """So much longer than the quick ones may the others be silent: one piece of their work takes longer."""
@@ -167,6 +167,7 @@ class Supervisor:
         self.exit_code: int | None = None
         """Set by poll when the pipeline has come to its end: 0, 1 or 2."""
         self._drain_until: float | None = None
+        self._ends_with = 0
         self._was_ready = False
         self._polled = time.monotonic()
 
@@ -229,7 +230,7 @@ class Supervisor:
                 self._log.say(f"starting {worker} again (restart {record.restarts})")
                 self._spawn(worker)
         if self._drain_until is not None:
-            self.exit_code = 0 if now >= self._drain_until else self.exit_code
+            self.exit_code = self._ends_with if now >= self._drain_until else self.exit_code
         elif not self._children and all(r.restart_at is None for r in self._records.values()):
             self.exit_code = 1 if self.exit_code is None else self.exit_code
 
@@ -277,14 +278,14 @@ class Supervisor:
         del self._children[child.worker]
         child.bury(1.0)
         now, record = time.monotonic(), self._records[child.worker]
-        if child.worker == "camera" and code == 0 and self._config.camera.once:
-            if self._drain_until is None:
-                self._log.say("the recording has ended")
-                self._drain_until = now + _DRAIN_S
-            return
         if code == _BAD_INPUT and not child.ready and record.restarts == 0:
             # It has said what is wrong with its input, which another start would not change.
             self.exit_code = _BAD_INPUT
+            return
+        if child.worker == "camera" and code in (0, _BAD_INPUT) and self._config.camera.once:
+            if self._drain_until is None:
+                self._log.say("the recording has ended" + (", with an error" if code else ""))
+                self._drain_until, self._ends_with = now + _DRAIN_S, _FAILED if code else 0
             return
         how = "was killed" if code is None else f"ended with code {code}"
         if code is not None and code < 0:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from huepose.support.errors import InputError
 from huepose_protos.messages import FrameHeader, Look, PerceptionRequest
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -15,7 +16,9 @@ class Work:
     """Made by `make(bus, config)` of a worker's module, warmed up when that returns."""
 
     finished = False
-    """Set when there is nothing left to do: the worker then ends with exit code 0."""
+    """Set when there is nothing left to do: the worker then ends, with exit code 0 if there is no `fault`."""
+    fault: InputError | None = None
+    """Why it has come to no good end, where it is finished: what was given to it does not work."""
     ready = True
     """Looked at after every step: as long as it is False, the worker does not say that it is ready (a camera
     before its first good frame)."""

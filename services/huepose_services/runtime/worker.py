@@ -94,7 +94,8 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None) -> int:
     """Run a worker until SIGTERM, SIGINT, its supervisor's end or its own; path: of the configuration, which
     is read again at SIGHUP; of: its camera, where the file has several, for the log. Returns the exit code.
 
-    Raises InputError for what the configuration names and is not there, or a port that is taken."""
+    Raises InputError for what the configuration names and is not there or does not work, or a port that is
+    taken."""
     log, health = Log(f"{of}/{worker}" if of else worker), Health(worker)
     health.much_locked_mib = max(health.much_locked_mib, 10.0 * config.bus.frame_pool_mib)
     stop, again = _Stop(log), asked_again()
@@ -129,6 +130,8 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None) -> int:
         signal.setitimer(signal.ITIMER_REAL, 0)
         bus.close()
         session.close()
+    if work.fault is not None:
+        raise work.fault
     return 0
 
 

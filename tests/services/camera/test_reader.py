@@ -24,7 +24,7 @@ def _shot(number, color=None):
 class Device:
     """Plugged in or not; reads what `behave` gives for the count of its reads."""
 
-    name, if_silent = "test camera", "Plug it in."
+    name, if_silent, once = "test camera", "Plug it in.", False
     device_clock_is_host = True
     is_sensor = True
 

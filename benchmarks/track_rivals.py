@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel
@@ -21,7 +22,7 @@ from huepose.propose import flow as optical_flow
 from huepose.propose.correspondences import match
 from huepose.propose.relative_pose import RobustKabsch, lift_matches
 from huepose.rendering import render_depth
-from huepose.tracking.types import Applied, Correction, State, TrackedPose
+from huepose.tracking.types import Applied, Correction, TrackedPose
 
 Step = Callable[[ReferenceModel, Float64, RgbdFrame | None, RgbdFrame], Float64]
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from huepose.support.deferred import deferred
 
 if TYPE_CHECKING:
+    from huepose.believe.state import State
     from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
     from huepose.geometry import Box, Camera, RgbdFrame
     from huepose.model import ReferenceModel, load_models
@@ -26,6 +27,7 @@ _HOMES = {
     "PoseEstimate": "huepose.estimation",
     "ReferenceModel": "huepose.model",
     "RgbdFrame": "huepose.geometry",
+    "State": "huepose.believe.state",
     "Tracker": "huepose.tracking",
     "load_models": "huepose.model",
 }
@@ -39,6 +41,7 @@ __all__ = [
     "PoseEstimate",
     "ReferenceModel",
     "RgbdFrame",
+    "State",
     "Tracker",
     "load_models",
 ]

@@ -19,6 +19,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.datasets.bop import BopScene
 from huepose.datasets.boxes import truth_box
 from huepose.datasets.types import GroundTruth
@@ -35,7 +36,7 @@ from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
 from huepose.reinit.types import Request, RequestedObject
 from huepose.support.progress import progress
-from huepose.tracking import State, Tracker
+from huepose.tracking import Tracker
 from studies.stress.films import Seen
 from studies.stress.play import play
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.datasets.bop import BopScene
 from huepose.evaluation import metrics
 from huepose.evaluation.targets import Targets
@@ -24,7 +25,7 @@ from huepose.model import ReferenceModel, load_models
 from huepose.profiles import profile
 from huepose.reinit.loop import ReinitLoop
 from huepose.scenes.rendered import write_rendered_set
-from huepose.tracking import State, Tracker
+from huepose.tracking import Tracker
 from studies.gone import HZ, Sight, filmed, parser_of, shown
 from studies.stress.films import Seen
 from studies.stress.oracle import slot_of

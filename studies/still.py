@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.datasets.bop import BopScene
 from huepose.evaluation.targets import Targets
 from huepose.geometry import RgbdFrame
@@ -21,7 +22,7 @@ from huepose.geometry.arrays import Float64, Rng
 from huepose.model import ReferenceModel, load_models
 from huepose.profiles import profile
 from huepose.reinit.types import Request, RequestedObject
-from huepose.tracking import State, Tracker
+from huepose.tracking import Tracker
 from studies.gone import HZ, Sight, filmed, parser_of, shown
 from studies.stress.films import Seen
 from studies.stress.play import play

@@ -21,6 +21,7 @@ from zlib import crc32
 import numpy as np
 
 from huepose.believe.quality import QualityTerms, quality_fits
+from huepose.believe.state import State
 from huepose.estimation.config import ConfirmConfig, EstimatorConfig, FullPathConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.methods import PairMethod
@@ -282,7 +283,7 @@ def believe(
         found=True,
         T_cam_obj=T,
         quality=float(chances[0]),
-        state="TRACKING" if chances[0] >= fit.level else "SUSPECT",
+        state=State.TRACKING if chances[0] >= fit.level else State.SUSPECT,
         score=float(ranked.totals[0]),
         margin=terms.margin,
         covariance=covariance(alignment, model.mesh.centre),
@@ -305,7 +306,7 @@ def bare_answer(
     mask = visible_mask(model, frame, T, look.evidence.region.tolerance_m)
     box = projected_box(model, frame, T)
     return replace(
-        answer, found=True, T_cam_obj=T, quality=total, state="SUSPECT", score=total, mask=mask, box=box
+        answer, found=True, T_cam_obj=T, quality=total, state=State.SUSPECT, score=total, mask=mask, box=box
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from huepose.believe.logistic import probability
 from huepose.believe.presence import greatest_doubt, logits_of
 from huepose.believe.quality import features, quality_fits
+from huepose.believe.state import State
 from huepose.estimation.config import Method, StandingConfig
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Float64
@@ -49,7 +50,7 @@ class PresenceIn:
             answer,
             present=present,
             quality=quality,
-            state="TRACKING" if quality >= fit.level else "SUSPECT",
+            state=State.TRACKING if quality >= fit.level else State.SUSPECT,
             alternatives=tuple((T, p * share) for T, p in answer.alternatives),
         )
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from huepose.believe.quality import QualityTerms
+from huepose.believe.state import State
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.support.errors import require
@@ -56,11 +56,11 @@ class PoseEstimate:
     the dense score of the pose, comparable between poses on the same pixels; prior_score: that of the
     refined prior, None without one; prior_T_cam_obj: the refined prior. margin: score above the best clearly
     different pose. quality: calibrated probability that the pose is right (of the method `paper`: its fitness
-    in 0..1, which is no probability). state: "TRACKING" over the
-    acquisition level, else "SUSPECT"; "LOST" when not found. alternatives: other poses and their
-    probabilities. terms: what the quality was made of. reason: where not found, why, in one sentence;
-    where found, why it is not to be acted on, where that is known; else empty. present: probability that the
-    object is there at all, whatever its pose; None where nobody asked (`ObjectQuery.searched`).
+    in 0..1, which is no probability). state: as of a track; TRACKING over the acquisition level, else
+    SUSPECT; LOST when not found. alternatives: other poses and their probabilities. terms: what the quality
+    was made of. reason: where not found, why, in one sentence; where found, why it is not to be acted on,
+    where that is known; else empty. present: probability that the object is there at all, whatever its pose;
+    None where nobody asked (`ObjectQuery.searched`).
     """
 
     object: str
@@ -68,7 +68,7 @@ class PoseEstimate:
     found: bool = False
     T_cam_obj: Float64 | None = None
     quality: float = 0.0
-    state: Literal["SEARCHING", "TRACKING", "SUSPECT", "LOST"] = "LOST"
+    state: State = State.LOST
     score: float = 0.0
     margin: float = 0.0
     covariance: Float64 | None = None

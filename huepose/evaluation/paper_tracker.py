@@ -11,13 +11,14 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from huepose.believe.state import State
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.paper.tracking import PaperStep
 from huepose.support.stages import stage
 from huepose.tracking.history import PoseHistory
-from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
+from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
 
 HISTORY_NS = 2_000_000_000
 """How far back late poses are taken."""

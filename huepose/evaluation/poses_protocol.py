@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.datasets import files
 from huepose.datasets.types import Scene
 from huepose.evaluation.instances import PublishedPose, instance_counts, places
@@ -24,7 +25,6 @@ from huepose.evaluation.track_rows import TrackResult, TrackRow, judged
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.support.errors import InputError
-from huepose.tracking.types import State
 
 _STATES = {state.value for state in State}
 

@@ -207,7 +207,7 @@ class _Run:
             if i in by_looked_at:
                 self._look(by_looked_at[i], sample, here, tracked, due)
             published = [
-                PublishedPose(t.object, t.instance, t.T_cam_obj, t.state.value, t.quality, t.velocity)
+                PublishedPose(t.object, t.instance, t.T_cam_obj, t.state, t.quality, t.velocity)
                 for t in tracked
             ]
             where = self.scene.name, sample.image, sample.frame.stamp_ns

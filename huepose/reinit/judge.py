@@ -7,13 +7,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.uncertainty import carrying, grown, mahalanobis
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.types import ObjectSlot, Prior
-from huepose.tracking.types import State, Verdict
+from huepose.tracking.types import Verdict
 
 SAME_POSE = 0.08
 """Poses whose surfaces are nearer than this share of the diameter are the same."""

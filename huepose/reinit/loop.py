@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
+from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Float64
 from huepose.reinit.answered import Answered, Frame, held
@@ -40,7 +41,7 @@ from huepose.reinit.schedule import (
     missing,
 )
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
-from huepose.tracking.types import Correction, State, TrackedPose, Verdict
+from huepose.tracking.types import Correction, TrackedPose, Verdict
 
 PATIENCE_PERIODS = 2.0
 """For this many periods after an acquisition its instance counts as arriving, and no other is requested for

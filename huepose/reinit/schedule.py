@@ -10,9 +10,10 @@ from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+from huepose.believe.state import State
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.types import Key, ObjectSlot, Prior, RequestedObject
-from huepose.tracking.types import State, TrackedPose
+from huepose.tracking.types import TrackedPose
 
 NEVER = -1
 

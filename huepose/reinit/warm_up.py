@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import ObjectSlot, PerceptionResult
-from huepose.tracking.types import State, TrackedPose
+from huepose.tracking.types import TrackedPose
 
 _PERIOD_NS = 200_000_000
 
@@ -37,7 +38,7 @@ def _estimate(T_cam_obj: np.ndarray, number: int) -> PoseEstimate:
         found=True,
         T_cam_obj=T_cam_obj,
         quality=0.99,
-        state="TRACKING",
+        state=State.TRACKING,
         score=2.0 if number < 3 else 1.0,
         margin=0.5,
         covariance=1e-6 * np.eye(6),

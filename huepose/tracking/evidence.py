@@ -18,12 +18,12 @@ import numpy as np
 
 from huepose.believe import frame
 from huepose.believe.logistic import probability
+from huepose.believe.state import State
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.judge.terms import Terms
 from huepose.select.distinct import RIGHT
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.types import State
 
 MEMORY, MOST_MEMORY = 0.6, 2.0
 """Share of the last frame's log-odds that is the prior of the next, and its bound: successive frames have

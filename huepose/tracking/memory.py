@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import Terms
 from huepose.support.errors import InputError
@@ -29,7 +30,7 @@ from huepose.tracking.orientation import Facing, Orientation
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.tracker import Tracker
-from huepose.tracking.types import Correction, State, TrackedPose, Verdict
+from huepose.tracking.types import Correction, TrackedPose, Verdict
 
 _CLASSES: dict[str, type] = {
     one.__name__: one

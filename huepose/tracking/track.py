@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.believe.logistic import probability
+from huepose.believe.state import State
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
@@ -29,7 +30,7 @@ from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, FLOW
 from huepose.tracking.step import Advance, advance, found_nearby
 from huepose.tracking.subject import Subject
-from huepose.tracking.types import Doubt, State
+from huepose.tracking.types import Doubt
 
 COASTING_SEEN = 0.15
 """If less than this share of the surface is seen, the predicted pose is better than the refined one."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.silhouette import silhouette_iou
@@ -20,7 +21,7 @@ from huepose.tracking.history import FrameHistory
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
-from huepose.tracking.types import Applied, Correction, Doubt, State, TrackedPose, Verdict
+from huepose.tracking.types import Applied, Correction, Doubt, TrackedPose, Verdict
 from huepose.tracking.warm_up import warm_up
 
 SAME_SURFACE_IOU = 0.5

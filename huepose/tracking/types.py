@@ -7,6 +7,7 @@ from enum import Enum
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
@@ -14,19 +15,6 @@ from huepose.support.errors import InputError
 
 ROUNDED = 1e-2
 """A pose whose numbers were rounded in a file is rigid to this tolerance."""
-
-
-class State(str, Enum):
-    """What may be believed of an object's pose."""
-
-    SEARCHING = "SEARCHING"
-    """Not seen yet."""
-    TRACKING = "TRACKING"
-    """The pose may be acted on."""
-    SUSPECT = "SUSPECT"
-    """A pose is published; do not act on it."""
-    LOST = "LOST"
-    """No pose."""
 
 
 class Doubt(str, Enum):

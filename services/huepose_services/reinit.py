@@ -7,10 +7,11 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import asdict
 from typing import Literal
 
+from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
-from huepose.tracking.types import Correction, State, TrackedPose, Verdict
+from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.messages import (
     CameraMessage,

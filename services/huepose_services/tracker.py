@@ -8,13 +8,14 @@ from dataclasses import replace
 
 import msgspec
 
+from huepose.believe.state import State
 from huepose.geometry import RgbdFrame
 from huepose.judge.relit import relit
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, memory
-from huepose.tracking.types import Applied, State, TrackedPose
+from huepose.tracking.types import Applied, TrackedPose
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
 from huepose_services import models, networks
@@ -377,8 +378,8 @@ class TrackerWork(Work):
             return
         self._bus.put(self._bus.keys.pose(pose.object, pose.instance), message)
         how = f"quality {pose.quality:.2f}" + (f"; {reason}" if reason else "")
-        self._told.note(f"{pose.object}/{pose.instance}", pose.state.value, how)
-        self._bus.health.count(f"poses_{pose.state.value.lower()}")
+        self._told.note(f"{pose.object}/{pose.instance}", pose.state, how)
+        self._bus.health.count(f"poses_{pose.state.lower()}")
 
 
 def _doubted(pose: TrackedPose) -> TrackedPose:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.datasets.types import VISIBLE
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
@@ -49,6 +50,6 @@ class Oracle:
         instance = -1 if asked.instance is None else asked.instance
         covariance = np.diag([SHIFT_M**2] * 3 + [TURN_RAD**2] * 3)
         return PoseEstimate(
-            asked.object, instance, True, T, 0.95, "TRACKING", SCORE, 0.3, covariance, None, None,
+            asked.object, instance, True, T, 0.95, State.TRACKING, SCORE, 0.3, covariance, None, None,
             prior_score, prior, (), 0.1,
         )  # fmt: skip

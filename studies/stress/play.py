@@ -107,7 +107,7 @@ def _told(seen: Seen, model: ReferenceModel, poses: list[TrackedPose]) -> Told:
         return Told(stamp_ns, share, None, 0.0, np.inf)
     errors = [error_of(model, pose.T_cam_obj, seen.T_cam_obj) for pose in poses]
     k = int(np.argmin(np.minimum(errors, FAR)))
-    return Told(stamp_ns, share, poses[k].state.value, poses[k].quality, errors[k])
+    return Told(stamp_ns, share, poses[k].state, poses[k].quality, errors[k])
 
 
 def error_of(

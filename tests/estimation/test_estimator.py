@@ -10,6 +10,7 @@ from threading import Thread
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.estimation import (
     Estimator,
     EstimatorConfig,
@@ -64,6 +65,7 @@ def test_a_box_on_a_table_is_found_to_the_millimetre(
     loose = Box(box.x - 6, box.y + 8, box.w * 1.05, box.h * 0.95)
     (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", loose, instance=7)])
     assert answer.found
+    assert answer.state is State.TRACKING
     assert answer.instance == 7
     assert answer.T_cam_obj is not None
     assert answer.mask is not None

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.estimation.types import ObjectQuery
 from huepose.evaluation.instances import Place
 from huepose.evaluation.sources import LoopJudge, SourcedPose
 from huepose.geometry import se3
-from huepose.tracking.types import State, TrackedPose, Verdict
+from huepose.tracking.types import TrackedPose, Verdict
 
 from .conftest import HALF_TURN, estimate_of, pose_at
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.pictures import RIGHT, TRUTH, WRONG, PictureFolder, accuracy_picture, draw_rows
 from huepose.evaluation.sources import TruthSource
@@ -15,7 +16,7 @@ from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
 from huepose.geometry import se3
 from huepose.support.errors import InputError
-from huepose.tracking.types import Applied, State, TrackedPose
+from huepose.tracking.types import Applied, TrackedPose
 
 from .conftest import MemoryScene, ScriptedEstimator, estimate_of, pose_at, truth
 

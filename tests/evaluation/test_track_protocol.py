@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.evaluation.pose_files import PoseTable
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.sources import EstimatorSource, FileSource, TruthSource
@@ -19,7 +20,7 @@ from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
 from huepose.geometry import se3
 from huepose.support.errors import InputError
-from huepose.tracking.types import Applied, Correction, State, TrackedPose, Verdict
+from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
 
 from .conftest import MemoryScene, ScriptedEstimator, estimate_of, pose_at, truth
 

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.evaluation.metrics import add
 from huepose.geometry import Camera, RgbdFrame
 from huepose.model import load_models
@@ -18,7 +19,6 @@ from huepose.model.io import model_path
 from huepose.propose.flow import Flow, compute
 from huepose.scenes.builtin import SyntheticScene
 from huepose.tracking import Correction, Tracker, TrackerConfig
-from huepose.tracking.types import State
 from huepose_protos import PoseClient
 from huepose_protos.examples import messages
 from huepose_protos.messages import PoseMessage

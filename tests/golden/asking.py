@@ -51,7 +51,7 @@ def tracked(question: str, models: Mapping[str, ReferenceModel], steps: Iterable
                 tracker.correct(correction)
             for pose in tracker.step(step.frame):
                 name = f"{pose.object} {pose.instance}"
-                state = pose.state.value
+                state = pose.state
                 answers.append(
                     Answer(question, step.frame.frame_id, name, state, pose.quality, pose.T_cam_obj)
                 )

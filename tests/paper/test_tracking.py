@@ -7,13 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.geometry import RgbdFrame, se3
 from huepose.judge.silhouette import visible_mask
 from huepose.model.types import ReferenceModel
 from huepose.paper.tracking import PaperStep
 from huepose.propose.relative_pose import LiftedMatches, Motion
-from huepose.tracking.types import Applied, Correction, State, Verdict
+from huepose.tracking.types import Applied, Correction, Verdict
 
 PERIOD_NS = 33_333_333
 Take = Callable[[int], RgbdFrame]

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.reinit import PerceptionResult, Request
-from huepose.tracking.types import State, TrackedPose
+from huepose.tracking.types import TrackedPose
 
 MS = 1_000_000
 EPOCH = 7

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from huepose.believe.state import State
 from huepose.reinit import ObjectSlot, ReinitLoop
-from huepose.tracking.types import State, Verdict
+from huepose.tracking.types import Verdict
 
 from .conftest import EPOCH, MS, asked, estimate, pose, result, track
 

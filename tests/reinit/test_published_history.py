@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.reinit.published_history import PublishedHistory
-from huepose.tracking.types import State, TrackedPose
+from huepose.tracking.types import TrackedPose
 
 
 def published(stamp_ns: int, x: float | None, covariance: Float64 | None = None) -> TrackedPose:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.reinit import ObjectSlot, ReinitLoop
 from huepose.reinit.loop import ADOPTED_BELOW
-from huepose.tracking.types import State, Verdict
+from huepose.tracking.types import Verdict
 
 from .conftest import EPOCH, MS, asked, estimate, pose, result, track
 

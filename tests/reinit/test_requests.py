@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.reinit import ObjectSlot, ReinitConfig, ReinitLoop
 from huepose.support.errors import InputError
-from huepose.tracking.types import State
 
 from .conftest import EPOCH, MS, asked, estimate, pose, result, track
 

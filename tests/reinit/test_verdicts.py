@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.geometry import se3
 from huepose.reinit import ObjectSlot, ReinitLoop
-from huepose.tracking.types import State, Verdict
+from huepose.tracking.types import Verdict
 
 from .conftest import MS, estimate, pose, result, track, uncertain
 

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, se3
 from huepose.reinit.types import Prior, Request, RequestedObject
-from huepose.tracking.types import Correction, State, TrackedPose, Verdict
+from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos import decode, encode
 from huepose_protos.examples import messages
 from huepose_protos.messages import (

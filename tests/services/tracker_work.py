@@ -7,10 +7,11 @@ import msgspec
 import numpy as np
 
 from huepose import tracking
+from huepose.believe.state import State
 from huepose.geometry import se3
 from huepose.judge.terms import NOTHING
 from huepose.tracking.hypothesis import Hypothesis
-from huepose.tracking.types import Applied, State, TrackedPose
+from huepose.tracking.types import Applied, TrackedPose
 from huepose_protos import decode, encode
 from huepose_protos.buffers import pack
 from huepose_protos.examples import images, messages

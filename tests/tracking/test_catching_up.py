@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.geometry import se3
-from huepose.tracking import Applied, Correction, State, Tracker, TrackerConfig, Verdict
+from huepose.tracking import Applied, Correction, Tracker, TrackerConfig, Verdict
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.geometry import se3
 from huepose.support.errors import InputError
-from huepose.tracking import Applied, Correction, State, Tracker, TrackerConfig, Verdict
+from huepose.tracking import Applied, Correction, Tracker, TrackerConfig, Verdict
 from tests.tracking.conftest import correction, errors
 
 

@@ -7,8 +7,9 @@ from functools import partial
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.geometry import se3
-from huepose.tracking import Correction, State, Tracker, stages, track
+from huepose.tracking import Correction, Tracker, stages, track
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt

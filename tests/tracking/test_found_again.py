@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.geometry import Mesh, se3
-from huepose.tracking import Correction, State, Tracker, Verdict
+from huepose.tracking import Correction, Tracker, Verdict
 
 STICKER_BEHIND = se3.rotation_exp(np.array([np.pi / 2 + 0.3, 0.4, 0.0]))
 GONE, BACK, END = 5, 15, 40

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.geometry import se3
 from huepose.geometry.uncertainty import carrying
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import NOTHING
-from huepose.tracking import Correction, State, Tracker, TrackerConfig
+from huepose.tracking import Correction, Tracker, TrackerConfig
 from huepose.tracking.evidence import MOST_LOOSE, ONE_SENSE, vouched
 from huepose.tracking.hypothesis import Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.motion import jump_odds

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.geometry import se3
-from huepose.tracking import Correction, State, Tracker, TrackerConfig, Verdict, stages
+from huepose.tracking import Correction, Tracker, TrackerConfig, Verdict, stages
 from tests.studies.moments import printed_board
 
 TWO = (0, 1)

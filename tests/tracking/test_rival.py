@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.evaluation import metrics
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.judge.borders import Contours, outline
@@ -14,7 +15,7 @@ from huepose.onboarding import onboard_mesh
 from huepose.rendering import render
 from huepose.scenes.room import sheet
 from huepose.select.distinct import RIGHT
-from huepose.tracking import Correction, State, Tracker
+from huepose.tracking import Correction, Tracker
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.orientation import (

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from huepose.believe.logistic import probability
+from huepose.believe.state import State
 from huepose.geometry import Camera, se3
 from huepose.geometry.uncertainty import grown
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.silhouette import silhouette_iou, visible_within
 from huepose.judge.terms import NOTHING, Terms
-from huepose.tracking import State, TrackerConfig
+from huepose.tracking import TrackerConfig
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.evidence import (
     Identity,

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.rendering.render import render
 from huepose.scenes.camera import STEREO
 from huepose.scenes.sensor import stereo_depth
-from huepose.tracking import Correction, State, Tracker
+from huepose.tracking import Correction, Tracker
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
 REST = 40

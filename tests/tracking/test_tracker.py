@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.support.errors import InputError
-from huepose.tracking import Applied, State, Tracker, TrackerConfig
+from huepose.tracking import Applied, Tracker, TrackerConfig
 from tests.tracking.conftest import correction, errors
 
 EPOCH = 1

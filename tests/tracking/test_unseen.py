@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.geometry import se3
-from huepose.tracking import Correction, State, Tracker, orientation
+from huepose.tracking import Correction, Tracker, orientation
 from tests.studies.moments import printed_board
 
 

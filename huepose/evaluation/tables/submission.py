@@ -6,6 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from huepose.believe.state import State
 from huepose.datasets.bop_detections import BopDetection, BopDetections
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
 from huepose.evaluation.pose_files import read_bop_csv
@@ -60,7 +61,7 @@ def _answer(query: ObjectQuery, prior: PosePrior | None) -> PoseEstimate:
         instance=query.instance,
         found=True,
         T_cam_obj=prior.T_cam_obj,
-        state="SUSPECT",
+        state=State.SUSPECT,
         score=-float(query.instance),
         box=query.box,
     )

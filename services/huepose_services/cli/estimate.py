@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from huepose.believe.state import State
 from huepose.support.errors import InputError
 from huepose.support.files import write_picture
 from huepose_services.cli.options import (
@@ -140,7 +141,7 @@ def call(arguments: argparse.Namespace) -> int:
         against, of_objects = _against(frame, models, answers)
         why = {k: against[0] for k, a in enumerate(answers) if against and a.state == "TRACKING"} | of_objects
         answers = [
-            replace(a, state="SUSPECT", reason=why[k]) if k in why else a for k, a in enumerate(answers)
+            replace(a, state=State.SUSPECT, reason=why[k]) if k in why else a for k, a in enumerate(answers)
         ]
     doubts = [*against, *_doubts(frame, models, answers)]
     for doubt in doubts:

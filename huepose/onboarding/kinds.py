@@ -8,15 +8,14 @@ from pathlib import Path
 
 from huepose.support.errors import InputError
 
-GIT_LFS = b"version https://git-lfs"
-"""How a text begins that stands for a file which Git LFS keeps elsewhere."""
-
 _COLOURLESS = (
     "It holds no texture, and HuePose needs one: give the mesh a texture in a modelling program, and export "
     "it as GLB."
 )
 _EXPORT = "Open it in its program, and export it as GLB with its texture."
-_LONGEST = 64
+_LONGEST = 256
+_GIT_LFS = b"version https://git-lfs"
+_WEB_PAGE = (b"<!doctype html", b"<html", b"<head", b"<script")
 
 
 @dataclass(frozen=True)
@@ -48,6 +47,7 @@ def check_kind(path: Path, readable: Collection[str]) -> None:
     has such an ending."""
     ending = path.suffix.lower()
     start = _start(path)
+    check_fetched(start, path, "the mesh")
     kind = next((k for k in _KINDS if ending in k.endings or start.startswith(k.starts)), None)
     if kind is None and ending in readable:
         return
@@ -59,6 +59,15 @@ def check_kind(path: Path, readable: Collection[str]) -> None:
         if ending not in kind.endings:
             found += f" by its first bytes, with the ending '{path.suffix}'"
     raise InputError(path, found=found, expected=", ".join(readable), fix=fix)
+
+
+def check_fetched(data: bytes, path: Path, expected: str) -> None:
+    """Raises InputError for what a download leaves in a file's place. data: at least its first bytes."""
+    if data.startswith(_GIT_LFS):
+        raise InputError(path, found="a pointer of Git LFS", expected=expected, fix="Fetch it: git lfs pull.")
+    if data[:_LONGEST].removeprefix(b"\xef\xbb\xbf").lstrip().lower().startswith(_WEB_PAGE):
+        fix = "The download failed: open the link in a browser, and save the file itself."
+        raise InputError(path, found="a web page (HTML)", expected=expected, fix=fix)
 
 
 def _start(path: Path) -> bytes:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import UInt8
-from huepose.onboarding.kinds import GIT_LFS
+from huepose.onboarding.kinds import check_fetched
 from huepose.support.errors import InputError
 
 LARGEST_BYTES = 2**30
@@ -135,9 +135,7 @@ class MeshFiles:
         except OSError as error:
             found = error.strerror or str(error)
             raise InputError(path, found=found, expected=f"a readable {role}") from None
-        if data.startswith(GIT_LFS):
-            fix = "Fetch it: git lfs pull."
-            raise InputError(path, found="a pointer of Git LFS", expected=expected, fix=fix)
+        check_fetched(data, path, expected)
         return data
 
 

@@ -53,6 +53,10 @@ def broken(tmp_path: Path, mesh: Mesh, how: str) -> Path:
         return tmp_path / "other.obj"
     elif how == "foreign type":
         return obj.rename(tmp_path / "m.off")
+    elif how == "page for a texture":
+        (tmp_path / "m.png").write_bytes(b"<!DOCTYPE html>\n")
+    elif how == "page for a material":
+        obj.with_suffix(".mtl").write_text("<html>\n")
     elif how == "pointer to a texture":
         (tmp_path / "m.png").write_bytes(POINTER)
     return obj
@@ -75,6 +79,8 @@ def broken(tmp_path: Path, mesh: Mesh, how: str) -> Path:
         ("no glb", "m.glb: found no glTF header"),
         ("missing", "other.obj: found no such file; expected the mesh"),
         ("foreign type", "m.off: found a file of type '.off'; expected .obj, .ply, .glb, .gltf"),
+        ("page for a texture", "m.png: found a web page (HTML); expected the texture, which m.mtl names"),
+        ("page for a material", "m.mtl: found a web page (HTML); expected the material file, which m.obj"),
         (
             "pointer to a texture",
             "m.png: found a pointer of Git LFS; expected the texture, which m.mtl names",
@@ -123,6 +129,14 @@ def test_draco_is_refused_by_name(tmp_path: Path) -> None:
         ("m", b"v 0 0 0", "found a file without an ending; expected .obj"),
         ("m.obj", POINTER, "found a pointer of Git LFS; expected the mesh. Fetch it: git lfs pull."),
         ("m.glb", POINTER, "found a pointer of Git LFS; expected the mesh. Fetch it: git lfs pull."),
+        ("m.obj", b"\n\n<!DOCTYPE html>\n<html>", "found a web page (HTML); expected the mesh. The download"),
+        (
+            "m.ply",
+            b"\xef\xbb\xbf<html lang='en'>",
+            "found a web page (HTML); expected the mesh. The download",
+        ),
+        ("m.glb", b"<!doctype HTML><html>", "found a web page (HTML); expected the mesh. The download"),
+        ("m.3mf", b"<!doctype html><html>", "found a web page (HTML); expected the mesh. The download"),
     ],
 )
 def test_a_file_that_is_no_mesh_is_named_for_what_it_is(

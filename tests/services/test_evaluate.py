@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -70,7 +73,9 @@ def scene(tmp_path: Path) -> Path:
     return folder
 
 
-def test_poses_of_a_live_run_are_scored(bundles: Path, scene: Path, tmp_path: Path, capsys) -> None:
+@pytest.fixture
+def scoring(bundles: Path, scene: Path, tmp_path: Path) -> list[str]:
+    """The command that scores one message into result.json."""
     message = {
         "object": "wedge", "instance": 0, "camera_epoch": 1, "frame_id": 1, "capture_ns": 10,
         "publish_ns": 5_000_010, "state": "TRACKING", "quality": 0.9,
@@ -79,23 +84,33 @@ def test_poses_of_a_live_run_are_scored(bundles: Path, scene: Path, tmp_path: Pa
     }  # fmt: skip
     poses, result = tmp_path / "poses.jsonl", tmp_path / "result.json"
     poses.write_text(json.dumps(message) + "\n")
-    command = [
-        "eval",
-        "poses",
-        str(poses),
-        "--bop",
-        str(scene),
-        "--bundles",
-        str(bundles),
-        "--json",
-        str(result),
-    ]
-    assert main(command) == 0
-    record = json.loads(result.read_text())
+    command = ["eval", "poses", poses, "--bop", scene, "--bundles", bundles, "--json", result]
+    return [str(word) for word in command]
+
+
+def test_poses_of_a_live_run_are_scored(scoring: list[str], tmp_path: Path, capsys) -> None:
+    assert main(scoring) == 0
+    record = json.loads((tmp_path / "result.json").read_text())
     assert record["summary"]["recall_add"] == 50.0
     assert record["rows"][1]["add_m"] == pytest.approx(0.01)
     assert record["rows"][0]["T_cam_obj"] is None
     assert "50.0 % of frames" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("closed", [["stdout"], ["stderr"], ["stdout", "stderr"]])
+def test_results_are_written_where_nobody_reads_what_is_printed(
+    scoring: list[str], tmp_path: Path, closed: list[str]
+) -> None:
+    """Python writes each word at once here; else it does when its buffer is full."""
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    outputs = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | dict.fromkeys(closed, write_end)
+    command = [sys.executable, "-u", "-m", "huepose_services.cli.main", *scoring]
+    ended = subprocess.run(command, text=True, check=False, **outputs)
+    os.close(write_end)
+    assert ended.returncode == 0
+    assert "Error" not in (ended.stderr or "")
+    assert json.loads((tmp_path / "result.json").read_text())["summary"]["recall_add"] == 50.0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import difflib
 import errno
 import os
 import sys
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext, redirect_stderr, redirect_stdout
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,9 @@ _VERBS = (
 _COMPILING = frozenset(
     {"demo", "new", "onboard", "onboard-bop", "estimate", "eval", "replay", "render-scenes", "bench"}
 )
+# Those that go on until they are told to end, as by whoever closes the pipe that they print to. The others
+# come to the end of their work, and write its results, when nobody reads what they print any more.
+_LASTING = frozenset({"up", "run", "view", "record", "poses", "top"})
 # Those whose work is too short for more threads of the numeric libraries than the workers have.
 _SHORT = frozenset({"estimate"})
 # What the base installation, for subscribers, does without.
@@ -53,6 +56,31 @@ _OF_THE_DISK = (
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG),
 )
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+
+class _Patient:
+    """An output to which what its reader does not wait for is no error: that goes nowhere."""
+
+    def __init__(self, out: Any) -> None:
+        self._out = out
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._out, name)
+
+    def write(self, text: str) -> int:
+        """As of a file."""
+        try:
+            self._out.write(text)
+        except BrokenPipeError:
+            _say_no_more(self._out)
+        return len(text)
+
+    def flush(self) -> None:
+        """As of a file."""
+        try:
+            self._out.flush()
+        except BrokenPipeError:
+            _say_no_more(self._out)
 
 
 class _Verbs(argparse._SubParsersAction):
@@ -153,9 +181,13 @@ def main(arguments: list[str] | None = None) -> int:
         check_outputs(parsed)
         if parsed.verb in _SHORT:
             single_threaded()
-        with _told(parsed.verb):
+        with ExitStack() as around:
+            if parsed.verb not in _LASTING:
+                around.enter_context(redirect_stdout(_Patient(sys.stdout)))
+                around.enter_context(redirect_stderr(_Patient(sys.stderr)))
+            around.callback(lambda: sys.stdout.flush())
+            around.enter_context(_told(parsed.verb))
             code: int = parsed.call(parsed)
-        sys.stdout.flush()
         return code
     except InputError as error:
         print(f"huepose {parsed.verb}: {error}", file=sys.stderr)
@@ -172,22 +204,22 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _interrupted(f"huepose {parsed.verb}")
     except BrokenPipeError:
-        _say_no_more()  # the reader of our output has left
+        _say_no_more(sys.stdout)  # the reader of our output has left
         return DONE
     except OSError as error:
         if error.errno not in _OF_THE_DISK:
             raise
         reason = error.strerror or str(error)
         if error.filename is None:  # what writes to a file names it
-            _say_no_more()
+            _say_no_more(sys.stdout)
         where = error.filename or "what it prints"
         print(f"huepose {parsed.verb}: {where}: found {reason}.", file=sys.stderr)
         return BAD_INPUT
 
 
-def _say_no_more() -> None:
-    """Standard output takes nothing any more: what waits for it is not to fail again at the exit."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+def _say_no_more(out: Any) -> None:
+    """An output takes nothing any more: what waits for it is not to fail again at the exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())
 
 
 if __name__ == "__main__":

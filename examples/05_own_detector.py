@@ -14,6 +14,7 @@ import numpy as np
 from huepose import Box, Estimator, ObjectQuery, ReferenceModel, RgbdFrame, load_models
 from huepose.datasets.image_files import read_frame
 from huepose.perception.types import Detection
+from huepose.support.errors import InputError
 
 BINS, RANGES = [32, 32], [0, 256, 0, 256]
 PLACES = 8  # boxes for each object: colours alone find the right one seldom at once, the pose tells
@@ -52,8 +53,11 @@ class ByColour:
 if len(sys.argv) < 2:
     sys.exit(__doc__)
 folder = Path(sys.argv[1])
-models = load_models(folder / "bundles")
-frame = read_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")
+try:
+    models = load_models(folder / "bundles")
+    frame = read_frame(folder / "color.png", folder / "depth.png", folder / "camera.json")
+except InputError as error:  # says what to do
+    sys.exit(str(error))
 queries = [
     ObjectQuery(d.object, d.box, searched=True) for d in ByColour(models).detect(frame, sorted(models))
 ]

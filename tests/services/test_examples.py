@@ -71,8 +71,9 @@ def test_a_frame_is_answered(name: str, folder: Path, true_place: np.ndarray) ->
     assert np.allclose(place, true_place, atol=0.005)
 
 
-def test_a_folder_without_a_frame_is_said_in_a_paragraph(tmp_path: Path) -> None:
-    done = subprocess.run(example("01_one_frame.py", tmp_path / "no"), capture_output=True, text=True)
+@pytest.mark.parametrize("name", ["01_one_frame.py", "05_own_detector.py"])
+def test_a_folder_without_a_frame_is_said_in_a_paragraph(name: str, tmp_path: Path) -> None:
+    done = subprocess.run(example(name, tmp_path / "no"), capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith(f"{tmp_path / 'no'}")
     assert "Traceback" not in done.stderr

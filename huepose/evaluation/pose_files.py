@@ -165,7 +165,7 @@ def read_bop_csv(path: Path | str, broken: list[str] | None = None) -> list[BopR
                 f"{path}, line {number}", found=",".join(row)[:60], expected=",".join(_HEADER)
             ) from None
         T_cam_obj = se3.make(R, t_m)
-        if not se3.is_rigid(T_cam_obj, 1e-2):
+        if not se3.is_rigid(T_cam_obj, se3.ROUNDED):
             if broken is not None:
                 broken.append(f"line {number}: no rotation or not finite")
                 continue

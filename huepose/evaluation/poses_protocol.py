@@ -21,7 +21,7 @@ from huepose.datasets.types import Scene
 from huepose.evaluation.instances import PublishedPose, instance_counts, places
 from huepose.evaluation.summary import grouped
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_rows import TrackResult, TrackRow, judged
+from huepose.evaluation.track_rows import TrackResult, TrackRow, rows_of_frame
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.support.errors import InputError
@@ -133,7 +133,7 @@ def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets)
     for image in scene.image_ids:
         here = places(scene.truths(image), targets, counts)
         published = [m.pose for m in by_image.get(image, []) if m.pose.object in targets.models_by_name]
-        new, spare = judged(scene.name, image, scene.stamp_ns(image), here, published, targets)
+        new, spare = rows_of_frame(scene.name, image, scene.stamp_ns(image), here, published, targets)
         rows += new
         phantoms += spare
     due = [row for row in rows if not row.gone]

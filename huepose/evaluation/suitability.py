@@ -24,6 +24,7 @@ from huepose.evaluation.metrics import RECALL_FRACTION, add, adds
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.icosphere import look_at
+from huepose.geometry.symmetry import nearest_alike
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.rendering.render import render
@@ -128,7 +129,7 @@ def self_test(model: ReferenceModel, count: int = TRIALS, seed: int = 0) -> Suit
     stand on the drawn table."""
     check_sizes({model.name: model.mesh}, _TOO_LARGE)
     estimator = Estimator({model.name: model}, profile("live").estimator)
-    return judged(model, list(_trials(model, estimator, count, seed)))
+    return suitability_of(model, list(_trials(model, estimator, count, seed)))
 
 
 def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) -> Iterator[Trial]:
@@ -176,17 +177,16 @@ def _next_that_shows(model: ReferenceModel, seed: int, numbers: Iterator[int]) -
 def judge(model: ReferenceModel, T: Float64, T_true: Float64) -> tuple[bool, bool, Float64 | None]:
     """Of a pose (4, 4), whether it and its shape are right, and its turn, as in `Trial`."""
     limit_m = RECALL_FRACTION * model.diameter_m
-    alike = [T_true @ E for E in model.equivalents]
-    nearest = min(alike, key=lambda other: se3.rotation_angle(other, T))
+    nearest = nearest_alike(T_true, model.equivalents, T)
     turn = se3.rotation_log(nearest[:3, :3].T @ T[:3, :3])
     turned = float(np.linalg.norm(turn)) > TURNED_RAD
-    near = min(add(model.eval_points, T, other) for other in alike) < limit_m
+    near = add(model.eval_points, T, nearest) < limit_m
     shape_right = bool(adds(model.eval_points, T, T_true) < limit_m)
     # A thin thing that is turned about its length is near, too.
-    return near and not turned, shape_right, turn if turned and shape_right else None
+    return bool(near and not turned), shape_right, turn if turned and shape_right else None
 
 
-def judged(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
+def suitability_of(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
     """The verdict on an object of which these trials are known."""
     right = np.array([t.right for t in trials], bool)
     sure = np.array([t.state == "TRACKING" for t in trials], bool)

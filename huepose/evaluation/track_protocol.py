@@ -18,7 +18,7 @@ from huepose.estimation.types import PosePrior
 from huepose.evaluation.instances import Place, PublishedPose, instance_counts, places
 from huepose.evaluation.sources import FileSource, PoseSource, SourcedPose
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_rows import TrackResult, TrackRow, judged
+from huepose.evaluation.track_rows import TrackResult, TrackRow, rows_of_frame
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.support.errors import InputError
@@ -211,7 +211,7 @@ class _Run:
                 for t in tracked
             ]
             where = self.scene.name, sample.image, sample.frame.stamp_ns
-            yield sample, *judged(*where, here, published, self.targets, seconds, self.seed)
+            yield sample, *rows_of_frame(*where, here, published, self.targets, seconds, self.seed)
 
     def _first_poses(self, sample: Sample, here: Sequence[Place]) -> list[Correction]:
         """Each instance is asked for once: in the first fed frame that shows it. A file is asked until it has

@@ -63,7 +63,7 @@ class TrackRow:
         return record | {key: getattr(self.error, key, None) for key in ("add_m", "adds_m", "right")}
 
 
-def judged(
+def rows_of_frame(
     sequence: str,
     image: int,
     stamp_ns: int,

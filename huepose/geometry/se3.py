@@ -12,6 +12,9 @@ import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
 
+ROUNDED = 1e-2
+"""A transform whose numbers were rounded in a file is rigid to this tolerance."""
+
 NEARLY_ORTHONORMAL = 1e-7
 """Up to this norm of I - R^T R one step of Newton and Schulz, which squares it, ends at machine precision."""
 

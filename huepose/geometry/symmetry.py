@@ -23,6 +23,13 @@ def rotation_about(axis: Float, angle_rad: float, offset_m: Float) -> Float64:
     return se3.make(R, offset - R @ offset)
 
 
+def nearest_alike(T_cam_obj: Float64, turns: Float64, T_near: Float64) -> Float64:
+    """Of the poses (4, 4) that look the same as one after these turns (S, 4, 4), that which is rotated least
+    from another."""
+    poses = T_cam_obj @ turns
+    return np.asarray(poses[np.einsum("ij,kij->k", T_near[:3, :3], poses[:, :3, :3]).argmax()])
+
+
 def sampled(entry: Mapping[str, Any], step_rad: float = np.pi / 36, unit_m: float = 0.001) -> Float64:
     """Turns (S, 4, 4), identity first, of one object's entry in `models_info.json`.
 

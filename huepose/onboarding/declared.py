@@ -40,7 +40,7 @@ def check_symmetries(entry: Mapping[str, Any], where: str) -> None:
             raise InputError(f"{where} {name}", found=str(entry[name])[:80], expected=f"a list as in {_FORM}")
     for k, row in enumerate(entry.get("symmetries_discrete", [])):
         T = _numbers(row, 16)
-        if T is None or not se3.is_rigid(T.reshape(4, 4), tolerance=1e-2):
+        if T is None or not se3.is_rigid(T.reshape(4, 4), se3.ROUNDED):
             raise InputError(
                 f"{where} symmetries_discrete[{k}]", found=str(row)[:80], expected="a rigid 4x4 turn"
             )

@@ -10,6 +10,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.mesh import Mesh
+from huepose.geometry.symmetry import nearest_alike
 from huepose.judge.borders import Contours
 from huepose.judge.open_region import PreparedSurface
 from huepose.model.types import ReferenceModel
@@ -70,8 +71,7 @@ class Subject:
 
     def like(self, T_cam_obj: Float64, T_near: Float64) -> Float64:
         """Of the poses (4, 4) that look the same as one, that which is rotated least from another."""
-        poses = T_cam_obj @ self.model.equivalents
-        return np.asarray(poses[np.einsum("ij,kij->k", T_near[:3, :3], poses[:, :3, :3]).argmax()])
+        return nearest_alike(T_cam_obj, self.model.equivalents, T_near)
 
     @property
     def mesh(self) -> Mesh:

@@ -13,9 +13,6 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
 
-ROUNDED = 1e-2
-"""A pose whose numbers were rounded in a file is rigid to this tolerance."""
-
 
 class Doubt(str, Enum):
     """What alone keeps a pose that fits the frame from being `TRACKING`."""
@@ -85,7 +82,7 @@ class Correction:
             T = np.asarray(self.T_cam_obj, np.float64)
         except (TypeError, ValueError):
             T = np.zeros(0)
-        if not se3.is_rigid(T, ROUNDED):
+        if not se3.is_rigid(T, se3.ROUNDED):
             raise _no_pose(self.object, self.T_cam_obj, T)
         object.__setattr__(self, "T_cam_obj", T)
 

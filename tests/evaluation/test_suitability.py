@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from huepose.evaluation import suitability
-from huepose.evaluation.suitability import Trial, in_words, judge, judged, seen_in_part, self_test, sheet
+from huepose.evaluation.suitability import (
+    Trial,
+    in_words,
+    judge,
+    seen_in_part,
+    self_test,
+    sheet,
+    suitability_of,
+)
 from huepose.geometry import Mesh, se3
 from huepose.model import ReferenceModel
 from huepose.scenes.rendered import SceneRanges
@@ -23,7 +31,7 @@ def trial(right: bool, size_px: float = 100.0, *, state: str = "TRACKING", shape
 
 
 def test_an_object_that_is_always_right_suits_without_reasons(tea_box: ReferenceModel) -> None:
-    found = judged(tea_box, [trial(True, size) for size in (50.0, 80.0, 120.0)])
+    found = suitability_of(tea_box, [trial(True, size) for size in (50.0, 80.0, 120.0)])
     assert (found.verdict, found.right, found.tracking, found.smallest_px) == ("suits", 1.0, 1.0, 50.0)
     assert found.reasons == ()
 
@@ -32,7 +40,7 @@ def test_an_object_that_is_always_right_suits_without_reasons(tea_box: Reference
 def test_an_object_with_a_wrong_pose_that_is_taken_as_sure_suits_with_limits_at_best(
     tea_box: ReferenceModel, state: str, verdict: str
 ) -> None:
-    found = judged(tea_box, [*[trial(True)] * 15, trial(False, state=state, shape=False)])
+    found = suitability_of(tea_box, [*[trial(True)] * 15, trial(False, state=state, shape=False)])
     assert found.verdict == verdict
     said = "In 1 of 16 scenes a wrong pose was taken as sure (TRACKING)."
     assert (said in found.reasons) == (state == "TRACKING")
@@ -42,7 +50,7 @@ def test_an_object_with_a_wrong_pose_that_is_taken_as_sure_suits_with_limits_at_
 def test_an_object_that_is_often_wrong_and_sure_does_not_suit_however_often_it_is_right(
     tea_box: ReferenceModel, wrong: int, verdict: str
 ) -> None:
-    found = judged(tea_box, [*[trial(True)] * (16 - wrong), *[trial(False, shape=False)] * wrong])
+    found = suitability_of(tea_box, [*[trial(True)] * (16 - wrong), *[trial(False, shape=False)] * wrong])
     assert found.verdict == verdict
     assert found.reasons[0] == f"In {wrong} of 16 scenes a wrong pose was taken as sure (TRACKING)."
 
@@ -51,7 +59,7 @@ def test_an_object_that_is_often_wrong_and_sure_does_not_suit_however_often_it_i
 def test_an_object_that_is_seldom_right_and_sure_does_not_suit_however_often_it_is_right(
     tea_box: ReferenceModel, sure: int, verdict: str
 ) -> None:
-    found = judged(tea_box, [*[trial(True)] * sure, *[trial(True, state="SUSPECT")] * (16 - sure)])
+    found = suitability_of(tea_box, [*[trial(True)] * sure, *[trial(True, state="SUSPECT")] * (16 - sure)])
     assert (found.verdict, found.right) == (verdict, 1.0)
     said = "In 3 of 16 scenes its pose is right and sure (TRACKING): a pipeline would seldom have"
     assert found.reasons[0].startswith(said) == (verdict == "does not suit")
@@ -60,14 +68,14 @@ def test_an_object_that_is_seldom_right_and_sure_does_not_suit_however_often_it_
 def test_the_size_is_not_blamed_where_smaller_ones_are_right(tea_box: ReferenceModel) -> None:
     """A jar that is seen from above looks alike from all sides, near and far."""
     wrong = [trial(False, size, state="SUSPECT") for size in (138.0, 120.0, 70.0)]
-    found = judged(tea_box, [*wrong, *(trial(True, 50.0 + 10.0 * k) for k in range(12))])
+    found = suitability_of(tea_box, [*wrong, *(trial(True, 50.0 + 10.0 * k) for k in range(12))])
     assert found.smallest_px == 50.0
     assert not any("pixels large" in reason for reason in found.reasons)
 
 
 def test_wrong_sides_and_small_pictures_are_said(tea_box: ReferenceModel) -> None:
     trials = [*(trial(True, 100.0 + k) for k in range(9)), *(trial(False, 30.0 + k) for k in range(4))]
-    found = judged(tea_box, trials)
+    found = suitability_of(tea_box, trials)
     assert found.verdict == "does not suit"
     assert found.false_tracking == 4
     # Nine right ones and then one wrong one are 90 %.
@@ -89,7 +97,9 @@ def test_wrong_sides_and_small_pictures_are_said(tea_box: ReferenceModel) -> Non
 def test_right_answers_from_farther_away_than_it_should_be_are_counted(tea_box: ReferenceModel) -> None:
     """They stand beside that sentence on the sheet."""
     near, far = [trial(True, 60.0 + k) for k in range(9)], [trial(k == 2, 40.0 + k) for k in range(5)]
-    (size,) = [reason for reason in judged(tea_box, [*near, *far]).reasons if "pixels large" in reason]
+    (size,) = [
+        reason for reason in suitability_of(tea_box, [*near, *far]).reasons if "pixels large" in reason
+    ]
     assert size.endswith(
         "up to 1.4 m with this camera: 9 of 10 answers are right there, and 1 of 4 farther away."
     )
@@ -123,24 +133,24 @@ def test_a_thin_thing_that_is_turned_about_its_length_is_wrong_unless_it_looks_t
 
 
 def test_an_object_whose_poses_are_wrong_does_not_suit(tea_box: ReferenceModel) -> None:
-    found = judged(tea_box, [trial(False, shape=False, state="LOST")] * 5)
+    found = suitability_of(tea_box, [trial(False, shape=False, state="LOST")] * 5)
     assert (found.verdict, found.smallest_px, found.false_tracking) == ("does not suit", None, 0)
     assert found.reasons
-    assert judged(tea_box, []).verdict == "does not suit"
+    assert suitability_of(tea_box, []).verdict == "does not suit"
 
 
 def test_one_colour_is_said_and_limits_what_the_object_suits_for(tea_box: ReferenceModel) -> None:
     grey = replace(tea_box.surface, lab=np.full_like(tea_box.surface.lab, 50.0))
-    found = judged(replace(tea_box, surface=grey), [trial(True)])
+    found = suitability_of(replace(tea_box, surface=grey), [trial(True)])
     assert found.reasons[0].startswith("It is of one colour (its colours differ by 0.0")
     assert found.verdict == "suits with limits"
 
 
 def test_a_model_of_a_part_suits_with_limits_at_best(tea_box: ReferenceModel) -> None:
-    found = seen_in_part(judged(tea_box, [trial(True)]), 0.37)
+    found = seen_in_part(suitability_of(tea_box, [trial(True)]), 0.37)
     assert (found.verdict, found.right) == ("suits with limits", 1.0)
     assert found.reasons[0].startswith("Only 37 % of its surface was seen")
-    wrong = judged(tea_box, [trial(False, shape=False, state="LOST")])
+    wrong = suitability_of(tea_box, [trial(False, shape=False, state="LOST")])
     assert seen_in_part(wrong, 0.37).verdict == "does not suit"
 
 

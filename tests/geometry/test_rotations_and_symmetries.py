@@ -59,3 +59,16 @@ def test_prediction_and_its_uncertainty():
     np.testing.assert_allclose(se3.difference(np.eye(4), T), [0.1, 0, 0, 0, 0, 0.2], atol=1e-12)
     grown = uncertainty.grown(np.zeros((6, 6)), 0.1, accel_m_s2=2.0, accel_rad_s2=4.0)
     np.testing.assert_allclose(np.sqrt(np.diag(grown)), [0.01] * 3 + [0.02] * 3)
+
+
+@pytest.mark.parametrize("offset", [[0.0, 0.0, 0.0], [0.3, -0.2, 0.1]])
+def test_of_poses_that_look_alike_that_one_is_meant_which_is_turned_least(offset: list[float]) -> None:
+    """Of a bottle, whose axis need not go through its origin, that which is nearest point by point, too."""
+    turns = np.array([symmetry.rotation_about([0.0, 0.0, 1.0], k * np.pi / 36, offset) for k in range(72)])
+    T = se3.make(se3.rotation_exp([0.4, -0.3, 0.2]), [0.1, 0.0, 0.7])
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (40, 3)) + offset
+    for k in (0, 1, 35, 71):
+        near = T @ turns[k] @ symmetry.rotation_about([0.6, -0.3, 0.8], 0.03, offset)
+        apart = [np.linalg.norm(se3.apply(T @ E, points) - se3.apply(near, points), axis=1) for E in turns]
+        assert np.argmin(np.mean(apart, axis=1)) == k
+        np.testing.assert_array_equal(symmetry.nearest_alike(T, turns, near), (T @ turns)[k])

@@ -14,13 +14,11 @@ from huepose.datasets.types import GONE, VISIBLE
 from huepose.evaluation.metrics import RECALL_FRACTION, add, adds, four_figures
 from huepose.evaluation.states import Moment, StateReport, combined, report
 from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.symmetry import nearest_alike
 from huepose.support.words import counted
 from huepose_protos.messages import PoseMessage, TruthMessage
 from huepose_services.convert import optional_pose_from_wire, pose_of
 from huepose_services.runtime.clock import SECOND
-
-_FEW = 50
-"""Points by which it is found which of the poses that look alike is nearest."""
 
 _MIN_RECALL = 90.0
 _CONFIRMED_WITHIN_S = 3.0
@@ -47,8 +45,7 @@ class Yardstick:
 
     def add(self, T_cam_obj: Float64, truth: Float64) -> float:
         """ADD of a pose (4, 4) to the nearest of those that look like the true one, metres."""
-        alike, few = truth @ self.equivalents, self.points_obj[:: max(1, len(self.points_obj) // _FEW)]
-        return add(self.points_obj, T_cam_obj, min(alike, key=lambda T: add(few, T_cam_obj, T)))
+        return add(self.points_obj, T_cam_obj, nearest_alike(truth, self.equivalents, T_cam_obj))
 
 
 @dataclass(frozen=True, eq=False)

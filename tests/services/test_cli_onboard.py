@@ -216,11 +216,12 @@ def test_the_warning_of_an_unusual_size_comes_first_and_once(
 ) -> None:
     rng = np.random.default_rng(0)
     pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
-    files.write_obj(tmp_path / "m.obj", solids.box((0.06, 0.04, 0.03), pictures), scale=1000.0)
+    # Long and slender: the views of a large object take long to draw.
+    files.write_obj(tmp_path / "m.obj", solids.box((0.048, 0.004, 0.004), pictures), scale=1000.0)
     given = [str(tmp_path / "m.obj"), "--unit", "cm", "--out", str(tmp_path / "out")]
     assert main(["onboard", *given, "--name", "brick"]) == 0
     first, *rest = capsys.readouterr().err.splitlines()
-    assert first.startswith("warning: its largest side is 60 cm with --unit cm: larger than drawn scenes")
+    assert first.startswith("warning: its largest side is 48 cm with --unit cm: larger than drawn scenes")
     assert not [line for line in rest if line.startswith("warning")]
     assert rest[-1].startswith("brick was not tried in drawn scenes: object 'brick': found a largest side")
     assert rest[-1].endswith("(--unit).")

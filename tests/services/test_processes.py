@@ -61,8 +61,9 @@ def test_a_recording_is_played_once_on_time_and_ends_the_pipeline(
     assert all(t.publish_ns >= t.capture_ns for t in truths)
     assert truths[3].objects[0].translation == (0.0, 0.0, 0.503)
     assert truths[3].objects[0].object_id == 5
-    out, _ = printer.communicate(timeout=15.0)
+    out, err = printer.communicate(timeout=15.0)
     assert printer.returncode == 0
+    assert f"this is local/cam0, which runs from {path}" in err
     lines = [json.loads(line) for line in out.splitlines()]
     assert {line["worker"] for line in lines} == {"camera"}
     assert lines[-1]["state"] == "ended"

@@ -160,14 +160,21 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
 def chosen(arguments: argparse.Namespace, tell: bool = True) -> Pipeline:
     """The pipeline that is meant. tell: say which it is where that may be a surprise. Raises InputError where
     it is not clear."""
-    from huepose_services.runtime.config import DEFAULT_FILE
     from huepose_services.runtime.running import pick
 
     pipeline = pick(arguments.config, arguments.pipeline)
-    unsaid = arguments.config is None and arguments.pipeline is None
-    if tell and unsaid and pipeline.file and Path(pipeline.file) != Path(DEFAULT_FILE).absolute():
-        say(f"this is {pipeline.name}, which runs from {pipeline.file}")
+    if tell:
+        say_which(arguments, pipeline)
     return pipeline
+
+
+def say_which(arguments: argparse.Namespace, pipeline: Pipeline) -> None:
+    """Say which pipeline was found where nobody named one, and it is not that of this folder."""
+    from huepose_services.runtime.config import DEFAULT_FILE
+
+    unsaid = arguments.config is None and arguments.pipeline is None
+    if unsaid and pipeline.file and Path(pipeline.file) != Path(DEFAULT_FILE).absolute():
+        say(f"this is {pipeline.name}, which runs from {pipeline.file}")
 
 
 def say_if_unknown(pipeline: Pipeline) -> None:

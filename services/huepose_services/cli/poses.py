@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose.support.words import counted
-from huepose_services.cli.options import add_choice, add_path, chosen, say, until_told
+from huepose_services.cli.options import add_choice, add_path, chosen, say, say_which, until_told
 from huepose_services.pem import Credentials
 
 if TYPE_CHECKING:
@@ -329,6 +329,8 @@ def _messages_here(
                 if not reader.seen:
                     before, pipeline = pipeline, chosen(arguments, tell=False)
                     again = pipeline != before
+                    if again:
+                        say_which(arguments, pipeline)
             if _is_over(reader):
                 say(f"{pipeline.name} has ended")
 

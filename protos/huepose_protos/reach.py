@@ -55,7 +55,10 @@ def why_unreached(endpoints: Sequence[str], context: ssl.SSLContext | None) -> s
         host, port = address_of(first)
     except ValueError:
         return f"waiting for {first}"
-    why = why_unreachable(host, port, context if first.startswith("tls/") else None)
+    secure = first.startswith("tls/")
+    why = why_unreachable(host, port, context if secure else None)
+    if why is None and secure and ":" in host:
+        why = "by TLS zenoh reaches no address of IPv6: give the gateway's name in its place"
     return f"waiting for a gateway at {first}: {why or 'it does not answer as one'}"
 
 

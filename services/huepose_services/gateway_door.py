@@ -256,10 +256,14 @@ def check_door(gateway: GatewayConfig, section: str) -> None:
 
 def _listener(gateway: GatewayConfig, section: str, port: int | None = None) -> socket.socket:
     """port: in the place of the one that is set, 0 for any."""
-    host, own = gateway.listen.rsplit(":", 1)
+    written, own = gateway.listen.rsplit(":", 1)
+    host, family = written.strip("[]"), socket.AF_INET6 if written.startswith("[") else socket.AF_INET
     try:
         listener = socket.create_server(
-            (host.strip("[]"), int(own) if port is None else port), backlog=PENDING
+            (host, int(own) if port is None else port),
+            family=family,
+            backlog=PENDING,
+            dualstack_ipv6=host == "::" and socket.has_dualstack_ipv6(),
         )
     except OSError as error:
         raise InputError(

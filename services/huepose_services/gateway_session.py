@@ -34,7 +34,7 @@ def open_outside(
     Raises InputError for files or a port that cannot be used."""
     session, door = open_behind_door(gateway, tell, outside_settings(gateway))
     host = gateway.listen.rsplit(":", 1)[0]
-    if gateway.tls is None and not (host == "localhost" or host.startswith("127.")):
+    if gateway.tls is None and not (host in ("localhost", "[::1]") or host.startswith("127.")):
         return session, door, [f"anyone who reaches {gateway.listen} can read poses: gateway.tls is not set"]
     return session, door, []
 

@@ -24,11 +24,11 @@ EXAMPLES = {type(m): m for m in messages()}
 class Running:
     """A tracker's end of the bus that says what a test wants, and a gateway beside it."""
 
-    def __init__(self, base_port: int, **gateway: object) -> None:
+    def __init__(self, base_port: int, host: str = "127.0.0.1", **gateway: object) -> None:
         self.port = base_port + 9
         self.config = Config(
             bus=BusConfig(base_port=base_port),
-            gateway=GatewayConfig(listen=f"127.0.0.1:{self.port}", **gateway),
+            gateway=GatewayConfig(listen=f"{host}:{self.port}", **gateway),
         )
         self.tracker = self._bus("tracker")
         self.corrections = self.tracker.inbox.queue(self.tracker.keys.correction)
@@ -102,7 +102,7 @@ def start(base_port):
 def authority(tmp_path_factory):
     """Files of an authority, a gateway and some readers; one of them has another authority's certificate."""
     folder, other = (tmp_path_factory.mktemp("certificates") for _ in range(2))
-    ours = Authority.make(folder, ["localhost", "127.0.0.1"], 30)
+    ours = Authority.make(folder, ["localhost", "127.0.0.1", "::1"], 30)
     for name in ("robot1", "robot2"):
         ours.add(name, 30)
     theirs = Authority.make(other, ["localhost"], 30)

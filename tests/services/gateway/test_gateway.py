@@ -105,6 +105,37 @@ def test_the_newest_word_about_a_frame_is_what_a_subscriber_knows_of_it(start):
     assert between.state == "SUSPECT"
 
 
+@pytest.mark.parametrize(
+    ("listens", "hosts"),
+    [("[::1]", ["[::1]"]), ("[::]", ["[::1]", "127.0.0.1"]), ("localhost", ["127.0.0.1", "localhost"])],
+)
+def test_it_listens_at_an_address_of_ipv6_too(start, listens, hosts):
+    one = start(host=listens)
+    for host in hosts:
+        with PoseClient(f"tcp/{host}:{one.port}") as client:
+            one.say_until(lambda reader=client: reader.latest() is not None)
+    assert bool(one.gateway.health.message().warnings) == (listens == "[::]"), (
+        "who may read it from elsewhere"
+    )
+
+
+def test_by_tls_an_address_of_ipv6_needs_a_name_and_the_client_says_so(start, authority):
+    one = start(host="[::]", tls=tls(authority))
+    files = credentials(authority, "robot1")
+    with PoseClient(f"tls/[::1]:{one.port}", **files) as client:
+        assert client.why_silent() == (
+            f"waiting for a gateway at tls/[::1]:{one.port}: by TLS zenoh reaches no address of IPv6: give "
+            "the gateway's name in its place"
+        )
+    with PoseClient(f"tls/localhost:{one.port}", **files) as client:
+        one.say_until(lambda: client.latest() is not None)
+
+
+def test_nobody_at_an_address_of_ipv6_is_said(base_port):
+    with PoseClient(f"[::1]:{base_port}") as client:
+        assert client.why_silent().endswith(f"tcp/[::1]:{base_port}: no program listens there")
+
+
 def test_what_comes_from_outside_changes_nothing(start, wait_until):
     one = start()
     correction = encode(EXAMPLES[CorrectionMessage])

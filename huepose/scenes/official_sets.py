@@ -99,7 +99,7 @@ def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
     write_text(out / "models" / "frame_offsets.json", json.dumps(offsets, indent=1))
 
 
-def fast_ycb_frame(shot: Shot) -> FastYcbFrame:
+def _frame(shot: Shot) -> FastYcbFrame:
     """What the camera delivers, with the mask and the pose of the first object."""
     return FastYcbFrame(shot.color, shot.depth, shot.owner == 0, shot.labels.T_cam_obj[0])
 
@@ -116,5 +116,5 @@ def write_fast_ycb_set(
         stage = carried.staged(obj.mesh, [o.mesh for o in objects if o is not obj], rng)
         n = min(frames, carried.FRAMES)
         shots = (shoot(stage, i, seed * 1000 + number, COLOR, None) for i in range(n))
-        frames_of = map(fast_ycb_frame, shots)
+        frames_of = map(_frame, shots)
         write_fast_ycb(folder, obj.name, frames_of, stage.camera, carried.RATE_HZ, obj.offset_m)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -84,19 +83,15 @@ def _kept_row(shot: Shot) -> tuple[UInt8, Float32, dict[str, Any]]:
 
 
 def recorded(path: Path, models: Mapping[str, ReferenceModel]) -> Film:
-    """A sequence in Fast-YCB's layout; without `visib_fract.json` the object counts as wholly visible."""
+    """A sequence in Fast-YCB's layout; its object counts as wholly visible."""
     model = models[object_of(path)]
     offset = np.zeros(3) if model.frame_offset_m is None else model.frame_offset_m
-    sequence, shares = FastYcbSequence(path, offset), path / "visib_fract.json"
-    visible = json.loads(shares.read_text()) if shares.exists() else None
-    frames = []
+    sequence, frames = FastYcbSequence(path, offset), []
     for k, i in enumerate(sequence.image_ids):
         T = sequence.truths(i)[0].T_cam_obj
         if T is None:
             raise InputError(path, found=f"no pose in frame {i}", expected="a label in every frame")
-        share = 1.0 if visible is None else visible[k]
-        frame = replace(sequence.frame(i), frame_id=k, epoch=1)
-        frames.append(Seen(frame, T, share))
+        frames.append(Seen(replace(sequence.frame(i), frame_id=k, epoch=1), T, 1.0))
     return Film(path.name, "recorded", model.name, tuple(frames), np.zeros((0, 4, 4)))
 
 

@@ -1,6 +1,6 @@
-"""How cost grows: with the objects known, the objects in view, the size of the picture, the readers of poses.
+"""How cost grows: with the objects known, the objects in view, the size of the picture.
 
-    .venv/bin/python -m benchmarks.growth --out DIR [--only known visible pixels readers] [--quick]
+    .venv/bin/python -m benchmarks.growth --out DIR [--only known memory visible pixels] [--quick]
 
 CPU milliseconds (all threads) of one frame, medians, and memory that a process has for itself. The scene is a
 wall with objects before it in rows, all turning slowly; the objects are the demo's five, under other names
@@ -14,7 +14,6 @@ import argparse
 import json
 import multiprocessing
 import os
-import resource
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +24,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import zenoh
 
 from huepose.drawing.plots import line_plot
 from huepose.estimation import Estimator, ObjectQuery
@@ -44,21 +42,16 @@ from huepose.support.files import write_picture
 from huepose.support.progress import progress
 from huepose.tracking import Tracker
 from huepose.tracking.types import Correction
-from huepose_protos.local import endpoint
 from huepose_services.builtin import builtin_bundles
-from huepose_services.runtime.session import zenoh_config
 
 CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
-COLUMNS, ROWS, SPACING_M, AWAY_M, WALL_M = 5, 4, 0.27, 1.5, 2.2
+COLUMNS, SPACING_M, AWAY_M, WALL_M = 5, 0.27, 1.5, 2.2
 KNOWN, VISIBLE = (1, 2, 5, 10, 20, 50, 100), (1, 2, 5, 10, 20)
 SIZES = ((320, 240), (480, 360), (640, 480), (960, 720), (1280, 960))
-READERS = (1, 2, 5, 10, 20, 50, 100)
 IN_VIEW = 5
 WORKERS = ("tracker", "estimator", "detector")
 FRAMES, WARM = 24, 4
-POSE_BYTES, RATE_HZ, SECONDS = 600, 30.0, 4.0
-READERS_COME_S = 12.0
-PERIOD_NS = round(1e9 / RATE_HZ)
+PERIOD_NS = round(1e9 / 30.0)
 
 Curves = dict[str, list[tuple[float, float]]]
 Models = Mapping[str, ReferenceModel]
@@ -74,7 +67,6 @@ def main() -> None:
         "memory": ("objects known", "MiB of its own", memory),
         "visible": ("objects in view", "CPU ms a frame", visible),
         "pixels": ("pixels, thousands", "CPU ms a frame", pixels),
-        "readers": ("readers of poses", "sender's CPU ms a second", readers),
     }
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--only", nargs="+", choices=list(axes), default=list(axes))
@@ -84,9 +76,7 @@ def main() -> None:
     print("| | at | cost | exponent |\n|---|---|---|---|")
     for axis in arguments.only:
         x_label, y_label, measure = axes[axis]
-        steps = {"known": KNOWN, "memory": KNOWN, "visible": VISIBLE, "readers": READERS}.get(
-            axis, range(len(SIZES))
-        )
+        steps = {"known": KNOWN, "memory": KNOWN, "visible": VISIBLE}.get(axis, range(len(SIZES)))
         curves = measure([steps[0], steps[-1]] if arguments.quick else steps)
         found[axis] = curves
         lines = {name: tuple(np.array(points).T) for name, points in curves.items()}
@@ -277,45 +267,6 @@ def own_mib(worker: str, folder: str, asked: int) -> float:
     pages = Path("/proc/self/smaps_rollup").read_text().splitlines()
     own = sum(int(line.split()[1]) for line in pages if line.startswith(("Private_Dirty", "Private_Clean")))
     return own / 1024 if held is not None else 0.0
-
-
-def readers(counts: Sequence[int]) -> Curves:
-    """Readers of five poses at 30 Hz: what the sender pays a second."""
-    curves: Curves = {"send five poses": []}
-    context = multiprocessing.get_context("spawn")
-    for count in progress(counts, "readers"):
-        with tempfile.TemporaryDirectory() as folder, context.Pool(1) as pool:
-            there = endpoint(1, folder)
-            spent = pool.apply_async(sent_ms, (there,))
-            time.sleep(1.5)
-            sessions = [zenoh.open(zenoh_config([], [there], shared_memory=False)) for _ in range(count)]
-            for session in sessions:
-                session.declare_subscriber("huepose/growth/pose/*", lambda sample: None)
-            curves["send five poses"].append((count, float(spent.get(120))))
-            for session in sessions:
-                session.close()
-    return curves
-
-
-def sent_ms(there: str) -> float:
-    """CPU milliseconds a second of a process that sends poses, after its readers had time to come."""
-    session = zenoh.open(zenoh_config([there], [], shared_memory=False))
-    time.sleep(READERS_COME_S)
-    payload = bytes(POSE_BYTES)
-    before, start = cpu_s(), time.perf_counter()
-    for i in range(int(SECONDS * RATE_HZ)):
-        for k in range(IN_VIEW):
-            session.put(f"huepose/growth/pose/{k}", payload)
-        time.sleep(max(0.0, start + (i + 1) / RATE_HZ - time.perf_counter()))
-    spent = cpu_s() - before
-    session.close()
-    return 1e3 * spent / SECONDS
-
-
-def cpu_s() -> float:
-    """CPU seconds of this process so far."""
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime
 
 
 if __name__ == "__main__":

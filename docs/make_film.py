@@ -32,7 +32,7 @@ from huepose_protos.client import Reader
 from huepose_protos.messages import PoseMessage, TruthMessage
 from huepose_services.builtin import builtin_bundles
 from huepose_services.convert import pose_of
-from huepose_services.demo.run import pipeline, segmenter
+from huepose_services.demo.run import pipeline
 from huepose_services.runtime.config import load
 from huepose_services.runtime.supervisor import Supervisor
 from huepose_services.viewer.shapes import cloud
@@ -78,7 +78,7 @@ def listen() -> list[tuple[int, Poses]]:
     first, n_frames = None, round(SECONDS * RATE_HZ)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "pipeline.yaml"
-        path.write_text(yaml.safe_dump(pipeline(SEED, None, (), segmenter())))
+        path.write_text(yaml.safe_dump(pipeline(SEED)))
         config = load(path)
         supervisor = Supervisor(config, path)
         supervisor.start()

@@ -61,22 +61,15 @@ def call(arguments: argparse.Namespace) -> int:
         )
     if arguments.sam is not None and arguments.segmenter != "sam":
         raise InputError("--sam", found=f"--segmenter {arguments.segmenter}", expected="--segmenter sam")
-    from huepose_services.demo.run import DemoError, run_demo, segmenter
+    from huepose_services.demo.run import DemoError, pipeline, run_demo
     from huepose_services.demo.score import shortcomings
     from huepose_services.demo.table import report
 
     try:
-        chosen = segmenter(arguments.segmenter, arguments.sam)
+        scene = (arguments.seed, arguments.bundles, arguments.object)
+        chosen = pipeline(*scene, arguments.segmenter, arguments.sam or ())
         live = not arguments.headless and arguments.json is not True
-        result = run_demo(
-            arguments.seconds,
-            arguments.seed,
-            live,
-            until_told,
-            chosen,
-            arguments.bundles,
-            arguments.object,
-        )
+        result = run_demo(chosen, arguments.seconds, live, until_told)
     except DemoError as error:
         say(f"huepose demo: {error}")
         return 1

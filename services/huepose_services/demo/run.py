@@ -37,33 +37,42 @@ class DemoError(RuntimeError):
     """The pipeline did not run; the text says where its log is."""
 
 
-def segmenter(kind: str = "depth", sam: Sequence[str] | None = None) -> dict[str, str]:
-    """The section of pipeline.yaml; sam: the two networks of the segmenter sam, files or names."""
+def pipeline(
+    seed: int,
+    bundles: Path | None = None,
+    objects: Sequence[str] = (),
+    segmenter: str = "depth",
+    sam: Sequence[str] = (),
+) -> dict[str, Any]:
+    """The pipeline.yaml of the demo. bundles: of one's own objects, all or those that are named; None: the
+    built-in ones. sam: the two networks of the segmenter sam, files or names."""
+    own = {} if bundles is None else {"bundles": str(bundles.absolute())}
     # The demo's configuration lies elsewhere: a path from here has to be a whole one.
-    files = [str(Path(one).absolute()) if is_network_file(one) else one for one in sam or ()]
-    return {"kind": kind, **dict(zip(("encoder", "decoder"), files, strict=False))}
+    files = [str(Path(one).absolute()) if is_network_file(one) else one for one in sam]
+    return {
+        "site": "demo",
+        **own,
+        "objects": [{"name": name} for name in objects],
+        "camera": {"source": "synthetic", "seed": seed, "truth": True},
+        "segmenter": {"kind": segmenter, **dict(zip(("encoder", "decoder"), files, strict=False))},
+        "bus": {"base_port": free_ports(len(WORKERS))},
+    }
 
 
 def run_demo(
-    seconds: float,
-    seed: int,
-    live: bool,
-    until_told: Callable[[], Callable[[], bool]],
-    outlining: Mapping[str, str],
-    bundles: Path | None = None,
-    objects: Sequence[str] = (),
+    pipeline: Mapping[str, Any], seconds: float, live: bool, until_told: Callable[[], Callable[[], bool]]
 ) -> dict[str, Any]:
     """The summary of a run of so many seconds, with the health of each worker at its end.
 
-    outlining: the section `segmenter` of its pipeline.yaml.
-    bundles: of one's own objects, all or those that are named; None: the built-in ones.
+    pipeline: its pipeline.yaml; live: shows a table meanwhile.
     until_told: called when the workers start, says from then on whether to stop; until then Ctrl-C ends what
     is drawn. Raises InputError when the pipeline cannot start, DemoError when it breaks, KeyboardInterrupt
     when it was told to stop."""
-    models = load_models(builtin_bundles(seed) if bundles is None else bundles, list(objects) or None)
+    names = [item["name"] for item in pipeline["objects"]] or None
+    models = load_models(pipeline.get("bundles") or builtin_bundles(pipeline["camera"]["seed"]), names)
     folder = Path(tempfile.mkdtemp(prefix="huepose-demo-"))
     path = folder / "pipeline.yaml"
-    path.write_text(yaml.safe_dump(pipeline(seed, bundles, objects, outlining)))
+    path.write_text(yaml.safe_dump(dict(pipeline)))
     config = load(path)
     try:
         open_source(config)  # drawn here, with progress, where it is not in the cache folder
@@ -94,21 +103,6 @@ def run_demo(
         shutil.rmtree(folder)
     summary = score.summary(score.last_ns - _LEFT_OUT_NS)
     return {"summary": summary, "workers": {name: _brief(message) for name, message in health.items()}}
-
-
-def pipeline(
-    seed: int, bundles: Path | None, objects: Sequence[str], outlining: Mapping[str, str]
-) -> dict[str, Any]:
-    """The pipeline.yaml of the demo; outlining: its section `segmenter`."""
-    own = {} if bundles is None else {"bundles": str(bundles.absolute())}
-    return {
-        "site": "demo",
-        **own,
-        "objects": [{"name": name} for name in objects],
-        "camera": {"source": "synthetic", "seed": seed, "truth": True},
-        "segmenter": dict(outlining),
-        "bus": {"base_port": free_ports(len(WORKERS))},
-    }
 
 
 def _observe(

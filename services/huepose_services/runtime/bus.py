@@ -155,32 +155,33 @@ class Bus:
 
     def put(self, key: str, message: Message) -> None:
         """Publish a message that may be lost on a reader that does not read, but waits for nobody."""
-        drop = zenoh.CongestionControl.DROP
-        self._publisher(key, drop, zenoh.Priority.REAL_TIME, True).put(encode(message))
+        self._publisher(key, zenoh.Priority.REAL_TIME).put(encode(message))
 
     def put_aside(self, key: str, message: Message) -> None:
         """Publish a message that is in no hurry: others go before it."""
-        self._aside(key).put(encode(message))
+        self._publisher(key).put(encode(message))
 
     def is_heard(self, key: str) -> bool:
         """Whether anybody subscribes to what `put_aside` publishes there."""
-        return is_heard(self._aside(key))
-
-    def _aside(self, key: str) -> zenoh.Publisher:
-        return self._publisher(key, zenoh.CongestionControl.DROP, zenoh.Priority.DATA, False)
+        return is_heard(self._publisher(key))
 
     def put_control(self, key: str, message: Message) -> None:
         """Publish a message that must arrive, before all others."""
         block = zenoh.CongestionControl.BLOCK
-        self._publisher(key, block, zenoh.Priority.REAL_TIME, True).put(encode(message))
+        self._publisher(key, zenoh.Priority.REAL_TIME, block).put(encode(message))
 
     def put_pixels(self, key: str, header: Message, payload: bytes) -> None:
         """Publish pixels with their header beside them; a reader that is behind loses them."""
-        publisher = self._publisher(key, zenoh.CongestionControl.DROP, zenoh.Priority.DATA, False)
-        publisher.put(payload, attachment=encode(header))
+        self._publisher(key).put(payload, attachment=encode(header))
 
-    def _publisher(self, key: str, congestion: Any, priority: Any, express: bool) -> zenoh.Publisher:
+    def _publisher(
+        self,
+        key: str,
+        priority: zenoh.Priority = zenoh.Priority.DATA,
+        congestion: zenoh.CongestionControl = zenoh.CongestionControl.DROP,
+    ) -> zenoh.Publisher:
         if key not in self._publishers:
+            express = priority == zenoh.Priority.REAL_TIME
             self._publishers[key] = self.session.declare_publisher(
                 key, congestion_control=congestion, priority=priority, express=express
             )

@@ -20,6 +20,7 @@ from huepose_services.runtime.config_perception import (
     DetectorConfig,
     NetworksConfig,
     Rate,
+    Refuse,
     Section,
     SegmenterConfig,
     absolute,
@@ -30,6 +31,11 @@ from huepose_services.runtime.config_perception import (
 
 DEFAULT_FILE = "pipeline.yaml"
 _MAX_BYTES = 1024 * 1024
+_NO_FILE: dict[type[Exception], str] = {
+    FileNotFoundError: "no such file",
+    IsADirectoryError: "a folder",
+    UnicodeDecodeError: "no text",
+}
 
 WorkerName = Literal[
     "camera",
@@ -263,19 +269,14 @@ def load_all(path: Path) -> list[Config]:
             raise ValueError(f"over {_MAX_BYTES} bytes")
         text = data.decode()
     except (OSError, ValueError) as error:
-        found = "no text" if isinstance(error, UnicodeDecodeError) else str(error)[:200]
-        reason = getattr(error, "strerror", None)
+        found = _NO_FILE.get(type(error)) or getattr(error, "strerror", None) or str(error)[:200]
+        inside = path / DEFAULT_FILE
+        fix = "Give the path of one, as in: huepose up PIPELINE.yaml; `huepose new` makes one."
         raise InputError(
             f"configuration {path}",
-            found="no such file"
-            if isinstance(error, FileNotFoundError)
-            else "a folder"
-            if isinstance(error, IsADirectoryError)
-            else reason or found,
+            found=found,
             expected="a YAML file that describes a pipeline",
-            fix=f"Did you mean {path / 'pipeline.yaml'}?"
-            if (path / "pipeline.yaml").is_file()
-            else "Give the path of one, as in: huepose up PIPELINE.yaml; `huepose new` makes one.",
+            fix=f"Did you mean {inside}?" if inside.is_file() else fix,
         ) from None
     return parse_all(text, path)
 
@@ -296,24 +297,24 @@ def parse_all(text: str, path: Path) -> list[Config]:
         raise explain(error, data, Config, path) from None
     except RecursionError:
         raise InputError(f"configuration {path}", found="values within values without an end") from None
-    of_each = of_cameras(config, path, isinstance(data, dict) and "camera" in data)
+
+    def refuse(key: str, found: str, expected: str, fix: str) -> None:
+        raise InputError(f"{path}: {key}", found=found, expected=expected, fix=fix)
+
+    of_each = of_cameras(config, isinstance(data, dict) and "camera" in data, refuse)
     try:
         configs = [absolute(one, path.absolute().parent) for one in of_each]
     except (RuntimeError, ValueError) as error:
         raise InputError(f"{path}: a path in it", found=str(error)[:200], expected="a path") from None
     for one in configs:
-        _check(one, path)
+        _check(one, refuse)
     return configs
 
 
-def _check(config: Config, path: Path) -> None:
+def _check(config: Config, refuse: Refuse) -> None:
     """What one key alone cannot tell."""
     names = [o.name for o in config.objects]
     camera, detector = config.camera, config.detector
-
-    def refuse(key: str, found: str, expected: str, fix: str) -> None:
-        raise InputError(f"{path}: {key}", found=found, expected=expected, fix=fix)
-
     if len(set(names)) != len(names):
         refuse("objects", ", ".join(names), "every name once", "Use max_instances for several of a kind.")
     if len(set(config.workers)) != len(config.workers) or not config.workers:

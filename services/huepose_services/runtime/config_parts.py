@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
-from huepose.support.errors import InputError
 from huepose_protos.fields import Name
 from huepose_services.runtime.config_perception import Refuse
 
@@ -27,32 +25,20 @@ PORTS_OF_A_CAMERA = 20
 """Between the first ports of two cameras of a file: room for workers to come."""
 
 
-def of_cameras(config: Config, path: Path, has_camera: bool) -> list[Config]:
+def of_cameras(config: Config, has_camera: bool, refuse: Refuse) -> list[Config]:
     """For each camera what it would be alone: with ports of its own, and a namespace in ROS 2. has_camera:
     whether the file has the key `camera`, which it may have in the place of `cameras` only."""
     if not config.cameras:
         return [config]
     names = [camera.name for camera in config.cameras]
     if config.hosts:
-        raise InputError(
-            f"{path}: cameras",
-            found="`cameras` and `hosts`",
-            expected="one of them",
-            fix="Give each camera whose workers run on two computers a file of its own.",
-        )
+        fix = "Give each camera whose workers run on two computers a file of its own."
+        refuse("cameras", "`cameras` and `hosts`", "one of them", fix)
     if has_camera:
-        raise InputError(
-            f"{path}: cameras",
-            found="`camera` and `cameras`",
-            expected="one of them",
-            fix="Leave `camera` out.",
-        )
+        refuse("cameras", "`camera` and `cameras`", "one of them", "Leave `camera` out.")
     if len(set(names)) != len(names):
-        raise InputError(
-            f"{path}: cameras",
-            found=f"the names {', '.join(names)}",
-            expected="every name once",
-            fix="Give each a `name` of its own.",
+        refuse(
+            "cameras", f"the names {', '.join(names)}", "every name once", "Give each a `name` of its own."
         )
     replace = msgspec.structs.replace
     host, port = config.gateway.listen.rsplit(":", 1)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -48,9 +48,9 @@ def make(bus: Bus, config: Config) -> Ros2Work:
     return Ros2Work(bus, Router(config.ros2), config.ros2, bounds, mount)
 
 
-def open_ros_session(ros2: Ros2Config, waiting: Callable[[str], None] | None = None) -> zenoh.Session:
-    """A session with the router of ROS 2. Waits for the router, and says so once: through `waiting`, or on
-    standard error. Raises InputError for settings that zenoh does not accept."""
+def open_ros_session(ros2: Ros2Config, quiet: bool = False) -> zenoh.Session:
+    """A session with the router of ROS 2. Waits for the router, and says so once, unless it is to be quiet.
+    Raises InputError for settings that zenoh does not accept."""
     settings = {
         "mode": "client",
         "connect/endpoints": [ros2.connect],
@@ -62,9 +62,8 @@ def open_ros_session(ros2: Ros2Config, waiting: Callable[[str], None] | None = N
         config = configured(settings)
     except zenoh.ZError as error:
         raise InputError("ros2.connect", found=f"{ros2.connect}: {str(error)[:200]}") from None
-    if (session := _opened(config)) is None:
-        say = waiting or partial(print, file=sys.stderr, flush=True)
-        say(without_router(ros2) if waiting else f"{without_router(ros2)}. Waiting for it; Ctrl-C ends")
+    if (session := _opened(config)) is None and not quiet:
+        print(f"{without_router(ros2)}. Waiting for it; Ctrl-C ends", file=sys.stderr, flush=True)
     while session is None:
         time.sleep(_AGAIN_S)
         session = _opened(config)
@@ -93,7 +92,7 @@ class Router:
         threading.Thread(target=self._open, daemon=True).start()
 
     def _open(self) -> None:
-        session = open_ros_session(self._ros2, waiting=lambda text: None)
+        session = open_ros_session(self._ros2, quiet=True)
         self._node = Node(session, "huepose", self._ros2.domain, self._ros2.keys)
         self._session = session
 

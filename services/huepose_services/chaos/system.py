@@ -29,7 +29,14 @@ from huepose.support.files import whole
 from huepose_protos.client import Reader
 from huepose_protos.keys import last
 from huepose_protos.local import endpoint
-from huepose_protos.messages import CorrectionMessage, Estimates, HealthMessage, PoseMessage, TruthMessage
+from huepose_protos.messages import (
+    CorrectionMessage,
+    Estimates,
+    HealthMessage,
+    PoseMessage,
+    TruthMessage,
+    TruthObject,
+)
 from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.faulty import Orders
 from huepose_services.convert import optional_pose_from_wire, pose_of
@@ -102,7 +109,7 @@ class LivePipeline:
         self.epochs: set[int] = set()
         """Of the camera of this pipeline, as it says itself."""
         self.corrections: deque[CorrectionMessage] = deque(maxlen=_OLD_CORRECTIONS)
-        self._truth: dict[tuple[int, int, str], tuple[TruthMessage, int]] = {}
+        self._truth: dict[tuple[int, int, str], TruthObject] = {}
         self._stopping = False
 
     def __enter__(self) -> LivePipeline:
@@ -166,10 +173,9 @@ class LivePipeline:
             elif isinstance(message, TruthMessage):
                 self.truths.append((now, message.capture_ns))
                 self.epochs.add(message.camera_epoch)
-                for place, item in enumerate(message.objects):
+                for item in message.objects:
                     if item.object is not None:
-                        key = (message.camera_epoch, message.frame_id, item.object)
-                        self._truth[key] = (message, place)
+                        self._truth[message.camera_epoch, message.frame_id, item.object] = item
                 while len(self._truth) > 3000:
                     del self._truth[next(iter(self._truth))]
             elif isinstance(message, HealthMessage):
@@ -183,10 +189,9 @@ class LivePipeline:
     def _take_pose(self, pose: PoseMessage, now: float) -> None:
         error = None
         T_cam_obj = pose_of(pose)
-        found = self._truth.get((pose.camera_epoch, pose.frame_id, pose.object))
-        if T_cam_obj is not None and found is not None:
-            item = found[0].objects[found[1]]
-            T_true = optional_pose_from_wire(item.translation, item.quaternion)
+        truth = self._truth.get((pose.camera_epoch, pose.frame_id, pose.object))
+        if T_cam_obj is not None and truth is not None:
+            T_true = optional_pose_from_wire(truth.translation, truth.quaternion)
             if T_true is not None:
                 points, diameter_m = self._yardsticks[pose.object]
                 error = add(points, T_cam_obj, T_true) / diameter_m

@@ -21,7 +21,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from huepose.support.errors import InputError
-from huepose_services.pem import tls_context
+from huepose_services.pem import check_pem, tls_context
 from huepose_services.runtime.config import GatewayConfig
 from huepose_services.runtime.config_perception import TLS_FILES
 
@@ -230,6 +230,9 @@ def _context(gateway: GatewayConfig, section: str) -> ssl.SSLContext | None:
     tls = gateway.tls
     if tls is None:
         return None
+    for name in TLS_FILES:
+        if (path := getattr(tls, name)) is not None:
+            check_pem(f"{section}.tls.{name}", Path(path))
     what = f"the certificates of {section}"
     context = tls_context(ssl.Purpose.CLIENT_AUTH, what, tls.authority, tls.certificate, tls.key, tls.revoked)
     context.verify_mode = ssl.CERT_REQUIRED
@@ -248,8 +251,8 @@ def _changed(gateway: GatewayConfig) -> list[tuple[int, int]]:
     return out
 
 
-def check_door(gateway: GatewayConfig, section: str) -> None:
-    """Raises InputError for what no Door can be made of, but for a port that is taken."""
+def check_door(gateway: GatewayConfig, section: str = "gateway") -> None:
+    """Raises InputError for files or an address that no Door can be made of; opens nothing."""
     _context(gateway, section)
     _listener(gateway, section, port=0).close()
 

@@ -8,16 +8,13 @@ nothing. It listens on a socket in the pipeline's folder; the door lets those th
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import zenoh
 
 from huepose.support.errors import InputError
 from huepose_protos.client import peer
-from huepose_services.gateway_door import RATE_BYTES_S, Door, check_door
-from huepose_services.pem import check_pem
-from huepose_services.runtime.config import GatewayConfig, TlsConfig
-from huepose_services.runtime.config_perception import TLS_FILES
+from huepose_services.gateway_door import RATE_BYTES_S, Door
+from huepose_services.runtime.config import GatewayConfig
 from huepose_services.runtime.run_folder import make_folder
 
 # Broader than one site, so that readers may use `*` for site and camera: zenoh silently ignores subscriptions
@@ -50,8 +47,6 @@ def open_behind_door(
     pipeline.yaml it is.
 
     Raises InputError for files or a port that cannot be used."""
-    if gateway.tls is not None:
-        _check_files(gateway.tls, section)
     inside = make_folder() / f"outside-{gateway.listen.rsplit(':', 1)[1]}"
     config = peer([], [f"unixsock-stream/{inside}"], settings)
     door = Door(gateway, inside, tell, rate_bytes_s, section)
@@ -92,17 +87,3 @@ def allowed(*rules: tuple[str, ...]) -> dict[str, object]:
         "subjects": [{"id": "reader"}],
         "policies": [{"rules": [rule[0] for rule in rules], "subjects": ["reader"]}],
     }
-
-
-def check_outside(gateway: GatewayConfig, section: str = "gateway") -> None:
-    """Raises InputError for files or an address that cannot be used; opens nothing."""
-    if gateway.tls is not None:
-        _check_files(gateway.tls, section)
-    check_door(gateway, section)
-
-
-def _check_files(tls: TlsConfig, section: str) -> None:
-    """Raises InputError unless the files of TLS are there."""
-    for name in TLS_FILES:
-        if (path := getattr(tls, name)) is not None:
-            check_pem(f"{section}.tls.{name}", Path(path))

@@ -19,8 +19,8 @@ from huepose.support.errors import InputError
 from huepose_protos.client import tls_files
 from huepose_protos.keys import Keys
 from huepose_protos.messages import Detections, Estimates, FrameHeader, Look, Masks
-from huepose_services.gateway_door import Door
-from huepose_services.gateway_session import allowed, check_outside, open_behind_door, outside_settings
+from huepose_services.gateway_door import Door, check_door
+from huepose_services.gateway_session import allowed, open_behind_door, outside_settings
 from huepose_services.pem import Credentials
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config, GatewayConfig, TlsConfig
@@ -53,7 +53,7 @@ def taken_up(config: Config, keys: Keys) -> tuple[str, type[Look] | type[Detecti
 def check_link(config: Config) -> None:
     """Whether the files of this side are there, and its address is. Raises InputError."""
     if "uplink" in config.workers:
-        check_outside(_door(config), "link")
+        check_door(_door(config), "link")
     elif "downlink" in config.workers:
         credentials(config).context()
 

@@ -51,9 +51,9 @@ def check(config: Config) -> None:
         # Once: a worker must not be the first to find that one is damaged.
         networks.check(config)
     if "gateway" in config.workers:
-        from huepose_services.gateway_session import check_outside
+        from huepose_services.gateway_door import check_door
 
-        check_outside(config.gateway)
+        check_door(config.gateway)
     if config.hosts:
         from huepose_services.link import check_link
 

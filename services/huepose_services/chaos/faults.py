@@ -38,14 +38,14 @@ Strike = Callable[[LivePipeline], AbstractContextManager[list[str]]]
 
 @dataclass(frozen=True)
 class Fault:
-    """number: in the table; worker: the only one that may die of it; said: what the log must say, any of
-    them, where it has to be noticed; seconds: for so long it is there; refused: it puts messages on the bus
-    that no reader can read."""
+    """number: in the table; worker: the only one that may die of it; said: what the log must say (a pattern),
+    where it has to be noticed; seconds: for so long it is there; refused: it puts messages on the bus that no
+    reader can read."""
 
     number: int
     name: str
     strike: Strike
-    said: tuple[str, ...] = ()
+    said: str = ""
     seconds: float = 4.0
     worker: str | None = None
     refused: bool = False
@@ -60,22 +60,19 @@ def _ordered(system: LivePipeline, orders: dict[str, object]) -> Iterator[list[s
         system.order()
 
 
-def camera(
-    number: int, name: str, said: str | tuple[str, ...] = (), seconds: float = 4.0, **orders: object
-) -> Fault:
+def camera(number: int, name: str, said: str = "", seconds: float = 4.0, **orders: object) -> Fault:
     """A fault of the camera, which is all right afterwards."""
-    said = (said,) if isinstance(said, str) else said
     return Fault(number, name, partial(_ordered, orders=orders), said, seconds)
 
 
 @contextmanager
-def _signalled(system: LivePipeline, worker: str, number: signal.Signals) -> Iterator[list[str]]:
+def _signalled(worker: str, number: signal.Signals, system: LivePipeline) -> Iterator[list[str]]:
     os.kill(system.pids()[worker], number)
     yield []
 
 
 @contextmanager
-def _without_memory(system: LivePipeline, worker: str) -> Iterator[list[str]]:
+def _without_memory(worker: str, system: LivePipeline) -> Iterator[list[str]]:
     """Whatever it asks the system for from now on is refused."""
     pid = system.pids()[worker]
     fields = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
@@ -149,14 +146,6 @@ def _intruded(system: LivePipeline, what: str) -> Iterator[list[str]]:
         ),
     }[what]
     with intruder.repeating(system, rate_hz, say):
-        yield []
-
-
-@contextmanager
-def _beside(
-    system: LivePipeline, other: Callable[[LivePipeline], AbstractContextManager[None]]
-) -> Iterator[list[str]]:
-    with other(system):
         yield []
 
 
@@ -260,26 +249,9 @@ def _expect(broken: list[str], what: str, condition: Callable[[], bool], within_
         time.sleep(0.05)
 
 
-def _killed(worker: str) -> Fault:
-    strike = partial(_signalled, worker=worker, number=signal.SIGKILL)
-    return Fault(13, f"{worker} killed", strike, (f"{worker} killed by signal",), worker=worker)
-
-
-def _stopped(worker: str) -> Fault:
-    strike = partial(_signalled, worker=worker, number=signal.SIGSTOP)
-    return Fault(
-        13, f"{worker} stopped", strike, (f"{worker} has given no sign of life",), 10.0, worker=worker
-    )
-
-
-def _starved(worker: str) -> Fault:
-    return Fault(
-        13, f"{worker} gets no memory", partial(_without_memory, worker=worker), worker=worker, seconds=6.0
-    )
-
-
 _WORKERS = ("camera", "tracker", "reinit", "detector", "segmenter", "estimator")
 NO_DEPTH = "no depth:"
+_SILENT = "has given no sign of life"
 
 FAULTS: tuple[Fault, ...] = (
     # What the scene itself gives: once round its loop.
@@ -300,19 +272,21 @@ FAULTS: tuple[Fault, ...] = (
     Fault(8, "empty masks, masks of another size", partial(_intruded, what="masks")),
     camera(9, "half the size", "its picture changed from", half_size=True),
     camera(9, "focal length 1.5 times too long", "its picture changed from", focal_share=1.5),
-    Fault(
-        12,
-        "a reader that takes 100 ms each",
-        partial(_beside, other=partial(intruder.slow_reader, delay_s=0.1)),
+    Fault(12, "a reader that takes 100 ms each", partial(intruder.slow_reader, delay_s=0.1)),
+    *(
+        Fault(13, f"{w} killed", partial(_signalled, w, signal.SIGKILL), f"{w} killed by signal", worker=w)
+        for w in _WORKERS
     ),
-    *(_killed(worker) for worker in _WORKERS),
-    *(_stopped(worker) for worker in _WORKERS),
-    *(_starved(worker) for worker in _WORKERS),
+    *(
+        Fault(13, f"{w} stopped", partial(_signalled, w, signal.SIGSTOP), f"{w} {_SILENT}", 10.0, w)
+        for w in _WORKERS
+    ),
+    *(Fault(13, f"{w} gets no memory", partial(_without_memory, w), "", 6.0, w) for w in _WORKERS),
     Fault(15, "bad messages on every key", _flooded, refused=True, seconds=0.0),
     Fault(16, "frames twice and out of order", partial(_intruded, what="old frames")),
-    Fault(17, "gateway killed", _gateway_killed, ("gateway killed by signal",), worker="gateway"),
+    Fault(17, "gateway killed", _gateway_killed, "gateway killed by signal", worker="gateway"),
     Fault(17, "cable cut", _cable_cut, seconds=0.5),
-    Fault(18, "no shared memory left", partial(_beside, other=intruder.hoarder), seconds=8.0),
+    Fault(18, "no shared memory left", intruder.hoarder, seconds=8.0),
     Fault(20, "tracker three times slower", partial(_throttled, workers=("tracker",)), seconds=8.0),
     Fault(
         20,
@@ -325,7 +299,7 @@ FAULTS: tuple[Fault, ...] = (
         21,
         "corrections older than what is kept",
         partial(_intruded, what="corrections"),
-        ("is refused:", "what it finds cannot be used"),
+        "is refused:|what it finds cannot be used",
         seconds=12.0,
     ),
     Fault(22, "a second camera under one key", partial(_intruded, what="camera")),

@@ -120,16 +120,16 @@ def say_late_corrections(
 
 
 @contextmanager
-def slow_reader(system: LivePipeline, delay_s: float) -> Iterator[None]:
+def slow_reader(system: LivePipeline, delay_s: float) -> Iterator[list[str]]:
     """A subscriber that takes so long for each frame and each pose."""
     with open_reader_session(system.endpoints) as session:
         for tail in ("frame", "pose/**"):
             session.declare_subscriber(system.pipeline.key(tail), lambda sample: time.sleep(delay_s))
-        yield
+        yield []
 
 
 @contextmanager
-def hoarder(system: LivePipeline) -> Iterator[None]:
+def hoarder(system: LivePipeline) -> Iterator[list[str]]:
     """A reader by shared memory that never lets a frame go, so that the camera's pool has no room left."""
     kept: list[Any] = []
     with zenoh.open(zenoh_config([], [system.endpoints[0]], shared_memory=True)) as session:
@@ -138,7 +138,7 @@ def hoarder(system: LivePipeline) -> Iterator[None]:
             system.pipeline.key("frame"), lambda sample: kept.append(sample) if len(kept) < 200 else None
         )
         try:
-            yield
+            yield []
         finally:
             kept.clear()
 

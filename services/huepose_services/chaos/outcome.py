@@ -11,6 +11,7 @@ objects are TRACKING again. Who reads beside a slow reader gets poses as soon as
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -110,7 +111,7 @@ def _notice(outcome: Outcome, fault: Fault, system: LivePipeline, log_length: in
     if fault.said and outcome.noticed_s is None:
         fresh = [m for m in list(system.health.values()) if m.publish_ns > start * 1e9]
         said = " ".join([system.log()[log_length:], *(text for m in fresh for text in m.warnings)])
-        if any(words in said for words in fault.said):
+        if re.search(fault.said, said):
             outcome.noticed_s = time.monotonic() - start
 
 
@@ -128,7 +129,7 @@ def _broken(o: Outcome, fault: Fault, steady: bool, calm_ms: float) -> list[str]
         (o.of_no_camera > 0, f"{o.of_no_camera} TRACKING poses were of another camera"),
         (o.too_old_tracking > 0, f"{o.too_old_tracking} TRACKING poses were too old"),
         (o.others_died > 0, f"{o.others_died} other workers died"),
-        (bool(fault.said) and o.noticed_s is None, f"the log never said {' or '.join(fault.said)!r}"),
+        (bool(fault.said) and o.noticed_s is None, f"the log never said {fault.said!r}"),
         (not steady, "not all workers work and objects are TRACKING again"),
         (
             fault.worker is None and fault.number == 12 and o.late_ms > _LATER * calm_ms,

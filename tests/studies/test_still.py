@@ -1,4 +1,4 @@
-"""What is there is TRACKING soon, what is not there never."""
+"""What is there is TRACKING soon, all of a kind, and what is not there never."""
 
 from __future__ import annotations
 
@@ -6,37 +6,51 @@ from dataclasses import replace
 
 import numpy as np
 
-from studies import still
+from huepose.geometry import se3
+from studies.gone import HZ
 from studies.still import Row, likely, report, watched
 
 
-def test_what_is_there_is_found_and_what_is_not_there_is_not(
-    tea_box, take_picture, standing, monkeypatch
-) -> None:
-    monkeypatch.setattr(still, "SECONDS", 1)
+def test_what_is_there_is_found_and_what_is_not_there_is_not(tea_box, take_picture, standing) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
     rng = np.random.default_rng(0)
-    there = watched(frame, tea_box, standing, rng)
-    assert there[-1] == 1
-    assert -1 not in there
+    found_s, right, wrong, twice = watched(frame, tea_box, [(standing, True)], 1, HZ, rng)
+    assert right == HZ - round(found_s[0] * HZ) > 0
+    assert wrong == twice == 0
     moved = standing.copy()
     moved[0, 3] += 0.3 * tea_box.diameter_m
-    assert watched(frame, tea_box, moved, rng)[-1] == -1, "TRACKING, but not where it is said to be"
+    found_s, right, wrong, _ = watched(frame, tea_box, [(moved, True)], 1, HZ, rng)
+    assert (found_s, right) == ((), 0), "TRACKING, but not where it is said to be"
+    assert wrong > 0
     texture = np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1])
     other = take_picture([(replace(tea_box.mesh, texture=texture), standing)])
-    assert set(watched(other, tea_box, None, rng)) == {0}
+    assert watched(other, tea_box, [], 1, HZ, rng) == ((), 0, 0, 0)
     assert likely(frame, tea_box)
     assert not likely(take_picture([]), tea_box)
 
 
-def test_the_report_counts_frames_and_films() -> None:
+def test_all_of_a_kind_are_found_and_no_more(tea_box, take_picture, standing) -> None:
+    """Three stand side by side, 3 mm apart."""
+    sides = np.ptp(tea_box.mesh.bounds, axis=0)
+    apart = np.where(sides == sides.min(), sides + 0.003, 0.0)
+    truths = [standing @ se3.make(np.eye(3), apart * (k - 1)) for k in range(3)]
+    frame = take_picture([(tea_box.mesh, T) for T in truths])
+    instances = [(T, True) for T in truths]
+    found_s, right, wrong, twice = watched(frame, tea_box, instances, 5, 2 * HZ, np.random.default_rng(0))
+    assert len(found_s) == 3
+    assert right > 50, "of 90"
+    assert wrong == twice == 0
+
+
+def test_the_report_counts_instances_and_films() -> None:
     done = [
-        Row("1", 0, "mug", True, 90, 80, 0, 0.4),
-        Row("1", 0, "can", True, 90, 10, 5, 3.0),
-        Row("1", 0, "box", False, 90, 0, 20, None),
-        Row("1", 0, "jar", False, 90, 0, 0, None),
+        Row("1", 0, "mug", 1, 90, (0.4,), 80, 0, 0),
+        Row("1", 0, "can", 3, 90, (3.0, 4.0), 100, 5, 2),
+        Row("1", 0, "box", 0, 90, (), 0, 20, 0),
+        Row("1", 0, "jar", 0, 90, (), 0, 0, 0),
     ]
     assert report(done) == (
-        "there: 1 of 2 TRACKING and right within 2 s; right in 90 of 180 frames, wrong in 5\n"
+        "there: 3 of 4 instances TRACKING and right, 1 within 2 s, (median, 90 %) 3.0 s, 3.8 s; "
+        "right in 180 of 360 frames, wrong in 5, 2 on one that has a pose\n"
         "not there: false TRACKING in 20 of 180 frames, in 1 of 2 films"
     )

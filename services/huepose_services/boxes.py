@@ -26,7 +26,6 @@ from huepose_protos.messages import (
     TruthObject,
 )
 from huepose_services.convert import (
-    box_from_wire,
     box_to_wire,
     camera_from_wire,
     optional_pose_from_wire,
@@ -229,7 +228,7 @@ class TruthBoxes(BoxFinder):
     def _box(self, truth: TruthObject, message: TruthMessage, camera: Camera) -> Box | None:
         if truth.visib_fract is not None and truth.visib_fract < _VISIBLE:
             return None
-        box = None if truth.box is None else box_from_wire(truth.box)
+        box = None if truth.box is None else Box(*truth.box)
         T_cam_obj = optional_pose_from_wire(truth.translation, truth.quaternion)
         outline = self._outlines.get(self._name(truth) or "")
         if box is None and T_cam_obj is not None and outline is not None:

@@ -81,11 +81,6 @@ def box_to_wire(box: Box) -> BoxTuple:
     return float(box.x), float(box.y), float(box.w), float(box.h)
 
 
-def box_from_wire(box: BoxTuple) -> Box:
-    """Box of x, y, width, height."""
-    return Box(*box)
-
-
 def pose_of(message: PoseMessage) -> Float64 | None:
     """Pose (4, 4) of a pose message; None where it has none."""
     return optional_pose_from_wire(message.translation, message.quaternion)
@@ -111,7 +106,7 @@ def camera_from_wire(i: Intrinsics) -> Camera:
 
 
 _POSE = pose_to_wire, pose_from_wire
-_BOX = box_to_wire, box_from_wire
+_BOX = box_to_wire, lambda box: Box(*box)
 _FORMS: dict[str, tuple[tuple[str, ...], tuple[Callable[..., Any], Callable[..., Any]]]] = {
     "T_cam_obj": (("translation", "quaternion"), _POSE),
     "prior_T_cam_obj": (("prior_translation", "prior_quaternion"), _POSE),

@@ -19,7 +19,7 @@ from huepose_protos.messages import (
 )
 from huepose_services import models, networks
 from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, SearchedBoxes, SeenBoxes, TruthBoxes
-from huepose_services.convert import box_from_wire, frame_from_wire
+from huepose_services.convert import frame_from_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -101,7 +101,7 @@ class DetectorWork(Work):
             elif change.added is not None:
                 self._finder.add(change.added)
             if entry.box is not None:
-                self._hints.point(entry.object, box_from_wire(entry.box), now_ns())
+                self._hints.point(entry.object, Box(*entry.box), now_ns())
             self._tell_what_it_lacks()
 
     def _tell_what_it_lacks(self) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.types import PoseEstimate, PosePrior
-from huepose.geometry import RgbdFrame
+from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.picture_faults import why_nothing_is_found
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
@@ -16,7 +16,7 @@ from huepose_protos.buffers import mask_of
 from huepose_protos.messages import EstimatedObject, Estimates, MaskedObject, Masks
 from huepose_services import models
 from huepose_services.camera_doubts import WAY_OUT, CameraDoubts
-from huepose_services.convert import box_from_wire, frame_from_wire, prior_from_wire, to_wire
+from huepose_services.convert import frame_from_wire, prior_from_wire, to_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
@@ -141,7 +141,7 @@ class EstimatorWork(Work):
         masks = tuple(mask_of(runs, size) for runs in item.masks)
         return ObjectQuery(
             request.object,
-            box=box_from_wire(item.detection.box),
+            box=Box(*item.detection.box),
             masks=masks,
             prior=prior,
             instance=-1 if request.instance is None else request.instance,

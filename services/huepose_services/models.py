@@ -17,7 +17,7 @@ from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model import ReferenceModel, load_models
 from huepose.model.io import model_path
 from huepose.support.files import write_text
-from huepose_services.runtime.config import Config, ObjectConfig
+from huepose_services.runtime.config import Config
 
 _OUTLINE_POINTS = 1500
 
@@ -80,11 +80,6 @@ def outline(model: ReferenceModel) -> Outline:
 def outlines(config: Config) -> dict[str, Outline]:
     """The outlines of the objects that are looked for."""
     return {name: outline(model) for name, model in load(config).items()}
-
-
-def objects(config: Config, names: list[str]) -> list[ObjectConfig]:
-    """The objects that are looked for: as configured, else one of each."""
-    return list(config.objects) or [ObjectConfig(name=name) for name in names]
 
 
 def _verdict_path(bundles: Path, name: str) -> Path:

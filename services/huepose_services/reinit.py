@@ -57,7 +57,7 @@ def make(bus: Bus, config: Config) -> ReinitWork:
         outlines = models.outlines(config)
         entries = [
             ObjectEntry(object=item.name, max_instances=item.max_instances, searching=item.max_instances)
-            for item in models.objects(config, list(outlines))
+            for item in config.objects or [ObjectConfig(name=name) for name in outlines]
         ]
         slots = [_slot(e.object, e.max_instances, outlines[e.object]) for e in entries]
     warm_up()

@@ -12,7 +12,7 @@ from huepose_protos import WireError
 from huepose_protos.buffers import runs_of
 from huepose_protos.messages import DetectedObject, Detections, MaskedObject, Masks
 from huepose_services import models, networks
-from huepose_services.convert import box_from_wire, frame_from_wire
+from huepose_services.convert import frame_from_wire
 from huepose_services.following import Follower
 from huepose_services.models import Outline
 from huepose_services.runtime.bus import Bus
@@ -86,7 +86,7 @@ class SegmenterWork(Work):
         if outline is None:
             self._bus.health.count("unknown_objects")
             return MaskedObject(detection=detection, masks=[])
-        masks = self._segmenter.segment(frame, box_from_wire(detection.box), outline.diameter_m)
+        masks = self._segmenter.segment(frame, Box(*detection.box), outline.diameter_m)
         runs = [runs_of(mask) for mask in masks if mask.any()]
         return MaskedObject(detection=detection, masks=[m for m in runs if len(m.runs) <= _MAX_RUNS][:8])
 

@@ -15,7 +15,7 @@ from huepose_protos.messages import (
     TruthObject,
 )
 from huepose_services.boxes import FirstBoxes, TruthBoxes
-from huepose_services.convert import box_from_wire, pose_to_wire
+from huepose_services.convert import pose_to_wire
 from huepose_services.models import Outline
 
 CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
@@ -77,7 +77,7 @@ class TestTruth:
         finder = TruthBoxes(OUTLINES, 0)
         finder.learn(_truth(T_LEFT))
         (found,) = finder.find(_header(), _request(NEW))
-        assert box_from_wire(found.box).iou(OUTLINES["cube"].box(T_LEFT, CAMERA)) > 0.6
+        assert Box(*found.box).iou(OUTLINES["cube"].box(T_LEFT, CAMERA)) > 0.6
         assert found.request == NEW
 
     def test_without_the_truth_of_that_very_frame_there_is_no_box(self):
@@ -95,8 +95,8 @@ class TestTruth:
         finder.learn(_truth(T_LEFT, T_RIGHT))
         known = RequestedObject(object="cube", instance=4, prior=_prior(T_RIGHT))
         first, second = finder.find(_header(), _request(known, NEW))
-        assert box_from_wire(first.box).iou(OUTLINES["cube"].box(T_RIGHT, CAMERA)) > 0.6
-        assert box_from_wire(second.box).iou(OUTLINES["cube"].box(T_LEFT, CAMERA)) > 0.6
+        assert Box(*first.box).iou(OUTLINES["cube"].box(T_RIGHT, CAMERA)) > 0.6
+        assert Box(*second.box).iou(OUTLINES["cube"].box(T_LEFT, CAMERA)) > 0.6
 
     def test_no_more_boxes_than_are_wanted(self):
         finder = TruthBoxes(OUTLINES, 0)
@@ -127,7 +127,7 @@ class TestFirstBox:
         prior = _prior(T_LEFT, stamp_ns=9_900_000_000, velocity_linear=(4.0, 0.0, 0.0))
         known = RequestedObject(object="cube", instance=1, prior=prior)
         (found,) = self._finder().find(_header(), _request(known))
-        assert box_from_wire(found.box).iou(OUTLINES["cube"].box(T_RIGHT, CAMERA).grown(0.08)) > 0.999
+        assert Box(*found.box).iou(OUTLINES["cube"].box(T_RIGHT, CAMERA).grown(0.08)) > 0.999
 
     def test_after_a_loss_the_last_box_grows_to_the_image(self):
         finder = self._finder()
@@ -137,7 +137,7 @@ class TestFirstBox:
         for lost_s in (1, 2, 4):
             header = _header(capture_ns=(10 + lost_s) * SECOND)
             (found,) = finder.find(header, _request(known))
-            areas.append(box_from_wire(found.box).area)
+            areas.append(Box(*found.box).area)
         assert areas == sorted(areas)
         assert areas[-1] == 640 * 480
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,12 +29,11 @@ from huepose.geometry.arrays import Float64, Rng
 from huepose.model import ReferenceModel, load_models
 from huepose.profiles import profile
 from huepose.reinit.loop import ReinitLoop
-from huepose.reinit.types import Request, RequestedObject
+from huepose.reinit.types import ObjectSlot, Request, RequestedObject
 from huepose.scenes.rendered import write_rendered_set
 from huepose.tracking import Tracker
 from studies.gone import HZ, Sight, filmed, parser_of, shown
 from studies.stress.films import Seen
-from studies.stress.oracle import slot_of
 from studies.stress.play import error_of, followed
 
 LEAST, SOON_S = 0.1, 2.0
@@ -73,7 +72,7 @@ def watched(
     follows it in a row. wanted: so many are looked for."""
     frames = [Seen(shown(frame, n, rng), NOWHERE, 1.0) for n in range(count)]
     tracker = Tracker({model.name: model}, profile("live").tracker)
-    loop = ReinitLoop(objects=[replace(slot_of(model), max_instances=wanted)])
+    loop = ReinitLoop(objects=[ObjectSlot.of(model, wanted)])
     first: dict[int, float] = {}
     right = wrong = twice = 0
     for number, (_, poses) in enumerate(followed(frames, tracker, loop, Sight(model))):
@@ -110,7 +109,8 @@ def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.
             if model is not None and label.T_cam_obj is not None:
                 kinds.setdefault(model.name, []).append((label.T_cam_obj, label.visible))
         rng = np.random.default_rng([given.seed, image])
-        away = [] if given.several else rng.permutation(sorted(set(models) - set(kinds)))[: given.absent]
+        absent = 0 if given.several else given.absent
+        away = rng.permutation(sorted(set(models) - set(kinds)))[:absent]
         count = HZ * given.seconds
         for name, own in [*kinds.items(), *((str(n), list[Instance]()) for n in away)]:
             there = sum(visible for _, visible in own)

@@ -110,7 +110,7 @@ class _FrameRun:
         start = time.perf_counter()
         detections = self.detector.detect(sample.frame, names)
         found_s = time.perf_counter() - start
-        judged = _best([d for d in detections if d.score >= options.least], options.judged)
+        judged = first_of_each([d for d in detections if d.score >= options.least], options.judged)
         queries = [ObjectQuery(d.object, box=d.box, instance=i, searched=True) for i, d in enumerate(judged)]
         answers = self.estimator.estimate(sample.frame, queries) if queries else []
         seconds = time.perf_counter() - start
@@ -179,7 +179,7 @@ class _FrameRun:
         return taken, false
 
 
-def _best(detections: Sequence[Detection], most: int) -> list[Detection]:
+def first_of_each(detections: Sequence[Detection], most: int) -> list[Detection]:
     """At most so many of each object, the first ones."""
     seen: dict[str, int] = {}
     chosen = []

@@ -129,10 +129,7 @@ class LoopJudge:
 
     def __init__(self, models: Mapping[str, ReferenceModel]) -> None:
         self._config = ReinitConfig()
-        self._slots = {
-            name: ObjectSlot(name, 1, model.diameter_m, tuple(model.equivalents), model.mesh.bounds)
-            for name, model in models.items()
-        }
+        self._slots = {name: ObjectSlot.of(model) for name, model in models.items()}
 
     def __call__(self, pose: SourcedPose, tracked: TrackedPose | None) -> Verdict:
         """tracked: what was published at the frame that the estimate looked at, None without a pose."""

@@ -76,50 +76,36 @@ def rows_of_frame(
     """What was published of a frame against its labels: a row for each instance, and how many poses of no
     instance are TRACKING."""
     chosen, phantoms = match(here, published)
-    rows = [
-        row_of(sequence, image, stamp_ns, place, pose, targets, seconds, seed)
-        for place, pose in zip(here, chosen, strict=True)
-    ]
+    rows = []
+    for place, pose in zip(here, chosen, strict=True):
+        truth, model = place.truth, place.model
+        T_cam_obj = None if pose is None else pose.T_cam_obj
+        error = None
+        if truth is not None and truth.T_cam_obj is not None:
+            error = targets.error(model, T_cam_obj, truth.T_cam_obj)
+        row = TrackRow(
+            sequence=sequence,
+            frame=image,
+            stamp_ns=stamp_ns,
+            object=object_number(model),
+            ordinal=place.ordinal,
+            gt_instance=None if truth is None else truth.instance,
+            track=None if pose is None else pose.track,
+            T_cam_obj=T_cam_obj,
+            error=error,
+            diameter_m=model.diameter_m,
+            visible=truth is not None and truth.visible,
+            gone=truth is None or truth.gone,
+            visib_fract=None if truth is None else truth.visib_fract,
+            state=None if pose is None else pose.state,
+            quality=0.0 if pose is None else pose.quality,
+            seconds=seconds,
+            seed=seed,
+            T_truth=None if truth is None else truth.T_cam_obj,
+            velocity=None if pose is None else pose.velocity,
+        )
+        rows.append(row)
     return rows, sum(pose.state == "TRACKING" for pose in phantoms)
-
-
-def row_of(
-    sequence: str,
-    image: int,
-    stamp_ns: int,
-    place: Place,
-    pose: PublishedPose | None,
-    targets: Targets,
-    seconds: float | None,
-    seed: int,
-) -> TrackRow:
-    """Judge one published pose against one label."""
-    truth, model = place.truth, place.model
-    T_cam_obj = None if pose is None else pose.T_cam_obj
-    error = None
-    if truth is not None and truth.T_cam_obj is not None:
-        error = targets.error(model, T_cam_obj, truth.T_cam_obj)
-    return TrackRow(
-        sequence=sequence,
-        frame=image,
-        stamp_ns=stamp_ns,
-        object=object_number(model),
-        ordinal=place.ordinal,
-        gt_instance=None if truth is None else truth.instance,
-        track=None if pose is None else pose.track,
-        T_cam_obj=T_cam_obj,
-        error=error,
-        diameter_m=model.diameter_m,
-        visible=truth is not None and truth.visible,
-        gone=truth is None or truth.gone,
-        visib_fract=None if truth is None else truth.visib_fract,
-        state=None if pose is None else pose.state,
-        quality=0.0 if pose is None else pose.quality,
-        seconds=seconds,
-        seed=seed,
-        T_truth=None if truth is None else truth.T_cam_obj,
-        velocity=None if pose is None else pose.velocity,
-    )
 
 
 @dataclass(frozen=True, eq=False)

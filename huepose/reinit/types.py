@@ -15,6 +15,7 @@ from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box
+from huepose.model.types import ReferenceModel
 from huepose.support.errors import InputError
 
 FRESH_S, FRESH_MARGIN = 0.5, 0.08
@@ -37,6 +38,12 @@ class ObjectSlot:
     diameter_m: float = 0.15
     equivalents: tuple[Float64, ...] = field(default=(), compare=False)
     bounds_m: Float64 | None = field(default=None, compare=False)
+
+    @staticmethod
+    def of(model: ReferenceModel, max_instances: int = 1) -> ObjectSlot:
+        """What is known of the object by its reference model."""
+        equivalents = tuple(model.equivalents)
+        return ObjectSlot(model.name, max_instances, model.diameter_m, equivalents, model.mesh.bounds)
 
     def middle_cam(self, T_cam_obj: Float64) -> Float64:
         """The middle (3,) of its bounds in camera axes, which its origin may lie far from; the origin where

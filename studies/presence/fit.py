@@ -27,7 +27,7 @@ from huepose.estimation import Estimator, EstimatorConfig
 from huepose.estimation.present import certainty
 from huepose.estimation.types import ObjectQuery
 from huepose.evaluation.estimate_protocol import PoseEstimator
-from huepose.evaluation.perception_protocol import SAME
+from huepose.evaluation.perception_protocol import SAME, first_of_each
 from huepose.evaluation.targets import Targets
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.box import Box
@@ -167,12 +167,8 @@ def look(
     is there where the box of what its pose explains overlaps the box of one of its labels by IoU 0.5."""
     models = targets.models_by_name
     view = clear_view(sample.frame, max(m.diameter_m for m in models.values()))
-    count: dict[str, int] = {}
-    queries: list[ObjectQuery] = []
-    for d in detector.detect(sample.frame, list(models)):
-        count[d.object] = count.get(d.object, 0) + 1
-        if count[d.object] <= PLACES:
-            queries.append(ObjectQuery(d.object, box=d.box, instance=len(queries)))
+    places = first_of_each(detector.detect(sample.frame, list(models)), PLACES)
+    queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(places)]
     answers = estimator.estimate(sample.frame, queries) if queries and view is not None else []
     boxes = [
         (model.name, scaled(box, smaller))

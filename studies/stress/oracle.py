@@ -20,17 +20,12 @@ SCORE, SCORE_PER_DIAMETER = 1.9, 2.5
 """Scores of the oracle's judge: of a right pose, and what is lost per diameter of displacement, up to 1.2."""
 
 
-def slot_of(model: ReferenceModel) -> ObjectSlot:
-    """What the loop looks for."""
-    return ObjectSlot(model.name, 1, model.diameter_m, tuple(model.equivalents), model.mesh.bounds)
-
-
 class Oracle:
     """The true pose of an object that is seen well enough, with normal errors, and a fair comparison of it
     with a tracked one."""
 
     def __init__(self, model: ReferenceModel, seed: int = 0) -> None:
-        self._slot = slot_of(model)
+        self._slot = ObjectSlot.of(model)
         self._rng = np.random.default_rng([seed, 50])
 
     def answer(self, request: Request, seen: Seen) -> list[PoseEstimate]:

@@ -19,10 +19,9 @@ from huepose.evaluation.states import Moment
 from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel
 from huepose.reinit.loop import ReinitLoop
-from huepose.reinit.types import PerceptionResult, Request
+from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
 from huepose.tracking import Correction, TrackedPose, Tracker
 from studies.stress.films import Seen
-from studies.stress.oracle import slot_of
 
 FAR = 10.0
 """Diameters: poses that are farther off are all as wrong."""
@@ -74,7 +73,7 @@ def play(
     if first is not None:
         frames = list(frames)
         tracker.correct(Correction.first(model.name, first, frames[0].frame, quality))
-    loop = ReinitLoop(objects=[slot_of(model)])
+    loop = ReinitLoop(objects=[ObjectSlot.of(model)])
     return [_told(seen, model, poses) for seen, poses in followed(frames, tracker, loop, perception)]
 
 

@@ -20,7 +20,7 @@ from huepose.evaluation.tables.published import published
 from huepose.evaluation.tables.report import page
 from huepose.evaluation.tables.table import Head, Table
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_rows import TrackResult, row_of
+from huepose.evaluation.track_rows import TrackResult, rows_of_frame
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 from tests.disk import full_disk
@@ -166,7 +166,7 @@ def track_of(model, sequence: str, errors_m: list[float | None]) -> TrackResult:
         state = "LOST" if pose is None else "TRACKING"
         place = Place(model, 0, truth(0, model.object_id, T))
         said = PublishedPose(model.name, 0, pose, state, 0.9)
-        rows.append(row_of(sequence, i, i * 33_000_000, place, said, targets, 0.01, 0))
+        rows += rows_of_frame(sequence, i, i * 33_000_000, [place], [said], targets, 0.01)[0]
     return TrackResult(rows, {}, {"protocol": "free", "every": 1, "init": "gt", "delayed": None})
 
 

@@ -115,6 +115,17 @@ def draw_axes(
     return picture
 
 
+def draw_way_out(image: UInt8, towards: Float, text: str) -> UInt8:
+    """An arrow to the picture's border in a direction (2,) of pixels, and in a corner what lies there."""
+    picture = image.copy()
+    size = np.array(image.shape[1::-1], np.float64)
+    way = np.asarray(towards, np.float64) / np.linalg.norm(towards)
+    reach = float(np.min(0.5 * size / np.maximum(np.abs(way), 1e-9)))
+    start, end = (np.rint(0.5 * size + share * reach * way).astype(int).tolist() for share in (0.75, 0.97))
+    cv2.arrowedLine(picture, start, end, (20, 20, 20), 2, cv2.LINE_AA, tipLength=0.5)
+    return draw_label(picture, text, (0.0, 0.0 if way[1] > 0.0 else size[1]), (250, 250, 250))
+
+
 def _put_inside(picture: UInt8, letter: str, at: Float) -> None:
     """A letter whose lower left corner is at a pixel (2,), moved so that all of it lies inside."""
     (width, height), base = cv2.getTextSize(letter, FONT, LABEL_SCALE, 1)

@@ -17,7 +17,15 @@ from huepose.datasets.boxes import disturbed
 from huepose.datasets.types import VISIBLE
 from huepose.drawing.canvas import paragraph
 from huepose.drawing.contact_sheet import contact_sheet
-from huepose.drawing.overlay import STATE_COLOURS, Colour, draw_axes, draw_mask_outline, silhouette
+from huepose.drawing.overlay import (
+    STATE_COLOURS,
+    Colour,
+    draw_axes,
+    draw_label,
+    draw_mask_outline,
+    draw_way_out,
+    silhouette,
+)
 from huepose.drawing.shading import shaded
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation.metrics import RECALL_FRACTION, add, adds
@@ -26,6 +34,7 @@ from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.icosphere import look_at
 from huepose.geometry.symmetry import nearest_alike
 from huepose.model import ReferenceModel
+from huepose.onboarding.meshes import length
 from huepose.profiles import profile
 from huepose.rendering.render import render
 from huepose.scenes.rendered import Drawn, SceneRanges, check_sizes, rendered_frame
@@ -80,11 +89,15 @@ VIEW_PX, CROP_PX = 220, 200
 STEP = 0.01
 """Share of an object's diameter by which a step in its surface is drawn in a view."""
 
+BESIDE, BEFORE = 0.55, 3.0
+"""Diameters from an object's middle up to which its origin is in view: across and along the line of sight."""
+
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 CAPTION = (
-    "First the object from six sides. Its axes are drawn on it, and its colour pairs in pink. Then the drawn "
-    "scenes and the answers: state, quality, whether it is right, distance. Green: TRACKING and right; "
-    "amber: SUSPECT, not to be acted on; red: TRACKING and wrong; blue: LOST, drawn where it is."
+    "First the object from six sides. Its axes are drawn at its origin, or the way to it, and its colour "
+    "pairs in pink. Then the drawn scenes and the answers: state, quality, whether it is right, distance. "
+    "Green: TRACKING and right; amber: SUSPECT, not to be acted on; red: TRACKING and wrong; blue: LOST, "
+    "drawn where it is."
 )
 
 
@@ -350,8 +363,19 @@ def _view(model: ReferenceModel, k: int) -> tuple[UInt8, str]:
     picture = np.where(seen.depth[..., None] > 0.0, picture, 235).astype(np.uint8)
     for u, v in np.rint(pixels[:: max(1, len(pixels) // 400)]).astype(int):
         picture[v.clip(0, VIEW_PX - 1), u.clip(0, VIEW_PX - 1)] = (255, 60, 200)
-    picture = draw_axes(picture, camera, T, 0.3 * model.diameter_m, letters=True)
-    return picture, f"{int(facing.sum())} colour pairs"
+    return _with_origin(picture, camera, T, model), f"{int(facing.sum())} colour pairs"
+
+
+def _with_origin(picture: UInt8, camera: Camera, T: Float64, model: ReferenceModel) -> UInt8:
+    """The axes, where they are in view; else where the origin is."""
+    away = T[:3, 3] - se3.apply(T, model.mesh.centre[None])[0]
+    far = f"origin {length(float(np.linalg.norm(away)))}"
+    if np.linalg.norm(away[:2]) > BESIDE * model.diameter_m:
+        return draw_way_out(picture, away[:2], f"{far} away")
+    if abs(away[2]) > BEFORE * model.diameter_m:
+        text = f"{far} {'behind' if away[2] > 0.0 else 'before'} it"
+        return draw_label(picture, text, (0.0, VIEW_PX), (250, 250, 250))
+    return draw_axes(picture, camera, T, 0.3 * model.diameter_m, letters=True)
 
 
 def _crop(

@@ -179,6 +179,28 @@ def test_in_the_views_of_a_plain_part_its_step_is_seen(tea_box: ReferenceModel) 
     assert counts[levels < 100].sum() > 100
 
 
+def test_the_views_show_the_way_to_an_origin_that_is_not_in_them(tea_box: ReferenceModel) -> None:
+    """42 m along x: in four views aside, in two behind and before the object."""
+
+    def ink(away_m: float) -> list[np.ndarray]:
+        moved = replace(tea_box.mesh, vertices=tea_box.mesh.vertices + np.float32([away_m, 0.0, 0.0]))
+        points = tea_box.pairs.points + np.float32([away_m, 0.0, 0.0])
+        model = replace(tea_box, mesh=moved, pairs=replace(tea_box.pairs, points=points))
+        pictures = [suitability._view(model, k)[0] for k in suitability._sides(model)]
+        return [np.argwhere((picture != bare).any(2)) for picture, bare in zip(pictures, plain, strict=True)]
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("draw_axes", "draw_way_out", "draw_label"):
+            patch.setattr(suitability, name, lambda picture, *_, **__: picture)
+        plain = [suitability._view(tea_box, k)[0] for k in suitability._sides(tea_box)]
+    assert all(len(where) for where in ink(0.0))
+    far = ink(42.0)
+    assert all(len(where) for where in far)
+    # From +y the object's x axis is to the left: the origin, which is against it, to the right.
+    assert (far[1][:, 1] > 0.9 * suitability.VIEW_PX).any()
+    assert (far[4][:, 1] > 0.9 * suitability.VIEW_PX).sum() == 0
+
+
 def test_where_there_is_no_pose_the_sheet_shows_where_the_object_is(
     tea_box: ReferenceModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:

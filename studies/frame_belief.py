@@ -146,7 +146,7 @@ def collect(job: Job) -> list[Row]:
                 # The baseline is a mean over some frames before: about the total just before the step.
                 start = best_of(subject.surface, frames[i - step], [(truth[i - step], "still")], light)
                 usual, lit = start.terms.total, light
-            velocity = increment_velocity(truth[i - step - 1], truth[i - step], 1 / 30)
+            velocity = increment_velocity(subject.surface, truth[i - step - 1], truth[i - step], 1 / 30)
             start = Hypothesis(truth[i - step], NOTHING, np.zeros((6, 6)), "still", velocity)
             anchor = Anchor((start,), frames[i - step], usual, lit)
             reached = advance(subject, anchor, frames[i], TrackerConfig())

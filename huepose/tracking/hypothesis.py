@@ -27,10 +27,10 @@ HOPELESS = 4.0
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """T_cam_obj (4, 4); velocity (6,) or None; what is seen of it; information (6, 6) of the refinement;
-    source: which start led there ("still", "velocity", "flow", "search", "views", "turn", "correction",
-    "ends"); log_odds: that it is right, filtered over the frames; goes_on: share of its outline beyond which
-    the surface goes on."""
+    """T_cam_obj (4, 4); velocity (6,) or None, about the object's centre; what is seen of it; information
+    (6, 6) of the refinement; source: which start led there ("still", "velocity", "flow", "search", "views",
+    "turn", "correction", "ends"); log_odds: that it is right, filtered over the frames; goes_on: share of its
+    outline beyond which the surface goes on."""
 
     T_cam_obj: Float64
     terms: Terms

@@ -1,9 +1,10 @@
 """How an object moves: the velocity from its increments, where it should be next, and how far it can have
 moved since it was last seen.
 
-A velocity is a twist per second in the order tx ty tz rx ry rz, camera axes, about the object's origin: the
-convention of `se3.perturb`. As in ROFT (Piga et al. 2022) it comes from filtered increments, not from
-differences of single poses."""
+A velocity is a twist per second in the order tx ty tz rx ry rz, camera axes, about the object's centre: an
+origin far from it moves on an arc whenever the object turns. Published it is about the origin
+(`about_origin`). As in ROFT (Piga et al. 2022) it comes from filtered increments, not from differences of
+single poses."""
 
 from __future__ import annotations
 
@@ -23,9 +24,11 @@ MAX_AHEAD_S = 0.3
 """A velocity says nothing about what lies further ahead."""
 
 
-def increment_velocity(T_from: Float, T_to: Float, seconds: float) -> Float64:
+def increment_velocity(surface: PreparedSurface, T_from: Float, T_to: Float, seconds: float) -> Float64:
     """The constant velocity (6,) that moves one pose to the other in that time."""
-    return np.asarray(se3.difference(T_from, T_to) / seconds)
+    moved = surface.centre_cam(T_to) - surface.centre_cam(T_from)
+    turned = se3.rotation_log(T_to[:3, :3] @ T_from[:3, :3].T)
+    return np.concatenate([moved, turned]) / seconds
 
 
 def filtered(velocity: Float64 | None, measured: Float64, seconds: float) -> Float64:
@@ -36,18 +39,33 @@ def filtered(velocity: Float64 | None, measured: Float64, seconds: float) -> Flo
     return np.asarray(velocity + gain * (measured - velocity))
 
 
-def predicted(T_cam_obj: Float64, velocity: Float64 | None, seconds: float) -> Float64:
+def predicted(
+    surface: PreparedSurface, T_cam_obj: Float64, velocity: Float64 | None, seconds: float
+) -> Float64:
     """The pose after an interval at constant velocity; unchanged without one, or when it is too long ago."""
     if velocity is None or seconds > MAX_AHEAD_S:
         return T_cam_obj
-    return se3.perturb(T_cam_obj, velocity * seconds)
+    centre = surface.centre_cam(T_cam_obj)
+    R = se3.rotation_exp(velocity[3:] * seconds)
+    moved = se3.make(R, centre + velocity[:3] * seconds - R @ centre)
+    return se3.compose(moved, T_cam_obj)
 
 
-def same_motion(velocity: Float64 | None, T_from: Float64, T_to: Float64) -> Float64 | None:
-    """The velocity of the same motion about the origin of another pose."""
-    if velocity is None:
-        return None
-    lever = T_to[:3, 3] - T_from[:3, 3]
+def same_motion(
+    surface: PreparedSurface, velocity: Float64 | None, T_from: Float64, T_to: Float64
+) -> Float64 | None:
+    """The velocity of the same motion about the centre of another pose."""
+    return (
+        None if velocity is None else _about(velocity, surface.centre_cam(T_to) - surface.centre_cam(T_from))
+    )
+
+
+def about_origin(surface: PreparedSurface, T_cam_obj: Float64, velocity: Float64 | None) -> Float64 | None:
+    """The velocity of the same motion about the object's origin, as by `se3.perturb`."""
+    return None if velocity is None else _about(velocity, T_cam_obj[:3, 3] - surface.centre_cam(T_cam_obj))
+
+
+def _about(velocity: Float64, lever: Float64) -> Float64:
     return np.concatenate([velocity[:3] + np.cross(velocity[3:], lever), velocity[3:]])
 
 

@@ -63,7 +63,7 @@ def opinions(
     held = _held_by_its_ends(subject, out[0], frame, anchor.light)
     if held is not None:
         out.append(_moved(subject, anchor, held, before, seconds, frame))
-    expected = predicted(before.T_cam_obj, before.velocity, seconds)
+    expected = predicted(subject.surface, before.T_cam_obj, before.velocity, seconds)
     for h in found.proposed:
         if impossible(h, found.followed[0], gone_s):
             continue
@@ -88,7 +88,7 @@ def _moved(
 ) -> Hypothesis:
     """A hypothesis with its log-odds and filtered velocity. parent: the hypothesis it came from, `seconds`
     ago; jump: log-odds of its motion."""
-    measured = increment_velocity(parent.T_cam_obj, h.T_cam_obj, seconds)
+    measured = increment_velocity(subject.surface, parent.T_cam_obj, h.T_cam_obj, seconds)
     velocity = filtered(parent.velocity, measured, seconds)
     opinion = weighed(subject, h, frame, anchor.baseline, anchor.light, parent.log_odds, jump)
     return replace(opinion, velocity=velocity)

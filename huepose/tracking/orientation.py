@@ -97,7 +97,7 @@ class Orientation:
             before, since_ns = self.sure, self.sure_ns
         gone_s = (frame.stamp_ns - since_ns) * 1e-9
         turns, T, velocity = self._subject.other_turns, before.T_cam_obj, before.velocity
-        expected = predicted(T, velocity, gone_s)
+        expected = predicted(self._subject.surface, T, velocity, gone_s)
         limit = most_turned(velocity, gone_s, self._config)
         jump = jump_odds(self._subject.surface, T, expected, first.T_cam_obj, gone_s, self._config)
         looked_for = anchor.unseen_s > 0.0 and first.source in FOUND_AGAIN

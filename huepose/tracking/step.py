@@ -56,7 +56,7 @@ def advance(
     stage to try next, from the last frame; tries: how many costly proposals this frame has time for."""
     surface, first, light = subject.surface, anchor.first, anchor.light
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
-    expected = predicted(first.T_cam_obj, first.velocity, seconds)
+    expected = predicted(surface, first.T_cam_obj, first.velocity, seconds)
     if anchor.unseen_s > 0.0:
         waiting = unmoved(surface, frame, expected, light)
         if waiting.terms.hidden > WHOLLY_HIDDEN:
@@ -66,7 +66,7 @@ def advance(
     found = [
         followed(surface, frame, first, expected, light, MORE_PASSES),
         *(
-            followed(surface, frame, h, predicted(h.T_cam_obj, h.velocity, seconds), light, 0)
+            followed(surface, frame, h, predicted(surface, h.T_cam_obj, h.velocity, seconds), light, 0)
             for h in anchor.hypotheses[1:]
         ),
     ]

@@ -315,7 +315,7 @@ class Track:
         Raises ValueError where the history does not reach back unbroken."""
         before = self.hypotheses[0]
         moved = self.subject.like(self.history.replay(stamp_ns, T_cam_obj), before.T_cam_obj)
-        velocity = same_motion(before.velocity, before.T_cam_obj, moved)
+        velocity = same_motion(self.subject.surface, before.velocity, before.T_cam_obj, moved)
         odds = max(evidence.odds_of(quality), before.log_odds)
         corrected = replace(before, T_cam_obj=moved, velocity=velocity, source="correction", log_odds=odds)
         self.hypotheses, self._orientation.sure = (corrected, before), None
@@ -342,8 +342,7 @@ class Track:
                 self._orientation.assure(quality)
 
     def can_have_turned_since(self, stamp_ns: int) -> bool:
-        """Whether it may have rotated by a near symmetry, unseen, after that stamp. Then a pose of that time
-        does not fix its orientation now."""
+        """Whether it may have rotated by a near symmetry since, unseen: its pose then fixes no turn now."""
         return self._orientation.turned_ns > stamp_ns
 
     def copy(self) -> Track:
@@ -354,10 +353,10 @@ class Track:
 
     def _coast(self, before: Hypothesis, seconds: float) -> None:
         """Handle a frame that does not support the pose: follow the prediction if hardly anything is seen."""
-        first = self.hypotheses[0]
+        first, T = self.hypotheses[0], self.hypotheses[0].T_cam_obj
         velocity = None if before.velocity is None else before.velocity * COASTING_DAMPING
-        gone = first.terms.seen < COASTING_SEEN
-        T = predicted(before.T_cam_obj, before.velocity, seconds) if gone else first.T_cam_obj
+        if first.terms.seen < COASTING_SEEN:
+            T = predicted(self.subject.surface, before.T_cam_obj, before.velocity, seconds)
         self.hypotheses = (replace(first, T_cam_obj=T, velocity=velocity), *self.hypotheses[1:])
         if self.covariance is not None:
             self.covariance = grown(self.covariance, seconds)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from huepose.believe.state import State
+from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.silhouette import silhouette_iou
@@ -19,6 +20,7 @@ from huepose.tracking.competition import Claim, losers
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
 from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.motion import about_origin
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Applied, Correction, Doubt, TrackedPose, Verdict
@@ -370,8 +372,16 @@ def _published(track: Track, frame: RgbdFrame) -> TrackedPose:
         frame.stamp_ns,
         track.state,
         track.T_cam_obj,
-        track.hypotheses[0].velocity if track.hypotheses else None,
+        _velocity(track),
         track.quality,
         track.covariance,
         track.applied_seq,
     )
+
+
+def _velocity(track: Track) -> Float64 | None:
+    """That of its first hypothesis, as it is published."""
+    if not track.hypotheses:
+        return None
+    first = track.hypotheses[0]
+    return about_origin(track.subject.surface, first.T_cam_obj, first.velocity)

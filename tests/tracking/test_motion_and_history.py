@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from huepose.geometry import Camera, RgbdFrame, se3
+from huepose.judge.open_region import PreparedSurface
+from huepose.model import ReferenceModel
 from huepose.tracking.history import FrameHistory, PoseHistory
-from huepose.tracking.motion import filtered, increment_velocity, predicted
+from huepose.tracking.motion import about_origin, filtered, increment_velocity, predicted, same_motion
+from huepose.tracking.subject import Subject
 
 TWIST = np.array([0.2, -0.1, 0.05, 0.8, -1.5, 0.4])
 START = se3.make(se3.rotation_exp(np.array([0.3, 0.2, -0.5])), np.array([0.1, 0.0, 0.6]))
+
+
+CENTRES = [[0.0, 0.0, 0.0], [0.02, -0.01, 0.05], [30.0, -28.0, 10.0]]
 
 
 def moving(seconds: float) -> np.ndarray:
@@ -18,22 +27,51 @@ def moving(seconds: float) -> np.ndarray:
     return se3.perturb(START, TWIST * seconds)
 
 
-def test_velocity_of_constant_motion_is_exact() -> None:
-    velocity = None
+def moving_about(centre_obj: list[float], seconds: float) -> np.ndarray:
+    """The same motion of an object whose centre is there."""
+    return moving(seconds) @ se3.make(np.eye(3), -np.array(centre_obj))
+
+
+@pytest.fixture
+def surface_of(tea_box: ReferenceModel) -> Callable[[list[float]], PreparedSurface]:
+    """A surface with that centre (3,)."""
+    surface = Subject.of(tea_box).surface
+    return lambda centre: replace(surface, arrays=surface.arrays._replace(centre=np.array(centre)))
+
+
+@pytest.mark.parametrize("centre", CENTRES)
+def test_velocity_of_constant_motion_is_exact_wherever_the_origin_is(surface_of, centre) -> None:
+    surface, velocity = surface_of(centre), None
     for k in range(1, 10):
-        a, b = moving((k - 1) / 30), moving(k / 30)
-        velocity = filtered(velocity, increment_velocity(a, b, 1 / 30), 1 / 30)
+        a, b = moving_about(centre, (k - 1) / 30), moving_about(centre, k / 30)
+        velocity = filtered(velocity, increment_velocity(surface, a, b, 1 / 30), 1 / 30)
         np.testing.assert_allclose(velocity, TWIST, atol=1e-9)
 
 
-def test_prediction_of_constant_motion_is_exact() -> None:
-    velocity = increment_velocity(moving(0.0), moving(0.02), 0.02)
-    np.testing.assert_allclose(predicted(moving(0.02), velocity, 0.1), moving(0.12), atol=1e-12)
+@pytest.mark.parametrize("centre", CENTRES)
+def test_prediction_of_constant_motion_is_exact_wherever_the_origin_is(surface_of, centre) -> None:
+    surface, now = surface_of(centre), moving_about(centre, 0.02)
+    velocity = increment_velocity(surface, moving_about(centre, 0.0), now, 0.02)
+    ahead = predicted(surface, now, velocity, 0.1)
+    np.testing.assert_allclose(ahead, moving_about(centre, 0.12), atol=1e-11)
 
 
-def test_a_velocity_is_not_believed_for_long() -> None:
-    assert predicted(START, TWIST, 4.3) is START
-    assert predicted(START, None, 0.03) is START
+@pytest.mark.parametrize("centre", CENTRES)
+def test_a_velocity_is_published_about_the_origin(surface_of, centre) -> None:
+    """What `se3.perturb` makes of it is, in a moment, where the object goes."""
+    surface, now, moment_s = surface_of(centre), moving_about(centre, 0.02), 1e-6
+    velocity = about_origin(surface, now, TWIST)
+    went = se3.difference(now, moving_about(centre, 0.02 + moment_s)) / moment_s
+    np.testing.assert_allclose(velocity, went, atol=1e-3)
+    turned = now @ se3.make(se3.rotation_exp([0.0, 0.0, 3.0]), np.zeros(3))
+    same = same_motion(surface, TWIST, now, turned)
+    np.testing.assert_allclose(about_origin(surface, turned, same), velocity, atol=1e-9)
+
+
+def test_a_velocity_is_not_believed_for_long(surface_of) -> None:
+    surface = surface_of(CENTRES[0])
+    assert predicted(surface, START, TWIST, 4.3) is START
+    assert predicted(surface, START, None, 0.03) is START
     np.testing.assert_array_equal(filtered(TWIST, 2 * TWIST, 4.3), 2 * TWIST)
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from huepose.believe.state import State
 from huepose.geometry import Camera, RgbdFrame, se3
+from huepose.onboarding.onboard import onboard_mesh
 from huepose.support.errors import InputError
 from huepose.tracking import Applied, Tracker, TrackerConfig
 from tests.tracking.conftest import correction, errors
@@ -38,6 +39,26 @@ def test_a_moving_object_is_followed_for_30_frames(name, tea_box, soup_can, shoo
     assert pose.covariance is not None
     delta = se3.difference(pose.T_cam_obj, path(29))
     assert (np.abs(delta) < 4 * np.sqrt(np.diag(pose.covariance))).all()
+
+
+def test_an_object_is_followed_whose_origin_is_far_from_it(tea_box, shoot, path) -> None:
+    """As of a mesh in the coordinates of a building: 42 m off, it moves on an arc when the object turns."""
+    away = np.array([25.0, 33.75, 0.0])
+    vertices = (tea_box.mesh.vertices + away).astype(np.float32)
+    model, back = onboard_mesh(replace(tea_box.mesh, vertices=vertices), "far"), se3.make(np.eye(3), -away)
+    tracker = Tracker({"far": model})
+    for k in range(30):
+        frame = shoot([(tea_box.mesh, path(k))], k)
+        if k == 0:
+            tracker.correct(correction(frame, path(0) @ back, name="far"))
+        (pose,) = tracker.step(frame)
+        assert pose.state is State.TRACKING
+        assert pose.T_cam_obj is not None
+        # In its own place, a step of single precision at that distance is 4 micrometres.
+        mm, degrees = errors(replace(pose, T_cam_obj=pose.T_cam_obj @ se3.inverse(back)), path(k))
+        assert (mm < 1.0, degrees < 0.3) == (True, True)
+    went = se3.difference(path(28) @ back, path(29) @ back)[:3] * 30
+    np.testing.assert_allclose(pose.velocity[:3], went, atol=0.05 * np.linalg.norm(went))
 
 
 def test_every_fifth_frame_is_enough(tea_box, film, path) -> None:

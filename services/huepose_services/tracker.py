@@ -164,7 +164,8 @@ class TrackerWork(Work):
             self._publish_all(new, self._header, self._pixels)
         if self._intake.empty and self._believed and (now := self._clock()) >= self._holds_until_ns:
             self._intake.clock_ns.append(now)
-            self._withdraw("no new frame came")
+            ends = ": the recording has ended, or it falls behind" if self._config.camera.once else ""
+            self._withdraw(f"no new frame came{ends}")
             self._holds_until_ns = now + _SAID_AGAIN_NS
 
     def _withdraw(self, why: str) -> None:

@@ -198,17 +198,28 @@ def test_without_a_new_frame_nothing_stays_to_be_acted_on():
     assert bus.out[-1].state == "TRACKING"
 
 
-def test_who_comes_after_the_camera_stopped_hears_once_a_second_that_it_has():
+@pytest.mark.parametrize(
+    ("once", "why"),
+    [
+        (False, "No new frame came."),
+        (True, "No new frame came: the recording has ended, or it falls behind."),
+    ],
+)
+def test_who_comes_after_the_camera_stopped_hears_once_a_second_that_it_has(once, why):
     at = [now_ns()]
-    work, bus, objects = worker(clock=lambda: at[0])
-    bus.waiting["frame"] = [frame_of_age(1, 0.0)]
+    work, bus, objects = worker(once=once, clock=lambda: at[0])
+    # That which stands first never gets old.
+    bus.waiting["frame"] = [frame_of_age(0, 0.0)] * once + [frame_of_age(1, 0.0)]
     work.step()
+    if once:
+        work.step()
+        bus.out.pop(0)
     for _ in range(50):  # five seconds
         at[0] += SECOND // 10
         work.step()
     said = bus.out[1:]
     assert [p.publish_ns - said[0].publish_ns for p in said] == [k * SECOND for k in range(5)]
-    assert {(p.state, p.frame_id, p.reason) for p in said} == {("SUSPECT", 1, "No new frame came.")}
+    assert {(p.state, p.frame_id, p.reason) for p in said} == {("SUSPECT", 1, why)}
     assert bus.health.counters["poses_too_old"] == 1
     objects.next = [Change(ObjectEntry(object="mug", max_instances=1, searching=1), removed=True)]
     work._tracker.remove_object = lambda name: None

@@ -41,17 +41,12 @@ def adds(points_obj: Float, T_estimate: Float, T_truth: Float, tree: cKDTree | N
     return float(distances.mean())
 
 
-def auc(errors_m: Float) -> float:
-    """Area under the accuracy-threshold curve from 0 to 0.1 m, percent: the mean of max(0, 1 - e / 0.1)."""
-    errors = np.asarray(errors_m, dtype=np.float64)
-    return float(100.0 * np.maximum(0.0, 1.0 - errors / AUC_LIMIT_M).mean())
-
-
 def auc_voc(errors_m: Float) -> float:
-    """The same area as the YCB-Video toolbox sums it (`VOCap`, in steps up to each next error), percent.
+    """The area of `pose_scores` as the YCB-Video toolbox sums it (`VOCap`, in steps up to each next error),
+    percent.
 
-    Each step takes the accuracy at its right end, so the area is a little larger than `auc`; of several
-    equal errors the first counts, as in the toolbox."""
+    Each step takes the accuracy at its right end, so the area is a little larger; of several equal errors the
+    first counts, as in the toolbox."""
     errors = np.sort(np.asarray(errors_m, dtype=np.float64))
     accuracy = np.arange(1, len(errors) + 1) / len(errors)
     kept = errors <= AUC_LIMIT_M
@@ -81,7 +76,8 @@ def expected_calibration_error(quality: Float, right: Bool) -> float | None:
 
 
 def pose_scores(add_m: Float, adds_m: Float, diameters_m: Float) -> dict[str, Float64]:
-    """What the four figures are the means of: a number for each of N poses, percent."""
+    """What the four figures are the means of: a number for each of N poses, percent. AUC is the area under
+    the accuracy-threshold curve from 0 to 0.1 m, which is the mean of max(0, 1 - e / 0.1)."""
     scores: dict[str, Float64] = {}
     for name, errors_m in (("add", add_m), ("adds", adds_m)):
         errors = np.asarray(errors_m, np.float64)

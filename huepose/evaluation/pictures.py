@@ -1,4 +1,4 @@
-"""Results to look at: curves, bars, and every frame with the poses drawn over it (`--plots`)."""
+"""Results to look at: every frame with the poses drawn over it, and errors over time (`--plots`)."""
 
 from __future__ import annotations
 
@@ -11,20 +11,18 @@ import numpy as np
 from huepose.datasets.types import Sample
 from huepose.drawing.canvas import FONT, INK, Colour
 from huepose.drawing.overlay import draw_label, draw_mask_outline, silhouette
-from huepose.drawing.plots import bar_chart, line_plot, reliability_plot
-from huepose.evaluation import metrics
-from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow
+from huepose.drawing.plots import line_plot
+from huepose.evaluation.estimate_rows import EstimateRow
 from huepose.evaluation.perception_rows import FrameFigures
 from huepose.evaluation.summary import grouped
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_rows import TrackResult, TrackRow
-from huepose.geometry.arrays import Float, UInt8
+from huepose.geometry.arrays import UInt8
 from huepose.geometry.box import Box
 from huepose.support.files import write_picture
 
 RIGHT, WRONG, TRUTH = (60, 200, 80), (235, 60, 50), (255, 255, 255)
 MISSED = (250, 200, 40)
-_THRESHOLDS_M = np.linspace(0.0, metrics.AUC_LIMIT_M, 201)
 
 
 def draw_rows(sample: Sample, rows: Sequence[EstimateRow | TrackRow], targets: Targets) -> UInt8:
@@ -71,16 +69,6 @@ def _list(notes: Sequence[tuple[str, Colour]], width: int) -> UInt8:
     return page
 
 
-def accuracy_picture(add_m: Float, adds_m: Float, title: str) -> UInt8:
-    """Percent of poses (N,) under each error threshold from 0 to 10 cm; the AUC is the area under a line."""
-    x = 1000 * _THRESHOLDS_M
-    series = {
-        f"{name}, AUC {metrics.auc(errors):.1f}": (x, metrics.accuracy_curve(errors, _THRESHOLDS_M))
-        for name, errors in (("ADD", add_m), ("ADD-S", adds_m))
-    }
-    return line_plot(series, title, "error threshold in mm", "% of poses", (0.0, float(x[-1])), (0.0, 103.0))
-
-
 class PictureFolder:
     """Writes pictures into a folder, made when needed."""
 
@@ -93,23 +81,9 @@ class PictureFolder:
             name = f"frames/{sample.scene}_{sample.image:06d}_s{rows[0].seed}.png"
             self._write(name, draw_rows(sample, rows, self._targets))
 
-    def estimates(self, result: EstimateResult) -> None:
-        """`accuracy.png`, `objects.png`, `calibration.png`."""
-        rows = result.rows
-        self._accuracy([row.error.add_m for row in rows], [row.error.adds_m for row in rows])
-        figures = result.summary()["per_object"]
-        self._bars({str(number): block for number, block in figures.items()}, "by object")
-        found = [row for row in rows if row.T_cam_obj is not None]
-        if found:
-            quality, right = np.array([r.quality for r in found]), np.array([r.error.right for r in found])
-            self._write("calibration.png", reliability_plot(quality, right, title="quality and truth"))
-
     def tracks(self, result: TrackResult) -> None:
-        """`accuracy.png`, `sequences.png`, `errors_SEQUENCE.png`."""
-        scored = [row for row in result.rows if row.scored and row.error is not None]
-        errors = [row.error for row in scored if row.error is not None]
-        self._accuracy([error.add_m for error in errors], [error.adds_m for error in errors])
-        self._bars(result.summary()["sequences"], "by sequence")
+        """`errors_SEQUENCE.png`: errors over time."""
+        scored = [row for row in result.rows if row.scored]
         for name, own in grouped(scored, lambda row: row.sequence).items():
             lines = {
                 f"{number}/{ordinal}": (
@@ -120,21 +94,6 @@ class PictureFolder:
             }
             picture = line_plot(lines, name, "frame", "ADD in mm (a gap: no pose)", marks=True)
             self._write(f"errors_{name}.png", picture)
-
-    def _accuracy(self, add_m: Sequence[float], adds_m: Sequence[float]) -> None:
-        self._write(
-            "accuracy.png", accuracy_picture(np.array(add_m), np.array(adds_m), f"{len(add_m)} poses")
-        )
-
-    def _bars(self, blocks: dict[str, dict[str, float]], title: str) -> None:
-        series = {
-            heading: [block[key] for block in blocks.values()]
-            for key, heading in (("recall_add", "recall ADD"), ("auc_add", "AUC ADD"))
-        }
-        size = (max(720, 90 * len(blocks)), 460)
-        self._write(
-            f"{title.split()[1]}s.png", bar_chart(list(blocks), series, title, "%", (0.0, 130.0), size)
-        )
 
     def _write(self, name: str, picture: UInt8) -> None:
         write_picture(self._folder / name, picture)

@@ -81,7 +81,7 @@ def _add_estimate(verbs: Any) -> None:
     add_number(parser, "--threads", 2, "objects estimated at the same time (2, as when live)")
     add_path(parser, "--csv", "BOP19.csv", "poses for the BOP toolkit")
     add_path(parser, "--models-info", "FILE", "models_info.json of the set: BOP's errors and AR as well")
-    add_path(parser, "--plots", "DIR", "curves and pictures")
+    add_path(parser, "--plots", "DIR", "pictures of every frame")
 
 
 def _add_perception(verbs: Any) -> None:
@@ -132,7 +132,7 @@ def _add_track(verbs: Any) -> None:
     )
     _objects(parser)
     _seeds(parser)
-    add_path(parser, "--plots", "DIR", "curves and pictures")
+    add_path(parser, "--plots", "DIR", "pictures of every frame, and of errors over time")
 
 
 def _add_poses(verbs: Any) -> None:

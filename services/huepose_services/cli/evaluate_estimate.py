@@ -75,8 +75,6 @@ def call(arguments: argparse.Namespace) -> int:
     record["summary"] |= {"method": arguments.method, "profile": arguments.profile}
     print(_report(record["summary"]))
     write_json(arguments.json, record | {"origin": origin()})
-    if pictures is not None:
-        pictures.estimates(result)
     if arguments.csv:
         rows = [row.as_json() for row in result.rows if row.seed == result.seeds[0]]
         write_bop_csv(arguments.csv, bop_results(rows))

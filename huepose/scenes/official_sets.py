@@ -21,12 +21,11 @@ from huepose.datasets.fast_ycb import FastYcbFrame, write_fast_ycb
 from huepose.datasets.types import GONE
 from huepose.geometry import Mesh
 from huepose.geometry.arrays import Float64
-from huepose.rendering import render_depth
 from huepose.scenes import carried
 from huepose.scenes.camera import COLOR
 from huepose.scenes.frame import Shot, shoot
 from huepose.scenes.rendered import SceneRanges, write_rendered_set
-from huepose.support.files import write_picture, write_text
+from huepose.support.files import write_text
 from huepose.support.progress import progress
 
 FIRST_SCENE = 48
@@ -53,28 +52,20 @@ def write_bop_ycbv(
     seed: int,
     ranges: SceneRanges,
 ) -> None:
-    """BOP's download: `test/NNNNNN/`, `test_targets_bop19.json`, `models/`, `models_eval/`. Scenes that were
-    begun are gone on with. Raises InputError."""
+    """BOP's download: `test/NNNNNN/` without `mask/`, `test_targets_bop19.json`, `models/`, `models_eval/`.
+    Scenes that were begun are gone on with. Raises InputError."""
     meshes, ids = {o.name: o.mesh for o in objects}, {o.name: o.object_id for o in objects}
-    by_id = {o.object_id: o for o in objects}
     targets = []
     for scene in range(FIRST_SCENE, FIRST_SCENE + scenes):
         folder = out / "test" / f"{scene:06d}"
         write_rendered_set(folder, meshes, ids, frames, seed * 1000 + scene, ranges, ".png")
         reader = BopScene(folder)
-        for image in reader.image_ids:
-            camera = reader.frame(image).camera
-            for truth in reader.truths(image):
-                assert truth.object_id is not None  # the set was written with ids and poses
-                assert truth.T_cam_obj is not None
-                whole = render_depth(by_id[truth.object_id].mesh, truth.T_cam_obj, camera) > 0
-                write_picture(
-                    folder / "mask" / f"{image:06d}_{truth.instance:06d}.png", np.uint8(255) * whole
-                )
-                if truth.shows(GONE):
-                    targets.append(
-                        {"im_id": image, "inst_count": 1, "obj_id": truth.object_id, "scene_id": scene}
-                    )
+        targets += [
+            {"im_id": image, "inst_count": 1, "obj_id": truth.object_id, "scene_id": scene}
+            for image in reader.image_ids
+            for truth in reader.truths(image)
+            if truth.shows(GONE)
+        ]
     write_text(out / "test_targets_bop19.json", json.dumps(targets))
     _write_models(out, objects)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 
@@ -44,14 +43,6 @@ def test_the_stand_in_for_bops_download_holds_its_images_meshes_and_frames(root:
     info = json.loads((root / "ycbv" / "models_eval" / "models_info.json").read_text())
     tea_box = info["1"]  # 9 x 6 x 15 cm
     assert tea_box["diameter"] == pytest.approx(np.linalg.norm([90, 60, 150]), abs=0.1)
-
-
-def test_whole_silhouettes_are_there_beside_the_visible_masks(root: Path) -> None:
-    scene = open_ycbv(root / "ycbv").scenes[0]
-    (truth, *_) = scene.truths(0)
-    path = root / "ycbv" / "test" / "000048" / "mask" / f"000000_{truth.instance:06d}.png"
-    whole = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) > 0
-    assert not (truth.mask() & ~whole).any()
 
 
 def test_sequences_have_labels_where_the_object_is_drawn(root: Path, objects) -> None:

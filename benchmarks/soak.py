@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from huepose_services.chaos.memory import draw, growth
+from huepose.drawing.plots import line_plot
+from huepose.support.files import write_picture
+from huepose_services.chaos.memory import Said, growth
 from huepose_services.chaos.system import CHAIN, LivePipeline, SeenPose, gaps_s, too_old, wrong
 
 
@@ -56,6 +58,16 @@ def main() -> None:
     print(json.dumps(result, indent=2))
     if arguments.json is not None:
         arguments.json.write_text(json.dumps(result, indent=2) + "\n")
+
+
+def draw(said: Said, start_s: float, path: Path) -> None:
+    """A picture of each worker's memory over the minutes."""
+    series = {}
+    for worker in dict.fromkeys(m.worker for _, m in said):
+        own = [(at, m) for at, m in said if m.worker == worker and at >= start_s]
+        minutes = np.array([(at - start_s) / 60.0 for at, _ in own])
+        series[worker] = (minutes, np.array([m.memory_mib for _, m in own]))
+    write_picture(path, line_plot(series, "resident memory", "minutes", "MiB"))
 
 
 def pose_figures(poses: list[SeenPose], start: float, end: float) -> dict[str, Any]:

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
-from pathlib import Path
 
 import numpy as np
 
-from huepose.drawing.plots import line_plot
 from huepose.geometry.arrays import Float64
-from huepose.support.files import write_picture
 from huepose_protos.messages import HealthMessage
 
 Said = Sequence[tuple[float, HealthMessage]]
@@ -67,13 +64,3 @@ def _slope(t: Float64, y: Float64) -> float:
         solution = np.linalg.lstsq(columns, y, rcond=None)[0]
         fits.append((float(((columns @ solution - y) ** 2).sum()), float(solution[0])))
     return min(fits)[1]
-
-
-def draw(said: Said, start_s: float, path: Path) -> None:
-    """A picture of each worker's memory over the minutes."""
-    series = {}
-    for worker in dict.fromkeys(m.worker for _, m in said):
-        own = [(at, m) for at, m in said if m.worker == worker and at >= start_s]
-        minutes = np.array([(at - start_s) / 60.0 for at, _ in own])
-        series[worker] = (minutes, np.array([m.memory_mib for _, m in own]))
-    write_picture(path, line_plot(series, "resident memory", "minutes", "MiB"))

@@ -8,8 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from huepose.support.errors import InputError
-from huepose.support.files import write_text
-from huepose_services.cli.options import add_json, add_number, add_path, add_several, answered, say
+from huepose_services.cli.options import add_json, add_number, add_several, answered, say
 
 
 def add_parser(subparsers: Any) -> None:
@@ -23,15 +22,13 @@ def add_parser(subparsers: Any) -> None:
     add_several(parser, "--only", "WORD", "faults with such a word or number", [], kind=str)
     add_number(parser, "--slow", 1.0, "so many times fewer pictures, more time for all", "F")
     add_json(parser, to_file=True)
-    add_path(parser, "--table", "FILE", "the table as Markdown")
-    add_path(parser, "--image", "PNG", "each worker's memory over time")
     parser.set_defaults(call=call)
 
 
 def call(arguments: argparse.Namespace) -> int:
     """Strike one after the other; exit 1 when something did not hold."""
     from huepose_services.chaos.faults import FAULTS
-    from huepose_services.chaos.memory import draw, growth
+    from huepose_services.chaos.memory import growth
     from huepose_services.chaos.outcome import Outcome, cells, strike, table
     from huepose_services.chaos.system import LivePipeline
 
@@ -59,8 +56,4 @@ def call(arguments: argparse.Namespace) -> int:
     memory = {worker: asdict(one) for worker, one in grown.items()}
     found = {"faults": [asdict(o) for o in outcomes], "memory": memory}
     answered(arguments, found, "\n".join([text, *(f"{worker:10s} {one}" for worker, one in grown.items())]))
-    if arguments.image is not None:
-        draw(system.health_log, start, arguments.image)
-    if arguments.table is not None:
-        write_text(arguments.table, text + "\n")
     return 1 if any(o.broken for o in outcomes) else 0

@@ -15,6 +15,9 @@ from huepose.geometry.box import Box
 
 NOTHING = "nothing labelled"
 
+FIRST = (1, 5, 20)
+"""Numbers of first proposals of an object at which recall is given."""
+
 
 @dataclass(frozen=True, eq=False)
 class PerceptionRow:
@@ -94,26 +97,24 @@ class PerceptionResult:
     frames: Sequence[FrameFigures]
     asked_for: int
 
-    def as_json(self, proposals: Sequence[int]) -> dict[str, Any]:
-        """Summary, rows and false boxes; recall_at for so many proposals of an object."""
+    def as_json(self) -> dict[str, Any]:
+        """Summary, rows and false boxes."""
         rows = [row for frame in self.frames for row in frame.rows]
         false = [box for frame in self.frames for box in frame.false]
         return {
-            "summary": self._summary(proposals, rows, false),
+            "summary": self._summary(rows, false),
             "rows": [row.as_json() for row in rows],
             "false": [box.as_json() for box in false],
         }
 
-    def _summary(
-        self, proposals: Sequence[int], rows: Sequence[PerceptionRow], false: Sequence[FalseBox]
-    ) -> dict[str, Any]:
+    def _summary(self, rows: Sequence[PerceptionRow], false: Sequence[FalseBox]) -> dict[str, Any]:
         wrong = Counter(f.name for f in false)
         per_object = {
-            name: {**_figures(own, proposals), "false_boxes": wrong.get(name, 0)}
+            name: {**_figures(own), "false_boxes": wrong.get(name, 0)}
             for name, own in sorted(grouped(rows, lambda r: r.name).items())
         }
         return {
-            **_figures(rows, proposals),
+            **_figures(rows),
             "false_boxes_per_frame": len(false) / len(self.frames),
             "seconds_per_frame_p50": float(np.median([f.seconds for f in self.frames])),
             "detector_seconds_per_frame_p50": float(np.median([f.detector_s for f in self.frames])),
@@ -134,12 +135,12 @@ class PerceptionResult:
         }
 
 
-def _figures(rows: Sequence[PerceptionRow], proposals: Sequence[int]) -> dict[str, Any]:
+def _figures(rows: Sequence[PerceptionRow]) -> dict[str, Any]:
     return {
         "instances": len(rows),
         "recall_iou50": 100.0 * float(np.mean([r.found for r in rows])),
         "recall_at": {
-            n: 100.0 * float(np.mean([r.rank is not None and r.rank <= n for r in rows])) for n in proposals
+            n: 100.0 * float(np.mean([r.rank is not None and r.rank <= n for r in rows])) for n in FIRST
         },
         "mask_iou": mean_of([r.mask_iou for r in rows]),
         "final_mask_iou": mean_of([r.final_mask_iou for r in rows]),

@@ -94,8 +94,6 @@ def _add_perception(verbs: Any) -> None:
     _common(parser)
     _objects(parser)
     add_profile(parser)
-    counts = "numbers of boxes an object at which recall is given (1 5 20)"
-    add_several(parser, "--proposals", "N", counts, [1, 5, 20], kind=int)
     add_some_of(parser, "--sources", ("views", "keypoints"), "what proposes places (both)")
     add_number(parser, "--seed", 0, "of the perturbed boxes of masks")
     add_number(parser, "--threads", 2, "objects at the same time (2)")

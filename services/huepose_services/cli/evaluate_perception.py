@@ -8,6 +8,7 @@ from typing import Any
 
 from huepose.estimation import Estimator
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
+from huepose.evaluation.perception_rows import FIRST
 from huepose.evaluation.pictures import PerceptionPictures
 from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.summary import table
@@ -28,11 +29,10 @@ def call(arguments: argparse.Namespace) -> int:
     settings = profile(arguments.profile)
     judged, least = settings.detector.proposals, settings.detector.min_score
     # More boxes than are judged, for the recall of the first so many.
-    most = max(judged, *arguments.proposals)
     asked = replace(
         settings.detector,
         sources=tuple(arguments.sources),
-        proposals=most,
+        proposals=max(judged, *FIRST),
         min_score=0.0,
         threads=arguments.threads,
     )
@@ -53,7 +53,7 @@ def call(arguments: argparse.Namespace) -> int:
         PerceptionOptions(judged, least, seed=arguments.seed),
         on_frame=None if pictures is None else pictures.frame,
     )
-    record = result.as_json(arguments.proposals)
+    record = result.as_json()
     how = {"detector": "colorpair", "sources": arguments.sources, "segmenter": "depth"}
     record["summary"] |= how | {"profile": arguments.profile}
     print(_report(record["summary"]))

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 
 from huepose.datasets.types import Sample, Scene
-from huepose.evaluation.ablation_rows import AblationResult, AblationRow
+from huepose.evaluation.ablation_rows import GAP, AblationResult, AblationRow
 from huepose.evaluation.targets import Targets, object_number
 from huepose.geometry import kabsch, se3
 from huepose.geometry.arrays import Bool, Float, Float64
@@ -74,20 +74,17 @@ def with_networks() -> dict[str, RelativePose]:
 def evaluate_ablation(
     scenes: Sequence[Scene],
     targets: Targets,
-    gap: int = 5,
     estimators: Mapping[str, RelativePose] | None = None,
 ) -> AblationResult:
-    """Every pair of frames of each sequence whose numbers differ by `gap`, for every labelled object that is
+    """Every pair of frames of each sequence whose numbers differ by GAP, for every labelled object that is
     visible in both; a variant is called CHOICE/ESTIMATOR. Raises InputError where nothing can be compared."""
-    if gap < 1:
-        raise InputError("--gap", found=str(gap), expected="1 or more")
     rows: list[AblationRow] = []
     left_out = pairs = 0
     for scene in scenes:
         known = set(scene.image_ids)
-        firsts = [i for i in scene.image_ids if i + gap in known]
+        firsts = [i for i in scene.image_ids if i + GAP in known]
         for image in progress(firsts, f"ablation {scene.name}"):
-            for new in _pair(scene, image, gap, targets, estimators or ESTIMATORS):
+            for new in _pair(scene, image, targets, estimators or ESTIMATORS):
                 pairs += 1
                 left_out += not new
                 rows += new
@@ -95,17 +92,17 @@ def evaluate_ablation(
         raise InputError(
             "ablation",
             found=f"{pairs} pairs of frames, {left_out} of them without motion",
-            expected=f"an onboarded object that is seen moving {gap} frames apart",
+            expected=f"an onboarded object that is seen moving {GAP} frames apart",
         )
-    return AblationResult(rows, pairs, left_out, gap)
+    return AblationResult(rows, pairs, left_out)
 
 
 def _pair(
-    scene: Scene, image: int, gap: int, targets: Targets, estimators: Mapping[str, RelativePose]
+    scene: Scene, image: int, targets: Targets, estimators: Mapping[str, RelativePose]
 ) -> list[list[AblationRow]]:
     """One list of rows for each object of a pair of frames, empty where it hardly moves."""
     before = {t.instance: t for t in scene.truths(image) if targets.wants(t) and t.visible}
-    after = {t.instance: t for t in scene.truths(image + gap) if t.visible}
+    after = {t.instance: t for t in scene.truths(image + GAP) if t.visible}
     out: list[list[AblationRow]] = []
     samples: tuple[Sample, Sample] | None = None
     for instance, truth in before.items():
@@ -115,7 +112,7 @@ def _pair(
         if not moves(truth.T_cam_obj, later.T_cam_obj):
             out.append([])
             continue
-        samples = samples or (Sample.of(scene, image), Sample.of(scene, image + gap))
+        samples = samples or (Sample.of(scene, image), Sample.of(scene, image + GAP))
         figures = compare(model, samples[0], samples[1], truth.T_cam_obj, later.T_cam_obj, estimators)
         number = object_number(model)
         out.append([AblationRow(scene.name, image, number, *figure) for figure in figures])

@@ -13,6 +13,9 @@ from huepose.evaluation.bootstrap import Interval, Share, difference_intervals
 from huepose.evaluation.summary import Figures, grouped
 from huepose.geometry.arrays import UInt8
 
+GAP = 5
+"""Frames between the two of a pair, as in the paper."""
+
 NO_ANSWER = 1.0
 """Relative error of a pair without a motion: as if the object had been taken to stand still."""
 
@@ -53,7 +56,6 @@ class AblationResult:
     rows: list[AblationRow]
     pairs: int
     left_out: int
-    gap: int
 
     def as_json(self) -> dict[str, Any]:
         """What is written."""
@@ -65,7 +67,7 @@ class AblationResult:
         return {
             "pairs": self.pairs,
             "pairs_left_out": self.left_out,
-            "gap": self.gap,
+            "gap": GAP,
             "variants": _by_variant(self.rows),
             "per_object": {str(number): _by_variant(rows) for number, rows in by_object.items()},
             "filter_alone": _filter_alone(self.rows),

@@ -27,7 +27,7 @@ _STATES: Mapping[str, Colour] = {
     "LOST": (250, 224, 220),
 }
 _FLOW = (
-    "As the paper's figure: the raw motion between frames {0.gap} apart, from all flow, from what the filter "
+    "As the paper's figure: the raw motion between frames five apart, from all flow, from what the filter "
     "by colour pairs leaves of it, and from what the tracker uses. Errors as shares of the true motion; "
     "end-point error of the flow. robust: the closed form, direct: a network. {0.pairs} pairs."
 )

@@ -154,7 +154,6 @@ def _add_ablation(verbs: Any) -> None:
     )
     add_several(parser, "--fast-ycb", "SEQ_DIR", "sequences, or the folder that holds them", required=True)
     _common(parser)
-    add_number(parser, "--gap", 5, "frames between the two of a pair (5)")
     add_path(parser, "--plots", "DIR", "where ablation.png goes")
 
 

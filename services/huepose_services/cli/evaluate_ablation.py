@@ -31,7 +31,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     cv2.setNumThreads(1)  # as the tracker's worker does
     scenes, models = open_fast_ycb(arguments.fast_ycb, arguments.bundles)
-    result = evaluate_ablation(scenes, Targets(models), arguments.gap, with_networks())
+    result = evaluate_ablation(scenes, Targets(models), with_networks())
     record = result.as_json()
     print(_report(record["summary"]))
     write_json(arguments.json, record)

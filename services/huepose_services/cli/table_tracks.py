@@ -11,7 +11,7 @@ from huepose.datasets import files
 from huepose.datasets.fast_ycb import labelled_sequences, object_of
 from huepose.datasets.types import Scene, SomeImages
 from huepose.evaluation.ablation import evaluate_ablation, with_networks
-from huepose.evaluation.ablation_rows import AblationResult, AblationRow
+from huepose.evaluation.ablation_rows import GAP, AblationResult, AblationRow
 from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.evaluation.sources import LoopJudge
 from huepose.evaluation.tables.journal import Entry, Journal, run_tracks
@@ -23,9 +23,6 @@ from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_scenes import open_fast_ycb
 from huepose_services.cli.pose_tables import PoseSources, warm_tracker
 from huepose_services.cli.table_images import left_out, settings
-
-ABLATION_GAP = 5
-"""Frames between the two of a pair, as in the paper."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +103,7 @@ def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) 
     scenes, models = open_fast_ycb([source.path], bundles, [])
     if arguments.quick is not None:
         scenes = [SomeImages(scene, scene.image_ids[: arguments.quick]) for scene in scenes]
-    journal = Journal(arguments.out / "runs" / f"{source.key}-ablation.jsonl", {"gap": ABLATION_GAP})
+    journal = Journal(arguments.out / "runs" / f"{source.key}-ablation.jsonl", {"gap": GAP})
     estimators = {name: with_networks()[name] for name in ("robust", "direct")}
     rows: list[AblationRow] = []
     pairs = left_out = 0
@@ -114,7 +111,7 @@ def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) 
         key = f"{scene.name}/{len(scene.image_ids)} frames"
         if not journal.done(key):
             try:
-                found = evaluate_ablation([scene], Targets(models), ABLATION_GAP, estimators)
+                found = evaluate_ablation([scene], Targets(models), estimators)
             except InputError as error:
                 journal.add(key, {"error": str(error)})
                 continue
@@ -123,7 +120,7 @@ def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) 
         entry = journal.entries[key]
         rows += [AblationRow(**row) for row in entry["rows"]]
         pairs, left_out = pairs + entry["pairs"], left_out + entry["left_out"]
-    return AblationResult(rows, pairs, left_out, ABLATION_GAP) if rows else None
+    return AblationResult(rows, pairs, left_out) if rows else None
 
 
 def _start(asked: str | None, path: Path) -> str:

@@ -1,4 +1,6 @@
-"""The folders and files of YCB-Video and Fast-YCB, filled with drawn frames of any meshes.
+"""The folders and files of YCB-Video and Fast-YCB, filled with drawn frames of any meshes, and of the unseen
+objects at one seed: heaps in any light with stereo-like depth for single frames, carried objects with exact
+depth for tracks.
 
 What reads the official downloads reads these, with known answers.
 """
@@ -25,11 +27,19 @@ from huepose.scenes import carried
 from huepose.scenes.camera import COLOR
 from huepose.scenes.frame import Shot, shoot
 from huepose.scenes.rendered import SceneRanges, write_rendered_set
+from huepose.scenes.unseen.objects import unseen_objects
 from huepose.support.files import write_text
 from huepose.support.progress import progress
 
 FIRST_SCENE = 48
 """Of the test scenes of YCB-Video."""
+
+FIRST_ID = 101
+"""Of the unseen objects: beyond the ids of YCB-Video."""
+
+SCENES, FRAMES = 8, 5
+SEQUENCES, SEQUENCE_FRAMES = 24, 30
+SEED = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,3 +119,19 @@ def write_fast_ycb_set(
         shots = (shoot(stage, i, seed * 1000 + number, COLOR, None) for i in range(n))
         frames_of = map(_frame, shots)
         write_fast_ycb(folder, obj.name, frames_of, stage.camera, carried.RATE_HZ, obj.offset_m)
+
+
+def unseen_set() -> list[SetObject]:
+    """The unseen objects with their ids; `texture` in models_info.json tells those with little."""
+    return [
+        SetObject(number, obj.name, obj.mesh, np.zeros(3), {"texture": "little"} if obj.plain else {})
+        for number, obj in enumerate(unseen_objects(SEED), FIRST_ID)
+    ]
+
+
+def write_unseen(out: Path, scenes: int = SCENES, frames: int = FRAMES, sequences: int = SEQUENCES) -> None:
+    """`out/ycbv` in BOP's layout, with the meshes, and `out/fast` in that of Fast-YCB; what is there is kept.
+    Raises InputError."""
+    objects = unseen_set()
+    write_bop_ycbv(out / "ycbv", objects, scenes, frames, SEED, SceneRanges())
+    write_fast_ycb_set(out / "fast", objects, sequences, SEQUENCE_FRAMES, SEED)

@@ -9,9 +9,9 @@ from huepose.geometry import Camera, Mesh, se3
 from huepose.rendering import render
 from huepose.rendering.render import is_closed
 from huepose.rendering.textures import covered_texels
+from huepose.scenes.official_sets import unseen_set
 from huepose.scenes.rendered import LARGEST_M
 from huepose.scenes.shapes import demo_objects, printed
-from huepose.scenes.unseen.data_set import unseen_set
 from huepose.scenes.unseen.objects import SEGMENTS, arc, loft, unseen_objects
 from huepose.scenes.unseen.prints import coat, scheme
 

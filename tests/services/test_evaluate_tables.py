@@ -95,12 +95,12 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
 @pytest.mark.timeout(600)
 def test_unseen_objects_are_drawn_onboarded_and_measured(tmp_path: Path, monkeypatch, capsys) -> None:
     """Two of them, in one frame and one sequence."""
-    from huepose.scenes.unseen import data_set
+    from huepose.scenes import official_sets
 
     family = {obj.name: obj for obj in unseen_objects()}
-    monkeypatch.setattr(data_set, "unseen_objects", lambda seed: [family["oval_tin"], family["duck"]])
-    small = partial(data_set.write_unseen, scenes=1, frames=1, sequences=1)
-    monkeypatch.setattr(data_set, "write_unseen", small)
+    monkeypatch.setattr(official_sets, "unseen_objects", lambda seed: [family["oval_tin"], family["duck"]])
+    small = partial(official_sets.write_unseen, scenes=1, frames=1, sequences=1)
+    monkeypatch.setattr(official_sets, "write_unseen", small)
     out = tmp_path / "results"
     command = ["eval", "tables", "--unseen", str(tmp_path / "unseen"), "--out", str(out), "--threads", "1"]
     assert main([*command, "--methods", "full", "--quick", "6", "--every", "1"]) == 0

@@ -98,7 +98,7 @@ def _wanted(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel])
 
 def _unseen(arguments: argparse.Namespace) -> Unseen:
     """The family of objects by code: drawn and onboarded where that was not done yet, then measured."""
-    from huepose.scenes.unseen.data_set import write_unseen
+    from huepose.scenes.official_sets import write_unseen
 
     if arguments.boxes not in ("paper", "perturbed", "gt"):
         raise InputError(

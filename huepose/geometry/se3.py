@@ -43,7 +43,7 @@ def orthonormalised(T: Float) -> Float64:
     return make(U @ Vt, T[:3, 3])
 
 
-_IDENTITY = np.eye(3)
+_IDENTITY, _ORIGIN = np.eye(3), np.zeros(3)
 
 
 def _determinant(R: Float64) -> float:
@@ -159,10 +159,12 @@ def log(T: Float) -> Float64:
     return np.concatenate([V_inv @ T[:3, 3], w])
 
 
-def interpolate(T_0: Float, T_1: Float, s: float) -> Float64:
-    """Pose between `T_0` (s = 0) and `T_1` (s = 1): shortest rotation, straight translation."""
+def interpolate(T_0: Float, T_1: Float, s: float, about: Float = _ORIGIN) -> Float64:
+    """Pose between `T_0` (s = 0) and `T_1` (s = 1): shortest rotation, and straight translation of a point
+    (3,) of what moves, its origin where nothing else is said."""
     R = T_0[:3, :3] @ rotation_exp(s * rotation_log(T_0[:3, :3].T @ T_1[:3, :3]))
-    return orthonormalised(make(R, (1 - s) * T_0[:3, 3] + s * T_1[:3, 3]))
+    start, end = (T[:3, :3] @ about + T[:3, 3] for T in (T_0, T_1))
+    return orthonormalised(make(R, (1 - s) * start + s * end - R @ about))
 
 
 def perturb(T_cam_obj: Float, delta: Float) -> Float64:

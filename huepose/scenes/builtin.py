@@ -34,7 +34,7 @@ from huepose.support.progress import progress
 if TYPE_CHECKING:
     from huepose.scenes.frame import Shot, Stage
 
-VERSION = 3  # of what the code below this module draws: raise it when any pixel changes
+VERSION = 4  # of what the code below this module draws: raise it when any pixel changes
 RATE_HZ = 30.0
 SECONDS = 8.0
 

@@ -47,8 +47,8 @@ class Stage:
         j = (i + (1 if part > 0 else -1)) % len(self)
         now, then = self.T_room_mesh[:, i], self.T_room_mesh[:, j]
         moved = [
-            a if np.array_equal(a, b) else se3.interpolate(a, b, abs(part))
-            for a, b in zip(now, then, strict=True)
+            a if np.array_equal(a, b) else se3.interpolate(a, b, abs(part), mesh.centre)
+            for a, b, mesh in zip(now, then, self.meshes, strict=True)
         ]
         return moved, se3.interpolate(self.T_cam_room[i], self.T_cam_room[j], abs(part))
 

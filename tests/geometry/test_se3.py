@@ -54,6 +54,18 @@ def test_interpolation_halfway():
     np.testing.assert_allclose(T[:3, 3], [1, 0, 0])
 
 
+def test_interpolation_moves_the_point_that_is_asked_for_straight_on():
+    T_0, T_1 = (
+        se3.exp(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])),
+        se3.exp(np.array([0.3, 0.1, 0, -0.4, 0.2, 0])),
+    )
+    point = np.array([3.0, -1.0, 2.0])
+    T = se3.interpolate(T_0, T_1, 0.3, point)
+    np.testing.assert_allclose(T[:3, :3], se3.interpolate(T_0, T_1, 0.3)[:3, :3])
+    np.testing.assert_allclose(se3.apply(T, point), 0.7 * se3.apply(T_0, point) + 0.3 * se3.apply(T_1, point))
+    np.testing.assert_allclose(se3.interpolate(T_0, T_1, 1.0, point), T_1, atol=1e-12)
+
+
 def test_a_reflection_is_not_rigid_and_is_repaired():
     T = np.diag([1.0, 1.0, -1.0, 1.0])
     assert not se3.is_rigid(T)

@@ -67,6 +67,10 @@ def test_each_computer_has_its_part():
         ("hosts: {desk: [tracker]}", "hosts"),
         ("hosts: {a: [estimator], b: [segmenter]}", "hosts"),
         ("hosts: {desk: [estimator]}", "link.connect: found null"),
+        (
+            "{hosts: {desk: [estimator]}, link: {connect: '[fd00::2]:7448'}}",
+            r"link.connect: found \[fd00::2\]:7448; expected a name",
+        ),
         ("workers: [camera, uplink]", "workers: found uplink"),
         (
             "{hosts: {desk: [detector, segmenter, estimator]}, link: {connect: 'a:1'}, "

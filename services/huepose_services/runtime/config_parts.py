@@ -99,3 +99,6 @@ def check_hosts(config: Config, refuse: Refuse) -> None:
         if config.link.connect is None:
             expected = f"address and port by which {host} reaches the camera's computer"
             refuse("link.connect", "null", expected, "Set it: robot.local:7448.")
+        elif config.link.connect.startswith("["):
+            fix = "By TLS zenoh reaches no address of IPv6: give the computer's name."
+            refuse("link.connect", config.link.connect, "a name, or an address of IPv4", fix)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from huepose.support.errors import InputError
 from huepose.support.files import write_picture
 from huepose.support.words import counted
-from huepose_services.cli.options import add_json, add_one_of, add_path, answered
+from huepose_services.cli.options import add_json, add_path, answered
 
 if TYPE_CHECKING:
     from huepose.geometry.arrays import Float64
@@ -42,12 +42,6 @@ def add_parser(subparsers: Any) -> None:
         required=True,
         help="fixed: beside the robot, the object in the hand; on-hand: the object stands still",
     )
-    add_one_of(
-        one,
-        "--method",
-        ("park", "tsai", "daniilidis"),
-        "closed form from which the answer is refined over all poses; the default is Park's",
-    )
     one.add_argument("--parent", default=None, metavar="FRAME", help="name of the frame (base_link or tool0)")
     add_json(one, to_file=True)
     add_path(one, "--image", "OUT.png", "what is left at each pose")
@@ -69,7 +63,7 @@ def call(arguments: argparse.Namespace) -> int:
     fixed = arguments.camera == "fixed"
     hands, B = (np.array([poses[f] for f in frames]) for poses in (hand, seen))
     A = hand_eye_doubts.measured(hands, fixed)
-    found = hand_eye.solve(A, B, arguments.method)
+    found = hand_eye.solve(A, B)
     sure = certainty(A, B, found)
     parent = arguments.parent or ("base_link" if fixed else "tool0")
     mount = {

@@ -134,7 +134,7 @@ def entry_of(name: str) -> Entry:
     )
 
 
-def add(file: Path, name: str, *, licence: str = "", source: str = "") -> Entry:
+def add(file: Path, name: str) -> Entry:
     """Copy a network into the folder, once it opens and has the digest that a known one must have."""
     if not is_name(name):
         raise InputError(f"name '{name}'", expected="1 to 64 of a-z, 0-9, _ and -", fix="Give one by --name.")
@@ -147,14 +147,7 @@ def add(file: Path, name: str, *, licence: str = "", source: str = "") -> Entry:
     if file.resolve() != path.resolve():
         with whole(path) as part:
             shutil.copyfile(file, part)
-    network = known or _unknown(name)
-    network = replace(
-        network,
-        licence=licence or network.licence,
-        source=source or network.source,
-        size_bytes=path.stat().st_size,
-        sha256=digest(path),
-    )
+    network = replace(known or _unknown(name), size_bytes=path.stat().st_size, sha256=digest(path))
     notes = {n: asdict(k) for n, k in _added(place).items()} | {name: asdict(network)}
     write_text(place / _NOTES, json.dumps(notes, indent=1))
     return Entry(network, path, known is not None)

@@ -145,13 +145,12 @@ def test_a_log_says_that_a_download_begins_and_that_it_is_there(server, entry):
 
 
 def test_a_file_of_yours_is_added_listed_and_used_by_name(mine, folder, tmp_path, capsys):
-    assert main(["models", "add", str(mine), "--licence", "MIT"]) == 0
+    assert main(["models", "add", str(mine)]) == 0
     assert (folder / "mine_v2.onnx").read_bytes() == mine.read_bytes()
     capsys.readouterr()
     assert main(["models", "list", "--json"]) == 0
     listed = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
     assert listed["mine_v2"]["here"]
-    assert listed["mine_v2"]["licence"] == "MIT"
     assert listed["mine_v2"]["sha256"] == hashlib.sha256(mine.read_bytes()).hexdigest()
     assert not listed["yolox-nano"]["here"]
     config = parse("detector: {kind: yolo, model: mine_v2, classes: {mug: 0}}", tmp_path / "p.yaml")

@@ -24,8 +24,6 @@ def add_parser(subparsers: Any) -> None:
     added = actions.add_parser("add", help="take in an ONNX file of yours")
     added.add_argument("file", type=Path, metavar="FILE", help="the network (.onnx)")
     added.add_argument("--name", help="what to call it; default the file's name")
-    added.add_argument("--licence", default="", metavar="TEXT", help="noted beside it")
-    added.add_argument("--source", default="", metavar="TEXT", help="noted beside it")
     parser.set_defaults(call=call, json=False)
 
 
@@ -38,7 +36,7 @@ def call(arguments: argparse.Namespace) -> int:
         print(f"{path}: here, and its digest is right")
     elif arguments.action == "add":
         name = arguments.name or arguments.file.stem.lower().replace(".", "_")
-        entry = catalogue.add(arguments.file, name, licence=arguments.licence, source=arguments.source)
+        entry = catalogue.add(arguments.file, name)
         print(f"{entry.path}: added as '{name}', SHA-256 {entry.network.sha256}")
     elif arguments.json:
         print(json.dumps([_facts(entry) for entry in catalogue.entries()], indent=1))

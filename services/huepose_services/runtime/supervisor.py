@@ -8,7 +8,7 @@ camera that plays a recording once is the end of the pipeline.
 from __future__ import annotations
 
 import os
-import selectors
+import select
 import signal
 import subprocess
 import sys
@@ -108,11 +108,6 @@ class Child:
         self.compiling = said.endswith(COMPILING)
         self.ready = self.ready or b"ready" in said
 
-    def ask_to_stop(self) -> None:
-        """SIGTERM, where it still runs."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGTERM)
-
     def ended_within(self, seconds: float) -> bool:
         """Wait for its end, at most so long."""
         with suppress(subprocess.TimeoutExpired):
@@ -181,11 +176,6 @@ class Supervisor:
         """Whether every worker is running and has said that it is ready."""
         return not self.not_ready
 
-    @property
-    def processes(self) -> dict[str, int]:
-        """Process numbers of the workers that run."""
-        return {name: child.process.pid for name, child in self._children.items()}
-
     def start(self) -> None:
         """Start every worker."""
         for worker in self._records:
@@ -237,10 +227,7 @@ class Supervisor:
     def _wait_for_something(self, timeout_s: float) -> None:
         """Sleep until a worker says something or closes its pipe by dying, at most so long."""
         pipes = [c.pipe for c in self._children.values() if c.pipe is not None]
-        with selectors.DefaultSelector() as selector:
-            for pipe in pipes:
-                selector.register(pipe, selectors.EVENT_READ)
-            selector.select(timeout_s)
+        select.select(pipes, [], [], timeout_s)
 
     def _forgive_standstill(self, timeout_s: float) -> None:
         """Where this process did not run, its workers may not have run either: that time does not count."""
@@ -306,7 +293,7 @@ class Supervisor:
         deadline = time.monotonic() + _STOP_WITHIN_S
         children = [self._children[w] for w in reversed(self._records) if w in self._children]
         for child in children:
-            child.ask_to_stop()
+            child.process.terminate()
             child.ended_within(_HEAD_START_S)
         for child in children:
             if not child.ended_within(deadline - time.monotonic()):

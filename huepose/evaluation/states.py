@@ -11,7 +11,7 @@ that waiting for an object to appear is not held against the tracker but losing 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -76,8 +76,8 @@ class StateReport:
 def report(moments: Sequence[Moment]) -> StateReport:
     """Judge the frames of one instance, in order."""
     losses = find_losses(moments)
-    suspect = [_declared(moments, loss, not_tracking=True) for loss in losses]
-    lost = [_declared(moments, loss, not_tracking=False) for loss in losses]
+    suspect = _largest_delay(moments, losses, ("SUSPECT", *_NO_POSE), SUSPECT_WITHIN_FRAMES)
+    lost = _largest_delay(moments, losses, _NO_POSE, LOST_WITHIN_FRAMES)
     counting = coverable(moments)
     appeared = next((i for i, m in enumerate(moments) if m.visible), None)
     acquired = _first_right(moments, appeared)
@@ -89,8 +89,8 @@ def report(moments: Sequence[Moment]) -> StateReport:
         tracking_frames=sum(c and m.state == "TRACKING" for c, m in zip(counting, moments, strict=True)),
         coverable_frames=sum(counting),
         visible_frames=sum(m.visible for m in moments),
-        declared_suspect_after_frames=_worst(suspect, SUSPECT_WITHIN_FRAMES),
-        declared_lost_after_frames=_worst(lost, LOST_WITHIN_FRAMES),
+        declared_suspect_after_frames=suspect,
+        declared_lost_after_frames=lost,
         acquired_after_s=_seconds(moments, appeared, acquired),
         confirmed_after_s=_seconds(moments, appeared, confirmed),
         reacquired_after_s=largest(_reacquired(moments, loss) for loss in losses),
@@ -131,28 +131,18 @@ def find_losses(moments: Sequence[Moment]) -> list[Loss]:
     return losses
 
 
-@dataclass(frozen=True)
-class _Declaration:
-    """`frames` after the loss it was declared; undeclared, `frames` is how long the loss lasted."""
-
-    declared: bool
-    frames: int
-
-
-def _declared(moments: Sequence[Moment], loss: Loss, *, not_tracking: bool) -> _Declaration:
-    end = len(moments) if loss.end is None else loss.end
-    for i in range(loss.start, end):
-        state = moments[i].state
-        if state in _NO_POSE or (not_tracking and state == "SUSPECT"):
-            return _Declaration(True, i - loss.start)
-    return _Declaration(False, end - loss.start)
-
-
-def _worst(declarations: Sequence[_Declaration], within: int) -> int | None:
-    """The largest delay. A loss that passed within its time needed no declaration; a longer one that was
-    never declared counts with its length."""
-    delays = [d.frames for d in declarations if d.declared or d.frames > within]
-    return max(delays) if delays else None
+def _largest_delay(
+    moments: Sequence[Moment], losses: Sequence[Loss], declaring: Collection[str], within: int
+) -> int | None:
+    """Frames from a loss to the first one in a declaring state. A loss that passed within its time needed no
+    declaration; a longer one that was never declared counts with its length."""
+    delays = []
+    for loss in losses:
+        end = len(moments) if loss.end is None else loss.end
+        declared = next((i for i in range(loss.start, end) if moments[i].state in declaring), end)
+        if declared < end or end - loss.start > within:
+            delays.append(declared - loss.start)
+    return max(delays, default=None)
 
 
 def false_tracking(moments: Sequence[Moment]) -> list[bool]:

@@ -200,12 +200,11 @@ def judge(model: ReferenceModel, T: Float64, T_true: Float64) -> tuple[bool, boo
 
 
 def suitability_of(model: ReferenceModel, trials: Sequence[Trial]) -> Suitability:
-    """The verdict on an object of which these trials are known."""
+    """The verdict on an object of which these trials, one at least, are known."""
     right = np.array([t.right for t in trials], bool)
     sure = np.array([t.state == "TRACKING" for t in trials], bool)
-    share = float(right.mean()) if len(trials) else 0.0
-    tracking = float((right & sure).mean()) if len(trials) else 0.0
-    shape = float(np.mean([t.shape_right for t in trials])) if len(trials) else 0.0
+    share, tracking = float(right.mean()), float((right & sure).mean())
+    shape = float(np.mean([t.shape_right for t in trials]))
     reasons = []
     lab = model.surface.lab[0]
     contrast = float(np.sqrt(((lab - lab.mean(0)) ** 2).sum(1).mean()))
@@ -254,7 +253,7 @@ def suitability_of(model: ReferenceModel, trials: Sequence[Trial]) -> Suitabilit
         verdict = "suits with limits"
     if wrong > MOST_FALSE * len(trials) or tracking < LEAST_SURE:
         verdict = "does not suit"
-    if len(trials) and verdict == "does not suit" and not reasons:
+    if verdict == "does not suit" and not reasons:
         reasons.append("Its pose is seldom right, alone or among other things: look at the trials.")
     return Suitability(
         verdict,
@@ -320,9 +319,9 @@ def in_words(model: ReferenceModel, found: Suitability) -> str:
     where something is."""
     n = len(found.trials)
     size = " x ".join(f"{100 * s:.1f}" for s in np.ptp(model.mesh.vertices, axis=0).tolist())
-    false = f"wrong and TRACKING in {100 * found.false_tracking / max(n, 1):.0f} %"
+    false = f"wrong and TRACKING in {100 * found.false_tracking / n:.0f} %"
     right, sure = f"right in {100 * found.right:.0f} %", f"right and TRACKING in {100 * found.tracking:.0f} %"
-    turned = f"turned in {100 * found.turned / max(n, 1):.0f} %"
+    turned = f"turned in {100 * found.turned / n:.0f} %"
     shares = f"{size} cm, {right} of {n} drawn scenes, {sure}; {turned}, {false}"
     if found.false_tracking:
         shares = f"{false} of {n} drawn scenes, and nothing tells of those that they are wrong; "

@@ -14,8 +14,6 @@ import numpy as np
 from track_rivals import LastPoseTracker, careful_icp, color_icp, flow_pairs
 
 from huepose.datasets.types import Scene
-from huepose.evaluation import metrics
-from huepose.evaluation.bootstrap import frame_intervals
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.sources import TruthSource
 from huepose.evaluation.summary import table
@@ -30,9 +28,6 @@ from huepose.evaluation.track_protocol import (
 from huepose.model import ReferenceModel
 from huepose.tracking import Tracker
 from huepose_services.cli.evaluate_scenes import open_fast_ycb
-
-BLOCK = 30
-"""Frames that are drawn together for the intervals: neighbours err alike."""
 
 METHODS = ("huepose", "icp", "icp-velocity", "color-icp", "flow-pairs")
 
@@ -85,15 +80,11 @@ def _run(scenes: list[Scene], targets: Targets, name: str, every: int) -> dict[s
         SourceNames("gt"),
     )
     summary = result.summary()
-    scored = [row for row in result.rows if row.error is not None]
-    add = np.array([row.error.add_m for row in scored if row.error is not None])
-    values = 100.0 * np.maximum(0.0, 1.0 - add / metrics.AUC_LIMIT_M)
-    blocks = [(row.sequence, row.frame // BLOCK) for row in scored]
     return {
         "auc_add": summary["auc_add"],
         "auc_adds": summary["auc_adds"],
         "recall_add": summary["recall_add"],
-        "interval95": frame_intervals({"auc_add": values}, blocks)["auc_add"],
+        "interval95": summary["interval95"]["auc_add"],
         "seconds_p50": float(np.median([row.seconds for row in result.rows])),
         "sequences": {key: block["auc_add"] for key, block in summary["sequences"].items()},
     }

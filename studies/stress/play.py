@@ -7,7 +7,6 @@ for.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -23,33 +22,8 @@ from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
 from huepose.tracking import Correction, TrackedPose, Tracker
 from studies.stress.films import Seen
 
-FAR = 10.0
-"""Diameters: poses that are farther off are all as wrong."""
-
 CHAIN_S = 0.35
 """From a request to its answer: the deadline is 0.6 s."""
-
-
-@dataclass(frozen=True, eq=False)
-class Told:
-    """What was published of a frame's object: state, quality, and ADD as a share of the diameter (inf without
-    a pose)."""
-
-    stamp_ns: int
-    visib_fract: float
-    state: str | None
-    quality: float
-    error: float
-
-    @property
-    def right(self) -> bool:
-        """Within a tenth of the diameter."""
-        return self.error < metrics.RECALL_FRACTION
-
-    def moment(self) -> Moment:
-        """For the report of states."""
-        visible, gone = self.visib_fract >= VISIBLE, self.visib_fract < GONE
-        return Moment(self.stamp_ns, visible, gone, self.state, self.right)
 
 
 class Perception(Protocol):
@@ -61,18 +35,16 @@ class Perception(Protocol):
 
 
 def play(
-    frames: Iterable[Seen],
+    frames: Sequence[Seen],
     model: ReferenceModel,
     tracker: Tracker,
-    first: Float64 | None,
+    first: Float64,
     quality: float = 1.0,
     perception: Perception | None = None,
-) -> list[Told]:
-    """Track a film of one object from a first pose (4, 4) with its quality, None where perception has to find
-    it; without `perception` alone."""
-    if first is not None:
-        frames = list(frames)
-        tracker.correct(Correction.first(model.name, first, frames[0].frame, quality))
+) -> list[Moment]:
+    """Track a film of one object from a first pose (4, 4) with its quality; without `perception` alone. What
+    was published of each frame, by the track nearest to the truth."""
+    tracker.correct(Correction.first(model.name, first, frames[0].frame, quality))
     loop = ReinitLoop(objects=[ObjectSlot.of(model)])
     return [_told(seen, model, poses) for seen, poses in followed(frames, tracker, loop, perception)]
 
@@ -99,14 +71,16 @@ def followed(
         yield seen, poses
 
 
-def _told(seen: Seen, model: ReferenceModel, poses: list[TrackedPose]) -> Told:
-    """Of several tracks that which is nearest to the truth; one without a pose where none has one."""
-    stamp_ns, share = seen.frame.stamp_ns, seen.visib_fract
-    if not poses:
-        return Told(stamp_ns, share, None, 0.0, np.inf)
-    errors = [error_of(model, pose.T_cam_obj, seen.T_cam_obj) for pose in poses]
-    k = int(np.argmin(np.minimum(errors, FAR)))
-    return Told(stamp_ns, share, poses[k].state, poses[k].quality, errors[k])
+def _told(seen: Seen, model: ReferenceModel, poses: list[TrackedPose]) -> Moment:
+    """By that of several tracks which is nearest to the truth; one without a pose where none has one."""
+    error, state = np.inf, None
+    if poses:
+        errors = [error_of(model, pose.T_cam_obj, seen.T_cam_obj) for pose in poses]
+        k = int(np.argmin(errors))
+        error, state = errors[k], poses[k].state
+    share = seen.visib_fract
+    right = error < metrics.RECALL_FRACTION
+    return Moment(seen.frame.stamp_ns, share >= VISIBLE, share < GONE, state, right)
 
 
 def error_of(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -94,23 +94,7 @@ def played(job: Job) -> list[Row]:
             tracker = Tracker({film.object: model})
             perception = Oracle(model, seed) if mode == "with_loop" else None
             told = play(run.frames, model, tracker, run.first, run.quality, perception)
-            frames = [
-                (
-                    t.stamp_ns,
-                    t.visib_fract,
-                    t.state,
-                    t.right,
-                    round(t.quality, 3),
-                    round(min(t.error, 99.0), 4),
-                )
-                for t in told
-            ]
-            facts = {
-                "job": job.name,
-                "mode": mode,
-                "cause": run.cause,
-                "run": run.name,
-                "object": film.object,
-            }
-            rows.append({**facts, "film": film.name, "frames": frames})
+            facts = {"job": job.name, "mode": mode, "cause": run.cause, "run": run.name}
+            frames = [astuple(moment) for moment in told]
+            rows.append({**facts, "object": film.object, "film": film.name, "frames": frames})
     return rows or [{"job": job.name, "frames": []}]

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from huepose.datasets.types import GONE, VISIBLE
 from huepose.evaluation.bootstrap import frame_intervals
 from huepose.evaluation.states import Moment, false_tracking, find_losses
 from huepose.evaluation.summary import table
@@ -35,10 +34,7 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     count: dict[str, list[float]] = defaultdict(list)
     frame_films, visible_films, suspect, back, never, twice, believed = [], [], [], [], 0, 0, 0
     for row in rows:
-        moments = [
-            Moment(stamp_ns, share >= VISIBLE, share < GONE, state, right)
-            for stamp_ns, share, state, right, _, _ in row["frames"]
-        ]
+        moments = [Moment(*frame) for frame in row["frames"]]
         wrong = false_tracking(moments)
         twice += sum(a and b for a, b in pairwise(wrong))
         believed += any(wrong)

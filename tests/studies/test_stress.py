@@ -68,7 +68,7 @@ def test_figures_of_a_run_that_is_known() -> None:
     states = ["TRACKING"] * 5 + ["SUSPECT"] + ["TRACKING"] * 4
     right = [True] * 3 + [False] * 3 + [True] * 4
     frames = [
-        (k * FRAME_NS, 1.0, state, ok, 0.9, 0.0)
+        (k * FRAME_NS, True, False, state, ok)
         for k, (state, ok) in enumerate(zip(states, right, strict=True))
     ]
     found = figures([{"film": "one", "frames": frames}])

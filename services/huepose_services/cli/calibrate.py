@@ -32,9 +32,7 @@ def add_parser(subparsers: Any) -> None:
         f"{_COLUMNS}; rows of the same frame belong together.",
     )
     add_path(one, "--object", "FILE.csv", "T_cam_obj, as `huepose poses --csv` writes it", required=True)
-    one.add_argument(
-        "--name", default=None, metavar="NAME", help="of --object, where it has several: mug or mug/0"
-    )
+    one.add_argument("--name", metavar="NAME", help="of --object, where it has several: mug or mug/0")
     add_path(one, "--hand", "FILE.csv", "T_base_hand of the robot", required=True)
     one.add_argument(
         "--camera",
@@ -42,7 +40,7 @@ def add_parser(subparsers: Any) -> None:
         required=True,
         help="fixed: beside the robot, the object in the hand; on-hand: the object stands still",
     )
-    one.add_argument("--parent", default=None, metavar="FRAME", help="name of the frame (base_link or tool0)")
+    one.add_argument("--parent", metavar="FRAME", help="name of the frame (base_link or tool0)")
     add_json(one, to_file=True)
     add_path(one, "--image", "OUT.png", "what is left at each pose")
     one.set_defaults(call=call)

@@ -122,12 +122,8 @@ def _add_track(verbs: Any) -> None:
         "free: started once, then alone; roft: results at 5 Hz, one period late",
     )
     add_number(parser, "--every", 1, "feed and score every N-th frame (1)")
-    parser.add_argument(
-        "--init", default=None, metavar="estimate|gt|FILE", help="the first pose (default: as --delayed)"
-    )
-    parser.add_argument(
-        "--delayed", default=None, metavar="estimate|gt|DIR", help="the late results of roft (estimate)"
-    )
+    parser.add_argument("--init", metavar="estimate|gt|FILE", help="the first pose (default: as --delayed)")
+    parser.add_argument("--delayed", metavar="estimate|gt|DIR", help="the late results of roft (estimate)")
     _objects(parser)
     _seeds(parser)
     add_path(parser, "--plots", "DIR", "pictures of every frame, and of errors over time")
@@ -218,7 +214,6 @@ def _add_tables(verbs: Any) -> None:
     parser.add_argument(
         "--start",
         choices=("dope", "gt", "estimate"),
-        default=None,
         help="first poses of tracks (DOPE's where the download has them, else the labels)",
     )
     others = "results of others in the form of the BOP challenge, measured beside ours"
@@ -227,7 +222,7 @@ def _add_tables(verbs: Any) -> None:
         parser, "--equivalent", "FILE", "poses that count as the labelled one does, in rows of their own"
     )
     parser.add_argument(
-        "--note", default=None, metavar="TEXT", help="what the data are, where they are not the official ones"
+        "--note", metavar="TEXT", help="what the data are, where they are not the official ones"
     )
     _objects(parser)
     add_profile(parser)

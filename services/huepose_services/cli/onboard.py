@@ -38,9 +38,7 @@ def add_parser(subparsers: Any) -> None:
     one.add_argument("mesh", type=Path, nargs="?", metavar="MESH", help="mesh file")
     add_video(one)
     one.add_argument("--name", required=True, help="the object's name: 1 to 64 of a-z, 0-9, _ and -")
-    one.add_argument(
-        "--id", type=int, default=None, metavar="N", help="the object's number in a BOP data set"
-    )
+    one.add_argument("--id", type=int, metavar="N", help="the object's number in a BOP data set")
     add_unit(one)
     add_path(
         one,

@@ -53,7 +53,6 @@ def add_video(parser: argparse.ArgumentParser) -> None:
         "--click",
         type=float,
         nargs=2,
-        default=None,
         metavar=("X", "Y"),
         help="or a pixel of it, where nothing but the ground touches it",
     )

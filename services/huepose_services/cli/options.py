@@ -28,7 +28,6 @@ def add_json(parser: argparse.ArgumentParser, to_file: bool = False) -> None:
             type=Path,
             nargs="?",
             const=True,
-            default=None,
             metavar="FILE",
             help="the answer as JSON: in a file, or without its name instead of the summary",
         )
@@ -131,7 +130,6 @@ def add_unit(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--unit",
         choices=("mm", "cm", "m", "in"),
-        default=None,
         help="the mesh's unit; without it metres or millimetres, whichever is likelier by its size",
     )
 

@@ -94,6 +94,7 @@ class Parts:
             notes = {"huepose": self._about | {"part": str(self._number)}, **self._notes}
             for name, values in notes.items():
                 self._writer.add_metadata(name, values)
+            self._writer.flush()  # from the beginning on it says what it is
         except FileExistsError:
             raise InputError(self._path, found="a file of that name", expected="a new one") from None
         except OSError as error:

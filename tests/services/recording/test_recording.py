@@ -117,6 +117,14 @@ def test_every_chunk_is_on_the_disk_when_it_is_done(tmp_path, monkeypatch):
     out.close()
 
 
+def test_one_that_has_just_begun_says_what_it_is(tmp_path):
+    out = parts(tmp_path / "out")
+    recording = Recording(out.path)
+    assert recording.notes["huepose"]["site"] == "a"
+    assert list(recording.events()) == []
+    out.close()
+
+
 @pytest.mark.parametrize("number", [1, 4, 7])
 def test_a_changed_byte_ends_it_and_is_said(tmp_path, number):
     path = written(tmp_path / "out", numbers=range(8), chunks=True).path

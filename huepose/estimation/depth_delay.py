@@ -1,0 +1,194 @@
+"""How much older depth is than colour, from objects that move.
+
+Colour shows a moving object where it is now, depth that is older where it was. So the edges of the colours
+lie beside the steps of depth, by the object's image velocity times the delay: more where it is faster, and
+the other way when it comes back, as no error of registration does. One look measures that distance along an
+outline; many looks, at several velocities, give the delay with its standard error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from huepose.colorpair.opponents import opponents_of_bytes
+from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.camera import NEAR_M
+from huepose.geometry.frame import RgbdFrame
+from huepose.judge.borders import Contours
+
+SLOWEST_PX_S = 40.0
+"""Image speed under which a look says too little: 33 ms are 1.3 pixels."""
+
+REACH_PX = 20
+"""How far the edges of the colours are looked for, pixels along the object's motion: 66 ms at 300 px/s."""
+
+FEWEST = 8
+"""Least number of places along an outline where depth has a step."""
+
+STEP_M, GAP_PX = 0.03, 3
+"""Least step of depth from a thing to what is behind it, metres, and most pixels that it may take."""
+
+LEAST_LOOKS, LEAST_BLOCKS = 8, 4
+"""Fewer looks, or looks in fewer blocks, say nothing."""
+
+FITS_PX, USUAL_SHIFT_PX = 1.5, 3.0
+"""How far looks usually lie from the line that fits them, and registration shifts all of them."""
+
+MAJORITY = 0.5
+"""Least share of looks within two FITS_PX of that line."""
+
+CLEAR_SIGMAS, TOGETHER_SIGMAS = 4.0, 2.0
+"""A delay is said that is by so many standard errors more than TOLERATED_S; what was said is taken back where
+it is by so many less."""
+
+TOLERATED_S = 0.008
+"""So far apart are the middles of two exposures of a camera that is as it should be, seconds."""
+
+_FAINT = 2.0
+_STARTS_S = np.array([0.0, -0.033, 0.033, -0.066, 0.066])
+_STEPS = 8
+_WIDTH_PX = REACH_PX + 4
+_PLACES = np.arange(-_WIDTH_PX, _WIDTH_PX + 1.0)
+_SHIFTS = np.arange(-REACH_PX, REACH_PX + 1.0)
+
+Look = tuple[float, float, float, float]
+"""Of one object in one frame: speed, px/s; right, down: the mean direction of its outline's motion, of length
+1 where all of it moves alike; and how far from the steps of depth, along the motion of each point, the edges
+of the colours lie, px."""
+
+
+@dataclass(frozen=True)
+class DepthDelay:
+    """seconds: by which depth is older than colour; error_s: its standard error; share: of the looks that
+    agree."""
+
+    seconds: float
+    error_s: float
+    share: float
+
+    @property
+    def clear(self) -> bool:
+        """Whether they are apart, beyond doubt."""
+        return self._sure and abs(self.seconds) > TOLERATED_S + CLEAR_SIGMAS * self.error_s
+
+    @property
+    def none(self) -> bool:
+        """Whether they are together."""
+        return self._sure and abs(self.seconds) < TOLERATED_S - TOGETHER_SIGMAS * self.error_s
+
+    @property
+    def _sure(self) -> bool:
+        return self.share >= MAJORITY
+
+    def said(self) -> str:
+        """What that means, in a sentence."""
+        way, ms = "older" if self.seconds > 0 else "newer", 5 * round(abs(self.seconds) / 0.005)
+        return f"Depth is about {ms} ms {way} than colour: what moves is not where its pose has it."
+
+
+def look(contours: Contours, T_cam_obj: Float64, velocity: Float64, frame: RgbdFrame) -> Look | None:
+    """A look at an object with a pose (4, 4) and a velocity (6,), a twist per second about its origin in
+    camera axes; None where it is too slow, or where too little of its outline is a step of depth."""
+    points, out = (one[::2] for one in contours.at(T_cam_obj))
+    p = points.astype(np.float64) @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
+    if len(p) < FEWEST or p[:, 2].min() < NEAR_M:
+        return None
+    pixels = frame.camera.project(p)
+    moving = velocity[:3] + np.cross(velocity[3:], p - T_cam_obj[:3, 3])
+    flow = (frame.camera.project(p + 1e-3 * moving) - pixels) / 1e-3
+    speed = float(np.sqrt((flow**2).sum(1).mean()))
+    if not speed >= SLOWEST_PX_S:
+        return None
+    across = frame.camera.project(p + 1e-3 * (out @ T_cam_obj[:3, :3].T)) - pixels
+    across /= np.linalg.norm(across, axis=1, keepdims=True) + 1e-12
+    last = np.array([frame.camera.width - 1.0, frame.camera.height - 1.0])
+    inside = ((pixels >= _WIDTH_PX + 2) & (pixels <= last - _WIDTH_PX - 2)).all(1)
+    pixels, across, flow, far = pixels[inside], across[inside], flow[inside] / speed, p[inside, 2]
+    x = pixels[:, :1] + _PLACES * across[:, :1]
+    y = pixels[:, 1:] + _PLACES * across[:, 1:]
+    depth = frame.depth[np.rint(y).astype(np.intp), np.rint(x).astype(np.intp)]
+    at, found = _steps_of_depth(depth, far)
+    if np.count_nonzero(found) < FEWEST:
+        return None
+    edges = _edges(frame, x[found].astype(np.float32), y[found].astype(np.float32))
+    along = (across[found] * flow[found]).sum(1)
+    fit = _at(edges, at[found] + _SHIFTS[:, None] * along).mean(1)
+    best = int(np.argmax(fit))
+    right, down = flow.mean(0)
+    return speed, float(right), float(down), float(_SHIFTS[best])
+
+
+def delay(looks: Sequence[Look], blocks: Sequence[str]) -> DepthDelay | None:
+    """The delay that looks agree on, with what registration shifts all of them by; blocks: those of one block
+    err alike. None where they are too few."""
+    number = len(set(blocks))
+    if len(looks) < LEAST_LOOKS or number < LEAST_BLOCKS:
+        return None
+    rows = np.array(looks)
+    A, y = rows[:, :3], rows[:, 3]
+    usual = np.diag([0.0, 1.0, 1.0]) * (FITS_PX / USUAL_SHIFT_PX) ** 2
+    x = np.zeros((len(_STARTS_S), 3))
+    x[:, 0] = _STARTS_S
+    # Cauchy's: of a look that is far off nothing is believed, so the fit begins at several places.
+    for _ in range(_STEPS):
+        weight = 1.0 / (1.0 + ((y - x @ A.T) / FITS_PX) ** 2)
+        weighted = weight[:, :, None] * A
+        x = np.linalg.solve(A.T @ weighted + usual, (weighted * y[:, None]).sum(1)[..., None])[..., 0]
+    off = (y - x @ A.T) / FITS_PX
+    cost = np.log1p(off**2).sum(1) + 0.5 * ((x @ usual) * x).sum(1) / FITS_PX**2
+    best = int(np.argmin(cost))
+    r = off[best]
+    bend = (1.0 - r**2) / (1.0 + r**2) ** 2
+    hessian = (A * bend[:, None]).T @ A + usual
+    if np.linalg.eigvalsh(hessian)[0] <= 0.0:
+        return None
+    pull = A * (FITS_PX * r / (1.0 + r**2))[:, None]
+    _, which = np.unique(np.asarray(blocks), return_inverse=True)
+    together = np.zeros((number, 3))
+    np.add.at(together, which, pull)
+    inverse = np.linalg.inv(hessian)
+    covariance = inverse @ (together.T @ together) @ inverse * number / (number - 3)
+    # What one side of an outline is off stays so for a while: a block is worth one look.
+    alone = np.linalg.inv((A * weight[best][:, None]).T @ A * (number / len(A)) + usual) * FITS_PX**2
+    error_s = float(np.sqrt(max(covariance[0, 0], alone[0, 0])))
+    return DepthDelay(float(x[best, 0]), error_s, float((np.abs(r) <= 2.0).mean()))
+
+
+def _steps_of_depth(depth: Float32, far: Float64) -> tuple[Float64, Bool]:
+    """Where along each line (N, K) from inside to outside the object at a distance (N,) ends before what is
+    behind it, px, the nearest to the pose's outline; and whether it does."""
+    at, found = np.full(len(depth), np.inf), np.zeros(len(depth), bool)
+    own = (depth > 0.0) & (np.abs(depth - far[:, None]) < STEP_M)
+    for gap in range(1, GAP_PX + 1):
+        step = own[:, :-gap] & (depth[:, gap:] > depth[:, :-gap] + STEP_M)
+        for k in range(1, gap):
+            step &= depth[:, k : k - gap] <= 0.0
+        place = _PLACES[:-gap] + 0.5 * gap
+        nearest = np.where(step, np.abs(place), np.inf).argmin(1)
+        better = step.any(1) & (np.abs(place[nearest]) < np.abs(at))
+        at, found = np.where(better, place[nearest], at), found | better
+    return at, found
+
+
+def _edges(frame: RgbdFrame, x: Float32, y: Float32) -> Float32:
+    """How strong the edges of the colours are at places (N, K) along lines, each line's by its own mean."""
+    left, top = int(x.min()) - 2, int(y.min()) - 2
+    part = frame.color[top : int(y.max()) + 4, left : int(x.max()) + 4]
+    smooth = cv2.GaussianBlur(part, (3, 3), 0.8)
+    colors = cv2.remap(smooth, x - left, y - top, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    values = opponents_of_bytes(np.asarray(colors, np.uint8))
+    strength = np.zeros(x.shape, np.float32)
+    strength[:, 1:-1] = np.linalg.norm(values[:, 2:] - values[:, :-2], axis=2)
+    return np.asarray(strength / (strength.mean(1, keepdims=True) + _FAINT))
+
+
+def _at(edges: Float32, places: Float64) -> Float64:
+    """Edges (N, K) at places (..., N), px outwards."""
+    at = np.clip(places + _WIDTH_PX, 0.0, edges.shape[1] - 1.001)
+    low = at.astype(np.intp)
+    part, row = at - low, np.arange(len(edges))
+    return np.asarray((1.0 - part) * edges[row, low] + part * edges[row, low + 1])

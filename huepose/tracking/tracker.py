@@ -9,6 +9,7 @@ import numpy as np
 from huepose.believe.state import State
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.borders import Contours
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.silhouette import silhouette_iou
 from huepose.model.types import ReferenceModel, ReferenceModels
@@ -100,6 +101,10 @@ class Tracker:
     def surface(self, name: str) -> PreparedSurface:
         """The prepared surface of a known object."""
         return self._subjects[name].surface
+
+    def contours(self, name: str) -> Contours:
+        """The contours of a known object."""
+        return self._subjects[name].contours
 
     def doubt(self, name: str, instance: int) -> Doubt | None:
         """What alone keeps an instance whose pose fits from being `TRACKING`."""

@@ -20,6 +20,7 @@ from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
 from huepose_services import models, networks
 from huepose_services.convert import correction_from_wire, frame_from_wire, tracked_to_wire
+from huepose_services.delay_doubt import DelayDoubt
 from huepose_services.doubts import (
     TOO_OLD,
     Against,
@@ -57,6 +58,7 @@ class _WorkerMemory(msgspec.Struct, array_like=True):
     complaint: str | None
     against: Against
     relit: list[tuple[str, int]]
+    delay: DelayDoubt
 
 
 FrameOf = Callable[[int, int], tuple[FrameHeader, RgbdFrame] | None]
@@ -112,7 +114,7 @@ class TrackerWork(Work):
         self._pixels: RgbdFrame | None = None
         self._fx_of_size: dict[str, float] = {}
         self._complaint: str | None = None
-        self._against = Against()
+        self._against, self._delay = Against(), DelayDoubt()
         self._published: set[tuple[str, int]] = set()
         # What has not been TRACKING since a frame in which the colour of the light changed.
         self._relit: set[tuple[str, int]] = set()
@@ -209,6 +211,7 @@ class TrackerWork(Work):
             self._complaint,
             self._against,
             sorted(self._relit),
+            self._delay,
         )
         tracking, told = memory.plain(self._believed, self._tracker), memory.told(self._tracker)
         return MemoryMessage(
@@ -240,8 +243,8 @@ class TrackerWork(Work):
         found = None if mine.newest is None else frame_of(*mine.newest)
         self._header, self._pixels = (None, None) if found is None else found
         self._first, self._published, self._relit = mine.first, set(mine.published), set(mine.relit)
-        self._fx_of_size, self._retired.below, self._against = mine.fx_of_size, mine.retired, mine.against
-        self._seq = message.seq
+        self._fx_of_size, self._retired.below = mine.fx_of_size, mine.retired
+        self._against, self._delay, self._seq = mine.against, mine.delay, message.seq
 
     def _follow(self) -> None:
         """Apply changes of the object list."""
@@ -321,6 +324,8 @@ class TrackerWork(Work):
         self._intake.frame = header
         with self._intake.stages(self._tracker):
             poses = self._tracker.step(frame)
+        if self._config.camera.check:
+            health.warn_while("delay", self._delay.look(frame, poses, self._tracker))
         doubted = {(p.object, p.instance) for p in poses if p.state is not State.TRACKING}
         self._relit &= doubted
         if pixels is not None and (fallen := doubted & believed) and relit(pixels.color, frame.color):
@@ -339,7 +344,7 @@ class TrackerWork(Work):
     def _publish_all(self, poses: list[TrackedPose], header: FrameHeader, frame: RgbdFrame | None) -> None:
         epoch = header.camera_epoch
         complaint = self._complaint or self._against.every_pose(epoch)
-        against = [self._against.pose(pose, epoch) for pose in poses]
+        against = [self._against.pose(pose, epoch) or self._delay.of(pose) for pose in poses]
         every = complaint or header.camera
         poses = [_doubted(pose) if every or one else pose for pose, one in zip(poses, against, strict=True)]
         surfaces = [self._tracker.surface(pose.object) for pose in poses]

@@ -1,0 +1,102 @@
+"""What objects that move say against a camera whose depth is not of the same instant as its colour.
+
+Of an object at rest such a camera shows nothing wrong, and its pose is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from huepose.estimation.depth_delay import DepthDelay, Look, delay, look
+from huepose.geometry import RgbdFrame
+from huepose.tracking import TrackedPose, Tracker
+from huepose_services.runtime.clock import SECOND
+
+LOOKS = 60
+"""Newest looks that count."""
+
+LOOK_EVERY_NS, BLOCK_NS = SECOND // 20, SECOND // 6
+"""From one look at an object to the next, at the least; looks at one object within a block err alike."""
+
+REST, REST_NS = 0.3, SECOND
+"""An object at rest moves less than so many of its diameters a second, and has done so for so long."""
+
+WAY_OUT = (
+    "What moves is not TRACKING for it, nor for a second after. Synchronise the two cameras, or pair their "
+    "pictures by their stamps. If you are sure that all is right, set camera.check: false."
+)
+
+
+class DelayDoubt(msgspec.Struct, array_like=True):
+    """Of the newest epoch of the camera. looks, blocks: as for `delay`; looked_ns, moved_ns: when each
+    instance ("object/number") was looked at, and when it last moved; found: the delay and its standard error,
+    seconds, and the share of looks that agree; None where nothing speaks against the camera."""
+
+    epoch: int = -1
+    looks: list[Look] = []
+    blocks: list[str] = []
+    looked_ns: dict[str, int] = {}
+    moved_ns: dict[str, int] = {}
+    found: tuple[float, float, float] | None = None
+
+    @property
+    def text(self) -> str:
+        """What is wrong with the camera, empty where nothing is."""
+        return "" if self.found is None else DepthDelay(*self.found).said()
+
+    def look(self, frame: RgbdFrame, poses: Sequence[TrackedPose], tracker: Tracker) -> str | None:
+        """Look at one object of a frame: of those that move by the poses that the tracker has there, that
+        which was looked at least lately. Returns what is wrong with the camera, and what to do."""
+        if frame.epoch != self.epoch:
+            self.epoch, self.found = frame.epoch, None
+            self.looks, self.blocks, self.looked_ns, self.moved_ns = [], [], {}, {}
+        now, moving = frame.stamp_ns, {_key(pose): pose for pose in poses if _moves(pose, tracker)}
+        here = set(map(_key, poses))
+        self.looked_ns = {key: at_ns for key, at_ns in self.looked_ns.items() if key in here}
+        self.moved_ns = {key: at_ns for key, at_ns in self.moved_ns.items() if key in here}
+        self.moved_ns |= dict.fromkeys(moving, now)
+        since = {key: abs(now - self.looked_ns.get(key, now - SECOND)) for key in moving}
+        key = max(since, key=lambda key: since[key], default="")
+        if key and since[key] >= LOOK_EVERY_NS:
+            self.looked_ns[key] = now
+            self._look_at(frame, moving[key], tracker)
+        return f"{self.text} {WAY_OUT}" if self.text else None
+
+    def _look_at(self, frame: RgbdFrame, pose: TrackedPose, tracker: Tracker) -> None:
+        assert pose.T_cam_obj is not None
+        assert pose.velocity is not None
+        one = look(tracker.contours(pose.object), pose.T_cam_obj, pose.velocity, frame)
+        if one is not None:
+            self._add(one, f"{_key(pose)} {frame.stamp_ns // BLOCK_NS}")
+
+    def _add(self, one: Look, block: str) -> None:
+        begun = block not in self.blocks
+        self.looks, self.blocks = [*self.looks, one][-LOOKS:], [*self.blocks, block][-LOOKS:]
+        fit = delay(self.looks, self.blocks) if begun else None
+        if fit is not None and fit.clear:
+            self.found = (fit.seconds, fit.error_s, fit.share)
+        elif fit is not None and fit.none:
+            self.found = None
+
+    def of(self, pose: TrackedPose) -> str:
+        """What that means for a pose: nothing for that of an object at rest."""
+        moved_ns = self.moved_ns.get(_key(pose))
+        at_rest = moved_ns is None or abs(pose.stamp_ns - moved_ns) > REST_NS
+        return "" if pose.T_cam_obj is None or at_rest else self.text
+
+
+def _key(pose: TrackedPose) -> str:
+    return f"{pose.object}/{pose.instance}"
+
+
+def _moves(pose: TrackedPose, tracker: Tracker) -> bool:
+    if pose.T_cam_obj is None or pose.velocity is None:
+        return False
+    surface = tracker.surface(pose.object)
+    lever = surface.centre_cam(pose.T_cam_obj) - pose.T_cam_obj[:3, 3]
+    along, turning = pose.velocity[:3] + np.cross(pose.velocity[3:], lever), pose.velocity[3:]
+    m_s = np.linalg.norm(along) + 0.5 * surface.diameter_m * np.linalg.norm(turning)
+    return bool(m_s > REST * surface.diameter_m)

@@ -1,0 +1,140 @@
+"""Where depth is older than colour, what moves is not TRACKING, what rests is, and health says it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from huepose import tracking
+from huepose_services.camera.publish import packed
+from huepose_services.convert import frame_from_wire
+from huepose_services.delay_doubt import DelayDoubt
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import CameraConfig, Config
+from huepose_services.tracker import TrackerWork
+from tests.conftest import standing_pose
+from tests.services.tracker_work import HEADER, BusStandIn, ObjectsStandIn
+
+HZ, MOVES, RESTS = 30, 45, 40
+CAN = standing_pose(0.0, 0.25, 0.1)
+LATE = "Depth is about "
+
+
+def path(t):
+    """To and fro on a table, up to 0.3 m/s, and then at rest."""
+    t = min(max(t, 0.0), MOVES / HZ)
+    return standing_pose(0.6 + 0.3 * t, 0.06 * np.sin(5.0 * t) - 0.05, 0.04 * np.cos(4.0 * t))
+
+
+@pytest.fixture(scope="module")
+def film(box_and_can, take_picture):
+    """A function of the delay in frames: headers and payloads of a box that moves, then rests; and a can."""
+    meshes = [model.mesh for model in box_and_can.values()]
+    seen = [
+        take_picture(list(zip(meshes, (path(k / HZ), CAN), strict=True)), frame_id=k)
+        for k in range(MOVES + 1)
+    ]
+
+    def shown(late):
+        begun_ns = now_ns()
+        for k in range(MOVES + RESTS):
+            color, depth = seen[min(k, MOVES)], seen[min(max(k - late, 0), MOVES)].depth
+            pixels = color.color.copy()
+            pixels[0, 0] = k  # no two pictures are the same
+            picture = packed(replace(color, color=pixels, depth=depth), 1e-4)
+            fields = {"buffers": picture.buffers, "intrinsics": picture.intrinsics}
+            at_ns = begun_ns + round(k * 1e9 / HZ)
+            yield msgspec.structs.replace(HEADER, frame_id=k, capture_ns=at_ns, **fields), picture.payload
+
+    return shown
+
+
+def begun(models, config, at):
+    work = TrackerWork(BusStandIn(), tracking.Tracker(models), ObjectsStandIn(), config, lambda: at[-1])
+    return work, work._bus
+
+
+def played(models, film, late, check=True, handed_over_at=None):
+    """What is published of each object, one pose a frame, and the tracker's health at the end."""
+    frames = list(film(late))
+    decoded = {(h.camera_epoch, h.frame_id): (h, frame_from_wire(h, payload)) for h, payload in frames}
+    at, config = [frames[0][0].capture_ns], Config(camera=CameraConfig(check=check))
+    work, bus = begun(models, config, at)
+    first = next(iter(decoded.values()))[1]
+    for name, T in (("tea_box", path(0.0)), ("soup_can", CAN)):
+        work._tracker.correct(tracking.Correction.first(name, T, first))
+    out = []
+    for header, payload in frames:
+        if header.frame_id == handed_over_at:
+            memory, before = work.memory(), bus.out
+            work, bus = begun(models, config, at)
+            work.take_over(memory, lambda *key: decoded.get(key))
+            out += before
+        at.append(header.capture_ns)
+        bus.waiting["frame"] = [(header, payload)]
+        work.step()
+    out += bus.out
+    return {name: [p for p in out if p.object == name] for name in models}, bus.health.message().warnings
+
+
+def test_what_moves_is_not_tracking_where_depth_is_late_and_what_rests_is(box_and_can, film):
+    said, warnings = played(box_and_can, film, late=1)
+    box = said["tea_box"]
+    blamed = [k for k, pose in enumerate(box) if pose.reason.startswith(LATE)]
+    # From two thirds of a second on, and until it rested for a second.
+    assert blamed[0] <= 22
+    assert MOVES + 25 <= blamed[-1] < MOVES + RESTS - 1
+    assert {pose.state for pose in box[blamed[0] : blamed[-1] + 1]} == {"SUSPECT"}
+    assert box[-1].state == "TRACKING"
+    assert {pose.state for pose in said["soup_can"]} == {"TRACKING"}
+    (warning,) = warnings
+    assert warning.startswith(LATE)
+    assert "older than colour" in warning
+    assert "camera.check" in warning
+
+
+def test_another_worker_takes_the_doubt_over(box_and_can, film):
+    said, warnings = played(box_and_can, film, late=1, handed_over_at=30)
+    assert [pose.reason[: len(LATE)] for pose in said["tea_box"][29:45]] == [LATE] * 16
+    assert len(warnings) == 1
+
+
+def test_a_camera_that_is_as_it_should_be_is_not_doubted(box_and_can, film):
+    said, warnings = played(box_and_can, film, late=0)
+    assert {pose.state for mine in said.values() for pose in mine} == {"TRACKING"}
+    assert warnings == []
+
+
+def test_nobody_looks_where_the_camera_is_not_to_be_checked(box_and_can, film):
+    said, warnings = played(box_and_can, film, late=1, check=False)
+    assert not any(pose.reason.startswith(LATE) for pose in said["tea_box"])
+    assert warnings == []
+
+
+def test_a_camera_that_was_opened_anew_is_not_doubted_for_what_was_before(box_and_can, film):
+    tracker, doubt = tracking.Tracker(box_and_can), DelayDoubt(epoch=3, found=(0.033, 0.002, 0.9))
+    frame = frame_from_wire(*next(film(0)))
+    tracker.correct(tracking.Correction.first("tea_box", path(0.0), frame))
+    poses = [replace(pose, velocity=np.array([0.3, 0, 0, 0, 0, 0])) for pose in tracker.step(frame)]
+    doubt.look(replace(frame, epoch=3), poses, tracker)
+    assert doubt.of(poses[0]).startswith(LATE)
+    doubt.look(replace(frame, epoch=4), poses, tracker)
+    assert doubt.of(poses[0]) == doubt.text == ""
+
+
+def test_of_many_that_move_one_a_frame_is_looked_at(box_and_can, film):
+    """That which was looked at least lately: many objects cost no more than one."""
+    tracker, doubt = tracking.Tracker(box_and_can), DelayDoubt()
+    frame = frame_from_wire(*next(film(0)))
+    for name, T in (("tea_box", path(0.0)), ("soup_can", CAN)):
+        tracker.correct(tracking.Correction.first(name, T, frame))
+    poses = [replace(pose, velocity=np.array([0.3, 0, 0, 0, 0, 0])) for pose in tracker.step(frame)]
+    for k in range(6):
+        doubt.look(replace(frame, stamp_ns=frame.stamp_ns + k * 33_000_000), poses, tracker)
+    assert [block.split("/")[0] for block in doubt.blocks] in (
+        ["tea_box", "soup_can"] * 3,
+        ["soup_can", "tea_box"] * 3,
+    )

@@ -45,7 +45,7 @@ def test_results_that_cannot_be_written_end_it_before_the_work(
         ["onboard", "no_mesh.obj", "--name", "brick", "--out", "/proc"],
         ["new", "brick", "no_mesh.obj"],
         ["record", "r.mcap"],
-        ["bench", "estimate", "--json", "/proc/stages.json"],
+        ["bench", "estimate", "--picture", "/proc/stages.png"],
     ],
 )
 def test_a_folder_in_which_nothing_can_be_made_ends_it_before_the_work(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
-from huepose_services.cli.options import add_json, add_number, add_profile, answered
+from huepose.support.files import write_picture
+from huepose_services.cli.options import add_json, add_number, add_path, add_profile, answered
 
 _WHAT = ("estimate", "track", "detect", "bus", "all")
 
@@ -15,6 +17,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("bench", help="time of every stage")
     parser.add_argument("what", nargs="?", choices=_WHAT, default="all", help="default: all")
     add_json(parser, to_file=True)
+    add_path(parser, "--picture", "FILE.png", "draw the stages' shares as bars")
     add_number(parser, "--seed", 0, "which built-in scene (0)")
     add_profile(parser)
     parser.set_defaults(call=call)
@@ -60,7 +63,27 @@ def call(arguments: argparse.Namespace) -> int:
     text = table(("stage, ms", "wall p50", "p95", "p99", "CPU p50", "p99"), rows)
     text += f"\npeak memory {summary['peak_memory_mib']:.0f} MiB"
     answered(arguments, {"summary": summary, "stages": [asdict(s) for s in stages]}, text)
+    if arguments.picture is not None:
+        draw_stages(arguments.picture, [(s.name, s.cpu_ms_p50, s.cpu_ms_p99) for s in stages])
     return 0
+
+
+def draw_stages(path: Path, stages: list[tuple[str, float, float]]) -> None:
+    """Bars of stages (name, median, 99th percentile in CPU ms), a row for each thing that has any; no picture
+    where nothing has."""
+    import numpy as np
+
+    from huepose.drawing.plots import bar_chart
+
+    rows = []
+    for whole in dict.fromkeys(name.split("/")[0].split()[0] for name, _, _ in stages):
+        own = [s for s in stages if s[0].split("/")[0].split()[0] == whole]
+        names = [name.split("/", 1)[-1] for name, _, _ in own]
+        times = {"median": [p50 for _, p50, _ in own], "99th percentile": [p99 for _, _, p99 in own]}
+        if len(own) > 1:
+            rows.append(bar_chart(names, times, whole, "CPU ms a frame", size=(1300, 320)))
+    if rows:
+        write_picture(path, np.concatenate(rows))
 
 
 def _p50(stages: list[Any], name: str) -> float:

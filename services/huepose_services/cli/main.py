@@ -47,7 +47,7 @@ _OF_EXTRAS = {
     "rosbags": "ros2",
 }
 # Options that say where results go.
-_OUTPUTS = ("out", "json", "csv", "image", "explain", "plots", "save")
+_OUTPUTS = ("out", "json", "csv", "image", "picture", "explain", "plots", "save")
 # Those of a picture or a recording, whose folder must be there: a mistyped one is not made.
 _IN_FOLDERS = ("image", "save")
 # What a full, protected or odd disk answers; any other error of the system is a mistake of ours.

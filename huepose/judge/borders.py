@@ -17,7 +17,7 @@ import numpy as np
 
 from huepose.colorpair.opponents import LOGARITHMS, OPPONENTS
 from huepose.geometry import se3
-from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32, Int64, UInt8
 from huepose.geometry.camera import NEAR_M, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.icosphere import look_at
@@ -45,6 +45,10 @@ errors of a reading."""
 
 OTHER_COLOR = 12.0
 """Difference of opponents from which a colour is another one: half a unit of the natural logarithm."""
+
+
+UNKNOWN, ENDED, GOES_ON = range(3)
+"""What a frame says of a point of an outline."""
 
 
 @dataclass(frozen=True)
@@ -131,23 +135,47 @@ def _contour(mesh: Mesh, surface: PreparedSurface, direction: Float32) -> tuple[
 
 def outline(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Outline:
     """Compare the outline of a pose T_cam_obj (4, 4) with a frame."""
-    points, out = contours.at(T_cam_obj)
-    if not len(points):
+    says = _compared(contours, T_cam_obj, frame)[2]
+    if not len(says):
         return NO_OUTLINE
+    return Outline(*(np.count_nonzero(says == answer) / len(says) for answer in (ENDED, GOES_ON)))
+
+
+def held(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Float64:
+    """What the outline says of a pose (4, 4): the information (6, 6) about the object's centre, camera axes.
+
+    Where the object ends, it does so within the least of BESIDE_M. All of an outline errs alike by that, so
+    its points count as two readings together, one for each direction in the picture."""
+    p, o, says = _compared(contours, T_cam_obj, frame)
+    ended = says == ENDED
+    if not ended.any():
+        return np.zeros((6, 6))
+    arms = p[ended] - contours.surface.centre_cam(T_cam_obj)
+    rows = np.concatenate([o[ended], np.cross(arms, o[ended])], axis=1)
+    return np.asarray(rows.T @ rows * (2.0 / (len(rows) * (BESIDE_M[0] ** 2 / 3.0))))
+
+
+def _compared(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> tuple[Float64, Float64, Int32]:
+    """Points and outward directions (K, 3) of the outline at a pose, camera axes, and what the frame says
+    there (K,): UNKNOWN, ENDED or GOES_ON."""
+    points, out = contours.at(T_cam_obj)
     camera = frame.camera
     p = points @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
     o = out @ T_cam_obj[:3, :3].T
+    says = np.zeros(len(p), np.int32)
+    if not len(p):
+        return p, o, says
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     allowed = STEP_M + STEP_SIGMAS * depth_noise_m(float(p[:, 2].mean()))
     # A picture that came over the bus cannot be written: told so always, the kernel is compiled once.
     color = frame.color.view()
     color.flags.writeable = False
-    ended, goes_on = _count_outline(p, o, lens, frame.depth, color, LOGARITHMS, OPPONENTS, BESIDE_M, allowed)
-    return Outline(ended / len(p), goes_on / len(p))
+    _compare(p, o, lens, frame.depth, color, LOGARITHMS, OPPONENTS, BESIDE_M, allowed, says)
+    return p, o, says
 
 
 @jit
-def _count_outline(
+def _compare(
     points: Float64,
     out: Float64,
     lens: Float64,
@@ -157,10 +185,10 @@ def _count_outline(
     opponents: Float32,
     beside_m: Float64,
     allowed: float,
-) -> tuple[int, int]:
-    """Counts of outline points that end and of those where the surface goes on. points, out (K, 3): camera
-    axes; lens: fx, fy, cx, cy."""
-    ended = goes_on = 0
+    says: Int32,
+) -> None:
+    """Fill in what is said of each outline point, UNKNOWN before. points, out (K, 3): camera axes; lens: fx,
+    fy, cx, cy."""
     z = np.empty((2, 3))
     logs = np.empty((2, 3), np.float32)
     for k in range(len(points)):
@@ -205,11 +233,7 @@ def _count_outline(
             for channel in range(3):
                 change += opponents[row, channel] * (logs[0, channel] - logs[1, channel])
             other = other or abs(change) > OTHER_COLOR
-        if other:
-            ended += 1
-        else:
-            goes_on += 1
-    return ended, goes_on
+        says[k] = ENDED if other else GOES_ON
 
 
 SIDE = 20

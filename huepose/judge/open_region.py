@@ -30,6 +30,10 @@ from huepose.support.kept import kept
 SCALES_M = (*COLOR_SCALES_M, 0.008)
 """Gaussian sigmas of the three averages on the object; the first two come with a model's surface."""
 
+AROUND_M = (0.008, 0.008, 0.016)
+"""Gaussian sigmas of the surroundings of a sample in which its texture is asked for its variation, at each of
+SCALES_M: what a refinement at that scale may have to reach."""
+
 MIN_SIDE = 16
 """A window with a shorter side, in pixels, shows too little to be judged."""
 
@@ -142,10 +146,13 @@ SAMPLES = 400
 
 @dataclass(frozen=True, eq=False)
 class PreparedSurface:
-    """arrays: input of the kernels, colours as opponents at SCALES_M; diameter_m: of the model; thickness_m:
-    extent along its thinnest axis; radius_m: of the sphere around the centre that holds all samples."""
+    """arrays: input of the kernels, colours as opponents at SCALES_M; steepest (3, N, 3) float32: by how much
+    the texture around each sample can change at each scale, opponents per metre; diameter_m: of the model;
+    thickness_m: extent along its thinnest axis; radius_m: of the sphere around the centre that holds all
+    samples."""
 
     arrays: ModelArrays
+    steepest: Float32
     diameter_m: float
     thickness_m: float
     radius_m: float
@@ -155,8 +162,10 @@ class PreparedSurface:
         """Prepare a reference model."""
         arrays = model_arrays(model)
         points = arrays.points
+        colors = kept(_Colors, model.digest, lambda: _colors(arrays))
         return PreparedSurface(
-            arrays._replace(colors=kept(_Colors, model.digest, lambda: _colors(arrays)).scales),
+            arrays._replace(colors=colors.scales),
+            colors.steepest,
             float(model.diameter_m),
             _thickness(points),
             float(np.linalg.norm(points - arrays.centre, axis=1).max()),
@@ -189,15 +198,28 @@ class PreparedSurface:
 
 @dataclass(frozen=True, eq=False)
 class _Colors:
-    """scales (3, N, 3) float32: opponents of the samples at SCALES_M."""
+    """scales (3, N, 3) float32: opponents of the samples at SCALES_M; steepest as in `PreparedSurface`."""
 
     scales: Float32
+    steepest: Float32
 
 
 def _colors(arrays: ModelArrays) -> _Colors:
-    colors = arrays.colors
-    coarse = _averaged_colors(arrays.points, arrays.normals, colors[1], SCALES_M[1], SCALES_M[2])
-    return _Colors(np.ascontiguousarray(np.concatenate([colors[:2], coarse[None]])))
+    points, normals, given = arrays.points, arrays.normals, arrays.colors[:2]
+    further = float(np.sqrt(SCALES_M[2] ** 2 - SCALES_M[1] ** 2))
+    coarse = _averaged_around(points, normals, given[1], further)
+    scales = np.ascontiguousarray(np.concatenate([given, coarse[None]]), np.float32)
+    return _Colors(scales, steepest(points, normals, scales))
+
+
+def steepest(points: Float32, normals: Float32, scales: Float32) -> Float32:
+    """By how much the texture around each of N samples can change at each of SCALES_M: (3, N, 3), in units of
+    `scales` (3, N, 3) a metre. What is averaged over a length changes over it by no more than it varies."""
+    out = np.empty(scales.shape, np.float32)
+    for slope, colors, scale_m, around_m in zip(out, scales.astype(np.float64), SCALES_M, AROUND_M, strict=True):
+        both = _averaged_around(points, normals, np.concatenate([colors, colors**2], axis=1), around_m)
+        slope[:] = np.sqrt(np.maximum(both[:, 3:] - both[:, :3] ** 2, 0.0)) / scale_m
+    return out
 
 
 def _thickness(points: Float32) -> float:
@@ -207,23 +229,18 @@ def _thickness(points: Float32) -> float:
     return float(np.ptp(along))
 
 
-def _averaged_colors(
-    points: Float32, normals: Float32, colors: Float32, have_m: float, want_m: float
-) -> Float32:
-    """Colours (N, 3) averaged further over neighbours that face the same way, from one sigma to a larger
-    one."""
+def _averaged_around(points: Float32, normals: Float32, values: Float, sigma_m: float) -> Float64:
+    """Values (N, K) averaged by a Gaussian over neighbours that face the same way."""
     from scipy.spatial import cKDTree  # a fifth of a second, which no tracker of known objects needs
 
-    sigma = float(np.sqrt(want_m**2 - have_m**2))
-    pairs = cKDTree(points).query_pairs(2.5 * sigma, output_type="ndarray")
+    pairs = cKDTree(points).query_pairs(2.5 * sigma_m, output_type="ndarray")
     own = np.arange(len(points))
     i, j = np.concatenate([pairs[:, 0], pairs[:, 1], own]), np.concatenate([pairs[:, 1], pairs[:, 0], own])
     d2 = ((points[i] - points[j]) ** 2).sum(1)
-    w = np.exp(-d2 / (2 * sigma**2)) * np.maximum((normals[i] * normals[j]).sum(1), 0.0)
+    w = np.exp(-d2 / (2 * sigma_m**2)) * np.maximum((normals[i] * normals[j]).sum(1), 0.0)
     total = np.bincount(i, w, len(points))
-    return np.stack([np.bincount(i, w * colors[j, c], len(points)) / total for c in range(3)], 1).astype(
-        np.float32
-    )
+    columns = range(values.shape[1])
+    return np.stack([np.bincount(i, w * values[j, c], len(points)) / total for c in columns], 1)
 
 
 def look(surface: PreparedSurface, region: OpenRegion, T_cam_obj: Float64) -> Terms:

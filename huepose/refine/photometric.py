@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Float, Float64, Int32
+from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.geometry.camera import NEAR_M, depth_noise_m
 from huepose.judge.open_region import SCALES_M, OpenRegion, PreparedSurface
 from huepose.judge.region import ModelArrays, RegionArrays
@@ -72,6 +72,12 @@ LIGHT_ROUNDS = 3
 
 DAMPING = 2e-3
 """Of Levenberg and Marquardt, as a share of the information about the translation."""
+
+START_SIGMA_M = 0.01
+"""How far off a start may be at its rim (`FULL`). What neither depth nor texture tells stays as it was."""
+
+RESIDUALS_PER_READING = 12.0
+"""This many residuals are worth one independent one: those of neighbouring pixels err alike."""
 
 MIN_COLORS = 20
 """With fewer samples that have a colour, depth alone is asked."""
@@ -138,7 +144,7 @@ def refine(
     T = np.array(T_cam_obj, np.float64, order="C")
     settings = _settings(schedule, surface, float(surface.centre_cam(T)[2]), region.camera.fx)
     A = np.zeros((6, 6))
-    done = _refine(T, surface.arrays, region.arrays, settings, A)
+    done = _refine(T, surface.arrays, surface.steepest, region.arrays, settings, A)
     T = se3.orthonormalised(T)
     return Refined(T, information(A, T, settings.body), int(done))
 
@@ -149,7 +155,7 @@ def refine_all(
     """Improve poses (K, 4, 4) of an object at about that distance; the improved ones (K, 4, 4)."""
     out = np.array(poses, np.float64, order="C")
     settings = _settings(schedule, surface, distance_m, region.camera.fx)
-    _refine_all(out, surface.arrays, region.arrays, settings)
+    _refine_all(out, surface.arrays, surface.steepest, region.arrays, settings)
     return out
 
 
@@ -168,17 +174,20 @@ def _settings(schedule: Schedule, surface: PreparedSurface, distance_m: float, f
 
 
 @jit
-def _refine_all(poses: Float64, surface: ModelArrays, region: RegionArrays, settings: _Settings) -> None:
+def _refine_all(
+    poses: Float64, surface: ModelArrays, steepest: Float32, region: RegionArrays, settings: _Settings
+) -> None:
     """Move poses in place."""
     A = np.empty((6, 6))
     for k in range(poses.shape[0]):
-        _refine(poses[k], surface, region, settings, A)
+        _refine(poses[k], surface, steepest, region, settings, A)
 
 
 @jit
 def _refine(
     T: Float64,
     surface: ModelArrays,
+    steepest: Float32,
     region: RegionArrays,
     settings: _Settings,
     known: Float64,
@@ -192,6 +201,7 @@ def _refine(
     correlation, rms, share = np.zeros(3), np.zeros(3), np.zeros(3)
     equations = normal_equations(6)
     A = equations.A
+    moved = np.zeros(6)
     done = 0
     still_at = -1
     for iteration in range(levels.shape[0]):
@@ -208,6 +218,7 @@ def _refine(
         clear(equations)
         left = colors(n, samples, region, level, color, gradient, color_weight)
         if left >= MIN_COLORS:
+            _bound(n, samples, steepest[level], region, gradient, color_weight)
             fit_light(
                 n, samples, color_weight, surface.colors[level], color, LIGHT_ROUNDS, residual, trust,
                 correlation, rms,
@@ -229,12 +240,36 @@ def _refine(
         _add_depth(n, samples, surface, weight, gate, 1.0 / variance, body, equations)
         known[:] = A
         # In proportion to what is known, so that colours alone move a pose as freely as depth does.
-        largest = advance(T, equations, body, DAMPING * (A[0, 0] + A[1, 1] + A[2, 2]) + 1.0)
+        damping = DAMPING * (A[0, 0] + A[1, 1] + A[2, 2])
+        held = RESIDUALS_PER_READING / START_SIGMA_M**2
+        for i in range(6):
+            equations.b[i] -= held * moved[i]
+        largest = advance(T, equations, body, damping + held)
         if largest < 0.0:
             break
+        moved += equations.step
         done += 1
         still_at = level if largest < STILL_M else -1
     return done
+
+
+@jit_dividing
+def _bound(
+    n: int, samples: Samples, steepest: Float32, region: RegionArrays, gradient: Float64, weight: Float64
+) -> None:
+    """Make slopes of the picture (n, 3, 2) no steeper than the texture (N, 3) can be there: what is left
+    over is shading, a shadow's edge or noise, which do not move with the object."""
+    for k in range(n):
+        if weight[k] <= 0.0:
+            continue
+        # The picture is averaged over the same length, so no slant makes it steeper.
+        m_per_px = samples.points[k, 2] / (0.5 * (region.fx + region.fy))
+        for c in range(3):
+            right, down = gradient[k, c, 0], gradient[k, c, 1]
+            most, seen = steepest[samples.which[k], c] * m_per_px, np.sqrt(right * right + down * down)
+            if seen > most:
+                gradient[k, c, 0] *= most / seen
+                gradient[k, c, 1] *= most / seen
 
 
 @jit_dividing

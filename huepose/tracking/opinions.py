@@ -19,8 +19,9 @@ from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.uncertainty import carrying
-from huepose.judge.borders import outline
+from huepose.judge.borders import held, outline
 from huepose.refine.ends import moved_to_ends
+from huepose.refine.photometric import RESIDUALS_PER_READING
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct
@@ -122,13 +123,24 @@ def _held_by_its_ends(
     return replace(unmoved(subject.surface, frame, T, light), information=h.information)
 
 
-def uncertainty(subject: Subject, h: Hypothesis) -> tuple[Float64, float]:
-    """Covariance (6, 6) of a pose, and its expected error as a share of the diameter."""
+def uncertainty(
+    subject: Subject, h: Hypothesis, frame: RgbdFrame | None = None
+) -> tuple[Float64, float]:
+    """Covariance (6, 6) of a pose, and its expected error as a share of the diameter. frame: asked where the
+    object ends, if depth and texture do not fix the pose."""
+    known, spread = _uncertainty(subject, h, np.zeros((6, 6)))
+    if frame is None or spread < FIXED:
+        return known, spread
+    return _uncertainty(subject, h, held(subject.contours, h.T_cam_obj, frame))
+
+
+def _uncertainty(subject: Subject, h: Hypothesis, by_outline: Float64) -> tuple[Float64, float]:
     surface, T = subject.surface, h.T_cam_obj
     centre = surface.centre_cam(T)
     # What is known without the picture, and its floors, are about the object, wherever its origin is.
     to_origin = carrying(T[:3, 3] - centre)
-    known = covariance(to_origin.T @ h.information @ to_origin, float(centre[2]))
+    refined = to_origin.T @ h.information @ to_origin
+    known = covariance(refined + RESIDUALS_PER_READING * by_outline, float(centre[2]))
     known = to_origin @ known @ to_origin.T
     # What readings have in common turns the object about the part that is in the picture.
     known /= max(1.0 - h.terms.outside, LEAST_INSIDE)
@@ -158,9 +170,6 @@ def found_again(
         return ()
     return opinions if probability(opinions[0].log_odds) >= config.suspect_quality else ()
 
-
-RESIDUALS_PER_READING = 12.0
-"""This many residuals are worth one independent one."""
 
 FLOOR_SIGMA = np.array([0.0003, 0.0003, 0.0005, 0.004, 0.004, 0.004])
 BIAS_SHARE = 0.15

@@ -161,7 +161,7 @@ class Track:
         sure = probability(found[0].log_odds) * share_of_first(found)
         anchor = Anchor((sure_pose,), frame, light=self.light, unseen_s=gone_s)
         self.hypotheses, self.frame, first = found, frame, found[0]
-        self.covariance, self._spread = uncertainty(self.subject, first)
+        self.covariance, self._spread = uncertainty(self.subject, first, frame)
         self.evidence = evidence.vouched(sure, self._spread)
         self._begin()
         self._standing = Standing(State.SUSPECT, found=True)
@@ -194,7 +194,7 @@ class Track:
         if anchor.unseen_s > 0.0 and first.source == "views":
             self._identity = self._identity.found_elsewhere(self._seen_alone(), self._view())
         if sure >= self._config.lost_quality:
-            self.covariance, self._spread = uncertainty(self.subject, first)
+            self.covariance, self._spread = uncertainty(self.subject, first, frame)
             self.evidence = evidence.vouched(sure, self._spread)
             self._unseen_s = 0.0
         else:
@@ -237,7 +237,7 @@ class Track:
         tried = float(searched)
         first = weighed(self.subject, found, frame, self.baseline, light, evidence.odds_of(quality))
         self.hypotheses, self.frame, self.evidence = (first,), frame, probability(first.log_odds)
-        self.covariance, _ = uncertainty(self.subject, first)
+        self.covariance, _ = uncertainty(self.subject, first, frame)
         if self.evidence >= self._config.tracking_quality:
             self._orientation.see(first, frame.stamp_ns)
         if self.evidence >= self._config.lost_quality:

@@ -35,6 +35,12 @@ def plain_box() -> ReferenceModel:
 
 
 @pytest.fixture(scope="session")
+def half_plain_can() -> ReferenceModel:
+    """A can with a label on one half and lids; the other half is of one colour."""
+    return onboard_mesh(builtin_meshes(0)["half_plain_can"], "half_plain_can")
+
+
+@pytest.fixture(scope="session")
 def plain_bracket() -> ReferenceModel:
     """Of one colour all over; its shape alone tells how it is turned."""
     return onboard_mesh(builtin_meshes(0)["plain_bracket"], "plain_bracket")

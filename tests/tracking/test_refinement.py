@@ -85,6 +85,43 @@ def test_light_does_not_move_a_pose(tea_box, shoot, path, light) -> None:
     assert degrees < 0.4
 
 
+def test_shading_on_a_plain_side_does_not_roll_a_can(half_plain_can, shoot) -> None:
+    """A lamp beside it makes the can's plain half lighter on one side: no texture does that."""
+    surface = PreparedSurface.of(half_plain_can)
+    lying = se3.rotation_exp(np.array([-1.1, 0.0, 0.0])) @ se3.rotation_exp(np.array([0.0, 0.0, 3.5]))
+    truth = se3.make(lying, np.array([0.0, 0.0, 0.6]))
+    frame = shoot([(half_plain_can.mesh, truth)])
+    camera, on = frame.camera, frame.depth < 0.9
+    v, u = np.nonzero(on)
+    points = se3.apply(se3.inverse(truth), camera.backproject(np.stack([u, v], -1), frame.depth[on]))
+    across = points[:, :2] / np.linalg.norm(points[:, :2], axis=1, keepdims=True)
+    lamp = lying.T @ np.array([1.0, 0.0, 0.2])
+    lit = 0.15 + 0.85 * np.maximum(across @ lamp[:2], 0.0)
+    lit[np.abs(points[:, 2]) > 0.0485] = 0.15  # the lids
+    color = frame.color.copy()
+    color[on] = np.round(color[on] * lit[:, None] ** (1.0 / 2.2))
+    frame = replace(frame, color=color)
+    T, region = truth, region_of(surface, frame, truth)
+    for _ in range(8):
+        T = refine(surface, region, T).T_cam_obj
+    mm, degrees = errors(T, truth)
+    assert mm < 3.0
+    assert degrees < 8.0, "without a bound on the picture's slopes it rolls by a quarter turn and more"
+
+
+def test_no_texture_is_steeper_than_the_label_and_none_is_on_the_plain_side(half_plain_can) -> None:
+    surface = PreparedSurface.of(half_plain_can)
+    points = surface.arrays.points
+    side = np.abs(points[:, 2]) < 0.03
+    azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
+    plain, label = side & (azimuth > -170.0) & (azimuth < -70.0), side & (azimuth > 0.0) & (azimuth < 110.0)
+    steep = surface.steepest.max(axis=-1)
+    fine, middle, coarse = np.median(steep[:, label], axis=1)
+    assert fine > 2.0 * middle > 4.0 * coarse > 1000.0, "an opponent or more a millimetre"
+    assert steep[:2, plain].max() < 1.0
+    assert steep[2, plain].max() < 0.05 * coarse
+
+
 def test_an_occluder_does_not_pull(tea_box, soup_can, shoot, path) -> None:
     surface, truth = PreparedSurface.of(tea_box), path(0)
     in_front = se3.make(np.eye(3), truth[:3, 3] * 0.75 + [0.02, 0.0, 0.0])

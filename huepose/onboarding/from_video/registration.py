@@ -13,7 +13,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.open_region import PreparedSurface, look, open_region
+from huepose.judge.open_region import PreparedSurface, look, open_region, steepest
 from huepose.judge.region import ModelArrays
 from huepose.judge.terms import Terms
 from huepose.onboarding.from_video.fusion import Fused
@@ -81,7 +81,11 @@ def surface_of(shape: Fused, views: Sequence[View], T_cam_obj: Float64) -> Prepa
     )
     # From one side the depth of an object is not known: taken as its smaller extent across.
     return PreparedSurface(
-        arrays, float(extents[-1]), float(extents[-2]), float(np.linalg.norm(points - centre, axis=1).max())
+        arrays,
+        steepest(arrays.points, arrays.normals, arrays.colors),
+        float(extents[-1]),
+        float(extents[-2]),
+        float(np.linalg.norm(points - centre, axis=1).max()),
     )
 
 

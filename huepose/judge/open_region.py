@@ -216,7 +216,9 @@ def steepest(points: Float32, normals: Float32, scales: Float32) -> Float32:
     """By how much the texture around each of N samples can change at each of SCALES_M: (3, N, 3), in units of
     `scales` (3, N, 3) a metre. What is averaged over a length changes over it by no more than it varies."""
     out = np.empty(scales.shape, np.float32)
-    for slope, colors, scale_m, around_m in zip(out, scales.astype(np.float64), SCALES_M, AROUND_M, strict=True):
+    for slope, colors, scale_m, around_m in zip(
+        out, scales.astype(np.float64), SCALES_M, AROUND_M, strict=True
+    ):
         both = _averaged_around(points, normals, np.concatenate([colors, colors**2], axis=1), around_m)
         slope[:] = np.sqrt(np.maximum(both[:, 3:] - both[:, :3] ** 2, 0.0)) / scale_m
     return out

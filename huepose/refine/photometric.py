@@ -74,7 +74,7 @@ DAMPING = 2e-3
 """Of Levenberg and Marquardt, as a share of the information about the translation."""
 
 START_SIGMA_M = 0.01
-"""How far off a start may be at its rim (`FULL`). What neither depth nor texture tells stays as it was."""
+"""How far off a near start is at the object's rim."""
 
 RESIDUALS_PER_READING = 12.0
 """This many residuals are worth one independent one: those of neighbouring pixels err alike."""
@@ -89,11 +89,16 @@ STILL_M = 2e-5
 @dataclass(frozen=True)
 class Schedule:
     """Iterations of a refinement: the texture level (0 fine, 2 coarse), the depth gate in metres and the
-    number of samples of each. What is averaged over more of the object is read at fewer places."""
+    number of samples of each. What is averaged over more of the object is read at fewer places.
+
+    near: the start is off by no more than START_SIGMA_M at the object's rim, so that what neither depth nor
+    texture tells stays as it was, and slopes that are no texture's are cut off; from farther away they do
+    no harm, and lead on."""
 
     levels: tuple[int, ...]
     gates_m: tuple[float, ...]
     samples: tuple[int, ...]
+    near: bool = True
 
 
 FULL = Schedule(
@@ -103,8 +108,8 @@ FULL = Schedule(
 )
 """From a start within about a centimetre."""
 
-QUICK = Schedule((2, 2, 2), (0.04, 0.03, 0.025), (100,) * 3)
-COARSE = Schedule((2, 2, 2, 2, 2), (0.03, 0.025, 0.02, 0.02, 0.015), (200,) * 5)
+QUICK = Schedule((2, 2, 2), (0.04, 0.03, 0.025), (100,) * 3, near=False)
+COARSE = Schedule((2, 2, 2, 2, 2), (0.03, 0.025, 0.02, 0.02, 0.015), (200,) * 5, near=False)
 """From far off, for hypotheses that are sorted afterwards: of many, and of those that are left."""
 
 FINE = Schedule(
@@ -117,13 +122,14 @@ FINE = Schedule(
 
 class _Settings(NamedTuple):
     """A schedule at a distance. reaches_px: of each scale, how far away the neighbours are that tell whether
-    a sample lies inside the object."""
+    a sample lies inside the object; held: information of a near start, 0 of another."""
 
     levels: Int32
     gates_m: Float64
     reaches_px: Int32
     samples: Int32
     depth_sigma_m: float
+    held: float
     body: Body
 
 
@@ -170,7 +176,9 @@ def _settings(schedule: Schedule, surface: PreparedSurface, distance_m: float, f
     coarsest = max(1, sum(s <= SCALE_SHARE * surface.thickness_m for s in SCALES_M) - 1)
     levels = np.minimum(np.array(schedule.levels, np.int32), np.int32(coarsest))
     body = Body(surface.arrays.centre, surface.radius_m)
-    return _Settings(levels, gates, reaches, np.array(schedule.samples, np.int32), sigma, body)
+    samples = np.array(schedule.samples, np.int32)
+    held = RESIDUALS_PER_READING / START_SIGMA_M**2 if schedule.near else 0.0
+    return _Settings(levels, gates, reaches, samples, sigma, held, body)
 
 
 @jit
@@ -218,7 +226,8 @@ def _refine(
         clear(equations)
         left = colors(n, samples, region, level, color, gradient, color_weight)
         if left >= MIN_COLORS:
-            _bound(n, samples, steepest[level], region, gradient, color_weight)
+            if settings.held > 0.0:
+                _bound(n, samples, steepest[level], region, gradient, color_weight)
             fit_light(
                 n, samples, color_weight, surface.colors[level], color, LIGHT_ROUNDS, residual, trust,
                 correlation, rms,
@@ -241,10 +250,9 @@ def _refine(
         known[:] = A
         # In proportion to what is known, so that colours alone move a pose as freely as depth does.
         damping = DAMPING * (A[0, 0] + A[1, 1] + A[2, 2])
-        held = RESIDUALS_PER_READING / START_SIGMA_M**2
         for i in range(6):
-            equations.b[i] -= held * moved[i]
-        largest = advance(T, equations, body, damping + held)
+            equations.b[i] -= settings.held * moved[i]
+        largest = advance(T, equations, body, damping + settings.held)
         if largest < 0.0:
             break
         moved += equations.step

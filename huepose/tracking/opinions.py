@@ -123,9 +123,7 @@ def _held_by_its_ends(
     return replace(unmoved(subject.surface, frame, T, light), information=h.information)
 
 
-def uncertainty(
-    subject: Subject, h: Hypothesis, frame: RgbdFrame | None = None
-) -> tuple[Float64, float]:
+def uncertainty(subject: Subject, h: Hypothesis, frame: RgbdFrame | None = None) -> tuple[Float64, float]:
     """Covariance (6, 6) of a pose, and its expected error as a share of the diameter. frame: asked where the
     object ends, if depth and texture do not fix the pose."""
     known, spread = _uncertainty(subject, h, np.zeros((6, 6)))

@@ -11,7 +11,7 @@ from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import SAMPLES, OpenRegion, PreparedSurface, look, open_region, totals
 from huepose.judge.terms import NOTHING, score_arrays
-from huepose.refine.photometric import FINE, refine
+from huepose.refine.photometric import COARSE, FINE, refine
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.subject import Subject
 
@@ -89,6 +89,18 @@ def best_of(
         if unmoved_terms.total > best.terms.total:
             best = Hypothesis(T_start, unmoved_terms, best.information, name)
     return best
+
+
+def from_afar(
+    surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64, light: Float64 | None, source: str
+) -> Hypothesis:
+    """The best that a start leads to which may be off by more than refinement from close by is for."""
+    region, T = region_of(surface, frame, T_cam_obj, light), T_cam_obj
+    for _ in range(0 if region is None else 1 + MORE_PASSES):
+        before, T = T, refine(surface, region, T, COARSE).T_cam_obj
+        if moved_m(surface, before, T) < SETTLED_M:
+            break
+    return best_of(surface, frame, [(T, source)], light)
 
 
 def unmoved(

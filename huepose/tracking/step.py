@@ -17,7 +17,15 @@ from huepose.propose.relative_pose import RelativePose, RobustKabsch
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.motion import Reach, predicted, reaches
-from huepose.tracking.refined import MORE_PASSES, about_its_axis, best_of, followed, moved_m, unmoved
+from huepose.tracking.refined import (
+    MORE_PASSES,
+    about_its_axis,
+    best_of,
+    followed,
+    from_afar,
+    moved_m,
+    unmoved,
+)
 from huepose.tracking.search import NORMAL_EFFORT, search
 from huepose.tracking.stages import FLOW, NEAR, RETURNING_SEEN, Task, convincing, in_full, propose
 from huepose.tracking.subject import Subject
@@ -125,6 +133,9 @@ def found_nearby(
     """A pose of a frame settled on that frame, or on one that was taken so many seconds before or after:
     there the object is searched for, if it is not found where it was; and how many searches that took."""
     best = best_of(surface, frame, [(T_cam_obj, "correction")], light)
+    if not convincing(best, None, config.doubt, config):
+        wide = from_afar(surface, frame, T_cam_obj, light, "correction")
+        best = max(best, wide, key=lambda h: h.terms.total)
     if apart_s == 0.0:
         # Perception refined it more closely, on this very frame: what explains less is no improvement.
         given = unmoved(surface, frame, T_cam_obj, light)

@@ -8,8 +8,9 @@ import pytest
 from huepose.believe.state import State
 from huepose.evaluation import metrics
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
-from huepose.judge.borders import Contours, outline
+from huepose.judge.borders import Contours, held, outline
 from huepose.judge.open_region import PreparedSurface
+from huepose.judge.terms import NOTHING
 from huepose.model import ReferenceModel
 from huepose.onboarding import onboard_mesh
 from huepose.rendering import render
@@ -17,7 +18,9 @@ from huepose.scenes.room import sheet
 from huepose.select.distinct import RIGHT
 from huepose.tracking import Correction, Tracker
 from huepose.tracking.config import TrackerConfig
+from huepose.tracking.evidence import is_loose
 from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.opinions import uncertainty
 from huepose.tracking.orientation import (
     NEW_VIEW,
     SETTLED,
@@ -73,6 +76,22 @@ def test_what_is_moved_along_its_own_face_goes_on_on_one_side(plain_box: Referen
     moved = outline(contours, lying(plain_box, 0.03), frame)
     assert moved.goes_on > 0.15
     assert outline(contours, T, frame).goes_on < 0.05
+
+
+def test_where_a_plain_box_ends_fixes_how_it_lies_along_its_face(plain_box: ReferenceModel) -> None:
+    subject, T = Subject.of(plain_box), lying(plain_box)
+    frame, floor = picture(plain_box.mesh, T, (90, 130, 160)), picture(None, T, (90, 130, 160))
+    known = held(subject.contours, T, frame)
+    across, along = np.sqrt(1.0 / np.diag(known)[:2])
+    assert across == pytest.approx(0.0013, rel=0.3)
+    assert along == pytest.approx(0.0013, rel=0.3)
+    assert known[2, 2] < 0.01 * known[0, 0], "nothing of the distance"
+    assert not held(subject.contours, T, floor).any()
+    # One face in view: depth fixes how far away it is, and how it is tilted.
+    by_depth = Hypothesis(T, replace(NOTHING, outside=0.0), np.diag([0.0, 0.0, 1e9, 1e6, 1e6, 0.0]), "still")
+    assert is_loose(uncertainty(subject, by_depth)[1])
+    assert is_loose(uncertainty(subject, by_depth, floor)[1])
+    assert not is_loose(uncertainty(subject, by_depth, frame)[1])
 
 
 def test_a_plain_box_has_a_rival_as_good_as_itself_and_a_printed_one_has_not(

@@ -78,12 +78,16 @@ def advance(
             for h in anchor.hypotheses[1:]
         ),
     ]
+    long = seconds > config.long_step_s
+    if not convincing(found[0], anchor.baseline, config.long_doubt if long else config.doubt, config):
+        start = first.T_cam_obj if found[0].source == "still" else expected
+        wide = from_afar(surface, frame, start, light, found[0].source)
+        found[0] = max(found[0], wide, key=lambda h: h.terms.total)
     if not far.holds(surface.centre_cam(found[0].T_cam_obj)):
         # Faster than anything moves: the pose has followed an occluder.
         found[0] = unmoved(surface, frame, expected, light)
     found[0], margin, rolled = about_its_axis(subject, frame, found[0], light, anchor.known)
     best = max([*found, *rolled], key=lambda h: h.terms.total)
-    long = seconds > config.long_step_s
     returning = anchor.unseen_s > 0.0 and best.terms.seen >= RETURNING_SEEN
     surprising = long and moved_m(surface, best.T_cam_obj, expected) > config.surprising_m
     uneasy = surprising or returning or begun > NEAR

@@ -144,15 +144,15 @@ def outline(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Outline:
 def held(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Float64:
     """What the outline says of a pose (4, 4): the information (6, 6) about the object's centre, camera axes.
 
-    Where the object ends, it does so within the least of BESIDE_M: three standard errors. All of an outline
-    errs alike, so its points count as two readings together, one for each direction in the picture."""
+    Where the object ends, it does so anywhere within the least of BESIDE_M. All of an outline errs alike, so
+    its points count as two readings together, one for each direction in the picture."""
     p, o, says = _compared(contours, T_cam_obj, frame)
     ended = says == ENDED
     if not ended.any():
         return np.zeros((6, 6))
     arms = p[ended] - contours.surface.centre_cam(T_cam_obj)
     rows = np.concatenate([o[ended], np.cross(arms, o[ended])], axis=1)
-    return np.asarray(rows.T @ rows * (2.0 / (len(rows) * (BESIDE_M[0] / 3.0) ** 2)))
+    return np.asarray(rows.T @ rows * (2.0 / (len(rows) * BESIDE_M[0] ** 2 / 3.0)))
 
 
 def _compared(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> tuple[Float64, Float64, Int32]:

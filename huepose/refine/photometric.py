@@ -9,7 +9,7 @@ depth as well; coarse averages of the texture come before fine ones.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -98,7 +98,7 @@ class Schedule:
     levels: tuple[int, ...]
     gates_m: tuple[float, ...]
     samples: tuple[int, ...]
-    near: bool = True
+    near: bool = False
 
 
 FULL = Schedule(
@@ -106,10 +106,13 @@ FULL = Schedule(
     (0.025, 0.02, 0.015, 0.012, 0.01, 0.01, 0.008, 0.008),
     (150, 150, 300, 300, 300, 600, 600, 600),
 )
-"""From a start within about a centimetre."""
+"""From a start within some centimetres."""
 
-QUICK = Schedule((2, 2, 2), (0.04, 0.03, 0.025), (100,) * 3, near=False)
-COARSE = Schedule((2, 2, 2, 2, 2), (0.03, 0.025, 0.02, 0.02, 0.015), (200,) * 5, near=False)
+NEAR = replace(FULL, near=True)
+"""From where the object is expected."""
+
+QUICK = Schedule((2, 2, 2), (0.04, 0.03, 0.025), (100,) * 3)
+COARSE = Schedule((2, 2, 2, 2, 2), (0.03, 0.025, 0.02, 0.02, 0.015), (200,) * 5)
 """From far off, for hypotheses that are sorted afterwards: of many, and of those that are left."""
 
 FINE = Schedule(

@@ -21,7 +21,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.uncertainty import carrying
 from huepose.judge.borders import held, outline
 from huepose.refine.ends import moved_to_ends
-from huepose.refine.photometric import RESIDUALS_PER_READING
+from huepose.refine.photometric import FULL, RESIDUALS_PER_READING
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct
@@ -160,7 +160,7 @@ def found_again(
     surface = subject.surface
     found = []
     for T in found_at(subject, frame, place, light):
-        h = best_of(surface, frame, [(subject.like(T, seen.T_cam_obj), "views")], light, 0)
+        h = best_of(surface, frame, [(subject.like(T, seen.T_cam_obj), "views")], light, 0, FULL)
         jump = jump_odds(surface, seen.T_cam_obj, seen.T_cam_obj, h.T_cam_obj, gone_s, config)
         found.append(weighed(subject, h, frame, baseline, light, 0.0, jump))
     opinions = distinct(subject, found)

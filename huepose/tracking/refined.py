@@ -11,7 +11,7 @@ from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import SAMPLES, OpenRegion, PreparedSurface, look, open_region, totals
 from huepose.judge.terms import NOTHING, score_arrays
-from huepose.refine.photometric import COARSE, FINE, refine
+from huepose.refine.photometric import FINE, NEAR, Schedule, refine
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.subject import Subject
 
@@ -59,9 +59,10 @@ def best_of(
     starts: list[tuple[Float64, str]],
     light: Float64 | None = None,
     more_passes: int = MORE_PASSES,
+    schedule: Schedule = NEAR,
 ) -> Hypothesis:
     """Refine the start with the highest total and judge the result. starts: poses (4, 4) with their
-    sources."""
+    sources; schedule: by how far off they may be."""
     boxes = [b for b in (surface.box(T, frame.camera) for T, _ in starts) if b is not None]
     region = None
     if boxes:
@@ -72,12 +73,12 @@ def best_of(
     poses = np.array([T for T, _ in starts])
     chosen = int(np.argmax(totals(surface, region, poses, START_SAMPLES))) if len(starts) > 1 else 0
     T_start, name = starts[chosen]
-    refined, T = refine(surface, region, T_start), T_start
+    refined, T = refine(surface, region, T_start, schedule), T_start
     for _ in range(more_passes):
         if moved_m(surface, T, refined.T_cam_obj) < SETTLED_M:
             break
         T = refined.T_cam_obj
-        refined = refine(surface, region, T)
+        refined = refine(surface, region, T, schedule)
     best = Hypothesis(refined.T_cam_obj, look(surface, region, refined.T_cam_obj), refined.information, name)
     unmoved_terms = look(surface, region, T_start)
     if unmoved_terms.total > best.terms.total + DRAWN_AWAY:
@@ -89,18 +90,6 @@ def best_of(
         if unmoved_terms.total > best.terms.total:
             best = Hypothesis(T_start, unmoved_terms, best.information, name)
     return best
-
-
-def from_afar(
-    surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64, light: Float64 | None, source: str
-) -> Hypothesis:
-    """The best that a start leads to which may be off by more than refinement from close by is for."""
-    region, T = region_of(surface, frame, T_cam_obj, light), T_cam_obj
-    for _ in range(0 if region is None else 1 + MORE_PASSES):
-        before, T = T, refine(surface, region, T, COARSE).T_cam_obj
-        if moved_m(surface, before, T) < SETTLED_M:
-            break
-    return best_of(surface, frame, [(T, source)], light)
 
 
 def unmoved(

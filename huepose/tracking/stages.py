@@ -18,6 +18,7 @@ from huepose.judge.silhouette import visible_within
 from huepose.propose import flow as optical_flow
 from huepose.propose.correspondences import match
 from huepose.propose.relative_pose import RelativePose, lift_matches
+from huepose.refine.photometric import FULL
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.hypothesis import Anchor, Hypothesis
@@ -156,7 +157,7 @@ def propose(task: Task, best: Hypothesis, begun: int, tries: float) -> Proposed:
             parts = range(stage - FAR, stage - FAR + steps)
             starts = task.starts(stage, parts, best, place)
             place = None if stage == THERE else place
-            proposed += tuple(best_of(surface, frame, one, light, 0) for one in starts)
+            proposed += tuple(best_of(surface, frame, one, light, 0, FULL) for one in starts)
             best = max([best, *proposed], key=lambda h: h.terms.total)
         tried, stage = tried - (-steps // each), stage + steps
     return Proposed(proposed, best, tried, stage, place)

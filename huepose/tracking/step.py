@@ -14,6 +14,7 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import PreparedSurface
 from huepose.propose.relative_pose import RelativePose, RobustKabsch
+from huepose.refine.photometric import FULL
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.motion import Reach, predicted, reaches
@@ -22,7 +23,6 @@ from huepose.tracking.refined import (
     about_its_axis,
     best_of,
     followed,
-    from_afar,
     moved_m,
     unmoved,
 )
@@ -79,9 +79,9 @@ def advance(
         ),
     ]
     long = seconds > config.long_step_s
-    if not convincing(found[0], anchor.baseline, config.long_doubt if long else config.doubt, config):
+    if long or not convincing(found[0], anchor.baseline, config.doubt, config):
         start = first.T_cam_obj if found[0].source == "still" else expected
-        wide = from_afar(surface, frame, start, light, found[0].source)
+        wide = best_of(surface, frame, [(start, found[0].source)], light, schedule=FULL)
         found[0] = max(found[0], wide, key=lambda h: h.terms.total)
     if not far.holds(surface.centre_cam(found[0].T_cam_obj)):
         # Faster than anything moves: the pose has followed an occluder.
@@ -138,7 +138,7 @@ def found_nearby(
     there the object is searched for, if it is not found where it was; and how many searches that took."""
     best = best_of(surface, frame, [(T_cam_obj, "correction")], light)
     if not convincing(best, None, config.doubt, config):
-        wide = from_afar(surface, frame, T_cam_obj, light, "correction")
+        wide = best_of(surface, frame, [(T_cam_obj, "correction")], light, schedule=FULL)
         best = max(best, wide, key=lambda h: h.terms.total)
     if apart_s == 0.0:
         # Perception refined it more closely, on this very frame: what explains less is no improvement.
@@ -149,5 +149,5 @@ def found_nearby(
         return best, 0
     reach, _ = reaches(surface, T_cam_obj, None, T_cam_obj, apart_s, config)
     found = search(surface, frame, reach, NORMAL_EFFORT, light)
-    more = [best_of(surface, frame, [(T, "search")], light) for T in found]
+    more = [best_of(surface, frame, [(T, "search")], light, schedule=FULL) for T in found]
     return max([best, *more], key=lambda h: h.terms.total), 1

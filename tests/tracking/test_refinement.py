@@ -13,7 +13,7 @@ from huepose.judge.terms import NOTHING, Terms, score_arrays
 from huepose.model.types import ReferenceModel
 from huepose.onboarding import onboard_mesh
 from huepose.propose.relative_pose import RobustKabsch
-from huepose.refine.photometric import FULL, QUICK, refine, refine_all
+from huepose.refine.photometric import FULL, NEAR, QUICK, refine, refine_all
 from huepose.select.distinct import first_different
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis
@@ -103,7 +103,7 @@ def test_shading_on_a_plain_side_does_not_roll_a_can(half_plain_can, shoot) -> N
     frame = replace(frame, color=color)
     T, region = truth, region_of(surface, frame, truth)
     for _ in range(8):
-        T = refine(surface, region, T).T_cam_obj
+        T = refine(surface, region, T, NEAR).T_cam_obj
     mm, degrees = errors(T, truth)
     assert mm < 3.0
     assert degrees < 8.0, "without a bound on the picture's slopes it rolls by a quarter turn and more"

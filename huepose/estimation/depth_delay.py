@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from huepose.colorpair.opponents import opponents_of_bytes
+from huepose.estimation.outlines import FAINT, EdgesAcross
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
@@ -48,7 +49,6 @@ it is by so many less."""
 TOLERATED_S = 0.008
 """So far apart are the middles of two exposures of a camera that is as it should be, seconds."""
 
-_FAINT = 2.0
 _STARTS_S = np.array([0.0, -0.033, 0.033, -0.066, 0.066])
 _STEPS = 8
 _WIDTH_PX = REACH_PX + 4
@@ -116,7 +116,7 @@ def look(contours: Contours, T_cam_obj: Float64, velocity: Float64, frame: RgbdF
         return None
     edges = _edges(frame, x[found].astype(np.float32), y[found].astype(np.float32))
     along = (across[found] * flow[found]).sum(1)
-    fit = _at(edges, at[found] + _SHIFTS[:, None] * along).mean(1)
+    fit = edges.at(at[found] + _SHIFTS[:, None] * along).mean(1)
     best = int(np.argmax(fit))
     right, down = flow.mean(0)
     return speed, float(right), float(down), float(_SHIFTS[best])
@@ -174,8 +174,8 @@ def _steps_of_depth(depth: Float32, far: Float64) -> tuple[Float64, Bool]:
     return at, found
 
 
-def _edges(frame: RgbdFrame, x: Float32, y: Float32) -> Float32:
-    """How strong the edges of the colours are at places (N, K) along lines, each line's by its own mean."""
+def _edges(frame: RgbdFrame, x: Float32, y: Float32) -> EdgesAcross:
+    """How strong the edges of the colours are at places (N, K) along lines."""
     left, top = int(x.min()) - 2, int(y.min()) - 2
     part = frame.color[top : int(y.max()) + 4, left : int(x.max()) + 4]
     smooth = cv2.GaussianBlur(part, (3, 3), 0.8)
@@ -183,12 +183,5 @@ def _edges(frame: RgbdFrame, x: Float32, y: Float32) -> Float32:
     values = opponents_of_bytes(np.asarray(colors, np.uint8))
     strength = np.zeros(x.shape, np.float32)
     strength[:, 1:-1] = np.linalg.norm(values[:, 2:] - values[:, :-2], axis=2)
-    return np.asarray(strength / (strength.mean(1, keepdims=True) + _FAINT))
-
-
-def _at(edges: Float32, places: Float64) -> Float64:
-    """Edges (N, K) at places (..., N), px outwards."""
-    at = np.clip(places + _WIDTH_PX, 0.0, edges.shape[1] - 1.001)
-    low = at.astype(np.intp)
-    part, row = at - low, np.arange(len(edges))
-    return np.asarray((1.0 - part) * edges[row, low] + part * edges[row, low + 1])
+    strength /= strength.mean(1, keepdims=True) + FAINT
+    return EdgesAcross(strength.astype(np.float64), _WIDTH_PX, 1.0)

@@ -19,7 +19,7 @@ FEWEST, BORDER_PX = 30, 8
 RELATED_PX = 6.0
 """Correlation length along an outline, pixels: nearer points are not independent."""
 
-_FAINT = 2.0
+FAINT = 2.0
 """Opponents: an edge of the image as strong as noise."""
 
 _OCCLUDER_M = 0.01
@@ -63,15 +63,16 @@ def free_outline(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) ->
 
 @dataclass(frozen=True, eq=False)
 class EdgesAcross:
-    """strength (N, K): of a picture's edges across N outline points, at K places a half pixel apart from
-    -reach_px to reach_px along their normals, each point's by its own mean."""
+    """strength (N, K): of a picture's edges across N outline points, at K places step_px apart from -reach_px
+    to reach_px along their normals, each point's by its own mean."""
 
     strength: Float64
     reach_px: float
+    step_px: float = _STEP_PX
 
     def at(self, places_px: Float64) -> Float64:
         """Strengths (..., N) at places (..., N), pixels outwards from each point."""
-        at = np.clip((places_px + self.reach_px) / _STEP_PX, 0.0, self.strength.shape[1] - 1.001)
+        at = np.clip((places_px + self.reach_px) / self.step_px, 0.0, self.strength.shape[1] - 1.001)
         low = at.astype(int)
         part, row = at - low, np.arange(len(self.strength))
         return np.asarray((1.0 - part) * self.strength[row, low] + part * self.strength[row, low + 1])
@@ -86,5 +87,5 @@ def edges_across(picture: Float32, pixels: Float64, normals: Float64, reach_px: 
     values = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     apart = round(_EDGE_PX / _STEP_PX)
     steps = np.linalg.norm(values[:, apart:] - values[:, :-apart], axis=-1)
-    strength = steps / (steps.mean(axis=1, keepdims=True) + _FAINT)
+    strength = steps / (steps.mean(axis=1, keepdims=True) + FAINT)
     return EdgesAcross(np.asarray(strength, dtype=np.float64), reach_px)

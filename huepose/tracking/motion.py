@@ -60,6 +60,11 @@ def same_motion(
     )
 
 
+def about_centre(surface: PreparedSurface, T_cam_obj: Float64, velocity: Float64) -> Float64:
+    """The velocity about the object's centre of a motion that is given about its origin."""
+    return _about(velocity, surface.centre_cam(T_cam_obj) - T_cam_obj[:3, 3])
+
+
 def about_origin(surface: PreparedSurface, T_cam_obj: Float64, velocity: Float64 | None) -> Float64 | None:
     """The velocity of the same motion about the object's origin, as by `se3.perturb`."""
     return None if velocity is None else _about(velocity, T_cam_obj[:3, 3] - surface.centre_cam(T_cam_obj))

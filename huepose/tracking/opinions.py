@@ -61,9 +61,9 @@ def opinions(
         _moved(subject, anchor, h, parent, seconds, frame)
         for h, parent in zip(found.followed, anchor.hypotheses, strict=False)
     ]
-    held = _held_by_its_ends(subject, out[0], frame, anchor.light)
-    if held is not None:
-        out.append(_moved(subject, anchor, held, before, seconds, frame))
+    at_its_ends = _held_by_its_ends(subject, out[0], frame, anchor.light)
+    if at_its_ends is not None:
+        out.append(_moved(subject, anchor, at_its_ends, before, seconds, frame))
     expected = predicted(subject.surface, before.T_cam_obj, before.velocity, seconds)
     for h in found.proposed:
         if impossible(h, found.followed[0], gone_s):
@@ -126,19 +126,18 @@ def _held_by_its_ends(
 def uncertainty(subject: Subject, h: Hypothesis, frame: RgbdFrame | None = None) -> tuple[Float64, float]:
     """Covariance (6, 6) of a pose, and its expected error as a share of the diameter. frame: asked where the
     object ends, if depth and texture do not fix the pose."""
-    known, spread = _uncertainty(subject, h, np.zeros((6, 6)))
+    known, spread = _uncertainty(subject, h)
     if frame is None or spread < FIXED:
         return known, spread
     return _uncertainty(subject, h, held(subject.contours, h.T_cam_obj, frame))
 
 
-def _uncertainty(subject: Subject, h: Hypothesis, by_outline: Float64) -> tuple[Float64, float]:
+def _uncertainty(subject: Subject, h: Hypothesis, by_outline: Float64 | float = 0.0) -> tuple[Float64, float]:
     surface, T = subject.surface, h.T_cam_obj
     centre = surface.centre_cam(T)
     # What is known without the picture, and its floors, are about the object, wherever its origin is.
     to_origin = carrying(T[:3, 3] - centre)
-    refined = to_origin.T @ h.information @ to_origin
-    known = covariance(refined + RESIDUALS_PER_READING * by_outline, float(centre[2]))
+    known = covariance(to_origin.T @ h.information @ to_origin, float(centre[2]), by_outline)
     known = to_origin @ known @ to_origin.T
     # What readings have in common turns the object about the part that is in the picture.
     known /= max(1.0 - h.terms.outside, LEAST_INSIDE)
@@ -183,10 +182,10 @@ WEAK_SIGMA = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])
 _WEAK = np.diag(1.0 / WEAK_SIGMA**2)
 
 
-def covariance(information: Float64, distance_m: float) -> Float64:
+def covariance(information: Float64, distance_m: float, by_outline: Float64 | float = 0.0) -> Float64:
     """Covariance (6, 6) of a refined pose at that distance, about the point that the information (6, 6) is
-    about."""
-    out = np.linalg.inv(information / RESIDUALS_PER_READING + _WEAK)
+    about; by_outline (6, 6): what the outline says about that point beside it."""
+    out = np.linalg.inv(information / RESIDUALS_PER_READING + by_outline + _WEAK)
     bias = BIAS_SHARE * depth_noise_m(distance_m)
     out.flat[::7] += FLOOR_SIGMA**2 + np.array([0.0, 0.0, bias**2, 0.0, 0.0, 0.0])
     return np.asarray(out)

@@ -11,7 +11,7 @@ from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import SAMPLES, OpenRegion, PreparedSurface, look, open_region, totals
 from huepose.judge.terms import NOTHING, score_arrays
-from huepose.refine.photometric import FINE, NEAR, Schedule, refine
+from huepose.refine.photometric import FINE, FULL, NEAR, Schedule, refine
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.subject import Subject
 
@@ -90,6 +90,15 @@ def best_of(
         if unmoved_terms.total > best.terms.total:
             best = Hypothesis(T_start, unmoved_terms, best.information, name)
     return best
+
+
+def or_from_afar(
+    surface: PreparedSurface, frame: RgbdFrame, near: Hypothesis, start: Float64, light: Float64 | None
+) -> Hypothesis:
+    """A pose that was refined from close by, or what its start leads to from further off, where that explains
+    more."""
+    wide = best_of(surface, frame, [(start, near.source)], light, schedule=FULL)
+    return max(near, wide, key=lambda h: h.terms.total)
 
 
 def unmoved(

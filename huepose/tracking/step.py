@@ -24,6 +24,7 @@ from huepose.tracking.refined import (
     best_of,
     followed,
     moved_m,
+    or_from_afar,
     unmoved,
 )
 from huepose.tracking.search import NORMAL_EFFORT, search
@@ -81,8 +82,7 @@ def advance(
     long = seconds > config.long_step_s
     if long or not convincing(found[0], anchor.baseline, config.doubt, config):
         start = first.T_cam_obj if found[0].source == "still" else expected
-        wide = best_of(surface, frame, [(start, found[0].source)], light, schedule=FULL)
-        found[0] = max(found[0], wide, key=lambda h: h.terms.total)
+        found[0] = or_from_afar(surface, frame, found[0], start, light)
     if not far.holds(surface.centre_cam(found[0].T_cam_obj)):
         # Faster than anything moves: the pose has followed an occluder.
         found[0] = unmoved(surface, frame, expected, light)
@@ -138,8 +138,7 @@ def found_nearby(
     there the object is searched for, if it is not found where it was; and how many searches that took."""
     best = best_of(surface, frame, [(T_cam_obj, "correction")], light)
     if not convincing(best, None, config.doubt, config):
-        wide = best_of(surface, frame, [(T_cam_obj, "correction")], light, schedule=FULL)
-        best = max(best, wide, key=lambda h: h.terms.total)
+        best = or_from_afar(surface, frame, best, T_cam_obj, light)
     if apart_s == 0.0:
         # Perception refined it more closely, on this very frame: what explains less is no improvement.
         given = unmoved(surface, frame, T_cam_obj, light)

@@ -13,6 +13,7 @@ import numpy as np
 from huepose.estimation.depth_delay import DepthDelay, Look, delay, look
 from huepose.geometry import RgbdFrame
 from huepose.tracking import TrackedPose, Tracker
+from huepose.tracking.motion import about_centre
 from huepose_services.runtime.clock import SECOND
 
 LOOKS = 60
@@ -96,7 +97,6 @@ def _moves(pose: TrackedPose, tracker: Tracker) -> bool:
     if pose.T_cam_obj is None or pose.velocity is None:
         return False
     surface = tracker.surface(pose.object)
-    lever = surface.centre_cam(pose.T_cam_obj) - pose.T_cam_obj[:3, 3]
-    along, turning = pose.velocity[:3] + np.cross(pose.velocity[3:], lever), pose.velocity[3:]
-    m_s = np.linalg.norm(along) + 0.5 * surface.diameter_m * np.linalg.norm(turning)
+    velocity = about_centre(surface, pose.T_cam_obj, pose.velocity)
+    m_s = np.linalg.norm(velocity[:3]) + 0.5 * surface.diameter_m * np.linalg.norm(velocity[3:])
     return bool(m_s > REST * surface.diameter_m)

@@ -12,7 +12,6 @@ from huepose.judge.borders import Contours, held, outline
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import NOTHING
 from huepose.model import ReferenceModel
-from huepose.onboarding import onboard_mesh
 from huepose.rendering import render
 from huepose.scenes.room import sheet
 from huepose.select.distinct import RIGHT
@@ -34,7 +33,6 @@ from huepose.tracking.orientation import (
 from huepose.tracking.refined import best_of
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
-from studies.stress.objects import builtin_meshes
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
 FLOOR_M = 0.8
@@ -147,12 +145,6 @@ def test_a_turn_that_was_ruled_out_stays_so_when_another_is_doubted() -> None:
     assert settled.settled
     assert settled.jumped(VIEW, one).doubted.tolist() == [True, False]
     assert settled.jumped(VIEW, one).jumped(VIEW, other).doubted.all()
-
-
-@pytest.fixture(scope="module")
-def half_plain_can() -> ReferenceModel:
-    """A label on a third of the way round, the rest of one colour."""
-    return onboard_mesh(builtin_meshes(0)["half_plain_can"], "half_plain_can")
 
 
 def spinning(number: int) -> np.ndarray:

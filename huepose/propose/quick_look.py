@@ -153,11 +153,8 @@ DEPTH_WEIGHT, OVERLAP_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.8, 1.0, 0.8, 0.3
 """Of depth, share of the mask covered, share of the template on background (subtracted) and on the mask.
 Chosen."""
 
-MAX_PRODUCT = 4 * 65536
-"""Multiplications up to which OpenBLAS keeps a matrix product in one thread."""
-
-MIN_ROWS = 64
-"""Least rows of a block of a product."""
+_NOTHING = np.empty(0, np.float32)
+"""In place of what OpenCV would add to a product."""
 
 
 def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int64, Float32]:
@@ -215,18 +212,10 @@ def _right_hand_sides(windows: Float32, used: Int64) -> tuple[Float32, Float32, 
 
 
 def product(table: Float32, columns: Float32, out: Float32 | None = None) -> Float32:
-    """The matrix product (N, C), into `out` where it is given: in pieces, each too small for the linear
-    algebra library to call threads, which would cost several times what they give."""
-    columns = np.ascontiguousarray(columns)
-    out = np.empty((len(table), columns.shape[1]), np.float32) if out is None else out
-    wide = max(1, MAX_PRODUCT // (MIN_ROWS * len(columns)))
-    wide = -(-columns.shape[1] // -(-columns.shape[1] // wide))  # pieces of even width
-    tall = max(MIN_ROWS, MAX_PRODUCT // (wide * len(columns)))
-    for left in range(0, columns.shape[1], wide):
-        piece = columns[:, left : left + wide]
-        for top in range(0, len(table), tall):
-            np.matmul(table[top : top + tall], piece, out=out[top : top + tall, left : left + wide])
-    return out
+    """The matrix product (N, C), into `out` where it is given. By OpenCV: NumPy's linear algebra library
+    calls threads for a product of this size, which cost several times what they give."""
+    found = cv2.gemm(table, np.ascontiguousarray(columns), 1.0, _NOTHING, 0.0, dst=out)
+    return np.asarray(found, np.float32)
 
 
 @jit_dividing

@@ -20,6 +20,7 @@ from huepose.propose.quick_look import (
     FULL_WEIGHT,
     OVERLAP_WEIGHT,
     RELIEF_SIGMA,
+    product,
     quick_look,
 )
 from huepose.propose.templates import TemplateTable, build_table
@@ -168,3 +169,17 @@ def test_the_middle_of_a_mask_is_the_mean_of_its_pixels() -> None:
     mask = np.random.default_rng(2).random((37, 53)) > 0.7
     rows, columns = np.nonzero(mask)
     np.testing.assert_allclose(_centroid(mask), [columns.mean(), rows.mean()], rtol=1e-14)
+
+
+@pytest.mark.parametrize("shape", [(3888, 52, 90), (504, 1024, 1), (7, 128, 33), (1, 1, 1)])
+def test_a_product_is_the_sum_over_the_cells(shape: tuple[int, int, int]) -> None:
+    rows, cells, columns = shape
+    rng = np.random.default_rng(0)
+    table = rng.random((rows, cells), np.float32)
+    turned = rng.random((columns, cells), np.float32)
+    table.flags.writeable = False  # as where it is mapped
+    expected = table.astype(np.float64) @ turned.T
+    into = np.full((rows, columns), np.nan, np.float32)
+    product(table, np.ascontiguousarray(turned.T), into)
+    for found in (into, product(table, turned.T)):
+        np.testing.assert_allclose(found, expected, rtol=1e-5)

@@ -29,6 +29,7 @@ from huepose.drawing.overlay import (
 from huepose.drawing.shading import shaded
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation.metrics import RECALL_FRACTION, add, adds
+from huepose.evaluation.turned import turns_in_words, way_out
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.icosphere import look_at
@@ -66,9 +67,6 @@ NOTICEABLE = 2.3
 TURNED_RAD = np.radians(20.0)
 """A pose is turned from which angle on. Those that look the same are up to 15 degrees apart where an object
 is round, and a right pose is a few degrees off."""
-
-ALONG = 0.95
-"""Cosine between the axis of a turn and one of the object's, from which it is about that axis."""
 
 FACING = 0.3
 """Cosine between a normal and the line of sight from which a colour pair is drawn in a view."""
@@ -218,7 +216,7 @@ def suitability_of(model: ReferenceModel, trials: Sequence[Trial]) -> Suitabilit
     if turns:
         reasons.append(
             f"{len(turns)} of {len(trials)} answers are in the right place and turned: "
-            f"{_turns_in_words(turns)}. Seen from there it looks too much alike."
+            f"{turns_in_words(turns)}. Seen from there it looks too much alike.{way_out(turns)}"
         )
     if len(model.equivalents) > 1:
         reasons.append(
@@ -265,30 +263,6 @@ def suitability_of(model: ReferenceModel, trials: Sequence[Trial]) -> Suitabilit
         tuple(reasons),
         tuple(trials),
     )
-
-
-def _turns_in_words(turns: Sequence[Float64]) -> str:
-    """By the object's axes about which they are, the most frequent first.
-
-    >>> _turns_in_words([np.array([0.0, 0.0, 3.1]), np.array([0.1, 0.0, -1.0]), np.array([1.0, 1.0, 0.0])])
-    '2 about its z axis by 58 to 178 deg, 1 about a slanted axis by 81 deg'
-    """
-    groups: dict[str, list[float]] = {}
-    for turn in turns:
-        angle = float(np.linalg.norm(turn))
-        cosines = np.abs(turn) / angle
-        along = cosines.max() > ALONG
-        axis = f"its {'xyz'[int(cosines.argmax())]} axis" if along else "a slanted axis"
-        groups.setdefault(axis, []).append(np.degrees(angle))
-    return ", ".join(
-        f"{len(angles)} about {axis} by {_span(angles)} deg"
-        for axis, angles in sorted(groups.items(), key=lambda group: -len(group[1]))
-    )
-
-
-def _span(angles: Sequence[float]) -> str:
-    low, high = f"{min(angles):.0f}", f"{max(angles):.0f}"
-    return low if low == high else f"{low} to {high}"
 
 
 def seen_in_part(found: Suitability, share: float) -> Suitability:

@@ -36,7 +36,7 @@ class Job:
     object_id: int | None = None
     unit: Unit | None = None
     info: Mapping[str, Any] | None = None
-    symmetric: Mapping[str, Any] | None = None
+    symmetric: Mapping[str, Any] | str | None = None
     frame_offset_m: Float64 | None = None
     paper: bool = False
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from huepose.datasets import files
 from huepose.geometry import se3
+from huepose.onboarding.symmetries import AXES
 from huepose.support.errors import InputError
 
 _NAMES = ("symmetries_discrete", "symmetries_continuous")
@@ -31,6 +32,11 @@ def read_symmetries(path: Path | str) -> dict[str, Any]:
     entry = {n: tree.get(n, []) for n in _NAMES}
     check_symmetries(entry, str(path))
     return entry
+
+
+def symmetries_of(value: str) -> dict[str, Any] | str:
+    """What --symmetric says: an axis of the object ("x", "y" or "z"), or an entry of `read_symmetries`."""
+    return value if value in AXES else read_symmetries(value)
 
 
 def check_symmetries(entry: Mapping[str, Any], where: str) -> None:

@@ -19,7 +19,7 @@ def onboard_mesh(
     *,
     object_id: int | None = None,
     info: Mapping[str, Any] | None = None,
-    symmetric: Mapping[str, Any] | None = None,
+    symmetric: Mapping[str, Any] | str | None = None,
     frame_offset_m: Float64 | None = None,
     paper: bool = False,
     report: Report = silent,

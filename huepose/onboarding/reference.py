@@ -23,7 +23,7 @@ from huepose.onboarding.pairs import (
     reference_cameras,
 )
 from huepose.onboarding.surface import build_grid, build_surface
-from huepose.onboarding.symmetries import equivalent_rotations
+from huepose.onboarding.symmetries import equivalent_rotations, rotations_about_own
 from huepose.onboarding.visibility import depth_views
 from huepose.propose.keypoint_reference import build_keypoints
 from huepose.propose.templates import build_templates
@@ -51,7 +51,7 @@ def reference_model(
     lean: Mesh | None = None,
     object_id: int | None = None,
     info: Mapping[str, Any] | None = None,
-    symmetric: Mapping[str, Any] | None = None,
+    symmetric: Mapping[str, Any] | str | None = None,
     frame_offset_m: Float64 | None = None,
     paper: bool = False,
     report: Report = silent,
@@ -61,7 +61,8 @@ def reference_model(
     lean: the mesh simplified, for the model and its pictures (surfels are taken from the full mesh); without
     it the mesh itself serves. info: the object's entry of `models_info.json` (millimetres), for its diameter
     and the symmetries of its shape; symmetric: an entry of the same form whose symmetries hold for shape and
-    texture; frame_offset_m (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame; paper:
+    texture, or "x", "y" or "z": how it is turned about that axis does not matter where its shape allows it;
+    frame_offset_m (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame; paper:
     whether the model gets the tables of the paper's method, too; report:
     called with each stage's name as it begins. Deterministic: one mesh gives one model, bit for bit.
     """
@@ -78,8 +79,11 @@ def reference_model(
     near = near_symmetries(surface, grid, diameter)
     if symmetric is None:
         equivalents = equivalent_rotations(surface, cloud, near, diameter)
+    elif isinstance(symmetric, str):
+        equivalents = rotations_about_own(near, symmetric)
     else:
         equivalents = sampled(symmetric, _STEP_RAD)
+    declared = info or symmetric or {}
     report("templates")
     templates = build_templates(lean, diameter)
     report("keypoints")
@@ -92,7 +96,7 @@ def reference_model(
         mesh=lean,
         eval_points=np.ascontiguousarray(mesh.vertices[:: -(-len(mesh.vertices) // EVAL_POINTS)]),
         diameter_m=diameter,
-        symmetries=sampled(info or symmetric or {}, _STEP_RAD),
+        symmetries=equivalents if isinstance(declared, str) else sampled(declared, _STEP_RAD),
         near_symmetries=near.transforms,
         equivalents=equivalents,
         frame_offset_m=None if frame_offset_m is None else np.asarray(frame_offset_m, np.float64),

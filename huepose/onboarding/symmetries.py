@@ -14,8 +14,12 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.model.types import COLOR_SCALES_M, Surface
 from huepose.onboarding.cloud import Cloud, averaged_lab
 from huepose.onboarding.near_symmetries import NearSymmetries, SidedSurface, rotations_about
+from huepose.support.errors import InputError
 
 EQUIVALENT_STEP_RAD = np.radians(5.0)
+AXES = ("x", "y", "z")
+ALONG = 0.95  # cosine between an axis of rotation and one of the object's, from which they are one
+_ONE_AXIS = np.cos(np.radians(3.0))  # cosine between two axes that are one; flips are 7.5 degrees apart
 _MAX_MEAN_ERROR = 0.006  # mean distance to the own surface over the diameter
 _OUTLIER_ERROR = 0.03  # distance of an outlier, as on a handle, a spout, a hole
 _MAX_OUTLIERS = 0.03  # share of surfels
@@ -44,6 +48,30 @@ def equivalent_rotations(surface: Surface, cloud: Cloud, near: NearSymmetries, d
     if near.flip is None or not same[steps :: steps // order].all():
         return np.asarray(about)
     return np.concatenate([about, near.flip @ about])
+
+
+def rotations_about_own(near: NearSymmetries, axis: str) -> Float64:
+    """Rotations (E, 4, 4), identity first, about an axis of the object ("x", "y" or "z") after which its
+    shape is nearly the same, whatever its texture: about an axis of revolution one every 5 degrees.
+
+    Raises InputError where the shape has none.
+    """
+    along = np.eye(3)[AXES.index(axis)]
+    if near.axis is not None and near.offset is not None and abs(along @ near.axis) > ALONG:
+        return rotations_about(near.axis, near.offset, EQUIVALENT_STEP_RAD)
+    turns = np.array([se3.rotation_log(T[:3, :3]) for T in near.transforms])
+    axes = turns / np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), 1e-9)
+    nearest = axes[np.argmax(np.abs(axes @ along))]
+    if abs(nearest @ along) < ALONG:
+        raise InputError(
+            f"--symmetric {axis}",
+            found=f"no rotation about the object's {axis} axis after which its shape is nearly the same",
+            expected="an axis about which there is one",
+            fix="The sheet of `huepose onboard` shows the axes; a file can declare any rotation.",
+        )
+    about = np.abs(axes @ nearest) > _ONE_AXIS
+    about[0] = True
+    return np.asarray(near.transforms[about])
 
 
 def _order_of_subgroup(same: Bool) -> int:

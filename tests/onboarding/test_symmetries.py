@@ -8,8 +8,9 @@ from huepose.onboarding.cloud import visible_cloud
 from huepose.onboarding.near_symmetries import NearSymmetries, even_rotations, near_symmetries
 from huepose.onboarding.reference import diameter_of
 from huepose.onboarding.surface import build_grid, build_surface
-from huepose.onboarding.symmetries import equivalent_rotations
+from huepose.onboarding.symmetries import equivalent_rotations, rotations_about_own
 from huepose.onboarding.visibility import depth_views
+from huepose.support.errors import InputError
 from tests.onboarding import solids
 
 
@@ -54,6 +55,20 @@ def test_a_printed_box_has_flips_of_its_shape_only(bricks) -> None:
         assert near.errors[k] < 0.01
     assert len(equivalents) == 1
     np.testing.assert_array_equal(equivalents[0], np.eye(4))
+
+
+def test_how_a_box_is_turned_about_an_axis_need_not_matter(bricks) -> None:
+    near, _ = bricks[0]
+    turns = rotations_about_own(near, "y")
+    assert len(turns) == 2
+    np.testing.assert_array_equal(turns[0], np.eye(4))
+    assert angles_to(turns[1:], half_turn(1))[0] < 1.5
+
+
+def test_a_shape_that_has_no_such_rotation_says_so() -> None:
+    near = NearSymmetries(np.eye(4)[None], np.zeros(1))
+    with pytest.raises(InputError, match=r"no rotation about the object's z axis .* a file can declare"):
+        rotations_about_own(near, "z")
 
 
 def test_a_blank_box_has_equivalent_flips(bricks) -> None:
@@ -104,6 +119,10 @@ def test_a_printed_can_is_unlike_itself_turned() -> None:
     near, equivalents = analysed(solids.cylinder(0.03, 0.1, label(1)))
     assert len(near.transforms) == 48
     assert len(equivalents) == 1
+    about_its_axis = rotations_about_own(near, "z")
+    assert len(about_its_axis) == 72
+    assert (about_its_axis[:, 2, 2] > 0.999).all()
+    assert len(rotations_about_own(near, "x")) == 2
 
 
 def test_a_wrapper_that_repeats_thrice_looks_the_same_thrice() -> None:

@@ -48,6 +48,17 @@ def test_a_mesh_becomes_a_model(mesh: Path, tmp_path: Path, capsys: pytest.Captu
     assert model.tables is None
 
 
+def test_how_an_object_is_turned_about_an_axis_need_not_matter(
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "bundles"
+    arguments = ["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(out)]
+    assert main([*arguments, "--symmetric", "y"]) == 0
+    assert "2 rotations look the same" in capsys.readouterr().out
+    half_turn = load_models(out)["brick"].equivalents[1]
+    np.testing.assert_allclose(np.diag(half_turn), [-1.0, 1.0, -1.0, 1.0], atol=1e-3)
+
+
 def test_a_model_that_replaces_another_of_its_name_says_so(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose.support.files import check_place, write_bytes, write_picture, write_text
-from huepose_services.cli.onboard import add_test
+from huepose_services.cli.onboard import add_symmetric, add_test
 from huepose_services.cli.options import add_path, add_unit
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("name", metavar="NAME", help="the object's name: 1 to 64 of a-z, 0-9, _ and -")
     parser.add_argument("mesh", type=Path, metavar="MESH", help="textured mesh (OBJ, PLY, GLB or glTF)")
     add_unit(parser)
+    add_symmetric(parser)
     add_test(parser)
     add_path(parser, "--out", "DIR", "the folder (NAME)")
     parser.set_defaults(call=call)
@@ -48,6 +49,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     from huepose.model.io import check_name
     from huepose.onboarding.batch import Job
+    from huepose.onboarding.declared import symmetries_of
     from huepose.onboarding.meshes import length, read_mesh
     from huepose.scenes.builtin import first_shot
     from huepose.scenes.camera import CAMERA
@@ -65,7 +67,8 @@ def call(arguments: argparse.Namespace) -> int:
             fix="Name another one with --out DIR, or delete this one.",
         )
     check_name(arguments.name)
-    job = with_unit(Job(arguments.mesh, arguments.name, unit=arguments.unit))
+    symmetric = symmetries_of(arguments.symmetric) if arguments.symmetric else None
+    job = with_unit(Job(arguments.mesh, arguments.name, unit=arguments.unit, symmetric=symmetric))
     mesh = read_mesh(job.mesh_path, job.unit)
     try:  # in a second, before what takes longer
         shot = first_shot({job.name: mesh})

@@ -40,13 +40,7 @@ def add_parser(subparsers: Any) -> None:
     one.add_argument("--name", required=True, help="the object's name: 1 to 64 of a-z, 0-9, _ and -")
     one.add_argument("--id", type=int, metavar="N", help="the object's number in a BOP data set")
     add_unit(one)
-    add_path(
-        one,
-        "--symmetric",
-        "FILE",
-        "JSON with symmetries of shape and texture: symmetries_discrete and symmetries_continuous as in "
-        "BOP's models_info.json, millimetres",
-    )
+    add_symmetric(one)
     _paper(one)
     add_test(one)
     add_json(one)
@@ -64,6 +58,17 @@ def add_parser(subparsers: Any) -> None:
     _paper(many)
     add_number(many, "--processes", 2, "worker processes (2)")
     many.set_defaults(call=call_bop)
+
+
+def add_symmetric(parser: argparse.ArgumentParser) -> None:
+    """Add the option that says which turns do not matter."""
+    parser.add_argument(
+        "--symmetric",
+        metavar="x|y|z|FILE",
+        help="how it is turned about this axis of the mesh does not matter, where its shape is the same; or "
+        "a JSON file with symmetries_discrete and symmetries_continuous as in BOP's models_info.json, "
+        "millimetres. Without it: those that shape and texture have",
+    )
 
 
 def add_test(parser: argparse.ArgumentParser) -> None:
@@ -87,9 +92,9 @@ def _paper(parser: argparse.ArgumentParser) -> None:
 def call(arguments: argparse.Namespace) -> int:
     """Onboard one mesh. Exit code 1 where a recording showed too little of the object."""
     from huepose.onboarding.batch import Job
-    from huepose.onboarding.declared import read_symmetries
+    from huepose.onboarding.declared import symmetries_of
 
-    symmetric = read_symmetries(arguments.symmetric) if arguments.symmetric else None
+    symmetric = symmetries_of(arguments.symmetric) if arguments.symmetric else None
     made = mesh_from_video(arguments)
     mesh, unit = (made.mesh, METRES) if made else (arguments.mesh, arguments.unit)
     given = (mesh, arguments.name, arguments.id, unit)

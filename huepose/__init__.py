@@ -5,6 +5,7 @@ The front door. Everything is imported when it is first used, so that importing 
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 from huepose.support.deferred import deferred
@@ -17,6 +18,11 @@ if TYPE_CHECKING:
     from huepose.tracking import Correction, Tracker
 
 __version__ = "0.1.0"
+
+# Read when these libraries are loaded: otherwise ONNX Runtime and depthai tell their makers how they are
+# used, under a number that they keep for this computer, wherever there is internet.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+os.environ.setdefault("DEPTHAI_TELEMETRY", "0")
 
 _HOMES = {
     "Box": "huepose.geometry",

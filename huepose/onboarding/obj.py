@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from huepose.geometry.arrays import Float64, Int64
+from huepose.onboarding import polygons
 from huepose.onboarding.mesh_files import MeshFiles, decoded
 from huepose.onboarding.raw_mesh import RE_EXPORT, Material, RawMesh, check_count, check_faces
 from huepose.support.errors import InputError
@@ -128,6 +130,7 @@ class _Statements:
     v_width: int = 0  # numbers of a vertex: 3 or 6
     vt: array[float] = field(default_factory=lambda: array("d"))  # u v
     corners: array[int] = field(default_factory=lambda: array("q"))  # v and vt (or -1); three pairs a face
+    polygons: array[int] = field(default_factory=lambda: array("q"))  # the number of the polygon of each face
     face_materials: array[int] = field(default_factory=lambda: array("q"))
     material_names: list[str] = field(default_factory=list)
     libraries: list[str] = field(default_factory=list)
@@ -141,6 +144,7 @@ def read_obj(files: MeshFiles) -> RawMesh:
     vt = np.array(said.vt, np.float64).reshape(-1, 2)
     corners = np.array(said.corners, np.int64).reshape(-1, 3, 2)
     check_faces(path, v, corners[..., 0])
+    _cut_by_ears(path, v, corners, np.array(said.polygons, np.int64))
     faces = corners[..., 0].astype(np.int32)
     if len(vt) and corners[..., 1].max() >= len(vt):
         found = f"texture coordinate {corners[..., 1].max() + 1}"
@@ -250,9 +254,18 @@ def _add_face(out: _Statements, words: list[str], material: int) -> None:
     """A polygon as a fan of triangles."""
     vertices, texture_vertices = len(out.v) // max(out.v_width, 3), len(out.vt) // 2
     corners = [_corner(word, vertices, texture_vertices) for word in words[1:]]
+    number = out.polygons[-1] + 1 if out.polygons else 0
     for k in range(1, len(corners) - 1):
         out.corners.extend((*corners[0], *corners[k], *corners[k + 1]))
+        out.polygons.append(number)
         out.face_materials.append(material)
+
+
+def _cut_by_ears(path: Path, v: Float64, corners: Int64, polygon: Int64) -> None:
+    """In place: the triangles of polygons that their fans leave."""
+    for fan in polygons.left(v[:, :3], corners[..., 0], polygon):
+        around = np.concatenate([corners[fan.start, :2], corners[fan, 2]])
+        corners[fan] = around[polygons.ears(v[around[:, 0], :3], path)]
 
 
 def _corner(word: str, vertices: int, texture_vertices: int) -> tuple[int, int]:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Int32, Int64, UInt8
+from huepose.onboarding import polygons
 from huepose.onboarding.mesh_files import MeshFiles, decoded
 from huepose.onboarding.raw_mesh import RE_EXPORT, Material, RawMesh, check_count, check_faces
 from huepose.support.errors import InputError
@@ -83,6 +84,10 @@ def read_ply(files: MeshFiles) -> RawMesh:
     vertices = np.stack([vertex[k] for k in "xyz"], 1).astype(np.float64)
     faces, origin, corners = _triangulated(path, lists)
     check_faces(path, vertices, faces)
+    for fan in polygons.left(vertices, faces, origin):
+        around = np.asarray(lists[origin[fan.start]], np.int64)
+        corners[fan] = polygons.ears(vertices[around], path)
+        faces[fan] = around[corners[fan]]
     try:
         uv = _uv(vertex, face, faces, origin, corners)
     except (ValueError, IndexError):
@@ -249,14 +254,14 @@ def _walk(element: _Element, order: str, body: memoryview, at: int) -> tuple[Tab
     return table | {p.name: np.array(table[p.name]) for p in scalars}, at
 
 
-def _triangulated(path: Path, polygons: Any) -> tuple[Int64, Int32, Int32]:
+def _triangulated(path: Path, lists: Any) -> tuple[Int64, Int32, Int32]:
     """Fans: faces (F, 3), the polygon each came from (F,), and its corners within that polygon (F, 3)."""
-    if isinstance(polygons, np.ndarray):
-        sizes = np.full(len(polygons), polygons.shape[1])
-        flat = polygons.reshape(-1).astype(np.int64)
+    if isinstance(lists, np.ndarray):
+        sizes = np.full(len(lists), lists.shape[1])
+        flat = lists.reshape(-1).astype(np.int64)
     else:
-        sizes = np.array([len(p) for p in polygons])
-        flat = np.concatenate(polygons).astype(np.int64)
+        sizes = np.array([len(p) for p in lists])
+        flat = np.concatenate(lists).astype(np.int64)
     fans = np.maximum(sizes - 2, 0)
     check_count(path, int(fans.sum()))
     starts = np.cumsum(sizes) - sizes

@@ -63,8 +63,9 @@ def _flat(points: Float64) -> Float64:
     centred = points - points[0]
     normal = np.cross(centred, np.roll(centred, -1, 0)).sum(0)
     drop = int(np.abs(normal).argmax())
-    flat = np.delete(centred, drop, 1)
-    return flat[:, ::-1] if (normal[drop] < 0) != (drop == 1) else flat
+    kept = [axis for axis in range(3) if axis != drop]
+    flat: Float64 = centred[:, kept[::-1] if (normal[drop] < 0) != (drop == 1) else kept]
+    return flat
 
 
 def _next_ear(flat: Float64, rest: list[int], start: int) -> int:

@@ -60,6 +60,17 @@ def writer_runs(note: Path) -> bool:
     return True
 
 
+def base_port_of(site: str, camera: str) -> int:
+    """The first port of the pipeline of a camera that runs on this machine as this user, by what it notes of
+    itself; where none does, the one that is usual. A second camera's pipeline has another one."""
+    for note in sorted(run_folder().glob("*.json")):
+        with suppress(OSError, ValueError, KeyError, TypeError):
+            said = json.loads(note.read_bytes())
+            if (said["site"], said["camera"]) == (site, camera) and writer_runs(note):
+                return int(said["base_port"])
+    return BASE_PORT
+
+
 def note_of(base_port: int, folder: Path) -> str | None:
     """Of the pipeline that a process says that it runs there: SITE/CAMERA, from which file."""
     for note in folder.glob(f"*-{base_port}.json"):

@@ -1,12 +1,17 @@
 """What a robot's program tells the camera that it carries: a rigid motion, at a time of the right clock."""
 
+import json
+import os
 import queue
 import time
 
 import numpy as np
 import pytest
+import zenoh
 
 from huepose_protos import decode
+from huepose_protos.client import peer
+from huepose_protos.local import endpoint
 from huepose_protos.messages import MountMessage
 from huepose_protos.mount_sender import MountSender
 
@@ -54,3 +59,24 @@ def test_a_motion_that_is_rigid_to_a_thousandth_is_told(sender):
     sender.tell(nearly, time.monotonic_ns() - 20_000_000)
     mount = decode(said.get(timeout=10.0).payload.to_bytes(), MountMessage).mount
     assert mount.quaternion == pytest.approx((0.0, 0.0, 0.5**0.5, 0.5**0.5), abs=1e-4)
+
+
+def test_it_finds_the_pipeline_of_a_second_camera_also_one_that_starts_later(monkeypatch, tmp_path):
+    """Which listens at other sockets: what went to those of the first camera nobody would hear."""
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
+    monkeypatch.setattr("huepose_protos.mount_sender._LOOK_EVERY_NS", 0)
+    said = queue.SimpleQueue()
+    with MountSender("base_link", camera="right") as sender, zenoh.open(listening_at(17467)) as camera:
+        camera.declare_subscriber("huepose/local/right/mount", said.put)
+        note = {"base_port": 17467, "site": "local", "camera": "right", "file": "pipeline.yaml"}
+        (tmp_path / f"{os.getpid()}-17467.json").write_text(json.dumps(note))
+        for _ in range(100):
+            sender.tell(np.eye(4))
+            time.sleep(0.05)
+            if not said.empty():
+                break
+        assert decode(said.get_nowait().payload.to_bytes(), MountMessage).mount.parent == "base_link"
+
+
+def listening_at(port):
+    return peer([], listen=[endpoint(port)])

@@ -252,3 +252,15 @@ def test_noise_and_a_wild_measurement_fit() -> None:
     A, B = measured(12, 0.004)
     B[4] = se3.perturb(B[4], np.array([0.0, 0.0, 0.0, 0.0, 3.0, 0.0]))
     assert hand_eye_doubts.fits(B, hand_eye.solve(A, B))
+
+
+def test_the_two_files_exchanged_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """All fits then, too: the mount would be the inverse of the right one."""
+    A, B = measured(8)
+    first, *lines = rows(B).splitlines()
+    seen = "\n".join([f"{first},instance,stamp,quality", *(f"{line},0,1.5,0.99" for line in lines)])
+    options = files(tmp_path, seen, rows(np.array([se3.inverse(a) for a in A])))
+    assert main(["calibrate", "hand-eye", *options, "--camera", "fixed"]) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "hand.csv: found poses of an object" in said
+    assert "Is it the file for --object?" in said

@@ -70,7 +70,7 @@ def test_it_finds_the_pipeline_of_a_second_camera_also_one_that_starts_later(mon
         camera.declare_subscriber("huepose/local/right/mount", said.put)
         note = {"base_port": 17467, "site": "local", "camera": "right", "file": "pipeline.yaml"}
         (tmp_path / f"{os.getpid()}-17467.json").write_text(json.dumps(note))
-        for _ in range(100):
+        for _ in range(600):
             sender.tell(np.eye(4))
             time.sleep(0.05)
             if not said.empty():

@@ -207,6 +207,14 @@ def test_status_refers_to_the_worker_that_says_it_above() -> None:
     assert text.endswith("\n  See the estimator above.")
 
 
+def test_status_says_of_a_recording_that_is_played_that_no_worker_runs() -> None:
+    health = next(m for m in messages() if isinstance(m, HealthMessage))
+    one = Pipeline(base_port=17447, site="local", camera="cam0", folder="/run", file="pipeline.yaml")
+    for pipeline, played in ((one, True), (msgspec.structs.replace(one, workers=("camera",)), False)):
+        text = as_text(View(pipeline, True, {"camera": health}, frozenset(), (), [], {}))
+        assert ("a recording that is played: its workers as they were then" in text) == played
+
+
 def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> None:
     entries = [
         ObjectEntry(object=name, max_instances=1, searching=0, reason=NONE_COMES) for name in ("mug", "jar")

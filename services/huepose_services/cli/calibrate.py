@@ -54,7 +54,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.geometry.hand_eye_certainty import certainty
 
     seen = _of_one_thing(arguments.object, arguments.name)
-    hand = _of_one_thing(arguments.hand, None)
+    hand = _of_one_thing(arguments.hand, None, of_hand=True)
     frames = sorted(set(seen) & set(hand))
     if not frames:
         raise InputError(arguments.hand, found="no frame that is in both files", expected="the same frames")
@@ -159,14 +159,22 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
     )
 
 
-def _of_one_thing(path: Path, name: str | None) -> dict[int, Float64]:
+def _of_one_thing(path: Path, name: str | None, of_hand: bool = False) -> dict[int, Float64]:
     """The poses (4, 4) of a file by frame. name: whose, with or without the instance; needed where there are
-    several. Raises InputError."""
+    several. Raises InputError, also for poses of an object where the hand's are meant: they would give a
+    mount that fits, and is the inverse of the right one."""
     from collections import Counter
 
     from huepose.evaluation.pose_files import read_pose_rows
 
     rows = read_pose_rows(path)
+    if of_hand and any(row.instance is not None for row in rows):
+        raise InputError(
+            path,
+            found="poses of an object, as `huepose poses --csv` writes them",
+            expected="poses of the robot's hand in its base",
+            fix="Is it the file for --object?",
+        )
     counts = Counter(row.name for row in rows)
     kinds = ", ".join(f"{thing} ({count})" for thing, count in counts.items())
     if name is not None:

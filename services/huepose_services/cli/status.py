@@ -76,6 +76,7 @@ def _as_json(view: View) -> str:
         {
             "pipeline": view.pipeline,
             "running": view.seen,
+            "played": view.pipeline.played,
             "well": view.well,
             "missing": view.missing,
             "silent": sorted(view.silent),
@@ -97,7 +98,10 @@ def as_text(view: View) -> str:
     """Several lines without colour: one for each worker, one for each object."""
     from huepose_services.runtime.config import WORKERS
 
-    lines = [f"{view.pipeline.name} at port {view.pipeline.base_port}   {view.pipeline.file}".rstrip(), _HEAD]
+    lines = [f"{view.pipeline.name} at port {view.pipeline.base_port}   {view.pipeline.file}".rstrip()]
+    if view.pipeline.played:
+        lines.append("a recording that is played: its workers as they were then, none runs now")
+    lines.append(_HEAD)
     order = [w for w in WORKERS if w in view.health or w in view.missing or w in view.silent]
     for worker in order:
         message = view.health.get(worker)

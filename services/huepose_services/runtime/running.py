@@ -46,6 +46,11 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
         return bool(self.folder)
 
     @property
+    def played(self) -> bool:
+        """Whether a recording stands in for it: nobody runs its workers."""
+        return self.noted and not self.workers
+
+    @property
     def recorded(self) -> bool:
         """Whether its file is a recording that is played, and no configuration."""
         return self.file.endswith(".mcap")
@@ -53,7 +58,7 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def absence(self) -> str:
         """What to say where nothing is heard of it."""
-        if self.noted and not self.workers:
+        if self.played:
             return f"{self.name} is a recording that is played, {self.file}: there is nothing to steer"
         if self.noted:
             return f"{self.name} is being started, from {self.file}; its log says how far it is"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _NONE_SEEN_AFTER_S = 3.0
 _LONGEST_WAIT_NS = 100_000_000
-_LOOK_EVERY_S, _STOPPED_AFTER_S = 0.1, 0.7
+_LOOK_EVERY_S, _STOPPED_AFTER_S, _FLUSH_EVERY_S = 0.1, 0.7, 1.0
 
 
 def add_parser(subparsers: Any) -> None:
@@ -56,9 +56,11 @@ def call(arguments: argparse.Namespace) -> int:
     seconds = float("inf") if arguments.seconds is None else arguments.seconds
     if arguments.save is None:
         threading.Thread(target=_end, args=(stopping,), daemon=True).start()
-    pictures = _run(config, recording, seconds, stopping, arguments)
-    recording.flush()
+    pictures, spoilt = _run(config, recording, seconds, stopping, arguments)
     recording.disconnect()
+    if spoilt:
+        say(f"huepose view: {arguments.save}: {spoilt}; what was written stays")
+        return 1
     if arguments.save is not None:
         if not pictures:
             say("huepose view: no pipeline gave a picture, so nothing was saved")
@@ -110,8 +112,8 @@ def _run(
     seconds: float,
     stopping: Callable[[], bool],
     arguments: argparse.Namespace,
-) -> int:
-    """Show until told to stop; how many pictures came."""
+) -> tuple[int, str]:
+    """Show until told to stop, or the disk is full: how many pictures came, and why a file is not whole."""
     from huepose_services import models
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
@@ -133,9 +135,9 @@ def _run(
         known if arguments.pairs else None,
         begins_with_picture=arguments.save is not None,
     )
-    say_at = time.monotonic() + _NONE_SEEN_AFTER_S
+    say_at, flush_at, spoilt = time.monotonic() + _NONE_SEEN_AFTER_S, time.monotonic(), ""
     end = time.monotonic() + seconds
-    while not stopping() and time.monotonic() < end:
+    while not (stopping() or spoilt) and time.monotonic() < end:
         due_ns = work.due_ns()
         wait_ns = _LONGEST_WAIT_NS if due_ns is None else min(due_ns - now_ns(), _LONGEST_WAIT_NS)
         bus.inbox.wait(wait_ns / SECOND)
@@ -144,6 +146,19 @@ def _run(
             say_at = float("inf")
             text = f"waiting for a pipeline: {chosen(arguments, tell=False).absence}"
             say(text)
+        if arguments.save is not None and time.monotonic() > flush_at:
+            flush_at, spoilt = time.monotonic() + _FLUSH_EVERY_S, _flushed(recording)
     bus.close()
     session.close()
-    return bus.health.counters.get("pictures", 0)
+    return bus.health.counters.get("pictures", 0), spoilt or _flushed(recording)
+
+
+def _flushed(recording: Any) -> str:
+    """Why what was shown so far does not all reach the disk; empty where it does."""
+    from huepose_services.viewer import sinks
+
+    try:
+        sinks.flush(recording)
+    except OSError as error:
+        return str(error)
+    return ""

@@ -226,10 +226,12 @@ class Parts:
         try:
             self._writer.finish()
             self._file.flush()
-            self._closed_at = self._file.tell()
             os.fsync(self._file.fileno())
         finally:
-            self._file.close()
+            try:
+                self._file.close()  # which on a full disk fails as well
+            finally:
+                self._closed_at = self._path.stat().st_size
 
 
 def _raw(at: Timestamp, name: str, image: Array, encoding: str) -> RawImage:

@@ -75,7 +75,20 @@ def window(memory_mib: int) -> Any:
 
 
 def saved(path: Path) -> Any:
-    """A recording into a file. `disconnect()` at the end completes it."""
+    """A recording into a file. `disconnect()` at the end completes it. Raises InputError where the disk does
+    not take it."""
     recording = _recording()
-    recording.save(path, default_blueprint=layout())
+    try:
+        recording.save(path, default_blueprint=layout())
+    except RuntimeError as error:
+        found = " ".join(str(error).split())
+        raise InputError(path, found=found, expected="a place that can be written") from None
     return recording
+
+
+def flush(recording: Any) -> None:
+    """Waits until a recording's file has all of it. Raises OSError where the disk takes no more."""
+    try:
+        recording.flush()
+    except RuntimeError as error:  # what rerun's writer met stands in its log
+        raise OSError(f"the file cannot be written any further ({error})") from None

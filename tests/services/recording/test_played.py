@@ -76,6 +76,15 @@ def test_on_a_full_disk_an_export_names_its_file(tmp_path, capsys):
     assert f"{folder / 'poses.jsonl'}: found File too large" in capsys.readouterr().err
 
 
+def test_the_size_of_a_recording_that_filled_the_disk_is_that_of_its_file(tmp_path):
+    out = parts(tmp_path / "out")
+    for number in range(200):
+        out.frame(*tiny_frame(number), KEY + "frame")
+    with full_disk(2000), pytest.raises(OSError, match="File too large"):
+        out.close()
+    assert out.size == out.path.stat().st_size > 0
+
+
 def test_poses_of_objects_without_numbers_are_scored(tmp_path, tea_box, capsys):
     """As in the recording of a pipeline of one's own objects, which have names alone."""
     save_model(tea_box, model_path(tmp_path / "bundles", "tea_box"))

@@ -1,5 +1,9 @@
 """What the viewer draws, against geometry that is known, and what it writes, read back."""
 
+import re
+import subprocess
+import sys
+
 import cv2
 import msgspec
 import numpy as np
@@ -217,6 +221,43 @@ def test_a_file_of_another_ending_is_refused_before_anything_is_looked_for(name,
     assert "expected a file for the rerun viewer, FILE.rrd" in said
     assert "huepose estimate --image" in said
     assert not (tmp_path / name).exists()
+
+
+FULL = """
+import sys
+from pathlib import Path
+import numpy as np, rerun as rr
+from huepose.support.errors import InputError
+from huepose_services.viewer.sinks import flush, saved
+from tests.disk import full_disk
+with full_disk():
+    try:
+        saved(Path(sys.argv[1]) / "none.rrd")
+    except InputError as error:
+        print(error)
+with full_disk(100_000):
+    recording = saved(Path(sys.argv[1]) / "out.rrd")
+    flush(recording)
+    print("begun")
+    for k in range(50):
+        recording.log(f"a/{k}", rr.Image(np.random.default_rng(k).integers(0, 255, (99, 99, 3), np.uint8)))
+        try:
+            flush(recording)
+        except OSError as error:
+            print(error, flush=True)
+            __import__("os")._exit(0)
+"""
+
+
+def test_a_full_disk_is_said_where_a_file_begins_and_once_it_takes_no_more(tmp_path):
+    pytest.importorskip("rerun")
+    # In a process of its own: rerun never gives up a file that it could not write.
+    program = [sys.executable, "-c", FULL, str(tmp_path)]
+    done = subprocess.run(program, capture_output=True, text=True, timeout=60.0)
+    first, begun, last = done.stdout.splitlines()
+    assert re.search("none.rrd: found .*; expected a place that can be written", first)
+    assert begun == "begun"
+    assert "cannot be written any further" in last
 
 
 @pytest.mark.parametrize("begins_with_picture", [True, False])

@@ -100,11 +100,19 @@ class YoloDetector:
         return numbers
 
     def detect(self, frame: RgbdFrame, names: Sequence[str]) -> list[Detection]:
-        """Boxes of the named objects, best first; several of one name are several instances."""
+        """Boxes of the named objects, best first; several of one name are several instances. Raises
+        InputError where the network's boxes are no pixels."""
         box_of = Letterbox.of(frame.color.shape[:2], self._input_size, centered=not self._is_yolox)
         tensor = self._tensor(box_of.apply(frame.color, self._input_size))
         output = self._network.run({self._network.inputs[0].name: tensor})[self._network.outputs[0].name]
         found = candidates(output, self.layout, self._input_size, self._confidence)
+        if len(found.corners) and found.corners.max() <= _SHARES:
+            raise InputError(
+                self._network.path,
+                found=f"boxes within {found.corners.max():.2f} pixels of the corner: shares of the picture?",
+                expected=f"corners, or centres and sizes, in pixels of its input ({self.layout})",
+                fix="Export the network again, with boxes that are not normalised.",
+            )
         corners = box_of.back(found.corners)
         if self.layout == "end2end":
             kept = np.argsort(-found.scores, kind="stable")
@@ -239,6 +247,8 @@ def suppress_overlaps(corners: Float, scores: Float, classes: np.ndarray, overla
 STRIDES = (8, 16, 32)
 LAYOUTS = ("v5", "v8", "yolox", "yolox_raw", "end2end")
 # Decoded centres reach across the input; raw offsets and logarithms stay below this.
+_SHARES = 2.0
+"""No box of an object is so near to the picture's corner as where all are shares of its width and height."""
 _RAW_LIMIT = 24.0
 
 

@@ -99,6 +99,17 @@ def test_only_what_is_asked_for_and_sure_enough_is_given(tmp_path):
     assert [d.object for d in detector.detect(_frame(), ["any", "mug"])] == ["any", "mug"]
 
 
+@pytest.mark.parametrize("layout", ["v8", "v5", "end2end"])
+def test_boxes_in_shares_of_the_picture_are_refused(tmp_path, layout):
+    """They would be boxes of a pixel in the corner: nothing was found, ever."""
+    output = OUTPUTS[layout]()
+    boxes = output[:4] if layout == "v8" else output[:, :4]
+    boxes /= SIDE
+    detector = YoloDetector(_network(tmp_path, output), {"mug": [2]}, layout=layout)
+    with pytest.raises(InputError, match=r"net.onnx: found boxes within 0\.\d\d pixels .*not normalised"):
+        detector.detect(_frame(), ["mug"])
+
+
 def test_classes_by_name_come_from_the_file(tmp_path):
     names = {"names": "{0: 'box', 1: 'tin can', 2: 'mug'}"}
     network = _network(tmp_path, OUTPUTS["v8"](), metadata=names)

@@ -1,4 +1,6 @@
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -117,3 +119,11 @@ def test_every_shipped_fit_rises_with_every_feature() -> None:
         assert fit.probabilities(PLAIN).sum() <= 1.0
         assert fit.present(better) > fit.present(PLAIN)
         assert quality(name, better) > quality(name, PLAIN)
+
+
+def test_the_page_of_tracking_says_what_its_belief_is_fitted_on() -> None:
+    root = Path(__file__).parents[2]
+    origin = json.loads((root / "huepose" / "believe" / "fits.json").read_text())["frame"]["origin"]
+    page = " ".join((root / "docs" / "tracking.md").read_text().split())
+    for said in origin.values():
+        assert " ".join(said.split()) in page

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import shlex
 import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -166,7 +167,7 @@ def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> 
 def _no_models(folder: Path) -> InputError:
     """Of what is no folder of reference models, with what may be meant."""
     found = "no reference models" if folder.is_dir() else "no such folder"
-    fix = f"Make them: huepose onboard MESH --name NAME --out {folder}."
+    fix = f"Make them: huepose onboard MESH --name NAME --out {shlex.quote(str(folder))}."
     if folder.is_file():
         found, fix = "a file", f"Give its folder: {folder.parent}."
     elif below := sorted(path.parent for path in folder.glob(f"*/*{SUFFIX}")):

@@ -322,6 +322,8 @@ def _material(asset: Asset, index: int) -> Material:
                 fix="Export again with PNG or JPEG textures (not KTX2 or WebP).",
             )
         texture = asset.image(source)
+        if not asset.files.textured and entry.get("alphaMode", "OPAQUE") == "OPAQUE":
+            texture = np.zeros((1, 1, 3), np.uint8)  # nothing of it shows through
         if (factor != 1.0).any():
             tables = _srgb(_linear(np.arange(256, dtype=np.uint8))[:, None] * factor)
             texture = np.stack([tables[texture[..., c], c] for c in range(3)], -1)

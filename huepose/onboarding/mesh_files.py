@@ -11,9 +11,11 @@ import stat
 import warnings
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from huepose.geometry.arrays import UInt8
 from huepose.onboarding.kinds import check_fetched
@@ -31,10 +33,11 @@ _PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")
 
 class MeshFiles:
     """Reads a mesh file and the files that it names, and counts what they take. textured: its pictures are
-    asked for; else they are black, of one texel, and only their sizes are looked at."""
+    asked for; else they are black, of one texel, and only their sizes are looked at; of those that may be
+    transparent the texels that are so are white."""
 
     def __init__(self, mesh: Path, textured: bool = True) -> None:
-        self.mesh, self._textured = mesh, textured
+        self.mesh, self.textured = mesh, textured
         self._bytes_left, self._texels_left = LARGEST_BYTES, LARGEST_TEXTURES
         self._textures: dict[Path, UInt8] = {}
 
@@ -61,7 +64,7 @@ class MeshFiles:
 
     def picture(self, data: bytes, what: str) -> UInt8:
         """PNG, JPEG and so on to (H, W, 3) uint8 RGB. Raises InputError naming `what`."""
-        texels = _texels(data, what)
+        texels, may_be_clear = _header(data, what)
         self._texels_left -= texels
         if self._texels_left < 0:
             raise InputError(
@@ -70,15 +73,18 @@ class MeshFiles:
                 expected=f"at most {LARGEST_TEXTURES / 1e6:.0f} million texels in all",
                 fix="Make the textures smaller.",
             )
-        if not self._textured:
+        if not (self.textured or may_be_clear):
             return np.zeros((1, 1, 3), np.uint8)
-        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        kind = cv2.IMREAD_COLOR if self.textured else cv2.IMREAD_UNCHANGED
+        flags = kind | cv2.IMREAD_IGNORE_ORIENTATION
         try:
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
         except cv2.error:
             image = None
         if image is None:
             raise _no_picture(data, what)
+        if not self.textured:
+            return _clear(image)
         return np.ascontiguousarray(image[..., ::-1])
 
     def _find(self, name: str, role: str, named_in: Path) -> Path:
@@ -147,8 +153,9 @@ def decoded(data: bytes) -> str:
         return data.decode("latin-1")
 
 
-def _texels(data: bytes, what: str) -> int:
-    """Width times height as a picture's header says. Raises InputError for none, and for too many."""
+def _header(data: bytes, what: str) -> tuple[int, bool]:
+    """Width times height as a picture's header says, and whether it may be transparent. Raises InputError for
+    none, and for too many."""
     from PIL import Image
 
     try:
@@ -156,13 +163,22 @@ def _texels(data: bytes, what: str) -> int:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(BytesIO(data), formats=_PICTURE_FORMATS) as header:
                 width, height = header.size
+                may_be_clear = "A" in header.mode or "transparency" in header.info
     except Image.DecompressionBombError as error:
         raise _too_large(what, str(error)) from None
     except (OSError, ValueError, SyntaxError):
         raise _no_picture(data, what) from None
     if width * height > LARGEST_TEXTURE:
         raise _too_large(what, f"{width} x {height} texels")
-    return width * height
+    return width * height, may_be_clear
+
+
+def _clear(image: NDArray[Any]) -> UInt8:
+    """White (H, W, 3) where a picture as decoded is transparent, else black."""
+    if image.ndim != 3 or image.shape[2] != 4:
+        return np.zeros((1, 1, 3), np.uint8)
+    clear = image[..., 3:] < np.iinfo(image.dtype).max // 2
+    return np.repeat(255 * clear.astype(np.uint8), 3, axis=2)
 
 
 def _too_large(what: str, found: str) -> InputError:

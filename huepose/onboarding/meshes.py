@@ -66,12 +66,14 @@ def unit_of_format(path: Path) -> Unit | None:
 class Looked:
     """What a mesh is before its unit is settled. sizes: its largest side, metres, by the units in which it is
     that of an object, metres and millimetres first; parts: the names of the meshes that are taken as one;
-    away, diameter: from its origin to its middle, and across its bounds, in the file's unit."""
+    away, diameter: from its origin to its middle, and across its bounds, in the file's unit; clear: the share
+    of its surface on which its texture is transparent, which is read as if it were not."""
 
     sizes: dict[Unit, float]
     parts: tuple[str, ...]
     away: float
     diameter: float
+    clear: float
 
 
 def look_at(path: Path) -> Looked:
@@ -80,10 +82,32 @@ def look_at(path: Path) -> Looked:
         raw = _raw(path, textured=False)  # a large one takes seconds
         vertices = _referenced(raw)[0]
         side, low, high = _extent(vertices), vertices.min(0), vertices.max(0)
+        clear = _clear_share(raw)
     units: tuple[Unit, ...] = ("m", "mm", "cm", "in")
     sizes = {unit: side * METRES[unit] for unit in units if SMALLEST_M <= side * METRES[unit] <= LARGEST_M}
     away, diameter = float(np.linalg.norm((low + high) / 2.0)), float(np.linalg.norm(high - low))
-    return Looked(sizes, raw.parts, away, diameter)
+    return Looked(sizes, raw.parts, away, diameter, clear)
+
+
+_INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [4, 4, 1], [4, 1, 4], [1, 4, 4]], float)
+"""Places of a triangle at which its texture is looked at: barycentric coordinates, but for their sums."""
+
+
+def _clear_share(raw: RawMesh) -> float:
+    """The share of the surface whose texels are white, of a mesh that was read without its textures."""
+    places = _INSIDE / _INSIDE.sum(1, keepdims=True)
+    a, b, c = (raw.vertices[raw.faces[:, k]] for k in range(3))
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    clear = 0.0
+    for number, material in enumerate(raw.materials):
+        if raw.uv is None or material.texture is None or not material.texture.any():
+            continue
+        mine = raw.face_materials == number
+        height, width = material.texture.shape[:2]
+        u, v = np.moveaxis(places @ raw.uv[mine].astype(float) % 1.0, -1, 0)
+        seen = material.texture[(v * height).astype(int) % height, (u * width).astype(int) % width].any(-1)
+        clear += float((seen.mean(1) * areas[mine]).sum())
+    return clear / max(float(areas.sum()), np.finfo(float).tiny)
 
 
 def _raw(path: Path, textured: bool = True) -> RawMesh:

@@ -66,17 +66,18 @@ def _parsed(mtl: Path, text: str) -> tuple[dict[str, tuple[int, int, int]], dict
         words = line.split()
         if not words:
             continue
-        if words[0] == "newmtl":
+        kind = words[0].lower()  # some exporters write MAP_KD
+        if kind == "newmtl":
             name = line.split(None, 1)[1].strip() if len(words) > 1 else ""
             colors[name] = _GREY
-        elif words[0] == "Kd" and len(words) >= 4:
+        elif kind == "kd" and len(words) >= 4:
             try:
                 r, g, b = (min(255, max(0, round(255 * float(w)))) for w in words[1:4])
             except (ValueError, OverflowError):
                 found = line.strip()[:60]
                 raise InputError(mtl, found=found, expected="Kd r g b with numbers 0..1") from None
             colors[name] = (r, g, b)
-        elif words[0] == "map_Kd" and len(words) > 1:
+        elif kind == "map_kd" and len(words) > 1:
             maps[name] = line
     return colors, maps
 

@@ -79,6 +79,13 @@ def read_ply(files: MeshFiles) -> RawMesh:
     vertex = {k: column for k, column in tables.get("vertex", {}).items() if np.ndim(column) == 1}
     face = tables.get("face", {})
     lists = face.get("vertex_indices", face.get("vertex_index"))
+    if {"x", "y", "z"} <= vertex.keys() and (lists is None or len(lists) == 0):
+        raise InputError(
+            path,
+            found=f"{len(vertex['x'])} points and no faces",
+            expected="a triangle mesh",
+            fix="Make a mesh of the points (MeshLab: Screened Poisson), or learn the object by --from-video.",
+        )
     if not {"x", "y", "z"} <= vertex.keys() or lists is None or not _is_lists(lists) or len(lists) == 0:
         raise InputError(path, found="no vertices or no faces", expected="a triangle mesh", fix=RE_EXPORT)
     vertices = np.stack([vertex[k] for k in "xyz"], 1).astype(np.float64)

@@ -169,3 +169,11 @@ def test_more_coloured_triangles_than_there_are_texels_are_refused_with_how_to_h
     ) as caught:
         read_mesh(tmp_path / "m.ply", "mm")
     assert "Simplify the mesh (Blender: Decimate; MeshLab: Quadric Edge" in str(caught.value)
+
+
+@pytest.mark.parametrize("faces", ["", "element face 0\nproperty list uchar int vertex_indices\n"])
+def test_a_cloud_of_points_is_called_one(tmp_path: Path, faces: str) -> None:
+    header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
+    (tmp_path / "m.ply").write_text(f"{header}{faces}end_header\n0 0 0\n1 0 0\n")
+    with pytest.raises(InputError, match=r"found 2 points and no faces; .*Screened Poisson.*--from-video"):
+        read_mesh(tmp_path / "m.ply")

@@ -52,6 +52,14 @@ def test_forms_of_obj_faces(tmp_path: Path, face: str) -> None:
     assert high[0] > 240 > 10 > high[2]
 
 
+def test_the_words_of_a_material_may_be_of_large_letters(tmp_path: Path, printed_box: Mesh) -> None:
+    files.write_obj(tmp_path / "m.obj", printed_box)
+    plain = read_mesh(tmp_path / "m.obj")
+    text = (tmp_path / "m.mtl").read_text()
+    (tmp_path / "m.mtl").write_text(text.replace("newmtl", "NEWMTL").replace("map_Kd", "MAP_KD"))
+    assert_same(read_mesh(tmp_path / "m.obj"), plain)
+
+
 def test_polygons_of_a_ply_become_fans(tmp_path: Path) -> None:
     square = np.array([[0, 0, 0], [40, 0, 0], [40, 40, 0], [0, 40, 0], [0, 0, 40]], float)
     files.write_colored_ply(tmp_path / "m.ply", square, np.full((5, 3), 90), [[0, 1, 2, 3], [0, 1, 4]])

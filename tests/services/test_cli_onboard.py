@@ -11,12 +11,14 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 from huepose.model import load_models
 from huepose.onboarding import simplify
 from huepose.onboarding.batch import Job
+from huepose.onboarding.texture import used_texels
 from huepose_services.cli.main import main
 from huepose_services.cli.mesh_unit import with_unit
 from tests.onboarding import mesh_files as files
@@ -207,6 +209,45 @@ def test_the_meshes_of_a_file_that_are_taken_as_one_object_are_named(
     assert said(1) == ""
     assert "note: the file holds 2 meshes: carton, second; they are taken as one object. Export" in said(2)
     assert "8 meshes: part 0, part 1, part 2, part 3, part 4 and 3 more; they" in said(8)
+
+
+@pytest.mark.parametrize(
+    ("form", "mode", "everywhere", "noted"),
+    [
+        (
+            "obj",
+            "",
+            True,
+            "note: the texture is transparent on 100 % of the surface; it is read as opaque there",
+        ),
+        ("obj", "", False, ""),
+        ("glb", "MASK", True, "note: the texture is transparent on 100 % of the surface"),
+        ("glb", "OPAQUE", True, ""),
+    ],
+)
+def test_a_surface_that_is_transparent_is_noted_and_what_no_surface_shows_is_not(
+    form: str, mode: str, everywhere: bool, noted: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An atlas is often transparent beside its parts."""
+    box = solids.box((0.06, 0.04, 0.03))
+    used = cv2.dilate(used_texels(box.uv, *box.texture.shape[:2]), np.ones((3, 3), np.uint8))
+    alpha = np.zeros_like(used) if everywhere else 255 * used
+    clear = cv2.imencode(".png", np.dstack([box.texture[..., ::-1], alpha]))[1].tobytes()
+    if form == "obj":
+        files.write_obj(tmp_path / "m.obj", box)
+        (tmp_path / "m.png").write_bytes(clear)
+    else:
+        w = files.GlbWriter()
+        corners = box.vertices[box.faces].reshape(-1, 3).astype("<f4")
+        attributes = {"POSITION": w.accessor(corners, "VEC3")}
+        attributes["TEXCOORD_0"] = w.accessor(box.uv.reshape(-1, 2).astype("<f4"), "VEC2")
+        material = w.textured_material(box.texture)
+        w.tree["images"][0]["bufferView"] = w.view(clear)
+        w.tree["materials"][0]["alphaMode"] = mode
+        w.write(tmp_path / "m.glb", [{"mesh": w.mesh(attributes, material=material)}], [0])
+    with_unit(Job(tmp_path / f"m.{form}", "m", unit="mm" if form == "obj" else "m"))
+    said = capsys.readouterr().err
+    assert said.startswith(noted) if noted else said == ""
 
 
 @pytest.mark.parametrize(("away_m", "noted"), [(0.1, ""), (5.4, "5.4 m")])

@@ -1,5 +1,5 @@
 """What is said of a mesh before anything is learnt: its unit, which is settled where it gives none (said,
-asked for, or demanded), that it is of several parts, that its origin is far off."""
+asked for, or demanded), that it is of several parts, partly transparent, that its origin is far off."""
 
 from __future__ import annotations
 
@@ -21,6 +21,9 @@ SMALL_M, LARGE_M = 0.03, 0.6
 FAR = 2.0
 """Diameters from its origin to the middle of a mesh from which it is said."""
 
+CLEAR = 0.02
+"""Share of a surface that is transparent from which it is said."""
+
 _NAMED = 5
 """Parts of a mesh that are named."""
 
@@ -36,6 +39,7 @@ def with_unit(job: Job) -> Job:
     looked = look_at(job.mesh_path)
     job = _with_unit(job, looked.sizes)
     _say_of_parts(looked.parts)
+    _say_of_clear(looked.clear)
     if job.unit in looked.sizes:
         _say_of_origin(looked, job.unit)
     return job
@@ -68,6 +72,16 @@ def _say_of_parts(parts: tuple[str, ...]) -> None:
         say(
             f"note: the file holds {len(parts)} meshes: {', '.join(parts[:_NAMED])}{more}; they are taken as "
             "one object. Export several objects each by itself"
+        )
+
+
+def _say_of_clear(share: float) -> None:
+    """Of a texture with holes, as a label's on a sheet of its own."""
+    if share > CLEAR:
+        say(
+            f"note: the texture is transparent on {100.0 * share:.0f} % of the surface; it is read as opaque "
+            "there, in the colour that the picture has under it. Look at the sheet beside the reference "
+            "model whether that is right; else cut these parts off, or fill the picture"
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -40,11 +41,6 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Record until it ends or is interrupted."""
-    from huepose_services.recording.parts import Limits, Parts
-    from huepose_services.recording.record import Recorder, about_this_machine
-    from huepose_services.runtime.bus import Bus
-    from huepose_services.runtime.clock import this_clock
-    from huepose_services.runtime.session import open_recorder_session
     from huepose_services.runtime.worker import come_first
 
     part, keep, free = arguments.part, arguments.keep, arguments.free
@@ -54,10 +50,26 @@ def call(arguments: argparse.Namespace) -> int:
             found=f"--part {part} --keep {keep} --free {free}",
             expected="--part 1 or more, --keep no less than that, --free 0 or more",
         )
-    config = chosen_config(arguments)
     stopping = until_told()
-
     come_first("record")
+    while True:
+        code = _recorded(arguments, stopping)
+        if code is not None:
+            return code
+
+
+def _recorded(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> int | None:
+    """Record the pipeline that is meant now; None, without a file, where another one is meant before anything
+    is heard of it: it was started meanwhile."""
+    from huepose_services.recording.parts import Limits, Parts
+    from huepose_services.recording.record import Recorder, about_this_machine
+    from huepose_services.runtime.bus import Bus
+    from huepose_services.runtime.clock import this_clock
+    from huepose_services.runtime.session import open_recorder_session
+
+    part, keep, free = arguments.part, arguments.keep, arguments.free
+    config = chosen_config(arguments)
+    place = chosen(arguments, tell=False).place
     limits = Limits(part << 20, None if keep is None else keep << 20, free << 20)
     about = about_this_machine() | {"site": config.site, "camera": config.camera.name}
     parts = Parts(arguments.out, limits, this_clock().realtime_offset_ns, about, arguments.jpeg)
@@ -66,9 +78,11 @@ def call(arguments: argparse.Namespace) -> int:
     recorder = Recorder(bus, parts, with_frames=not arguments.no_frames)
     status = Status()
     code, say_at, end_at = 0, time.monotonic() + _NOTHING_HEARD_AFTER_S, float("inf")
+    another = False
     try:
-        while not stopping() and not recorder.finished:
+        while not (stopping() or recorder.finished or another):
             recorder.step(0.1)
+            another = recorder.span.first_ns is None and chosen(arguments, tell=False).place != place
             status.show(_how_far(recorder, parts))
             if time.monotonic() > say_at and recorder.span.first_ns is None:
                 say_at = float("inf")
@@ -78,6 +92,10 @@ def call(arguments: argparse.Namespace) -> int:
                 end_at = min(end_at, time.monotonic() + arguments.seconds)
             if time.monotonic() >= end_at:
                 break
+    except InputError:  # several run now
+        parts.close()
+        parts.path.unlink(missing_ok=True)
+        raise
     except OSError as error:
         say(f"\nhuepose record: {error.strerror or error}; what was written stays")
         code = 1
@@ -89,6 +107,9 @@ def call(arguments: argparse.Namespace) -> int:
     except OSError as error:
         say(f"\nhuepose record: {error.strerror or error}; the end is missing")
         code = 1
+    if another:
+        parts.path.unlink(missing_ok=True)
+        return None
     if recorder.span.first_ns is None:
         say("\nhuepose record: no pipeline said anything, so nothing was recorded")
         parts.path.unlink(missing_ok=True)

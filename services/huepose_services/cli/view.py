@@ -56,7 +56,13 @@ def call(arguments: argparse.Namespace) -> int:
     seconds = float("inf") if arguments.seconds is None else arguments.seconds
     if arguments.save is None:
         threading.Thread(target=_end, args=(stopping,), daemon=True).start()
-    pictures, spoilt = _run(config, recording, seconds, stopping, arguments)
+    end = time.monotonic() + seconds
+    if _waited(stopping, end, arguments):
+        config = chosen_config(arguments)
+    seen: tuple[int, str] | None = (0, "")
+    while not stopping() and (seen := _run(config, recording, end, stopping, arguments)) is None:
+        config = chosen_config(arguments)
+    pictures, spoilt = seen or (0, "")
     recording.disconnect()
     if spoilt:
         say(f"huepose view: {arguments.save}: {spoilt}; what was written stays")
@@ -106,14 +112,36 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
     return recording
 
 
+def _waited(stopping: Callable[[], bool], end: float, arguments: argparse.Namespace) -> bool:
+    """Where no pipeline is known, waits until one is or is heard, and says so: until then its objects, which
+    take time to load, are anyone's. Whether it waited."""
+    from huepose_protos.client import Reader
+
+    pipeline = chosen(arguments, tell=False)
+    if pipeline.file:
+        return False
+    say_at = time.monotonic() + _NONE_SEEN_AFTER_S
+    with Reader(pipeline.endpoints, pipeline.key("health/*")) as reader:
+        while not (stopping() or reader.seen or chosen(arguments, tell=False).file):
+            now = time.monotonic()
+            if now > end:
+                break
+            if now > say_at:
+                say_at = float("inf")
+                say(f"waiting for a pipeline: {pipeline.absence}")
+            time.sleep(_LOOK_EVERY_S)
+    return True
+
+
 def _run(
     config: Config,
     recording: Any,
-    seconds: float,
+    end: float,
     stopping: Callable[[], bool],
     arguments: argparse.Namespace,
-) -> tuple[int, str]:
-    """Show until told to stop, or the disk is full: how many pictures came, and why a file is not whole."""
+) -> tuple[int, str] | None:
+    """Show until told to stop, or the disk is full: how many pictures came, and why a file is not whole. None
+    where another pipeline is meant before a picture came: it was started meanwhile."""
     from huepose_services import models
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
@@ -136,13 +164,15 @@ def _run(
         begins_with_picture=arguments.save is not None,
     )
     say_at, flush_at, spoilt = time.monotonic() + _NONE_SEEN_AFTER_S, time.monotonic(), ""
-    end = time.monotonic() + seconds
-    while not (stopping() or spoilt) and time.monotonic() < end:
+    place, another = chosen(arguments, tell=False).place, False
+    while not (stopping() or spoilt or another) and time.monotonic() < end:
         due_ns = work.due_ns()
         wait_ns = _LONGEST_WAIT_NS if due_ns is None else min(due_ns - now_ns(), _LONGEST_WAIT_NS)
         bus.inbox.wait(wait_ns / SECOND)
         work.step()
-        if time.monotonic() > say_at and not bus.health.counters.get("pictures"):
+        waits = not bus.health.counters.get("pictures")
+        another = waits and chosen(arguments, tell=False).place != place
+        if time.monotonic() > say_at and waits:
             say_at = float("inf")
             text = f"waiting for a pipeline: {chosen(arguments, tell=False).absence}"
             say(text)
@@ -150,6 +180,8 @@ def _run(
             flush_at, spoilt = time.monotonic() + _FLUSH_EVERY_S, _flushed(recording)
     bus.close()
     session.close()
+    if another:
+        return None
     return bus.health.counters.get("pictures", 0), spoilt or _flushed(recording)
 
 

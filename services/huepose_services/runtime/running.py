@@ -46,6 +46,11 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
         return bool(self.folder)
 
     @property
+    def place(self) -> tuple[str, int, str]:
+        """Where its workers listen, and under which names they speak."""
+        return (self.folder or str(run_folder().absolute()), self.base_port, self.name)
+
+    @property
     def played(self) -> bool:
         """Whether a recording stands in for it: nobody runs its workers."""
         return self.noted and not self.workers

@@ -254,6 +254,35 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
 
 
 @pytest.mark.live
+@pytest.mark.parametrize("verb", ["record", "view"])
+def test_who_waits_finds_a_pipeline_that_starts_at_another_port(
+    verb, pipeline, huepose, tea_box, tmp_path, monkeypatch
+):
+    """In a folder that says nothing of it."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    path = pipeline(once=False, rate=20)
+    (tmp_path / "bundles").mkdir()
+    save_model(tea_box, model_path(tmp_path / "bundles", "tea_box"))
+    own = {"bundles": str(tmp_path / "bundles"), "objects": [{"name": "tea_box"}]}
+    path.write_text(json.dumps(json.loads(path.read_text()) | own))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    if verb == "view":
+        pytest.importorskip("rerun")
+    waiting = huepose(
+        *(["record", "out", "--free", "0"] if verb == "record" else ["view", "--save", "v.rrd"])
+    )
+    said = iter(waiting.stderr.readline, "")
+    assert any("waiting for a pipeline" in line for line in said)
+    huepose("run", "camera", path)
+    assert any("which runs from" in line for line in said)
+    time.sleep(8.0)
+    waiting.send_signal(signal.SIGINT)
+    _, err = waiting.communicate(timeout=30.0)
+    assert waiting.returncode == 0, err
+
+
+@pytest.mark.live
 @pytest.mark.timeout(900)
 def test_a_live_pipeline_is_computed_again_bit_by_bit(huepose, wait_until, tmp_path):
     """At 10 Hz: how much of 30 a busy computer can do is not what this is about. Recorded from before the

@@ -159,6 +159,14 @@ def test_a_mistyped_option_is_answered_by_its_command(capsys: pytest.CaptureFixt
     assert "there is no option '--robbot': did you mean '--robot'?" in error
 
 
+def test_an_option_that_nothing_is_like_is_not_answered_with_another(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["record", "out.mcap", "--json"])
+    assert capsys.readouterr().err.endswith("there is no option '--json'\n")
+
+
 def test_a_recording_of_nothing_says_so_and_leaves_no_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,9 +21,9 @@ from huepose_protos.messages import Mount, ObjectEntry, ObjectsMessage, PoseMess
 from huepose_protos.motion import carried
 from huepose_services.cli.main import build_parser, main
 from huepose_services.cli.pose_export import PoseFiles
-from huepose_services.cli.poses import _HEADING, _print
+from huepose_services.cli.poses import _HEADING, _print, _silence
 from huepose_services.runtime.config import load
-from huepose_services.runtime.running import described, noted
+from huepose_services.runtime.running import Pipeline, described, noted
 from tests.disk import full_disk
 from tests.services.repeating import repeating
 
@@ -219,3 +220,13 @@ def test_why_no_pose_comes_in_the_robot_s_frame_is_said_as_it_is(pose, base_port
         with zenoh.open(config) as session, repeating(publish, 0.05):
             assert any("nobody tells where the camera is" in line for line in lines)
     printing.terminate()
+
+
+def test_why_no_pose_comes_names_a_tracker_that_is_not_there():
+    """Of which an object that was found before says nothing any more."""
+    pipeline = Pipeline(
+        base_port=17447, site="local", camera="cam0", workers=("camera", "tracker"), folder="/run"
+    )
+    for worker, said in (("tracker", "no object has been found yet"), ("camera", "its tracker is not there")):
+        reader = SimpleNamespace(seen=True, live={f"huepose/local/cam0/live/{worker}"})
+        assert f"the pipeline runs, but {said}; " in _silence(reader, pipeline, pipeline.key("pose/**"))

@@ -106,8 +106,10 @@ class _Parser(argparse.ArgumentParser):
         options = [word for word in unknown if word.startswith("--")]
         if options:
             option = options[0].split("=")[0]
-            meant = difflib.get_close_matches(option, self._option_string_actions, 1)
-            self.error(f"there is no option '{option}'" + (f": did you mean '{meant[0]}'?" if meant else ""))
+            known = [known[2:] for known in self._option_string_actions if known.startswith("--")]
+            meant = difflib.get_close_matches(option[2:], known, 1)
+            fix = f": did you mean '--{meant[0]}'?" if meant else ""
+            self.error(f"there is no option '{option}'{fix}")
         return parsed, unknown
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

@@ -346,7 +346,10 @@ def _warn(health: HealthMessage, told: set[str]) -> None:
 def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
     if not reader.seen:
         return f"waiting for a pipeline: {pipeline.absence}"
-    what = "no object has been found yet" if key.endswith(_POSES) else f"nothing is said on {key} yet"
+    what = f"nothing is said on {key} yet"
+    if key.endswith(_POSES):
+        here = pipeline.played or any(live.endswith("/live/tracker") for live in reader.live)
+        what = "no object has been found yet" if here else "its tracker is not there"
     return f"the pipeline runs, but {what}; `huepose status` says how it is"
 
 

@@ -212,6 +212,17 @@ def test_validate_notes_that_a_file_is_empty(tmp_path, capsys, text, noted):
     assert ("the file is empty: everything is as in the built-in scene" in capsys.readouterr().out) == noted
 
 
+def test_validate_notes_that_nobody_looks_for_objects(tmp_path, capsys):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("workers: [camera, tracker, reinit]\ncamera: {source: synthetic}\n")
+    assert main(["validate", str(path)]) == 0
+    said = "no object is ever found: detector, segmenter, estimator not among the workers"
+    assert f"\n  NOTE     {said}\n" in capsys.readouterr().out
+    path.write_text("workers: [camera]\ncamera: {source: synthetic}\n")
+    assert main(["validate", str(path)]) == 0
+    assert "is ever found" not in capsys.readouterr().out
+
+
 def test_validate_says_that_a_drawn_scene_shows_one_of_each(tmp_path, capsys):
     path = tmp_path / "pipeline.yaml"
     path.write_text("objects: [{name: tea_box, max_instances: 2}]\ncamera: {source: synthetic}\n")

@@ -78,7 +78,7 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
-    for note in (*_limited(config), *_never_boxed(config)):
+    for note in (*_limited(config), *_never_boxed(config), *_never_found(config)):
         summary += f"\n  NOTE     {note}"
     if one_of_each := _drawn_once(config):
         summary += f"\n  scene    {one_of_each}"
@@ -114,6 +114,15 @@ def _never_boxed(config: Config) -> list[str]:
     names = [item.name for item in config.objects] or ([] if config.bundles is None else models.load(config))
     said = networks.never_boxed(detector, names)
     return [said] if said else []
+
+
+def _never_found(config: Config) -> list[str]:
+    """A sentence where a tracker waits for what no worker of the file does."""
+    if "tracker" not in config.workers:
+        return []
+    there = (*config.workers, *config.far)
+    missing = [worker for worker in ("reinit", "detector", "segmenter", "estimator") if worker not in there]
+    return [f"no object is ever found: {', '.join(missing)} not among the workers"] if missing else []
 
 
 def _drawn_once(config: Config) -> str:

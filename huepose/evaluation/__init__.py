@@ -6,7 +6,7 @@
     protocols   estimate_protocol > estimate_rows, perception_protocol > perception_rows,
                 track_protocol (with sources) > track_rows, poses_protocol (of a live pipeline) > track_rows
     ablations   ablation > ablation_rows; paper_tracker
-    an object   suitability
+    an object   suitability; turned (its turned answers in words)
     results     result_files (written), measured > comparison (read again), pose_files (of others)
     forms       summary (text), pictures, results_page, tables (the paper's, from journals)
     speed       benches

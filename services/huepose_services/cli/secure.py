@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from huepose.support.errors import InputError
+from huepose_services.cli.options import say
 
 _DAYS = 3650
 
@@ -50,6 +51,8 @@ def call(arguments: argparse.Namespace) -> int:
         print("gateway:\n  listen: 0.0.0.0:7447\n  tls:")
         print("\n".join(f"    {key}: {folder / name}.pem" for key, name in files.items()))
         print(f"    key: {folder / GATEWAY}.key\n\nThen, for each reader: huepose secure add NAME")
+        for host in (host for host in hosts if ":" in host):
+            say(f"note: by TLS no reader reaches {host}, an address of IPv6: give a name that stands for it")
         return 0
     authority = Authority(folder)
     if action == "add":

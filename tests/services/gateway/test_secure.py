@@ -30,6 +30,14 @@ def test_the_printed_section_is_a_configuration_with_files_that_are_there(tmp_pa
     assert names == (("DNS", "robot.local"), ("IP Address", "10.0.0.7"))
 
 
+def test_an_address_that_no_reader_can_give_is_noted(tmp_path, capsys):
+    folder = str(tmp_path / "secure")
+    assert main(["secure", "init", "--folder", folder, "--host", "fd00::2", "--host", "10.0.0.7"]) == 0
+    assert (
+        "note: by TLS no reader reaches fd00::2, an address of IPv6: give a name" in capsys.readouterr().err
+    )
+
+
 def test_keys_are_their_users_alone(tmp_path):
     authority = Authority.make(tmp_path / "secure", ["localhost"], 30)
     authority.add("arm", 30)

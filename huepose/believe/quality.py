@@ -162,14 +162,3 @@ def fit_of(entry: Mapping[str, Any]) -> QualityFit:
 def quality_fits() -> dict[str, QualityFit]:
     """The calibrated fits by method."""
     return {method: fit_of(entry) for method, entry in fitted("quality").items()}
-
-
-def quality(method: str, terms: QualityTerms) -> float:
-    """Probability in 0..1 that a pose of this method is right.
-
-    >>> sure = QualityTerms(2.4, (0.3, 0.5), 0.6, 0.9, 0.9, 0.9, 0, 0.1, 0.9, 0.1, 9, 0.5, 0, 4000, 0, 0, 1)
-    >>> doubtful = QualityTerms(1.3, (0.01,), 0.2, 0.5, 0.5, 0.4, 0.2, 0, 0.4, 0.4, 20, 0.1, 0, 500, 0, 1, 0)
-    >>> quality("full", sure) > 0.9 > 0.3 > quality("full", doubtful)
-    True
-    """
-    return float(quality_fits()[method].probabilities(terms)[0])

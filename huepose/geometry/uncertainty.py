@@ -29,11 +29,6 @@ def mahalanobis(T_a: Float, T_b: Float, covariance: Float) -> float:
     return float(np.sqrt(max(0.0, squared)))
 
 
-def predicted(T_cam_obj: Float, velocity: Float, seconds: float) -> Float64:
-    """The pose after `seconds` at a constant velocity (6,) per second, in camera axes."""
-    return se3.perturb(np.asarray(T_cam_obj), np.asarray(velocity) * seconds)
-
-
 def grown(covariance: Float, seconds: float, accel_m_s2: float = 4.0, accel_rad_s2: float = 20.0) -> Float64:
     """`covariance` (6, 6) after `seconds` without a measurement: white acceleration of the given RMS."""
     s = 0.5 * np.array([accel_m_s2] * 3 + [accel_rad_s2] * 3) * seconds**2

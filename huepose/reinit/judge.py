@@ -116,8 +116,7 @@ def near(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> bool:
     origins are nearer than half a diameter."""
     if slot.bounds_m is None:
         return _shift_m(T_a, T_b, slot) < 0.5 * slot.diameter_m
-    low, high = slot.bounds_m
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    middle, half = slot.middle_obj, 0.5 * np.ptp(slot.bounds_m, axis=0)
     there = se3.inverse(T_b) @ T_a, se3.inverse(T_a) @ T_b
     off = np.abs([se3.apply(T, middle[None])[0] - middle for T in there])
     return bool((off < half + 0.5 * half.min()).all(1).any())

@@ -45,11 +45,15 @@ class ObjectSlot:
         equivalents = tuple(model.equivalents)
         return ObjectSlot(model.name, max_instances, model.diameter_m, equivalents, model.mesh.bounds)
 
+    @property
+    def middle_obj(self) -> Float64:
+        """The middle (3,) of its bounds, which its origin may lie far from; the origin where they are not
+        known."""
+        return np.zeros(3) if self.bounds_m is None else np.asarray(self.bounds_m.mean(0))
+
     def middle_cam(self, T_cam_obj: Float64) -> Float64:
-        """The middle (3,) of its bounds in camera axes, which its origin may lie far from; the origin where
-        they are not known."""
-        middle = np.zeros(3) if self.bounds_m is None else self.bounds_m.mean(0)
-        return np.asarray(T_cam_obj[:3, :3] @ middle + T_cam_obj[:3, 3])
+        """The same in camera axes."""
+        return np.asarray(T_cam_obj[:3, :3] @ self.middle_obj + T_cam_obj[:3, 3])
 
     def __post_init__(self) -> None:
         if self.max_instances < 1:

@@ -35,7 +35,7 @@ from huepose.tracking.search import (
 )
 from huepose.tracking.subject import Subject
 
-FLOW, NEAR, PLACE, THERE, FAR = 0, 1, 2, 3, 4
+FLOW, NEARBY, PLACE, THERE, FAR = 0, 1, 2, 3, 4
 TURN = FAR + PARTS
 END = TURN + 1
 """Stages that are tried, in this order, while the best total is too low: optical flow, a search nearby, the
@@ -88,7 +88,7 @@ class Task:
             # It needs pixels of the object in the last frame.
             followable = self.anchor.unseen_s == 0.0 and self.frame.camera == self.anchor.frame.camera
             return doubtful and followable and 0.0 < self.seconds <= self.config.long_step_s
-        if stage == NEAR:
+        if stage == NEARBY:
             # A wide one would be all of a wide search in one frame.
             fits = self.long or not is_wide(self.near)
             return fits and (doubtful or (self.uneasy and not self.back))
@@ -114,7 +114,7 @@ class Task:
             return [[(best.T_cam_obj @ turn, "turn") for turn in self.subject.near_symmetries]]
         if stage == THERE and place is not None:
             return [[(T, "views")] for T in found_at(self.subject, frame, place, light)]
-        if stage == NEAR:
+        if stage == NEARBY:
             found = search(surface, frame, self.near, NORMAL_EFFORT, light)
         else:
             found = search(surface, frame, self.far, GREAT_EFFORT, light, parts)

@@ -28,7 +28,7 @@ from huepose.tracking.refined import (
     unmoved,
 )
 from huepose.tracking.search import NORMAL_EFFORT, search
-from huepose.tracking.stages import FLOW, NEAR, RETURNING_SEEN, Task, convincing, in_full, propose
+from huepose.tracking.stages import FLOW, NEARBY, RETURNING_SEEN, Task, convincing, in_full, propose
 from huepose.tracking.subject import Subject
 
 WHOLLY_HIDDEN = 0.9
@@ -90,9 +90,9 @@ def advance(
     best = max([*found, *rolled], key=lambda h: h.terms.total)
     returning = anchor.unseen_s > 0.0 and best.terms.seen >= RETURNING_SEEN
     surprising = long and moved_m(surface, best.T_cam_obj, expected) > config.surprising_m
-    uneasy = surprising or returning or begun > NEAR
+    uneasy = surprising or returning or begun > NEARBY
     # Back in full view with its usual total: no search nearby is needed, only the check of its rotation.
-    back = not long and begun <= NEAR and in_full(best, anchor.baseline, config)
+    back = not long and begun <= NEARBY and in_full(best, anchor.baseline, config)
     task = Task(
         subject,
         anchor,

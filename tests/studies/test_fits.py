@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.believe.quality import LIMITS, features, quality, quality_fits
+from huepose.believe.quality import LIMITS, features, quality_fits
 from huepose.evaluation.calibration import Judged, worth
 from huepose.support.errors import InputError
 from studies.quality import fit as quality_fit
@@ -118,7 +118,7 @@ def test_every_shipped_fit_rises_with_every_feature() -> None:
         assert 0.0 <= fit.found < 0.5
         assert fit.probabilities(PLAIN).sum() <= 1.0
         assert fit.present(better) > fit.present(PLAIN)
-        assert quality(name, better) > quality(name, PLAIN)
+        assert fit.probabilities(better)[0] > fit.probabilities(PLAIN)[0]
 
 
 def test_the_page_of_tracking_says_what_its_belief_is_fitted_on() -> None:

@@ -28,6 +28,8 @@ GOOD = "camera: {truth: true}\n"
         ("workers: [cam]", ["workers[0]", "'cam'", "camera, tracker"]),
         ("workers: []", ["workers", "none"]),
         ("camera: {source: webcam}", ["camera.source", "'webcam'", "synthetic, bop, fast_ycb"]),
+        ("camera: {source: opencv}", ["camera.source", "A webcam has no depth", "docs/cameras.md"]),
+        ("cameras: [{source: webcam}]", ["cameras[0].source", "A webcam has no depth"]),
         ("camera: {source: bop}", ["camera.path", "null", "folder of the recording"]),
         ("camera: {source: bop, path: x}\nobjects: [{name: a}]", ["bundles", "null"]),
         ("camera: {source: realsense, once: true}", ["camera.once", "false with the source realsense"]),

@@ -194,7 +194,7 @@ def _extra(config: Config, worker: str) -> str:
     unit, service = "", ""
     if worker in _FIRST:
         service += "# Frames and tracking come first where the cores do not suffice for all.\nNice=-5\n"
-    if worker == "camera" and config.camera.source in ("realsense", "oak", "opencv"):
+    if worker == "camera" and config.camera.source in ("realsense", "oak"):
         service += _CAMERA
         service += _NETWORK if config.camera.source == "oak" else ""
     if worker in ("gateway", "viewer", "ros2", "uplink", "downlink"):

@@ -123,6 +123,8 @@ def _mended(at: str, found: Any, close: list[str]) -> str:
         return f"Did you mean '{close[0]}'?"
     if at.startswith("objects[") and isinstance(found, str):
         return f"Write {{name: {_SHORT.repr(found)[1:-1]}}}."
+    if at.endswith(".source"):
+        return "A webcam has no depth, which HuePose needs in every pixel: see docs/cameras.md."
     return "What each key means: pipeline.yaml of the repository, docs/running.md."
 
 

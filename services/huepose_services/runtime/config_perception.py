@@ -15,7 +15,6 @@ from huepose_protos.parts import Mount
 Rate = Annotated[float, Meta(gt=0.0, le=240.0)]
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
 Side = Annotated[float, Meta(ge=0.0, le=16384.0)]
-Focal = Annotated[float, Meta(gt=0.0, le=16384.0)]
 Pixels = Annotated[int, Meta(ge=16, le=8192)]
 Share = Annotated[float, Meta(gt=0.0, lt=1.0)]
 Provider = Literal["tensorrt", "cuda", "openvino", "cpu"]
@@ -25,9 +24,9 @@ Sha256 = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
 Refuse = Callable[[str, str, str, str], None]
 
 Recorded = Literal["bop", "fast_ycb", "recording", "rosbag"]
-Live = Literal["realsense", "oak", "opencv", "python", "faulty"]
+Live = Literal["realsense", "oak", "python", "faulty"]
 DRAWN_SOURCES = ("synthetic", "faulty")
-LIVE_SOURCES = ("realsense", "oak", "opencv", "python", "faulty")
+LIVE_SOURCES = ("realsense", "oak", "python", "faulty")
 Filter = Literal["decimation", "threshold", "spatial", "temporal", "hole_filling"]
 
 
@@ -49,8 +48,6 @@ class DeviceConfig(Section, frozen=True, kw_only=True):
     align: bool = True
     options: dict[str, float] = {}
     filters: dict[Filter, dict[str, float]] = {}
-    index: Annotated[int, Meta(ge=0, le=255)] = 0
-    intrinsics: tuple[Focal, Focal, Side, Side] | None = None
 
 
 FrameName = Annotated[str, Meta(pattern=r"^[^/\s]\S{0,63}$")]
@@ -166,7 +163,7 @@ def check_camera(camera: CameraConfig, workers: Collection[str], refuse: Refuse)
     source, live = camera.source, camera.source in LIVE_SOURCES
     if camera.tf is not None:
         _check_tf(camera, camera.tf, workers, refuse)
-    if source in ("synthetic", "oak", "opencv") and camera.path is not None:
+    if source in ("synthetic", "oak") and camera.path is not None:
         refuse("camera.path", camera.path, f"no path with the source {source}", "Set it to null.")
     if source in _PATH_IS and camera.path is None:
         refuse("camera.path", "null", *_PATH_IS[source])
@@ -180,9 +177,6 @@ def check_camera(camera: CameraConfig, workers: Collection[str], refuse: Refuse)
     for key in ("color_topic", "depth_topic", "info_topic"):
         if source != "rosbag" and (topic := getattr(camera, key)) is not None:
             refuse(f"camera.{key}", topic, f"none with the source {source}", "Take the line out.")
-    for key in ("index", "intrinsics"):
-        if source != "opencv" and (value := getattr(camera.device, key)):
-            refuse(f"camera.device.{key}", f"{value}", f"none with the source {source}", "Take the line out.")
     if not live and camera.device != DeviceConfig():
         refuse("camera.device", "settings", f"none with the source {source}", "Take the section out.")
     if source != "realsense" and camera.device.filters:

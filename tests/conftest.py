@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,25 +11,37 @@ import pytest
 
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.onboarding.onboard import onboard_mesh
 from huepose.rendering.render import render
 from huepose.scenes.shapes import demo_objects
+from tests import onboarded
 
 CAMERA = Camera(600.0, 605.0, 318.5, 241.0, 640, 480)
 
 TakePicture = Callable[..., RgbdFrame]
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _shelf(tmp_path_factory: pytest.TempPathFactory) -> None:
+    own = tmp_path_factory.getbasetemp()
+    onboarded.shelf = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shelf"
+
+
 @pytest.fixture(scope="session")
 def tea_box() -> ReferenceModel:
     """A printed box of 9 x 6 x 15 cm, with the tables of the paper's method."""
-    return onboard_mesh(demo_objects(0)["tea_box"], "tea_box", paper=True)
+    return onboarded.onboarded(demo_objects(0)["tea_box"], "tea_box", paper=True)
 
 
 @pytest.fixture(scope="session")
-def box_and_can(tea_box: ReferenceModel) -> dict[str, ReferenceModel]:
-    """Two models: the tea box, and a printed can."""
-    return {"tea_box": tea_box, "soup_can": onboard_mesh(demo_objects(0)["soup_can"], "soup_can")}
+def soup_can() -> ReferenceModel:
+    """A printed can of 7.4 cm across and 11 cm tall."""
+    return onboarded.onboarded(demo_objects(0)["soup_can"], "soup_can")
+
+
+@pytest.fixture(scope="session")
+def box_and_can(tea_box: ReferenceModel, soup_can: ReferenceModel) -> dict[str, ReferenceModel]:
+    """Two models: the tea box, and the can."""
+    return {"tea_box": tea_box, "soup_can": soup_can}
 
 
 @pytest.fixture(scope="session")

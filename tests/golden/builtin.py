@@ -21,7 +21,6 @@ import numpy as np
 
 from huepose import Correction, ObjectQuery, ReferenceModel, RgbdFrame
 from huepose.geometry import Mesh
-from huepose.onboarding import onboard_mesh
 from huepose.scenes.camera import CAMERA, COLOR, STEREO
 from huepose.scenes.frame import Stage, shoot
 from huepose.scenes.plan import plan
@@ -29,6 +28,7 @@ from huepose.scenes.rendered import PILES, rendered_frame
 from huepose.scenes.shapes import demo_objects
 from tests.golden.answers import Answers
 from tests.golden.asking import Step, estimated, tracked
+from tests.onboarded import onboarded
 
 FILE = Path(__file__).parent / "builtin.json"
 _SEED = 5
@@ -50,7 +50,7 @@ def meshes() -> Mapping[str, Mesh]:
 @cache
 def models() -> Mapping[str, ReferenceModel]:
     """Their reference models, with the tables of the colour-pair methods."""
-    return {name: onboard_mesh(mesh, name, paper=True) for name, mesh in meshes().items()}
+    return {name: onboarded(mesh, name, paper=True) for name, mesh in meshes().items()}
 
 
 @cache

@@ -22,9 +22,10 @@ from huepose import Correction, ObjectQuery, ReferenceModel, RgbdFrame
 from huepose.datasets import files
 from huepose.datasets.bop import BopScene
 from huepose.datasets.types import GroundTruth
-from huepose.onboarding import onboard_mesh, read_mesh
+from huepose.onboarding import read_mesh
 from tests.golden.answers import Answers
 from tests.golden.asking import METHODS, Step, estimated, tracked
+from tests.onboarded import onboarded
 
 FILE = Path(__file__).parent / "recorded.json"
 VARIABLE = "HUEPOSE_DATA"
@@ -59,7 +60,7 @@ def model(number: int) -> ReferenceModel:
     name = f"obj_{number:06d}"
     info = files.read_json(_folder() / "models" / "models_info.json").get(str(number))
     mesh = _folder() / "models" / f"{name}.obj"
-    return onboard_mesh(read_mesh(mesh, "mm"), name, object_id=number, info=info, paper=True)
+    return onboarded(read_mesh(mesh, "mm"), name, object_id=number, info=info, paper=True)
 
 
 def _shown(name: str) -> list[tuple[RgbdFrame, list[GroundTruth]]]:

@@ -6,15 +6,14 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from huepose.model.io import model_path, save_model
-from huepose.onboarding import onboard_mesh
 from huepose.scenes.builtin import SyntheticScene
-from huepose.scenes.shapes import demo_objects
 
 NAME, PLAYED = "tea_box", 30
 FRAMES = 12
@@ -80,12 +79,12 @@ def pipeline(tmp_path, scene, base_port):
     return write
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory, tea_box):
     """A second of the built-in scene with one object, as a BOP scene that closes; the folder of its model."""
     folder = tmp_path_factory.mktemp("recording")
-    mesh = demo_objects()[NAME]
-    save_model(onboard_mesh(mesh, NAME, object_id=1), model_path(folder / "bundles", NAME))
+    mesh = tea_box.mesh
+    save_model(replace(tea_box, object_id=1, tables=None), model_path(folder / "bundles", NAME))
     scene = SyntheticScene(seconds=1.0, objects={NAME: mesh}, cache=folder)
     (folder / "scene" / "rgb").mkdir(parents=True)
     (folder / "scene" / "depth").mkdir()

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from huepose import tracking
-from huepose.onboarding.onboard import onboard_mesh
 from huepose_services.camera.publish import packed
 from huepose_services.convert import frame_from_wire
 from huepose_services.doubts import DISAGREES, RELIT
@@ -15,6 +14,7 @@ from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.tracker import TrackerWork
 from tests.conftest import standing_pose
+from tests.onboarded import onboarded
 from tests.onboarding import solids
 from tests.services.tracker_work import (
     CORRECTION,
@@ -218,7 +218,7 @@ def part():
     """Mesh and reference model of a box of one colour."""
     mesh = solids.box((0.09, 0.06, 0.15))
     mesh = replace(mesh, texture=np.full_like(mesh.texture, (200, 110, 40)))
-    return mesh, onboard_mesh(mesh, "part")
+    return mesh, onboarded(mesh, "part")
 
 
 @pytest.fixture

@@ -9,11 +9,10 @@ import pytest
 
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.onboarding.onboard import onboard_mesh
 from huepose.rendering.render import render
-from huepose.scenes.shapes import demo_objects
 from huepose.tracking import Correction, TrackedPose, Tracker, Verdict
 from studies.stress.objects import builtin_meshes
+from tests.onboarded import onboarded
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
 PERIOD_NS = 33_333_333
@@ -23,27 +22,21 @@ Shoot = Callable[..., RgbdFrame]
 
 
 @pytest.fixture(scope="session")
-def soup_can() -> ReferenceModel:
-    """A printed can of 7.4 cm across and 11 cm tall."""
-    return onboard_mesh(demo_objects(0)["soup_can"], "soup_can")
-
-
-@pytest.fixture(scope="session")
 def plain_box() -> ReferenceModel:
     """Of one colour but for a sticker on the side that is hidden when it lies."""
-    return onboard_mesh(builtin_meshes(0)["plain_box"], "plain_box")
+    return onboarded(builtin_meshes(0)["plain_box"], "plain_box")
 
 
 @pytest.fixture(scope="session")
 def half_plain_can() -> ReferenceModel:
     """A can with a label on one half and lids; the other half is of one colour."""
-    return onboard_mesh(builtin_meshes(0)["half_plain_can"], "half_plain_can")
+    return onboarded(builtin_meshes(0)["half_plain_can"], "half_plain_can")
 
 
 @pytest.fixture(scope="session")
 def plain_bracket() -> ReferenceModel:
     """Of one colour all over; its shape alone tells how it is turned."""
-    return onboard_mesh(builtin_meshes(0)["plain_bracket"], "plain_bracket")
+    return onboarded(builtin_meshes(0)["plain_bracket"], "plain_bracket")
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,6 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, totals, window
 from huepose.judge.terms import NOTHING, Terms, score_arrays
 from huepose.model.types import ReferenceModel
-from huepose.onboarding import onboard_mesh
 from huepose.propose.relative_pose import RobustKabsch
 from huepose.refine.photometric import FULL, NEAR, QUICK, refine, refine_all
 from huepose.select.distinct import first_different
@@ -23,6 +22,7 @@ from huepose.tracking.search import search
 from huepose.tracking.stages import flow_start
 from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
+from tests.onboarded import onboarded
 
 SMALL = np.array([0.004, -0.005, 0.004, 0.04, -0.05, 0.05])
 
@@ -276,9 +276,8 @@ def test_a_pose_that_slid_about_its_axis_of_revolution_is_rolled_back(soup_can, 
 
 
 def test_a_slender_object_is_rolled_by_any_angle_where_all_of_it_is_seen(soup_can, shoot, path) -> None:
-    stick = onboard_mesh(
-        replace(soup_can.mesh, vertices=soup_can.mesh.vertices * np.float32([0.25, 0.25, 1.6])), "stick"
-    )
+    vertices = soup_can.mesh.vertices * np.float32([0.25, 0.25, 1.6])
+    stick = onboarded(replace(soup_can.mesh, vertices=vertices), "stick")
     subject, T = Subject.of(stick), path(0)
     assert len(Subject.of(soup_can).rolls) < len(subject.rolls)
     far = max(subject.rolls, key=lambda turn: se3.rotation_angle(turn, np.eye(4)))

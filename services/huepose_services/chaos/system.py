@@ -22,7 +22,7 @@ import msgspec
 import numpy as np
 from scipy.stats import poisson
 
-from huepose.evaluation.metrics import RECALL_FRACTION, add
+from huepose.evaluation.metrics import RECALL_FRACTION
 from huepose.model import load_models
 from huepose.scenes.builtin import SyntheticScene
 from huepose.support.files import whole
@@ -40,6 +40,7 @@ from huepose_protos.messages import (
 from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.faulty import Orders
 from huepose_services.convert import optional_pose_from_wire, pose_of
+from huepose_services.demo.score import Yardstick
 from huepose_services.runtime.config import CHAIN, WORKERS
 from huepose_services.runtime.run_folder import free_ports, free_tcp_port
 from huepose_services.runtime.running import Pipeline, pick
@@ -74,7 +75,7 @@ class LivePipeline:
         SyntheticScene(0)  # computed here where it is not in the cache
         self.slow, self.max_age_ms = slow, 300.0 * slow
         self._yardsticks = {
-            name: (model.eval_points[:: max(1, len(model.eval_points) // 500)], model.diameter_m)
+            name: Yardstick.of(model.eval_points, model.diameter_m, model.equivalents, at_most=500)
             for name, model in load_models(bundles).items()
         }
         self._folder = Path(tempfile.mkdtemp(prefix="huepose-live-"))
@@ -193,8 +194,8 @@ class LivePipeline:
         if T_cam_obj is not None and truth is not None:
             T_true = optional_pose_from_wire(truth.translation, truth.quaternion)
             if T_true is not None:
-                points, diameter_m = self._yardsticks[pose.object]
-                error = add(points, T_cam_obj, T_true) / diameter_m
+                yardstick = self._yardsticks[pose.object]
+                error = yardstick.add(T_cam_obj, T_true) / yardstick.diameter_m
         late_ms = (time.monotonic_ns() - pose.capture_ns) * 1e-6
         frame = (pose.camera_epoch, pose.frame_id)
         seen = (pose.object, pose.instance, frame, pose.state, error, pose.quality)

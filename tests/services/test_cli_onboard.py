@@ -113,6 +113,12 @@ def test_a_model_gets_the_papers_tables_when_asked(
 
 
 @pytest.fixture
+def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keypoints of a large object are sought from twelve sides, which is most of what onboarding it takes."""
+    monkeypatch.setattr("huepose.propose.keypoint_reference.LEVEL", 0)
+
+
+@pytest.fixture
 def centimetres(tmp_path: Path) -> Path:
     """A brick of 15 cm whose numbers are centimetres, in a file and a folder with names of people."""
     rng = np.random.default_rng(0)
@@ -139,6 +145,7 @@ def test_nothing_is_learnt_of_a_mesh_whose_unit_a_script_does_not_say(
     assert not out.exists()
 
 
+@pytest.mark.usefixtures("few_views")
 def test_at_a_terminal_the_unit_is_asked_for_before_anything_is_learnt(
     centimetres: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,6 +270,7 @@ def test_a_mesh_whose_origin_is_far_from_it_is_noted(
     assert said.startswith(note) if noted else said == ""
 
 
+@pytest.mark.usefixtures("few_views")
 def test_the_warning_of_an_unusual_size_comes_first_and_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -61,24 +61,63 @@ def bag(path: Path, frames: list[RgbdFrame]) -> None:
     ros.write(path, messages)
 
 
+def turned() -> list[RgbdFrame]:
+    """An object that turns by 12 degrees in three frames."""
+    from tests.onboarding.test_from_video import drawn, pose
+
+    return [drawn(pose(np.radians(6.0 * k)), k) for k in range(3)]
+
+
+def given_for(recording: Path, out: Path) -> list[str]:
+    """The command that onboards it."""
+    from tests.onboarding.test_from_video import box_of, pose
+
+    box = [f"{x:.0f}" for x in box_of(pose(0.0)).box or ()]
+    return ["onboard", "--from-video", str(recording), "--box", *box, "--name", "tea", "--out", str(out)]
+
+
 @pytest.mark.parametrize(
-    ("name", "write"),
+    ("name", "write", "colour_off", "depth_off_m"),
     [
-        ("turned", bop_scene),
-        ("turned.mcap", recorded),
-        ("small.mcap", partial(recorded, jpeg=True)),
-        ("turned.bag", bag),
+        ("turned", bop_scene, 3, 0.00006),
+        ("turned.mcap", recorded, 0, 0.00006),
+        ("small.mcap", partial(recorded, jpeg=True), 3, 0.00006),
+        ("turned.bag", bag, 0, 0),
     ],
 )
-def test_a_recording_takes_the_place_of_a_mesh(
-    name: str, write: Callable[[Path, list[RgbdFrame]], None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_of_every_kind_of_recording_each_frame_is_learnt_from(
+    name: str,
+    write: Callable[[Path, list[RgbdFrame]], None],
+    colour_off: float,
+    depth_off_m: float,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     pytest.importorskip("open3d")
-    from huepose_services.cli import onboard
-    from tests.onboarding.test_from_video import BOX, box_of, drawn, pose
+    read: list[RgbdFrame] = []
 
-    recording, out = tmp_path / name, tmp_path / "bundles"
-    write(recording, [drawn(pose(np.radians(6.0 * k)), k) for k in range(3)])
+    def learn(frames: Iterable[RgbdFrame], *_: object) -> None:
+        read.extend(frames)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("huepose.onboarding.from_video.learn", learn)
+    frames = turned()
+    write(tmp_path / name, frames)
+    main(given_for(tmp_path / name, tmp_path / "bundles"))
+    assert len(read) == len(frames)
+    for frame, true in zip(read, frames, strict=True):
+        assert frame.camera == true.camera
+        assert np.abs(frame.color.astype(int) - true.color).mean() <= colour_off
+        np.testing.assert_allclose(frame.depth, true.depth, rtol=0, atol=depth_off_m)
+
+
+def test_a_recording_takes_the_place_of_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("open3d")
+    from huepose_services.cli import onboard
+    from tests.onboarding.test_from_video import BOX
+
+    recording, out = tmp_path / "turned", tmp_path / "bundles"
+    bop_scene(recording, turned())
     jobs = []
 
     def made(job: object, bundles: Path, settled: bool) -> None:
@@ -87,9 +126,7 @@ def test_a_recording_takes_the_place_of_a_mesh(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(onboard, "onboard_one", made)
-    box = [f"{x:.0f}" for x in box_of(pose(0.0)).box or ()]
-    given = ["onboard", "--from-video", str(recording), "--box", *box, "--name", "tea", "--out", str(out)]
-    main(given)
+    main(given_for(recording, out))
     assert [(job.mesh_path, job.unit) for job in jobs] == [(out / "tea_mesh" / "tea.obj", "m")]
     mesh = read_mesh(out / "tea_mesh" / "tea.obj", "m")
     # The sides were not seen over 12 degrees; the height was.

@@ -30,11 +30,18 @@ class RgbdFrame:
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
         if self.color.shape != (*size, 3) or self.color.dtype.name != "uint8":
+            fix = "Check that the image and the camera file belong together."
+            if self.color.shape == (*size, 4):
+                fix = "Leave out the fourth channel: color[..., :3]."
+            elif self.color.shape == size:
+                fix = "A picture without colour does not do: objects are told by their colours."
+            elif self.color.shape == (*size, 3):
+                fix = "Values of 0 to 1 are most often meant: (color * 255).astype(np.uint8)."
             raise InputError(
                 "colour image",
                 found=f"{self.color.shape} {self.color.dtype}",
                 expected=f"{(*size, 3)} uint8, the size in the intrinsics",
-                fix="Check that the image and the camera file belong together.",
+                fix=fix,
             )
         if self.depth.shape != size or self.depth.dtype.name != "float32":
             fix = "Align depth to colour in the camera driver, or check the file."

@@ -81,6 +81,20 @@ def test_depth_of_another_type_is_told_what_it_is_most_likely(dtype: type, fix: 
         RgbdFrame(np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), dtype), CAMERA)
 
 
+@pytest.mark.parametrize(
+    ("color", "fix"),
+    [
+        (np.zeros((480, 640, 4), np.uint8), r"color\[..., :3\]"),
+        (np.zeros((480, 640), np.uint8), "without colour does not do"),
+        (np.zeros((480, 640, 3), np.float32), r"\(color \* 255\).astype"),
+        (np.zeros((240, 320, 3), np.uint8), "belong together"),
+    ],
+)
+def test_a_colour_image_of_another_form_is_refused_with_what_to_do(color: np.ndarray, fix: str) -> None:
+    with pytest.raises(InputError, match=fix):
+        RgbdFrame(color, np.zeros((480, 640), np.float32), CAMERA)
+
+
 def test_depth_noise_is_that_of_a_stereo_camera_over_a_floor() -> None:
     f_px, baseline_m, disparity_px = 600.0, 0.05, 0.08
     for z in (0.4, 0.8, 1.6):

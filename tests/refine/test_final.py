@@ -80,35 +80,41 @@ def region(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndar
     return region_of(take_picture([(tea_box.mesh, standing)]), tea_box, standing)
 
 
-def of_a_ball(tea_box: ReferenceModel, region: Region, factor: float, distance_m: float) -> float:
-    """The scale residual of a ball `factor` times as large as its model, its nearest point in place."""
-    rng = np.random.default_rng(0)
-    normals = rng.normal(size=(4000, 3))
+@pytest.fixture(scope="module")
+def ball(tea_box: ReferenceModel) -> ReferenceModel:
+    """A ball about the middle of the tea box."""
+    normals = np.random.default_rng(0).normal(size=(4000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = (RADIUS_M * normals + tea_box.mesh.centre).astype(np.float32)
     surface = replace(tea_box.surface, points=points, normals=normals.astype(np.float32))
-    model = replace(tea_box, surface=surface, grid=build_grid(points, 2 * RADIUS_M), diameter_m=2 * RADIUS_M)
+    return replace(tea_box, surface=surface, grid=build_grid(points, 2 * RADIUS_M), diameter_m=2 * RADIUS_M)
+
+
+def of_a_ball(ball: ReferenceModel, region: Region, factor: float, distance_m: float) -> float:
+    """The scale residual of a ball `factor` times as large as its model, its nearest point in place."""
     T = np.eye(4)
     T[2, 3] = distance_m
+    normals = ball.surface.normals.astype(np.float64)
     front = normals[normals[:, 2] < -0.4][:500]
-    middle = np.array([0.0, 0.0, (factor - 1.0) * RADIUS_M]) + tea_box.mesh.centre
+    middle = np.array([0.0, 0.0, (factor - 1.0) * RADIUS_M]) + ball.mesh.centre
     seen = factor * RADIUS_M * front + middle + T[:3, 3]
     return scale_residual(
-        model,
+        ball,
         replace(region, points_cam=seen, point_weights=np.ones(len(seen)), median_depth_m=distance_m),
         T,
     )
 
 
-def test_the_size_of_a_ball_is_seen(tea_box: ReferenceModel, region: Region) -> None:
-    assert of_a_ball(tea_box, region, 1.0, 0.6) == pytest.approx(0.0, abs=0.003)
-    assert of_a_ball(tea_box, region, 1.1, 0.6) == pytest.approx(np.log(1.1), abs=0.05)
-    assert of_a_ball(tea_box, region, 1.1, 0.6) > 0.03
-    assert of_a_ball(tea_box, region, 1.0 / 1.1, 0.6) < -0.03
+def test_the_size_of_a_ball_is_seen(ball: ReferenceModel, region: Region) -> None:
+    assert of_a_ball(ball, region, 1.0, 0.6) == pytest.approx(0.0, abs=0.003)
+    larger = of_a_ball(ball, region, 1.1, 0.6)
+    assert larger == pytest.approx(np.log(1.1), abs=0.05)
+    assert larger > 0.03
+    assert of_a_ball(ball, region, 1.0 / 1.1, 0.6) < -0.03
 
 
-def test_far_away_depth_says_less_of_size(tea_box: ReferenceModel, region: Region) -> None:
-    assert 0.0 < of_a_ball(tea_box, region, 1.1, 1.5) < 0.5 * of_a_ball(tea_box, region, 1.1, 0.6)
+def test_far_away_depth_says_less_of_size(ball: ReferenceModel, region: Region) -> None:
+    assert 0.0 < of_a_ball(ball, region, 1.1, 1.5) < 0.5 * of_a_ball(ball, region, 1.1, 0.6)
 
 
 def test_flat_sides_alone_say_nothing_of_size(

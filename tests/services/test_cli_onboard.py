@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 
+from huepose.evaluation import suitability
 from huepose.model import load_models
 from huepose.onboarding import simplify
 from huepose.onboarding.batch import Job
@@ -80,8 +82,9 @@ def test_a_model_that_replaces_another_of_its_name_says_so(
 
 
 def test_validate_repeats_the_verdict_on_an_object_that_suits_with_limits_or_not_at_all(
-    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(suitability, "self_test", partial(suitability.self_test, count=4))
     out, plain, pipeline = tmp_path / "bundles", tmp_path / "plain.glb", tmp_path / "pipeline.yaml"
     red = np.full((64, 64, 3), (200, 40, 30), np.uint8)
     files.write_glb(plain, solids.box((0.05, 0.04, 0.03), dict.fromkeys(solids.SIDES, red)))

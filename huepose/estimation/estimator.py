@@ -31,6 +31,7 @@ from huepose.judge.silhouette import taken_by
 from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
+from huepose.perception.veil import unveiled
 from huepose.propose.templates import table_of
 from huepose.support.errors import require
 from huepose.support.pool import Pool
@@ -94,6 +95,8 @@ class Estimator:
         for query in queries:
             require(query, ObjectQuery, "query", "an ObjectQuery", "Make one: ObjectQuery(name, box).")
             self._models[query.object]  # raises before anything is looked at
+        with stage("veil"):
+            frame = unveiled(frame)
         presence = None
         if any(query.searched for query in queries):
             with stage("presence"):

@@ -30,6 +30,7 @@ from huepose.perception.memory import Memory, features_of, looking
 from huepose.perception.presence import presences
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
 from huepose.perception.types import Detection
+from huepose.perception.veil import unveiled
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.perception.windows import WindowsBySize
 from huepose.propose.features import Features, FeatureSource, Sift
@@ -89,8 +90,10 @@ class ColorPairDetector:
         by object: others of it are looked for beside them."""
         for name in names:
             self._models[name]
+        with stage("veil"):
+            seen = unveiled(frame)
         with stage("clear view"):
-            view = clear_view(frame, max((m.diameter_m for m in list(self._models.values())), default=0.0))
+            view = clear_view(seen, max((m.diameter_m for m in list(self._models.values())), default=0.0))
         if view is None:
             return []
         proposals = self.config.proposals
@@ -103,7 +106,7 @@ class ColorPairDetector:
 
         def places_of(name: str) -> list[Proposal]:
             model, known = self._models[name], (followed or {}).get(name, ())
-            free = view.without(taken_by(model, frame, known)) if known else view
+            free = view.without(taken_by(model, seen, known)) if known else view
             proposed = propose(
                 model,
                 self._table(name),

@@ -1,0 +1,55 @@
+"""A veil of light over a picture: how strong it is, and what is found without it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.colorpair.opponents import LINEAR
+from huepose.estimation import Estimator, ObjectQuery
+from huepose.geometry.frame import RgbdFrame
+from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.veil import unveiled, veil
+
+LIGHT = 0.12
+
+
+def veiled(frame: RgbdFrame, light: float = LIGHT, lit: float = 1.0) -> RgbdFrame:
+    """The frame in so much of its light, under a veil of white light that takes as much from the picture."""
+    table = np.abs(LINEAR[None] - ((1.0 - light) * lit * LINEAR + light)[:, None]).argmin(1).astype(np.uint8)
+    return replace(frame, color=table[frame.color])
+
+
+@pytest.fixture(scope="module")
+def frame(tea_box, take_picture, standing) -> RgbdFrame:
+    """A tea box, and a thing in deep shadow."""
+    clear = take_picture([(tea_box.mesh, standing)])
+    color = clear.color.copy()
+    color[:40, :40] = 3
+    return replace(clear, color=color)
+
+
+def test_a_picture_with_something_dark_stays_what_it_is(frame) -> None:
+    assert veil(frame.color) < 0.002
+    assert unveiled(frame) is frame
+    assert veil(veiled(frame).color) == pytest.approx(LIGHT, abs=0.004)
+
+
+def test_without_its_veil_a_picture_has_its_colours_again(frame) -> None:
+    again = unveiled(veiled(frame))
+    assert veil(again.color) < 0.002
+    assert again.depth is frame.depth
+    # Of light, between bytes: 0.003 where it is dark under the veil, 0.009 where it is bright.
+    assert np.abs(LINEAR[again.color] - LINEAR[frame.color]).max() < 0.01
+
+
+def test_detector_and_estimator_look_under_the_veil(tea_box, frame) -> None:
+    models, seen = {"tea_box": tea_box}, veiled(frame, lit=0.1)
+    detector, estimator = ColorPairDetector(models), Estimator(models)
+    (veiled_box, *_), (bare_box, *_) = (detector.detect(one, ["tea_box"]) for one in (seen, unveiled(seen)))
+    assert veiled_box.score == bare_box.score
+    query = ObjectQuery("tea_box", bare_box.box, searched=True)
+    under, bare = (estimator.estimate(one, [query])[0] for one in (seen, unveiled(seen)))
+    assert (under.present, under.quality) == (bare.present, bare.quality)

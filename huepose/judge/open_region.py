@@ -235,14 +235,14 @@ def _averaged_around(points: Float32, normals: Float32, values: Float, sigma_m: 
     """Values (N, K) averaged by a Gaussian over neighbours that face the same way."""
     from scipy.spatial import cKDTree  # a fifth of a second, which no tracker of known objects needs
 
-    pairs = cKDTree(points).query_pairs(2.5 * sigma_m, output_type="ndarray")
+    a, b = cKDTree(points).query_pairs(2.5 * sigma_m, output_type="ndarray").T
+    d2 = ((points[a] - points[b]) ** 2).sum(1)
+    near = np.exp(-d2 / (2 * sigma_m**2)) * np.maximum((normals[a] * normals[b]).sum(1), 0.0)
     own = np.arange(len(points))
-    i, j = np.concatenate([pairs[:, 0], pairs[:, 1], own]), np.concatenate([pairs[:, 1], pairs[:, 0], own])
-    d2 = ((points[i] - points[j]) ** 2).sum(1)
-    w = np.exp(-d2 / (2 * sigma_m**2)) * np.maximum((normals[i] * normals[j]).sum(1), 0.0)
+    i, j = np.concatenate([a, b, own]), np.concatenate([b, a, own])
+    w = np.concatenate([near, near, (normals**2).sum(1)])
     total = np.bincount(i, w, len(points))
-    columns = range(values.shape[1])
-    return np.stack([np.bincount(i, w * values[j, c], len(points)) / total for c in columns], 1)
+    return np.stack([np.bincount(i, w * column[j], len(points)) / total for column in values.T.copy()], 1)
 
 
 def look(surface: PreparedSurface, region: OpenRegion, T_cam_obj: Float64) -> Terms:

@@ -94,6 +94,7 @@ def rasterise(
     focal: tuple[float, float],
     centre: tuple[float, float],
     near: float,
+    closed: bool,
     index: int,
     inverse: Float32,
     faces_out: Int32,
@@ -101,7 +102,8 @@ def rasterise(
 ) -> tuple[int, int, int, int]:
     """Draw camera-frame points (V, 3) with faces (F, 3) into the buffers of 1/z, face and owner (H, W).
 
-    Triangles that cross the near plane are clipped there. `index` is the owner's number.
+    Triangles that cross the near plane are clipped there. Of a closed surface that is all beyond it, what
+    turns its clockwise side to the camera is hidden, and left out. `index` is the owner's number.
     Returns the bounds left, top, right, bottom (inclusive) of the pixels touched; right < left for none.
     """
     height, width = inverse.shape
@@ -122,6 +124,10 @@ def rasterise(
         front = (flat[a, 2] > 0) + (flat[b, 2] > 0) + (flat[c, 2] > 0)
         if front == 0:
             continue
+        if closed:
+            across, down = flat[b, 0] - flat[a, 0], flat[b, 1] - flat[a, 1]
+            if across * (flat[c, 1] - flat[a, 1]) - down * (flat[c, 0] - flat[a, 0]) > 0.0:
+                continue
         if front == 3:
             for k in range(3):
                 triangle[0, k], triangle[1, k], triangle[2, k] = flat[a, k], flat[b, k], flat[c, k]
@@ -147,24 +153,6 @@ def rasterise(
             left, top = min(left, box[0]), min(top, box[1])
             right, bottom = max(right, box[2]), max(bottom, box[3])
     return left, top, right, bottom
-
-
-@jit
-def facing(points: Float64, faces: Int32) -> Int32:
-    """The faces (K, 3) of (F, 3) that turn their counter-clockwise side to the camera, in camera-frame points
-    (V, 3): all that is seen of a closed surface."""
-    out = np.empty(faces.shape, np.int32)
-    n = 0
-    for f in range(faces.shape[0]):
-        a, b, c = points[faces[f, 0]], points[faces[f, 1]], points[faces[f, 2]]
-        volume = (
-            a[0] * (b[1] * c[2] - b[2] * c[1])
-            + a[1] * (b[2] * c[0] - b[0] * c[2])
-            + a[2] * (b[0] * c[1] - b[1] * c[0])
-        )
-        out[n] = faces[f]
-        n += 1 if volume <= 0.0 else 0
-    return out[:n]
 
 
 @jit

@@ -15,7 +15,7 @@ import numpy as np
 from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64, UInt8
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.mesh import Mesh
-from huepose.rendering.raster import depth_of, facing, rasterise, transform
+from huepose.rendering.raster import depth_of, rasterise, transform
 from huepose.rendering.shade import locate, paint, turn_normals
 from huepose.rendering.textures import Pyramid, build_pyramid
 from huepose.support.jit import jit
@@ -64,6 +64,10 @@ class _Prepared:
     def closed(self) -> bool:
         """Whether the surface has no border and looks outwards: its far side is hidden then."""
         return is_closed(self.vertices, self.faces)
+
+    def hides_its_far_side(self, points_cam: Float64, near_m: float) -> bool:
+        """Whether what looks away is hidden: a closed surface, all of it beyond `near_m`."""
+        return self.closed and bool(points_cam[:, 2].min() > near_m)
 
     @cached_property
     def corner_points(self) -> Float32:
@@ -116,7 +120,8 @@ def render(
         part = _prepare(mesh)
         T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
         points_cam = transform(part.vertices, T)
-        bounds = rasterise(points_cam, part.faces, focal, centre, NEAR_M, index, inverse, face, owner)
+        closed = part.hides_its_far_side(points_cam, NEAR_M)
+        bounds = rasterise(points_cam, part.faces, focal, centre, NEAR_M, closed, index, inverse, face, owner)
         drawn.append((index, part, T, points_cam, bounds))
 
     none_u8, none_f32 = np.empty((0, 0, 3), np.uint8), np.empty((0, 0, 3), np.float32)
@@ -144,18 +149,8 @@ def render_depth(mesh: Mesh, T_cam_obj: Float, camera: Camera, *, near_m: float 
     face: Int32 = np.empty(size, np.int32)
     focal, centre = _intrinsics(camera)
     points_cam = transform(part.vertices, np.ascontiguousarray(T_cam_obj, dtype=np.float64))
-    whole = not part.closed or points_cam[:, 2].min() <= near_m
-    rasterise(
-        points_cam,
-        part.faces if whole else facing(points_cam, part.faces),
-        focal,
-        centre,
-        float(near_m),
-        0,
-        inverse,
-        face,
-        face,
-    )
+    closed = part.hides_its_far_side(points_cam, near_m)
+    rasterise(points_cam, part.faces, focal, centre, float(near_m), closed, 0, inverse, face, face)
     return depth_of(inverse)
 
 

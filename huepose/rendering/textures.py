@@ -65,7 +65,7 @@ def covered_texels(mesh: Mesh) -> UInt8:
     faces: Int32 = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
     inverse: Float32 = np.zeros((height, width), np.float32)
     face, owner = np.zeros((height, width), np.int32), np.zeros((height, width), np.int32)
-    rasterise(corners, faces, (1.0, 1.0), (0.0, 0.0), 0.5, 1, inverse, face, owner)
+    rasterise(corners, faces, (1.0, 1.0), (0.0, 0.0), 0.5, False, 1, inverse, face, owner)
     used = owner.astype(np.uint8)
     mark_specks(used, mesh.uv)
     return used

@@ -8,6 +8,7 @@ import pytest
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Float32
 from huepose.rendering import render, render_depth
+from huepose.rendering.raster import rasterise, transform
 from huepose.rendering.render import is_closed
 
 CAMERA = Camera(600.0, 602.5, 312.9869, 241.3109, 640, 480)
@@ -228,21 +229,35 @@ def test_only_asked_channels_are_there() -> None:
 
 
 @pytest.mark.parametrize("distance_m", [0.3, 0.1, 0.06])
-def test_leaving_out_the_far_side_of_a_solid_changes_no_depth(distance_m: float) -> None:
+def test_leaving_out_the_far_side_of_a_solid_changes_no_pixel(distance_m: float) -> None:
     """Also where the near plane cuts it open; a surface with a border keeps both sides."""
     solid = cube()
     assert is_closed(solid.vertices, solid.faces)
     assert not is_closed(solid.vertices, solid.faces[:, ::-1])
-    bowl = Mesh(solid.vertices, solid.faces[2:], solid.uv, solid.texture)
+    parts = slice(2, None), slice(2)
+    bowl, lid = (Mesh(solid.vertices, solid.faces[k], solid.uv[k], solid.texture) for k in parts)
     assert not is_closed(bowl.vertices, bowl.faces)
     camera = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
     for k in range(4):
         turn = se3.rotation_exp(np.array([0.4 * k, 1.0, 0.3 * k]))
         T = se3.make(turn, [0.01, 0.0, distance_m])
-        for mesh in (solid, bowl):
-            depth = render_depth(mesh, T, camera)
-            assert (depth > 0).any()
-            assert np.array_equal(depth, render([(mesh, T)], camera, color=False).depth)
+        for mesh, parts in ((solid, (bowl, lid)), (bowl, (bowl,))):
+            drawn, whole = render([(mesh, T)], camera), render([(part, T) for part in parts], camera)
+            assert (whole.depth > 0).any()
+            assert np.array_equal(drawn.depth, whole.depth)
+            assert np.array_equal(drawn.color, whole.color)
+            assert np.array_equal(render_depth(mesh, T, camera), whole.depth)
+
+
+def test_the_far_side_is_left_out_of_a_solid_alone() -> None:
+    solid = cube()
+    points = transform(solid.vertices, se3.make(np.eye(3), np.array([0.0, 0.0, 0.3])))
+    far = solid.faces[(points[solid.faces, 2] > 0.3).all(1)]
+    assert len(far) == 2
+    for closed in (False, True):
+        inverse, face = np.zeros((120, 160), np.float32), np.full((120, 160), -1, np.int32)
+        rasterise(points, far, (300.0, 300.0), (79.5, 59.5), 0.01, closed, 0, inverse, face, face.copy())
+        assert (inverse > 0).any() == (not closed)
 
 
 def cube(half: float = 0.03) -> Mesh:
@@ -250,4 +265,4 @@ def cube(half: float = 0.03) -> Mesh:
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32) * half
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32)
-    return Mesh(corners, faces, np.zeros((8, 2), np.float32), np.full((2, 2, 3), 200, np.uint8))
+    return Mesh(corners, faces, np.zeros((12, 3, 2), np.float32), np.full((2, 2, 3), 200, np.uint8))

@@ -117,23 +117,27 @@ def window_pictures(
     color (H, W, 3) uint8 and depth (H, W) metres: the frame; pixels (W, 2), depth_m (W,): centres; span_px
     (W,): widths in pixels. diameter_m: of the object, or one per window (W,). wide: factor on width and
     pixels (training)."""
-    side = wide * SIDE
-    pyramid, diameters = [color], np.broadcast_to(diameter_m, len(pixels))
-    colors = np.zeros((len(pixels), side, side, 3), np.uint8)
-    reliefs = np.full((len(pixels), side, side), np.nan, np.float32)
+    side, pyramid = wide * SIDE, [color]
+    step = span_px / SIDE
+    to_picture = np.zeros((len(pixels), 2, 3))
+    to_picture[:, 0, 0] = to_picture[:, 1, 1] = step
+    to_picture[:, :, 2] = pixels - (side - 1) / 2.0 * step[:, None]
+    halvings = np.maximum(0, np.ceil(np.log2(step / MAX_STEP))).astype(int)
+    to_smaller = to_picture / 2.0 ** halvings[:, None, None]
+    # Pixel centres of a halved picture lie between.
+    to_smaller[:, :, 2] += 0.5 * (0.5 ** halvings[:, None] - 1.0)
+    colors = np.empty((len(pixels), side, side, 3), np.uint8)
+    z = np.empty((len(pixels), side, side), np.float32)
     for k in range(len(pixels)):
-        step = float(span_px[k]) / SIDE
-        halvings = max(0, int(np.ceil(np.log2(step / MAX_STEP))))
-        while len(pyramid) <= halvings:
+        while len(pyramid) <= halvings[k]:
             pyramid.append(np.asarray(cv2.pyrDown(pyramid[-1]), np.uint8))
-        to_picture = _lattice_to_picture(pixels[k], step, side)
-        to_smaller = to_picture / 2**halvings
-        to_smaller[:, 2] += 0.5 * (0.5**halvings - 1.0)  # pixel centres of a halved picture lie between
-        colors[k] = _resampled(pyramid[halvings], to_smaller, side, cv2.INTER_LINEAR)
-        z = _resampled(depth, to_picture, side, cv2.INTER_NEAREST)
-        known = z > 0
-        reliefs[k][known] = (z[known] - np.float32(depth_m[k])) / np.float32(diameters[k])
-    return colors, reliefs
+        _resampled(pyramid[halvings[k]], to_smaller[k], side, cv2.INTER_LINEAR, out=colors[k])
+        _resampled(depth, to_picture[k], side, cv2.INTER_NEAREST, out=z[k])
+    unknown = z <= 0
+    z -= np.asarray(depth_m, np.float32)[:, None, None]
+    z /= np.broadcast_to(diameter_m, len(pixels)).astype(np.float32)[:, None, None]
+    z[unknown] = np.nan
+    return colors, z
 
 
 def network_input(colors: UInt8, reliefs: Float32, *, clean: bool) -> Float32:
@@ -172,7 +176,14 @@ def _lattice_to_picture(middle: Float64, step: float, side: int) -> Float64:
     return np.array([[step, 0.0, corner[0]], [0.0, step, corner[1]]])
 
 
-def _resampled(image: np.ndarray, to_image: Float64, side: int, how: int, outside: float = 0.0) -> np.ndarray:
+def _resampled(
+    image: np.ndarray,
+    to_image: Float64,
+    side: int,
+    how: int,
+    outside: float = 0.0,
+    out: np.ndarray | None = None,
+) -> np.ndarray:
     return cv2.warpAffine(
-        image, to_image, (side, side), flags=how | cv2.WARP_INVERSE_MAP, borderValue=4 * (outside,)
+        image, to_image, (side, side), out, flags=how | cv2.WARP_INVERSE_MAP, borderValue=4 * (outside,)
     )

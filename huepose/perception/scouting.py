@@ -70,6 +70,30 @@ because a camera's white balance may order the object's own ones last."""
 SURE = 1.35
 """A place with this score is surely the object's: the search ends."""
 
+UNLIKE = 0.21
+"""Where no window has this likeness with a view, keypoints give no place that is believed
+(docs/detection.md, keypoints of a model)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """Rough poses (M, 4, 4) with scores (M,). likeness: of the window and the view that are most alike; 1
+    where none were compared."""
+
+    poses: Float64
+    rated: Float64
+    likeness: float = 1.0
+
+    @staticmethod
+    def nothing() -> Found:
+        """No pose."""
+        return Found(np.zeros((0, 4, 4)), np.zeros(0))
+
+    @property
+    def sure(self) -> bool:
+        """Whether one of the poses surely is the object's."""
+        return bool((self.rated >= SURE).any())
+
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
@@ -95,31 +119,30 @@ def propose(
 ) -> list[Proposal]:
     """The poses of an object at its `count` best places in a view. windows: of the object's size.
 
-    Views with the first effort, then keypoints, then views with more effort; the search ends when a place is
-    sure. guessed: returns poses (K, 4, 4) from keypoints; efforts: those of the search by views."""
-    none = np.zeros((0, 4, 4)), np.zeros(0)
-    by_keypoints, by_views = none, none
+    Views with the first effort, then with more, then keypoints; the search ends when a place is sure. What
+    no window looks like is not looked for by keypoints. guessed: returns poses (K, 4, 4) from keypoints;
+    efforts: those of the search by views."""
+    by_views, by_keypoints = Found.nothing(), Found.nothing()
     if efforts:
         with stage("windows"):
             order = promising(table, windows)
             order = order[view.free(windows.pixels[order])]
-    for step in (*efforts[:1], guessed, *efforts[1:]):
-        if step is None or any((rated >= SURE).any() for _, rated in (by_keypoints, by_views)):
-            continue
-        if isinstance(step, Effort):
-            by_views = _tried(model, table, view, windows, order[: step.windows], step)
-        else:
-            by_keypoints = _followed(model, view, step())
-    poses = np.concatenate([by_keypoints[0], by_views[0]])
-    rated = np.concatenate([by_keypoints[1], by_views[1]])
+    for effort in efforts:
+        if not by_views.sure:
+            by_views = _tried(model, table, view, windows, order[: effort.windows], effort)
+    unlike = len(efforts) == len(EFFORTS) and by_views.likeness < UNLIKE
+    if guessed is not None and not by_views.sure and not unlike:
+        by_keypoints = _followed(model, view, guessed())
+    poses = np.concatenate([by_keypoints.poses, by_views.poses])
+    rated = np.concatenate([by_keypoints.rated, by_views.rated])
     with stage("thin"):
         return _thinned(model, view, poses, rated, count)
 
 
-def _followed(model: ReferenceModel, view: ClearView, guesses: Float64) -> tuple[Float64, Float64]:
-    """Poses (M, 4, 4) from guessed ones (K, 4, 4) - as they are, aligned, and refined - with scores (M,)."""
+def _followed(model: ReferenceModel, view: ClearView, guesses: Float64) -> Found:
+    """Poses from guessed ones (K, 4, 4): as they are, aligned, and refined."""
     if not len(guesses):
-        return guesses, np.zeros(0)
+        return Found.nothing()
     region = view.region(model.diameter_m)
     with stage("guesses"):
         poses = np.concatenate([guesses, align_in_view(model, view, guesses)])
@@ -127,7 +150,7 @@ def _followed(model: ReferenceModel, view: ClearView, guesses: Float64) -> tuple
         best = poses[_apart(model, poses, rated, len(guesses))]
         found, _ = search(model, region, best, SEARCH_STEPS_DEG, SEARCH_SAMPLES)
         rated = np.concatenate([_judged(model, view, region, found), rated])
-        return np.concatenate([found, poses]), rated
+        return Found(np.concatenate([found, poses]), rated)
 
 
 def _tried(
@@ -137,12 +160,12 @@ def _tried(
     windows: Windows,
     chosen: Int64,
     effort: Effort,
-) -> tuple[Float64, Float64]:
-    """Poses (M, 4, 4) and scores (M,) from the chosen windows (W,), with one effort."""
+) -> Found:
+    """Poses from the chosen windows (W,), with one effort."""
     chosen, alike = narrowed(table, windows, chosen, effort.at_any_rate)
     looks = look(table, windows, chosen, alike, view.crop.camera, effort.looks, effort.looks_each)
     if not len(looks.poses):
-        return np.zeros((0, 4, 4)), np.zeros(0)
+        return Found.nothing()
     region = view.region(model.diameter_m)
     with stage("first"):
         rated = (
@@ -163,7 +186,7 @@ def _tried(
         )
         found, _ = search(model, region, starts, SEARCH_STEPS_DEG, SEARCH_SAMPLES)
         rated = np.concatenate([_judged(model, view, region, found), rated])
-        return np.concatenate([found, poses]), rated
+        return Found(np.concatenate([found, poses]), rated, float(looks.likenesses[0]))
 
 
 def likeliest_near_symmetries(model: ReferenceModel, region: Region, poses: Float64) -> Float64:

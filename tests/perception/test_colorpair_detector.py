@@ -12,13 +12,14 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.borders import continuation_many
 from huepose.judge.region import model_arrays
 from huepose.model.types import ReferenceModel
+from huepose.perception import scouting
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig, Source
 from huepose.perception.ground import large_planes, standing_clear
 from huepose.perception.nearby import align_in_view
-from huepose.perception.scouting import likeliest_near_symmetries, propose
-from huepose.perception.window_table import window_table
+from huepose.perception.scouting import EFFORTS, Effort, likeliest_near_symmetries, propose
+from huepose.perception.window_table import narrowed, promising, window_table
 from huepose.perception.windows import WindowsBySize
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
@@ -148,9 +149,13 @@ def test_a_source_that_there_is_not_is_refused() -> None:
         DetectorConfig(sources=())
 
 
-def test_keypoints_are_asked_for_only_where_a_first_look_is_not_sure(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+def test_keypoints_are_asked_for_only_where_views_are_not_sure(
+    tea_box: ReferenceModel,
+    take_picture: TakePicture,
+    standing: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(scouting, "UNLIKE", 0.0)
     asked: list[bool] = []
 
     def guessed() -> np.ndarray:
@@ -164,6 +169,51 @@ def test_keypoints_are_asked_for_only_where_a_first_look_is_not_sure(
         windows = WindowsBySize(view).of(tea_box.diameter_m)
         propose(tea_box, window_table(tea_box), view, windows, 1, guessed=guessed)
         assert len(asked) == times
+
+
+@pytest.mark.parametrize(
+    ("efforts", "likeness", "times"),
+    [(EFFORTS, 0.0, 1), (EFFORTS, 1.0, 0), (EFFORTS[:1], 1.0, 1), ((), 1.0, 1)],
+)
+def test_keypoints_are_not_asked_for_where_none_of_all_windows_looks_like_the_object(
+    tea_box: ReferenceModel,
+    take_picture: TakePicture,
+    standing: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
+    efforts: tuple[Effort, ...],
+    likeness: float,
+    times: int,
+) -> None:
+    asked: list[bool] = []
+
+    def guessed() -> np.ndarray:
+        asked.append(True)
+        return np.zeros((0, 4, 4))
+
+    monkeypatch.setattr(scouting, "UNLIKE", likeness)
+    grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
+    view = clear_view(take_picture([(grey, standing)]), 0.3)
+    assert view is not None
+    windows = WindowsBySize(view).of(tea_box.diameter_m)
+    propose(tea_box, window_table(tea_box), view, windows, 1, efforts, guessed)
+    assert len(asked) == times
+    # Where there is no window, nobody has looked.
+    monkeypatch.setattr(scouting, "promising", lambda *_: np.zeros(0, np.int64))
+    propose(tea_box, window_table(tea_box), view, windows, 1, efforts, guessed)
+    assert len(asked) == times + 1
+
+
+def test_an_object_that_is_there_looks_like_one_of_its_views(
+    frame: RgbdFrame, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
+    most = []
+    for picture in (frame, take_picture([(grey, standing)])):
+        view = clear_view(picture, 0.3)
+        assert view is not None
+        windows, table = WindowsBySize(view).of(tea_box.diameter_m), window_table(tea_box)
+        most.append(narrowed(table, windows, promising(table, windows), 20)[1].max())
+    assert most[0] > scouting.UNLIKE > most[1]
 
 
 def test_an_empty_table_gives_nothing(tea_box: ReferenceModel, take_picture: TakePicture) -> None:

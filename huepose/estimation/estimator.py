@@ -95,8 +95,9 @@ class Estimator:
         for query in queries:
             require(query, ObjectQuery, "query", "an ObjectQuery", "Make one: ObjectQuery(name, box).")
             self._models[query.object]  # raises before anything is looked at
-        with stage("veil"):
-            frame = unveiled(frame)
+        if self.config.method == "full":
+            with stage("veil"):
+                frame = unveiled(frame)
         presence = None
         if any(query.searched for query in queries):
             with stage("presence"):

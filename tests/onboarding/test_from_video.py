@@ -26,7 +26,7 @@ pytestmark = pytest.mark.timeout(400)  # the first that asks makes the mesh, for
 CAMERA = Camera(330.0, 330.0, 159.5, 119.5, 320, 240)
 MIDDLE_CAM = np.array([0.0, 0.0, 0.5])
 BOX = demo_objects()["tea_box"]
-FRAMES, STEP_DEG = 12, 11.25
+FRAMES, STEP_DEG = 18, 7.5
 
 
 @cache

@@ -86,9 +86,13 @@ def saved(path: Path) -> Any:
     return recording
 
 
+MOST_S = 20.0
+"""For a file that takes no more: rerun's writer says so, or is gone and never answers."""
+
+
 def flush(recording: Any) -> None:
     """Waits until a recording's file has all of it. Raises OSError where the disk takes no more."""
     try:
-        recording.flush()
+        recording.flush(timeout_sec=MOST_S)
     except RuntimeError as error:  # what rerun's writer met stands in its log
         raise OSError(f"the file cannot be written any further ({error})") from None

@@ -34,9 +34,10 @@ def read_symmetries(path: Path | str) -> dict[str, Any]:
     return entry
 
 
-def symmetries_of(value: str) -> dict[str, Any] | str:
-    """What --symmetric says: an axis of the object ("x", "y" or "z"), or an entry of `read_symmetries`."""
-    return value if value in AXES else read_symmetries(value)
+def symmetries_of(value: str | None) -> dict[str, Any] | str | None:
+    """What --symmetric says: an axis of the object ("x", "y" or "z"), or an entry of `read_symmetries`; None
+    where it is not given."""
+    return value if value is None or value in AXES else read_symmetries(value)
 
 
 def check_symmetries(entry: Mapping[str, Any], where: str) -> None:

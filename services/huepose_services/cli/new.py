@@ -67,7 +67,7 @@ def call(arguments: argparse.Namespace) -> int:
             fix="Name another one with --out DIR, or delete this one.",
         )
     check_name(arguments.name)
-    symmetric = symmetries_of(arguments.symmetric) if arguments.symmetric else None
+    symmetric = symmetries_of(arguments.symmetric)
     job = with_unit(Job(arguments.mesh, arguments.name, unit=arguments.unit, symmetric=symmetric))
     mesh = read_mesh(job.mesh_path, job.unit)
     try:  # in a second, before what takes longer

@@ -94,7 +94,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.onboarding.batch import Job
     from huepose.onboarding.declared import symmetries_of
 
-    symmetric = symmetries_of(arguments.symmetric) if arguments.symmetric else None
+    symmetric = symmetries_of(arguments.symmetric)
     made = mesh_from_video(arguments)
     mesh, unit = (made.mesh, METRES) if made else (arguments.mesh, arguments.unit)
     given = (mesh, arguments.name, arguments.id, unit)

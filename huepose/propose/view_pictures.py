@@ -77,7 +77,8 @@ def clean_view(mesh: Mesh, diameter_m: float, R_cam_obj: Float64, side: int = SI
     rows, columns = np.nonzero(seen.depth)
     middle = np.array([columns.mean(), rows.mean()])
     median = float(np.median(seen.depth[rows, columns]))
-    to_picture = _lattice_to_picture(middle, _OVERSAMPLING * distance / median, side)
+    step = np.array([_OVERSAMPLING * distance / median])
+    (to_picture,) = _lattices_to_picture(middle[None], step, side)
     blurred = np.asarray(cv2.GaussianBlur(seen.color, (0, 0), _BLUR_PX), np.uint8)
     depth = _resampled(seen.depth, to_picture, side, cv2.INTER_NEAREST)
     there = (depth > 0)[..., None]
@@ -119,9 +120,7 @@ def window_pictures(
     pixels (training)."""
     side, pyramid = wide * SIDE, [color]
     step = span_px / SIDE
-    to_picture = np.zeros((len(pixels), 2, 3))
-    to_picture[:, 0, 0] = to_picture[:, 1, 1] = step
-    to_picture[:, :, 2] = pixels - (side - 1) / 2.0 * step[:, None]
+    to_picture = _lattices_to_picture(pixels, step, side)
     halvings = np.maximum(0, np.ceil(np.log2(step / MAX_STEP))).astype(int)
     to_smaller = to_picture / 2.0 ** halvings[:, None, None]
     # Pixel centres of a halved picture lie between.
@@ -169,11 +168,13 @@ def _fill(colors: UInt8, reliefs: Float32, clean: bool, levels: Float32, x: Floa
                 x[n, 5, v, u] = one if known and abs(z) < near else zero
 
 
-def _lattice_to_picture(middle: Float64, step: float, side: int) -> Float64:
-    """Affine map (2, 3) to the picture from a lattice of `side` points a side, `step` pixels apart, centred
-    on a pixel (2,)."""
-    corner = middle - (side - 1) / 2.0 * step
-    return np.array([[step, 0.0, corner[0]], [0.0, step, corner[1]]])
+def _lattices_to_picture(middles: Float64, steps: Float64, side: int) -> Float64:
+    """Affine maps (N, 2, 3) to the picture from lattices of `side` points a side, `steps` (N,) pixels apart,
+    centred on pixels (N, 2)."""
+    out = np.zeros((len(middles), 2, 3))
+    out[:, 0, 0] = out[:, 1, 1] = steps
+    out[:, :, 2] = middles - (side - 1) / 2.0 * steps[:, None]
+    return out
 
 
 def _resampled(

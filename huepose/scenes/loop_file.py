@@ -3,12 +3,18 @@
 Colour is JPEG (as most cameras deliver it), depth raw uint16, nothing is packed further, so that playing it
 costs little. A file is written beside its name and moved there when complete; on opening, everything is
 checked, and whoever asked computes the loop anew when it does not hold.
+
+Whoever writes or plays a loop holds a lock on its file. Loops that nobody has asked for in `UNUSED_DAYS` go
+when the next one is written, and so do the parts that a killed writer left.
 """
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,8 +26,11 @@ import numpy as np
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.support.errors import InputError
 from huepose.support.files import whole, writing
+from huepose.support.kept import unused
 
 DEPTH_SCALE_M = 1e-4
+UNUSED_DAYS = 7
+"""Less than for what is derived from a user's files: a loop is 165 to 500 MB, and drawn anew in 20 s."""
 _FACTS = "facts.json"
 
 
@@ -61,7 +70,9 @@ def write_loop(
     size = (0, 0)
     with writing(path.parent, "a folder with room for about 200 MB", "Set XDG_CACHE_HOME to another one."):
         path.parent.mkdir(parents=True, exist_ok=True)
+        _tidy(path.parent)
         with whole(path) as part, ZipFile(part, "w") as out:
+            _hold(out)
             for color, depth, row in frames:
                 bgr = cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
                 ok, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 95])
@@ -73,6 +84,21 @@ def write_loop(
                 size = raw.shape
                 rows.append(row)
             out.writestr(ZipInfo(_FACTS), json.dumps({"facts": facts, "rows": rows, "size": size}))
+
+
+def _hold(file: ZipFile) -> None:
+    """Say that the file is in use, as long as it is open."""
+    assert file.fp is not None
+    with suppress(OSError):  # some network drives know no locks
+        fcntl.flock(file.fp, fcntl.LOCK_SH | fcntl.LOCK_NB)
+
+
+def _tidy(folder: Path) -> None:
+    """Remove the loops that nobody asks for and the parts that nobody writes any more."""
+    for path in (*unused(folder.glob("*.loop"), UNUSED_DAYS), *folder.glob(".*.loop.*.part")):
+        with suppress(OSError), path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # refused where it is in use
+            path.unlink()
 
 
 def kept_loop(
@@ -93,6 +119,9 @@ def open_loop(path: Path) -> tuple[Loop, list[dict[str, Any]]] | None:
     """The loop in `path` and the facts of its frames; None when there is none, or not a whole one."""
     try:
         file = ZipFile(path)
+        _hold(file)
+        with suppress(OSError):
+            os.utime(path)
         if file.testzip() is not None:
             return None
         stored = json.loads(file.read(_FACTS))

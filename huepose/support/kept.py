@@ -16,7 +16,7 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from functools import cache, wraps
@@ -34,7 +34,7 @@ from huepose.support.files import cache_folder, whole
 T = TypeVar("T")
 
 UNUSED_DAYS = 30
-"""What belongs to a file that nobody has asked for as long is removed."""
+"""What nobody has asked for as long is removed."""
 
 VERSIONS = 2
 """So many versions of one file's are left: the running one's and the one before."""
@@ -148,14 +148,24 @@ def _tidy(home: Path) -> None:
     """Remove what other versions of the code made of a file, but the newest, and what belongs to files that
     nobody asks for. Whoever has it mapped keeps it."""
     by_use = sorted(home.iterdir(), key=lambda one: one.stat().st_mtime, reverse=True)
-    unused = [
-        other
-        for other in home.parent.iterdir()
-        if max((one.stat().st_mtime for one in other.iterdir()), default=np.inf)
-        < time.time() - UNUSED_DAYS * 86400.0
-    ]
-    for folder in (*by_use[VERSIONS:], *unused):
+    for folder in (*by_use[VERSIONS:], *unused(home.parent.iterdir(), UNUSED_DAYS)):
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def unused(places: Iterable[Path], days: float) -> list[Path]:
+    """Those of some files and folders that nobody has asked for in so many days: whoever asks for a file, or
+    for anything in a folder, sets its time."""
+    long_ago = time.time() - days * 86400.0
+    return [place for place in places if _last_asked(place) < long_ago]
+
+
+def _last_asked(place: Path) -> float:
+    """Seconds of the wall clock; of an empty folder, which somebody is about to fill, infinity."""
+    try:
+        asked = [one.stat().st_mtime for one in (place.iterdir() if place.is_dir() else (place,))]
+    except FileNotFoundError:  # another process removes it
+        return np.inf
+    return max(asked, default=np.inf)
 
 
 K = TypeVar("K")

@@ -1,14 +1,17 @@
 """The built-in scene: its reference models, made at first use and kept in the cache folder.
 
 The folder's name is a digest of the meshes and of the code that makes models of them, so that a new version
-never meets models of an old one.
+never meets models of an old one. Folders that nobody has asked for in 30 days go when the next one is made;
+whoever has their models mapped keeps them.
 """
 
 from __future__ import annotations
 
 import fcntl
 import hashlib
+import shutil
 import sys
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -17,6 +20,7 @@ from huepose.geometry.mesh import Mesh
 from huepose.model.io import model_path, save_model
 from huepose.scenes.builtin import builtin_objects
 from huepose.support.files import cache_folder, writing
+from huepose.support.kept import UNUSED_DAYS, unused
 from huepose.support.progress import progress
 
 _MAKERS = (
@@ -27,6 +31,8 @@ _MAKERS = (
     "propose/features.py",
     "propose/keypoint_reference.py",
 )
+
+_LOCK = ".lock"
 
 
 def bundles_are_kept(seed: int) -> bool:
@@ -45,10 +51,14 @@ def builtin_bundles(seed: int, paper: bool = False) -> Path:
     meshes = builtin_objects(seed)
     folder = _folder(meshes, paper)
     if not _missing(folder, meshes):
+        with suppress(OSError):
+            (folder / _LOCK).touch()
         return folder
     with writing(folder, fix="Set XDG_CACHE_HOME to one that can."):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / ".lock").open("w")
+        lock = (folder / _LOCK).open("w")
+        for other in set(unused(folder.parent.iterdir(), UNUSED_DAYS)) - {folder}:
+            shutil.rmtree(other, ignore_errors=True)
     with lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from huepose.scenes.loop_file import open_loop, write_loop
+from huepose.scenes.loop_file import UNUSED_DAYS, kept_loop, open_loop, write_loop
 from huepose.support.errors import InputError
 from huepose.support.files import cache_folder
 
@@ -73,6 +77,58 @@ def test_nothing_is_left_when_drawing_fails(tmp_path: Path) -> None:
         write_loop(tmp_path / "a.loop", broken(), {})
     assert not list(tmp_path.iterdir())
     assert open_loop(tmp_path / "a.loop") is None
+
+
+def not_asked_for(path: Path, days: float) -> None:
+    os.utime(path, (time.time() - days * 86400,) * 2)
+
+
+def test_a_loop_that_nobody_asks_for_goes_and_one_that_plays_stays(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{name}.loop" for name in ("old", "asked_for", "playing", "young")]
+    for path in paths:
+        write_loop(path, frames(1), {})
+    (tmp_path / "notes.txt").write_text("not a loop")
+    playing = open_loop(paths[2])
+    for path in (*paths[:3], tmp_path / "notes.txt"):
+        not_asked_for(path, UNUSED_DAYS + 1)
+    not_asked_for(paths[3], UNUSED_DAYS - 1)
+    kept_loop(paths[1], list, {})
+    write_loop(tmp_path / "new.loop", frames(1), {})
+    left = {p.name for p in tmp_path.iterdir()}
+    assert left == {"asked_for.loop", "playing.loop", "young.loop", "new.loop", "notes.txt"}
+
+    del playing
+    not_asked_for(paths[2], UNUSED_DAYS + 1)
+    write_loop(tmp_path / "new.loop", frames(1), {})
+    assert not paths[2].exists()
+
+
+_WRITES_ITS_FIRST_FRAME = """
+import sys
+from pathlib import Path
+import numpy as np
+from huepose.scenes.loop_file import write_loop
+
+def drawn():
+    yield np.zeros((6, 8, 3), np.uint8), np.zeros((6, 8), np.float32), {}
+    print("ready", flush=True)
+    sys.stdin.read()
+
+write_loop(Path(sys.argv[1]), drawn(), {})
+"""
+
+
+def test_the_part_of_a_killed_writer_goes_and_that_of_a_living_one_stays(tmp_path: Path) -> None:
+    call = [sys.executable, "-c", _WRITES_ITS_FIRST_FRAME, str(tmp_path / "slow.loop")]
+    with subprocess.Popen(call, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == b"ready\n"
+        write_loop(tmp_path / "other.loop", frames(1), {})
+        assert len(list(tmp_path.glob(".slow.loop.*.part"))) == 1
+        writer.kill()
+    assert len(list(tmp_path.glob(".slow.loop.*.part"))) == 1
+    write_loop(tmp_path / "other.loop", frames(1), {})
+    assert [p.name for p in tmp_path.iterdir()] == ["other.loop"]
 
 
 def test_a_folder_that_cannot_be_written_is_explained(tmp_path: Path) -> None:

@@ -163,7 +163,7 @@ def test_an_option_that_nothing_is_like_is_not_answered_with_another(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises(SystemExit):
-        main(["record", "out.mcap", "--json"])
+        main(["view", "--json"])
     assert capsys.readouterr().err.endswith("there is no option '--json'\n")
 
 
@@ -176,6 +176,9 @@ def test_a_recording_of_nothing_says_so_and_leaves_no_file(
     assert main(["record", str(tmp_path / "out.mcap"), "--config", str(config)]) == 1
     assert "nothing was recorded" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.mcap"))
+    assert main(["record", str(tmp_path / "out.mcap"), "--config", str(config), "--json"]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert [answer["files"], answer["frames"], answer["bytes"]] == [[], 0, 0]
 
 
 def test_a_view_of_nothing_says_so_and_leaves_no_file(

@@ -25,7 +25,7 @@ from huepose_protos.messages import (
 from huepose_services import downlink, uplink
 from huepose_services.authority import Authority
 from huepose_services.camera.audience import Audience
-from huepose_services.cli.graph import mermaid
+from huepose_services.cli.graph import as_json, mermaid
 from huepose_services.cli.units import units
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, LinkConfig, parse
@@ -102,6 +102,10 @@ def test_units_and_graph_are_those_of_a_computer(tmp_path):
     assert all(f'{worker}["' in there for worker in (*ALL, "downlink"))
     assert 'reinit -- "request + frame" --> uplink\n    uplink == TLS ==> downlink' in drawn
     assert "camera -- frame --> detector" not in drawn
+    answer = as_json(View(pipeline, False, {}, frozenset(), (), [], {}))
+    assert {w["worker"] for w in answer["workers"] if w["host"] == "desk"} == {*ALL, "downlink"}
+    assert {"from": "reinit", "to": "detector", "what": "request + frame", "rate_hz": None} in answer["edges"]
+    assert ("camera", "detector") not in {(edge["from"], edge["to"]) for edge in answer["edges"]}
     assert described(config.at("desk"), tmp_path / "p.yaml").workers == (*ALL, "downlink")
 
 

@@ -15,7 +15,7 @@ import pytest
 from huepose.evaluation.metrics import add
 from huepose_protos.messages import ControlRequest
 from huepose_services.chaos.intruder import flood
-from huepose_services.cli.graph import mermaid
+from huepose_services.cli.graph import as_json, mermaid
 from huepose_services.cli.main import main
 from huepose_services.cli.objects import ask
 from huepose_services.cli.status import as_text
@@ -118,6 +118,10 @@ def test_it_says_how_it_is_and_nobody_outside_can_reach_a_worker(running):
     view = running.watch.view()
     assert view.well
     assert 'camera -- "frame, ' in mermaid(view)
+    answer = as_json(view)
+    assert all(worker["there"] and worker["memory_mib"] > 1.0 for worker in answer["workers"])
+    (frames,) = (e for e in answer["edges"] if (e["from"], e["to"]) == ("camera", "tracker"))
+    assert frames["rate_hz"] > 0.0
     assert NAME in as_text(view)
     assert {a for m in view.health.values() for a in _listening(m.pid)} == set()
     assert all(m.shared_memory for w, m in view.health.items() if w in ("tracker", "detector"))

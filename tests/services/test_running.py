@@ -1,6 +1,7 @@
 """Pipelines that run are found, others not; where several run, the one that is meant has to be said."""
 
 import argparse
+import json
 import os
 import re
 
@@ -156,6 +157,10 @@ def test_who_looks_for_a_pipeline_says_so_and_at_which_port(words, tmp_path, mon
     assert first == "looking for a pipeline at port 18300 ..."
     assert "18300" in second
     assert "unixsock" not in second
+    assert main(["graph", "--config", str(path), "--json"]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["pipeline"], answer["running"]) == ("lab/cam0", False)
+    assert {worker["there"] for worker in answer["workers"]} == {False}
 
 
 def test_a_box_with_a_negative_side_is_explained_by_its_size(capsys):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from huepose_services.cli.options import add_choice, chosen, say, say_if_unknown
+from huepose_services.cli.options import add_choice, add_json, answered, chosen, say, say_if_unknown
 
 if TYPE_CHECKING:
     from huepose_services.watch import View
@@ -33,6 +34,7 @@ def add_parser(subparsers: Any) -> None:
     """Add the verb."""
     parser = subparsers.add_parser("graph", help="the workers and their rates as a Mermaid flowchart")
     add_choice(parser)
+    add_json(parser)
     parser.set_defaults(call=call)
 
 
@@ -47,17 +49,41 @@ def call(arguments: argparse.Namespace) -> int:
         view = watch.view()
     if not view.seen:
         say(f"huepose graph: {pipeline.absence}")
-        return 1
-    print(mermaid(view))
-    return 0
+    if view.seen or arguments.json:
+        answered(arguments, as_json(view), mermaid(view))
+    return 0 if view.seen else 1
+
+
+def as_json(view: View) -> dict[str, Any]:
+    """The workers, and who sends what to whom; what is not known is None. host: the second computer, where a
+    worker runs there."""
+    far = set(view.pipeline.far)
+
+    def about(worker: str) -> dict[str, Any]:
+        message = view.health.get(worker)
+        return {
+            "worker": worker,
+            "host": view.pipeline.host if worker in far else None,
+            "there": view.seen and worker not in view.missing,
+            "cpu_percent": message and message.cpu_percent,
+            "memory_mib": message and message.memory_mib,
+        }
+
+    edges = [
+        {"from": edge.source, "to": edge.target, "what": edge.what, "rate_hz": edge.rate_hz}
+        for edge in _edges(view)
+    ]
+    return {
+        "pipeline": view.pipeline.name,
+        "running": view.seen,
+        "workers": [about(worker) for worker in _workers(view)],
+        "edges": edges,
+    }
 
 
 def mermaid(view: View) -> str:
     """The flowchart; workers that are not there are drawn dashed."""
-    from huepose_services.runtime.config import CHAIN
-
-    workers = list(view.pipeline.workers) or [*CHAIN, *(w for w in view.health if w not in CHAIN)]
-    far = set(view.pipeline.far)
+    workers, far = _workers(view), set(view.pipeline.far)
     lines = ["flowchart LR"]
 
     def add(worker: str) -> None:
@@ -74,21 +100,9 @@ def mermaid(view: View) -> str:
             if worker in far:
                 add(worker)
         lines.append("    end")
-    for source, target, what, measure in _EDGES:
-        if source not in workers or target not in workers:
-            continue
-        crosses = (source in far) != (target in far)
-        if crosses and source == "camera":
-            continue  # the frame goes with the request
-        if crosses and what == "request":
-            what = "request + frame"
-        rate = None
-        if measure in _COUNTED:
-            rate = view.rates.get(measure, 0.0) if view.seen else None
-        elif measure in view.health:
-            rate = view.health[measure].rate_hz
-        label = what if rate is None else f"{what}, {rate:.1f} Hz"
-        if not crosses:
+    for source, target, what, rate_hz in _edges(view):
+        label = what if rate_hz is None else f"{what}, {rate_hz:.1f} Hz"
+        if (source in far) == (target in far):
             lines.append(f'    {source} -- "{label}" --> {target}')
             continue
         there, back = ("uplink", "downlink") if target in far else ("downlink", "uplink")
@@ -99,3 +113,36 @@ def mermaid(view: View) -> str:
     if gone:
         lines += ["    classDef gone stroke-dasharray: 5 5", f"    class {','.join(gone)} gone"]
     return "\n".join(lines)
+
+
+class _Edge(NamedTuple):
+    """rate_hz: None where it is not known."""
+
+    source: str
+    target: str
+    what: str
+    rate_hz: float | None
+
+
+def _workers(view: View) -> list[str]:
+    from huepose_services.runtime.config import CHAIN
+
+    return list(view.pipeline.workers) or [*CHAIN, *(w for w in view.health if w not in CHAIN)]
+
+
+def _edges(view: View) -> Iterator[_Edge]:
+    workers, far = _workers(view), set(view.pipeline.far)
+    for source, target, what, measure in _EDGES:
+        if source not in workers or target not in workers:
+            continue
+        crosses = (source in far) != (target in far)
+        if crosses and source == "camera":
+            continue  # the frame goes with the request
+        if crosses and what == "request":
+            what = "request + frame"
+        rate_hz = None
+        if measure in _COUNTED:
+            rate_hz = view.rates.get(measure, 0.0) if view.seen else None
+        elif measure in view.health:
+            rate_hz = view.health[measure].rate_hz
+        yield _Edge(source, target, what, rate_hz)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,15 @@ from typing import TYPE_CHECKING, Any
 from huepose.support.errors import InputError
 from huepose.support.progress import Status
 from huepose.support.words import counted
-from huepose_services.cli.options import add_choice, add_number, chosen, chosen_config, say, until_told
+from huepose_services.cli.options import (
+    add_choice,
+    add_json,
+    add_number,
+    chosen,
+    chosen_config,
+    say,
+    until_told,
+)
 
 if TYPE_CHECKING:
     from huepose_services.recording.parts import Parts
@@ -36,6 +45,7 @@ def add_parser(subparsers: Any) -> None:
         "--keep", type=int, metavar="MIB", help="delete the oldest files beyond this (default: none)"
     )
     add_number(parser, "--free", 1024, "end before the disk has less left (1024)", "MIB")
+    add_json(parser)
     parser.set_defaults(call=call)
 
 
@@ -113,10 +123,29 @@ def _recorded(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> in
     if recorder.span.first_ns is None:
         say("\nhuepose record: no pipeline said anything, so nothing was recorded")
         parts.path.unlink(missing_ok=True)
-        return 1
-    reason = f" ({recorder.finished})" if recorder.finished else ""
-    status.line(f"{_how_far(recorder, parts)}{reason}")
+        code = 1
+    elif not arguments.json:
+        reason = f" ({recorder.finished})" if recorder.finished else ""
+        status.line(f"{_how_far(recorder, parts)}{reason}")
+    if arguments.json:
+        status.clear()
+        print(json.dumps(_answer(recorder, parts), indent=2))
     return code
+
+
+def _answer(recorder: Recorder, parts: Parts) -> dict[str, Any]:
+    """What is in the files, for programs. `lost`: frames and steps of the tracker that came in no way."""
+    span = recorder.span
+    return {
+        "files": [str(path) for path in parts.paths if path.exists()],
+        "frames": parts.frames,
+        "seconds": span.seconds,
+        "before_s": span.before_s,
+        "bytes": parts.size if span.first_ns is not None else 0,
+        "missed": recorder.missed,
+        "lost": recorder.lost,
+        "finished": recorder.finished,
+    }
 
 
 def _how_far(recorder: Recorder, parts: Parts) -> str:

@@ -113,6 +113,11 @@ class Parts:
         """Bytes of all files, with those that were deleted since."""
         return self._bytes_done + self._size
 
+    @property
+    def paths(self) -> list[Path]:
+        """The files that were not deleted since, in their order."""
+        return [*(path for path, _ in self._done), self._path]
+
     def note(self, name: str, values: dict[str, str]) -> None:
         """Something about the recording itself, for this file and those to come."""
         self._notes[name] = self._notes.get(name, {}) | values

@@ -226,10 +226,16 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
     out = tmp_path / "recording.mcap"
     camera = huepose("run", "camera", path)
     recorder = huepose("record", out, "--config", path, "--free", "0")
+    other = huepose("record", tmp_path / "other", "--config", path, "--free", "0", "--json", "--jpeg")
     deadline = time.monotonic() + 60.0
     while not out.exists() or len(frames(Recording(out).events())) < 20:
         assert time.monotonic() < deadline
         time.sleep(0.1)
+    other.send_signal(signal.SIGINT)
+    answer = json.loads(other.communicate(timeout=15.0)[0])
+    assert answer["files"] == [str(tmp_path / "other.mcap")]
+    assert answer["frames"] == len(frames(Recording(tmp_path / "other.mcap").events()))
+    assert answer["bytes"] == (tmp_path / "other.mcap").stat().st_size
     recorder.send_signal(signal.SIGINT)
     assert recorder.wait(15.0) == 0
     camera.terminate()

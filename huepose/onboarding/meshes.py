@@ -23,8 +23,8 @@ from huepose.onboarding.texture import single_texture
 from huepose.onboarding.winding import outward_sign
 from huepose.support.errors import InputError
 
-Unit = Literal["mm", "cm", "m", "in"]
-METRES: dict[Unit, float] = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
+Unit = Literal["mm", "cm", "m", "in", "ft"]
+METRES: dict[Unit, float] = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254, "ft": 0.3048}
 
 SMALLEST_M, LARGEST_M = 0.01, 2.0
 """Bounds of the largest side of an object, by which the unit of a mesh is guessed."""
@@ -83,7 +83,7 @@ def look_at(path: Path) -> Looked:
         vertices = _referenced(raw)[0]
         side, low, high = _extent(vertices), vertices.min(0), vertices.max(0)
         clear = _clear_share(raw)
-    units: tuple[Unit, ...] = ("m", "mm", "cm", "in")
+    units: tuple[Unit, ...] = ("m", "mm", "cm", "in", "ft")
     sizes = {unit: side * METRES[unit] for unit in units if SMALLEST_M <= side * METRES[unit] <= LARGEST_M}
     away, diameter = float(np.linalg.norm((low + high) / 2.0)), float(np.linalg.norm(high - low))
     return Looked(sizes, raw.parts, away, diameter, clear)

@@ -35,8 +35,9 @@ def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, met
         (
             5.0,
             None,
-            "5 m if it is in m or 5 mm if it is in mm or 5 cm if it is in cm or 12.7 cm if it is in in; "
-            "expected an object of 1 cm to 2 m. Give --unit cm or --unit in.",
+            "5 m if it is in m or 5 mm if it is in mm or 5 cm if it is in cm or 12.7 cm if it is in in "
+            "or 1.524 m if it is in ft; "
+            "expected an object of 1 cm to 2 m. Give --unit cm or --unit in or --unit ft.",
         ),
         (
             15.0,
@@ -45,8 +46,8 @@ def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, met
             "it is in in; expected an object of 1 cm to 2 m. "
             "Did you mean --unit mm or --unit cm or --unit in?",
         ),
-        (0.2, "mm", "20 cm if it is in m; expected an object of 1 cm to 2 m. Did you mean --unit m?"),
-        (4000.0, None, "By no --unit (mm, cm, m, in) is it one: scale the mesh."),
+        (0.2, "mm", "20 cm if it is in m or 6.096 cm if it is in ft; expected an object of 1 cm to 2 m. Did you mean --unit m or --unit ft?"),
+        (4000.0, None, "By no --unit (mm, cm, m, in, ft) is it one: scale the mesh."),
     ],
 )
 def test_implausible_sizes_are_refused_with_all_units_that_make_an_object_of_it(
@@ -81,6 +82,12 @@ def test_a_mesh_whose_points_are_in_one_place_has_no_size(tmp_path: Path, unit: 
     with pytest.raises(InputError, match=r"m\.obj: .*all its points are in one place") as caught:
         read_mesh(tmp_path / "m.obj", unit)
     assert "unit" not in str(caught.value)
+
+
+def test_feet_can_be_said(tmp_path: Path) -> None:
+    files.write_obj(tmp_path / "m.obj", solids.box((0.4, 0.3, 0.2)), scale=1.0)
+    assert look_at(tmp_path / "m.obj").sizes == pytest.approx({"m": 0.4, "ft": 0.12192, "in": 0.01016})
+    assert np.ptp(read_mesh(tmp_path / "m.obj", "ft").vertices[:, 0]) == pytest.approx(0.12192)
 
 
 def test_gltf_is_metres_unless_told(tmp_path: Path) -> None:

@@ -177,6 +177,7 @@ def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
         "1.2 m in centimetres). If that is wrong, give the unit with --unit."
     )
     assert second.startswith("note: a .glb file is read in metres: its largest side is 1.2 m")
+    assert "36.58 cm in feet" in second
 
 
 @pytest.mark.parametrize(
@@ -186,7 +187,7 @@ def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
             1000.0,
             "1.2 m with --unit cm: larger than drawn scenes hold (45 cm); it would be 12 cm in millimetres",
         ),
-        (20.0, "2.4 cm with --unit cm; it would be 6.096 cm in inches"),
+        (20.0, "2.4 cm with --unit cm; it would be 6.096 cm in inches or 73.15 cm in feet"),
         (100.0, ""),
     ],
 )
@@ -355,7 +356,7 @@ def test_ctrl_c_while_the_processes_start_ends_them_all(tmp_path: Path) -> None:
     ("extra", "message"),
     [
         (["--name", "Red Brick"], "object name 'Red Brick'"),
-        (["--name", "brick", "--unit", "mm"], "Did you mean --unit m?"),
+        (["--name", "brick", "--unit", "mm"], "Did you mean --unit m or --unit ft?"),
         (["--name", "brick", "--symmetric", "nowhere.json"], "nowhere.json: found no such file"),
     ],
 )

@@ -27,7 +27,13 @@ CLEAR = 0.02
 _NAMED = 5
 """Parts of a mesh that are named."""
 
-_IN_WORDS: dict[Unit, str] = {"m": "metres", "mm": "millimetres", "cm": "centimetres", "in": "inches"}
+_IN_WORDS: dict[Unit, str] = {
+    "m": "metres",
+    "mm": "millimetres",
+    "cm": "centimetres",
+    "in": "inches",
+    "ft": "feet",
+}
 
 
 def with_unit(job: Job) -> Job:

@@ -129,7 +129,7 @@ def add_unit(parser: argparse.ArgumentParser) -> None:
     """Add `--unit`, of a mesh."""
     parser.add_argument(
         "--unit",
-        choices=("mm", "cm", "m", "in"),
+        choices=("mm", "cm", "m", "in", "ft"),
         help="the mesh's unit; without it metres or millimetres, whichever is likelier by its size",
     )
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from numba.core import event
 
-from huepose.support.jit import KERNELS, name_of
+from huepose.support.jit import KERNELS, kernels_are_kept, name_of
 from huepose.support.progress import Status, bar_is_drawn
 
 _FEWEST = 3
@@ -33,7 +33,8 @@ class CompilingNotice(event.Listener):  # type: ignore[misc]  # numba has no typ
         """A kernel, or one that it calls, begins to be compiled."""
         if self._status is None:
             self._started, self._status = time.monotonic(), Status(say=self._say)
-            self._status.line("compiling kernels for this computer, once: some seconds to two minutes")
+            once = ", once" if kernels_are_kept() else ""
+            self._status.line(f"compiling kernels for this computer{once}: some seconds to two minutes")
 
     def on_end(self, event: Any) -> None:
         """One is compiled. Those of numba itself, which a kernel calls, are not counted."""

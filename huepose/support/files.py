@@ -16,9 +16,19 @@ if TYPE_CHECKING:
 
 
 def cache_folder() -> Path:
-    """`$XDG_CACHE_HOME/huepose`, or `~/.cache/huepose`."""
+    """`$XDG_CACHE_HOME/huepose`, or `~/.cache/huepose`. Raises InputError where nobody says which."""
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "huepose"
+    return (Path(base) if base else home_folder("XDG_CACHE_HOME") / ".cache") / "huepose"
+
+
+def home_folder(variable: str) -> Path:
+    """The user's. Raises InputError where there is none; variable: of the environment, it says where to put
+    things instead."""
+    try:
+        return Path.home()
+    except RuntimeError:
+        found, fix = "none: HOME is not set", f"Set HOME, or {variable} to a folder that can be written."
+        raise InputError("the user's home folder", found=found, fix=fix) from None
 
 
 @contextmanager

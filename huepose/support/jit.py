@@ -1,7 +1,8 @@
 """The one way to compile a numeric kernel: numba, cached on disk where a cache folder can be written.
 
 Where neither site-packages nor the home folder is writable (a hardened service), numba refuses at
-import to cache; such a kernel is compiled without a cache then, and a warning names the variable to set.
+import to cache; such a kernel is compiled without a cache then, and a line says so and names the variable to
+set.
 
 Numba takes a cached kernel for fresh while its own source file is the same, though it holds the machine code
 of every kernel that it calls. Here a kernel is fresh while all source files with kernels are.
@@ -10,7 +11,7 @@ of every kernel that it calls. Here a kernel is fresh while all source files wit
 from __future__ import annotations
 
 import hashlib
-import warnings
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -48,14 +49,27 @@ def _compiled(function: F, more: dict[str, Any]) -> F:
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise
-        warnings.warn(
-            "compiled kernels are not cached: no writable folder; set NUMBA_CACHE_DIR", stacklevel=2
-        )
+        _say_not_kept()
         return cast(F, numba.njit(**options)(function))
     if not numba.config.DISABLE_JIT:  # else it is the function itself
         kernel._cache._cache_file._source_stamp = kernel_sources()
         _forgive(kernel._cache)
     return cast(F, kernel)
+
+
+@cache
+def _say_not_kept() -> None:
+    """Once in a process."""
+    text = (
+        "kernels are compiled anew at each start, which takes up to two minutes: there is no folder to keep "
+        "them in. Set NUMBA_CACHE_DIR to one that can be written"
+    )
+    print(text, file=sys.stderr, flush=True)
+
+
+def kernels_are_kept() -> bool:
+    """Whether all kernels that were imported so far are kept for the next start."""
+    return not _say_not_kept.cache_info().currsize
 
 
 def _forgive(kept: Any) -> None:

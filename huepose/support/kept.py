@@ -29,6 +29,7 @@ import numpy as np
 from cv2 import __version__ as cv2_version
 from numpy import __version__ as numpy_version
 
+from huepose.support.errors import InputError
 from huepose.support.files import cache_folder, whole
 
 T = TypeVar("T")
@@ -49,7 +50,10 @@ def kept(kind: type[T], digest: str | None, make: Callable[[], T]) -> T:
     folder that can be written."""
     if digest is None:
         return make()
-    home = cache_folder() / "derived" / digest
+    try:
+        home = cache_folder() / "derived" / digest
+    except InputError:
+        return make()
     path = home / code_version() / f"{kind.__module__}.{kind.__qualname__}"
     try:
         if (found := _mapped(path)) is not None:

@@ -14,17 +14,18 @@ import shutil
 import sys
 import urllib.error
 import urllib.request
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TextIO
 
 from huepose.perception.sessions import NetworkSettings, check_file, digest, open_network
 from huepose.support.errors import InputError
-from huepose.support.files import whole, write_text
+from huepose.support.files import home_folder, whole, write_text, writing
 from huepose.support.progress import Status
 from huepose_protos.fields import is_name
 
-_NOTES = "networks.json"
+_NOTES, _FOLDER = "networks.json", "HUEPOSE_NETWORKS"
 _BLOCK = 1 << 16
 _TIMEOUT_S = 20.0
 
@@ -103,11 +104,13 @@ class Entry:
 
 
 def folder() -> Path:
-    """`$HUEPOSE_NETWORKS`, else `huepose/networks` in `$XDG_DATA_HOME` or `~/.local/share`."""
-    if own := os.environ.get("HUEPOSE_NETWORKS"):
+    """`$HUEPOSE_NETWORKS`, else `huepose/networks` in `$XDG_DATA_HOME` or `~/.local/share`. Raises InputError
+    where nobody says which."""
+    if own := os.environ.get(_FOLDER):
         return Path(own)
     base = os.environ.get("XDG_DATA_HOME")
-    return (Path(base) if base else Path.home() / ".local" / "share") / "huepose" / "networks"
+    share = Path(base) if base else home_folder(_FOLDER) / ".local" / "share"
+    return share / "huepose" / "networks"
 
 
 def entries() -> list[Entry]:
@@ -142,15 +145,21 @@ def add(file: Path, name: str) -> Entry:
     check_file(file, known.sha256 if known else None)
     open_network(file, NetworkSettings(providers=("cpu",)))
     place = folder()
-    place.mkdir(parents=True, exist_ok=True)
     path = place / f"{name}.onnx"
-    if file.resolve() != path.resolve():
-        with whole(path) as part:
-            shutil.copyfile(file, part)
+    with _writing(place):
+        place.mkdir(parents=True, exist_ok=True)
+        if file.resolve() != path.resolve():
+            with whole(path) as part:
+                shutil.copyfile(file, part)
     network = replace(known or _unknown(name), size_bytes=path.stat().st_size, sha256=digest(path))
     notes = {n: asdict(k) for n, k in _added(place).items()} | {name: asdict(network)}
     write_text(place / _NOTES, json.dumps(notes, indent=1))
     return Entry(network, path, known is not None)
+
+
+def _writing(place: Path) -> AbstractContextManager[None]:
+    """What the disk refuses of the folder becomes an InputError that says how to name another."""
+    return writing(place, "a folder that can be written", f"Set {_FOLDER} to one.")
 
 
 def _unknown(name: str) -> KnownNetwork:
@@ -199,7 +208,8 @@ def fetch(entry: Entry, url: str | None = None, out: TextIO | None = None) -> Pa
             fix="Give one: huepose models fetch NAME --from URL",
         )
     part = path.with_suffix(".part")
-    part.parent.mkdir(parents=True, exist_ok=True)
+    with _writing(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
     try:
         _download(url, part, network.size_bytes, out)
     except (OSError, http.client.HTTPException, ValueError) as error:

@@ -46,7 +46,12 @@ def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, met
             "it is in in; expected an object of 1 cm to 2 m. "
             "Did you mean --unit mm or --unit cm or --unit in?",
         ),
-        (0.2, "mm", "20 cm if it is in m or 6.096 cm if it is in ft; expected an object of 1 cm to 2 m. Did you mean --unit m or --unit ft?"),
+        (
+            0.2,
+            "mm",
+            "20 cm if it is in m or 6.096 cm if it is in ft; expected an object of 1 cm to 2 m. "
+            "Did you mean --unit m or --unit ft?",
+        ),
         (4000.0, None, "By no --unit (mm, cm, m, in, ft) is it one: scale the mesh."),
     ],
 )

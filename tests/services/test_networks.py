@@ -7,6 +7,7 @@ import re
 import threading
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
+from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
@@ -180,6 +181,33 @@ def test_what_is_no_network_is_not_added(tmp_path):
     file.write_text("hello")
     with pytest.raises(InputError, match="ONNX"):
         catalogue.add(file, "text")
+
+
+@pytest.mark.parametrize("words", [["add", "{mine}"], ["list"]])
+def test_without_a_home_it_is_said_which_variable_names_the_folder(words, mine, monkeypatch, capsys):
+    """As in a container that runs as a user whom its system does not know."""
+
+    def unknown(number):
+        raise KeyError(number)
+
+    for variable in ("HOME", "HUEPOSE_NETWORKS", "XDG_DATA_HOME"):
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    assert main(["models", *(word.format(mine=mine) for word in words)]) == 2
+    said = capsys.readouterr().err
+    assert "the user's home folder: found none: HOME is not set. Set HOME, or HUEPOSE_NETWORKS to a" in said
+
+
+def test_of_a_folder_that_cannot_be_written_it_is_said_how_to_name_another(
+    mine, entry, server, monkeypatch, capsys
+):
+    monkeypatch.setenv("HUEPOSE_NETWORKS", "/proc/networks")
+    assert main(["models", "add", str(mine)]) == 2
+    said = capsys.readouterr().err
+    assert "/proc/networks: found No such file or directory; expected a folder that can be" in said
+    assert said.endswith("Set HUEPOSE_NETWORKS to one.\n")
+    with pytest.raises(InputError, match="Set HUEPOSE_NETWORKS to one"):
+        fetch(replace(entry, path=Path("/proc/networks/known.onnx")), server.url)
 
 
 def test_an_unknown_name_is_answered_with_the_known_ones(tmp_path):

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from huepose.support import kept as module
+from huepose.support.errors import InputError
+from huepose.support.files import cache_folder
 from huepose.support.kept import code_version, kept
 
 
@@ -87,6 +89,18 @@ def test_without_a_file_or_a_folder_it_is_made_and_not_kept(home: Path) -> None:
     home.write_text("no folder")
     assert_same(kept(Outer, "tea", make), Maker()())
     assert make.calls == 3
+
+
+def test_without_a_home_it_is_made_and_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(number: int) -> None:
+        raise KeyError(number)
+
+    for variable in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(variable)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    assert_same(kept(Outer, "tea", Maker()), Maker()())
+    with pytest.raises(InputError, match="Set HOME, or XDG_CACHE_HOME"):
+        cache_folder()
 
 
 @pytest.mark.parametrize("size", [0, 7, 40, 600])

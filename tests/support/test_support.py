@@ -112,10 +112,17 @@ def test_compiling_is_told_once_and_then_how_far_it_is(clock, monkeypatch, every
     clock[0] += 100.0  # of other work
     notice.finish()
     first, *rest, last = said
-    assert first.startswith("compiling kernels for this computer, once")
+    assert first.startswith("compiling kernels for this computer, once: some seconds")
     left = {2: "", 12: f", {upto}13 s left", 22: f", {upto}3 s left"}
     assert rest == [f"{n} of {upto}25 kernels compiled, {n} s{left[n]}" for n in left]
     assert last == "22 kernels compiled in 30 s"
+
+
+def test_what_is_not_kept_is_not_said_to_be_compiled_once(clock, monkeypatch):
+    monkeypatch.setattr(compiling, "kernels_are_kept", lambda: False)
+    said = []
+    compiled(CompilingNotice(said.append), clock, "ours", 1)
+    assert said[0].startswith("compiling kernels for this computer: some seconds")
 
 
 def test_a_bar_and_the_count_of_kernels_do_not_write_over_each_other(clock, monkeypatch):

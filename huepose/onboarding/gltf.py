@@ -308,7 +308,8 @@ def _material(asset: Asset, index: int) -> Material:
     if index < 0:
         return Material("", (255, 255, 255))
     entry = asset.tree["materials"][index]
-    factor = np.array(entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1, 1])[:3], float)
+    whole = entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1, 1])
+    factor, opaque = np.array(whole[:3], float), entry.get("alphaMode", "OPAQUE") == "OPAQUE"
     r, g, b = (int(x) for x in _srgb(factor))
     texture = None
     reference = _texture_entry(asset.tree, index)
@@ -322,12 +323,13 @@ def _material(asset: Asset, index: int) -> Material:
                 fix="Export again with PNG or JPEG textures (not KTX2 or WebP).",
             )
         texture = asset.image(source)
-        if not asset.files.textured and entry.get("alphaMode", "OPAQUE") == "OPAQUE":
+        if not asset.files.textured and opaque:
             texture = np.zeros((1, 1, 3), np.uint8)  # nothing of it shows through
         if (factor != 1.0).any():
             tables = _srgb(_linear(np.arange(256, dtype=np.uint8))[:, None] * factor)
             texture = np.stack([tables[texture[..., c], c] for c in range(3)], -1)
-    return Material(entry.get("name", f"material {index}"), (r, g, b), texture)
+    clear = not opaque and float(whole[3]) < 0.5
+    return Material(entry.get("name", f"material {index}"), (r, g, b), texture, clear)
 
 
 def _corner_colors(colors: Float64 | None, count: int, material: Material) -> UInt8:

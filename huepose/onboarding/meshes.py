@@ -67,7 +67,7 @@ class Looked:
     """What a mesh is before its unit is settled. sizes: its largest side, metres, by the units in which it is
     that of an object, metres and millimetres first; parts: the names of the meshes that are taken as one;
     away, diameter: from its origin to its middle, and across its bounds, in the file's unit; clear: the share
-    of its surface on which its texture is transparent, which is read as if it were not."""
+    of its surface on which its texture or its material is transparent, which is read as if it were not."""
 
     sizes: dict[Unit, float]
     parts: tuple[str, ...]
@@ -94,15 +94,19 @@ _INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [4, 4, 1], [4, 1
 
 
 def _clear_share(raw: RawMesh) -> float:
-    """The share of the surface whose texels are white, of a mesh that was read without its textures."""
+    """The share of the surface whose material is clear or whose texels are white, of a mesh that was read
+    without its textures."""
     places = _INSIDE / _INSIDE.sum(1, keepdims=True)
     a, b, c = (raw.vertices[raw.faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     clear = 0.0
     for number, material in enumerate(raw.materials):
+        mine = raw.face_materials == number
+        if material.clear:
+            clear += float(areas[mine].sum())
+            continue
         if raw.uv is None or material.texture is None or not material.texture.any():
             continue
-        mine = raw.face_materials == number
         height, width = material.texture.shape[:2]
         u, v = np.moveaxis(places @ raw.uv[mine].astype(float) % 1.0, -1, 0)
         seen = material.texture[(v * height).astype(int) % height, (u * width).astype(int) % width].any(-1)

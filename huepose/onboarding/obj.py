@@ -39,12 +39,15 @@ def read_materials(
     """
     colors: dict[str, tuple[int, int, int]] = {}
     maps: dict[str, tuple[Path, str]] = {}
+    opacities: dict[str, float] = {}
     for library in libraries:
         path, data = files.read(library, "material file", files.mesh)
-        in_library, maps_in_library = _parsed(path, decoded(data))
+        in_library, maps_in_library, opacities_in_library = _parsed(path, decoded(data))
         for name, color in in_library.items():
             colors[name] = color
             maps.pop(name, None)
+            opacities.pop(name, None)
+        opacities |= opacities_in_library
         maps |= {name: (path, line) for name, line in maps_in_library.items()}
     materials = {}
     for name, color in colors.items():
@@ -53,14 +56,17 @@ def read_materials(
             if name in maps:
                 path, line = maps[name]
                 texture = files.texture(_map_file(path, line), path)
-            materials[name] = Material(name, color, texture)
+            materials[name] = Material(name, color, texture, clear=opacities.get(name, 1.0) < 0.5)
     return materials, list(colors)
 
 
-def _parsed(mtl: Path, text: str) -> tuple[dict[str, tuple[int, int, int]], dict[str, str]]:
-    """Colours, and lines `map_Kd`, by the name of their material."""
+def _parsed(
+    mtl: Path, text: str
+) -> tuple[dict[str, tuple[int, int, int]], dict[str, str], dict[str, float]]:
+    """Colours, lines `map_Kd`, and opacities where there are any, by the name of their material."""
     colors: dict[str, tuple[int, int, int]] = {}
     maps: dict[str, str] = {}
+    opacities: dict[str, float] = {}
     name = ""
     for line in text.splitlines():
         words = line.split()
@@ -79,7 +85,11 @@ def _parsed(mtl: Path, text: str) -> tuple[dict[str, tuple[int, int, int]], dict
             colors[name] = (r, g, b)
         elif kind == "map_kd" and len(words) > 1:
             maps[name] = line
-    return colors, maps
+        elif kind == "d" and _is_number(words[-1]):  # before it there may be `-halo`
+            opacities[name] = float(words[-1])
+        elif kind == "tr" and _is_number(words[-1]):  # of which some exporters mean the opposite: `d` counts
+            opacities.setdefault(name, 1.0 - float(words[-1]))
+    return colors, maps, opacities
 
 
 def _map_file(mtl: Path, line: str) -> str:

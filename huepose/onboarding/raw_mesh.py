@@ -18,11 +18,13 @@ LARGEST_FACES = 5_000_000
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """texture (H, W, 3) uint8 RGB, or None where only `color` (RGB, 0..255) is known."""
+    """texture (H, W, 3) uint8 RGB, or None where only `color` (RGB, 0..255) is known; clear: it is more
+    transparent than not, whatever its texture."""
 
     name: str
     color: tuple[int, int, int] = (200, 200, 200)
     texture: UInt8 | None = None
+    clear: bool = False
 
 
 @dataclass(frozen=True, eq=False)

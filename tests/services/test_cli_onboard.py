@@ -229,10 +229,10 @@ def test_the_meshes_of_a_file_that_are_taken_as_one_object_are_named(
             "obj",
             "",
             True,
-            "note: the texture is transparent on 100 % of the surface; it is read as opaque there",
+            "note: 100 % of the surface is transparent; it is read as opaque there",
         ),
         ("obj", "", False, ""),
-        ("glb", "MASK", True, "note: the texture is transparent on 100 % of the surface"),
+        ("glb", "MASK", True, "note: 100 % of the surface is transparent"),
         ("glb", "OPAQUE", True, ""),
     ],
 )
@@ -259,6 +259,53 @@ def test_a_surface_that_is_transparent_is_noted_and_what_no_surface_shows_is_not
     with_unit(Job(tmp_path / f"m.{form}", "m", unit="mm" if form == "obj" else "m"))
     said = capsys.readouterr().err
     assert said.startswith(noted) if noted else said == ""
+
+
+def clear_window(path: Path, opacity: str, mode: str = "BLEND") -> None:
+    """A cube without a texture, one side of which is of another material. opacity: of that, as lines of an
+    MTL file or as the alpha of a glTF."""
+    box = solids.box((0.06, 0.06, 0.06))
+    if path.suffix == ".obj":
+        corners = [f"v {x * 1000:g} {y * 1000:g} {z * 1000:g}" for x, y, z in box.vertices]
+        faces = [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in box.faces]
+        lines = [f"mtllib {path.stem}.mtl", *corners, "usemtl wall", *faces[2:], "usemtl window", *faces[:2]]
+        path.write_text("\n".join(lines))
+        path.with_suffix(".mtl").write_text(
+            f"newmtl window\n{opacity}\nKd 1 0 0\nnewmtl wall\nKd 0 1 0\nd 1\n"
+        )
+        return
+    w, primitives = files.GlbWriter(), []
+    for number, faces in enumerate((box.faces[2:], box.faces[:2])):
+        place = w.accessor(box.vertices[faces].reshape(-1, 3).astype("<f4"), "VEC3")
+        primitives.append({"attributes": {"POSITION": place}, "material": number})
+    colors = [[0.0, 1.0, 0.0, 1.0], [1.0, 0.0, 0.0, float(opacity)]]
+    w.tree["materials"] = [
+        {"pbrMetallicRoughness": {"baseColorFactor": color}, "alphaMode": mode} for color in colors
+    ]
+    w.tree["meshes"] = [{"primitives": primitives}]
+    w.write(path, [{"mesh": 0}], [0])
+
+
+@pytest.mark.parametrize(
+    ("file", "opacity", "mode", "noted"),
+    [
+        ("m.obj", "d 0", "", True),
+        ("m.obj", "Tr 1", "", True),
+        ("m.obj", "d -halo 0.1", "", True),
+        ("m.obj", "Tr 1\nd 1", "", False),
+        ("m.obj", "d 0.9", "", False),
+        ("m.glb", "0.0", "BLEND", True),
+        ("m.glb", "0.9", "BLEND", False),
+        ("m.glb", "0.0", "OPAQUE", False),
+    ],
+)
+def test_a_material_that_is_transparent_is_noted(
+    file: str, opacity: str, mode: str, noted: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clear_window(tmp_path / file, opacity, mode)
+    with_unit(Job(tmp_path / file, "m", unit="mm" if file == "m.obj" else "m"))
+    said = capsys.readouterr().err
+    assert said.startswith("note: 17 % of the surface is transparent;") if noted else said == ""
 
 
 @pytest.mark.parametrize(("away_m", "noted"), [(0.1, ""), (5.4, "5.4 m")])

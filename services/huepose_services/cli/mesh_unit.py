@@ -82,12 +82,12 @@ def _say_of_parts(parts: tuple[str, ...]) -> None:
 
 
 def _say_of_clear(share: float) -> None:
-    """Of a texture with holes, as a label's on a sheet of its own."""
+    """Of a texture with holes, as a label's on a sheet of its own, and of glass."""
     if share > CLEAR:
         say(
-            f"note: the texture is transparent on {100.0 * share:.0f} % of the surface; it is read as opaque "
-            "there, in the colour that the picture has under it. Look at the sheet beside the reference "
-            "model whether that is right; else cut these parts off, or fill the picture"
+            f"note: {100.0 * share:.0f} % of the surface is transparent; it is read as opaque there, in the "
+            "colour that its texture or material has. Look at the sheet beside the reference model whether "
+            "that is right; else cut these parts off, or fill the picture"
         )
 
 

@@ -60,9 +60,7 @@ def read_materials(
     return materials, list(colors)
 
 
-def _parsed(
-    mtl: Path, text: str
-) -> tuple[dict[str, tuple[int, int, int]], dict[str, str], dict[str, float]]:
+def _parsed(mtl: Path, text: str) -> tuple[dict[str, tuple[int, int, int]], dict[str, str], dict[str, float]]:
     """Colours, lines `map_Kd`, and opacities where there are any, by the name of their material."""
     colors: dict[str, tuple[int, int, int]] = {}
     maps: dict[str, str] = {}

@@ -20,6 +20,7 @@ from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
+from huepose.support.words import listed
 from huepose_protos import WireError, encode
 from huepose_protos.keys import Keys
 from huepose_protos.messages import (
@@ -50,6 +51,8 @@ _TAKEN = 256
 """Frames that are kept after the tracker took them: more than it remembers."""
 _FRAMES = 1024
 """Frames that are kept in all: half a minute, in case the tracker is that far behind."""
+
+_GIVE_MODELS = "Give the folder of the models that it was recorded with: --bundles DIR."
 
 _FrameKey = tuple[int, int]
 _Pixels = tuple[FrameHeader, bytes]
@@ -84,6 +87,7 @@ class _Verifier:
         self.report = Report()
         self._recordings, self._bundles = recordings, bundles
         self._models: dict[str, ReferenceModel] = {}
+        self._digests: dict[str, str] = {}
         self._frames: dict[_FrameKey, _Pixels] = {}
         self._taken: dict[_FrameKey, None] = {}
         self._poses: dict[_PoseKey, PoseMessage] = {}
@@ -112,6 +116,8 @@ class _Verifier:
         """Process the messages that were held back."""
         while self._held and not self.report.difference:
             self._next()
+        for name in self._models:
+            self._check_digest(name)
 
     def _next(self) -> None:
         _, _, message = heapq.heappop(self._held)
@@ -143,17 +149,36 @@ class _Verifier:
     def _known(self, config: Config, name: str) -> ReferenceModel:
         """A reference model. Raises InputError for another one than was used for the recording."""
         if name not in self._models:
-            expected = next((n for r in self._recordings if (n := r.notes.get("models", {}).get(name))), None)
-            found = models.digests(config, [name])[name]
-            if expected and found != expected:
+            try:
+                self._digests |= models.digests(config, [name])
+            except InputError as error:
                 raise InputError(
-                    f"reference model {name}",
-                    found=f"one with SHA-256 {found[:12]}...",
-                    expected=f"the one that was used, {expected[:12]}...",
-                    fix="Give the folder that has it: --bundles DIR.",
-                )
+                    error.what, found=error.found, expected=f"the reference model {name}", fix=_GIVE_MODELS
+                ) from None
+            self._check_digest(name)
             self._models[name] = models.load_one(config, name)
         return self._models[name]
+
+    def _check_digest(self, name: str) -> bool:
+        """Whether a recording says yet which reference model was used. Raises InputError for another one."""
+        expected = next((n for r in self._recordings if (n := r.notes.get("models", {}).get(name))), None)
+        found = self._digests[name]
+        if expected and found != expected:
+            raise InputError(
+                f"reference model {name}",
+                found=f"one with SHA-256 {found[:12]}...",
+                expected=f"the one that was used, {expected[:12]}...",
+                fix=_GIVE_MODELS,
+            )
+        return expected is not None
+
+    def _unnoted_models(self) -> list[str]:
+        """Those of which no recording says whether they were used, once all that is noted is read: of an
+        object that was added, the note comes later than the object. Raises InputError for other ones."""
+        for recording in self._recordings:
+            for _ in recording.chunks():
+                pass
+        return [name for name in self._models if not self._check_digest(name)]
 
     def _step(self, intake: IntakeMessage) -> None:
         replay = self._replay
@@ -215,6 +240,11 @@ class _Verifier:
     def _differs(self, intake: IntakeMessage | None, stage: str, what: str) -> None:
         where = "a frame" if intake is None else self._at(intake)
         text = f"{where}, stage {stage}: {what}"
+        if unnoted := self._unnoted_models():
+            text += (
+                f" (the recording does not say which reference models it used: where {listed(unnoted)} may "
+                f"be another one than then, {_GIVE_MODELS[0].lower()}{_GIVE_MODELS[1:-1]})"
+            )
         here, there = about_this_machine(), self._recordings[0].notes.get("huepose", {})
         other = [f"{k} {there[k]} there, {here[k]} here" for k in here if there.get(k, here[k]) != here[k]]
         self.report.difference = text + (f" (not the same: {'; '.join(other)})" if other else "")

@@ -83,19 +83,23 @@ class Followed:
     bundles: Path
     folder: Path
 
-    def rewritten(self, change: Callable[[Event], Event | None], **options) -> Path:
-        """Another recording of the same with what `change` makes of each event; None: it is left out."""
+    def rewritten(
+        self, change: Callable[[Event], Event | None], noted: bool = True, noted_last: bool = False, **options
+    ) -> Path:
+        """Another recording of the same with what `change` makes of each event; None: it is left out. noted,
+        noted_last: whether it says at its beginning, and at its end, which models were used."""
         recording, out = Recording(self.path), None
         path = self.folder / f"{len(list(self.folder.iterdir()))}.mcap"
         for event in recording.events():
             if out is None:
                 out = parts(path, **options)
-                out.note("models", recording.notes["models"])
+                out.note("models", recording.notes["models"] if noted else {})
             event = change(event)
             if event is not None and isinstance(event.message, FrameHeader):
                 out.frame(event.message, *frame_images(event.message, event.payload), event.key)
             elif event is not None:
                 out.message(event.key, event.message)
+        out.note("models", recording.notes["models"] if noted_last else {})
         out.close()
         return path
 

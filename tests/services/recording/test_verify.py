@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from huepose.model.io import model_path
+from huepose.model.io import model_path, save_model
 from huepose.support.errors import InputError
 from huepose_protos.buffers import frame_images
 from huepose_protos.messages import FrameHeader, IntakeMessage, MemoryMessage, PoseMessage
@@ -202,6 +202,43 @@ def test_other_reference_models_are_refused(followed, tea_box, tmp_path):
     model_path(other, NAME).write_bytes(bytes(content) + b" ")
     with pytest.raises(InputError, match=r"reference model tea_box.*--bundles"):
         _verified(followed.path, other)
+
+
+@pytest.fixture
+def other_bundles(tea_box, tmp_path):
+    """A model of the same name that is a little larger."""
+    mesh = replace(tea_box.mesh, vertices=tea_box.mesh.vertices * np.float32(1.05))
+    save_model(replace(tea_box, mesh=mesh), model_path(tmp_path / "other", NAME))
+    return tmp_path / "other"
+
+
+def test_a_folder_without_the_model_is_answered_with_what_to_do(followed, tmp_path, capsys):
+    assert main(["replay", "--verify", str(followed.path), "--bundles", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert f"{tmp_path}/tea_box.huepose: found no such file; expected the reference model tea_box." in said
+    assert "Give the folder of the models that it was recorded with: --bundles DIR." in said
+
+
+def test_another_model_that_nothing_tells_is_named_beside_the_difference(followed, other_bundles):
+    path = followed.rewritten(lambda e: e, noted=False)
+    assert _verified(path).difference == ""
+    difference = _verified(path, other_bundles).difference
+    assert "does not say which reference models it used: where tea_box may be another one" in difference
+    assert "give the folder of the models that it was recorded with: --bundles DIR" in difference
+
+
+def test_another_model_that_is_noted_later_is_refused(followed, other_bundles):
+    """As that of an object which was added while it was recorded."""
+    path = followed.rewritten(lambda e: e, noted=False, noted_last=True)
+    assert _verified(path).difference == ""
+    with pytest.raises(InputError, match=r"reference model tea_box: .*--bundles DIR"):
+        _verified(path, other_bundles)
+
+
+def test_a_difference_in_a_whole_recording_is_not_said_to_be_a_cut(followed, capsys):
+    path = followed.rewritten(_change(PoseMessage, 5, translation=_nudged))
+    assert main(["replay", "--verify", str(path)]) == 1
+    assert "cut off" not in capsys.readouterr().err
 
 
 def test_a_recording_without_frames_has_nothing_to_verify(followed, capsys):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import tracemalloc
 from dataclasses import replace
 
 import msgspec
@@ -63,6 +64,29 @@ def test_what_registers_depth_depends_on_the_source(frames, dx, source, fix):
     said = alignment(shifted(frames, dx, 0), source).fix
     assert fix in said
     assert ("device.align" in said) == (source == "realsense"), "others have no such key"
+
+
+def noisy(frames, share):
+    rng = np.random.default_rng(0)
+    noise = [1.0 + share * rng.standard_normal(f.depth.shape).astype(np.float32) for f in frames]
+    return [replace(f, depth=f.depth * n) for f, n in zip(frames, noise, strict=True)]
+
+
+@pytest.mark.parametrize("share", [0.01, 0.02, 0.04])
+def test_noisy_depth_which_has_edges_everywhere_is_not_said_to_be_shifted_and_costs_little(frames, share):
+    spoilt = noisy(frames, share)
+    tracemalloc.start()
+    offset = edge_offset(spoilt)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert alignment(spoilt, "realsense").state == "ok", offset
+    assert peak < 150e6  # every edge of these five frames would take up to ten times as much
+
+
+def test_a_shift_of_depth_is_told_through_its_noise(frames):
+    right, down, sigmas = edge_offset(shifted(noisy(frames, 0.005), 6, 0))
+    assert (right, down) == pytest.approx((-6.0, 0.0), abs=1.0)
+    assert sigmas > 4.0
 
 
 def test_a_wall_tells_nothing_of_alignment(frames):

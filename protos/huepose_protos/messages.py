@@ -243,7 +243,8 @@ class CorrectionMessage(Message, frozen=True, kw_only=True):
 class PoseMessage(Message, frozen=True, kw_only=True):
     """One object at one frame. Pose, velocity and covariance are null while SEARCHING or LOST.
 
-    reason: a sentence for people on why it is not TRACKING, empty where it is."""
+    reason: a sentence for people on why it is not TRACKING, empty where it is; centre: of the object, in its
+    own frame: the point that goes on straight while it turns."""
 
     max_bytes: ClassVar[int] = 4 * KIB
     object: Name
@@ -263,12 +264,14 @@ class PoseMessage(Message, frozen=True, kw_only=True):
     covariance: Covariance | None
     applied_correction_seq: Count
     reason: Text = ""
+    centre: Vector3 | None = None
 
     def __post_init__(self) -> None:
         check_pose(self.translation, self.quaternion)
         if (self.translation is None) != (self.state in ("SEARCHING", "LOST")):
             raise ValueError(f"a pose does not go with the state {self.state}")
         check_finite(velocity_linear=self.velocity_linear, velocity_angular=self.velocity_angular)
+        check_finite(centre=self.centre)
         check_covariance(self.covariance)
 
     @property

@@ -1,7 +1,8 @@
 """Where an object is at a time for which there is no pose: between two poses, or a little after the last.
 
 Poses are translations (3,) in metres and quaternions (4,) xyzw; twists (6,) and covariances (6, 6) have the
-order tx ty tz rx ry rz, along the camera's axes, about the object's origin.
+order tx ty tz rx ry rz, along the camera's axes, about the object's origin. What goes on straight while the
+object turns is its centre: an origin far from that moves on an arc.
 """
 
 from __future__ import annotations
@@ -173,12 +174,19 @@ def _predicted(pose: PoseMessage, ahead_ns: int) -> PoseAt | None:
     sigma = _UNKNOWN_VELOCITY
     if pose.velocity_linear is not None and pose.velocity_angular is not None:
         linear, angular, sigma = np.array(pose.velocity_linear), np.array(pose.velocity_angular), _VELOCITY
-    growth = (sigma * dt) ** 2 + (0.5 * _ACCELERATION * dt * dt) ** 2
-    covariance = None if pose.covariance is None else _covariance(pose) + np.diag(growth)
-    turn = quaternion_of(angular * dt)
+    q = np.array(pose.quaternion)
+    quaternion = _normal(multiply(quaternion_of(angular * dt), q))
+    lever, lever_then = -_to_centre(pose, q), -_to_centre(pose, quaternion)
+    covariance = None
+    if pose.covariance is not None:
+        growth = (sigma * dt) ** 2 + (0.5 * _ACCELERATION * dt * dt) ** 2
+        to_origin = np.eye(6)
+        to_origin[:3, 3:] = np.cross(np.eye(3), lever_then).T
+        covariance = _covariance(pose) + to_origin @ np.diag(growth) @ to_origin.T
+    centre = np.array(pose.translation) - lever + (linear - np.cross(angular, lever)) * dt
     return PoseAt(
-        np.array(pose.translation) + linear * dt,
-        _normal(multiply(turn, np.array(pose.quaternion))),
+        centre + lever_then,
+        quaternion,
         covariance,
         pose.state,
         pose.quality,
@@ -191,14 +199,22 @@ def _between(before: PoseMessage, after: PoseMessage, share: float) -> PoseAt:
     covariance = None
     if before.covariance is not None and after.covariance is not None:
         covariance = (1.0 - share) * _covariance(before) + share * _covariance(after)
+    place, quaternion = _way_between(before, after, share)
+    start, end = (_to_centre(before, np.array(pose.quaternion)) for pose in (before, after))
     return PoseAt(
-        *_way_between(before, after, share),
+        place + (1.0 - share) * start + share * end - _to_centre(before, quaternion),
+        quaternion,
         covariance,
         max(before.state, after.state, key=_WORST_LAST.index),
         min(before.quality, after.quality),
         0.0,
         after,
     )
+
+
+def _to_centre(pose: PoseMessage, quaternion: Array) -> Array:
+    """From the object's origin to its centre (3,), turned so; nowhere where an older sender does not say."""
+    return np.zeros(3) if pose.centre is None else rotation_matrix(quaternion) @ np.array(pose.centre)
 
 
 def _way_between(

@@ -11,6 +11,7 @@ from msgspec import Struct
 
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64, UInt16
+from huepose.judge.open_region import PreparedSurface
 from huepose.reinit.types import Prior
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos.buffers import frame_images, mask_of, runs_of
@@ -180,8 +181,15 @@ def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None 
     return from_wire(Correction, message, mask=mask, verdict=Verdict(message.verdict))
 
 
-def tracked_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int, reason: str = "") -> PoseMessage:
-    """The message of a tracked pose; the header names the camera's frame and clock."""
+def tracked_to_wire(
+    pose: TrackedPose,
+    header: FrameHeader,
+    publish_ns: int,
+    reason: str = "",
+    surface: PreparedSurface | None = None,
+) -> PoseMessage:
+    """The message of a tracked pose; the header names the camera's frame and clock. surface: the object's,
+    for its centre."""
     return to_wire(
         PoseMessage,
         pose,
@@ -190,4 +198,5 @@ def tracked_to_wire(pose: TrackedPose, header: FrameHeader, publish_ns: int, rea
         clock_id=header.clock.clock_id,
         realtime_offset_ns=header.clock.realtime_offset_ns,
         reason=reason,
+        centre=None if surface is None else tuple(surface.arrays.centre.tolist()),
     )

@@ -376,7 +376,7 @@ class TrackerWork(Work):
 
     def _put(self, pose: TrackedPose, header: FrameHeader, now: int, reason: str) -> None:
         try:
-            message = tracked_to_wire(pose, header, now, reason)
+            message = tracked_to_wire(pose, header, now, reason, self._tracker.surface(pose.object))
         except ValueError as error:
             # Not finite, or not a rotation: it is not published, and the other objects go on.
             self._bus.health.count("poses_refused")

@@ -41,6 +41,7 @@ def _message(ms, **changes):
         "quaternion": tuple(quaternion.tolist()),
         "velocity_linear": tuple(LINEAR.tolist()),
         "velocity_angular": tuple(ANGULAR.tolist()),
+        "centre": None,
     }
     return msgspec.structs.replace(POSE, **(given | changes))
 
@@ -54,6 +55,34 @@ def test_a_constant_motion_is_met_between_and_after(ms):
     assert abs(got.quaternion @ quaternion) == pytest.approx(1.0, abs=1e-12)
     assert got.ahead_s == pytest.approx(max(ms - 66, 0) * 1e-3)
     assert got.T_cam_obj[:3, :3] == pytest.approx(rotation_matrix(quaternion), abs=1e-12)
+
+
+@pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.1, -0.2, 0.3), (30.0, -20.0, 25.0)])
+@pytest.mark.parametrize("ms", [0, 15, 50, 66, 100])
+def test_the_centre_of_an_object_goes_on_straight_wherever_its_origin_is(ms, centre):
+    def lever(seconds):
+        return rotation_matrix(_moving(seconds)[1]) @ centre
+
+    def message(at_ms):
+        seconds = at_ms * 1e-3
+        place = np.array([0.1, 0.2, 0.8]) + LINEAR * seconds - lever(seconds)
+        linear = LINEAR - np.cross(ANGULAR, lever(seconds))
+        changes = {"translation": place, "velocity_linear": linear, "centre": np.array(centre)}
+        return _message(at_ms, **{name: tuple(value.tolist()) for name, value in changes.items()})
+
+    got = pose_at([message(0), message(33), message(66)], SECOND + ms * MS)
+    at_centre = got.translation + rotation_matrix(got.quaternion) @ centre
+    assert at_centre == pytest.approx(np.array([0.1, 0.2, 0.8]) + LINEAR * ms * 1e-3, abs=1e-9)
+    assert got.translation == pytest.approx(message(ms).translation, abs=1e-9)
+
+    # So is the doubt about the centre, whatever that about the origin is.
+    to_centre = np.eye(6)
+    to_centre[:3, 3:] = np.cross(np.eye(3), rotation_matrix(got.quaternion) @ centre).T
+    known = to_centre @ np.array(message(66).covariance).reshape(6, 6) @ to_centre.T
+    grown = to_centre @ got.covariance @ to_centre.T - known
+    sigma = np.sqrt(np.diag(grown)) if ms > 66 else np.zeros(6)
+    ahead = max(ms - 66, 0) * 1e-3
+    assert sigma[:3] == pytest.approx(np.full(3, math.hypot(0.02 * ahead, 0.5 * ahead**2)), abs=1e-6)
 
 
 @pytest.mark.parametrize("ms", [-1, 167, 10_000])

@@ -12,7 +12,7 @@ from huepose_protos.messages import MaskRuns, ObjectEntry
 from huepose_services.doubts import TOO_OLD
 from huepose_services.following import Change
 from huepose_services.runtime.clock import SECOND, now_ns
-from tests.services.tracker_work import CORRECTION, HEADER, MS, frame_of_age, worker
+from tests.services.tracker_work import CENTRE, CORRECTION, HEADER, MS, frame_of_age, worker
 
 
 def test_hypotheses_are_said_while_somebody_listens():
@@ -42,6 +42,13 @@ def test_an_old_pose_is_never_one_to_act_on(age_ms, state):
     assert [p.state for p in bus.out] == ["TRACKING", state]
     assert [p.reason for p in bus.out] == ["", "" if state == "TRACKING" else TOO_OLD]
     assert bus.health.counters.get("poses_too_old", 0) == (state == "SUSPECT")
+
+
+def test_a_pose_comes_with_the_centre_of_its_object():
+    work, bus, _ = worker()
+    bus.waiting["frame"] = [frame_of_age(1, 0.0)]
+    work.step()
+    assert [p.centre for p in bus.out] == [tuple(CENTRE)]
 
 
 def test_the_first_frame_of_a_recording_stands_and_does_not_get_old():

@@ -25,6 +25,7 @@ from huepose_services.tracker import TrackerWork
 HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
 CORRECTION = next(m for m in messages() if isinstance(m, CorrectionMessage))
 MS = 1_000_000
+CENTRE = np.array([0.0, 0.125, 4.5])
 AHEAD = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]))
 
 
@@ -51,7 +52,7 @@ class TrackerStandIn:
         return []
 
     def surface(self, name):
-        return SimpleNamespace(diameter_m=0.12)
+        return SimpleNamespace(diameter_m=0.12, arrays=SimpleNamespace(centre=CENTRE))
 
     def doubt(self, name, instance):
         return None

@@ -11,8 +11,8 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.geometry.camera import Camera
 from huepose.model.types import ReferenceModel, ViewTemplates
 from huepose.perception.windows import Windows
-from huepose.propose.quick_look import product
-from huepose.propose.templates import COARSE_SIDE, MILLIMETRES, TemplateTable, build_table
+from huepose.propose.products import product
+from huepose.propose.templates import COARSE_SIDE, MILLIMETRES, CoarseViews, coarse_views, view_poses
 from huepose.propose.view_codes import codes_of_views
 from huepose.propose.views import onto_rays
 from huepose.support.jit import jit
@@ -53,10 +53,11 @@ def window_table(model: ReferenceModel) -> WindowTable:
 def _made(model: ReferenceModel) -> WindowTable:
     t = model.templates
     some = ViewTemplates(t.directions[:VIEWS], t.planes[:VIEWS, ::ROLL_STRIDE], t.origins[:VIEWS], t.span)
-    table = build_table(some, model.diameter_m, min_coverage=MIN_COVERAGE)
+    coarse = coarse_views(some, MIN_COVERAGE)
     return WindowTable(
-        codes_of_views(model.mesh, model.diameter_m), table.rotations, table.origins,
-        table.used, table.coverage, table.first[3], _hues(table, some.planes.shape[1]),
+        codes_of_views(model.mesh, model.diameter_m), *view_poses(some),
+        coarse.used, coarse.coverage, coarse.coverage * coarse.values[..., 3],
+        _hues(coarse, some.planes.shape[1]),
     )  # fmt: skip
 
 
@@ -66,15 +67,17 @@ def middle_hues(weight: Float32, weighted: Float32) -> Float32:
     return np.asarray((weighted @ _MIDDLE / total).T, dtype=np.float32)
 
 
-def _hues(table: TemplateTable, rolls: int) -> Float32:
-    means = middle_hues(_in_all_cells(table, table.coverage), _in_all_cells(table, table.first[1:3]))
+def _hues(coarse: CoarseViews, rolls: int) -> Float32:
+    weight = _in_all_cells(coarse, coarse.coverage)
+    opponents = np.moveaxis(coarse.values[..., 1:3], -1, 0)
+    means = middle_hues(weight, _in_all_cells(coarse, coarse.coverage * opponents))
     return np.asarray(means.reshape(-1, rolls, 2).mean(1), dtype=np.float32)
 
 
-def _in_all_cells(table: TemplateTable, values: Float32) -> Float32:
-    """Values (..., P) of the cells that a table uses, in all cells of a window."""
+def _in_all_cells(coarse: CoarseViews, values: Float32) -> Float32:
+    """Values (..., P) of the cells that are used, in all cells of a window."""
     out = np.zeros((*values.shape[:-1], COARSE_SIDE**2), np.float32)
-    out[..., table.used] = values
+    out[..., coarse.used] = values
     return out
 
 

@@ -20,7 +20,7 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.geometry.camera import FLOOR_M, STEREO_NOISE_PER_M, Camera
 from huepose.model.types import Keypoints
 from huepose.propose.features import Features
-from huepose.propose.quick_look import product
+from huepose.propose.products import product
 
 RATIO = 0.85
 """Ratio test: descriptor distance of the best match over that of the best one elsewhere. Looser than Lowe's

@@ -1,4 +1,4 @@
-"""The quick look: score all view templates against all windows of a picture, by matrix products.
+"""The quick look: score all view templates against all windows of a picture, by sums over their cells.
 
 A window is the picture around a pixel, resampled at metric scale to the cells of the templates. Colours are
 averaged as linear light, then converted to opponents; depth becomes relief, its difference from a median
@@ -6,8 +6,8 @@ depth. Compiled, since a frame has dozens of windows.
 
 The score has four terms: correlation of opponent colours (so that the strength of light does not matter),
 standard deviation of the relief difference, cells of the mask that the template covers, and cells of the
-template where the background is seen. All are sums over cells, so thousands of templates take a few
-milliseconds.
+template where the background is seen. All follow from sums over the cells that a template covers, so
+thousands of templates take a few milliseconds.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from huepose.colorpair.opponents import DARKEST, LINEAR, SCALE
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
-from huepose.propose.templates import MILLIMETRES, TemplateTable
+from huepose.propose.templates import AT_ONCE, MILLIMETRES, TemplateTable
 from huepose.support.jit import jit_dividing
 
 OVERSAMPLING = 4
@@ -153,124 +153,89 @@ DEPTH_WEIGHT, OVERLAP_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.8, 1.0, 0.8, 0.3
 """Of depth, share of the mask covered, share of the template on background (subtracted) and on the mask.
 Chosen."""
 
-_NOTHING = np.empty(0, np.float32)
-"""In place of what OpenCV would add to a product."""
+LANES = 32
+"""Windows that a template is compared with at once."""
+
+SEEN = 10
+"""Numbers of a window's cell that are summed up. With w the share of it that is known and v its four values:
+w, the share of background, w v, w v v."""
+
+SUMS = 22
+"""Sums over a template's cells for each window, with t the four values of the template: of the SEEN numbers
+by coverage; of w v by coverage times t, of w by coverage times t, of w by coverage times t t."""
 
 
 def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int64, Float32]:
     """For each of M groups of `places` windows and each of N templates: index (M, N) of the best window in
     the group and its score (M, N). windows: (M * places, cells, 6) as of `masked_cells`."""
-    count = len(windows)
-    by_coverage, crossed, weight = _right_hand_sides(windows, table.used)
-    groups = count // places
-    which = np.zeros((groups, len(table.area)), np.int64)
-    scores = np.zeros((groups, len(table.area)), np.float32)
-    area = np.maximum(windows[:, table.used, 4].sum(1), np.float32(1))
+    count, blocks = len(windows), -(-len(windows) // LANES)
+    which = np.zeros((count // places, len(table.area)), np.int64)
+    scores = np.zeros(which.shape, np.float32)
+    seen, sums = _in_line(blocks * len(table.used) * SEEN * LANES), _in_line(SUMS * LANES)
+    area = np.ones(blocks * LANES, np.float32)
+    _lay_out(windows, table.used, seen, area)
     relief_mm = RELIEF_SIGMA * table.diameter_m * MILLIMETRES
-    by_value = np.empty((4, len(table.area), 2 * count), np.float32)
-    by_square = np.empty((4, len(table.area), count), np.float32)
-    for c in range(4):
-        product(table.first[c], crossed[c], by_value[c])
-        product(table.second[c], weight, by_square[c])
     _score_windows(
-        product(table.coverage, by_coverage),
-        by_value,
-        by_square,
-        table.area,
-        area,
-        places,
-        relief_mm,
-        which,
-        scores,
-    )
+        table.begins, table.cells, table.numbers.reshape(-1), table.area, seen, area, count, places,
+        relief_mm, sums, which, scores,
+    )  # fmt: skip
     return which, scores
 
 
+def _in_line(count: int) -> Float32:
+    """So many zeros, from the start of a line of the processor's cache: vectors across two lines cost
+    twice."""
+    numbers = np.zeros(count + 15, np.float32)
+    first = -(numbers.ctypes.data // 4) % 16
+    return numbers[first : first + count]
+
+
 @jit_dividing
-def _right_hand_sides(windows: Float32, used: Int64) -> tuple[Float32, Float32, Float32]:
-    """Right-hand sides of the products, for the cells `used` (P,) of windows (C, Q, 6), in blocks of C
-    columns. by_coverage (P, 10 C): w, background, w times each of the four values v, w times their squares;
-    crossed (4, P, 2 C): w, w times v, for each value; weights (P, C): w. Of a cell, w is number 4, background
-    number 5, v are numbers 0 to 3: the three opponents and relief."""
-    count, cells = windows.shape[0], used.shape[0]
-    by_coverage = np.empty((cells, 10 * count), np.float32)
-    crossed = np.empty((4, cells, 2 * count), np.float32)
-    weights = np.empty((cells, count), np.float32)
-    for p in range(cells):
-        for k in range(count):
+def _lay_out(windows: Float32, used: Int64, seen: Float32, area: Float32) -> None:
+    """Fill `seen` with the numbers of the cells `used` (P,) of windows (C, Q, 6), flat: (blocks of windows,
+    P, SEEN, LANES); `area` (C or more,) with how much of each window is known. Of a cell, w is number 4,
+    background number 5, v are numbers 0 to 3: the three opponents and relief."""
+    for k in range(windows.shape[0]):
+        known = np.float32(0.0)
+        for p in range(used.shape[0]):
             cell = windows[k, used[p]]
+            at = (k // LANES * used.shape[0] + p) * SEEN * LANES + k % LANES
             w = cell[4]
-            weights[p, k] = by_coverage[p, k] = w
-            by_coverage[p, count + k] = cell[5]
+            known += w
+            seen[at], seen[at + LANES] = w, cell[5]
             for c in range(4):
                 weighted = w * cell[c]
-                by_coverage[p, (2 + c) * count + k] = weighted
-                by_coverage[p, (6 + c) * count + k] = weighted * cell[c]
-                crossed[c, p, k] = w
-                crossed[c, p, count + k] = weighted
-    return by_coverage, crossed, weights
-
-
-def product(table: Float32, columns: Float32, out: Float32 | None = None) -> Float32:
-    """The matrix product (N, C), into `out` where it is given. By OpenCV: NumPy's linear algebra library
-    calls threads for a product of this size, which cost several times what they give."""
-    found = cv2.gemm(table, np.ascontiguousarray(columns), 1.0, _NOTHING, 0.0, dst=out)
-    return np.asarray(found, np.float32)
+                seen[at + (2 + c) * LANES] = weighted
+                seen[at + (6 + c) * LANES] = weighted * cell[c]
+        area[k] = max(known, np.float32(1.0))
 
 
 @jit_dividing
 def _score_windows(
-    by_coverage: Float32,
-    crossed: Float32,
-    squared: Float32,
+    begins: Int64,
+    cells: UInt8,
+    numbers: Float32,
     template_area: Float32,
+    seen: Float32,
     window_area: Float32,
+    count: int,
     places: int,
     relief_mm: float,
+    sums: Float32,
     which: Int64,
     scores: Float32,
 ) -> None:
-    """Fill `which` and `scores` (M, N): best window of each group for each template, from the matrix
-    products."""
-    count = window_area.shape[0]
-    common, color, weights = (
-        np.empty(count, np.float32),
-        np.empty(count, np.float32),
-        np.empty(count, np.float32),
-    )
-    without_depth, deviation = np.empty(count, np.float32), np.empty(count, np.float32)
-    one, zero, floor = np.float32(1.0), np.float32(0.0), np.float32(CHANNEL_FLOOR)
+    """Fill `which` and `scores` (M, N): best window of each group for each template."""
+    blocks = window_area.shape[0] // LANES
+    size = seen.shape[0] // blocks
+    without_depth, deviation = np.empty_like(window_area), np.empty_like(window_area)
     sharpness = 1.0 / (2.0 * relief_mm * relief_mm)
     for i in range(template_area.shape[0]):
-        free = np.float32(FREE_WEIGHT) / max(template_area[i], one)
-        full = np.float32(FULL_WEIGHT) / max(template_area[i], one)
-        sums = by_coverage[i]
-        for k in range(count):
-            common[k] = one / max(sums[k], one)
-            color[k] = zero
-            weights[k] = np.float32(2.0)
-        for c in range(3):
-            channel = np.float32(CHANNEL_WEIGHTS[c])
-            mean, square = sums[(2 + c) * count : (3 + c) * count], sums[(6 + c) * count : (7 + c) * count]
-            first, both, second = crossed[c, i, :count], crossed[c, i, count:], squared[c, i]
-            for k in range(count):
-                mean_w, mean_t = mean[k] * common[k], first[k] * common[k]
-                var_w = max(square[k] * common[k] - mean_w * mean_w, zero)
-                var_t = max(second[k] * common[k] - mean_t * mean_t, zero)
-                w = channel * np.sqrt(var_t)
-                color[k] += w * (both[k] * common[k] - mean_w * mean_t) / (np.sqrt(var_w * var_t) + floor)
-                weights[k] += w
-        mean, square = sums[5 * count : 6 * count], sums[9 * count :]
-        first, both, second = crossed[3, i, :count], crossed[3, i, count:], squared[3, i]
-        for k in range(count):
-            apart = (mean[k] - first[k]) * common[k]
-            deviation[k] = max((square[k] + second[k] - both[k] - both[k]) * common[k] - apart * apart, zero)
-            without_depth[k] = (
-                color[k] / weights[k]
-                + np.float32(OVERLAP_WEIGHT) * sums[k] / window_area[k]
-                - free * sums[count + k]
-                + full * sums[k]
-            )
+        for block in range(blocks):
+            k = block * LANES
+            lanes = min((count - k + 15) // 16 * 16, LANES)  # a whole vector, or two
+            _sum_up(begins[i], begins[i + 1], cells, numbers, seen, block * size, lanes, sums)
+            _rate(sums, lanes, template_area[i], window_area[k:], without_depth[k:], deviation[k:])
         for g in range(which.shape[0]):
             best = -1e9
             for k in range(places):
@@ -282,3 +247,75 @@ def _score_windows(
                     best = total
                     which[g, i] = k
             scores[g, i] = best
+
+
+@jit_dividing
+def _sum_up(
+    begin: int, end: int, cells: UInt8, numbers: Float32, seen: Float32, block: int, lanes: int, sums: Float32
+) -> None:
+    """Fill `sums` (SUMS * LANES,) for the cells `begin` to `end` of a template, AT_ONCE together, and the
+    windows of the block that begins at `block`. Indices are without a sign and rows a constant apart, so that
+    the compiler works on whole vectors."""
+    one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
+    cell, row, number, wide = np.uint64(SEEN * LANES), np.uint64(LANES), np.uint64(5), np.uint64(lanes)
+    for p in range(np.uint64(SUMS * LANES)):
+        sums[p] = np.float32(0.0)
+    for n in range(np.uint64(begin), np.uint64(end), np.uint64(AT_ONCE)):
+        x, y = np.uint64(block) + cells[n] * cell, np.uint64(block) + cells[n + one] * cell
+        z, t = np.uint64(block) + cells[n + two] * cell, np.uint64(block) + cells[n + three] * cell
+        i, j = n * number, (n + one) * number
+        k, m = (n + two) * number, (n + three) * number
+        a, b, c, d = numbers[i], numbers[j], numbers[k], numbers[m]
+        for p in range(cell):
+            sums[p] += a * seen[x + p] + b * seen[y + p] + c * seen[z + p] + d * seen[t + p]
+        for q in range(one, number):
+            e, f, g, h = numbers[i + q], numbers[j + q], numbers[k + q], numbers[m + q]
+            a1, b1, c1, d1 = a * e, b * f, c * g, d * h
+            a2, b2, c2, d2 = a1 * e, b1 * f, c1 * g, d1 * h
+            value, crossed = (q + one) * row, (q + np.uint64(9)) * row
+            first, second = (q + np.uint64(13)) * row, (q + np.uint64(17)) * row
+            for p in range(wide):
+                at = value + p
+                sums[crossed + p] += (
+                    a1 * seen[x + at] + b1 * seen[y + at] + c1 * seen[z + at] + d1 * seen[t + at]
+                )
+                u, v, w, s = seen[x + p], seen[y + p], seen[z + p], seen[t + p]
+                sums[first + p] += a1 * u + b1 * v + c1 * w + d1 * s
+                sums[second + p] += a2 * u + b2 * v + c2 * w + d2 * s
+
+
+@jit_dividing
+def _rate(
+    sums: Float32, lanes: int, area: float, window_area: Float32, without_depth: Float32, deviation: Float32
+) -> None:
+    """Fill the score `without_depth` and the `deviation` of the relief, square millimetres, of each window
+    from the sums over a template's cells."""
+    one, zero, floor = np.float32(1.0), np.float32(0.0), np.float32(CHANNEL_FLOOR)
+    covered = np.float32(max(area, 1.0))
+    free, full = np.float32(FREE_WEIGHT) / covered, np.float32(FULL_WEIGHT) / covered
+    of_values, of_squares, crossed = np.uint64(2 * LANES), np.uint64(6 * LANES), np.uint64(10 * LANES)
+    drawn, drawn_squares = np.uint64(14 * LANES), np.uint64(18 * LANES)
+    for k in range(np.uint64(lanes)):
+        shared = sums[k]
+        common = one / max(shared, one)
+        color, weights = zero, np.float32(2.0)
+        for c in range(np.uint64(3)):
+            at = c * np.uint64(LANES) + k
+            mean_w, mean_t = sums[at + of_values] * common, sums[at + drawn] * common
+            var_w = max(sums[at + of_squares] * common - mean_w * mean_w, zero)
+            var_t = max(sums[at + drawn_squares] * common - mean_t * mean_t, zero)
+            w = np.float32(CHANNEL_WEIGHTS[c]) * np.sqrt(var_t)
+            both = sums[at + crossed] * common - mean_w * mean_t
+            color += w * both / (np.sqrt(var_w * var_t) + floor)
+            weights += w
+        at = np.uint64(3 * LANES) + k  # relief
+        apart = (sums[at + of_values] - sums[at + drawn]) * common
+        both = sums[at + crossed]
+        square = (sums[at + of_squares] + sums[at + drawn_squares] - both - both) * common
+        deviation[k] = max(square - apart * apart, zero)
+        without_depth[k] = (
+            color / weights
+            + np.float32(OVERLAP_WEIGHT) * shared / window_area[k]
+            - free * sums[k + np.uint64(LANES)]
+            + full * shared
+        )

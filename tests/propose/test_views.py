@@ -20,10 +20,9 @@ from huepose.propose.quick_look import (
     FULL_WEIGHT,
     OVERLAP_WEIGHT,
     RELIEF_SIGMA,
-    product,
     quick_look,
 )
-from huepose.propose.templates import TemplateTable, build_table
+from huepose.propose.templates import TemplateTable, build_table, coarse_views
 from huepose.propose.views import _centroid, retrieve
 from huepose.rendering.render import render_depth
 
@@ -129,25 +128,30 @@ def test_an_empty_mask_retrieves_nothing(
         assert views.scores.shape == views.masks.shape == (0,)
 
 
-def test_the_quick_look_is_that_of_the_plain_sums(table: TemplateTable) -> None:
+@pytest.mark.parametrize(("windows_each", "groups"), [(2, 2), (9, 4), (17, 1)])
+def test_the_quick_look_is_that_of_the_plain_sums(
+    table: TemplateTable, tea_box: ReferenceModel, windows_each: int, groups: int
+) -> None:
     rng = np.random.default_rng(6)
-    windows = rng.normal(size=(4, 64, 6)).astype(np.float32)
+    windows = rng.normal(size=(windows_each * groups, 64, 6)).astype(np.float32)
     windows[..., :4] *= [20.0, 8.0, 8.0, 15.0]
-    windows[..., 4:] = rng.uniform(0.0, 1.0, (4, 64, 2))
-    which, scores = quick_look(table, windows, 2)
+    windows[..., 4:] = rng.uniform(0.0, 1.0, (len(windows), 64, 2))
+    which, scores = quick_look(table, windows, windows_each)
+    coarse = coarse_views(tea_box.templates)
     some = rng.integers(0, len(table.area), 50)
     relief_mm = RELIEF_SIGMA * table.diameter_m * 1000.0
     for i in some:
-        coverage = table.coverage[i].astype(float)
+        coverage, values_drawn = coarse.coverage[i].astype(float), coarse.values[i].astype(float)
         totals = []
-        for window in windows[:, table.used].astype(float):
+        for window in windows[:, coarse.used].astype(float):
             w, values = window[:, 4], window[:, :4]
             both = max(coverage @ w, 1.0)
             color, weights = 0.0, 2.0
             for c in range(4):
                 seen, seen2 = coverage @ (w * values[:, c]) / both, coverage @ (w * values[:, c] ** 2) / both
-                drawn, drawn2 = table.first[c, i] @ w / both, table.second[c, i] @ w / both
-                cross = table.first[c, i] @ (w * values[:, c]) / both
+                first, second = coverage * values_drawn[:, c], coverage * values_drawn[:, c] ** 2
+                drawn, drawn2 = first @ w / both, second @ w / both
+                cross = first @ (w * values[:, c]) / both
                 if c == 3:
                     deviation = max(seen2 + drawn2 - 2.0 * cross - (seen - drawn) ** 2, 0.0)
                     continue
@@ -159,8 +163,8 @@ def test_the_quick_look_is_that_of_the_plain_sums(table: TemplateTable) -> None:
             total = color / weights + OVERLAP_WEIGHT * (coverage @ w) / max(w.sum(), 1.0)
             total += (FULL_WEIGHT * (coverage @ w) - FREE_WEIGHT * (coverage @ window[:, 5])) / area
             totals.append(total + DEPTH_WEIGHT * np.exp(-deviation / (2.0 * relief_mm**2)))
-        for group in range(2):
-            ours = totals[2 * group : 2 * group + 2]
+        for group in range(groups):
+            ours = totals[windows_each * group : windows_each * (group + 1)]
             np.testing.assert_allclose(scores[group, i], max(ours), atol=1e-3)
             np.testing.assert_allclose(ours[which[group, i]], max(ours), atol=1e-3)
 
@@ -169,17 +173,3 @@ def test_the_middle_of_a_mask_is_the_mean_of_its_pixels() -> None:
     mask = np.random.default_rng(2).random((37, 53)) > 0.7
     rows, columns = np.nonzero(mask)
     np.testing.assert_allclose(_centroid(mask), [columns.mean(), rows.mean()], rtol=1e-14)
-
-
-@pytest.mark.parametrize("shape", [(3888, 52, 90), (504, 1024, 1), (7, 128, 33), (1, 1, 1)])
-def test_a_product_is_the_sum_over_the_cells(shape: tuple[int, int, int]) -> None:
-    rows, cells, columns = shape
-    rng = np.random.default_rng(0)
-    table = rng.random((rows, cells), np.float32)
-    turned = rng.random((columns, cells), np.float32)
-    table.flags.writeable = False  # as where it is mapped
-    expected = table.astype(np.float64) @ turned.T
-    into = np.full((rows, columns), np.nan, np.float32)
-    product(table, np.ascontiguousarray(turned.T), into)
-    for found in (into, product(table, turned.T)):
-        np.testing.assert_allclose(found, expected, rtol=1e-5)

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from huepose.colorpair.opponents import opponents_of_bytes
-from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32, UInt8
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
@@ -18,6 +18,7 @@ from huepose.judge.region import SATURATED, Crop, Region
 from huepose.model.types import COLOR_SCALES_M
 from huepose.perception.embedded import depth_steps
 from huepose.perception.ground import large_planes, standing_clear
+from huepose.propose.view_pictures import Pyramid
 from huepose.support.jit import jit
 
 FAR_M = 9.0
@@ -38,14 +39,16 @@ class ClearView:
     """The part of a frame in which something stands. frame: the whole, as it came; crop: the part, with
     planes at FAR_M; clear (h, w): pixels that belong to no plane; colors (2, h, w, 3) float32: opponents at
     two scales, as in `judge.region`; pieces (P, 4): connected parts without a depth step: centre pixel, mean
-    depth, and longer side in metres. taken (h, w): pixels of something known, which have no depth here; None
-    for none."""
+    depth, and longer side in metres; depth (h, w): of the part as measured, planes included, metres; pyramid:
+    of its colours. taken (h, w): pixels of something known, which have no depth here; None for none."""
 
     frame: RgbdFrame
     crop: Crop
     clear: Bool
     colors: Float32
     pieces: Float64
+    depth: Float32
+    pyramid: Pyramid
     taken: Bool | None = None
 
     def without(self, taken: Bool) -> ClearView:
@@ -54,9 +57,15 @@ class ClearView:
         c = self.crop
         h, w = c.depth.shape
         mine = taken[c.y0 : c.y0 + h, c.x0 : c.x0 + w]
-        crop = replace(c, depth=np.where(mine, np.float32(0.0), c.depth))
-        clear = self.clear & ~mine
-        return replace(self, frame=self.frame.without(taken), crop=crop, clear=clear, taken=mine)
+        of_crop, measured = (np.where(mine, np.float32(0.0), depth) for depth in (c.depth, self.depth))
+        return replace(
+            self,
+            frame=self.frame.without(taken),
+            crop=replace(c, depth=of_crop),
+            clear=self.clear & ~mine,
+            depth=measured,
+            taken=mine,
+        )
 
     def free(self, pixels: Float) -> Bool:
         """Which of pixels (N, 2) of the crop belong to nothing that is known."""
@@ -65,13 +74,6 @@ class ClearView:
         height, width = self.taken.shape
         x, y = np.clip(np.rint(pixels), 0, [width - 1, height - 1]).astype(np.int64).T
         return np.asarray(~self.taken[y, x])
-
-    @property
-    def depth(self) -> Float32:
-        """Depth (h, w) of the part as measured, planes included; metres."""
-        c = self.crop
-        h, w = c.depth.shape
-        return self.frame.depth[c.y0 : c.y0 + h, c.x0 : c.x0 + w]
 
     def region(self, diameter_m: float) -> Region:
         """The whole view as a region in which poses of an object are scored, without an outline."""
@@ -89,7 +91,8 @@ def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
         return None
     width, height = frame.camera.width, frame.camera.height
     rows, columns = bounds.grown(0.0, MARGIN_PX).slices(width, height)
-    depth, clear = frame.depth[rows, columns].copy(), np.ascontiguousarray(clear[rows, columns])
+    measured, clear = frame.depth[rows, columns].copy(), np.ascontiguousarray(clear[rows, columns])
+    depth = measured.copy()
     depth[~clear & (depth > 0)] = FAR_M
     color = np.ascontiguousarray(frame.color[rows, columns])
     camera: Camera = frame.camera.cropped(columns.start, rows.start, depth.shape[1], depth.shape[0])
@@ -97,32 +100,43 @@ def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     crop = Crop(camera, columns.start, rows.start, color, depth, np.asarray(saturated))
     pieces[:, :2] -= columns.start, rows.start
     colors = _smoothed(color, camera.fx / median(depth[clear]))
-    return ClearView(frame, crop, clear, colors, pieces)
+    return ClearView(frame, crop, clear, colors, pieces, measured, Pyramid(color))
 
 
 def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
     """Mask (H, W) of what stands clear, without specks, and its pieces (P, 4)."""
     opened = cv2.morphologyEx(clear.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     free = opened & ~depth_steps(depth)
-    count, labels, stats, middles = cv2.connectedComponentsWithStats(free.view(np.uint8), connectivity=4)
-    size = np.maximum(stats[:, 4], 1)
-    mean_m = _sums(np.asarray(labels, np.int32), depth, count) / size
+    count, labels = cv2.connectedComponents(free.view(np.uint8), connectivity=4, ltype=cv2.CV_32S)
+    sums, bounds = _measured(np.asarray(labels, np.int32), depth, count)
+    size = np.maximum(sums[:, 0], 1)
+    middles, mean_m = sums[:, 1:3] / size[:, None], sums[:, 3] / size
     kept = size * (mean_m / focal) ** 2 >= SPECK_M2
     # The far sides of steps belong to no piece, but to what is beside them.
     near = cv2.dilate(kept[labels].view(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    side_m = np.maximum(stats[:, 2], stats[:, 3]) * mean_m / focal
+    side_m = (bounds[:, 2:] - bounds[:, :2]).max(1) * mean_m / focal
     return near & opened, np.column_stack([middles, mean_m, side_m])[kept]
 
 
 @jit
-def _sums(labels: Int32, depth: Float32, count: int) -> Float64:
-    """Sum of the depth over each label (count,); 0 for label 0."""
-    sums = np.zeros(count)
+def _measured(labels: Int32, depth: Float32, count: int) -> tuple[Float64, Int64]:
+    """Of each label (h, w): sums (count, 4) of its pixels, their columns, rows and depth; bounds (count, 4):
+    left, top, right, bottom (exclusive). Nothing for label 0."""
+    sums, bounds = np.zeros((count, 4)), np.zeros((count, 4), np.int64)
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
-            if labels[v, u] > 0:
-                sums[labels[v, u]] += depth[v, u]
-    return sums
+            k = labels[v, u]
+            if k == 0:
+                continue
+            if sums[k, 0] == 0.0:
+                bounds[k, 0], bounds[k, 1] = u, v
+            sums[k, 0] += 1.0
+            sums[k, 1] += u
+            sums[k, 2] += v
+            sums[k, 3] += depth[v, u]
+            bounds[k, 0], bounds[k, 2] = min(bounds[k, 0], u), max(bounds[k, 2], u + 1)
+            bounds[k, 3] = v + 1
+    return sums, bounds
 
 
 def _smoothed(color: UInt8, pixels_per_m: float) -> Float32:

@@ -138,5 +138,5 @@ def likenesses(
     middle, diameters = np.stack(middles), np.array([models[name].diameter_m for name, _ in poses])
     span_px = SPAN * diameters / middle[:, 2] * view.crop.camera.fx
     place = view.crop.camera.project(middle), middle[:, 2], span_px
-    windows = codes_of_windows(*window_pictures(view.crop.color, view.depth, *place, diameters))
+    windows = codes_of_windows(*window_pictures(view.pyramid, view.depth, *place, diameters))
     return np.asarray((of_poses * windows).sum(1), np.float64)

@@ -239,33 +239,37 @@ def _varied(windows: Int64, rated: Float64, effort: Effort) -> Int64:
 
 def _apart(model: ReferenceModel, poses: Float64, rated: Float64, count: int) -> Int64:
     """Indices of the `count` best-scored of poses (M, 4, 4) whose centres are apart (greedy)."""
-    centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
+    away = _away(model, poses)
     chosen: list[int] = []
     for k in np.argsort(-rated, kind="stable"):
-        away = np.linalg.norm(centres[chosen] - centres[k], axis=1)
-        if not chosen or away.min() >= 0.5 * SAME_SHIFT * model.diameter_m:
+        if not chosen or away[k, chosen].min() >= 0.5 * SAME_SHIFT * model.diameter_m:
             chosen.append(int(k))
             if len(chosen) == count:
                 break
     return np.array(chosen)
 
 
+def _away(model: ReferenceModel, poses: Float64) -> Float64:
+    """Distances (M, M) of the object's centres at poses (M, 4, 4), metres."""
+    centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
+    return np.asarray(np.linalg.norm(centres[:, None] - centres, axis=2))
+
+
 def _thinned(
     model: ReferenceModel, view: ClearView, poses: Float64, rated: Float64, count: int
 ) -> list[Proposal]:
     """The best pose at each of `count` places, and at most one more there with another rotation."""
-    centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
+    away = _away(model, poses)
     out: list[Proposal] = []
     firsts: list[int] = []
     for k in np.argsort(-rated, kind="stable"):
-        away = np.linalg.norm(centres[firsts] - centres[k], axis=1)
-        if (away < SAME_SHIFT * model.diameter_m).any():
-            place = int(away.argmin())
+        if firsts and away[k, firsts].min() < SAME_SHIFT * model.diameter_m:
+            place = int(away[k, firsts].argmin())
             mine = [p for p in out if p.place == place]
-            told = all(se3.rotation_angle(p.T_cam_obj, poses[k]) > SAME_TURN for p in mine)
-            seen = seen_part(model, view, poses[k]) if told and 0 < len(mine) < TURNS else None
-            if seen is not None:
-                out.append(Proposal(poses[k], seen[0], float(rated[k]), seen[1], place))
+            if len(mine) < TURNS and all(se3.rotation_angle(p.T_cam_obj, poses[k]) > SAME_TURN for p in mine):
+                seen = seen_part(model, view, poses[k])
+                if seen is not None:
+                    out.append(Proposal(poses[k], seen[0], float(rated[k]), seen[1], place))
         elif len(firsts) < count:
             seen = seen_part(model, view, poses[k])
             if seen is None or any(seen[0].iou(p.box) > SAME_IOU for p in out):

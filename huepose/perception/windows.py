@@ -124,7 +124,7 @@ class Windows:
                 with stage("codes"):
                     places = self.pixels[new], self.depth_m[new], self.span_px[new]
                     view = self._view
-                    pictures = window_pictures(view.crop.color, view.depth, *places, self.diameter_m)
+                    pictures = window_pictures(view.pyramid, view.depth, *places, self.diameter_m)
                     self._codes[new], self._coded[new] = codes_of_windows(*pictures), True
             return np.asarray(self._codes[index])
 

@@ -6,6 +6,7 @@ encodes both. Training uses the same functions.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import cv2
@@ -103,8 +104,22 @@ def turned(colors: UInt8, reliefs: Float32) -> tuple[UInt8, Float32]:
     return out_colors.reshape(-1, SIDE, SIDE, 3), out_reliefs.reshape(-1, SIDE, SIDE)
 
 
+class Pyramid:
+    """A picture (H, W, 3) uint8 and its halvings, each made when first asked for. Thread-safe."""
+
+    def __init__(self, color: UInt8) -> None:
+        self._levels, self._lock = [color], threading.Lock()
+
+    def halved(self, times: int) -> UInt8:
+        """The picture after so many halvings of its sides."""
+        with self._lock:
+            while len(self._levels) <= times:
+                self._levels.append(np.asarray(cv2.pyrDown(self._levels[-1]), np.uint8))
+            return self._levels[times]
+
+
 def window_pictures(
-    color: UInt8,
+    picture: Pyramid,
     depth: Float32,
     pixels: Float64,
     depth_m: Float64,
@@ -115,28 +130,42 @@ def window_pictures(
     """Cut windows from a frame: colours (W, 64, 64, 3) and relief (W, 64, 64) in diameters, NaN where depth
     is unknown.
 
-    color (H, W, 3) uint8 and depth (H, W) metres: the frame; pixels (W, 2), depth_m (W,): centres; span_px
+    picture and depth (H, W) metres: the frame; pixels (W, 2), depth_m (W,): centres; span_px
     (W,): widths in pixels. diameter_m: of the object, or one per window (W,). wide: factor on width and
     pixels (training)."""
-    side, pyramid = wide * SIDE, [color]
-    step = span_px / SIDE
+    side, step = wide * SIDE, span_px / SIDE
     to_picture = _lattices_to_picture(pixels, step, side)
     halvings = np.maximum(0, np.ceil(np.log2(step / MAX_STEP))).astype(int)
     to_smaller = to_picture / 2.0 ** halvings[:, None, None]
     # Pixel centres of a halved picture lie between.
     to_smaller[:, :, 2] += 0.5 * (0.5 ** halvings[:, None] - 1.0)
     colors = np.empty((len(pixels), side, side, 3), np.uint8)
-    z = np.empty((len(pixels), side, side), np.float32)
-    for k in range(len(pixels)):
-        while len(pyramid) <= halvings[k]:
-            pyramid.append(np.asarray(cv2.pyrDown(pyramid[-1]), np.uint8))
-        _resampled(pyramid[halvings[k]], to_smaller[k], side, cv2.INTER_LINEAR, out=colors[k])
-        _resampled(depth, to_picture[k], side, cv2.INTER_NEAREST, out=z[k])
-    unknown = z <= 0
-    z -= np.asarray(depth_m, np.float32)[:, None, None]
-    z /= np.broadcast_to(diameter_m, len(pixels)).astype(np.float32)[:, None, None]
-    z[unknown] = np.nan
-    return colors, z
+    for k, halving in enumerate(halvings):
+        _resampled(picture.halved(halving), to_smaller[k], side, cv2.INTER_LINEAR, out=colors[k])
+    reliefs = np.empty((len(pixels), side, side), np.float32)
+    _gaps(depth, to_picture, np.asarray(depth_m, np.float32), reliefs)
+    reliefs /= np.broadcast_to(diameter_m, len(pixels)).astype(np.float32)[:, None, None]
+    return colors, reliefs
+
+
+@jit_dividing
+def _gaps(depth: Float32, to_picture: Float64, depth_m: Float32, out: Float32) -> None:
+    """Fill `out` (W, n, n) with the depth nearest to each point of upright lattices, less that of their
+    middle (W,); NaN where it is unknown."""
+    height, width = depth.shape
+    side = out.shape[1]
+    columns = np.empty(side, np.int64)
+    for k in range(out.shape[0]):
+        step, left, top = to_picture[k, 0, 0], to_picture[k, 0, 2] + 0.5, to_picture[k, 1, 2] + 0.5
+        for x in range(side):
+            columns[x] = int(np.floor(step * x + left))
+        for y in range(side):
+            v = int(np.floor(step * y + top))
+            for x in range(side):
+                u = columns[x]
+                inside = 0 <= v < height and 0 <= u < width
+                z = depth[v, u] if inside else np.float32(0.0)
+                out[k, y, x] = z - depth_m[k] if z > 0.0 else np.float32(np.nan)
 
 
 def network_input(colors: UInt8, reliefs: Float32, *, clean: bool) -> Float32:

@@ -17,7 +17,7 @@ import numpy as np
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float32, Float64, Rng, UInt8
 from huepose.propose.templates import SPAN
-from huepose.propose.view_pictures import SIDE, unturned_views, window_pictures
+from huepose.propose.view_pictures import SIDE, Pyramid, unturned_views, window_pictures
 from huepose.propose.views import onto_rays
 from huepose.rendering.render import Rendering, render
 from huepose.scenes.camera import COLOR, STEREO
@@ -128,7 +128,7 @@ def _window(
     span_px = SPAN * diameter_m / median * focal
     place = middle[None], np.array([median]), np.array([span_px])
     shown = np.where(inside[..., None], color, 0).astype(np.uint8)
-    colors, reliefs = window_pictures(shown, depth, *place, diameter_m, wide=WIDE)
+    colors, reliefs = window_pictures(Pyramid(shown), depth, *place, diameter_m, wide=WIDE)
     turn = onto_rays(camera.rays(middle[None]))[0]
     return colors[0], np.clip(reliefs[0], -8.0, 8.0).astype(np.float16), (turn.T @ R).astype(np.float32)
 

@@ -17,6 +17,7 @@ from huepose.propose.view_pictures import (
     ROLLS,
     SIDE,
     SPAN,
+    Pyramid,
     clean_view,
     network_input,
     turned,
@@ -61,7 +62,7 @@ def test_a_window_is_read_at_metric_scale_and_unknown_depth_says_so() -> None:
     depth = np.full((100, 120), 0.6, np.float32)
     depth[:50] = 0.0
     middle = np.array([[59.5, 49.5]])
-    colors, reliefs = window_pictures(color, depth, middle, np.array([0.5]), np.array([64.0]), 0.2)
+    colors, reliefs = window_pictures(Pyramid(color), depth, middle, np.array([0.5]), np.array([64.0]), 0.2)
     assert colors[0, 10, [5, -5], 0].tolist() == [0, 200]
     assert np.isnan(reliefs[0, :30]).all()
     assert reliefs[0, 34:] == pytest.approx(0.5)
@@ -87,7 +88,7 @@ def test_the_likest_view_of_an_object_on_a_table_is_one_of_those_nearest_to_its_
     )
     span_px = SPAN * tea_box.diameter_m / middle[2] * frame.camera.fx
     place = frame.camera.project(middle)[None], middle[2:], np.array([span_px])
-    window = codes_of_windows(*window_pictures(frame.color, frame.depth, *place, tea_box.diameter_m))
+    window = codes_of_windows(*window_pictures(Pyramid(frame.color), frame.depth, *place, tea_box.diameter_m))
     best = np.argsort(-(codes @ window[0]))[:3]
     looks = np.stack([icosphere.look_at(d) for d in icosphere.directions(1)])
     angles = []

@@ -1,6 +1,7 @@
 """How cost grows: with the objects known, the objects in view, the size of the picture.
 
-    .venv/bin/python -m benchmarks.growth --out DIR [--only known memory visible pixels] [--quick]
+    OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.growth --out DIR
+        [--only known memory visible pixels] [--quick]
 
 CPU milliseconds (all threads) of one frame, medians, and memory that a process has for itself. The scene is a
 wall with objects before it in rows, all turning slowly; the objects are the demo's five, under other names
@@ -72,6 +73,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", choices=list(axes), default=list(axes))
     parser.add_argument("--quick", action="store_true", help="the ends of each axis alone")
     arguments = parser.parse_args()
+    cv2.setNumThreads(1)  # as in the workers
     found: dict[str, Any] = {"origin": origin()}
     print("| | at | cost | exponent |\n|---|---|---|---|")
     for axis in arguments.only:

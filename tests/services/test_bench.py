@@ -1,12 +1,16 @@
-"""The chart of stages: a row for each thing that has any, and none for what is one number."""
+"""A bench: libraries have one thread; the chart has a row for each thing that has stages."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
 
 from huepose_services.cli.bench import draw_stages
+from huepose_services.runtime.threads import THREAD_VARIABLES
 
 
 def test_what_has_stages_gets_a_row(tmp_path: Path) -> None:
@@ -18,3 +22,12 @@ def test_what_has_stages_gets_a_row(tmp_path: Path) -> None:
     assert picture.shape[0] == 2 * 320
     draw_stages(tmp_path / "b.png", [("segment", 3.0, 4.0)])
     assert not (tmp_path / "b.png").exists()
+
+
+def test_libraries_have_one_thread_as_in_the_workers() -> None:
+    asked = "import os; from huepose_services.cli.main import main; main(['bench', 'bus', '--json'])"
+    told = "import cv2; print(cv2.getNumThreads(), *(os.environ[name] for name in THREAD_VARIABLES))"
+    code = f"{asked}; from huepose_services.runtime.threads import THREAD_VARIABLES; {told}"
+    free = {name: value for name, value in os.environ.items() if name not in THREAD_VARIABLES}
+    done = subprocess.run([sys.executable, "-c", code], env=free, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "1 1 1 1 1"

@@ -8,6 +8,7 @@ from typing import Any
 
 from huepose.support.files import write_picture
 from huepose_services.cli.options import add_json, add_number, add_path, add_profile, answered
+from huepose_services.runtime.threads import single_threaded
 
 _WHAT = ("estimate", "track", "detect", "bus", "all")
 
@@ -25,8 +26,12 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Measure, print, write."""
+    # As in the workers: threads of the libraries wait spinning, which is no work.
+    single_threaded()
     import resource
     from dataclasses import asdict
+
+    import cv2
 
     from huepose.evaluation.benches import StageTime, bench_estimate, bench_perception, bench_track
     from huepose.evaluation.summary import table
@@ -36,6 +41,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.builtin import builtin_bundles
     from huepose_services.bus_bench import bench_bus
 
+    cv2.setNumThreads(1)
     stages: list[StageTime] = []
     summary: dict[str, float | str] = {"profile": arguments.profile}
     what, settings = arguments.what, profile(arguments.profile)

@@ -281,8 +281,9 @@ def _continue(
     seen = np.empty((samples, 3))
     for m in range(poses.shape[0]):
         T = poses[m]
-        first = model.offsets[nearest_view(T, model)]
-        last = min(model.offsets[nearest_view(T, model) + 1], first + samples)
+        view = nearest_view(T, model)
+        first = model.offsets[view]
+        last = min(model.offsets[view + 1], first + samples)
         count = 0
         left, top, right, bottom = 1e9, 1e9, -1e9, -1e9
         for k in range(first, last):
@@ -305,14 +306,10 @@ def _continue(
         total, on = 1e-9, 0.0
         for y in range(n):
             for x in range(n):
-                near = 0.0
-                apart = OUTER + 1
-                for b in range(max(y - OUTER, 0), min(y + OUTER + 1, n)):
-                    for a in range(max(x - OUTER, 0), min(x + OUTER + 1, n)):
-                        if inside[b, a] > 0.0 and max(abs(b - y), abs(a - x)) < apart:
-                            apart = max(abs(b - y), abs(a - x))
-                            near = inside[b, a]
-                if apart <= INNER or apart > OUTER:
+                if inside[y, x] > 0.0 or _within(inside, y, x, INNER) > 0.0:
+                    continue
+                near = _within(inside, y, x, OUTER)
+                if near == 0.0:
                     continue
                 u, v = int(left + (x - OUTER + 0.5) * cell + 0.5), int(top + (y - OUTER + 0.5) * cell + 0.5)
                 if u < 0 or v < 0 or u >= width or v >= height or depth[v, u] == 0.0:
@@ -322,3 +319,14 @@ def _continue(
                 if clear[v, u] and abs(depth[v, u] - near) < tolerance:
                     on += 1.0
         out[m] = on / total
+
+
+@jit
+def _within(inside: Float64, y: int, x: int, reach: int) -> float:
+    """The first cell (n, n), row by row, that is over 0 and at most `reach` rows and columns away; else 0."""
+    n = inside.shape[0]
+    for b in range(max(y - reach, 0), min(y + reach + 1, n)):
+        for a in range(max(x - reach, 0), min(x + reach + 1, n)):
+            if inside[b, a] > 0.0:
+                return float(inside[b, a])
+    return 0.0

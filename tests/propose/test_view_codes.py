@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,6 +15,7 @@ from huepose.geometry.arrays import Float32
 from huepose.model.types import ReferenceModel
 from huepose.propose.view_codes import WEIGHTS, codes_of_views, codes_of_windows
 from huepose.propose.view_pictures import (
+    MAX_STEP,
     ROLLS,
     SIDE,
     SPAN,
@@ -72,6 +74,26 @@ def test_a_window_is_read_at_metric_scale_and_unknown_depth_says_so() -> None:
     assert (x[0, 4:, 34:] == 1).all()
     assert x[0, 3, 40, 40] == pytest.approx(1.0)
     assert x[0, 0, 10, -5] == pytest.approx(200 / 127.5 - 1)
+
+
+def test_windows_read_the_nearest_depth_and_the_picture_halved_until_its_steps_are_short() -> None:
+    rng = np.random.default_rng(3)
+    color = rng.integers(0, 256, (120, 160, 3)).astype(np.uint8)
+    depth = rng.uniform(0.4, 0.6, (120, 160)).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.2] = 0.0
+    pixels, span_px = rng.uniform(-10.0, 170.0, (40, 2)), rng.uniform(20.0, 200.0, 40)
+    colors, reliefs = window_pictures(Pyramid(color), depth, pixels, np.full(40, 0.5), span_px, 0.25)
+    half, (size, flags) = cv2.pyrDown(color), ((SIDE, SIDE), cv2.WARP_INVERSE_MAP)
+    for k, step in enumerate(span_px / SIDE):
+        middle = (SIDE - 1) / 2.0 * step
+        back = np.array([[step, 0.0, pixels[k, 0] - middle], [0.0, step, pixels[k, 1] - middle]])
+        z = cv2.warpAffine(depth, back, size, flags=flags | cv2.INTER_NEAREST)
+        expected = np.where(z > 0, (z - np.float32(0.5)) / np.float32(0.25), np.nan)
+        np.testing.assert_array_equal(reliefs[k], expected)
+        halved = step > MAX_STEP
+        back = back / 2.0 - [[0.0, 0.0, 0.25]] if halved else back
+        shown = cv2.warpAffine(half if halved else color, back, size, flags=flags | cv2.INTER_LINEAR)
+        np.testing.assert_array_equal(colors[k], shown)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.9, 2.6])

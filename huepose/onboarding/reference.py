@@ -9,6 +9,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
+from huepose.geometry.diameter import largest_distance
 from huepose.geometry.mesh import Mesh
 from huepose.geometry.symmetry import sampled
 from huepose.model.io import check_name
@@ -34,7 +35,6 @@ STAGES = ("mesh", "visibility", "surface", "symmetries", "templates", "keypoints
 EVAL_POINTS = 20_000
 """Most vertices by which errors are measured."""
 
-_BLOCK = 1000  # points whose distances to all others are in memory at once
 _STEP_RAD = np.pi / 36  # of declared continuous symmetries
 
 Report = Callable[[str], None]
@@ -128,16 +128,14 @@ def _diameter(mesh: Mesh, info: Mapping[str, Any], name: str) -> float:
 def diameter_of(mesh: Mesh) -> float:
     """The largest distance of two vertices, metres."""
     from scipy.spatial import ConvexHull, QhullError
-    from scipy.spatial.distance import cdist
 
     points = mesh.vertices.astype(np.float64)
     try:
-        points = points[ConvexHull(points).vertices]
+        return largest_distance(points[ConvexHull(points).vertices])
     except QhullError:
         raise InputError(
             "the mesh", found="all vertices in one plane", expected="a solid object", fix="Give it thickness."
         ) from None
-    return max(float(cdist(points[i : i + _BLOCK], points).max()) for i in range(0, len(points), _BLOCK))
 
 
 def _pair_views(mesh: Mesh, diameter_m: float) -> list[PairView]:

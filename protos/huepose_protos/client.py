@@ -7,11 +7,13 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import queue
 import re
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import zenoh
@@ -36,6 +38,7 @@ from huepose_protos.messages import (
 from huepose_protos.reach import endpoint_of
 
 _ASK_TIMEOUT_S = 2.0
+_ROOM = 65_536  # samples that may wait for a busy program before the bus does
 _KINDS: dict[str, type[Message]] = {
     "pose": PoseMessage,
     "health": HealthMessage,
@@ -123,6 +126,42 @@ def open_session(
         raise ValueError(f"{', '.join(meant)} cannot be used: {said}") from None
 
 
+class Listeners:
+    """Threads that call back with what a session receives, until it is closed.
+
+    Given a callback, zenoh itself makes a thread that keeps a program for ever that leaves its session open,
+    as after Ctrl-C. These are daemons: who owns the session closes it at exit, and then joins them."""
+
+    def __init__(self) -> None:
+        self._threads: list[threading.Thread] = []
+
+    def add(
+        self,
+        declare: Callable[..., Iterable[zenoh.Sample]],
+        key: str,
+        hear: Callable[[zenoh.Sample], None],
+        **more: bool,
+    ) -> None:
+        """Call `hear` with each sample on a key.
+
+        declare: a session's `declare_subscriber`; more: what else it takes."""
+        subscriber = declare(key, zenoh.handlers.FifoChannel(_ROOM), **more)
+
+        def move() -> None:
+            for sample in subscriber:
+                hear(sample)
+
+        thread = threading.Thread(target=move, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def join(self) -> None:
+        """Wait for their end, after the session was closed."""
+        for thread in self._threads:
+            if thread.is_alive():
+                thread.join()
+
+
 class Reader:
     """Messages on key expressions from workers, or a gateway, at the given endpoints, as soon as these are
     there. The files are those of `open_session`.
@@ -146,10 +185,13 @@ class Reader:
         # Unbounded, so that a slow printer never blocks the bus: messages are small.
         self._messages: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
         self._keys, self._heard = keys, set[str]()
+        self._listeners = Listeners()
         self._session = open_session(endpoints, authority, certificate, key)
-        self._session.liveliness().declare_subscriber("huepose/*/*/live/*", self._on_token, history=True)
+        atexit.register(self.close)
+        tokens = self._session.liveliness().declare_subscriber
+        self._listeners.add(tokens, "huepose/*/*/live/*", self._on_token, history=True)
         for expression in keys:
-            self._session.declare_subscriber(expression, self._on_sample)
+            self._listeners.add(self._session.declare_subscriber, expression, self._on_sample)
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
@@ -200,7 +242,9 @@ class Reader:
 
     def close(self) -> None:
         """Leave the bus."""
+        atexit.unregister(self.close)
         self._session.close()
+        self._listeners.join()
 
     def __enter__(self) -> Reader:
         return self

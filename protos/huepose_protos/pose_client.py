@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ssl
 import threading
 import time
@@ -20,7 +21,7 @@ from pathlib import Path
 
 import zenoh
 
-from huepose_protos.client import kind_of, open_session
+from huepose_protos.client import Listeners, kind_of, open_session
 from huepose_protos.codec import decode
 from huepose_protos.fields import WireError
 from huepose_protos.keys import Keys
@@ -43,7 +44,8 @@ class PoseClient:
 
     endpoints: `HOST`, `HOST:PORT`, `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS the files in PEM of
     `open_session`. It may be made before the pipeline runs, and finds it again when it was gone; each time it
-    asks for the latest poses. Where none come, `why_silent()` says what is in the way.
+    asks for the latest poses. Where none come, `why_silent()` says what is in the way. Left open, it is closed
+    at the program's end.
     camera: the only one whose poses are read, else all, each for itself: `pose.frame` says which camera's a
     pose is. object: the only one that is of interest, else all. Can be used from several threads.
 
@@ -70,6 +72,8 @@ class PoseClient:
         self._fixed: dict[str, Mount | None] = {}
         self._moving: dict[str, deque[tuple[int, Mount]]] = {}
         self._closed = threading.Event()
+        self._asker = threading.Thread(target=self._ask_whoever_is_new, daemon=True)
+        self._listeners = Listeners()
         keys = Keys(site, camera)
         inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
         self._outside = (keys.outside(inside), keys.outside(keys.camera_info))
@@ -79,10 +83,10 @@ class PoseClient:
         self._endpoints = [endpoint_of(one, tls=authority is not None) for one in endpoints]
         self._files = authority, certificate, key
         self._session = open_session(endpoints, *self._files)
+        atexit.register(self.close)
         for expression in (inside, keys.camera_info, *self._outside):
-            self._session.declare_subscriber(expression, self._on_sample)
+            self._listeners.add(self._session.declare_subscriber, expression, self._on_sample)
         self._lists = (keys.objects, keys.outside(keys.objects))
-        self._asker = threading.Thread(target=self._ask_whoever_is_new, daemon=True)
         self._asker.start()
 
     def _ask_whoever_is_new(self) -> None:
@@ -261,8 +265,11 @@ class PoseClient:
         self._closed.set()
         with self._changed:
             self._changed.notify_all()
-        self._asker.join()
+        atexit.unregister(self.close)
+        if self._asker.is_alive():
+            self._asker.join()
         self._session.close()
+        self._listeners.join()
 
     def __enter__(self) -> PoseClient:
         return self

@@ -2,6 +2,8 @@
 
 import json
 import os
+import subprocess
+import sys
 
 import pytest
 
@@ -65,3 +67,38 @@ def test_a_pipeline_that_is_being_started_is_told_from_none(tmp_path):
         (tmp_path / f"{os.getpid()}-17447.json").write_text(json.dumps(note))
         started = "waiting for a pipeline: lab/left, from /etc/lab.yaml, is being started"
         assert client.why_silent() == f"{started}; its log says how far it is"
+
+
+@pytest.mark.parametrize(
+    "end",
+    ["", "sys.exit(0)", "1 / 0", "client.close()"],
+    ids=["at its end", "by exit", "by an error", "after it was closed"],
+)
+@pytest.mark.parametrize(
+    "client", ["PoseClient('127.0.0.1:1')", "client.Reader(['tcp/127.0.0.1:1'], 'huepose/**')"]
+)
+def test_a_program_ends_that_leaves_its_client_open(client, end):
+    program = f"import sys\nfrom huepose_protos import PoseClient, client\nclient = {client}\n{end}\n"
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30)
+    assert ended.returncode == ("1 / 0" in end)
+    assert ended.stderr.count("Traceback") == ("1 / 0" in end)
+
+
+def test_ctrl_c_ends_a_program_whose_client_subscribes():
+    program = """
+from huepose_protos import PoseClient
+from huepose_protos.client import Listeners
+
+def interrupted(*what):
+    add(*what)
+    raise KeyboardInterrupt
+
+add, Listeners.add = Listeners.add, interrupted
+try:
+    with PoseClient("127.0.0.1:1"):
+        print("went on")
+except KeyboardInterrupt:
+    print("ended")
+"""
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30)
+    assert (ended.stdout, ended.stderr, ended.returncode) == ("ended\n", "", 0)

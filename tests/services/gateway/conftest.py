@@ -71,12 +71,13 @@ class Running:
 
     def say_until(self, condition, timeout_s=8.0):
         """Poses at 100 a second until something holds; returns the last."""
-        deadline, frame_id = time.monotonic() + timeout_s, 1000
+        deadline, frame_id = time.monotonic() + timeout_s, 1001
+        pose = self.say(frame_id)
         while not condition():
             assert time.monotonic() < deadline, "it did not come about in time"
+            time.sleep(0.01)
             frame_id += 1
             pose = self.say(frame_id)
-            time.sleep(0.01)
         return pose
 
     def close(self):

@@ -44,8 +44,8 @@ class PoseClient:
 
     endpoints: `HOST`, `HOST:PORT`, `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS the files in PEM of
     `open_session`. It may be made before the pipeline runs, and finds it again when it was gone; each time it
-    asks for the latest poses. Where none come, `why_silent()` says what is in the way. Left open, it is closed
-    at the program's end.
+    asks for the latest poses. Where none come, `why_silent()` says what is in the way. Left open,
+    it is closed at the program's end.
     camera: the only one whose poses are read, else all, each for itself: `pose.frame` says which camera's a
     pose is. object: the only one that is of interest, else all. Can be used from several threads.
 

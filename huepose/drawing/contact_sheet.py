@@ -10,7 +10,8 @@ import numpy as np
 from huepose.drawing.canvas import FONT, PAPER
 from huepose.geometry.arrays import UInt8
 
-GAP_PX, LABEL_PX = 6, 22
+GAP_PX, LABEL_PX, LINE_PX = 6, 22, 16
+_SCALE, _SMALLEST = 0.5, 0.4  # of a label's letters; smaller ones cannot be read
 
 
 def contact_sheet(
@@ -29,7 +30,8 @@ def contact_sheet(
     if labels is not None and len(labels) != len(images):
         raise ValueError(f"{len(labels)} labels for {len(images)} images")
     width, height = cell or (max(i.shape[1] for i in images), max(i.shape[0] for i in images))
-    strip = LABEL_PX if labels is not None else 0
+    lines = [_lines(label, width) for label in labels or ()]
+    strip = LABEL_PX + LINE_PX * (max(len(said) for said, _ in lines) - 1) if lines else 0
     columns = min(columns, len(images))
     rows = -(-len(images) // columns)
     step_x, step_y = width + GAP_PX, height + strip + GAP_PX
@@ -37,8 +39,10 @@ def contact_sheet(
     for k, image in enumerate(images):
         x, y = GAP_PX + k % columns * step_x, GAP_PX + k // columns * step_y
         page[y : y + height, x : x + width] = fitted(image, width, height)
-        if labels is not None:
-            _caption(page, labels[k], x, y + height, width)
+        said, scale = lines[k] if lines else ([], 0.0)
+        for row, line in enumerate(said):
+            at = x, y + height + 16 + row * LINE_PX
+            cv2.putText(page, line, at, FONT, scale, (30, 30, 30), 1, cv2.LINE_AA)
     return page
 
 
@@ -55,7 +59,19 @@ def fitted(image: UInt8, width: int, height: int) -> UInt8:
     return page
 
 
-def _caption(page: UInt8, text: str, x: int, y: int, width: int) -> None:
-    (long, _), _ = cv2.getTextSize(text, FONT, 0.5, 1)
-    scale = 0.5 * min(1.0, width / max(long, 1))
-    cv2.putText(page, text, (x, y + 16), FONT, scale, (30, 30, 30), 1, cv2.LINE_AA)
+def _long(text: str, scale: float) -> int:
+    return int(cv2.getTextSize(text, FONT, scale, 1)[0][0])
+
+
+def _lines(label: str, width: int) -> tuple[list[str], float]:
+    """A label in as few lines as keep its letters large enough, and their scale."""
+    if _long(label, _SCALE) <= width:
+        return [label], _SCALE
+    lines = [""]
+    for word in label.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and _long(longer, _SMALLEST) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines, _SMALLEST * min(1.0, width / max(_long(line, _SMALLEST) for line in lines))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.drawing.contact_sheet import GAP_PX, LABEL_PX, PAPER, contact_sheet, fitted
+from huepose.drawing.contact_sheet import GAP_PX, LABEL_PX, LINE_PX, PAPER, contact_sheet, fitted
 
 
 def flat(height: int, width: int, value: int) -> np.ndarray:
@@ -22,11 +22,14 @@ def test_pictures_stand_in_rows() -> None:
 
 
 def test_labels_have_their_strip() -> None:
-    page = contact_sheet([flat(40, 120, 90)] * 2, 2, ["first", "a label far too long for so small a picture"])
-    assert page.shape == (40 + LABEL_PX + 2 * GAP_PX, 2 * 120 + 3 * GAP_PX, 3)
+    page = contact_sheet([flat(40, 120, 90)] * 2, 2, ["first", "a label that is too long for it"])
+    assert page.shape == (40 + LABEL_PX + LINE_PX + 2 * GAP_PX, 2 * 120 + 3 * GAP_PX, 3)
     strip = page[GAP_PX + 40 : -GAP_PX]
     assert (strip < 128).any()
     assert (strip[:, -GAP_PX:] == PAPER).all()
+    second = slice(GAP_PX + 40 + LABEL_PX, GAP_PX + 40 + LABEL_PX + LINE_PX)
+    assert (page[second, :120] == PAPER).all(), "the first label has one line"
+    assert (page[second, 120 + GAP_PX :] < 128).any(), "the other one goes on below instead of becoming small"
     with pytest.raises(ValueError, match="1 labels for 2 images"):
         contact_sheet([flat(4, 4, 0)] * 2, 2, ["one"])
     with pytest.raises(ValueError, match="at least one image"):

@@ -159,6 +159,14 @@ def test_a_mistyped_option_is_answered_by_its_command(capsys: pytest.CaptureFixt
     assert "there is no option '--robbot': did you mean '--robot'?" in error
 
 
+def test_a_word_that_no_command_is_like_is_not_answered_with_one(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["nonsense"])
+    error = capsys.readouterr().err
+    assert "did you mean" not in error
+    assert "'onboard'" in error
+
+
 def test_an_option_that_nothing_is_like_is_not_answered_with_another(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

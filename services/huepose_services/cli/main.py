@@ -56,6 +56,7 @@ _OF_THE_DISK = (
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG),
 )
 DONE, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+_ALIKE = 0.65  # of a word's letters, where it may be meant: 'nonsense' is no mistyped 'poses'
 
 
 class _Patient:
@@ -107,7 +108,7 @@ class _Parser(argparse.ArgumentParser):
         if options:
             option = options[0].split("=")[0]
             known = [known[2:] for known in self._option_string_actions if known.startswith("--")]
-            meant = difflib.get_close_matches(option[2:], known, 1)
+            meant = difflib.get_close_matches(option[2:], known, 1, _ALIKE)
             fix = f": did you mean '--{meant[0]}'?" if meant else ""
             self.error(f"there is no option '{option}'{fix}")
         return parsed, unknown
@@ -116,7 +117,7 @@ class _Parser(argparse.ArgumentParser):
         try:
             super()._check_value(action, value)
         except argparse.ArgumentError as error:
-            meant = difflib.get_close_matches(str(value), map(str, action.choices or ()), 1)
+            meant = difflib.get_close_matches(str(value), map(str, action.choices or ()), 1, _ALIKE)
             if meant:
                 error.message = f"there is no '{value}': did you mean '{meant[0]}'?"
             raise

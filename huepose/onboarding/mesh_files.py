@@ -193,7 +193,7 @@ def _too_large(what: str, found: str) -> InputError:
 def _no_picture(data: bytes, what: str) -> InputError:
     return InputError(
         what,
-        found=f"{len(data)} bytes that are no picture",
+        found="a DDS texture" if data.startswith(b"DDS ") else f"{len(data)} bytes that are no picture",
         expected="a PNG or JPEG texture",
         fix="Open the texture in an image editor and save it again as PNG.",
     )

@@ -26,6 +26,8 @@ def broken(tmp_path: Path, mesh: Mesh, how: str) -> Path:
         (tmp_path / "m.png").unlink()
     elif how == "broken texture":
         (tmp_path / "m.png").write_bytes(b"\x89PNG nothing")
+    elif how == "dds texture":
+        (tmp_path / "m.png").write_bytes(b"DDS |\0\0\0")
     elif how == "no such material":
         obj.with_suffix(".mtl").write_text("newmtl other\n")
     elif how == "cut obj":
@@ -68,6 +70,7 @@ def broken(tmp_path: Path, mesh: Mesh, how: str) -> Path:
         ("no mtl", "m.mtl: found no such file; expected the material file, which m.obj names"),
         ("no texture", "m.png: found no such file; expected the texture, which m.mtl names"),
         ("broken texture", "m.png: found 12 bytes that are no picture"),
+        ("dds texture", "m.png: found a DDS texture; expected a PNG or JPEG texture"),
         ("no such material", "m.obj: found usemtl print; expected that material in m.mtl"),
         ("cut obj", "m.obj: found a face that names vertex 998"),
         ("no faces", "m.obj: found 1 vertices and 0 faces"),

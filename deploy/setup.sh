@@ -48,8 +48,10 @@ if [ ! -x "$UV/bin/uv" ]; then
         --require-hashes -r deploy/uv.txt \
         || fail "pip could not fetch uv $UV_VERSION: is the package index reachable?"
 fi
-[ -d .venv ] || echo "setup: installing packages into .venv, 2.5 GB on the disk (what pip or uv keeps in its cache is not fetched again)"
+[ -e .venv/.compiled ] || echo "setup: installing packages into .venv, 2.5 GB on the disk (what pip or uv keeps in its cache is not fetched again)"
 export UV_PYTHON_DOWNLOADS=never
+# As pip does: a company's proxy has its certificate in the system's store.
+[ ! -e /etc/ssl/certs/ca-certificates.crt ] || export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-true}"
 "$UV/bin/uv" sync --frozen --quiet --python "$python" \
     --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra secure --extra ros2 --extra docs --group dev
 # Compiled for the code as it is: again where a file of it is newer.

@@ -69,6 +69,14 @@ def test_of_two_pipelines_one_has_to_be_named(runtime_folder):
             pick(which="attic")
 
 
+def test_of_two_cameras_of_one_file_the_file_is_not_said_to_choose(runtime_folder):
+    with noted(HERE):
+        other = '{"base_port": 18120, "site": "lab", "camera": "right", "file": "/etc/lab.yaml"}'
+        (runtime_folder / f"{os.getppid()}.json").write_text(other)
+        with pytest.raises(InputError, match=r"Say which: --pipeline 181[02]0 \(or lab/(cam0|right)\)\."):
+            pick()
+
+
 def test_of_two_pipelines_of_one_name_the_port_says_which(runtime_folder):
     with noted(HERE):
         other = '{"base_port": 18200, "site": "lab", "camera": "cam0"}'

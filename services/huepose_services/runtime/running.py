@@ -182,11 +182,13 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
         first = found[0]
         alone = "*" not in first.name and [p.name for p in found].count(first.name) == 1
         which = f"{first.base_port} (or {first.name})" if alone else f"{first.base_port}"
+        one_file = len({p.file for p in found}) == 1  # of several cameras: it names none
+        which += "" if one_file else f", or --config {first.file or 'PIPELINE.yaml'}"
         raise InputError(
             "the pipeline to attach to",
             found=f"{len(found)} that run here: {_listed(found)}",
             expected="one",
-            fix=f"Say which: --pipeline {which}, or --config {first.file or 'PIPELINE.yaml'}.",
+            fix=f"Say which: --pipeline {which}.",
         )
     return found[0] if found else usual()
 

@@ -242,3 +242,17 @@ def test_status_does_not_call_a_worker_gone_that_may_be_starting() -> None:
     view = View(Pipeline(base_port=17447), True, {}, frozenset(), ("estimator",), [], {})
     (line,) = [text for text in as_text(view).splitlines() if text.startswith("estimator")]
     assert "it starts, stops or has ended" in line
+
+
+def test_a_narrow_terminal_is_shown_what_says_how_it_is() -> None:
+    health = next(m for m in messages() if isinstance(m, HealthMessage))
+    busy = msgspec.structs.replace(
+        health, worker="tracker", state="ready", errors=3, restarts=2, last_error=""
+    )
+    view = View(Pipeline(base_port=17447), True, {"tracker": busy}, frozenset(), (), [], {})
+    wide, narrow = as_text(view).splitlines()[1:3], as_text(view, 60).splitlines()[1:3]
+    assert "locked" in wide[0]
+    assert all(len(line) <= 60 for line in narrow)
+    assert narrow[0].split() == ["worker", "state", "rate", "CPU", "drops", "errors", "restarts"]
+    assert narrow[1].split()[:2] == ["tracker", "ready"]
+    assert narrow[1].split()[-2:] == ["3", "2"]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.options import add_choice, chosen, say
@@ -43,7 +45,7 @@ def call(arguments: argparse.Namespace) -> int:
     elif not view.seen:
         say(f"huepose status: {pipeline.absence}")
     else:
-        print(as_text(view))
+        print(as_text(view, _width()))
     return 0 if view.well else 1
 
 
@@ -59,7 +61,7 @@ def call_again(arguments: argparse.Namespace) -> int:
             while time.monotonic() < until:
                 watch.look(_EVERY_S)
                 view = watch.view()
-                text = as_text(view) if view.seen else pipeline.absence
+                text = as_text(view, _width()) if view.seen else pipeline.absence
                 if text != shown:
                     sys.stdout.write((_CLEAR if sys.stdout.isatty() else "") + text + "\n")
                     sys.stdout.flush()
@@ -88,20 +90,51 @@ def _as_json(view: View) -> str:
     ).decode()
 
 
-_HEAD = (
-    f"{'worker':10s} {'state':9s} {'rate':>6s} {'work ms':>13s} {'age ms':>13s} {'CPU':>5s} {'MiB':>5s} "
-    f"{'locked':>6s} {'frames by':>10s} {'drops':>7s} {'errors':>6s} {'restarts':>8s}"
-)
+_COLUMNS = {
+    "worker": -10, "state": -9, "rate": 6, "work ms": 13, "age ms": 13, "CPU": 5, "MiB": 5, "locked": 6,
+    "frames by": 10, "drops": 7, "errors": 6, "restarts": 8,
+}  # fmt: skip
+"""Widths; what is less than 0 begins at the left."""
+
+_GO_FIRST = ("locked", "frames by", "MiB", "age ms", "work ms")
+"""Where the terminal is too narrow for all."""
 
 
-def as_text(view: View) -> str:
-    """Several lines without colour: one for each worker, one for each object."""
+def _shown(width: int | None) -> list[str]:
+    """The columns that so many characters have room for."""
+    shown, going = list(_COLUMNS), iter(_GO_FIRST)
+    while width is not None and sum(abs(_COLUMNS[name]) + 1 for name in shown) - 1 > width:
+        gone = next(going, None)
+        if gone is None:
+            break
+        shown.remove(gone)
+    return shown
+
+
+def _row(cells: Mapping[str, str], shown: Sequence[str]) -> str:
+    """One line of the table."""
+    padded = (
+        cells[name].ljust(-_COLUMNS[name]) if _COLUMNS[name] < 0 else cells[name].rjust(_COLUMNS[name])
+        for name in shown
+    )
+    return " ".join(padded).rstrip()
+
+
+def _width() -> int | None:
+    """Of the terminal, in characters; None where the output is none."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def as_text(view: View, width: int | None = None) -> str:
+    """Several lines without colour: one for each worker, one for each object. width: characters that the
+    table of workers may take, None for all that it needs."""
     from huepose_services.runtime.config import WORKERS
 
     lines = [f"{view.pipeline.name} at port {view.pipeline.base_port}   {view.pipeline.file}".rstrip()]
     if view.pipeline.played:
         lines.append("a recording that is played: its workers as they were then, none runs now")
-    lines.append(_HEAD)
+    shown = _shown(width)
+    lines.append(_row({name: name for name in _COLUMNS}, shown))
     order = [w for w in WORKERS if w in view.health or w in view.missing or w in view.silent]
     for worker in order:
         message = view.health.get(worker)
@@ -110,7 +143,7 @@ def as_text(view: View) -> str:
         elif message is None:
             lines.append(f"{worker:10s} is there and says nothing")
         else:
-            lines.append(_worker(message, worker in view.silent))
+            lines.append(_row(_worker(message, worker in view.silent), shown))
     said: dict[str, str] = {}
     for message in sorted(view.health.values(), key=lambda m: m.worker != "camera"):
         for text in message.warnings:
@@ -153,14 +186,21 @@ def _without(said: dict[str, str], reason: str) -> str:
     return reason
 
 
-def _worker(m: HealthMessage, silent: bool) -> str:
-    state = "silent" if silent else m.state
-    path = {None: "-", True: "memory", False: "socket"}[m.shared_memory]
-    return (
-        f"{m.worker:10s} {state:9s} {m.rate_hz:6.1f} {_pair(m.work_ms):>13s} {_pair(m.age_ms):>13s} "
-        f"{m.cpu_percent:4.0f}% {m.memory_mib:5.0f} {m.locked_mib:6.1f} {path:>10s} {m.drops:7d} "
-        f"{m.errors:6d} {m.restarts:8d}"
-    )
+def _worker(m: HealthMessage, silent: bool) -> dict[str, str]:
+    return {
+        "worker": m.worker,
+        "state": "silent" if silent else m.state,
+        "rate": f"{m.rate_hz:.1f}",
+        "work ms": _pair(m.work_ms),
+        "age ms": _pair(m.age_ms),
+        "CPU": f"{m.cpu_percent:.0f}%",
+        "MiB": f"{m.memory_mib:.0f}",
+        "locked": f"{m.locked_mib:.1f}",
+        "frames by": {None: "-", True: "memory", False: "socket"}[m.shared_memory],
+        "drops": f"{m.drops}",
+        "errors": f"{m.errors}",
+        "restarts": f"{m.restarts}",
+    }
 
 
 def _pair(values: tuple[float, float] | None) -> str:

@@ -145,7 +145,8 @@ def absolute(section: S, folder: Path, name: str = "") -> S:
         elif value is not None and (key in PATHS or (key in NETWORKS and is_network_file(value))):
             if "\0" in value:
                 raise ValueError("a character that no path has")
-            changes[field] = str(folder / Path(value).expanduser())
+            path = folder / Path(value).expanduser()
+            changes[field] = str(path.resolve() if ".." in path.parts else path)
     return msgspec.structs.replace(section, **changes)
 
 

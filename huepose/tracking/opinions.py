@@ -35,6 +35,10 @@ FIXED = 0.012
 """Expected pose error, as a share of the diameter, up to which the texture fixes the pose; textured objects
 have half of it."""
 
+UNSUPPORTED = 0.1
+"""Log-odds by which a jump that nothing supports is less likely than where the object is expected: any that
+make it the second."""
+
 
 class Opinions(NamedTuple):
     """all: hypotheses with log-odds and velocity, the followed ones first, in the order of the anchor's;
@@ -71,6 +75,9 @@ def opinions(
         h = replace(h, T_cam_obj=subject.like(h.T_cam_obj, expected))
         jump = jump_odds(subject.surface, before.T_cam_obj, expected, h.T_cam_obj, gone_s, config)
         opinion = _moved(subject, anchor, h, before, seconds, frame, jump)
+        if jump < 0.0 and probability(opinion.log_odds) < config.lost_quality:
+            # Nothing supports this jump: it is followed, but the object is where it is expected.
+            opinion = replace(opinion, log_odds=min(opinion.log_odds, out[0].log_odds - UNSUPPORTED))
         # A jump, or a motion that was not seen, does not measure the velocity.
         came = jump == 0.0 and anchor.unseen_s == 0.0
         out.append(opinion if came else replace(opinion, velocity=None))

@@ -56,7 +56,8 @@ class Task:
     """What more poses are proposed for: the object of `anchor` in a later frame. expected (4, 4): its
     predicted pose; near, far: where it is likely, and where it can be; seconds: since the last frame; long:
     these are many; uneasy: its pose may be wrong though it explains enough; back: it is in full view again,
-    so it need not be searched for nearby."""
+    so it need not be searched for nearby; hidden: something hides it where it is expected, so only the
+    likeliest place of the picture is searched."""
 
     subject: Subject
     anchor: Anchor
@@ -68,8 +69,9 @@ class Task:
     far: Reach
     seconds: float
     long: bool
-    uneasy: bool
-    back: bool
+    uneasy: bool = False
+    back: bool = False
+    hidden: bool = False
 
     @property
     def doubt(self) -> float:
@@ -84,6 +86,8 @@ class Task:
         """Whether a stage is worth its time. place: where the picture looks most like the object, if no
         search was made there yet."""
         doubtful = self.doubts(best)
+        if self.hidden and stage not in (PLACE, THERE):
+            return False
         if stage == FLOW:
             # It needs pixels of the object in the last frame.
             followable = self.anchor.unseen_s == 0.0 and self.frame.camera == self.anchor.frame.camera

@@ -34,6 +34,10 @@ from huepose.tracking.subject import Subject
 WHOLLY_HIDDEN = 0.9
 """Hidden share above which nothing is left to be followed."""
 
+HIDDEN_LONG_S = 0.17
+"""An object that was hidden for longer is looked for elsewhere, too. At 30 Hz it is LOST by then, and searched
+for as such."""
+
 
 @dataclass(frozen=True, eq=False)
 class Advance:
@@ -66,20 +70,33 @@ def advance(
     surface, first, light = subject.surface, anchor.first, anchor.light
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     expected = predicted(surface, first.T_cam_obj, first.velocity, seconds)
+    near, far = reaches(surface, first.T_cam_obj, first.velocity, expected, seconds + anchor.unseen_s, config)
+    long = seconds > config.long_step_s
+    task = Task(
+        subject,
+        anchor,
+        frame,
+        config,
+        relative_pose or RobustKabsch(),
+        expected=expected,
+        near=near,
+        far=far,
+        seconds=seconds,
+        long=long,
+    )
+    others = tuple(
+        followed(surface, frame, h, predicted(surface, h.T_cam_obj, h.velocity, seconds), light, 0)
+        for h in anchor.hypotheses[1:]
+    )
     if anchor.unseen_s > 0.0:
         waiting = unmoved(surface, frame, expected, light)
         if waiting.terms.hidden > WHOLLY_HIDDEN:
-            # Still occluded: refinement would move it onto the occluder.
-            return Advance((waiting,), doubtful=True)
-    near, far = reaches(surface, first.T_cam_obj, first.velocity, expected, seconds + anchor.unseen_s, config)
-    found = [
-        followed(surface, frame, first, expected, light, MORE_PASSES),
-        *(
-            followed(surface, frame, h, predicted(surface, h.T_cam_obj, h.velocity, seconds), light, 0)
-            for h in anchor.hypotheses[1:]
-        ),
-    ]
-    long = seconds > config.long_step_s
+            # Still occluded: refinement would move it onto the occluder. It may be in view elsewhere.
+            for_long = seconds + anchor.unseen_s > HIDDEN_LONG_S
+            best = max([waiting, *others], key=lambda h: h.terms.total)
+            more = propose(replace(task, hidden=True), best, FLOW, tries if for_long else 0.0)
+            return Advance((waiting, *others), more.proposed, more.tried, task.doubts(more.best))
+    found = [followed(surface, frame, first, expected, light, MORE_PASSES), *others]
     if long or not convincing(found[0], anchor.baseline, config.doubt, config):
         start = first.T_cam_obj if found[0].source == "still" else expected
         found[0] = or_from_afar(surface, frame, found[0], start, light)
@@ -93,20 +110,7 @@ def advance(
     uneasy = surprising or returning or begun > NEARBY
     # Back in full view with its usual total: no search nearby is needed, only the check of its rotation.
     back = not long and begun <= NEARBY and in_full(best, anchor.baseline, config)
-    task = Task(
-        subject,
-        anchor,
-        frame,
-        config,
-        relative_pose or RobustKabsch(),
-        expected=expected,
-        near=near,
-        far=far,
-        seconds=seconds,
-        long=long,
-        uneasy=uneasy,
-        back=back,
-    )
+    task = replace(task, uneasy=uneasy, back=back)
     doubtful = task.doubts(best)
     if not (doubtful or uneasy):
         return Advance(tuple(found), rolled, margin=margin)

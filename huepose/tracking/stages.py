@@ -143,10 +143,12 @@ def propose(task: Task, best: Hypothesis, begun: int, tries: float) -> Proposed:
     the pose that explains most so far."""
     surface, frame, light = task.subject.surface, task.frame, task.anchor.light
     proposed: tuple[Hypothesis, ...] = ()
-    tried, stage, place = 0, begun, task.anchor.place
-    if stage == THERE and task.long:
-        stage = PLACE
+    tried, place = 0, task.anchor.place
+    # A picture that comes late is looked at anew; only the parts of a wide search go on where they ended.
+    stage, part = (FLOW, max(begun, FAR)) if task.long else (begun, FAR)
     while stage < END:
+        if stage == FAR:
+            stage = part
         if not task.wants(stage, best, place):
             stage += 1
             continue
@@ -164,7 +166,7 @@ def propose(task: Task, best: Hypothesis, begun: int, tries: float) -> Proposed:
             proposed += tuple(best_of(surface, frame, one, light, 0, FULL) for one in starts)
             best = max([best, *proposed], key=lambda h: h.terms.total)
         tried, stage = tried - (-steps // each), stage + steps
-    return Proposed(proposed, best, tried, stage, place)
+    return Proposed(proposed, best, tried, part if stage < FAR < part else stage, place)
 
 
 def found_at(subject: Subject, frame: RgbdFrame, place: Reach, light: Float64 | None) -> list[Float64]:

@@ -28,7 +28,7 @@ from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct
 from huepose.tracking.motion import Reach, filtered, increment_velocity, jump_odds, predicted
 from huepose.tracking.refined import best_of, unmoved
 from huepose.tracking.stages import found_at
-from huepose.tracking.step import Advance
+from huepose.tracking.step import WHOLLY_HIDDEN, Advance
 from huepose.tracking.subject import POINTS, Subject
 
 FIXED = 0.012
@@ -36,8 +36,8 @@ FIXED = 0.012
 have half of it."""
 
 UNSUPPORTED = 0.1
-"""Log-odds by which a jump that nothing supports is less likely than where the object is expected: any that
-make it the second."""
+"""Log-odds by which a jump that nothing supports, or any such pose while the object is hidden where it is
+expected, is less likely than that place: any that make it the second. It is followed all the same."""
 
 
 class Opinions(NamedTuple):
@@ -75,13 +75,15 @@ def opinions(
         h = replace(h, T_cam_obj=subject.like(h.T_cam_obj, expected))
         jump = jump_odds(subject.surface, before.T_cam_obj, expected, h.T_cam_obj, gone_s, config)
         opinion = _moved(subject, anchor, h, before, seconds, frame, jump)
-        if jump < 0.0 and probability(opinion.log_odds) < config.lost_quality:
-            # Nothing supports this jump: it is followed, but the object is where it is expected.
-            opinion = replace(opinion, log_odds=min(opinion.log_odds, out[0].log_odds - UNSUPPORTED))
         # A jump, or a motion that was not seen, does not measure the velocity.
         came = jump == 0.0 and anchor.unseen_s == 0.0
         out.append(opinion if came else replace(opinion, velocity=None))
         leaps += [opinion.T_cam_obj] if jump < 0.0 else []
+    covered = out[0].terms.hidden > WHOLLY_HIDDEN
+    for k, h in enumerate(out):
+        leapt = covered or any(h.T_cam_obj is T for T in leaps)
+        if k > 0 and leapt and probability(h.log_odds) < config.lost_quality:
+            out[k] = replace(h, log_odds=min(h.log_odds, out[0].log_odds - UNSUPPORTED))
     return Opinions(out, leaps)
 
 

@@ -13,6 +13,7 @@ from huepose.tracking import Correction, Tracker, stages, track
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
+from tests.studies.moments import printed_board
 
 HALF_A_SECOND = 15
 """Frames at 30 Hz."""
@@ -131,3 +132,39 @@ def test_a_lost_one_does_not_take_what_its_twin_holds(tea_box, shoot, path) -> N
         one, other = tracker.step(shoot([(tea_box.mesh, here)], number))
         assert one.state is State.TRACKING
     assert other.state is State.LOST
+
+
+def _before(T: np.ndarray) -> tuple:
+    """A board half way to what is at this pose, so that it hides all of it."""
+    return printed_board(0.15, 0.15), se3.make(np.eye(3), 0.5 * T[:3, 3])
+
+
+def test_what_came_out_elsewhere_is_found_while_something_hides_where_it_was(tea_box, shoot, path) -> None:
+    """Every fifth frame comes: hidden in one, in view elsewhere in the next."""
+    T = _away(path(0), -0.12)
+    tracker, elsewhere, board = _tracked(tea_box, shoot, T), _away(path(0), 0.2, 1.2), _before(T)
+    assert tracker.step(shoot([(tea_box.mesh, T), board], 8))[0].state is State.SUSPECT
+    (pose,) = tracker.step(shoot([(tea_box.mesh, elsewhere), board], 13))
+    assert pose.T_cam_obj is not None
+    assert np.linalg.norm(pose.T_cam_obj[:3, 3] - elsewhere[:3, 3]) < 0.005
+
+
+def test_what_is_hidden_is_not_taken_for_another_thing(tea_box, soup_can, shoot, path) -> None:
+    T = _away(path(0), -0.12)
+    tracker, board, other = _tracked(tea_box, shoot, T), _before(T), (soup_can.mesh, _away(path(0), 0.2))
+    for number in (8, 13, 18):
+        (pose,) = tracker.step(shoot([(tea_box.mesh, T), board, other], number))
+        assert pose.state is State.SUSPECT
+        assert pose.T_cam_obj is not None
+        assert np.linalg.norm(pose.T_cam_obj[:3, 3] - T[:3, 3]) < 0.1, number
+
+
+def test_a_picture_that_comes_late_is_searched_from_the_cheap_stages_on(tea_box, shoot, path) -> None:
+    """In the one before, which showed nothing of it, a wide search was begun and not ended."""
+    T = path(0)
+    far = se3.make(np.eye(3), np.array([0.1, 0.0, 0.25]))  # Farther than anything moves in that time.
+    tracker, elsewhere = _tracked(tea_box, shoot, _away(T, -0.15)), far @ _away(T, 0.15, 1.2)
+    tracker.step(shoot([], 8))
+    (pose,) = tracker.step(shoot([(tea_box.mesh, elsewhere)], 13))
+    assert pose.T_cam_obj is not None
+    assert np.linalg.norm(pose.T_cam_obj[:3, 3] - elsewhere[:3, 3]) < 0.005

@@ -233,11 +233,13 @@ nothing, however often it is repeated."""
 class Identity:
     """value: probability in 0..1; view (3,): direction from the object to the camera, object axes, from which
     it was last learnt; lost: the value before the tracker lost it and found something by itself, 0 where it
-    did not; said: the surest answer of perception from this viewpoint; doubt: what was left before it."""
+    did not; jump: what the motion model says of where it was found, 0 or less; said: the surest answer of
+    perception from this viewpoint; doubt: what was left before it."""
 
     value: float
     view: Float64
     lost: float = 0.0
+    jump: float = 0.0
     said: float = 0.0
     doubt: float = 1.0
 
@@ -290,22 +292,25 @@ class Identity:
         if terms.color < COLOR or float(view @ self.view) > np.cos(NEW_VIEW):
             return self
         value = min(1.0 - (1.0 - self.value) * DOUBT_LEFT, LARGEST)
-        return replace(self, value=value, view=view, said=0.0, doubt=1.0 - value)
+        return replace(self, value=value, view=view, jump=0.0, said=0.0, doubt=1.0 - value)
 
     def leapt(self, view: Float64) -> Identity:
         """After another pose became likelier than the one that was followed: the view (3,) changed because
         the opinion did, so it is not a new one of the object."""
         return replace(self, view=view)
 
-    def found_elsewhere(self, likely: float, view: Float64) -> Identity:
+    def found_elsewhere(self, likely: float, view: Float64, jump: float) -> Identity:
         """After it was lost, and the tracker found what may be it; likely: the probability of that by what is
-        seen there alone."""
-        return Identity(min(self.value, likely), view, max(self.value, self.lost))
+        seen there alone; jump: what the motion model says of the way there, log-odds of 0 or less."""
+        lost = max(self.value, self.lost)
+        return Identity(min(lost, probability(odds_of(likely) + jump)), view, lost, jump)
 
     def looked_at(self, likely: float) -> Identity:
         """After a later frame that makes it that likely by itself: it may be again what it was before the
-        loss, and no more. The log-odds are a running mean, since another thing fits now well, now badly."""
+        loss, and no more. The log-odds are a running mean, since another thing fits now well, now badly. A
+        jump that nothing makes counts against it until another view of it was seen."""
         if self.lost == 0.0:
             return self
-        mean = odds_of(self.value) + LOOK_SHARE * (odds_of(likely) - odds_of(self.value))
+        seen = odds_of(likely) + self.jump
+        mean = odds_of(self.value) + LOOK_SHARE * (seen - odds_of(self.value))
         return replace(self, value=min(probability(mean), self.lost))

@@ -30,7 +30,8 @@ class Hypothesis:
     """T_cam_obj (4, 4); velocity (6,) or None, about the object's centre; what is seen of it; information
     (6, 6) of the refinement; source: which start led there ("still", "velocity", "flow", "search", "views",
     "turn", "correction", "ends"); log_odds: that it is right, filtered over the frames; goes_on: share of its
-    outline beyond which the surface goes on."""
+    outline beyond which the surface goes on; jump: what the motion model said of it when it was found, 0 or
+    less, and 0 if it was followed."""
 
     T_cam_obj: Float64
     terms: Terms
@@ -39,6 +40,7 @@ class Hypothesis:
     velocity: Float64 | None = None
     log_odds: float = 0.0
     goes_on: float = 0.0
+    jump: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -151,3 +151,15 @@ def jump_odds(
         if nearest <= 1.0:
             return 0.0
     return -min(MOST_JUMP, JUMP * (nearest - 1.0))
+
+
+def jump_since(
+    surface: PreparedSurface,
+    known: tuple[Float64, int],
+    found: tuple[Float64, int],
+    config: TrackerConfig,
+) -> float:
+    """What the motion model says, log-odds of 0 or less, of a pose that was found, when how it moved there
+    from a known one was not seen; both with their stamps, nanoseconds."""
+    (T_known, known_ns), (T_found, found_ns) = known, found
+    return jump_odds(surface, T_known, T_known, T_found, (found_ns - known_ns) * 1e-9, config)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -40,14 +39,6 @@ UNSUPPORTED = 0.1
 expected, is less likely than that place: any that make it the second. It is followed all the same."""
 
 
-class Opinions(NamedTuple):
-    """all: hypotheses with log-odds and velocity, the followed ones first, in the order of the anchor's;
-    leaps: poses (4, 4) of those reached by an implausible motion."""
-
-    all: list[Hypothesis]
-    leaps: list[Float64]
-
-
 def opinions(
     subject: Subject,
     anchor: Anchor,
@@ -55,10 +46,11 @@ def opinions(
     frame: RgbdFrame,
     config: TrackerConfig,
     impossible: Callable[[Hypothesis, Hypothesis, float], bool],
-) -> Opinions:
-    """Of all that a step found. impossible: whether a proposal cannot be, beside the first followed
-    hypothesis and after so many seconds."""
-    before, leaps = anchor.first, list[Float64]()
+) -> list[Hypothesis]:
+    """All that a step found, with log-odds and velocity, the followed ones first, in the order of the
+    anchor's. impossible: whether a proposal cannot be, beside the first followed hypothesis and after so many
+    seconds."""
+    before = anchor.first
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     gone_s = seconds + anchor.unseen_s
     out = [
@@ -78,13 +70,11 @@ def opinions(
         # A jump, or a motion that was not seen, does not measure the velocity.
         came = jump == 0.0 and anchor.unseen_s == 0.0
         out.append(opinion if came else replace(opinion, velocity=None))
-        leaps += [opinion.T_cam_obj] if jump < 0.0 else []
     covered = out[0].terms.hidden > WHOLLY_HIDDEN
     for k, h in enumerate(out):
-        leapt = covered or any(h.T_cam_obj is T for T in leaps)
-        if k > 0 and leapt and probability(h.log_odds) < config.lost_quality:
+        if k > 0 and (covered or h.jump < 0.0) and probability(h.log_odds) < config.lost_quality:
             out[k] = replace(h, log_odds=min(h.log_odds, out[0].log_odds - UNSUPPORTED))
-    return Opinions(out, leaps)
+    return out
 
 
 def _moved(
@@ -116,7 +106,7 @@ def weighed(
     """A hypothesis with its log-odds; baseline, light, before and jump as in `evidence.log_odds`."""
     goes_on = outline(subject.contours, h.T_cam_obj, frame).goes_on
     odds = evidence.log_odds(h.terms, baseline, before, goes_on, light, jump)
-    return replace(h, log_odds=odds, goes_on=goes_on)
+    return replace(h, log_odds=odds, goes_on=goes_on, jump=jump)
 
 
 def _held_by_its_ends(

@@ -35,8 +35,8 @@ WHOLLY_HIDDEN = 0.9
 """Hidden share above which nothing is left to be followed."""
 
 HIDDEN_LONG_S = 0.17
-"""An object that was hidden for longer is looked for elsewhere, too. At 30 Hz it is LOST by then, and searched
-for as such."""
+"""An object that was hidden for longer is looked for elsewhere, too. At 30 Hz it is LOST by then, and
+searched for as such."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,6 +73,13 @@ class Subject:
         """Of the poses (4, 4) that look the same as one, that which is rotated least from another."""
         return nearest_alike(T_cam_obj, self.model.equivalents, T_near)
 
+    def viewpoint(self, T_cam_obj: Float64, near: Float64) -> Float64:
+        """Unit vector (3,) from the object to the camera, object axes; of those that show the same, the one
+        nearest to another."""
+        eye = -T_cam_obj[:3, :3].T @ self.surface.centre_cam(T_cam_obj)
+        alike = eye / max(float(np.linalg.norm(eye)), 1e-9) @ self.model.equivalents[:, :3, :3]
+        return np.asarray(alike[np.argmax(alike @ near)])
+
     @property
     def mesh(self) -> Mesh:
         """The model's mesh."""

@@ -23,7 +23,7 @@ from huepose.tracking.elsewhere import PARTS, likeliest_place
 from huepose.tracking.evidence import Identity, Standing, next_standing, turned_over
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, same_pose, share_of_first
-from huepose.tracking.motion import Reach, predicted, same_motion
+from huepose.tracking.motion import Reach, jump_since, predicted, same_motion
 from huepose.tracking.opinions import FIXED, found_again, opinions, uncertainty, weighed
 from huepose.tracking.orientation import LOOKED_FOR, SAME_VIEW, Orientation
 from huepose.tracking.refined import unmoved
@@ -65,6 +65,7 @@ class Track:
         self._corrected_from: tuple[Identity, float] | None = None
         self._orientation = Orientation(subject, config)
         self._spread, self._supported_ns, self._agreed_ns = 0.0, 0, -1
+        self._known_at: tuple[Float64, int] | None = None
         self._begin()
 
     def _begin(self) -> None:
@@ -165,7 +166,7 @@ class Track:
         self.evidence = evidence.vouched(sure, self._spread)
         self._begin()
         self._standing = Standing(State.SUSPECT, found=True)
-        self._identity = self._identity.found_elsewhere(self._of_its_color(sure), self._view())
+        self._found_elsewhere(self._of_its_color(sure), frame)
         return 2 + self._check_orientation(anchor, frame, hurry=False)
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
@@ -175,24 +176,24 @@ class Track:
         seen = opinions(self.subject, anchor, found, frame, self._config, impossible)
         corrected = self._corrected_from
         self._corrected_from = None
-        self.hypotheses = distinct(self.subject, seen.all)
+        self.hypotheses = distinct(self.subject, seen)
         first = self.hypotheses[0]
         sure = probability(first.log_odds) * share_of_first(self.hypotheses)
-        if evidence.one_sense(first.terms) or any(first.T_cam_obj is T for T in seen.leaps):
+        if evidence.one_sense(first.terms) or first.jump < 0.0:
             # An implausible jump has to be confirmed by the next frame.
             sure = min(sure, evidence.ONE_SENSE)
         self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(first.terms) else 0
         sure = evidence.bounded(sure, self._scarce_frames)
-        if corrected is not None and len(seen.all) > 1 and first.T_cam_obj is seen.all[1].T_cam_obj:
+        if corrected is not None and len(seen) > 1 and first.T_cam_obj is seen[1].T_cam_obj:
             # The image prefers what was believed before the correction.
             self._identity, quality = corrected
-            if probability(seen.all[0].log_odds) >= self._config.suspect_quality:
+            if probability(seen[0].log_odds) >= self._config.suspect_quality:
                 self._identity = self._identity.contradicted(quality)
         if se3.rotation_angle(anchor.first.T_cam_obj, first.T_cam_obj) > SAME_VIEW:
             self._identity = self._identity.leapt(self._view())
         self.frame, self.evidence = frame, sure
-        if anchor.unseen_s > 0.0 and first.source == "views":
-            self._identity = self._identity.found_elsewhere(self._seen_alone(), self._view())
+        if first.jump < 0.0 or (anchor.unseen_s > 0.0 and first.source == "views"):
+            self._found_elsewhere(self._seen_alone(), frame)
         if sure >= self._config.lost_quality:
             self.covariance, self._spread = uncertainty(self.subject, first, frame)
             self.evidence = evidence.vouched(sure, self._spread)
@@ -204,6 +205,12 @@ class Track:
         effort = self._effort.missed().reached(found.begun, END)
         self._effort = effort if found.doubtful else Effort(begun=effort.begun)
         self._place = found.place
+
+    def _found_elsewhere(self, likely: float, frame: RgbdFrame) -> None:
+        """It was found where it was not expected, and is that likely what it seems by what is seen alone."""
+        here = self.hypotheses[0].T_cam_obj, frame.stamp_ns
+        jump = jump_since(self.subject.surface, self._known_at or here, here, self._config)
+        self._identity = self._identity.found_elsewhere(likely, self._view(), jump)
 
     def _check_orientation(self, anchor: Anchor, frame: RgbdFrame, hurry: bool) -> float:
         """Test a pose that has support against its near-symmetric rotations, but for in a hurry. Returns the
@@ -295,7 +302,7 @@ class Track:
 
     def set_back(self, stamp_ns: int) -> None:
         """Continue as if the last frame had this stamp (the camera's clock was set back), at rest."""
-        self.history = PoseHistory()
+        self.history, self._known_at = PoseHistory(), None
         self._supported_ns = stamp_ns
         self._orientation.set_back(stamp_ns)
         if self.frame is not None and self.hypotheses:
@@ -369,6 +376,8 @@ class Track:
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:
             self.lose()
+        elif self.state is State.TRACKING and self.frame is not None:
+            self._known_at = self.hypotheses[0].T_cam_obj, self.frame.stamp_ns
 
     @property
     def _known(self) -> bool:
@@ -392,9 +401,5 @@ class Track:
         return likely if against == 0.0 else probability(evidence.odds_of(likely) + against)
 
     def _view(self) -> Float64:
-        """Unit vector (3,) from the object to the camera, in the object's axes. Of those that show the same
-        it is the one nearest to that of the identity: what looks the same all round shows nothing new."""
-        T = self.hypotheses[0].T_cam_obj
-        eye = -T[:3, :3].T @ self.subject.surface.centre_cam(T)
-        alike = eye / max(float(np.linalg.norm(eye)), 1e-9) @ self.subject.model.equivalents[:, :3, :3]
-        return np.asarray(alike[np.argmax(alike @ self._identity.view)])
+        """The viewpoint (3,). What looks the same all round shows nothing new."""
+        return self.subject.viewpoint(self.hypotheses[0].T_cam_obj, self._identity.view)

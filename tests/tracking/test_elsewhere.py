@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from huepose.believe.state import State
 from huepose.geometry import se3
-from huepose.tracking import Correction, Tracker, stages, track
+from huepose.tracking import Correction, Tracker, Verdict, stages, track
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
@@ -74,13 +75,30 @@ def test_what_was_lost_is_found_on_the_other_side(tea_box, shoot, path) -> None:
     assert doubts[-1] is None
 
 
-def test_what_jumps_is_found_before_it_is_lost(tea_box, shoot, path) -> None:
+def test_what_jumps_is_found_before_it_is_lost_and_confirmed_by_perception(tea_box, shoot, path) -> None:
     T = path(0)
     tracker, elsewhere = _tracked(tea_box, shoot, _away(T, -0.15)), _away(T, 0.2, 1.2)
     for number in range(4, 4 + HALF_A_SECOND):
-        (pose,) = tracker.step(shoot([(tea_box.mesh, elsewhere)], number))
-        assert pose.state is not State.LOST
+        frame = shoot([(tea_box.mesh, elsewhere)], number)
+        (pose,) = tracker.step(frame)
+        assert pose.state is State.SUSPECT, "nothing moves like this, so it may be another box"
+    assert pose.T_cam_obj is not None
+    assert np.linalg.norm(pose.T_cam_obj[:3, 3] - elsewhere[:3, 3]) < 0.005
+    assert tracker.doubt("tea_box", 0) is Doubt.ANOTHER
+    said = Correction.first("tea_box", elsewhere, frame, 0.96)
+    tracker.correct(replace(said, verdict=Verdict.AGREE, seq=2))
+    (pose,) = tracker.step(shoot([(tea_box.mesh, elsewhere)], number + 1))
     assert pose.state is State.TRACKING
+
+
+def test_what_jumps_is_confirmed_by_another_view(tea_box, shoot, path) -> None:
+    T = path(0)
+    tracker, states = _tracked(tea_box, shoot, _away(T, -0.15)), []
+    for number in range(4, 40):
+        turned = _away(T, 0.2, 1.2 + 0.04 * (number - 4))
+        states.append(tracker.step(shoot([(tea_box.mesh, turned)], number))[0].state)
+    assert State.TRACKING not in states[:12]
+    assert states[-1] is State.TRACKING
 
 
 def test_the_place_is_found_in_one_frame_and_searched_in_the_next(tea_box, shoot, path, monkeypatch) -> None:
@@ -102,7 +120,8 @@ def test_the_place_is_found_in_one_frame_and_searched_in_the_next(tea_box, shoot
     first = by_frame.index(("likeliest_place",))
     assert by_frame[first + 1] == ("search",)
     assert all(len(one) <= 1 for one in by_frame)
-    assert pose.state is State.TRACKING
+    assert pose.T_cam_obj is not None
+    assert np.linalg.norm(pose.T_cam_obj[:3, 3] - elsewhere[:3, 3]) < 0.005
 
 
 def test_where_it_is_not_nothing_is_found_and_soon_it_is_seldom_looked_for(

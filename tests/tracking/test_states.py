@@ -209,16 +209,18 @@ def _looks(identity: Identity, likely: list[float]) -> Identity:
 
 def test_what_is_found_after_a_loss_is_as_sure_as_it_looks_until_perception_has_seen_it() -> None:
     front, side = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
-    found = Identity.of(0.98, front).found_elsewhere(0.7, side)
+    found = Identity.of(0.98, front).found_elsewhere(0.7, side, 0.0)
     assert (found.value, found.lost) == (0.7, 0.98)
     assert 0.6 < found.looked_at(0.6).value < 0.7 < found.looked_at(0.9).value < 0.9
     assert _looks(found, [0.9] * 20).value == pytest.approx(0.9, abs=0.01)
     assert _looks(found, [0.999] * 3).value > 0.95
     assert _looks(found, [0.999] * 20).value == 0.98, "no surer than before the loss"
     assert _looks(found, [0.5, 0.97, 0.6, 0.96, 0.8]).value < 0.9, "it fits now well, now badly"
-    assert _looks(found.found_elsewhere(0.5, front), [0.999] * 20).value == 0.98, "however often it is lost"
+    assert _looks(found.found_elsewhere(0.5, front, 0.0), [0.999] * 20).value == 0.98, (
+        "however often it is lost"
+    )
     assert found.agreed(0.8, side).value == pytest.approx(0.8)
-    like = Identity.of(0.98, front).found_elsewhere(0.97, side)
+    like = Identity.of(0.98, front).found_elsewhere(0.97, side, 0.0)
     assert like.agreed(0.5, side).value == pytest.approx(0.75), "however like it looks"
     assert like.agreed(0.96, side).value == pytest.approx(0.97)
     assert like.agreed(0.3, side).value == 0.3

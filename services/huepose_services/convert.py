@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from msgspec import Struct
 
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64, UInt16
-from huepose.judge.open_region import PreparedSurface
 from huepose.reinit.types import Prior
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos.buffers import frame_images, mask_of, runs_of
 from huepose_protos.messages import CorrectionMessage, FrameHeader, Intrinsics, PoseMessage
 from huepose_protos.messages import Prior as WirePrior
 from huepose_protos.motion import rigid
+
+if TYPE_CHECKING:  # the camera does without kernels
+    from huepose.judge.open_region import PreparedSurface
 
 S = TypeVar("S", bound=Struct)
 V = TypeVar("V", bound="_Value")

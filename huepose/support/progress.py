@@ -15,6 +15,8 @@ _FIRST_LINE_S = 2.0
 _LINE_EVERY_S = 10.0
 _DRAWN_EVERY_S = 0.1
 _LOOK_EVERY_S = 0.5
+_TOLD_AFTER, _TOLD_AFTER_S = 0.2, 10.0
+"""Share of the steps, or seconds, after which it is told how long the rest takes: the first mislead."""
 
 
 _bars = 0
@@ -83,8 +85,9 @@ def progress(
         # The first step may have waited for the compiler: the others say how long one takes.
         each_s = (last - first) / (done - 1) if done > 1 else 0.0
         left_s = each_s * (total - done) - (now - last)
-        # Of a step that takes longer than those before it, nobody knows how long.
-        left = f"{left_s:.0f} s left" if done > 1 and total and left_s >= 0.5 else ""
+        # Of a step that takes longer than those before it, nobody knows how long; nor of many, by a few.
+        told = done > 1 and (done >= _TOLD_AFTER * total or now - start >= _TOLD_AFTER_S)
+        left = f"{left_s:.0f} s left" if told and total and left_s >= 0.5 else ""
         if status.live and total:
             text = _bar(label, done, total, left or f"{now - start:.0f} s")
         else:

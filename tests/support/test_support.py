@@ -35,17 +35,24 @@ def test_progress_yields_everything_and_stays_short_without_a_terminal():
     assert "5 of 5" in out.getvalue()
 
 
-def test_a_log_says_soon_how_long_it_takes_and_then_every_ten_seconds(clock):
+def test_a_log_says_after_ten_seconds_how_long_it_takes_and_then_every_ten(clock):
     out = io.StringIO()
     for _ in progress(range(30), "views", out=out):
         clock[0] += 1.0
     assert out.getvalue().splitlines() == [
         "views: 0 of 30",
-        "views: 2 of 30, 2 s, 28 s left",
+        "views: 2 of 30, 2 s",
         "views: 12 of 30, 12 s, 18 s left",
         "views: 22 of 30, 22 s, 8 s left",
         "views: 30 of 30 in 30.0 s",
     ]
+
+
+def test_a_fifth_of_the_steps_says_how_long_the_rest_takes(clock):
+    out = io.StringIO()
+    for _ in progress(range(10), "views", out=out):
+        clock[0] += 1.0
+    assert "views: 2 of 10, 2 s, 8 s left\n" in out.getvalue()
 
 
 def test_a_step_that_takes_long_is_not_silent(monkeypatch):

@@ -91,33 +91,29 @@ def _as_json(view: View) -> str:
 
 
 _COLUMNS = {
-    "worker": -10, "state": -9, "rate": 6, "work ms": 13, "age ms": 13, "CPU": 5, "MiB": 5, "locked": 6,
-    "frames by": 10, "drops": 7, "errors": 6, "restarts": 8,
+    "worker": "<10", "state": "<9", "rate": ">6", "work ms": ">13", "age ms": ">13", "CPU": ">5", "MiB": ">5",
+    "locked": ">6", "frames by": ">10", "drops": ">7", "errors": ">6", "restarts": ">8",
 }  # fmt: skip
-"""Widths; what is less than 0 begins at the left."""
+"""How each is written."""
 
+_HEAD = {name: name for name in _COLUMNS}
 _GO_FIRST = ("locked", "frames by", "MiB", "age ms", "work ms")
 """Where the terminal is too narrow for all."""
 
 
 def _shown(width: int | None) -> list[str]:
     """The columns that so many characters have room for."""
-    shown, going = list(_COLUMNS), iter(_GO_FIRST)
-    while width is not None and sum(abs(_COLUMNS[name]) + 1 for name in shown) - 1 > width:
-        gone = next(going, None)
-        if gone is None:
+    shown = list(_COLUMNS)
+    for name in _GO_FIRST:
+        if width is None or len(_row(_HEAD, shown)) <= width:
             break
-        shown.remove(gone)
+        shown.remove(name)
     return shown
 
 
 def _row(cells: Mapping[str, str], shown: Sequence[str]) -> str:
     """One line of the table."""
-    padded = (
-        cells[name].ljust(-_COLUMNS[name]) if _COLUMNS[name] < 0 else cells[name].rjust(_COLUMNS[name])
-        for name in shown
-    )
-    return " ".join(padded).rstrip()
+    return " ".join(f"{cells[name]:{_COLUMNS[name]}}" for name in shown)
 
 
 def _width() -> int | None:
@@ -134,7 +130,7 @@ def as_text(view: View, width: int | None = None) -> str:
     if view.pipeline.played:
         lines.append("a recording that is played: its workers as they were then, none runs now")
     shown = _shown(width)
-    lines.append(_row({name: name for name in _COLUMNS}, shown))
+    lines.append(_row(_HEAD, shown))
     order = [w for w in WORKERS if w in view.health or w in view.missing or w in view.silent]
     for worker in order:
         message = view.health.get(worker)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from enum import Enum
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -17,9 +17,6 @@ from huepose_protos.buffers import frame_images, mask_of, runs_of
 from huepose_protos.messages import CorrectionMessage, FrameHeader, Intrinsics, PoseMessage
 from huepose_protos.messages import Prior as WirePrior
 from huepose_protos.motion import rigid
-
-if TYPE_CHECKING:  # the camera does without kernels
-    from huepose.judge.open_region import PreparedSurface
 
 S = TypeVar("S", bound=Struct)
 V = TypeVar("V", bound="_Value")
@@ -188,10 +185,10 @@ def tracked_to_wire(
     header: FrameHeader,
     publish_ns: int,
     reason: str = "",
-    surface: PreparedSurface | None = None,
+    centre: Float64 | None = None,
 ) -> PoseMessage:
-    """The message of a tracked pose; the header names the camera's frame and clock. surface: the object's,
-    for its centre."""
+    """The message of a tracked pose; the header names the camera's frame and clock. centre (3,): of the
+    object, in its own frame."""
     return to_wire(
         PoseMessage,
         pose,
@@ -200,5 +197,5 @@ def tracked_to_wire(
         clock_id=header.clock.clock_id,
         realtime_offset_ns=header.clock.realtime_offset_ns,
         reason=reason,
-        centre=None if surface is None else tuple(surface.arrays.centre.tolist()),
+        centre=None if centre is None else tuple(centre.tolist()),
     )

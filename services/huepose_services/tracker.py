@@ -376,7 +376,8 @@ class TrackerWork(Work):
 
     def _put(self, pose: TrackedPose, header: FrameHeader, now: int, reason: str) -> None:
         try:
-            message = tracked_to_wire(pose, header, now, reason, self._tracker.surface(pose.object))
+            centre = self._tracker.surface(pose.object).arrays.centre
+            message = tracked_to_wire(pose, header, now, reason, centre)
         except ValueError as error:
             # Not finite, or not a rotation: it is not published, and the other objects go on.
             self._bus.health.count("poses_refused")

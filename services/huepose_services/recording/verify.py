@@ -52,7 +52,7 @@ _TAKEN = 256
 _FRAMES = 1024
 """Frames that are kept in all: half a minute, in case the tracker is that far behind."""
 
-_GIVE_MODELS = "Give the folder of the models that it was recorded with: --bundles DIR."
+_ITS_MODELS = "the folder of the models that it was recorded with: --bundles DIR"
 
 _FrameKey = tuple[int, int]
 _Pixels = tuple[FrameHeader, bytes]
@@ -153,7 +153,10 @@ class _Verifier:
                 self._digests |= models.digests(config, [name])
             except InputError as error:
                 raise InputError(
-                    error.what, found=error.found, expected=f"the reference model {name}", fix=_GIVE_MODELS
+                    error.what,
+                    found=error.found,
+                    expected=f"the reference model {name}",
+                    fix=f"Give {_ITS_MODELS}.",
                 ) from None
             self._check_digest(name)
             self._models[name] = models.load_one(config, name)
@@ -168,7 +171,7 @@ class _Verifier:
                 f"reference model {name}",
                 found=f"one with SHA-256 {found[:12]}...",
                 expected=f"the one that was used, {expected[:12]}...",
-                fix=_GIVE_MODELS,
+                fix=f"Give {_ITS_MODELS}.",
             )
         return expected is not None
 
@@ -243,7 +246,7 @@ class _Verifier:
         if unnoted := self._unnoted_models():
             text += (
                 f" (the recording does not say which reference models it used: where {listed(unnoted)} may "
-                f"be another one than then, {_GIVE_MODELS[0].lower()}{_GIVE_MODELS[1:-1]})"
+                f"be another one than then, give {_ITS_MODELS})"
             )
         here, there = about_this_machine(), self._recordings[0].notes.get("huepose", {})
         other = [f"{k} {there[k]} there, {here[k]} here" for k in here if there.get(k, here[k]) != here[k]]

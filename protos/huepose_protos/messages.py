@@ -40,9 +40,11 @@ from huepose_protos.parts import Intrinsics as Intrinsics
 from huepose_protos.parts import MaskRuns as MaskRuns
 from huepose_protos.parts import Message as Message
 from huepose_protos.parts import Mount as Mount
+from huepose_protos.parts import ObjectChange as ObjectChange
 from huepose_protos.parts import ObjectEntry as ObjectEntry
 from huepose_protos.parts import ObjectsMessage as ObjectsMessage
 from huepose_protos.parts import Prior as Prior
+from huepose_protos.parts import StageMark as StageMark
 from huepose_protos.parts import TruthObject as TruthObject
 
 
@@ -270,8 +272,9 @@ class PoseMessage(Message, frozen=True, kw_only=True):
         check_pose(self.translation, self.quaternion)
         if (self.translation is None) != (self.state in ("SEARCHING", "LOST")):
             raise ValueError(f"a pose does not go with the state {self.state}")
-        check_finite(velocity_linear=self.velocity_linear, velocity_angular=self.velocity_angular)
-        check_finite(centre=self.centre)
+        check_finite(
+            velocity_linear=self.velocity_linear, velocity_angular=self.velocity_angular, centre=self.centre
+        )
         check_covariance(self.covariance)
 
     @property
@@ -327,20 +330,6 @@ class TruthMessage(Message, frozen=True, kw_only=True):
     scene: Annotated[str, Meta(max_length=128)]
     image: Annotated[int, Meta(ge=0, description="number of the image in its data set")]
     objects: Annotated[list[TruthObject], Meta(max_length=256)]
-
-
-class ObjectChange(Struct, frozen=True, kw_only=True):
-    """What the tracker was told about an object that it looks for, or no longer."""
-
-    action: Literal["add", "remove", "reset"]
-    entry: ObjectEntry
-
-
-class StageMark(Struct, frozen=True, kw_only=True):
-    """A checksum of what the tracker believes after a stage of a step."""
-
-    stage: Annotated[str, Meta(max_length=32)]
-    checksum: Annotated[int, Meta(ge=0, lt=2**32)]
 
 
 class IntakeMessage(Message, frozen=True, kw_only=True):

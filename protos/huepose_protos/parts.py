@@ -180,6 +180,20 @@ class ObjectEntry(Struct, frozen=True, kw_only=True):
         check_box(self.box)
 
 
+class ObjectChange(Struct, frozen=True, kw_only=True):
+    """What the tracker was told about an object that it looks for, or no longer."""
+
+    action: Literal["add", "remove", "reset"]
+    entry: ObjectEntry
+
+
+class StageMark(Struct, frozen=True, kw_only=True):
+    """A checksum of what the tracker believes after a stage of a step."""
+
+    stage: Annotated[str, Meta(max_length=32)]
+    checksum: Annotated[int, Meta(ge=0, lt=2**32)]
+
+
 class ObjectsMessage(Message, frozen=True, kw_only=True):
     """The objects that the pipeline looks for, once a second and when the list changes."""
 

@@ -122,23 +122,19 @@ def propose(
     Views with the first effort, then with more; after the first of them in which a window looks like the
     object, keypoints; the search ends when a place is sure. What no window looks like is not looked for by
     keypoints. guessed: returns poses (K, 4, 4) from keypoints; efforts: those of the search by views."""
-    nothing = Found.nothing()
-    by_views, by_keypoints = nothing, nothing
-
-    def asked(before: Found) -> Found:
-        return nothing if guessed is None or before.sure else _followed(model, view, guessed())
-
+    by_views = by_keypoints = Found.nothing()
     if efforts:
         with stage("windows"):
             order = promising(table, windows)
             order = order[view.free(windows.pixels[order])]
     for effort in efforts:
-        if not (by_views.sure or by_keypoints.sure):
-            by_views = _tried(model, table, view, windows, order[: effort.windows], effort)
-            if by_keypoints is nothing and by_views.likeness >= UNLIKE:
-                by_keypoints = asked(by_views)
-    if by_keypoints is nothing and len(efforts) < len(EFFORTS):
-        by_keypoints = asked(by_views)
+        by_views = _tried(model, table, view, windows, order[: effort.windows], effort)
+        if guessed is not None and not by_views.sure and by_views.likeness >= UNLIKE:
+            by_keypoints, guessed = _followed(model, view, guessed()), None
+        if by_views.sure or by_keypoints.sure:
+            break
+    if guessed is not None and not by_views.sure and len(efforts) < len(EFFORTS):
+        by_keypoints = _followed(model, view, guessed())
     poses = np.concatenate([by_keypoints.poses, by_views.poses])
     rated = np.concatenate([by_keypoints.rated, by_views.rated])
     with stage("thin"):

@@ -13,7 +13,7 @@ from typing import Any
 
 from numba.core import event
 
-from huepose.support.jit import KERNELS, kernels_are_kept, name_of
+from huepose.support.jit import KERNELS, NOT_KEPT, name_of
 from huepose.support.progress import Status, bar_is_drawn
 
 _FEWEST = 3
@@ -33,7 +33,7 @@ class CompilingNotice(event.Listener):  # type: ignore[misc]  # numba has no typ
         """A kernel, or one that it calls, begins to be compiled."""
         if self._status is None:
             self._started, self._status = time.monotonic(), Status(say=self._say)
-            once = ", once" if kernels_are_kept() else ""
+            once = "" if NOT_KEPT else ", once"
             self._status.line(f"compiling kernels for this computer{once}: some seconds to two minutes")
 
     def on_end(self, event: Any) -> None:

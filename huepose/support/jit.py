@@ -24,6 +24,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 KERNELS: set[str] = set()
 """The names of all kernels of the modules that were imported so far."""
 
+NOT_KEPT: set[str] = set()
+"""Those of them that are compiled anew at each start."""
+
 
 def name_of(function: Callable[..., Any]) -> str:
     """As in KERNELS."""
@@ -49,27 +52,18 @@ def _compiled(function: F, more: dict[str, Any]) -> F:
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise
-        _say_not_kept()
+        if not NOT_KEPT:
+            text = (
+                "kernels are compiled anew at each start, which takes up to two minutes: there is no folder "
+                "to keep them in. Set NUMBA_CACHE_DIR to one that can be written"
+            )
+            print(text, file=sys.stderr, flush=True)
+        NOT_KEPT.add(name_of(function))
         return cast(F, numba.njit(**options)(function))
     if not numba.config.DISABLE_JIT:  # else it is the function itself
         kernel._cache._cache_file._source_stamp = kernel_sources()
         _forgive(kernel._cache)
     return cast(F, kernel)
-
-
-@cache
-def _say_not_kept() -> None:
-    """Once in a process."""
-    text = (
-        "kernels are compiled anew at each start, which takes up to two minutes: there is no folder to keep "
-        "them in. Set NUMBA_CACHE_DIR to one that can be written"
-    )
-    print(text, file=sys.stderr, flush=True)
-
-
-def kernels_are_kept() -> bool:
-    """Whether all kernels that were imported so far are kept for the next start."""
-    return not _say_not_kept.cache_info().currsize
 
 
 def _forgive(kept: Any) -> None:

@@ -56,10 +56,11 @@ def test_a_cache_that_names_what_is_no_more_is_made_anew(tmp_path: Path) -> None
     assert sum(compiled(path).cache_hits.values()) == 1
 
 
-def test_where_nothing_can_be_kept_one_line_says_what_to_do(capfd: pytest.CaptureFixture[str]) -> None:
+def test_where_nothing_can_be_kept_one_line_says_what_to_do(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Numba keeps nothing of a source that is no file, as where no folder can be written."""
-    jit._say_not_kept.cache_clear()
-    assert jit.kernels_are_kept()
+    monkeypatch.setattr(jit, "NOT_KEPT", set())
     for name in ("one", "another"):
         scope: dict[str, Any] = {"__name__": "kernels_of_a_test"}
         exec(compile(KERNEL, f"<{name}>", "exec"), scope)
@@ -67,8 +68,7 @@ def test_where_nothing_can_be_kept_one_line_says_what_to_do(capfd: pytest.Captur
     (said,) = capfd.readouterr().err.splitlines()
     assert said.startswith("kernels are compiled anew at each start")
     assert "Set NUMBA_CACHE_DIR" in said
-    assert not jit.kernels_are_kept()
-    jit._say_not_kept.cache_clear()
+    assert {"kernels_of_a_test.doubled"} == jit.NOT_KEPT
 
 
 def test_the_digest_is_of_kernels(monkeypatch: pytest.MonkeyPatch) -> None:

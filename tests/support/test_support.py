@@ -126,7 +126,7 @@ def test_compiling_is_told_once_and_then_how_far_it_is(clock, monkeypatch, every
 
 
 def test_what_is_not_kept_is_not_said_to_be_compiled_once(clock, monkeypatch):
-    monkeypatch.setattr(compiling, "kernels_are_kept", lambda: False)
+    monkeypatch.setattr(compiling, "NOT_KEPT", {"ours.k0"})
     said = []
     compiled(CompilingNotice(said.append), clock, "ours", 1)
     assert said[0].startswith("compiling kernels for this computer: some seconds")

@@ -35,11 +35,11 @@ from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.icosphere import look_at
 from huepose.geometry.symmetry import nearest_alike
 from huepose.model import ReferenceModel
-from huepose.onboarding.meshes import length
 from huepose.profiles import profile
 from huepose.rendering.render import render
 from huepose.scenes.rendered import Drawn, SceneRanges, check_sizes, rendered_frame
 from huepose.support.errors import InputError
+from huepose.support.lengths import length
 from huepose.support.progress import progress
 
 Verdict = Literal["suits", "suits with limits", "does not suit"]

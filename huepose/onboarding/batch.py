@@ -18,10 +18,11 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.model.io import model_path, save_model
-from huepose.onboarding.meshes import Unit, read_mesh
+from huepose.onboarding.meshes import read_mesh
 from huepose.onboarding.onboard import onboard_mesh
 from huepose.onboarding.reference import silent
 from huepose.support.errors import InputError
+from huepose.support.lengths import Unit
 
 MANY_TRIANGLES = 500_000
 """A mesh of more is simplified for so long that it is said."""

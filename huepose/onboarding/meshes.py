@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -22,9 +21,7 @@ from huepose.onboarding.raw_mesh import RE_EXPORT, RawMesh
 from huepose.onboarding.texture import single_texture
 from huepose.onboarding.winding import outward_sign
 from huepose.support.errors import InputError
-
-Unit = Literal["mm", "cm", "m", "in", "ft"]
-METRES: dict[Unit, float] = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254, "ft": 0.3048}
+from huepose.support.lengths import LIKELY, METRES, Unit, length, number
 
 SMALLEST_M, LARGEST_M = 0.01, 2.0
 """Bounds of the largest side of an object, by which the unit of a mesh is guessed."""
@@ -65,7 +62,7 @@ def unit_of_format(path: Path) -> Unit | None:
 @dataclass(frozen=True)
 class Looked:
     """What a mesh is before its unit is settled. sizes: its largest side, metres, by the units in which it is
-    that of an object, metres and millimetres first; parts: the names of the meshes that are taken as one;
+    that of an object, the likely ones first; parts: the names of the meshes that are taken as one;
     away, diameter: from its origin to its middle, and across its bounds, in the file's unit; clear: the share
     of its surface on which its texture or its material is transparent, which is read as if it were not."""
 
@@ -83,7 +80,7 @@ def look_at(path: Path) -> Looked:
         vertices = _referenced(raw)[0]
         side, low, high = _extent(vertices), vertices.min(0), vertices.max(0)
         clear = _clear_share(raw)
-    units: tuple[Unit, ...] = ("m", "mm", "cm", "in", "ft")
+    units = dict.fromkeys((*LIKELY, *METRES))
     sizes = {unit: side * METRES[unit] for unit in units if SMALLEST_M <= side * METRES[unit] <= LARGEST_M}
     away, diameter = float(np.linalg.norm((low + high) / 2.0)), float(np.linalg.norm(high - low))
     return Looked(sizes, raw.parts, away, diameter, clear)
@@ -100,8 +97,8 @@ def _clear_share(raw: RawMesh) -> float:
     a, b, c = (raw.vertices[raw.faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     clear = 0.0
-    for number, material in enumerate(raw.materials):
-        mine = raw.face_materials == number
+    for k, material in enumerate(raw.materials):
+        mine = raw.face_materials == k
         if material.clear:
             clear += float(areas[mine].sum())
             continue
@@ -159,7 +156,7 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
     if extent == 0.0:
         found = "a mesh without size: all its points are in one place"
         raise InputError(path, found=found, expected="an object", fix=RE_EXPORT)
-    tried: tuple[Unit, ...] = ("m", "mm") if unit is None else (unit,)
+    tried = LIKELY if unit is None else (unit,)
     plausible = [u for u, s in METRES.items() if SMALLEST_M <= extent * s <= LARGEST_M]
     taken = next((u for u in tried if u in plausible), None)
     if taken is not None:
@@ -172,27 +169,7 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
         fix = f"By no --unit ({', '.join(METRES)}) is it one: scale the mesh."
     raise InputError(
         path,
-        found=f"a largest side of {_number(extent)} units{f' (taken as {unit})' if unit else ''}: {sizes}",
+        found=f"a largest side of {number(extent)} units{f' (taken as {unit})' if unit else ''}: {sizes}",
         expected=f"an object of {length(SMALLEST_M)} to {length(LARGEST_M)}",
         fix=fix,
     )
-
-
-def length(metres: float) -> str:
-    """A length in the unit in which a person would say it.
-
-    >>> length(1.5), length(0.15), length(0.005)
-    ('1.5 m', '15 cm', '5 mm')
-    """
-    if metres >= 1.0:
-        return f"{_number(metres)} m"
-    return f"{metres * 100:.4g} cm" if metres >= 0.01 else f"{_number(metres * 1000)} mm"
-
-
-def _number(x: float) -> str:
-    """Four figures, and no power of ten where a person can do without.
-
-    >>> _number(120000.0), _number(9.2)
-    ('120000', '9.2')
-    """
-    return f"{x:.0f}" if 1e4 <= x < 1e9 else f"{x:.4g}"

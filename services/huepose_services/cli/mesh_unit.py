@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from huepose.support.errors import InputError
+from huepose.support.lengths import LIKELY, METRES, NAMES, Unit, length
 from huepose_services.cli.options import say
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job
-    from huepose.onboarding.meshes import Looked, Unit
+    from huepose.onboarding.meshes import Looked
 
 SMALL_M, LARGE_M = 0.03, 0.6
 """Few objects that are handled have a smaller or larger largest side: such a mesh may be in another unit."""
@@ -26,14 +27,6 @@ CLEAR = 0.02
 
 _NAMED = 5
 """Parts of a mesh that are named."""
-
-_IN_WORDS: dict[Unit, str] = {
-    "m": "metres",
-    "mm": "millimetres",
-    "cm": "centimetres",
-    "in": "inches",
-    "ft": "feet",
-}
 
 
 def with_unit(job: Job) -> Job:
@@ -58,7 +51,7 @@ def _with_unit(job: Job, sizes: dict[Unit, float]) -> Job:
     if job.unit is not None:
         _warn_of(job.unit, sizes)
         return job
-    taken = standard or next((unit for unit in sizes if unit in ("m", "mm")), None)
+    taken = standard or next((unit for unit in sizes if unit in LIKELY), None)
     if not sizes or (standard and standard not in sizes):
         return job  # whoever reads it refuses it
     usual = taken is not None and SMALL_M < sizes[taken] < LARGE_M
@@ -93,8 +86,6 @@ def _say_of_clear(share: float) -> None:
 
 def _say_of_origin(looked: Looked, unit: Unit) -> None:
     """Of a mesh in the coordinates of an assembly or of a scan."""
-    from huepose.onboarding.meshes import METRES, length
-
     if looked.away >= FAR * looked.diameter:
         say(
             f"note: the mesh's origin lies {length(looked.away * METRES[unit])} from the object; poses are "
@@ -105,7 +96,6 @@ def _say_of_origin(looked: Looked, unit: Unit) -> None:
 def _warn_of(given: Unit, sizes: dict[Unit, float]) -> None:
     """Of a unit by which the mesh is smaller or larger than the objects that are usual, or than drawn scenes
     hold; one by which it is no object at all is refused by whoever reads it."""
-    from huepose.onboarding.meshes import length
     from huepose.scenes.rendered import LARGEST_M
 
     if given not in sizes or SMALL_M < sizes[given] <= LARGEST_M:
@@ -119,12 +109,10 @@ def _warn_of(given: Unit, sizes: dict[Unit, float]) -> None:
 
 def _note(head: str, taken: Unit, sizes: dict[Unit, float]) -> None:
     """In which unit a mesh is read, and how large it would be in others."""
-    from huepose.onboarding.meshes import length
-
     others = [_size(sizes, unit) for unit in sizes if unit != taken]
     but = f" (it would be {', '.join(others)})" if others else ""
     side = f"its largest side is {length(sizes[taken])}{but}"
-    say(f"note: {head} is read in {_IN_WORDS[taken]}: {side}. If that is wrong, give the unit with --unit.")
+    say(f"note: {head} is read in {NAMES[taken]}: {side}. If that is wrong, give the unit with --unit.")
 
 
 def _asked(path: Path, sizes: dict[Unit, float]) -> Unit:
@@ -152,6 +140,4 @@ def _in_words(sizes: dict[Unit, float]) -> str:
 
 
 def _size(sizes: dict[Unit, float], unit: Unit) -> str:
-    from huepose.onboarding.meshes import length
-
-    return f"{length(sizes[unit])} in {_IN_WORDS[unit]}"
+    return f"{length(sizes[unit])} in {NAMES[unit]}"

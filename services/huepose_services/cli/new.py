@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose.support.files import check_place, write_bytes, write_picture, write_text
+from huepose.support.lengths import length
 from huepose_services.cli.onboard import add_symmetric, add_test
 from huepose_services.cli.options import add_path, add_unit
 
@@ -50,7 +51,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.model.io import check_name
     from huepose.onboarding.batch import Job
     from huepose.onboarding.declared import symmetries_of
-    from huepose.onboarding.meshes import length, read_mesh
+    from huepose.onboarding.meshes import read_mesh
     from huepose.scenes.builtin import first_shot
     from huepose.scenes.camera import CAMERA
     from huepose_services.cli.mesh_unit import with_unit

@@ -13,6 +13,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.files import write_text
+from huepose.support.lengths import METRES
 
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
@@ -129,7 +130,7 @@ def add_unit(parser: argparse.ArgumentParser) -> None:
     """Add `--unit`, of a mesh."""
     parser.add_argument(
         "--unit",
-        choices=("mm", "cm", "m", "in", "ft"),
+        choices=tuple(METRES),
         help="the mesh's unit; without it metres or millimetres, whichever is likelier by its size",
     )
 

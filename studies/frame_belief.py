@@ -31,12 +31,13 @@ from huepose.judge.borders import outline
 from huepose.judge.terms import NOTHING
 from huepose.model import ReferenceModel
 from huepose.support.progress import progress
-from huepose.tracking import TrackerConfig, evidence
+from huepose.tracking import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.motion import increment_velocity
 from huepose.tracking.refined import best_of
 from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
+from huepose.tracking.usual import Usual
 from studies.likelihood import logistic
 from studies.stress.causes import on_a_surface
 from studies.stress.play import error_of
@@ -126,37 +127,36 @@ def collect(job: Job) -> list[Row]:
     subject, rng = Subject.of(model), np.random.default_rng([job.number, *film.name.encode()])
     frames, visible = [s.frame for s in film.frames], [s.visib_fract for s in film.frames]
     truth = [s.T_cam_obj for s in film.frames]
-    baseline, light, rows = None, None, []
+    known, rows = Usual(), []
     for i in range(2, len(frames), EVERY):
         gone = visible[i] < 0.1
-        found: list[tuple[str, float | None, Float64 | None, Hypothesis]] = []
+        found: list[tuple[str, Usual, Hypothesis]] = []
         if not gone and visible[i - 1] >= 0.1:
-            before = best_of(subject.surface, frames[i - 1], [(truth[i - 1], "still")], light)
+            before = best_of(subject.surface, frames[i - 1], [(truth[i - 1], "still")], known.light)
             if error_of(model, before.T_cam_obj, truth[i - 1]) < metrics.RECALL_FRACTION:
-                baseline = evidence.baseline_after(baseline, before.terms.total)
-                light = evidence.light_after(light, before.terms)
+                known = known.after(before.terms)
         shown = max((k for k in range(i) if visible[k] >= 0.1), default=0)
         # What is gone was followed until it went: then its look-alike, or anything that hides it, is there.
         steps = (i - shown,) if gone else (1, int(rng.choice(NEAR)), int(rng.choice(FAR)))
         for step in steps:
             if step > max(FAR) or i - step < 1 or visible[i - step] < 0.1:
                 continue
-            usual, lit = None, None
+            usual = Usual()
             if rng.random() < KNOWN:
                 # The baseline is a mean over some frames before: about the total just before the step.
-                start = best_of(subject.surface, frames[i - step], [(truth[i - step], "still")], light)
-                usual, lit = start.terms.total, light
+                start = best_of(subject.surface, frames[i - step], [(truth[i - step], "still")], known.light)
+                usual = Usual(start.terms.total, known.light)
             velocity = increment_velocity(subject.surface, truth[i - step - 1], truth[i - step], 1 / 30)
             start = Hypothesis(truth[i - step], NOTHING, np.zeros((6, 6)), "still", velocity)
-            anchor = Anchor((start,), frames[i - step], usual, lit)
+            anchor = Anchor((start,), frames[i - step], usual)
             reached = advance(subject, anchor, frames[i], TrackerConfig())
-            found += [(f"step {step}", usual, lit, h) for h in (*reached.followed, *reached.proposed)]
+            found += [(f"step {step}", usual, h) for h in (*reached.followed, *reached.proposed)]
         # Where the object is gone, poses that are wrong in any case: about where it was.
         at = truth[i] if not gone else truth[0]
         for kind, T in wrong_starts(model, at, frames[i], rng):
-            usual, lit = (baseline, light) if rng.random() < KNOWN else (None, None)
-            found.append((kind, usual, lit, best_of(subject.surface, frames[i], [(T, "still")], lit)))
-        for kind, usual, lit, h in found:
+            usual = known if rng.random() < KNOWN else Usual()
+            found.append((kind, usual, best_of(subject.surface, frames[i], [(T, "still")], usual.light)))
+        for kind, usual, h in found:
             error = turned = FAR_OFF
             if not gone:
                 error, turned = (
@@ -164,7 +164,7 @@ def collect(job: Job) -> list[Row]:
                     for turns in (model.equivalents, model.near_symmetries)
                 )
             goes_on = outline(subject.contours, h.T_cam_obj, frames[i]).goes_on
-            seen = features(h.terms, usual, goes_on, lit)
+            seen = features(h.terms, usual.baseline, goes_on, usual.light)
             rows.append(Row(film.name, i, kind, h.source, seen, error, turned))
     return rows
 

@@ -24,6 +24,7 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Correction
+from huepose.tracking.usual import Usual
 
 SLACK = 1.5
 """Frames do not come to the millisecond."""
@@ -42,7 +43,8 @@ class Pursuit:
         self.correction = correction
         self.track = Track(subject, correction.object, correction.instance, config)
         if before is not None:
-            self.track.baseline, self.track.light = before.remembered(correction.stamp_ns), before.sure_light
+            usual = before.remembered(correction.stamp_ns)
+            self.track.usual = Usual(usual.baseline, usual.sure_light)
         self.poses: list[tuple[int, Float64]] = []
         self._config, self._stride = config, config.catch_up_stride
         self._lost_behind = np.inf

@@ -39,9 +39,6 @@ MOST_LOOSE = 0.7
 HIDDEN, SCARCE_FADE = 0.6, 0.93
 """If more than HIDDEN of the surface is occluded, the quality falls by SCARCE_FADE per frame."""
 
-BASELINE_SHARE, LIGHT_SHARE = 0.15, 0.2
-"""Weights of a new frame in the running means of the baseline total and of the light."""
-
 RETURNED_AFTER, AT_ONCE = 2, 0.95
 """Supported frames in a row after which a SUSPECT object is TRACKING again; at once with that much evidence:
 less than one in twenty such poses is wrong. Chosen on drawn films of the split `choose`."""
@@ -106,49 +103,6 @@ def scarce(terms: Terms) -> bool:
 def bounded(quality: float, scarce_frames: int) -> float:
     """A quality after so many frames in a row in which there was little to follow."""
     return min(quality, ONE_SENSE * SCARCE_FADE**scarce_frames) if scarce_frames else quality
-
-
-def baseline_after(baseline: float | None, total: float) -> float:
-    """The updated baseline total, after a frame that supports the pose."""
-    return total if baseline is None else baseline + BASELINE_SHARE * (total - baseline)
-
-
-def light_after(light: Float64 | None, terms: Terms) -> Float64 | None:
-    """The updated offset (3,) of the light in opponent colours, after a frame that supports the pose."""
-    if terms.colored < LEAST_SEEN:
-        return light
-    seen = np.array(terms.light)
-    return seen if light is None else light + LIGHT_SHARE * (seen - light)
-
-
-SAME_LIGHT, OTHER_LIGHT, OTHER_THING = 2.0, 10.0, 25.0
-"""Standard deviations of a change of the chromatic opponents' offset: of an object in the same light, in
-another light, and of another thing. Origin: true poses in pairs of frames, recorded ones in one light (0.2 to
-4) and path-traced or drawn ones in changed light (5 to 15); what was taken for an object (15 to 50)."""
-
-LIGHT_CHANGES = 0.2
-"""Probability that the light changed while the object was not followed. Assumed."""
-
-
-def same_color(terms: Terms, light: Float64 | None) -> float:
-    """Log-odds, 0 at most, that what is seen is the object whose light (3,) was known before, and not
-    another thing, by the change of that light.
-
-    >>> from dataclasses import replace
-    >>> from huepose.judge.terms import NOTHING
-    >>> seen, known = replace(NOTHING, colored=0.8, light_rg=40.0), np.zeros(3)
-    >>> same_color(seen, known) < -6.0, same_color(replace(seen, light_rg=5.0), known), same_color(seen, None)
-    (True, 0.0, 0.0)
-    """
-    if light is None or terms.colored < LEAST_SEEN:
-        return 0.0
-    square = float((terms.light_rg - light[1]) ** 2 + (terms.light_yb - light[2]) ** 2)
-
-    def log_density(sigma: float, share: float) -> float:
-        return log(share) - 2.0 * log(sigma) - 0.5 * square / sigma**2
-
-    same = np.logaddexp(log_density(SAME_LIGHT, 1.0 - LIGHT_CHANGES), log_density(OTHER_LIGHT, LIGHT_CHANGES))
-    return min(float(same) - log_density(OTHER_THING, 1.0), 0.0)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ opinions, and time decides between them."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import Terms
 from huepose.tracking.motion import Reach
 from huepose.tracking.subject import Subject
+from huepose.tracking.usual import Usual
 
 MOST = 3
 """Hypotheses of a track."""
@@ -45,15 +46,14 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """The object in the last frame. hypotheses: best first; baseline: its usual total; light (3,): the
-    light's offset of opponent colours; mask (H, W): its mask there, if known better than by rendering;
+    """The object in the last frame. hypotheses: best first; usual: how it looks when its pose is right;
+    mask (H, W): its mask there, if known better than by rendering;
     unseen_s: for how long its pose had only been predicted; place: where the last frame looked most like it,
     if no search was made there yet; known: whether it is sure that it is this object."""
 
     hypotheses: tuple[Hypothesis, ...]
     frame: RgbdFrame
-    baseline: float | None = None
-    light: Float64 | None = None
+    usual: Usual = field(default_factory=Usual)
     mask: Bool | None = None
     unseen_s: float = 0.0
     place: Reach | None = None

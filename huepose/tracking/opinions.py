@@ -29,6 +29,7 @@ from huepose.tracking.refined import best_of, unmoved
 from huepose.tracking.stages import found_at
 from huepose.tracking.step import WHOLLY_HIDDEN, Advance
 from huepose.tracking.subject import POINTS, Subject
+from huepose.tracking.usual import Usual
 
 FIXED = 0.012
 """Expected pose error, as a share of the diameter, up to which the texture fixes the pose; textured objects
@@ -57,7 +58,7 @@ def opinions(
         _moved(subject, anchor, h, parent, seconds, frame)
         for h, parent in zip(found.followed, anchor.hypotheses, strict=False)
     ]
-    at_its_ends = _held_by_its_ends(subject, out[0], frame, anchor.light)
+    at_its_ends = _held_by_its_ends(subject, out[0], frame, anchor.usual.light)
     if at_its_ends is not None:
         out.append(_moved(subject, anchor, at_its_ends, before, seconds, frame))
     expected = predicted(subject.surface, before.T_cam_obj, before.velocity, seconds)
@@ -90,7 +91,7 @@ def _moved(
     ago; jump: log-odds of its motion."""
     measured = increment_velocity(subject.surface, parent.T_cam_obj, h.T_cam_obj, seconds)
     velocity = filtered(parent.velocity, measured, seconds)
-    opinion = weighed(subject, h, frame, anchor.baseline, anchor.light, parent.log_odds, jump)
+    opinion = weighed(subject, h, frame, anchor.usual, parent.log_odds, jump)
     return replace(opinion, velocity=velocity)
 
 
@@ -98,14 +99,13 @@ def weighed(
     subject: Subject,
     h: Hypothesis,
     frame: RgbdFrame,
-    baseline: float | None,
-    light: Float64 | None,
+    usual: Usual,
     before: float,
     jump: float = 0.0,
 ) -> Hypothesis:
-    """A hypothesis with its log-odds; baseline, light, before and jump as in `evidence.log_odds`."""
+    """A hypothesis with its log-odds; before and jump as in `evidence.log_odds`."""
     goes_on = outline(subject.contours, h.T_cam_obj, frame).goes_on
-    odds = evidence.log_odds(h.terms, baseline, before, goes_on, light, jump)
+    odds = evidence.log_odds(h.terms, usual.baseline, before, goes_on, usual.light, jump)
     return replace(h, log_odds=odds, goes_on=goes_on, jump=jump)
 
 
@@ -148,8 +148,7 @@ def found_again(
     seen: Hypothesis,
     gone_s: float,
     frame: RgbdFrame,
-    light: Float64 | None,
-    baseline: float | None,
+    usual: Usual,
     place: Reach,
     config: TrackerConfig,
 ) -> tuple[Hypothesis, ...]:
@@ -157,10 +156,10 @@ def found_again(
     seem to be. They are all of one place: which way round it is there need not be known."""
     surface = subject.surface
     found = []
-    for T in found_at(subject, frame, place, light):
-        h = best_of(surface, frame, [(subject.like(T, seen.T_cam_obj), "views")], light, 0, FULL)
+    for T in found_at(subject, frame, place, usual.light):
+        h = best_of(surface, frame, [(subject.like(T, seen.T_cam_obj), "views")], usual.light, 0, FULL)
         jump = jump_odds(surface, seen.T_cam_obj, seen.T_cam_obj, h.T_cam_obj, gone_s, config)
-        found.append(weighed(subject, h, frame, baseline, light, 0.0, jump))
+        found.append(weighed(subject, h, frame, usual, 0.0, jump))
     opinions = distinct(subject, found)
     if not opinions or evidence.one_sense(opinions[0].terms):
         return ()

@@ -111,7 +111,7 @@ class Orientation:
             facing = facing.jumped(view, new)
             self.see(first, frame.stamp_ns)  # This doubt is known from here on.
         self.facing = facing
-        return 0.0 if hurry else self.ask(first, view, frame, anchor.light)
+        return 0.0 if hurry else self.ask(first, view, frame, anchor.usual.light)
 
     def ask(self, first: Hypothesis, view: Float64, frame: RgbdFrame, light: Float64 | None) -> float:
         """Compare a pose with the best of the doubted near-symmetric rotations, if one may be right. Returns

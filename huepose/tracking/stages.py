@@ -80,7 +80,7 @@ class Task:
 
     def doubts(self, best: Hypothesis) -> bool:
         """Whether the best pose explains less than it should."""
-        return not convincing(best, self.anchor.baseline, self.doubt, self.config)
+        return not convincing(best, self.anchor.usual.baseline, self.doubt, self.config)
 
     def wants(self, stage: int, best: Hypothesis, place: Reach | None) -> bool:
         """Whether a stage is worth its time. place: where the picture looks most like the object, if no
@@ -108,7 +108,7 @@ class Task:
     ) -> list[list[tuple[Float64, str]]]:
         """What a stage proposes: of each list of poses (4, 4) with their source, the best is refined. parts:
         of the wide search."""
-        surface, frame, light = self.subject.surface, self.frame, self.anchor.light
+        surface, frame, light = self.subject.surface, self.frame, self.anchor.usual.light
         if stage == FLOW:
             T = flow_start(
                 self.subject, self.anchor, frame, self.expected, self.relative_pose, self.config.flow
@@ -141,7 +141,7 @@ class Proposed:
 def propose(task: Task, best: Hypothesis, begun: int, tries: float) -> Proposed:
     """Try stages from `begun` on until a pose explains enough, with at most `tries` costly proposals. best:
     the pose that explains most so far."""
-    surface, frame, light = task.subject.surface, task.frame, task.anchor.light
+    surface, frame, light = task.subject.surface, task.frame, task.anchor.usual.light
     proposed: tuple[Hypothesis, ...] = ()
     tried, place = 0, task.anchor.place
     # A picture that comes late is looked at anew; only the parts of a wide search go on where they ended.

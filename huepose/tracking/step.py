@@ -67,7 +67,7 @@ def advance(
 ) -> Advance:
     """Find the object of `anchor` in a later frame. resting: all stages failed and may pause; begun: the
     stage to try next, from the last frame; tries: how many costly proposals this frame has time for."""
-    surface, first, light = subject.surface, anchor.first, anchor.light
+    surface, first, light = subject.surface, anchor.first, anchor.usual.light
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     expected = predicted(surface, first.T_cam_obj, first.velocity, seconds)
     near, far = reaches(surface, first.T_cam_obj, first.velocity, expected, seconds + anchor.unseen_s, config)
@@ -97,7 +97,7 @@ def advance(
             more = propose(replace(task, hidden=True), best, FLOW, tries if for_long else 0.0)
             return Advance((waiting, *others), more.proposed, more.tried, task.doubts(more.best))
     found = [followed(surface, frame, first, expected, light, MORE_PASSES), *others]
-    if long or not convincing(found[0], anchor.baseline, config.doubt, config):
+    if long or not convincing(found[0], anchor.usual.baseline, config.doubt, config):
         start = first.T_cam_obj if found[0].source == "still" else expected
         found[0] = or_from_afar(surface, frame, found[0], start, light)
     if not far.holds(surface.centre_cam(found[0].T_cam_obj)):
@@ -109,7 +109,7 @@ def advance(
     surprising = long and moved_m(surface, best.T_cam_obj, expected) > config.surprising_m
     uneasy = surprising or returning or begun > NEARBY
     # Back in full view with its usual total: no search nearby is needed, only the check of its rotation.
-    back = not long and begun <= NEARBY and in_full(best, anchor.baseline, config)
+    back = not long and begun <= NEARBY and in_full(best, anchor.usual.baseline, config)
     task = replace(task, uneasy=uneasy, back=back)
     doubtful = task.doubts(best)
     if not (doubtful or uneasy):

@@ -31,6 +31,7 @@ from huepose.tracking.stages import END, FLOW
 from huepose.tracking.step import Advance, advance, found_nearby
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
+from huepose.tracking.usual import Usual
 
 COASTING_SEEN = 0.15
 """If less than this share of the surface is seen, the predicted pose is better than the refined one."""
@@ -38,15 +39,9 @@ COASTING_SEEN = 0.15
 COASTING_DAMPING = 0.85
 """The velocity is multiplied by this in each frame that does not support the pose."""
 
-FORGOTTEN_PER_S = 0.25
-"""How fast the total asked of a returning object falls, per second: the light may have changed."""
-
 
 class Track:
-    """The state of one instance. In each live frame `look` finds it, then `update_state` sets its state.
-
-    baseline, light: its usual total and the light's offset (3,), by the poses that are followed; sure_light:
-    the light when it was last TRACKING."""
+    """The state of one instance. In each live frame `look` finds it, then `update_state` sets its state."""
 
     def __init__(self, subject: Subject, object_name: str, instance: int, config: TrackerConfig) -> None:
         self.subject, self.object, self.instance = subject, object_name, instance
@@ -55,9 +50,7 @@ class Track:
         self.covariance: Float64 | None = None
         self.quality = self.evidence = 0.0
         self.applied_seq = 0
-        self.baseline: float | None = None
-        self.light: Float64 | None = None
-        self.sure_light: Float64 | None = None
+        self.usual = Usual()
         self.frame: RgbdFrame | None = None
         self._config = config
         self._standing = Standing(State.SEARCHING)
@@ -127,7 +120,7 @@ class Track:
             return self._look_everywhere(frame, tries)
         begun = self._effort.begun
         resting = begun == FLOW and self._effort.resting
-        seen = self.hypotheses, self.frame, self.baseline, self.light
+        seen = self.hypotheses, self.frame, self.usual
         anchor = Anchor(*seen, mask, self._unseen_s, self._place, self._known)
         found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, begun, tries)
         orientation, facing = self._orientation, self._orientation.facing
@@ -155,12 +148,12 @@ class Track:
         place = likeliest_place(self.subject.model, self.subject.views, frame, part)
         if place is None:
             return 1
-        baseline = self.remembered(frame.stamp_ns)
-        found = found_again(self.subject, sure_pose, gone_s, frame, self.light, baseline, place, self._config)
+        usual = self.usual.remembered(gone_s)
+        found = found_again(self.subject, sure_pose, gone_s, frame, usual, place, self._config)
         if not found:
             return 2
         sure = probability(found[0].log_odds) * share_of_first(found)
-        anchor = Anchor((sure_pose,), frame, light=self.light, unseen_s=gone_s)
+        anchor = Anchor((sure_pose,), frame, usual, unseen_s=gone_s)
         self.hypotheses, self.frame, first = found, frame, found[0]
         self.covariance, self._spread = uncertainty(self.subject, first, frame)
         self.evidence = evidence.vouched(sure, self._spread)
@@ -239,10 +232,10 @@ class Track:
     def start(self, T_cam_obj: Float64, quality: float, frame: RgbdFrame, apart_s: float) -> float:
         """Start from a pose of perception, taken `apart_s` seconds from `frame`. Returns the number of costly
         proposals used."""
-        surface, light = self.subject.surface, self.light
+        surface, light = self.subject.surface, self.usual.light
         found, searched = found_nearby(surface, T_cam_obj, frame, apart_s, light, self._config)
         tried = float(searched)
-        first = weighed(self.subject, found, frame, self.baseline, light, evidence.odds_of(quality))
+        first = weighed(self.subject, found, frame, self.usual, evidence.odds_of(quality))
         self.hypotheses, self.frame, self.evidence = (first,), frame, probability(first.log_odds)
         self.covariance, _ = uncertainty(self.subject, first, frame)
         if self.evidence >= self._config.tracking_quality:
@@ -251,36 +244,33 @@ class Track:
             view = self._view()
             self._orientation.begin(quality, view)
             tried += self._orientation.ask(first, view, frame, light)
-        known = self.baseline
+        known = self.usual.baseline
         self.learn()
-        if known is None and self.baseline is not None:
+        if known is None and self.usual.baseline is not None:
             # The light is known now; the baseline is the total in that light.
-            lit = unmoved(surface, frame, first.T_cam_obj, self.light)
+            lit = unmoved(surface, frame, first.T_cam_obj, self.usual.light)
             self.hypotheses = (replace(first, terms=lit.terms),)
-            self.baseline = lit.terms.total
+            self.usual = replace(self.usual, baseline=lit.terms.total)
         return tried
 
     def learn(self) -> None:
-        """Update baseline and light by a pose that is believed. The baseline falls only while it is TRACKING:
+        """Update what is usual by a pose that is believed. The baseline falls only while it is TRACKING:
         a pose that fits worse must not become the norm. What may be another thing says nothing of this."""
-        total, tracking = self.terms.total, self.state is State.TRACKING
-        better = self.baseline is None or (total > self.baseline and not self._may_be_another)
+        baseline, tracking = self.usual.baseline, self.state is State.TRACKING
+        better = baseline is None or (self.terms.total > baseline and not self._may_be_another)
         if self.evidence >= self._config.suspect_quality and (tracking or better):
-            self.baseline = evidence.baseline_after(self.baseline, total)
-            self.light = evidence.light_after(self.light, self.terms)
-            self.sure_light = self.light if tracking else self.sure_light
+            self.usual = self.usual.after(self.terms, tracking)
 
     def place(self, verified: Track, quality: float, frame: RgbdFrame) -> None:
         """Take over the pose that another track of the same object, made for a correction, found on
         `frame`."""
         self.hypotheses, self.covariance = verified.hypotheses[:1], verified.covariance
-        self.baseline, self.light, self.evidence = verified.baseline, verified.light, verified.evidence
-        self.frame = frame
+        usual = verified.usual
+        self.usual = replace(self.usual, baseline=usual.baseline, light=usual.light)
+        self.evidence, self.frame = verified.evidence, frame
         self._orientation.take_over(verified._orientation)
-        first = self.hypotheses[0]
-        told = evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on, self.light)
         # Perception judged the same picture: this evidence may lower its quality, not raise it.
-        known = self._of_its_color(min(quality, probability(evidence.odds_of(quality) + told)))
+        known = self._of_its_color(min(quality, probability(evidence.odds_of(quality) + self._told)))
         self._identity, self._corrected_from = Identity.of(known, self._view()), None
         self._begin()
         self._supported_ns = frame.stamp_ns
@@ -309,11 +299,9 @@ class Track:
             self.frame = replace(self.frame, stamp_ns=stamp_ns)
             self.hypotheses = tuple(replace(h, velocity=None) for h in self.hypotheses)
 
-    def remembered(self, stamp_ns: int) -> float | None:
-        """The baseline from before the object was lost, lower the longer ago that was; None without one."""
-        if self.baseline is None:
-            return None
-        return self.baseline - FORGOTTEN_PER_S * max(0.0, (stamp_ns - self._supported_ns) * 1e-9)
+    def remembered(self, stamp_ns: int) -> Usual:
+        """What was usual before the object was lost; less is asked the longer ago that was."""
+        return self.usual.remembered((stamp_ns - self._supported_ns) * 1e-9)
 
     def replay(self, stamp_ns: int, T_cam_obj: Float64, quality: float) -> None:
         """Apply a correction of a past pose; the motion measured since then carries it to now. The pose
@@ -345,7 +333,7 @@ class Track:
                 self.hypotheses = self.hypotheses[:1]
                 if self.evidence >= self._config.suspect_quality and not self._may_be_another:
                     # It is the frame of now that says what is usual, not the one that perception saw.
-                    self.baseline = self.terms.total
+                    self.usual = replace(self.usual, baseline=self.terms.total)
                 self._orientation.assure(quality)
 
     def can_have_turned_since(self, stamp_ns: int) -> bool:
@@ -391,13 +379,17 @@ class Track:
 
     def _seen_alone(self) -> float:
         """The probability of its pose by what this frame shows of it."""
-        first = self.hypotheses[0]
-        told = evidence.log_odds(first.terms, self.baseline, 0.0, first.goes_on, self.light)
-        return self._of_its_color(probability(told))
+        return self._of_its_color(probability(self._told))
+
+    @property
+    def _told(self) -> float:
+        """Log-odds of its pose by what this frame shows of it."""
+        first, usual = self.hypotheses[0], self.usual
+        return evidence.log_odds(first.terms, usual.baseline, 0.0, first.goes_on, usual.light)
 
     def _of_its_color(self, likely: float) -> float:
         """That probability, when what is seen may be another thing by its colour."""
-        against = evidence.same_color(self.terms, self.sure_light)
+        against = self.usual.same_color(self.terms)
         return likely if against == 0.0 else probability(evidence.odds_of(likely) + against)
 
     def _view(self) -> Float64:

@@ -19,6 +19,7 @@ from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Correction, Verdict
+from huepose.tracking.usual import Usual
 
 if TYPE_CHECKING:
     from huepose.tracking.tracker import Tracker
@@ -58,7 +59,7 @@ def warm_up(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
     T_start = _pose(shown[0], 0, 0)
     before = Hypothesis(T_start, NOTHING, np.zeros((6, 6)), "still", velocity=np.zeros(6))
     for unseen_s in (0.0, 0.1):
-        hard = Anchor((before,), frames[0], baseline=9.0, light=np.zeros(3), unseen_s=unseen_s)
+        hard = Anchor((before,), frames[0], Usual(9.0, np.zeros(3)), unseen_s=unseen_s)
         advance(shown[0], hard, frames[1], tracker.config)
 
 

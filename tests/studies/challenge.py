@@ -21,6 +21,7 @@ from huepose.model.types import ReferenceModel
 from huepose.tracking import evidence
 from huepose.tracking.refined import best_of
 from huepose.tracking.subject import Subject
+from huepose.tracking.usual import Usual
 from studies.stress.films import Seen
 
 WRONG = 6
@@ -37,7 +38,7 @@ none, and a pose that is still on its way is neither right nor wrong."""
 def challenge(frames: Sequence[Seen], model: ReferenceModel, every: int) -> tuple[Float64, Bool]:
     """Qualities (N,) and which poses were right (N,), over the frames in which the object is visible."""
     rng = np.random.default_rng([0, 90])
-    subject, baseline = Subject.of(model), None
+    subject, usual = Subject.of(model), Usual()
     qualities: list[float] = []
     right: list[bool] = []
     for seen in frames[::every]:
@@ -48,11 +49,11 @@ def challenge(frames: Sequence[Seen], model: ReferenceModel, every: int) -> tupl
             step = best_of(subject.surface, seen.frame, [(start, "still")], more_passes=UNTIL_SETTLED)
             add = metrics.add(model.eval_points, step.T_cam_obj, truth)
             goes_on = outline(subject.contours, step.T_cam_obj, seen.frame).goes_on
-            odds = evidence.log_odds(step.terms, baseline, UNDECIDED, goes_on)
+            odds = evidence.log_odds(step.terms, usual.baseline, UNDECIDED, goes_on)
             qualities.append(probability(odds))
             right.append(add < metrics.RECALL_FRACTION * model.diameter_m)
             if i == 0:
-                baseline = evidence.baseline_after(baseline, step.terms.total)
+                usual = usual.after(step.terms)
     return np.array(qualities), np.array(right, bool)
 
 

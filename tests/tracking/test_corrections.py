@@ -178,11 +178,11 @@ def test_an_answer_about_a_time_when_it_was_seen_says_nothing_of_what_is_usual_n
     for frame in frames:
         tracker.step(frame)
     track = tracker._tracks["tea_box", 0]
-    usual = track.baseline
+    usual = track.usual.baseline
     tracker.step(shoot([], 4))
     assert track.terms.total < 0.2
     tracker.correct(correction(frames[3], path(3), 2, Verdict.AGREE))
-    assert track.baseline == usual
+    assert track.usual.baseline == usual
 
 
 _SHEARED = np.eye(4) + 0.2 * np.eye(4, k=1)

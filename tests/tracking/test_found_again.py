@@ -42,8 +42,8 @@ def test_what_is_usual_is_what_is_seen_in_its_own_light(plain_box, shoot) -> Non
             tracker.correct(Correction.first("plain_box", _at(0.0), frame))
         tracker.step(frame)
         track = tracker._tracks["plain_box", 0]
-        assert track.baseline is not None
-        baselines.append(track.baseline)
+        assert track.usual.baseline is not None
+        baselines.append(track.usual.baseline)
     assert baselines == pytest.approx([track.terms.total] * 3, abs=0.1)
 
 
@@ -117,6 +117,6 @@ def test_what_perception_finds_after_a_loss_is_doubted_in_another_color(
     assert states[:5] == [State.TRACKING] * 5
     assert states[12] is State.LOST
     assert (State.TRACKING in states[13:]) is not other
-    light = tracker._tracks["plain_bracket", 0].sure_light
+    light = tracker._tracks["plain_bracket", 0].usual.sure_light
     assert light is not None
     assert float(np.abs(light).max()) < 8.0, "it is known from when it was sure"

@@ -19,17 +19,15 @@ from huepose.tracking.competition import Claim, losers
 from huepose.tracking.evidence import (
     Identity,
     Standing,
-    baseline_after,
     bounded,
-    light_after,
     log_odds,
     next_standing,
     odds_of,
     one_sense,
-    same_color,
     scarce,
 )
 from huepose.tracking.opinions import covariance
+from huepose.tracking.usual import Usual
 
 GOOD = Terms(
     total=1.5, depth_fit=0.85, coverage=0.0, violation=0.0, color=0.7, occluded=0.0, seen=0.9, box_iou=0.0,
@@ -58,14 +56,18 @@ def test_good_and_bad_evidence() -> None:
 
 def test_another_color_speaks_against_what_was_known_and_the_same_one_for_nothing() -> None:
     known = np.array(GOOD.light)
-    shifts = [same_color(GOOD, known + np.array((0.0, x, 0.0))) for x in (0.0, 5.0, 15.0, 25.0, 40.0)]
+
+    def told(terms: Terms, *offset: float) -> float:
+        return Usual(sure_light=known + np.array(offset)).same_color(terms)
+
+    shifts = [told(GOOD, 0.0, x, 0.0) for x in (0.0, 5.0, 15.0, 25.0, 40.0)]
     assert shifts == sorted(shifts, reverse=True)
     assert shifts[1] == 0.0, "a little is the camera's"
     assert -1.5 < shifts[2] < 0.0, "so much may be another light"
     assert shifts[3] < -2.0
     assert shifts[4] < -6.0
-    assert same_color(GOOD, known + np.array((40.0, 0.0, 0.0))) == 0.0, "lightness is shading"
-    assert same_color(replace(GOOD, colored=0.1), known + 40.0) == 0.0, "too little is seen"
+    assert told(GOOD, 40.0, 0.0, 0.0) == 0.0, "lightness is shading"
+    assert told(replace(GOOD, colored=0.1), 40.0, 40.0, 40.0) == 0.0, "too little is seen"
 
 
 def test_what_jumped_is_not_believed_because_it_was_right_before() -> None:
@@ -147,15 +149,26 @@ def test_up_from_nothing_only_by_correction(start: State) -> None:
 
 
 def test_baseline_and_light_follow_slowly() -> None:
-    assert baseline_after(None, 1.4) == 1.4
-    assert 1.4 < baseline_after(1.4, 1.6) < 1.45
-    first = light_after(None, GOOD)
-    assert first is not None
-    assert first.tolist() == [-3.0, 1.0, 1.0]
-    assert light_after(first, replace(GOOD, colored=0.0)) is first, "where no colour was seen"
-    later = light_after(first, replace(GOOD, light_l=7.0))
-    assert later is not None
-    assert later.tolist() == [-1.0, 1.0, 1.0]
+    first = Usual().after(replace(GOOD, total=1.4))
+    assert first.baseline == 1.4
+    assert first.light is not None
+    assert first.light.tolist() == [-3.0, 1.0, 1.0]
+    assert first.sure_light is None
+    later = first.after(replace(GOOD, total=1.6, light_l=7.0), sure=True)
+    assert later.baseline is not None
+    assert 1.4 < later.baseline < 1.45
+    assert later.light is not None
+    assert later.light.tolist() == [-1.0, 1.0, 1.0]
+    assert later.sure_light is later.light
+    assert later.after(replace(GOOD, colored=0.0)).light is later.light, "where no colour was seen"
+
+
+def test_less_is_asked_of_what_was_gone_for_long() -> None:
+    known = Usual(1.4, np.ones(3))
+    assert known.remembered(2.0).baseline == pytest.approx(0.9)
+    assert known.remembered(-1.0).baseline == 1.4
+    assert known.remembered(2.0).light is known.light
+    assert Usual().remembered(2.0).baseline is None
 
 
 def test_identity_grows_with_agreement_and_new_viewpoints() -> None:

@@ -1,0 +1,75 @@
+"""How a tracked object usually looks: its total and the offset of the light, learnt from frames that support
+its pose. What fits worse than usual, or is of another colour, may be another thing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import log
+
+import numpy as np
+
+from huepose.geometry.arrays import Float64
+from huepose.judge.terms import Terms
+from huepose.tracking.evidence import LEAST_SEEN
+
+BASELINE_SHARE, LIGHT_SHARE = 0.15, 0.2
+"""Weights of a new frame in the running means of the baseline total and of the light."""
+
+FORGOTTEN_PER_S = 0.25
+"""How fast the total asked of a returning object falls, per second: the light may have changed."""
+
+SAME_LIGHT, OTHER_LIGHT, OTHER_THING = 2.0, 10.0, 25.0
+"""Standard deviations of a change of the chromatic opponents' offset: of an object in the same light, in
+another light, and of another thing. Origin: true poses in pairs of frames, recorded ones in one light (0.2 to
+4) and path-traced or drawn ones in changed light (5 to 15); what was taken for an object (15 to 50)."""
+
+LIGHT_CHANGES = 0.2
+"""Probability that the light changed while the object was not followed. Assumed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Usual:
+    """baseline: the usual total; light (3,): the light's offset in opponent colours; sure_light (3,): as it
+    was when the object was last TRACKING. None where nothing is known."""
+
+    baseline: float | None = None
+    light: Float64 | None = None
+    sure_light: Float64 | None = None
+
+    def after(self, terms: Terms, sure: bool = False) -> Usual:
+        """After a frame with these terms that supports the pose; sure: the object is TRACKING in it."""
+        baseline, light = self.baseline, self.light
+        baseline = terms.total if baseline is None else baseline + BASELINE_SHARE * (terms.total - baseline)
+        if terms.colored >= LEAST_SEEN:
+            seen = np.array(terms.light)
+            light = seen if light is None else light + LIGHT_SHARE * (seen - light)
+        return Usual(baseline, light, light if sure else self.sure_light)
+
+    def remembered(self, seconds: float) -> Usual:
+        """So many seconds after it was last seen: less is asked of it."""
+        if self.baseline is None:
+            return self
+        return replace(self, baseline=self.baseline - FORGOTTEN_PER_S * max(0.0, seconds))
+
+    def same_color(self, terms: Terms) -> float:
+        """Log-odds, 0 at most, that what is seen is the object whose light was known before, and not another
+        thing, by the change of that light.
+
+        >>> from dataclasses import replace
+        >>> from huepose.judge.terms import NOTHING
+        >>> seen, known = replace(NOTHING, colored=0.8, light_rg=40.0), Usual(sure_light=np.zeros(3))
+        >>> known.same_color(seen) < -6.0, known.same_color(replace(seen, light_rg=5.0))
+        (True, 0.0)
+        >>> Usual().same_color(seen)
+        0.0
+        """
+        light = self.sure_light
+        if light is None or terms.colored < LEAST_SEEN:
+            return 0.0
+        square = float((terms.light_rg - light[1]) ** 2 + (terms.light_yb - light[2]) ** 2)
+
+        def log_density(sigma: float, share: float) -> float:
+            return log(share) - 2.0 * log(sigma) - 0.5 * square / sigma**2
+
+        stays, changes = log_density(SAME_LIGHT, 1.0 - LIGHT_CHANGES), log_density(OTHER_LIGHT, LIGHT_CHANGES)
+        return min(float(np.logaddexp(stays, changes)) - log_density(OTHER_THING, 1.0), 0.0)

@@ -21,9 +21,9 @@ from rival import Ours, Rival, RivalEstimator
 from huepose.datasets.bop import BopScene
 from huepose.datasets.types import SomeImages
 from huepose.estimation import Estimator, EstimatorConfig
-from huepose.evaluation.assignment import labels_of
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
 from huepose.evaluation.estimate_rows import EstimateRow, summary_of
+from huepose.evaluation.instances import labels_of
 from huepose.evaluation.metrics import FIGURES
 from huepose.evaluation.summary import table
 from huepose.evaluation.tables.journal import Journal

@@ -12,7 +12,7 @@ import numpy as np
 from huepose.believe.quality import QualityTerms
 from huepose.datasets import files
 from huepose.evaluation import metrics
-from huepose.evaluation.figures import Row
+from huepose.evaluation.summary import Row
 from huepose.geometry.arrays import Bool, Float64, Int64
 from huepose.support.errors import InputError
 

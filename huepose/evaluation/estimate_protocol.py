@@ -15,9 +15,9 @@ from huepose.datasets.boxes import Disturbance, disturbed, projected_box, truth_
 from huepose.datasets.types import Sample, Scene
 from huepose.estimation.standing import standing_answers, why_none_stands
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
-from huepose.evaluation.assignment import Label, assigned, labels_of, localised
 from huepose.evaluation.bop_errors import BopErrors, BopObject, BopScore, bop_errors, matched_recalls
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
+from huepose.evaluation.instances import Label, assigned, labels_of, localised
 from huepose.evaluation.targets import Key, Targets, object_number
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box

@@ -11,8 +11,7 @@ import numpy as np
 from huepose.believe.quality import QualityTerms
 from huepose.evaluation import metrics
 from huepose.evaluation.bop_errors import BopScore, average_recalls
-from huepose.evaluation.figures import Row, pose_figures, pose_intervals
-from huepose.evaluation.summary import Figures, grouped, mean_figures
+from huepose.evaluation.summary import Figures, Row, grouped, mean_figures, pose_figures, pose_intervals
 from huepose.evaluation.targets import PoseError
 from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box

@@ -12,9 +12,8 @@ import numpy as np
 
 from huepose.datasets import files
 from huepose.evaluation.bootstrap import Share
-from huepose.evaluation.figures import Row, pose_scores
 from huepose.evaluation.states import Moment, coverable, false_tracking
-from huepose.evaluation.summary import grouped
+from huepose.evaluation.summary import Row, grouped, pose_scores
 from huepose.geometry.arrays import Float64
 from huepose.support.errors import InputError
 

@@ -7,12 +7,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from huepose.evaluation.bootstrap import Interval
-from huepose.evaluation.figures import POSE_FIGURES, pose_figures, pose_intervals
 from huepose.evaluation.instances import Place, PublishedPose, match
 from huepose.evaluation.measured import BLOCK_NS, ENOUGH_SEQUENCES
 from huepose.evaluation.metrics import ROFT_FIGURES, roft_figures
 from huepose.evaluation.states import TIMES, Moment, StateReport, combined, report
-from huepose.evaluation.summary import Figures, grouped, largest, mean_figures
+from huepose.evaluation.summary import (
+    POSE_FIGURES,
+    Figures,
+    grouped,
+    largest,
+    mean_figures,
+    pose_figures,
+    pose_intervals,
+)
 from huepose.evaluation.targets import PoseError, Targets, object_number
 from huepose.geometry.arrays import Float64
 

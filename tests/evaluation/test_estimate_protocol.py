@@ -9,8 +9,8 @@ import pytest
 
 from huepose.datasets.bop_detections import BopDetection, BopDetections
 from huepose.datasets.boxes import disturbed, truth_box
-from huepose.evaluation.assignment import assigned
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
+from huepose.evaluation.instances import assigned
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Box, se3

@@ -9,8 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from huepose.evaluation.figures import Row
-from huepose.evaluation.summary import grouped, mean_figures
+from huepose.evaluation.summary import Row, grouped, mean_figures
 from huepose.evaluation.tables.figures import (
     BOP_COLUMNS,
     COLUMNS,

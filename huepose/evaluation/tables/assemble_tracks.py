@@ -10,9 +10,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from huepose.datasets.fast_ycb import object_of
-from huepose.evaluation.figures import Row
 from huepose.evaluation.measured import BLOCK_NS
-from huepose.evaluation.summary import mean_figures, mean_of
+from huepose.evaluation.summary import Row, mean_figures, mean_of
 from huepose.evaluation.tables.figures import COLUMNS, VOC, Unseen, figures, rows_of, scored, spans
 from huepose.evaluation.tables.journal import Entry
 from huepose.evaluation.tables.published import published

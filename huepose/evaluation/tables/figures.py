@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from huepose.evaluation.bop_errors import average_recalls
-from huepose.evaluation.figures import Row, pose_figures, pose_intervals
+from huepose.evaluation.summary import Row, pose_figures, pose_intervals
 from huepose.evaluation.tables.journal import Entry
 from huepose.evaluation.tables.table import Cell, Head
 

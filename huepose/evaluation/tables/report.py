@@ -14,8 +14,7 @@ from huepose.drawing.canvas import Colour
 from huepose.drawing.plots import bar_chart, line_plot, reliability_plot
 from huepose.evaluation import metrics
 from huepose.evaluation.ablation_rows import AblationResult
-from huepose.evaluation.figures import Row, errors
-from huepose.evaluation.summary import grouped
+from huepose.evaluation.summary import Row, errors, grouped
 from huepose.evaluation.tables.figures import Unseen, figures, rows_of, scored
 from huepose.evaluation.tables.published import published
 from huepose.evaluation.tables.table import Table, in_short

@@ -12,10 +12,10 @@ import numpy as np
 from huepose.datasets.bop_detections import BopDetections, read_detections
 from huepose.estimation import Estimator
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
-from huepose.evaluation.figures import Row
 from huepose.evaluation.pictures import PictureFolder
 from huepose.evaluation.pose_files import BopResult, write_bop_csv
 from huepose.evaluation.result_files import origin, write_json
+from huepose.evaluation.summary import Row
 from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector

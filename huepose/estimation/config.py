@@ -10,8 +10,8 @@ from huepose.select.config import NearTieConfig
 from huepose.support.errors import InputError
 
 if TYPE_CHECKING:
-    from huepose.paper.config import PaperConfig
-    from huepose.paper.extended.config import ColorpairPathConfig
+    from huepose.paper.extended.colorpair import ColorpairPathConfig
+    from huepose.paper.single_frame import PaperConfig
 
 Method = Literal["full", "colorpair", "paper"]
 

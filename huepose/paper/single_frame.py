@@ -24,6 +24,7 @@ objects of the frame. What the paper leaves open, and what is done here:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -32,8 +33,9 @@ from huepose.colorpair.lifting import lift
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import PaperTables, ReferenceModel
+from huepose.paper.classes import ClassConfig
 from huepose.paper.cloud import ClassifiedCloud
-from huepose.paper.config import PaperConfig
+from huepose.paper.ppf import PpfConfig
 from huepose.paper.scene import (
     NEEDED_CLASSES,
     classes_in_sight,
@@ -45,7 +47,8 @@ from huepose.paper.scene import (
 )
 from huepose.paper.semantic_icp import ClassifiedScene, SemanticIcpConfig, semantic_icp_many
 from huepose.paper.tables import tables_of
-from huepose.paper.voting import cluster
+from huepose.paper.triangles import TriangleConfig
+from huepose.paper.voting import VotingConfig, cluster
 from huepose.propose.evidence import Evidence
 from huepose.propose.types import Votes
 from huepose.select.distinct import Ranked
@@ -56,6 +59,20 @@ NO_POSES = np.zeros((0, 4, 4)), np.zeros(0)
 GATE = 0.06
 """Distance from which two points are no correspondence, in diameters of the model's cloud: the third of the
 ICP's four gates, which bears the noise of depth. Not fitted."""
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """refined: initial alignments that are refined, the paper's "small, consistent set"; triangles, ppf: None
+    to do without that source of votes (see `paper.ppf` for why one may not want point pair features, which
+    are always asked where triangles are not); the rest: of the steps."""
+
+    refined: int = 30
+    classes: ClassConfig = field(default_factory=ClassConfig)
+    triangles: TriangleConfig | None = field(default_factory=TriangleConfig)
+    ppf: PpfConfig | None = field(default_factory=PpfConfig)
+    voting: VotingConfig = field(default_factory=VotingConfig)
+    icp: SemanticIcpConfig = field(default_factory=SemanticIcpConfig)
 
 
 class PaperMethod:

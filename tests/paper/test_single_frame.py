@@ -12,9 +12,8 @@ from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.paper import single_frame
-from huepose.paper.config import PaperConfig
 from huepose.paper.semantic_icp import ClassifiedScene
-from huepose.paper.single_frame import PaperMethod, fitness_of
+from huepose.paper.single_frame import PaperConfig, PaperMethod, fitness_of
 from huepose.paper.tables import tables_of
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError

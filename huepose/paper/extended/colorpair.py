@@ -9,6 +9,7 @@ settling on depth > the best searched finely, and all judged by pairs.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -19,8 +20,7 @@ from huepose.judge.pairs import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, PairPicture, pa
 from huepose.judge.region import Region
 from huepose.judge.texture_evidence import agreement_many
 from huepose.model.types import ReferenceModel
-from huepose.paper.extended.config import ColorpairPathConfig
-from huepose.paper.extended.hypotheses import hypotheses_of, read_scene
+from huepose.paper.extended.hypotheses import HypothesesConfig, hypotheses_of, read_scene
 from huepose.paper.extended.pair_search import search_pairs
 from huepose.paper.extended.shape import shape_hypotheses
 from huepose.paper.scene import extract_at_model_scale, warm_up_point_pairs
@@ -41,6 +41,26 @@ SEARCH_PAIRS, SEARCH_SAMPLES = 600, 300
 CORRELATED, AGREED = 0.5, 0.5
 """What the score's correlations count in the end, and the agreement in which a pair that disagrees wholly
 counts as nothing (`judge.texture_evidence.agreement_many`): chosen on drawn heaps."""
+
+
+@dataclass(frozen=True)
+class ColorpairPathConfig:
+    """How much the colour-pair path tries. refined: hypotheses a mask that are registered; shapes: of them
+    starts from shape alone, at most, where colours propose too few, 0 for none; kept: different ones after
+    that; with_near_symmetries: of them whose near-symmetric rotations are tried; searched: poses a mask that
+    are searched; finished: poses searched finely in the end; alternatives: different poses that are returned.
+    semantic: whether semantic ICP adds a pose to each of the best different ones; hypotheses: what votes,
+    and under which lights."""
+
+    refined: int = 30
+    shapes: int = 20
+    kept: int = 8
+    with_near_symmetries: int = 5
+    searched: int = 8
+    finished: int = 3
+    alternatives: int = 6
+    semantic: bool = True
+    hypotheses: HypothesesConfig = field(default_factory=HypothesesConfig)
 
 
 class ColorpairMethod:

@@ -11,8 +11,7 @@ from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.pairs import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, pair_picture
 from huepose.model.types import ReferenceModel
-from huepose.paper.extended.colorpair import estimate_by_pairs
-from huepose.paper.extended.config import ColorpairPathConfig
+from huepose.paper.extended.colorpair import ColorpairPathConfig, estimate_by_pairs
 from huepose.paper.extended.hypotheses import HypothesesConfig
 from huepose.propose.evidence import Evidence, gather
 from huepose.rendering.render import render_depth

@@ -1,19 +1,28 @@
 """Where a camera is on a robot, from poses of the hand and poses of one object (hand-eye calibration).
 
-With A_i X B_i = Y for all i: a closed form (`hand_eye_methods`) finds X from the moves between measurements,
-then X and Y are refined together over all measurements.
+With A_i X B_i = Y for all i: a closed form finds X of M_k X = X N_k, from moves of the hand and of the camera
+between measurements, then X and Y are refined together over all measurements.
+
+Of the closed forms Park finds the rotation from rotation vectors, Tsai from tangents of half angles;
+translations follow by least squares. Daniilidis finds both at once from the screws of the moves. OpenCV 4 has
+them as `calibrateHandEye`, OpenCV 5 no more. They weigh errors differently, so where they disagree the
+measurements say little.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.geometry.hand_eye_methods import CLOSED_FORMS, Method, disagreement, rotation_vectors
+from huepose.geometry.kabsch import fit
 from huepose.support.errors import InputError
 from huepose.support.words import counted
 
@@ -99,3 +108,103 @@ def residuals(A: Float64, B: Float64, X: Float64, Y: Float64, lever_m: float) ->
     left = se3.inverse(Y) @ A @ X @ B
     turns = rotation_vectors(left)
     return np.concatenate([left[:, :3, 3].ravel(), lever_m * turns.ravel()])
+
+
+Method = Literal["park", "tsai", "daniilidis"]
+
+
+def park(M: Float64, N: Float64) -> Float64:
+    """X (4, 4) of moves (K, 4, 4): the rotation vectors of M are those of N, turned.
+
+    Park and Martin, Robot sensor calibration: solving AX = XB on the Euclidean group (1994)."""
+    alpha, beta = rotation_vectors(M), rotation_vectors(N)
+    # Opposite ones make the fit one about the origin.
+    R = fit(np.vstack([beta, -beta]), np.vstack([alpha, -alpha]))[:3, :3]
+    return _with_translation(M, N, R)
+
+
+def tsai(M: Float64, N: Float64) -> Float64:
+    """X (4, 4) of moves (K, 4, 4), by modified Rodrigues vectors 2 sin(angle / 2) axis.
+
+    Tsai and Lenz, A new technique for fully autonomous and efficient 3D robotics hand/eye calibration (1989).
+    Where X turns by 180 degrees its equations leave the axis open. So X is sought times each half turn about
+    an axis, too, as Shuster's method of sequential rotations does (Approximate algorithms for fast optimal
+    attitude computation, 1978), and the best determined of the four is taken."""
+    p = _modified(M)
+    found = []
+    for half in (np.eye(3), *(se3.rotation_exp(np.pi * axis) for axis in np.eye(3))):
+        q = _modified(N) @ half.T
+        left = np.vstack([se3.hat(a + b) for a, b in zip(p, q, strict=True)])
+        tangent, _, _, singular = np.linalg.lstsq(left, (q - p).ravel(), rcond=None)
+        found.append((float(singular[-1]), tangent, half))
+    _, tangent, half = max(found, key=lambda one: one[0])
+    length = float(np.linalg.norm(tangent))  # of half the angle
+    R = np.eye(3) if length < 1e-12 else se3.rotation_exp(2.0 * np.arctan(length) * tangent / length)
+    return _with_translation(M, N, R @ half)
+
+
+def daniilidis(M: Float64, N: Float64) -> Float64:
+    """X (4, 4) of moves (K, 4, 4), by unit dual quaternions, rotation and translation at once.
+
+    Daniilidis, Hand-eye calibration using dual quaternions (1999), equations 31 to 35."""
+    rows = []
+    for m, n in zip(M, N, strict=True):
+        (a, a_dual), (b, b_dual) = _screw(m), _screw(n)
+        upper = np.column_stack([a - b, se3.hat(a + b)])
+        rows.append(np.hstack([upper, np.zeros((3, 4))]))
+        rows.append(np.hstack([np.column_stack([a_dual - b_dual, se3.hat(a_dual + b_dual)]), upper]))
+    v7, v8 = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-2:]
+    (u1, v1), (u2, v2) = (v7[:4], v7[4:]), (v8[:4], v8[4:])
+    # The answer is s v7 + t v8 with a unit real part, across which its dual part lies: two for s / t.
+    ratios = np.roots([u1 @ v1, u1 @ v2 + u2 @ v1, u2 @ v2]).real
+    lengths = [s * s * (u1 @ u1) + 2.0 * s * (u1 @ u2) + u2 @ u2 for s in ratios]
+    s, length = ratios[int(np.argmax(lengths))], max(lengths)
+    q, dual = (s * u1 + u2) / np.sqrt(length), (s * v1 + v2) / np.sqrt(length)
+    t = 2.0 * (q[0] * dual[1:] - dual[0] * q[1:] + np.cross(q[1:], dual[1:]))
+    return se3.make(se3.rotation_from_quaternion(np.roll(q, -1)), t)
+
+
+CLOSED_FORMS: dict[Method, Callable[[Float64, Float64], Float64]] = {
+    "park": park,
+    "tsai": tsai,
+    "daniilidis": daniilidis,
+}
+
+
+def disagreement(M: Float64, N: Float64) -> tuple[float, float]:
+    """How far the closed forms of moves (K, 4, 4) lie apart: the largest distance between two, metres, and
+    the largest angle, radians."""
+    pairs = list(combinations([solved(M, N) for solved in CLOSED_FORMS.values()], 2))
+    return (
+        max(float(np.linalg.norm(one[:3, 3] - other[:3, 3])) for one, other in pairs),
+        max(se3.rotation_angle(one, other) for one, other in pairs),
+    )
+
+
+def rotation_vectors(M: Float64) -> Float64:
+    """Of poses (K, 4, 4), as (K, 3), radians."""
+    return np.asarray(Rotation.from_matrix(M[:, :3, :3]).as_rotvec())
+
+
+def _with_translation(M: Float64, N: Float64, R: Float64) -> Float64:
+    """X of a known rotation: (R_M - 1) t = R t_N - t_M for all moves, by least squares."""
+    left = np.vstack([m[:3, :3] - np.eye(3) for m in M])
+    right = np.concatenate([R @ n[:3, 3] - m[:3, 3] for m, n in zip(M, N, strict=True)])
+    return se3.make(R, np.linalg.lstsq(left, right, rcond=None)[0])
+
+
+def _modified(M: Float64) -> Float64:
+    """Modified Rodrigues vectors (K, 3) as Tsai has them: twice the vector part of the quaternion."""
+    return np.array([2.0 * _quaternion(m)[:3] for m in M])
+
+
+def _screw(T: Float64) -> tuple[Float64, Float64]:
+    """Vector parts (3,) of the real and of the dual quaternion of a motion (4, 4)."""
+    q, t = _quaternion(T), T[:3, 3]
+    return q[:3], 0.5 * (q[3] * t + np.cross(t, q[:3]))
+
+
+def _quaternion(T: Float64) -> Float64:
+    """That of an angle up to 180 degrees, xyzw (4,): moves that belong together have the same angle."""
+    q = se3.quaternion_from_rotation(T[:3, :3])
+    return q if q[3] >= 0.0 else -q

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.geometry.hand_eye import moves, solve
-from huepose.geometry.hand_eye_methods import CLOSED_FORMS, Method, disagreement
+from huepose.geometry.hand_eye import CLOSED_FORMS, Method, disagreement, moves, solve
 
 X = se3.make(se3.rotation_exp(np.array([0.3, -0.7, 0.4])), np.array([0.4, -0.2, 0.9]))
 Y = se3.make(se3.rotation_exp(np.array([-1.2, 0.2, 0.5])), np.array([0.02, 0.05, 0.12]))

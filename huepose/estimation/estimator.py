@@ -16,23 +16,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from huepose.estimation.answer import answered
-from huepose.estimation.apparent_size import looks
+from huepose.estimation.answer import answered, confirm, refine_prior
+from huepose.estimation.apparent_size import looks, support
 from huepose.estimation.config import CompetitionConfig, EstimatorConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.methods import method_of
 from huepose.estimation.present import PresenceIn
 from huepose.estimation.types import ObjectQuery, PoseEstimate
-from huepose.estimation.warm_up import warm_up
+from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
+from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.silhouette import taken_by
+from huepose.judge.silhouette import projected_box, taken_by
 from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
 from huepose.perception.veil import unveiled
 from huepose.propose.templates import table_of
+from huepose.rendering.render import render
+from huepose.select.distinct import Ranked
+from huepose.select.near_ties import decided
 from huepose.support.errors import require
 from huepose.support.pool import Pool
 from huepose.support.stages import stage
@@ -214,3 +218,29 @@ def _share_of_box(box: Box | None, taken: Bool) -> float:
     height, width = taken.shape
     inside = taken[box.slices(width, height)]
     return float(inside.mean()) if inside.size else 0.0
+
+
+Explain = Callable[[RgbdFrame, ObjectQuery], tuple[PoseEstimate, Explanation]]
+
+
+def warm_up(explain: Explain, model: ReferenceModel, full: bool) -> None:
+    """Let an estimator look for an object that stands before a wall, and ask whether it is there; full: by
+    the method of that name, for which there may be a prior, and a near tie between poses."""
+    camera = Camera(320.0, 320.0, 159.5, 119.5, 320, 240)
+    T = se3.make(np.eye(3), np.array([0.0, 0.0, 3.0 * model.diameter_m]) - model.mesh.centre)
+    picture = render([(model.mesh, T)], camera)
+    wall = np.float32(4.0 * model.diameter_m)
+    frame = RgbdFrame(picture.color, np.where(picture.depth > 0, picture.depth, wall), camera)
+    box = projected_box(model, frame, T)
+    if box is None:
+        return
+    _, seen = explain(frame, ObjectQuery(model.name, box, searched=True))
+    if not full or seen.evidence is None:
+        return
+    region = seen.evidence.region
+    refined = refine_prior(model, seen.evidence, T)
+    confirm(model, region, refined)
+    pose = refined.poses[0]
+    turned = se3.perturb(pose, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
+    decided(model, region, Ranked.of(np.stack([pose, turned]), np.array([2.0, 1.95])))
+    support(frame, model, pose, picture.depth > 0)

@@ -1,4 +1,4 @@
-"""SE(3), cameras, the RGB-D frame, meshes, boxes, rigid registration, symmetries, uncertainty."""
+"""SE(3), cameras, the RGB-D frame, meshes, boxes, rigid registration, symmetries."""
 
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera

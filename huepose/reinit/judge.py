@@ -11,7 +11,7 @@ from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.geometry.uncertainty import carrying, grown, mahalanobis
+from huepose.geometry.se3 import carrying, grown, mahalanobis
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.types import ObjectSlot, Prior
 from huepose.tracking.types import Verdict

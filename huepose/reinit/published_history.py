@@ -11,7 +11,7 @@ from collections import deque
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.uncertainty import grown
+from huepose.geometry.se3 import grown
 from huepose.reinit.schedule import LONGEST_S
 from huepose.reinit.types import Key, Prior
 from huepose.tracking.types import TrackedPose

@@ -17,7 +17,7 @@ from huepose.believe.logistic import probability
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.uncertainty import carrying
+from huepose.geometry.se3 import carrying
 from huepose.judge.borders import held, outline
 from huepose.refine.ends import moved_to_ends
 from huepose.refine.photometric import FULL, RESIDUALS_PER_READING

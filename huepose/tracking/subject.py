@@ -15,8 +15,7 @@ from huepose.judge.borders import Contours
 from huepose.judge.open_region import PreparedSurface
 from huepose.model.types import ReferenceModel
 from huepose.perception.window_table import WindowTable, window_table
-from huepose.select.distinct import RIGHT
-from huepose.select.slender import rolls
+from huepose.select.distinct import FINAL_TURN_RAD, RIGHT, different_answers
 
 SMALL_TURN = np.radians(45.0)
 """Near-symmetric rotations up to this angle exist only about an axis of revolution."""
@@ -122,3 +121,14 @@ def _moved(model: ReferenceModel, turn: Float64) -> float:
         for T in model.equivalents
     ]
     return float(min(apart) / model.diameter_m)
+
+
+def rolls(model: ReferenceModel) -> Float64:
+    """Its near-symmetric rotations (K, 4, 4) after which a pose counts as the same answer, though it looks
+    different."""
+    one = np.eye(4)
+    same = [T for T in model.near_symmetries[1:] if len(different_answers(model, np.stack([one, T]))) == 1]
+    apart = [min(se3.rotation_angle(T, equivalent) for equivalent in model.equivalents) for T in same]
+    return np.array([T for T, angle in zip(same, apart, strict=True) if angle > FINAL_TURN_RAD]).reshape(
+        -1, 4, 4
+    )

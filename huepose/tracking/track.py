@@ -12,7 +12,7 @@ from huepose.believe.state import State
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.uncertainty import grown
+from huepose.geometry.se3 import grown
 from huepose.judge.terms import NOTHING, Terms
 from huepose.propose.relative_pose import RelativePose
 from huepose.select.distinct import RIGHT

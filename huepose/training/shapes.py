@@ -15,8 +15,7 @@ from huepose.geometry.mesh import Mesh
 from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, revolved
 from huepose.scenes.shapes import printed
-from huepose.training.household import household_object
-from huepose.training.prints import random_art, random_palette, sized
+from huepose.training.household import household_object, random_art, random_palette, sized
 
 RINGS, SPOKES = 18, 30
 MAX_PARTS = 4

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from huepose.geometry import se3, symmetry, uncertainty
+from huepose.geometry import se3, symmetry
 from huepose.geometry.icosphere import directions, look_at
 
 
@@ -48,14 +48,12 @@ def test_discrete_symmetries_compose_with_continuous_ones():
 def test_mahalanobis_counts_standard_deviations():
     cov = np.diag([0.01**2] * 3 + [0.1**2] * 3)
     T = se3.exp(np.array([0, 0, 1, 0.1, 0.2, 0.3]))
-    assert uncertainty.mahalanobis(T, se3.perturb(T, np.array([0.02, 0, 0, 0, 0, 0])), cov) == pytest.approx(
-        2
-    )
-    assert uncertainty.mahalanobis(T, se3.perturb(T, np.array([0, 0, 0, 0.3, 0, 0])), cov) == pytest.approx(3)
+    assert se3.mahalanobis(T, se3.perturb(T, np.array([0.02, 0, 0, 0, 0, 0])), cov) == pytest.approx(2)
+    assert se3.mahalanobis(T, se3.perturb(T, np.array([0, 0, 0, 0.3, 0, 0])), cov) == pytest.approx(3)
 
 
 def test_uncertainty_grows_with_time():
-    grown = uncertainty.grown(np.zeros((6, 6)), 0.1, accel_m_s2=2.0, accel_rad_s2=4.0)
+    grown = se3.grown(np.zeros((6, 6)), 0.1, accel_m_s2=2.0, accel_rad_s2=4.0)
     np.testing.assert_allclose(np.sqrt(np.diag(grown)), [0.01] * 3 + [0.02] * 3)
 
 

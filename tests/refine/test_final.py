@@ -10,7 +10,7 @@ import pytest
 
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.camera import POINTS_PER_READING
-from huepose.geometry.uncertainty import carrying
+from huepose.geometry.se3 import carrying
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.onboarding.surface import build_grid

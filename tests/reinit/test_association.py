@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.geometry.uncertainty import carrying
+from huepose.geometry.se3 import carrying
 from huepose.reinit.judge import assign, displacement_m, near
 from huepose.reinit.types import ObjectSlot, Prior
 

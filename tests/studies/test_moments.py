@@ -8,8 +8,8 @@ import numpy as np
 from huepose.evaluation.states import report
 from huepose.model import ReferenceModel
 from huepose.tracking import Tracker, TrackerConfig
-from studies.stress.oracle import Oracle
 from studies.stress.play import play
+from studies.stress.playing import Oracle
 from tests.studies.challenge import challenge
 from tests.studies.moments import covered, swapped
 

@@ -9,7 +9,7 @@ import pytest
 
 from huepose.believe.state import State
 from huepose.geometry import se3
-from huepose.geometry.uncertainty import carrying
+from huepose.geometry.se3 import carrying
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import NOTHING
 from huepose.tracking import Correction, Tracker, TrackerConfig

@@ -10,7 +10,7 @@ import pytest
 from huepose.believe.logistic import probability
 from huepose.believe.state import State
 from huepose.geometry import Camera, se3
-from huepose.geometry.uncertainty import grown
+from huepose.geometry.se3 import grown
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.silhouette import silhouette_iou, visible_within
 from huepose.judge.terms import NOTHING, Terms

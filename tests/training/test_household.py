@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from huepose.training.household import household_object
-from huepose.training.prints import random_palette
+from huepose.training.household import household_object, random_palette
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from huepose.support.files import write_picture
 from huepose.support.progress import Status, progress
 from huepose.support.words import counted
 from huepose_services.cli.mesh_unit import with_unit
-from huepose_services.cli.onboard_video import METRES, add_video, mesh_from_video
+from huepose_services.cli.onboard_video import add_video, mesh_from_video
 from huepose_services.cli.options import add_json, add_number, add_path, add_several, add_unit, answered, say
 
 if TYPE_CHECKING:
@@ -96,9 +96,10 @@ def call(arguments: argparse.Namespace) -> int:
 
     symmetric = symmetries_of(arguments.symmetric)
     made = mesh_from_video(arguments)
-    mesh, unit = (made.mesh, METRES) if made else (arguments.mesh, arguments.unit)
-    given = (mesh, arguments.name, arguments.id, unit)
-    job = Job(*given, symmetric=symmetric, paper=arguments.paper)
+    mesh, unit = arguments.mesh, arguments.unit
+    if made:
+        mesh, unit = made.mesh, "m"
+    job = Job(mesh, arguments.name, arguments.id, unit, symmetric=symmetric, paper=arguments.paper)
     result = onboard_one(job, arguments.out, settled=made is not None)
     if not arguments.json:
         print(in_words(result), flush=True)

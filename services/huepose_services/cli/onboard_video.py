@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from huepose.geometry import RgbdFrame
     from huepose.onboarding.from_video import Learned, Selection
 
-METRES: Literal["m"] = "m"
 ALL_ROUND = 0.6
 """Share of the surface under which a model is of one side: an object on a table shows four fifths of it."""
 

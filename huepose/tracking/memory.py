@@ -31,12 +31,13 @@ from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.tracker import Tracker
 from huepose.tracking.types import Correction, TrackedPose, Verdict
+from huepose.tracking.usual import Usual
 
 _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
         *(Correction, Effort, Entry, Facing, FrameHistory, Hypothesis, Identity, PoseHistory),
-        *(Orientation, Pursuit, Reach, Standing, Terms, Track, TrackedPose, _Stretch),
+        *(Orientation, Pursuit, Reach, Standing, Terms, Track, TrackedPose, Usual, _Stretch),
     )
 }
 _ENUMS: dict[str, type[Enum]] = {"State": State, "Verdict": Verdict}

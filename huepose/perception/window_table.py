@@ -81,10 +81,10 @@ def _in_all_cells(coarse: CoarseViews, values: Float32) -> Float32:
     return out
 
 
-APART, BESIDE, LIKEST = 0.3, 0.36, 16
+APART, BESIDE, LIKEST, LIKE = 0.3, 0.36, 16, 0.18
 """A coarse-to-fine search: first windows at least APART diameters from each other are coded, then all that
-lie within BESIDE diameters of the LIKEST most similar ones. 12 of these were enough (docs/detection.md, codes
-of views)."""
+lie within BESIDE diameters of the LIKEST most similar ones, as far as these have a likeness of LIKE with some
+view (docs/detection.md, codes of views)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,8 @@ def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) ->
     views with them.
 
     Always coded: the `first` ones, those on separate pieces, and those recalled from memory. Of the others a
-    subset APART diameters apart, and then the neighbours of the most similar ones."""
+    subset APART diameters apart, and then the neighbours of the most similar ones, where these are similar at
+    all."""
     from scipy.spatial.distance import cdist  # a tenth of a second, which the tracker does not need
 
     places = windows.places_diameters(chosen)
@@ -131,7 +132,9 @@ def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) ->
     _spread(places, APART, taken)
     some = np.flatnonzero(taken)
     alike = compared(table, windows, chosen[some])
-    likest = some[np.argsort(-alike.max(0), kind="stable")[:LIKEST]]
+    most = alike.max(0)
+    order = np.argsort(-most, kind="stable")[:LIKEST]
+    likest = some[order[most[order] >= LIKE]]
     with stage("look"):
         beside = (cdist(places, places[likest]) < BESIDE).any(1)
     more = np.flatnonzero(beside & ~taken)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
-from huepose.perception.window_table import APART, compared, narrowed, promising, window_table
+from huepose.perception.window_table import APART, LIKE, compared, narrowed, promising, window_table
 from huepose.perception.windows import SIZES, SPACING, Windows, WindowsBySize
 from huepose.support.stages import listening
 
@@ -64,6 +65,24 @@ def test_of_windows_beside_each_other_not_all_are_coded(view: ClearView, tea_box
     coded, every = windows.places_diameters(chosen), windows.places_diameters(order)
     assert np.linalg.norm(every[:, None] - coded[None], axis=2).min(1).max() < APART
     assert np.allclose(alike, compared(table, windows, chosen), atol=1e-5)
+
+
+def test_neighbours_of_windows_that_look_like_nothing_are_not_coded(
+    view: ClearView, tea_box: ReferenceModel
+) -> None:
+    windows, table = Windows(view, 0.05), window_table(tea_box)
+    order, first = promising(table, windows), 3
+
+    def nearest_of_the_others(codes: np.ndarray) -> float:
+        chosen, _ = narrowed(replace(table, codes=codes), windows, order, first)
+        places = windows.places_diameters(chosen)
+        away = np.linalg.norm(places[:, None] - places[None], axis=2) + 9.0 * np.eye(len(chosen))
+        at_any_rate = np.isin(chosen, order[:first]) | (chosen < windows.pieces)
+        return float(away[~at_any_rate].min())
+
+    most = compared(table, windows, order).max()
+    assert nearest_of_the_others(table.codes) < APART
+    assert nearest_of_the_others(np.float32(0.99 * LIKE / most) * table.codes) >= APART
 
 
 def test_few_windows_are_all_coded(view: ClearView, tea_box: ReferenceModel) -> None:

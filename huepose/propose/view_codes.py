@@ -25,7 +25,9 @@ CELLS = 8
 NUMBERS = 16
 """Of each cell."""
 
-BATCH = 32
+BATCH = 16
+"""Windows a run: what the network makes of more does not stay in a core's cache."""
+
 WEIGHTS = Path(__file__).parent / "weights"
 """views.onnx; views.json beside it says how it was made."""
 

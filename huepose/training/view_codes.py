@@ -25,6 +25,7 @@ from huepose.propose.templates import SPAN, view_rotations
 from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, UNTURNED
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
 from huepose.support.files import write_picture
+from huepose.training.byte_input import read_bytes
 from huepose.training.network import (
     LARGEST_SHARPNESS,
     ViewCodeNetwork,
@@ -174,7 +175,7 @@ def sensed(rgb: Tensor, relief: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def network_input(rgb: Tensor, relief: Tensor, *, clean: bool) -> Tensor:
-    """As `view_pictures.network_input`, of colours from 0 to 1."""
+    """As `view_pictures.network_input`, of colours from 0 to 1, but plain numbers (N, 6, 64, 64)."""
     known = torch.isfinite(relief)
     level = torch.where(known, relief, 0.0)
     colors = (2.0 * rgb - 1.0) * (known[:, None] if clean else 1.0)
@@ -319,7 +320,8 @@ def _ranks(net: ViewCodeNetwork, buffer: ObjectBuffer, k: int) -> Tensor:
 
 def export(net: ViewCodeNetwork, buffer: ObjectBuffer, file: Path) -> None:
     """Write the network as ONNX with a free batch size, quantised to 8 bits: half the CPU time, and the
-    cosine of its codes with the exact ones is 0.999. Activations are calibrated on objects of the buffer."""
+    cosine of its codes with the exact ones is 0.999. Activations are calibrated on objects of the buffer. It
+    reads the bytes of `view_pictures.network_input`."""
     from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
 
     exact = file.with_suffix(".exact.onnx")
@@ -336,6 +338,7 @@ def export(net: ViewCodeNetwork, buffer: ObjectBuffer, file: Path) -> None:
         reduce_range=True,
     )
     exact.unlink()
+    read_bytes(file)
 
 
 class _Pictures:

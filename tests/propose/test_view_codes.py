@@ -16,9 +16,12 @@ from huepose.model.types import ReferenceModel
 from huepose.propose.view_codes import WEIGHTS, codes_of_views, codes_of_windows
 from huepose.propose.view_pictures import (
     MAX_STEP,
+    NEAR,
     ROLLS,
     SIDE,
     SPAN,
+    STEP,
+    ZERO,
     Pyramid,
     clean_view,
     network_input,
@@ -69,11 +72,29 @@ def test_a_window_is_read_at_metric_scale_and_unknown_depth_says_so() -> None:
     assert np.isnan(reliefs[0, :30]).all()
     assert reliefs[0, 34:] == pytest.approx(0.5)
     x = network_input(colors, reliefs, clean=False)
-    assert x.shape == (1, 6, SIDE, SIDE)
-    assert (x[0, 4, :30] == 0).all()
-    assert (x[0, 4:, 34:] == 1).all()
-    assert x[0, 3, 40, 40] == pytest.approx(1.0)
-    assert x[0, 0, 10, -5] == pytest.approx(200 / 127.5 - 1)
+    assert x.shape == (1, SIDE, SIDE, 8)
+    numbers = (x[0].astype(np.float64) - ZERO) * STEP
+    assert (numbers[:30, :, 3:6] == 0).all()
+    assert numbers[34:, :, 4:6] == pytest.approx(1.0, abs=0.005)
+    assert numbers[40, 40, 3] == pytest.approx(1.0, abs=0.005)
+    assert numbers[10, -5, 0] == pytest.approx(200 / 127.5 - 1, abs=0.005)
+
+
+@pytest.mark.parametrize("clean", [False, True])
+def test_the_input_has_the_bytes_that_the_network_made_of_numbers_itself(clean: bool) -> None:
+    rng = np.random.default_rng(1)
+    colors = rng.integers(0, 256, (3, SIDE, SIDE, 3)).astype(np.uint8)
+    reliefs = rng.normal(0.0, 0.4, (3, SIDE, SIDE)).astype(np.float32)
+    reliefs[0] = (np.arange(SIDE * SIDE).reshape(SIDE, SIDE) / 8 - 256) * STEP / 2  # halves of a step, too
+    known = rng.random(reliefs.shape) < 0.8
+    near = np.float32(NEAR)
+    level = np.where(known, reliefs, np.float32(0.0))
+    color = colors * np.float32(2.0 / 255.0) - np.float32(1.0)
+    color[~known & clean] = 0.0
+    relief = np.clip(level, -near, near) * np.float32(2.0)
+    numbers = np.concatenate([color, np.stack([relief, known, known & (abs(level) < near)], -1)], -1)
+    x = network_input(colors, np.where(known, reliefs, np.float32(np.nan)), clean=clean)
+    assert np.array_equal(x[..., :6], np.clip(np.rint(numbers.astype(np.float32) / STEP) + ZERO, 0, 255))
 
 
 def test_windows_read_the_nearest_depth_and_the_picture_halved_until_its_steps_are_short() -> None:

@@ -101,8 +101,13 @@ def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
         y0,
         color,
         frame.depth[y0:y1, x0:x1].copy(),
-        np.asarray(cv2.inRange(color, (0, 0, 0), (SATURATED - 1,) * 3) == 0),
+        saturated(color),
     )
+
+
+def saturated(color: UInt8) -> Bool:
+    """Which pixels of a picture (h, w, 3) have a saturated channel (h, w)."""
+    return np.asarray(cv2.inRange(color, (0, 0, 0), (SATURATED - 1,) * 3) == 0)
 
 
 def prepare_believed(

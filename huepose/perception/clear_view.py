@@ -14,7 +14,7 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.median import median
-from huepose.judge.region import SATURATED, Crop, Region
+from huepose.judge.region import Crop, Region, saturated
 from huepose.model.types import COLOR_SCALES_M
 from huepose.perception.embedded import depth_steps
 from huepose.perception.ground import large_planes, standing_clear
@@ -92,12 +92,10 @@ def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     width, height = frame.camera.width, frame.camera.height
     rows, columns = bounds.grown(0.0, MARGIN_PX).slices(width, height)
     measured, clear = frame.depth[rows, columns].copy(), np.ascontiguousarray(clear[rows, columns])
-    depth = measured.copy()
-    depth[~clear & (depth > 0)] = FAR_M
+    depth = np.where(clear | (measured <= 0.0), measured, np.float32(FAR_M))
     color = np.ascontiguousarray(frame.color[rows, columns])
     camera: Camera = frame.camera.cropped(columns.start, rows.start, depth.shape[1], depth.shape[0])
-    saturated = (color[..., 0] >= SATURATED) | (color[..., 1] >= SATURATED) | (color[..., 2] >= SATURATED)
-    crop = Crop(camera, columns.start, rows.start, color, depth, np.asarray(saturated))
+    crop = Crop(camera, columns.start, rows.start, color, depth, saturated(color))
     pieces[:, :2] -= columns.start, rows.start
     colors = _smoothed(color, camera.fx / median(depth[clear]))
     return ClearView(frame, crop, clear, colors, pieces, measured, Pyramid(color))

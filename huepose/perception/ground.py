@@ -106,25 +106,40 @@ def _take_away(
     that what has depth beside them bounds, by the mean of `front` there."""
     height, width = labels.shape
     size, seen, bounded = np.zeros(count), np.zeros(count), np.zeros(count)
+    # Of each stretch of a row that belongs to one piece: row, first column, and the one after the last.
+    stretches = np.empty((height * ((width + 1) // 2), 3), np.int32)
+    n = 0
     for v in range(height):
-        for u in range(width):
-            if labels[v, u] > 0:
-                size[labels[v, u]] += depth[v, u] ** 3
-    for v in range(height):
+        last = 0
         for u in range(width):
             own = labels[v, u]
-            if own == 0 or size[own] >= larger_than:
+            if u < last or own == 0:
                 continue
+            last = u + 1
+            while last < width and labels[v, last] == own:
+                last += 1
+            total = 0.0
+            for k in range(u, last):
+                total += depth[v, k] ** 3
+            size[own] += total
+            stretches[n, 0], stretches[n, 1], stretches[n, 2] = v, u, last
+            n += 1
+    for i in range(n):
+        v, first, last = stretches[i]
+        own = labels[v, first]
+        if size[own] >= larger_than:
+            continue
+        for u in range(first, last):
             for q in range(4):
                 b, a = v + BESIDE_PX * ((q == 0) - (q == 1)), u + BESIDE_PX * ((q == 2) - (q == 3))
                 if 0 <= b < height and 0 <= a < width and labels[b, a] != own and depth[b, a] > 0.0:
                     seen[own] += 1.0
                     bounded[own] += front[b, a]
-    for v in range(height):
-        for u in range(width):
-            own = labels[v, u]
-            if own > 0 and (size[own] >= larger_than or bounded[own] >= BOUNDED * seen[own]):
-                clear[v, u] = False
+    for i in range(n):
+        v, first, last = stretches[i]
+        own = labels[v, first]
+        if size[own] >= larger_than or bounded[own] >= BOUNDED * seen[own]:
+            clear[v, first:last] = False
 
 
 def _refitted(points: Float64, plane: Plane) -> tuple[Plane, Bool]:

@@ -114,6 +114,12 @@ def best_plane(points: Float64, triples: np.ndarray) -> Float64:
     grows with the square of depth, as the noise of stereo does."""
     best = np.zeros(7)
     n = np.empty(3)
+    # Coordinate by coordinate, so that the compiler works on several points at once.
+    x, y, z, near = np.empty((4, points.shape[0]))
+    for k in range(points.shape[0]):
+        x[k], y[k], z[k] = points[k, 0], points[k, 1], points[k, 2]
+        deep = max(z[k], 0.5)
+        near[k] = 0.006 * deep * deep
     for i in range(triples.shape[0]):
         a, b, c = points[triples[i, 0]], points[triples[i, 1]], points[triples[i, 2]]
         x0, x1, x2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -122,13 +128,11 @@ def best_plane(points: Float64, triples: np.ndarray) -> Float64:
         length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
         if length < 1e-9:
             continue
+        n0, n1, n2, a0, a1, a2 = n[0] / length, n[1] / length, n[2] / length, a[0], a[1], a[2]
         count = 0
         for k in range(points.shape[0]):
-            p = points[k]
-            height = ((p[0] - a[0]) * n[0] + (p[1] - a[1]) * n[1] + (p[2] - a[2]) * n[2]) / length
-            z = max(p[2], 0.5)
-            if abs(height) < 0.006 * z * z:
-                count += 1
+            height = (x[k] - a0) * n0 + (y[k] - a1) * n1 + (z[k] - a2) * n2
+            count += 1 if abs(height) < near[k] else 0
         if count > best[0]:
             best[0] = count
             for r in range(3):

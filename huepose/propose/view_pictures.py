@@ -15,6 +15,7 @@ import numpy as np
 from huepose.geometry import icosphere, se3
 from huepose.geometry.arrays import Float32, Float64, UInt8, UInt64
 from huepose.geometry.camera import Camera
+from huepose.geometry.median import median
 from huepose.geometry.mesh import Mesh
 from huepose.propose.templates import DISTANCE_DIAMETERS, DISTANCE_M, SPAN
 from huepose.rendering.render import render
@@ -79,17 +80,18 @@ def clean_view(mesh: Mesh, diameter_m: float, R_cam_obj: Float64, side: int = SI
     wide = int(_MARGIN * SPAN * _OVERSAMPLING * SIDE)
     camera = Camera(focal, focal, wide / 2 - 0.5, wide / 2 - 0.5, wide, wide)
     seen = render([(mesh, se3.make(R_cam_obj, [0.0, 0.0, distance] - R_cam_obj @ mesh.centre))], camera)
-    rows, columns = np.nonzero(seen.depth)
+    shown = seen.depth > 0
+    rows, columns = np.divmod(np.flatnonzero(shown), wide)
     middle = np.array([columns.mean(), rows.mean()])
-    median = float(np.median(seen.depth[rows, columns]))
-    step = np.array([_OVERSAMPLING * distance / median])
+    median_m = median(seen.depth[shown])
+    step = np.array([_OVERSAMPLING * distance / median_m])
     (to_picture,) = _lattices_to_picture(middle[None], step, side)
     blurred = np.asarray(cv2.GaussianBlur(seen.color, (0, 0), _BLUR_PX), np.uint8)
     depth = _resampled(seen.depth, to_picture, side, cv2.INTER_NEAREST)
     there = (depth > 0)[..., None]
-    relief = np.where(depth > 0, (depth - np.float32(median)) / np.float32(diameter_m), np.float32(np.nan))
+    relief = np.where(depth > 0, (depth - np.float32(median_m)) / np.float32(diameter_m), np.float32(np.nan))
     color = np.where(there, _resampled(blurred, to_picture, side, cv2.INTER_LINEAR), 0).astype(np.uint8)
-    point = camera.backproject(middle[None], np.array([median]))[0]
+    point = camera.backproject(middle[None], np.array([median_m]))[0]
     return CleanView(color, relief, point - np.array([0.0, 0.0, distance]))
 
 

@@ -13,4 +13,6 @@ def test_a_product_is_the_sum_over_the_cells(shape: tuple[int, int, int]) -> Non
     table = rng.random((rows, cells), np.float32)
     turned = rng.random((columns, cells), np.float32)
     table.flags.writeable = False  # as where it is mapped
-    np.testing.assert_allclose(product(table, turned.T), table.astype(np.float64) @ turned.T, rtol=1e-5)
+    right = table.astype(np.float64) @ turned.T
+    np.testing.assert_allclose(product(table, turned.T), right, rtol=1e-5)
+    np.testing.assert_allclose(product(table, np.ascontiguousarray(turned.T)), right, rtol=1e-5)

@@ -50,7 +50,7 @@ class PaperTracker:
         if not self._frames or correction.stamp_ns > self._frames[-1].stamp_ns:
             self._waiting.append(correction)
             return Applied.CATCHING_UP
-        followed = self._followed.get((correction.object, correction.instance))
+        followed = self._followed.get(correction.key)
         if followed is None or not _replayable(followed.history, correction.stamp_ns):
             return Applied.REFUSED_OLD
         if correction.verdict in (Verdict.ACQUIRE, Verdict.CORRECT):
@@ -95,7 +95,7 @@ class PaperTracker:
         """An instance begins, or begins anew, at this frame."""
         followed = _Followed(mask=correction.mask, applied_seq=correction.seq)
         followed.history.append(frame.frame_id, frame.stamp_ns, correction.T_cam_obj)
-        self._followed[correction.object, correction.instance] = followed
+        self._followed[correction.key] = followed
 
     def _published(self, key: Key, followed: _Followed, frame: RgbdFrame) -> TrackedPose:
         newest = followed.history.newest

@@ -238,7 +238,7 @@ class _Run:
         """Ask the late source about this frame, and keep what it says until it is due."""
         if self.sources.delayed is None or delivery.delivered is None:
             return
-        known = {(t.object, t.instance): t for t in tracked if t.T_cam_obj is not None}
+        known = {t.key: t for t in tracked if t.T_cam_obj is not None}
         priors = {}
         if self.judge is not None and delivery.looked_at > 0:
             priors = {

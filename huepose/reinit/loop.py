@@ -225,7 +225,7 @@ class ReinitLoop:
             out += self._judge(slot, estimates, result)
         for correction in out:
             self._outbox.send(correction, now_ns)
-            self._looked_ns[correction.object, correction.instance] = now_ns
+            self._looked_ns[correction.key] = now_ns
         return out
 
     def _judge(
@@ -273,7 +273,7 @@ class ReinitLoop:
         if any(near(T, c.T_cam_obj, slot) for c in taken):
             self._count(Verdict.REJECT)
             return None
-        key = self._free_instance(slot, {(c.object, c.instance) for c in taken})
+        key = self._free_instance(slot, {c.key for c in taken})
         if key is None:
             self._count(Verdict.REJECT)
             return None
@@ -305,7 +305,7 @@ class ReinitLoop:
         if never_came:
             return max(never_came)
         arriving = [k for k in (*self._outbox.instances, *taken) if k[0] == slot.object]
-        known = {(t.object, t.instance) for t in mine} | set(arriving)
+        known = {t.key for t in mine} | set(arriving)
         if len(known) >= slot.max_instances:
             unlikely = [
                 t for t in mine if doubtful(t, self.config) and (slot.object, t.instance) not in coming
@@ -352,7 +352,7 @@ class ReinitLoop:
         if tracks:
             newest = max(tracks, key=lambda t: t.stamp_ns)
             self._observe_epoch(newest.epoch, newest.stamp_ns)
-        self._tracks = {(t.object, t.instance): t for t in tracks if self._may_be_tracked(t)}
+        self._tracks = {t.key: t for t in tracks if self._may_be_tracked(t)}
         for track in self._tracks.values():
             self._past.note(track)
         for name, instance in self._tracks:

@@ -35,7 +35,7 @@ class Outbox:
 
     def send(self, correction: Correction, now_ns: int) -> None:
         """Remember a correction that goes out now."""
-        self._sent[correction.object, correction.instance] = _Sent(correction, now_ns, now_ns)
+        self._sent[correction.key] = _Sent(correction, now_ns, now_ns)
 
     def acknowledge(self, tracks: Mapping[Key, TrackedPose]) -> None:
         """Drop what poses show to be applied."""

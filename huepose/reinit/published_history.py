@@ -25,7 +25,7 @@ class PublishedHistory:
 
     def note(self, track: TrackedPose) -> None:
         """Remember a published pose, if it is one and newer than the last."""
-        past = self._poses.setdefault((track.object, track.instance), deque())
+        past = self._poses.setdefault(track.key, deque())
         if track.T_cam_obj is not None and (not past or past[-1].stamp_ns < track.stamp_ns):
             past.append(_prior(track))
             while past[-1].stamp_ns - past[0].stamp_ns > LONGEST_S * 1e9:
@@ -44,7 +44,7 @@ class PublishedHistory:
         """The published pose of a track at a stamp, or nearest to it. Between two poses it is interpolated;
         its covariance is that of the nearer one, grown over the time in between. Raises ValueError for a
         track without a pose."""
-        known: list[Prior] = [*self._poses.get((track.object, track.instance), ()), _prior(track)]
+        known: list[Prior] = [*self._poses.get(track.key, ()), _prior(track)]
         nearest = known[int(np.argmin([abs(p.stamp_ns - stamp_ns) for p in known]))]
         before = [p for p in known if p.stamp_ns < stamp_ns]
         after = [p for p in known if p.stamp_ns > stamp_ns]

@@ -206,7 +206,7 @@ class Tracker:
         is carried to now by the measured motion if that was measured on the same surface, else tracked
         through the kept frames (catching up). Idempotent by `seq`.
         """
-        key = (correction.object, correction.instance)
+        key = correction.key
         if correction.object not in self._subjects:
             raise InputError(
                 f"correction {correction.seq}",
@@ -221,12 +221,12 @@ class Tracker:
             return Applied.REPEATED
         if newest is None or correction.stamp_ns > newest.stamp_ns:
             self._seen_seq[key] = correction.seq
-            self._waiting = [c for c in self._waiting if (c.object, c.instance) != key] + [correction]
+            self._waiting = [c for c in self._waiting if c.key != key] + [correction]
             return Applied.CATCHING_UP
         if not self._frames.covers(correction.stamp_ns):
             return Applied.REFUSED_OLD
         self._seen_seq[key] = correction.seq
-        return self._apply(key, correction)
+        return self._apply(correction)
 
     def _apply_waiting(self, frame: RgbdFrame) -> None:
         """Apply corrections that arrived before their frame."""
@@ -234,9 +234,10 @@ class Tracker:
         self._waiting = [c for c in self._waiting if c.stamp_ns > frame.stamp_ns]
         for correction in due:
             if correction.epoch == frame.epoch:
-                self._apply((correction.object, correction.instance), correction)
+                self._apply(correction)
 
-    def _apply(self, key: Key, correction: Correction) -> Applied:
+    def _apply(self, correction: Correction) -> Applied:
+        key = correction.key
         track = self._tracks.get(key)
         if correction.verdict in (Verdict.AGREE, Verdict.REJECT):
             if track is None:

@@ -59,6 +59,11 @@ class TrackedPose:
     covariance: Float64 | None
     applied_correction_seq: int
 
+    @property
+    def key(self) -> tuple[str, int]:
+        """Which instance: its object and its number."""
+        return self.object, self.instance
+
 
 @dataclass(frozen=True, eq=False)
 class Correction:
@@ -76,6 +81,11 @@ class Correction:
     seq: int
     mask: Bool | None = None
     reason: str = ""
+
+    @property
+    def key(self) -> tuple[str, int]:
+        """Which instance: its object and its number."""
+        return self.object, self.instance
 
     def __post_init__(self) -> None:
         try:

@@ -162,7 +162,7 @@ class TrackerWork(Work):
         if corrected and not tracked and self._header is not None:
             # New instances are published on the last frame, because the next may come late. A pose that was
             # already published on that frame is not published again.
-            new = [p for p in self._tracker.poses() if (p.object, p.instance) not in self._published]
+            new = [p for p in self._tracker.poses() if p.key not in self._published]
             self._publish_all(new, self._header, self._pixels)
         if self._intake.empty and self._believed and (now := self._clock()) >= self._holds_until_ns:
             self._intake.clock_ns.append(now)
@@ -273,11 +273,9 @@ class TrackerWork(Work):
             header = self._header
             same = header is not None and header.camera_epoch == message.camera_epoch
             applied = self._tracker.correct(correction_from_wire(message, header if same else None))
-        except WireError as error:
-            self._bus.refuse(self._bus.keys.correction, error)
-            return
-        except InputError as error:
-            self._bus.refuse(self._bus.keys.correction, WireError(str(error)))
+        except (WireError, InputError) as error:
+            wrong = error if isinstance(error, WireError) else WireError(str(error))
+            self._bus.refuse(self._bus.keys.correction, wrong)
             return
         self._bus.health.count(f"corrections_{applied.value}")
         if applied in (Applied.APPLIED, Applied.CATCHING_UP):
@@ -317,7 +315,7 @@ class TrackerWork(Work):
         if self._cache is not None:
             self._cache.frame(header, payload, frame, self._intake.recorded)
         complaint = complaint_about(frame, self._pixels) or lens_doubted(frame, self._fx_of_size)
-        believed, pixels = {(p.object, p.instance) for p in self._believed}, self._pixels
+        believed, pixels = {p.key for p in self._believed}, self._pixels
         self._pixels, self._believed, self._complaint = frame, [], complaint
         health.warn_while("frame", complaint)
         self._published.clear()
@@ -326,7 +324,7 @@ class TrackerWork(Work):
             poses = self._tracker.step(frame)
         if self._config.camera.check:
             health.warn_while("delay", self._delay.look(frame, poses, self._tracker))
-        doubted = {(p.object, p.instance) for p in poses if p.state is not State.TRACKING}
+        doubted = {p.key for p in poses if p.state is not State.TRACKING}
         self._relit &= doubted
         if pixels is not None and (fallen := doubted & believed) and relit(pixels.color, frame.color):
             self._relit |= fallen
@@ -352,13 +350,13 @@ class TrackerWork(Work):
         said = header.camera or header.picture or _sentence(complaint)
         said = said or why_all_are_lost(frame, poses, surfaces)
         for pose, surface, one in zip(poses, surfaces, against, strict=True):
-            key, doubted = (pose.object, pose.instance), pose.state is not State.TRACKING
+            doubted = pose.state is not State.TRACKING
             reason = (said or one) if doubted else ""
             if doubted and not reason and frame is not None:
-                doubt = self._tracker.doubt(*key)
-                reason = why_doubted(surface, frame, pose.T_cam_obj, doubt, key in self._relit)
+                doubt = self._tracker.doubt(*pose.key)
+                reason = why_doubted(surface, frame, pose.T_cam_obj, doubt, pose.key in self._relit)
             self._publish(pose, header, reason)
-            self._published.add(key)
+            self._published.add(pose.key)
 
     def _publish(self, pose: TrackedPose, header: FrameHeader, reason: str) -> None:
         now = self._intake.now()

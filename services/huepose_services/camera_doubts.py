@@ -9,10 +9,9 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from functools import partial
 
-from huepose.estimation.apparent_size import ApparentSize
+from huepose.estimation.apparent_size import ApparentSize, doubted_camera, doubted_objects
 from huepose.estimation.depth_offset import DepthOffset
 from huepose.estimation.frame_offset import frame_offset
-from huepose.estimation.size_doubts import doubted_camera, doubted_objects, said
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame
 from huepose.geometry.arrays import Float64
@@ -102,13 +101,13 @@ class CameraDoubts:
     def objects(self) -> dict[Key, str]:
         """What is wrong with single instances that are in the picture, of those with which something is."""
         here = [key for key in self._objects if self._now_ns - self._found_ns[key] < GONE_NS]
-        return {key: said(self._objects[key]) for key in here}
+        return {key: self._objects[key].said_of_one() for key in here}
 
     def of(self, name: str, instance: int | None) -> str:
         """What is wrong with an instance, empty where nothing is; of a new one (None) what is of any of that
         name, until there are looks at it."""
         sizes = [size for key, size in self._objects.items() if key[0] == name and instance in (None, key[1])]
-        return said(sizes[0]) if sizes else ""
+        return sizes[0].said_of_one() if sizes else ""
 
     def _begin(self, epoch: int) -> None:
         self._epoch = epoch

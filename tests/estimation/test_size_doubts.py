@@ -9,8 +9,13 @@ import numpy as np
 import pytest
 
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.estimation.apparent_size import SCALES
-from huepose.estimation.size_doubts import INDEPENDENT, doubted_camera, doubted_in, doubted_objects, said
+from huepose.estimation.apparent_size import (
+    INDEPENDENT,
+    SCALES,
+    doubted_camera,
+    doubted_in,
+    doubted_objects,
+)
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
@@ -98,7 +103,10 @@ def test_in_a_picture_the_one_of_another_size_is_doubted(
     assert answers[which].object == "tea_box"
     # A pose nearer by or further off takes a part of it.
     assert size.larger == pytest.approx(times - 1.0, abs=0.06)
-    assert f"{'larger' if times > 1.0 else 'smaller'} than its mesh, while other objects fit" in said(size)
+    assert (
+        f"{'larger' if times > 1.0 else 'smaller'} than its mesh, while other objects fit"
+        in size.said_of_one()
+    )
 
 
 def test_in_a_picture_through_a_wrong_camera_matrix_no_object_is_doubted_but_the_camera(

@@ -191,8 +191,8 @@ def _against(
 ) -> tuple[list[str], dict[int, str]]:
     """Why no pose of a frame is right: objects are larger or smaller in it than they have to be, or depth
     lies far beside the colours. Where they do not, why single ones are not right, by their place."""
+    from huepose.estimation.apparent_size import doubted_in
     from huepose.estimation.frame_offset import frame_offset
-    from huepose.estimation.size_doubts import doubted_in, said
 
     offset = frame_offset(frame)
     if offset is not None:  # sizes that are seen beside their depth say nothing
@@ -200,7 +200,7 @@ def _against(
     size, objects = doubted_in(frame, models, answers)
     if size is not None:
         return [size.said(frame.camera)], {}
-    return [], {k: said(one) for k, one in objects.items()}
+    return [], {k: one.said_of_one() for k, one in objects.items()}
 
 
 def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> list[str]:

@@ -13,9 +13,8 @@ import numpy as np
 from huepose.datasets.image_files import FARTHEST_M, NEAREST_M
 from huepose.datasets.types import Scene
 from huepose.estimation import Estimator, ObjectQuery
+from huepose.estimation.apparent_size import doubted_in
 from huepose.estimation.frame_offset import frame_offset
-from huepose.estimation.size_doubts import doubted_in
-from huepose.estimation.size_doubts import said as size_said
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.picture_faults import (
@@ -285,7 +284,7 @@ def objects_in(
     if size:
         yield Finding("camera", "bad", "sizes do not fit", size.said(frame.camera))
     for k, of_object in doubted.items():
-        yield Finding("objects", "bad", f"{answers[k].object} does not fit", size_said(of_object))
+        yield Finding("objects", "bad", f"{answers[k].object} does not fit", of_object.said_of_one())
     if aside or size or why:
         yield Finding("objects", "note", said, "Seen, but not where these poses are: see what is BAD above.")
     else:

@@ -53,6 +53,11 @@ class Orientation:
         return 1.0 if self.facing is None else self.facing.probability
 
     @property
+    def confirmed(self) -> bool:
+        """Whether it is sure enough for a pose that is TRACKING."""
+        return self.probability >= self._config.confirmed_turn
+
+    @property
     def worth(self) -> float:
         """Its certainty in units of a total."""
         return 0.0 if self.facing is None else self.facing.value / SHARPNESS
@@ -240,6 +245,16 @@ def reached(turns: Float64, T_cam_obj: Float64, expected: Float64, radians: floa
 def alike(turns: Float64, T_cam_obj: Float64, T_other: Float64) -> Bool:
     """Mask (M,) of the turns (M, 4, 4) that take one pose to about the orientation of another."""
     return _within(turns, T_cam_obj, T_other, ABOUT)
+
+
+def another_opinion(subject: Subject, followed: Hypothesis, first: Hypothesis) -> bool:
+    """Whether the pose that is the best now is seen from elsewhere than the followed one because the opinion
+    changed, and not because the object moved: it is about the followed one after a near-symmetric rotation,
+    or no motion leads to it."""
+    T, T_first = followed.T_cam_obj, first.T_cam_obj
+    if se3.rotation_angle(T, T_first) <= SAME_VIEW:
+        return False
+    return first.jump < 0.0 or bool(alike(subject.other_turns, T, T_first).any())
 
 
 def _within(turns: Float64, T_cam_obj: Float64, T_other: Float64, radians: float) -> Bool:

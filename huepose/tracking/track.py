@@ -9,7 +9,6 @@ import numpy as np
 
 from huepose.believe.logistic import probability
 from huepose.believe.state import State
-from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.se3 import grown
@@ -25,7 +24,7 @@ from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.motion import Reach, jump_since, predicted, same_motion
 from huepose.tracking.opinions import FIXED, found_again, opinions, uncertainty, weighed
-from huepose.tracking.orientation import LOOKED_FOR, SAME_VIEW, Orientation
+from huepose.tracking.orientation import LOOKED_FOR, Orientation, another_opinion
 from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, FLOW
 from huepose.tracking.step import Advance, advance, found_nearby
@@ -88,7 +87,7 @@ class Track:
             return None
         if self._identity.value < evidence.LIKELIER or self._may_be_another:
             return Doubt.ANOTHER
-        if self._orientation.probability < self._config.confirmed_turn:
+        if not self._orientation.confirmed:
             return Doubt.TURN
         if not self._known:
             return Doubt.IDENTITY
@@ -182,7 +181,7 @@ class Track:
             self._identity, quality = corrected
             if probability(seen[0].log_odds) >= self._config.suspect_quality:
                 self._identity = self._identity.contradicted(quality)
-        if se3.rotation_angle(anchor.first.T_cam_obj, first.T_cam_obj) > SAME_VIEW:
+        if another_opinion(self.subject, found.followed[0], first):
             self._identity = self._identity.leapt(self._view())
         self.frame, self.evidence = frame, sure
         if first.jump < 0.0 or (anchor.unseen_s > 0.0 and first.source == "views"):
@@ -221,7 +220,9 @@ class Track:
             elif self.evidence >= self._config.suspect_quality:
                 self.learn()
                 self._supported_ns = frame.stamp_ns
-                if self.evidence >= self._config.tracking_quality and self._spread < FIXED:
+                # It is known from where it is seen only where nothing leaves its turn open.
+                turn_known = self._spread < FIXED and self._orientation.confirmed
+                if self.evidence >= self._config.tracking_quality and turn_known:
                     self._identity = self._identity.carried(self.terms, self._view())
                 if self._may_be_another:
                     self._identity = self._identity.looked_at(self._seen_alone())
@@ -359,7 +360,7 @@ class Track:
     def _judge(self) -> None:
         turn = self._orientation.probability
         self.quality = self.evidence * min(self._identity.value, turn)
-        confirmed = self._known and turn >= self._config.confirmed_turn
+        confirmed = self._known and self._orientation.confirmed
         confirmed = confirmed and self.quality >= self._config.least_quality
         self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
         if self.state is State.LOST:

@@ -27,6 +27,7 @@ from huepose.tracking.orientation import (
     Facing,
     Orientation,
     alike,
+    another_opinion,
     best_rival,
     reached,
 )
@@ -236,3 +237,22 @@ def test_a_claim_of_nine_in_ten_does_not_settle_which_way_round_it_is(plain_box:
     assert after(0.9, 0.02) < config.confirmed_turn < after(0.9, 0.04)
     assert after(config.confirmed_identity) > config.confirmed_turn
     assert after(0.6) == pytest.approx(0.6)
+
+
+def test_a_view_is_new_where_the_object_moved_and_not_where_the_opinion_changed(
+    tea_box: ReferenceModel,
+) -> None:
+    subject = Subject.of(tea_box)
+
+    def found(T_cam_obj: np.ndarray, jump: float = 0.0) -> Hypothesis:
+        return Hypothesis(T_cam_obj, NOTHING, np.eye(6), "search", jump=jump)
+
+    T = lying(tea_box)
+    turned, oblique = (
+        T @ se3.make(se3.rotation_exp(np.array(r)), np.zeros(3)) for r in ([0.1, 0, 0], [0.5, 0.4, 0.3])
+    )
+    over = T @ subject.other_turns[0]
+    assert not another_opinion(subject, found(T), found(turned)), "much the same view"
+    assert not another_opinion(subject, found(T), found(oblique)), "a motion"
+    assert another_opinion(subject, found(T), found(oblique, jump=-1.0)), "no motion leads there"
+    assert another_opinion(subject, found(T), found(over)), "it looks nearly the same this way round"

@@ -73,6 +73,18 @@ def test_every_fifth_frame_is_enough(tea_box, film, path) -> None:
         assert degrees < 0.6
 
 
+def test_other_sides_confirm_an_object_however_far_it_turns_between_two_frames(tea_box, film, path) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    states = []
+    for frame in film(46, 5):
+        if frame.frame_id == 0:
+            tracker.correct(correction(frame, path(0), quality=0.8))
+        (pose,) = tracker.step(frame)
+        states.append(pose.state)
+    assert states[0] is State.SUSPECT, "one unsure answer of perception"
+    assert states[-1] is State.TRACKING, "its print agreed from viewpoints over 100 degrees"
+
+
 def test_a_covered_object_is_suspect_within_2_and_lost_within_5_frames(
     tea_box, soup_can, shoot, path, started
 ) -> None:

@@ -18,6 +18,7 @@ from huepose.judge.region import Crop, Region, saturated
 from huepose.model.types import COLOR_SCALES_M
 from huepose.perception.embedded import depth_steps
 from huepose.perception.ground import large_planes, standing_clear
+from huepose.perception.stretches import connected, written
 from huepose.propose.view_pictures import Pyramid
 from huepose.support.jit import jit
 
@@ -105,35 +106,34 @@ def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
     """Mask (H, W) of what stands clear, without specks, and its pieces (P, 4)."""
     opened = cv2.morphologyEx(clear.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     free = opened & ~depth_steps(depth)
-    count, labels = cv2.connectedComponents(free.view(np.uint8), connectivity=4, ltype=cv2.CV_32S)
-    sums, bounds = _measured(np.asarray(labels, np.int32), depth, count)
-    size = np.maximum(sums[:, 0], 1)
+    stretches, count = connected(free.view(np.uint8))
+    sums, bounds = _measured(stretches, depth, count)
+    size = sums[:, 0]
     middles, mean_m = sums[:, 1:3] / size[:, None], sums[:, 3] / size
     kept = size * (mean_m / focal) ** 2 >= SPECK_M2
     # The far sides of steps belong to no piece, but to what is beside them.
-    near = cv2.dilate(kept[labels].view(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    shown = np.zeros(depth.shape, np.uint8)
+    written(stretches, kept.view(np.uint8), shown)
+    near = cv2.dilate(shown, np.ones((5, 5), np.uint8)) > 0
     side_m = (bounds[:, 2:] - bounds[:, :2]).max(1) * mean_m / focal
     return near & opened, np.column_stack([middles, mean_m, side_m])[kept]
 
 
 @jit
-def _measured(labels: Int32, depth: Float32, count: int) -> tuple[Float64, Int64]:
-    """Of each label (h, w): sums (count, 4) of its pixels, their columns, rows and depth; bounds (count, 4):
-    left, top, right, bottom (exclusive). Nothing for label 0."""
+def _measured(stretches: Int32, depth: Float32, count: int) -> tuple[Float64, Int64]:
+    """Of each piece of some stretches: sums (count, 4) of its pixels, their columns, rows and depth; bounds
+    (count, 4): left, top, right, bottom (exclusive)."""
     sums, bounds = np.zeros((count, 4)), np.zeros((count, 4), np.int64)
-    for v in range(labels.shape[0]):
-        for u in range(labels.shape[1]):
-            k = labels[v, u]
-            if k == 0:
-                continue
-            if sums[k, 0] == 0.0:
-                bounds[k, 0], bounds[k, 1] = u, v
-            sums[k, 0] += 1.0
+    for v, first, last, k in stretches:
+        if sums[k, 0] == 0.0:
+            bounds[k, 0], bounds[k, 1] = first, v
+        sums[k, 0] += last - first
+        for u in range(first, last):
             sums[k, 1] += u
-            sums[k, 2] += v
             sums[k, 3] += depth[v, u]
-            bounds[k, 0], bounds[k, 2] = min(bounds[k, 0], u), max(bounds[k, 2], u + 1)
-            bounds[k, 3] = v + 1
+        sums[k, 2] += v * (last - first)
+        bounds[k, 0], bounds[k, 2] = min(bounds[k, 0], first), max(bounds[k, 2], last)
+        bounds[k, 3] = v + 1
     return sums, bounds
 
 

@@ -20,10 +20,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64, Int, UInt8
+from huepose.geometry.arrays import Bool, Float32, Float64, Int, Int32, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.median import median
+from huepose.perception.stretches import connected, written
 from huepose.perception.support_plane import above_plane, find_support_plane
 from huepose.support.jit import jit
 
@@ -99,41 +100,44 @@ class Pieces:
 def cut_pieces(depth: Float32, candidate: Bool, box: Box) -> Pieces:
     """Cut the candidate pixels (h, w) of a window at depth steps; `box` is in the window's pixels."""
     free = candidate & ~depth_steps(depth)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(free.astype(np.uint8), connectivity=4)
+    stretches, count = connected(free.view(np.uint8))
     v, u = np.arange(depth.shape[0]), np.arange(depth.shape[1])
     in_row, in_column = (v >= box.y) & (v < box.y1), (u >= box.x) & (u < box.x1)
     near_row = np.exp(-0.5 * ((v - box.y - box.h / 2) / (0.45 * box.h)) ** 2)
     near_column = np.exp(-0.5 * ((u - box.x - box.w / 2) / (0.45 * box.w)) ** 2)
-    share, weight = np.zeros(count), np.zeros(count)
-    _sums(np.asarray(labels, dtype=np.int32), in_row, in_column, near_row, near_column, share, weight)
-    size = stats[:, 4].astype(np.float64)
-    share /= np.maximum(size, 1)
-    keep = np.flatnonzero((size >= MIN_PIXELS) & (np.arange(count) > 0))
+    size, share, weight = np.zeros((3, count))
+    bounds = np.empty((count, 4))
+    _sums(stretches, in_row, in_column, near_row, near_column, size, share, weight, bounds)
+    keep = np.flatnonzero(size >= MIN_PIXELS)
     number = np.full(count, -1, np.int32)
     number[keep] = np.arange(len(keep))
-    labels = number[labels]
-    left, top = stats[keep, 0], stats[keep, 1]
-    bounds = np.stack([left, top, left + stats[keep, 2], top + stats[keep, 3]], -1).astype(np.float64)
+    labels = np.full(depth.shape, -1, np.int32)
+    written(stretches, number, labels)
     return Pieces(
-        labels, bounds, share[keep], weight[keep].astype(np.float64), median_depths(depth, labels, len(keep))
+        labels, bounds[keep], share[keep] / size[keep], weight[keep], median_depths(depth, labels, len(keep))
     )
 
 
 @jit
 def _sums(
-    labels: Int,
+    stretches: Int32,
     in_row: Bool,
     in_column: Bool,
     near_row: Float64,
     near_column: Float64,
+    size: Float64,
     inside: Float64,
     near: Float64,
+    bounds: Float64,
 ) -> None:
-    """Add up the pixels of each label (h, w) inside the box, and their nearness, both products of what holds
-    for rows (h,) and columns (w,)."""
-    for v in range(labels.shape[0]):
-        for u in range(labels.shape[1]):
-            k = labels[v, u]
+    """Of each piece (P,) of some stretches: its pixels, those inside the box, and their nearness, both
+    products of what holds for rows (h,) and columns (w,); bounds (P, 4) as of `Pieces`."""
+    bounds[:, :2], bounds[:, 2:] = np.inf, -np.inf
+    for v, first, last, k in stretches:
+        size[k] += last - first
+        bounds[k, 0], bounds[k, 2] = min(bounds[k, 0], first), max(bounds[k, 2], last)
+        bounds[k, 1], bounds[k, 3] = min(bounds[k, 1], v), v + 1
+        for u in range(first, last):
             near[k] += near_row[v] * near_column[u]
             if in_row[v] and in_column[u]:
                 inside[k] += 1.0

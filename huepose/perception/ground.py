@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64, Int8, Int32, UInt8
+from huepose.geometry.arrays import Bool, Float32, Float64, Int8, UInt8
 from huepose.geometry.camera import Camera
+from huepose.perception.stretches import connected
 from huepose.perception.support_plane import NEAR_M, POINTS, Plane, best_plane
 from huepose.support.jit import jit, jit_dividing
 
@@ -68,12 +68,8 @@ def standing_clear(depth: Float32, camera: Camera, planes: Sequence[Plane], larg
         rows = np.array([n[0] / camera.fx, n[1] / camera.fy, n[2]])
         rows[2] -= rows[0] * camera.cx + rows[1] * camera.cy
         _sorted(depth, clear, rows, offset, on, front)
-        count, labels = cv2.connectedComponents(on, connectivity=4, ltype=cv2.CV_32S)
         # A pixel sees z^3 / (fx fy |offset|) of a plane.
-        _take_away(
-            np.asarray(labels, np.int32), count, depth, front,
-            larger_than_m2 * camera.fx * camera.fy * abs(offset), clear,
-        )  # fmt: skip
+        _take_away(on, depth, front, larger_than_m2 * camera.fx * camera.fy * abs(offset), clear)
     return np.asarray(clear)
 
 
@@ -99,46 +95,28 @@ def _sorted(depth: Float32, clear: Bool, rows: Float64, offset: float, on: UInt8
 
 
 @jit
-def _take_away(
-    labels: Int32, count: int, depth: Float32, front: Int8, larger_than: float, clear: Bool
-) -> None:
-    """Clear away the pieces (labels 1 to count - 1) of a plane that are large (their sums of depth cubed), or
-    that what has depth beside them bounds, by the mean of `front` there."""
-    height, width = labels.shape
-    size, seen, bounded = np.zeros(count), np.zeros(count), np.zeros(count)
-    # Of each stretch of a row that belongs to one piece: row, first column, and the one after the last.
-    stretches = np.empty((height * ((width + 1) // 2), 3), np.int32)
-    n = 0
-    for v in range(height):
-        last = 0
-        for u in range(width):
-            own = labels[v, u]
-            if u < last or own == 0:
-                continue
-            last = u + 1
-            while last < width and labels[v, last] == own:
-                last += 1
-            total = 0.0
-            for k in range(u, last):
-                total += depth[v, k] ** 3
-            size[own] += total
-            stretches[n, 0], stretches[n, 1], stretches[n, 2] = v, u, last
-            n += 1
-    for i in range(n):
-        v, first, last = stretches[i]
-        own = labels[v, first]
-        if size[own] >= larger_than:
+def _take_away(on: UInt8, depth: Float32, front: Int8, larger_than: float, clear: Bool) -> None:
+    """Clear away the connected pieces of a plane (`on`) that are large (their sums of depth cubed), or that
+    what has depth beside them bounds, by the mean of `front` there."""
+    height, width = on.shape
+    stretches, count = connected(on)
+    size, seen, bounded = np.zeros((3, count))
+    pieces = np.full(on.shape, -1, np.int32)
+    for v, first, last, piece in stretches:
+        pieces[v, first:last] = piece
+        for u in range(first, last):
+            size[piece] += depth[v, u] ** 3
+    for v, first, last, piece in stretches:
+        if size[piece] >= larger_than:
             continue
         for u in range(first, last):
             for q in range(4):
                 b, a = v + BESIDE_PX * ((q == 0) - (q == 1)), u + BESIDE_PX * ((q == 2) - (q == 3))
-                if 0 <= b < height and 0 <= a < width and labels[b, a] != own and depth[b, a] > 0.0:
-                    seen[own] += 1.0
-                    bounded[own] += front[b, a]
-    for i in range(n):
-        v, first, last = stretches[i]
-        own = labels[v, first]
-        if size[own] >= larger_than or bounded[own] >= BOUNDED * seen[own]:
+                if 0 <= b < height and 0 <= a < width and pieces[b, a] != piece and depth[b, a] > 0.0:
+                    seen[piece] += 1.0
+                    bounded[piece] += front[b, a]
+    for v, first, last, piece in stretches:
+        if size[piece] >= larger_than or bounded[piece] >= BOUNDED * seen[piece]:
             clear[v, first:last] = False
 
 

@@ -159,19 +159,25 @@ def _gaps(depth: Float32, to_picture: Float64, depth_m: Float32, out: Float32) -
     """Fill `out` (W, n, n) with the depth nearest to each point of upright lattices, less that of their
     middle (W,); NaN where it is unknown."""
     height, width = depth.shape
-    side = out.shape[1]
-    columns = np.empty(side, np.int64)
+    side, nothing = out.shape[1], np.float32(np.nan)
+    # Without a sign, so that the compiler need not think of indices counted from the end.
+    columns, inside = np.empty(side, np.uint64), np.empty(side, np.bool_)
     for k in range(out.shape[0]):
         step, left, top = to_picture[k, 0, 0], to_picture[k, 0, 2] + 0.5, to_picture[k, 1, 2] + 0.5
+        middle = depth_m[k]
         for x in range(side):
-            columns[x] = int(np.floor(step * x + left))
+            u = int(np.floor(step * x + left))
+            inside[x] = 0 <= u < width
+            columns[x] = np.uint64(u if inside[x] else 0)
         for y in range(side):
             v = int(np.floor(step * y + top))
+            if v < 0 or v >= height:
+                out[k, y] = nothing
+                continue
+            row = np.uint64(v)
             for x in range(side):
-                u = columns[x]
-                inside = 0 <= v < height and 0 <= u < width
-                z = depth[v, u] if inside else np.float32(0.0)
-                out[k, y, x] = z - depth_m[k] if z > 0.0 else np.float32(np.nan)
+                z = depth[row, columns[x]]
+                out[k, y, x] = z - middle if inside[x] and z > 0.0 else nothing
 
 
 def network_input(colors: UInt8, reliefs: Float32, *, clean: bool) -> UInt8:

@@ -10,7 +10,7 @@ import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.perception.embedded import DepthSegmenter, color_cut, cut_pieces
+from huepose.perception.embedded import DepthSegmenter, color_cut, cut_pieces, depth_steps
 from huepose.perception.support_plane import NEAR_M, _near_plane, _outside, above_plane, find_support_plane
 from huepose.rendering.render import render_depth
 
@@ -164,3 +164,18 @@ def test_the_spread_of_a_plane_has_its_normal() -> None:
     found = np.linalg.eigh(spread)[1][:, 0]
     expected = np.linalg.svd(near - near.mean(0), full_matrices=False)[2][2]
     np.testing.assert_allclose(abs(found @ expected), 1.0, atol=1e-12)
+
+
+def test_of_a_step_in_depth_the_far_side_is_marked() -> None:
+    depth = np.full((12, 14), 0.7, np.float32)
+    depth[3:9, 4:10] = 0.6
+    right = np.zeros(depth.shape, bool)
+    right[4:8, [3, 10]] = right[[2, 9], 5:9] = True
+    corners = np.zeros_like(right)  # which the median of nine rounds off
+    corners[2:5, 3:6] = corners[2:5, 8:11] = corners[7:10, 3:6] = corners[7:10, 8:11] = True
+    assert np.array_equal(depth_steps(depth) & ~corners, right & ~corners)
+    across = 0.6 + 0.0087 * np.arange(14, dtype=np.float32)  # steeper than the limit at 0.6 m, not at 0.7 m
+    slope = depth_steps(np.tile(across, (12, 1)))
+    assert slope[:, 1].all()
+    assert not slope[:, 0].any()
+    assert not slope[:, -2:].any()

@@ -83,15 +83,15 @@ class CompetitionConfig:
 class StandingConfig:
     """Which poses at proposed places stand.
 
-    present: probability that the object is there from which a pose stands: more likely there than not.
-    claimed: a pose of which better poses explain this share of the visible pixels has nothing of its own:
-    the half.
+    present: probability that the object is there from which a pose stands. Origin: a false one in ten frames
+    of the drawn set `choose` of studies.presence (docs/detection.md). claimed: a pose of which better
+    poses explain this share of the visible pixels has nothing of its own: the half.
 
     most_sure: no pose speaks more for its object than one of this quality. other_texture: another texture
     must be so many times likelier than the object's own before it speaks against it. Origin: chosen.
     """
 
-    present: float = 0.5
+    present: float = 0.6
     claimed: float = 0.5
     most_sure: float = 0.99
     other_texture: float = 2.0

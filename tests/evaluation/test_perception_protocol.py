@@ -161,10 +161,10 @@ def test_why_none_of_an_object_stands() -> None:
 
     assert why_none_stands("box", [found(0.9)]).startswith("The detector found no place")
     assert why_none_stands("brick", [found(0.2), found(0.31)]) == (
-        "At the best of 2 places the object is there with a probability of 0.31, which is under 0.50."
+        "At the best of 2 places the object is there with a probability of 0.31, which is under 0.60."
     )
     assert why_none_stands("brick", [found(0.2)], ["its texture is not seen there"]).endswith(
-        "under 0.50: its texture is not seen there."
+        "under 0.60: its texture is not seen there."
     )
     assert why_none_stands("brick", [found(0.9)]) == (
         "Another object explains the surface at the only place better."

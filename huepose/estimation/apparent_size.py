@@ -7,7 +7,8 @@ matched as well as it goes, so no pose says so by itself.
 
 Two cues are asked how well they agree with each size: the picture's edges, where the outline would lie, and
 its colours, where the texture would. A single look may be misled, by a neighbour of the same colour or by
-what hides a part; looks of several objects and frames are added up.
+what hides a part; looks of several objects and frames are added up. Of one object a size is clear only if it
+is without any quarter of it, too: what misleads lies on one side.
 
 Is it the camera then, or one object? A wrong camera matrix or unit of depth shows all objects larger, or all
 smaller, by the same share. Where others fit, an object that does not is not what its mesh says: the same
@@ -38,7 +39,7 @@ from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.silhouette import projected_box
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render
+from huepose.rendering.render import Rendering, render
 
 SCALES = np.arange(-0.3, 0.301, 0.01)
 """By how much larger than expected (share) each entry of the support supposes the object to be."""
@@ -46,17 +47,20 @@ SCALES = np.arange(-0.3, 0.301, 0.01)
 USUAL = 0.045
 """Depth cameras and scanned models leave sizes wrong by so much (YCB-Video: 2 to 4 %): nothing to report."""
 
-CLEAR = 10.0
-"""Least gain of the support, as a natural logarithm, over sizes that are usual."""
+CLEAR, CLEAR_OF_ONE = 10.0, 3.0
+"""Least gain of the support, as a natural logarithm, over sizes that are usual: of all objects together, and
+of one, without any quarter of it (odds of 20)."""
 
 MOSTLY_SEEN = 0.7
-"""Least visible share of a pose that is looked at: what hides a part has an outline as well."""
+"""Least share of its pixels that a pose that is looked at explains: what hides a part has an outline, too."""
 
 SHIFT_PX = 2.0
 """How far a pose may lie aside in the picture at each size."""
 
 PATCH_PX = 5.0
 """Correlation length of colours, pixels: nearer ones are not independent."""
+
+QUARTERS = 4
 
 SAMPLES = 600
 """Most pixels whose colours are compared."""
@@ -100,15 +104,17 @@ class ApparentSize:
 
 
 def apparent_size(supports: Sequence[Float64], others: float = 0.0) -> ApparentSize:
-    """The size that looks (S,) of `support` speak for together. others: what the camera shows other objects
-    larger by (share); what is usual beside that is usual, too. The best at an end of SCALES is no size, and
-    nothing is clear."""
-    total = np.sum([np.zeros(len(SCALES)), *supports], axis=0)
-    best = int(np.argmax(total))
+    """The size that looks (P, S) of `support` speak for together; it gains as much as in the row that says
+    the least for it. others: what the camera shows other objects larger by (share); what is usual beside that
+    is usual, too. The best at an end of SCALES is no size, and gains nothing."""
+    total = np.sum(supports, axis=0) if len(supports) else np.zeros((1, len(SCALES)))
+    best = int(np.argmax(total[0]))
     if best in (0, len(SCALES) - 1):
         return ApparentSize(float(SCALES[best]), 0.0)
     usual = np.minimum(np.abs(SCALES), np.abs(SCALES - others)) <= USUAL
-    return ApparentSize(float(SCALES[best]), float(total[best] - total[usual].max()))
+    alike = np.abs(SCALES - SCALES[best]) <= ALIKE + 1e-9
+    gains = total[:, alike].max(1) - total[:, usual].max(1)
+    return ApparentSize(float(SCALES[best]), float(gains.min()))
 
 
 def looks(
@@ -117,17 +123,15 @@ def looks(
     """The support by each answer of a frame that is mostly in view."""
     out = []
     for answer in answers:
-        terms, T, mask = answer.terms, answer.T_cam_obj, answer.mask
-        if terms is None or T is None or mask is None:
-            continue
-        if terms.occluded <= 1.0 - MOSTLY_SEEN:
-            out += [support(frame, models[answer.object], T, mask)]
+        if answer.T_cam_obj is not None and answer.mask is not None:
+            out += [support(frame, models[answer.object], answer.T_cam_obj, answer.mask)]
     return [one for one in out if one is not None]
 
 
 def support(frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float64, mask: Bool) -> Float64 | None:
-    """How well each of SCALES (S,) agrees with what is seen of a pose (4, 4) that was fitted to depth, as a
-    natural logarithm up to a constant; None where too little is seen. mask (H, W): its visible pixels."""
+    """How well each of SCALES (1 + QUARTERS, S) agrees with what is seen of a pose (4, 4) that was fitted to
+    depth, as a natural logarithm up to a constant: of all of it, and without each quarter, counted as if it
+    were all; None where too little is seen. mask (H, W): its visible pixels."""
     box = projected_box(model, frame, T_cam_obj)
     if box is None:
         return None
@@ -140,9 +144,12 @@ def support(frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float64, mask: B
         depth=np.ascontiguousarray(frame.depth[rows, columns]),
         camera=frame.camera.cropped(columns.start, rows.start, width, height),
     )
+    view, seen = render([(model.mesh, T_cam_obj)], window.camera), mask[rows, columns]
+    if seen.sum() < MOSTLY_SEEN * (view.depth > 0).sum():
+        return None
     picture = smoothed(window.color)
     of_outline = _by_outline(window, model, T_cam_obj, picture)
-    of_texture = _by_texture(window, model, T_cam_obj, mask[rows, columns], picture)
+    of_texture = _by_texture(view, seen, picture)
     if of_outline is None or of_texture is None:
         return None
     return np.asarray(of_outline + of_texture)
@@ -158,34 +165,47 @@ def _by_outline(
     reach_px = float(SCALES[-1] * np.linalg.norm(arms, axis=1).max()) + 2 * SHIFT_PX
     edges = edges_across(picture, pixels, normals, reach_px)
     outwards, aside = (arms * normals).sum(1), normals @ _SHIFTS.T  # (N,), (N, shifts)
-    strength = np.array([edges.at(scale * outwards + aside.T).mean(1).max() for scale in SCALES])
-    return np.asarray(strength * len(pixels) / RELATED_PX)
+    parts = _parts(pixels)
+    mean = (parts / np.maximum(parts.sum(1, keepdims=True), 1)).T
+    strength = np.array([(edges.at(scale * outwards + aside.T) @ mean).max(0) for scale in SCALES])
+    return np.asarray(strength.T * len(pixels) / RELATED_PX)
 
 
-def _by_texture(
-    frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float64, mask: Bool, picture: Float32
-) -> Float64 | None:
-    view = render([(model.mesh, T_cam_obj)], frame.camera)
-    shown = (view.depth > 0).astype(np.uint8)
-    inner = cv2.erode(mask.astype(np.uint8) & shown, np.ones((5, 5), np.uint8))
+def _by_texture(view: Rendering, mask: Bool, picture: Float32) -> Float64 | None:
+    inner = cv2.erode((mask & (view.depth > 0)).astype(np.uint8), np.ones((5, 5), np.uint8))
     rows, columns = np.nonzero(inner)
     every = max(1, -(-len(rows) // SAMPLES))
     if len(rows) < FEWEST * PATCH_PX:
         return None
     pixels = np.stack([columns, rows], axis=-1)[::every].astype(np.float32)
     expected = smoothed(view.color)[rows[::every], columns[::every]]
-    expected -= expected.mean(0)
-    centre, shifts, wanted = pixels.mean(0), _SHIFTS.astype(np.float32), expected.ravel()
-    best = np.zeros(len(SCALES))
+    centre, shifts, parts = pixels.mean(0), _SHIFTS.astype(np.float32), _parts(pixels)
+    best = np.zeros((len(parts), len(SCALES)))
     for k, scale in enumerate(SCALES):
         places = centre + np.float32(1.0 + scale) * (pixels - centre)
         x, y = (places[:, axis] + shifts[:, axis, None] for axis in (0, 1))
         seen = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        seen = (seen - seen.mean(1, keepdims=True)).reshape(len(shifts), -1)
-        power = np.einsum("sn,sn->s", seen, seen) * float(wanted @ wanted)
-        best[k] = float((seen @ wanted / np.sqrt(power + 1e-9)).max())
+        for p, part in enumerate(parts):
+            best[p, k] = _correlation(np.asarray(seen[:, part], np.float32), expected[part])
     independent = len(rows) / PATCH_PX**2
     return np.asarray(-0.5 * independent * np.log(1.0 - np.clip(best, 0.0, 0.99) ** 2))
+
+
+def _parts(pixels: Float32 | Float64) -> Bool:
+    """Which pixels (N, 2) belong to all of them, and to all without each quarter (1 + QUARTERS, N)."""
+    right, low = (pixels > np.median(pixels, axis=0)).T
+    quarter = right + 2 * low
+    return np.stack([np.ones(len(pixels), bool), *(quarter != k for k in range(QUARTERS))])
+
+
+def _correlation(seen: Float32, expected: Float32) -> float:
+    """The best correlation of pictures (M, N, 3) with the expected one (N, 3), without their mean colours."""
+    if not len(expected):
+        return 0.0
+    wanted = (expected - expected.mean(0)).ravel()
+    seen = (seen - seen.mean(1, keepdims=True)).reshape(len(seen), -1)
+    power = np.einsum("sn,sn->s", seen, seen) * float(wanted @ wanted)
+    return float((seen @ wanted / np.sqrt(power + 1e-9)).max())
 
 
 K = TypeVar("K", bound=Hashable)
@@ -213,18 +233,18 @@ _USUAL = SCALES[_IS_USUAL]
 
 def doubted_camera(seen: Mapping[K, Sequence[Float64]], fewest: int = 1) -> ApparentSize | None:
     """The size that objects have in common where it speaks against the camera. seen: by name or instance, the
-    `support` (S,) of each look at an object; fewest: so many, of all objects, are asked for."""
+    `support` (P, S) of each look at an object; fewest: so many, of all objects, are asked for."""
     every = [one for mine in seen.values() for one in mine]
-    together = apparent_size(every)
+    together = apparent_size([one[:1] for one in every])
     if not together.clear or len(every) < fewest:
         return None
     totals = _totals(seen)
-    against = {key: _against(total, together.larger) for key, total in totals.items()}
+    against = {key: _against(total[0], together.larger) for key, total in totals.items()}
     fit = sum(gain >= CLEAR for gain in against.values())
     if OUTNUMBERED * fit > sum(gain <= -CLEAR for gain in against.values()):
         return None
     quieter = sorted(against, key=lambda key: against[key])[1:]
-    total = np.sum([totals[key] for key in quieter] or [np.zeros(len(SCALES))], axis=0)
+    total = np.sum([totals[key][0] for key in quieter] or [np.zeros(len(SCALES))], axis=0)
     return together if _against(total, together.larger) <= AGAINST else None
 
 
@@ -234,13 +254,13 @@ def doubted_objects(seen: Mapping[K, Sequence[Float64]], fewest: int = 1) -> dic
     for."""
     totals = _totals(seen)
     out: dict[K, ApparentSize] = {}
-    usual = {key: _USUAL[np.argmax(total[_IS_USUAL])] for key, total in totals.items()}
+    usual = {key: _USUAL[np.argmax(total[0, _IS_USUAL])] for key, total in totals.items()}
     for key, total in totals.items():
         # The median, since one of the others may be of another size itself.
         others = [size for name, size in usual.items() if name != key]
         if others and len(seen[key]) >= fewest:
             size = apparent_size([total], float(np.median(others)))
-            out |= {key: size} if size.clear else {}
+            out |= {key: size} if size.gain >= CLEAR_OF_ONE else {}
     return out
 
 

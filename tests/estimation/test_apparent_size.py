@@ -59,19 +59,19 @@ def test_depth_a_tenth_too_small_shows_them_smaller(
 
 
 def test_looks_add_up_and_none_says_nothing() -> None:
-    weak = np.where(np.isclose(SCALES, 0.08), 4.0, 0.0)
+    weak = np.where(np.isclose(SCALES, 0.08), 4.0, 0.0)[None]
     assert not apparent_size([]).clear
     assert not apparent_size([weak]).clear
     three = apparent_size([weak, weak, weak])
     assert three.clear
     assert three.larger == pytest.approx(0.08)
-    usual = np.where(np.abs(SCALES) <= USUAL - 0.005, 40.0, 0.0)
+    usual = np.where(np.abs(SCALES) <= USUAL - 0.005, 40.0, 0.0)[None]
     assert not apparent_size([usual]).clear
     assert "smaller" in ApparentSize(-0.1, 20.0).said(Camera(600.0, 600.0, 320.0, 240.0, 640, 480))
 
 
 @pytest.mark.parametrize(("at", "clear"), [(0, False), (1, True), (-2, True), (-1, False)])
 def test_the_best_at_an_end_of_the_search_is_no_size(at: int, clear: bool) -> None:
-    support = np.zeros(len(SCALES))
-    support[at] = 100.0
+    support = np.zeros((1, len(SCALES)))
+    support[0, at] = 100.0
     assert apparent_size([support]).clear is clear

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from huepose.estimation.apparent_size import SCALES
+from huepose.estimation.apparent_size import QUARTERS, SCALES
 from huepose.estimation.depth_offset import DepthOffset
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame
@@ -57,7 +57,7 @@ class _Estimator:
     def sizes_seen(self, frame, answers):
         self.looked = [answer.instance for answer in answers]
         sizes = [0.0 if number in self.others else self.larger for number in self.looked]
-        return [np.where(np.isclose(SCALES, size), 9.0, 0.0) for size in sizes]
+        return [np.tile(np.where(np.isclose(SCALES, size), 9.0, 0.0), (1 + QUARTERS, 1)) for size in sizes]
 
 
 def masks(times, *names):

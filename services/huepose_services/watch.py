@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from huepose_protos.client import Reader
@@ -26,6 +27,8 @@ from huepose_services.runtime.running import Pipeline
 _WINDOW_S = 3.0
 _STALE_S = 2.5
 """Health comes once a second: what is older than this is not how the worker is now."""
+_NOTICED_S = 0.1
+"""How soon a request to stop is noticed."""
 _KINDS = {PerceptionRequest: "request", Estimates: "estimates", CorrectionMessage: "correction"}
 
 
@@ -63,11 +66,11 @@ class Watch:
         self._arrivals: dict[str, deque[float]] = {}
         self._since = time.monotonic()
 
-    def look(self, seconds: float) -> None:
-        """Listen for so long."""
+    def look(self, seconds: float, stopping: Callable[[], bool] = lambda: False) -> None:
+        """Listen for so long, or until it is to stop."""
         until = time.monotonic() + seconds
-        while (left := until - time.monotonic()) > 0:
-            message = self._reader.next(left)
+        while (left := until - time.monotonic()) > 0 and not stopping():
+            message = self._reader.next(min(left, _NOTICED_S))
             if message is not None:
                 self._take(message)
 

@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import re
+import signal
 
 import pytest
 
@@ -152,6 +153,30 @@ def test_status_names_a_pipeline_of_another_folder_once(tmp_path, monkeypatch, c
         said = capsys.readouterr()
         assert said.out.count(file) == 1
         assert said.err == ""
+
+
+def test_top_ends_at_ctrl_c_wherever_that_comes(monkeypatch):
+    """An exception is lost where Python cannot raise it, as in a finaliser."""
+
+    class Finalised:
+        def __del__(self):
+            signal.raise_signal(signal.SIGINT)
+
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    looks = []
+
+    def look(watch, seconds, stopping=lambda: False):
+        looks.append(seconds)
+        Finalised()
+
+    monkeypatch.setattr("huepose_services.watch.Watch.look", look)
+    try:
+        with noted(Pipeline(base_port=18200, workers=("camera",))):
+            assert main(["top", "--seconds", "2"]) == 0
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert len(looks) == 1
 
 
 @pytest.mark.parametrize("words", [["objects", "list"], ["graph"]])

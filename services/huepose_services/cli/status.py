@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, chosen, say
+from huepose_services.cli.options import add_choice, chosen, say, until_told
 
 if TYPE_CHECKING:
     from huepose_protos.messages import HealthMessage, PoseMessage
@@ -55,19 +55,17 @@ def call_again(arguments: argparse.Namespace) -> int:
 
     pipeline = chosen(arguments, tell=False)  # the first line names it
     until = float("inf") if arguments.seconds is None else time.monotonic() + arguments.seconds
+    stopping = until_told()
     with Watch(pipeline) as watch:
-        try:
-            shown = ""
-            while time.monotonic() < until:
-                watch.look(_EVERY_S)
-                view = watch.view()
-                text = as_text(view, _width()) if view.seen else pipeline.absence
-                if text != shown:
-                    sys.stdout.write((_CLEAR if sys.stdout.isatty() else "") + text + "\n")
-                    sys.stdout.flush()
-                shown = text
-        except KeyboardInterrupt:
-            pass
+        shown = ""
+        while not stopping() and time.monotonic() < until:
+            watch.look(_EVERY_S, stopping)
+            view = watch.view()
+            text = as_text(view, _width()) if view.seen else pipeline.absence
+            if text != shown:
+                sys.stdout.write((_CLEAR if sys.stdout.isatty() else "") + text + "\n")
+                sys.stdout.flush()
+            shown = text
     return 0
 
 

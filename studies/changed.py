@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 
 from huepose.datasets.bop import BopScene
+from huepose.datasets.bop_writer import DEPTH_SCALE_MM, depth_steps
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.support.progress import progress
 
-DEPTH_SCALE_MM = 0.1
 FARTHEST_M = np.float32(1000.0)
 """Farther than any reading."""
 
@@ -125,9 +125,8 @@ def write_changed(scene: BopScene, form: str, out: Path) -> None:
         frame, name = scene.frame(image), f"{image:06d}.png"
         color = COLORS[form](frame.color) if form in COLORS else frame.color
         depth = DEPTHS[form](frame.depth) if form in DEPTHS else frame.depth
-        steps = np.clip(np.rint(1000.0 / DEPTH_SCALE_MM * depth), 0, np.iinfo(np.uint16).max)
         cv2.imwrite(str(out / "rgb" / name), np.ascontiguousarray(color[..., ::-1]))
-        cv2.imwrite(str(out / "depth" / name), steps.astype(np.uint16))
+        cv2.imwrite(str(out / "depth" / name), depth_steps(depth))
         cameras[str(image)]["depth_scale"] = DEPTH_SCALE_MM
     (out / "scene_camera.json").write_text(json.dumps(cameras))
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from huepose.datasets import files
 from huepose.geometry import Box, Camera
-from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
+from huepose.geometry.arrays import Bool, Float32, Float64, UInt8, UInt16
 from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError
 from huepose.support.files import whole, write_bytes, write_text, writing
@@ -88,13 +88,11 @@ class BopWriter:
     def add(self, image: int, color: UInt8, depth: Float32, camera: Camera, labels: Sequence[Label]) -> None:
         """Write a frame: color (H, W, 3) uint8 RGB, depth (H, W) float32 m. Raises InputError."""
         stem, key = f"{image:06d}", str(image)
-        steps = np.rint(depth * np.float32(1000.0 / DEPTH_SCALE_MM))
-        raw = np.where(steps > np.iinfo(np.uint16).max, 0, steps).astype(np.uint16)
         suffix = self._color_suffix
         quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if suffix == ".jpg" else []
         with writing(self.folder, "a folder with room for about 0.6 MB a frame"):
             _write(self.folder / "rgb" / f"{stem}{suffix}", _encoded(suffix, color[..., ::-1], quality))
-            _write(self.folder / "depth" / f"{stem}.png", _encoded(".png", raw))
+            _write(self.folder / "depth" / f"{stem}.png", _encoded(".png", depth_steps(depth)))
             for k, label in enumerate(labels):
                 picture = label.mask.astype(np.uint8) * np.uint8(255)
                 _write(self.folder / "mask_visib" / f"{stem}_{k:06d}.png", _encoded(".png", picture))
@@ -106,6 +104,12 @@ class BopWriter:
             self._sheets["scene_gt_info"][key] = [_details(label) for label in labels]
             for name, sheet in self._sheets.items():
                 _write(self.folder / f"{name}.json", json.dumps(sheet).encode())
+
+
+def depth_steps(depth: Float32) -> UInt16:
+    """Depth (H, W), metres, in steps of DEPTH_SCALE_MM; 0, nothing, where it is farther than they reach."""
+    steps = np.rint(depth * np.float32(1000.0 / DEPTH_SCALE_MM))
+    return np.where(steps > np.iinfo(np.uint16).max, 0, steps).astype(np.uint16)
 
 
 def _pose(label: Label) -> dict[str, Any]:

@@ -112,8 +112,7 @@ def apparent_size(supports: Sequence[Float64], others: float = 0.0) -> ApparentS
     if best in (0, len(SCALES) - 1):
         return ApparentSize(float(SCALES[best]), 0.0)
     usual = np.minimum(np.abs(SCALES), np.abs(SCALES - others)) <= USUAL
-    alike = np.abs(SCALES - SCALES[best]) <= ALIKE + 1e-9
-    gains = total[:, alike].max(1) - total[:, usual].max(1)
+    gains = total[:, _alike(SCALES[best])].max(1) - total[:, usual].max(1)
     return ApparentSize(float(SCALES[best]), float(gains.min()))
 
 
@@ -283,5 +282,10 @@ def _totals(seen: Mapping[K, Sequence[Float64]]) -> dict[K, Float64]:
 def _against(total: Float64, larger: float) -> float:
     """By how much the support (S,) is greater for a usual size, or one that differs the other way, than for
     that share."""
-    near, other = np.abs(SCALES - larger) <= ALIKE + 1e-9, np.sign(larger) * SCALES <= USUAL
-    return float(total[other].max() - total[near].max())
+    other = np.sign(larger) * SCALES <= USUAL
+    return float(total[other].max() - total[_alike(larger)].max())
+
+
+def _alike(larger: float) -> Bool:
+    """Which of SCALES (S,) are that share, as far as models can tell."""
+    return np.asarray(np.abs(SCALES - larger) <= ALIKE + 1e-9)

@@ -55,6 +55,7 @@ from huepose.select.distinct import (
 )
 from huepose.select.near_ties import decided
 from huepose.support.errors import InputError
+from huepose.support.pool import Steps
 from huepose.support.stages import stage
 
 
@@ -65,9 +66,9 @@ def answered(
     segmenter: Segmenter,
     config: EstimatorConfig,
     method: PairMethod | None,
-) -> tuple[PoseEstimate, Explanation]:
-    """The answer to one query, as if there were no other, and what led to it. method: what finds the poses,
-    None for `full`."""
+) -> Steps[tuple[PoseEstimate, Explanation]]:
+    """The answer to one query, as if there were no other, and what led to it, in two steps of about the same
+    time. method: what finds the poses, None for `full`."""
     start = time.perf_counter()
     box, masks = _box_and_masks(frame, query, model, segmenter)
     with stage("evidence"):
@@ -90,6 +91,9 @@ def answered(
             with stage("retrieval"):
                 crop, bounds = evidence.region.crop, evidence.region.bounds
                 views = retrieve(table_of(model), crop, bounds, evidence.sources, config.full.retrieval)
+            spent = time.perf_counter() - start
+            yield
+            start = time.perf_counter() - spent
             poses = refine(model, evidence, views.poses, views.masks, config.full)
             ranked = judge(model, evidence.region, poses, look.prior, config.full)
             with stage("contest"):

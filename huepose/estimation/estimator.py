@@ -38,7 +38,7 @@ from huepose.rendering.render import render
 from huepose.select.distinct import Ranked
 from huepose.select.near_ties import decided
 from huepose.support.errors import require
-from huepose.support.pool import Pool
+from huepose.support.pool import Pool, Steps, finished
 from huepose.support.stages import stage
 
 Answered = tuple[PoseEstimate, Explanation]
@@ -107,22 +107,27 @@ class Estimator:
             with stage("presence"):
                 presence = PresenceIn(frame, self._models, self.config.method)
 
-        def look(seen: RgbdFrame, query: ObjectQuery) -> Answered:
+        def look(seen: RgbdFrame, query: ObjectQuery) -> Steps[Answered]:
             if query.others:
                 seen, query = _free_of(seen, query, taken_by(self._models[query.object], seen, query.others))
-            answer, led = self.explain(seen, query)
+            answer, led = yield from self._explain(seen, query)
             if presence is not None and query.searched:
                 with stage("presence"):
                     answer = presence.asked(answer)
             return answer, led
 
-        answers = self._pool.map(lambda query: look(frame, query), queries)
+        answers = self._pool.map_steps(lambda query: look(frame, query), queries)
         if len(queries) < 2 or not self.config.competing or (self._method and self._method.bare):
             return answers
-        return compete(frame, queries, answers, look, self.config.competition)
+        return compete(
+            frame, queries, answers, lambda *asked: finished(look(*asked)), self.config.competition
+        )
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> Answered:
         """The answer to one query, as if there were no other, and what led to it."""
+        return finished(self._explain(frame, query))
+
+    def _explain(self, frame: RgbdFrame, query: ObjectQuery) -> Steps[Answered]:
         model = self._models[query.object]
         return answered(frame, query, model, self._segmenter, self.config, self._method)
 

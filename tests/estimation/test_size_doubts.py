@@ -112,7 +112,7 @@ def test_in_a_picture_the_one_of_another_size_is_doubted(
     ((which, size),) = objects.items()
     assert answers[which].object == "tea_box"
     # A pose nearer by or further off takes a part of it.
-    assert size.larger == pytest.approx(times - 1.0, abs=0.06)
+    assert 0.4 < size.larger / (times - 1.0) < 1.2
     assert (
         f"{'larger' if times > 1.0 else 'smaller'} than its mesh, while other objects fit"
         in size.said_of_one()
@@ -124,7 +124,7 @@ def test_in_a_picture_through_a_wrong_camera_matrix_no_object_is_doubted_but_the
 ) -> None:
     frame = larger_box(1.0)
     assert doubted_in(frame, box_and_can, answers_about(frame, box_and_can)) == (None, {})
-    camera = replace(frame.camera, fx=0.88 * frame.camera.fx, fy=0.88 * frame.camera.fy)
+    camera = replace(frame.camera, fx=0.9 * frame.camera.fx, fy=0.9 * frame.camera.fy)
     frame = replace(frame, camera=camera)
     size, objects = doubted_in(frame, box_and_can, answers_about(frame, box_and_can))
     assert size is not None

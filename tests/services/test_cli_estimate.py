@@ -13,9 +13,12 @@ import cv2
 import numpy as np
 import pytest
 
+from huepose.believe.state import State
+from huepose.estimation import PoseEstimate
 from huepose.geometry import Box, RgbdFrame
 from huepose.model import ReferenceModel, save_model
 from huepose.rendering.render import render_depth
+from huepose_services.cli.estimate import in_words
 from huepose_services.cli.main import main
 
 
@@ -270,7 +273,15 @@ def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.Captur
     assert (pose["found"], pose["T_cam_obj"], pose["state"]) == (False, None, "LOST")
     assert pose["reason"].endswith(".")
     assert main(arguments) == 0
-    assert capsys.readouterr().out.split() == f"tea_box not found: {pose['reason']}".split()
+    assert capsys.readouterr().out.split() == f"not found: tea_box {pose['reason']}".split()
+
+
+def test_of_objects_that_are_not_found_the_same_is_said_once() -> None:
+    here = PoseEstimate("can", T_cam_obj=np.eye(4), quality=0.9, state=State.SUSPECT, reason="Half hidden.")
+    gone = [PoseEstimate(name, reason=why) for name, why in [("a", "No."), ("b", "Why."), ("c", "No.")]]
+    lines = in_words([gone[0], here, *gone[1:]]).splitlines()
+    assert re.fullmatch(r"can +SUSPECT +quality 0\.90 .*", lines[0])
+    assert lines[1:] == ["    Half hidden.", "not found: a, c", "    No.", "not found: b", "    Why."]
 
 
 def test_without_json_an_answer_is_a_line(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:

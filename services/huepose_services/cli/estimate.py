@@ -147,7 +147,7 @@ def call(arguments: argparse.Namespace) -> int:
     for doubt in doubts:
         say(doubt)
     record = {"poses": [as_record(a) for a in answers], "doubts": doubts}
-    answered(arguments, record, "\n".join(map(in_words, answers)))
+    answered(arguments, record, in_words(answers))
     if arguments.image:
         from huepose_services.cli.explain import draw_answers
 
@@ -312,16 +312,21 @@ def _standing(
     return out
 
 
-def in_words(answer: PoseEstimate) -> str:
-    """An estimate as a line: state, quality and where the origin of the mesh is, or why nothing was found."""
-    if answer.T_cam_obj is None:
-        return f"{answer.object:24s} not found: {answer.reason}"
-    at = " ".join(f"{x:+.3f}" for x in answer.T_cam_obj[:3, 3])
-    spent = f"{1000 * answer.seconds:.0f} ms"
-    line = (
-        f"{answer.object:24s} {answer.state:9s} quality {answer.quality:.2f}  {at} m from the camera  {spent}"
-    )
-    return f"{line}\n    {answer.reason}" if answer.reason else line
+def in_words(answers: Sequence[PoseEstimate]) -> str:
+    """A line for each pose: state, quality, where the origin of the mesh is, and why it is doubted. Then the
+    objects that were not found, those together of which the same is said."""
+    lines, missing = [], dict[str, list[str]]()
+    for answer in answers:
+        if answer.T_cam_obj is None:
+            missing.setdefault(answer.reason, []).append(answer.object)
+            continue
+        at = " ".join(f"{x:+.3f}" for x in answer.T_cam_obj[:3, 3])
+        pose = f"{answer.state:9s} quality {answer.quality:.2f}  {at} m from the camera"
+        lines.append(f"{answer.object:24s} {pose}  {1000 * answer.seconds:.0f} ms")
+        lines += [f"    {answer.reason}"] if answer.reason else []
+    for reason, names in missing.items():
+        lines += [f"not found: {', '.join(names)}", *([f"    {reason}"] if reason else [])]
+    return "\n".join(lines)
 
 
 def as_record(answer: PoseEstimate) -> dict[str, Any]:

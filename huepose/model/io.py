@@ -34,8 +34,6 @@ from huepose.support.kept import kept
 
 SUFFIX = ".huepose"
 VERSION = 2
-_WITH_TABLES = 1
-"""The version before: every file had the tables of the paper's method, among the colour pairs."""
 
 _FORMAT = "huepose reference model"
 _AGAIN = "Onboard the object again with `huepose onboard` or `huepose onboard-bop`."
@@ -122,7 +120,7 @@ def load_model(path: Path | str) -> ReferenceModel:
     try:
         with Archive(path) as archive:
             header = archive.header()
-            if header.get("format") != _FORMAT or header.get("version") not in (VERSION, _WITH_TABLES):
+            if header.get("format") != _FORMAT or header.get("version") != VERSION:
                 raise InputError(
                     path,
                     found=f"{str(header.get('format'))[:80]} of version {str(header.get('version'))[:20]}",
@@ -192,7 +190,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any], digest: str) -> R
         return {name: arrays[f"{room}.{name}"] for name in _array_fields(kind)}
 
     texture = kept(_Texture, digest, lambda: _Texture(picture(arrays["mesh.texture_png"])))
-    source = header.get("keypoint_source")  # not in older files
+    source = header["keypoint_source"]
     return ReferenceModel(
         name=check_name(header["name"]),
         object_id=header["object_id"],
@@ -220,11 +218,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any], digest: str) -> R
 
 
 def _tables(header: dict[str, Any], arrays: dict[str, Any]) -> PaperTables | None:
-    old = header["version"] == _WITH_TABLES
-    room, parameters = ("pairs", "pair_parameters") if old else ("tables", "table_parameters")
-    if header[parameters] is None:
+    if header["table_parameters"] is None:
         return None
-    part = {name: arrays[f"{room}.{name}"] for name in _array_fields(PaperTables)}
-    coarse = int(header["pair_parameters"]["coarse_pairs"])
-    part["side_classes"] = part["side_classes"][:coarse]  # the version before had those of all pairs
-    return PaperTables(**part, parameters=header[parameters])
+    part = {name: arrays[f"tables.{name}"] for name in _array_fields(PaperTables)}
+    return PaperTables(**part, parameters=header["table_parameters"])

@@ -112,27 +112,6 @@ def test_another_version_is_refused(saved: Path, tmp_path: Path) -> None:
         load_model(other)
 
 
-def test_a_file_of_the_version_before_is_read(saved: Path, tmp_path: Path) -> None:
-    """It had the tables of the paper's method among the pairs, and classes of the fine pairs as well."""
-    path = tmp_path / "tea_box.huepose"
-    with zipfile.ZipFile(saved) as new, zipfile.ZipFile(path, "w") as old:
-        for entry in new.infolist():
-            data, name = new.read(entry), entry.filename.replace("tables.", "pairs.")
-            if name == "header.json":
-                header = json.loads(data) | {"version": 1}
-                header["pair_parameters"] |= header.pop("table_parameters")
-                header["types"] = {k.replace("tables.", "pairs."): v for k, v in header["types"].items()}
-                data = json.dumps(header).encode()
-            old.writestr(name, data)
-    before, now = load_model(path), load_model(saved)
-    assert before.tables is not None
-    assert now.tables is not None
-    np.testing.assert_array_equal(before.pairs.colors, now.pairs.colors)
-    np.testing.assert_array_equal(before.tables.triangles, now.tables.triangles)
-    np.testing.assert_array_equal(before.tables.side_classes, now.tables.side_classes)
-    assert before.tables.parameters["ppf_bin_m"] == now.tables.parameters["ppf_bin_m"]
-
-
 def test_tables_are_kept_where_there_are_any(tea_box: ReferenceModel, saved: Path, tmp_path: Path) -> None:
     assert load_model(saved).tables is not None
     bare = replace(tea_box, tables=None)
@@ -141,27 +120,15 @@ def test_tables_are_kept_where_there_are_any(tea_box: ReferenceModel, saved: Pat
     assert (tmp_path / "bare.huepose").stat().st_size < saved.stat().st_size - 1e6
 
 
-def test_keypoints_are_kept_and_a_file_of_before_there_were_any_loads(
-    tea_box: ReferenceModel, saved: Path, tmp_path: Path
-) -> None:
+def test_keypoints_are_kept_where_there_are_any(tea_box: ReferenceModel, saved: Path, tmp_path: Path) -> None:
     kept = load_model(saved).keypoints
     assert kept is not None
     assert tea_box.keypoints is not None
     assert kept.source == tea_box.keypoints.source
     np.testing.assert_array_equal(kept.descriptors, tea_box.keypoints.descriptors)
     np.testing.assert_array_equal(kept.points, tea_box.keypoints.points)
-    older = tmp_path / "older.huepose"
-    save_model(replace(tea_box, keypoints=None), older)
-    bare = tmp_path / "bare.huepose"
-    with zipfile.ZipFile(older) as source, zipfile.ZipFile(bare, "w") as target:
-        for name in source.namelist():
-            data = source.read(name)
-            if name == "header.json":
-                header = json.loads(data)
-                del header["keypoint_source"]
-                data = json.dumps(header).encode()
-            target.writestr(name, data)
-    assert load_model(bare).keypoints is None
+    save_model(replace(tea_box, keypoints=None), tmp_path / "bare.huepose")
+    assert load_model(tmp_path / "bare.huepose").keypoints is None
 
 
 @pytest.mark.parametrize("content", [b"", b"no zip", None])

@@ -82,10 +82,7 @@ def main() -> None:
         curves = measure([steps[0], steps[-1]] if arguments.quick else steps)
         found[axis] = curves
         lines = {name: tuple(np.array(points).T) for name, points in curves.items()}
-        write_picture(
-            arguments.out / f"{axis}.png",
-            line_plot(lines, "", x_label, y_label, marks=True),
-        )
+        write_picture(arguments.out / f"{axis}.png", line_plot(lines, "", x_label, y_label, marks=True))
         for name, points in curves.items():
             ends = " to ".join(f"{x:g}" for x, _ in (points[0], points[-1]))
             costs = " to ".join(f"{y:.2f}" for _, y in (points[0], points[-1]))

@@ -72,9 +72,7 @@ def with_networks() -> dict[str, RelativePose]:
 
 
 def evaluate_ablation(
-    scenes: Sequence[Scene],
-    targets: Targets,
-    estimators: Mapping[str, RelativePose] | None = None,
+    scenes: Sequence[Scene], targets: Targets, estimators: Mapping[str, RelativePose] | None = None
 ) -> AblationResult:
     """Every pair of frames of each sequence whose numbers differ by GAP, for every labelled object that is
     visible in both; a variant is called CHOICE/ESTIMATOR. Raises InputError where nothing can be compared."""

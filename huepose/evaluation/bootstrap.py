@@ -69,10 +69,7 @@ class Share:
 
 
 def difference_intervals(
-    pairs: Mapping[str, tuple[Share, Share]],
-    units: Sequence[Hashable],
-    resamples: int = 4000,
-    seed: int = 0,
+    pairs: Mapping[str, tuple[Share, Share]], units: Sequence[Hashable], resamples: int = 4000, seed: int = 0
 ) -> dict[str, Interval | None]:
     """For each figure the interval of its change, second less first, over the same N rows.
 

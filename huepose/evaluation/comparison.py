@@ -15,14 +15,7 @@ from typing import Any
 import numpy as np
 
 from huepose.evaluation.bootstrap import Interval, Share, difference_intervals, sign_test
-from huepose.evaluation.measured import (
-    ENOUGH_SEQUENCES,
-    FALSE_PER_FRAME,
-    TRACK,
-    Figure,
-    Kind,
-    Measured,
-)
+from huepose.evaluation.measured import ENOUGH_SEQUENCES, FALSE_PER_FRAME, TRACK, Figure, Kind, Measured
 from huepose.evaluation.summary import Row, grouped
 from huepose.geometry.arrays import Float64, Int64
 from huepose.support.errors import InputError

@@ -54,9 +54,7 @@ def labels_of(truths: Sequence[GroundTruth], targets: Targets, min_visib: float)
 
 
 def assigned(
-    answers: Sequence[PoseEstimate],
-    labels: Sequence[Label],
-    box_of: Callable[[str, Float64], Box | None],
+    answers: Sequence[PoseEstimate], labels: Sequence[Label], box_of: Callable[[str, Float64], Box | None]
 ) -> tuple[dict[int, PoseEstimate], list[tuple[PoseEstimate, Float64]]]:
     """Poses to labels of their object, one to one, the surest pose first, each to the label whose projected
     box it overlaps most, by IoU 0.3 at least. Returns answers by index of the label, and the spare poses."""

@@ -253,16 +253,7 @@ def suitability_of(model: ReferenceModel, trials: Sequence[Trial]) -> Suitabilit
         verdict = "does not suit"
     if verdict == "does not suit" and not reasons:
         reasons.append("Its pose is seldom right, alone or among other things: look at the trials.")
-    return Suitability(
-        verdict,
-        share,
-        tracking,
-        wrong,
-        len(turns),
-        smallest,
-        tuple(reasons),
-        tuple(trials),
-    )
+    return Suitability(verdict, share, tracking, wrong, len(turns), smallest, tuple(reasons), tuple(trials))
 
 
 def seen_in_part(found: Suitability, share: float) -> Suitability:

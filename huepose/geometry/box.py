@@ -57,10 +57,7 @@ class Box(NamedTuple):
     def slices(self, width: int, height: int) -> tuple[slice, slice]:
         """Rows and columns of the pixels it touches inside an image of that size."""
         b = self.clipped(width, height)
-        return (
-            slice(int(np.floor(b.y)), int(np.ceil(b.y1))),
-            slice(int(np.floor(b.x)), int(np.ceil(b.x1))),
-        )
+        return (slice(int(np.floor(b.y)), int(np.ceil(b.y1))), slice(int(np.floor(b.x)), int(np.ceil(b.x1))))
 
     @staticmethod
     def of_mask(mask: Bool) -> Box | None:

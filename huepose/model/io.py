@@ -53,9 +53,7 @@ def check_name(name: str) -> str:
     """The name itself; raises InputError unless it is of [a-z0-9_-]{1,64}."""
     if not re.fullmatch(r"[a-z0-9_-]{1,64}", name):
         raise InputError(
-            f"object name '{name}'",
-            expected="1 to 64 of a-z, 0-9, _ and -",
-            fix="Give another name.",
+            f"object name '{name}'", expected="1 to 64 of a-z, 0-9, _ and -", fix="Give another name."
         )
     return name
 
@@ -194,13 +192,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any], digest: str) -> R
     return ReferenceModel(
         name=check_name(header["name"]),
         object_id=header["object_id"],
-        mesh=Mesh(
-            arrays["mesh.vertices"],
-            arrays["mesh.faces"],
-            arrays["mesh.uv"],
-            texture.rgb,
-            digest,
-        ),
+        mesh=Mesh(arrays["mesh.vertices"], arrays["mesh.faces"], arrays["mesh.uv"], texture.rgb, digest),
         eval_points=arrays["eval_points"],
         diameter_m=header["diameter_m"],
         symmetries=arrays["symmetries"],

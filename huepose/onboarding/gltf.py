@@ -180,10 +180,7 @@ def _merged(asset: Asset) -> RawMesh:
             )
     if all(p[3] is None for p in parts) and all(i < 0 for i in used):
         raise InputError(
-            path,
-            found="neither materials nor vertex colours",
-            expected="a textured mesh",
-            fix=RE_EXPORT,
+            path, found="neither materials nor vertex colours", expected="a textured mesh", fix=RE_EXPORT
         )
     uv = [np.zeros((len(p[1]), 3, 2)) if p[2] is None else p[2] for p in parts]
     colors = None

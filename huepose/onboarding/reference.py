@@ -16,13 +16,7 @@ from huepose.model.io import check_name
 from huepose.model.types import PaperTables, ReferenceModel
 from huepose.onboarding.cloud import visible_cloud
 from huepose.onboarding.near_symmetries import near_symmetries
-from huepose.onboarding.pairs import (
-    MergedPairs,
-    PairView,
-    coarse_and_fine,
-    pair_reference,
-    reference_cameras,
-)
+from huepose.onboarding.pairs import MergedPairs, PairView, coarse_and_fine, pair_reference, reference_cameras
 from huepose.onboarding.surface import build_grid, build_surface
 from huepose.onboarding.symmetries import equivalent_rotations, rotations_about_own
 from huepose.onboarding.visibility import depth_views

@@ -46,12 +46,7 @@ def classified_scene(
     without the tables of the paper's method."""
     tables, reference = tables_of(model), reference_pairs(model.pairs)
     return classified(
-        scene,
-        reference,
-        tables.side_classes,
-        len(tables.centers),
-        tables.parameters["side_offset_m"],
-        config,
+        scene, reference, tables.side_classes, len(tables.centers), tables.parameters["side_offset_m"], config
     )
 
 

@@ -20,26 +20,10 @@ from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Float64
 from huepose.reinit.answered import Answered, Frame, held
 from huepose.reinit.config import ReinitConfig
-from huepose.reinit.judge import (
-    acquires,
-    assign,
-    judge_tracked,
-    near,
-    same_sight,
-    usable,
-)
+from huepose.reinit.judge import acquires, assign, judge_tracked, near, same_sight, usable
 from huepose.reinit.outbox import Outbox
 from huepose.reinit.published_history import PublishedHistory
-from huepose.reinit.schedule import (
-    NEVER,
-    Elsewhere,
-    Pace,
-    Patience,
-    candidates,
-    choose,
-    doubtful,
-    missing,
-)
+from huepose.reinit.schedule import NEVER, Elsewhere, Pace, Patience, candidates, choose, doubtful, missing
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 
@@ -260,11 +244,7 @@ class ReinitLoop:
         return out
 
     def _acquire(
-        self,
-        slot: ObjectSlot,
-        estimate: PoseEstimate,
-        result: PerceptionResult,
-        before: Sequence[Correction],
+        self, slot: ObjectSlot, estimate: PoseEstimate, result: PerceptionResult, before: Sequence[Correction]
     ) -> Correction | None:
         """An estimate of no tracked instance: of a lost one, or of one never seen; None while it is held
         back."""

@@ -120,13 +120,7 @@ def _controls(timing: Timing) -> int:
 
 
 def _place(
-    radius: float,
-    radii: Float,
-    others: list[Float64],
-    camera: Camera,
-    timing: Timing,
-    rng: Rng,
-    haste: float,
+    radius: float, radii: Float, others: list[Float64], camera: Camera, timing: Timing, rng: Rng, haste: float
 ) -> Float64 | None:
     """Positions (N, 3) of one more object that keep clear of the others', or None when no draw does."""
     n, k = 192, _controls(timing)

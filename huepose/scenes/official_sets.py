@@ -55,12 +55,7 @@ class SetObject:
 
 
 def write_bop_ycbv(
-    out: Path,
-    objects: Sequence[SetObject],
-    scenes: int,
-    frames: int,
-    seed: int,
-    ranges: SceneRanges,
+    out: Path, objects: Sequence[SetObject], scenes: int, frames: int, seed: int, ranges: SceneRanges
 ) -> None:
     """BOP's download: `test/NNNNNN/` without `mask/`, `test_targets_bop19.json`, `models/`, `models_eval/`.
     Scenes that were begun are gone on with. Raises InputError."""

@@ -186,12 +186,7 @@ def load_checkpoint(out: Path, kind: str, parts: Mapping[str, Any]) -> Course:
 
 
 def export_onnx(
-    network: nn.Module,
-    file: Path,
-    examples: Mapping[str, Tensor],
-    output: str,
-    *,
-    any_count: bool = False,
+    network: nn.Module, file: Path, examples: Mapping[str, Tensor], output: str, *, any_count: bool = False
 ) -> None:
     """Write a network as ONNX: its inputs by name, each with an example, and its one output, without what the
     exporter notes there about the source files and their folders. any_count: the first size is free."""

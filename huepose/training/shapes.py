@@ -84,12 +84,7 @@ def random_shape(rng: np.random.Generator, diameter_m: float) -> Mesh:
     v -= (v.min(0) + v.max(0)) / 2
     v *= diameter_m / np.linalg.norm(v.max(0) - v.min(0))
     f = np.concatenate(faces)
-    return Mesh(
-        v.astype(np.float32),
-        f.astype(np.int32),
-        np.concatenate(uv).astype(np.float32),
-        texture,
-    )
+    return Mesh(v.astype(np.float32), f.astype(np.int32), np.concatenate(uv).astype(np.float32), texture)
 
 
 def random_rotation(rng: np.random.Generator) -> Float64:

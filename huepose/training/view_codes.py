@@ -26,13 +26,7 @@ from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, UNTURNED
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
 from huepose.support.files import write_picture
 from huepose.training.byte_input import read_bytes
-from huepose.training.network import (
-    LARGEST_SHARPNESS,
-    ViewCodeNetwork,
-    info_nce,
-    view_codes,
-    window_codes,
-)
+from huepose.training.network import LARGEST_SHARPNESS, ViewCodeNetwork, info_nce, view_codes, window_codes
 from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
 from huepose.training.windows import PIXELS, WINDOWS, Drawn, endless
 

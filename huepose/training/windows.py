@@ -93,11 +93,7 @@ def draw_object(rng: Rng, props: Props) -> Drawn | None:
     else:
         return None
     colors, reliefs = unturned_views(mesh, diameter_m)
-    return Drawn(
-        colors,
-        reliefs.astype(np.float16),
-        *(np.stack(part) for part in zip(*windows, strict=True)),
-    )
+    return Drawn(colors, reliefs.astype(np.float16), *(np.stack(part) for part in zip(*windows, strict=True)))
 
 
 def _window(

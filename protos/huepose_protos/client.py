@@ -93,11 +93,7 @@ def tls_files(
     authority: Path | str | None, certificate: Path | str | None, key: Path | str | None
 ) -> dict[str, object]:
     """The settings of who connects by TLS, with files in PEM."""
-    files = {
-        "root_ca_certificate": authority,
-        "connect_certificate": certificate,
-        "connect_private_key": key,
-    }
+    files = {"root_ca_certificate": authority, "connect_certificate": certificate, "connect_private_key": key}
     settings: dict[str, object] = {"transport/link/tls/enable_mtls": certificate is not None}
     for name, path in files.items():
         if path is not None:

@@ -33,8 +33,7 @@ Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
 Vector3 = tuple[float, float, float]
 Quaternion = Annotated[tuple[float, float, float, float], Meta(description="x y z w, of unit length")]
 BoxXYWH = Annotated[
-    tuple[float, float, float, float],
-    Meta(description="x, y of the top-left corner, width, height; pixels"),
+    tuple[float, float, float, float], Meta(description="x, y of the top-left corner, width, height; pixels")
 ]
 Covariance = Annotated[
     list[float],

@@ -184,15 +184,7 @@ def _predicted(pose: PoseMessage, ahead_ns: int) -> PoseAt | None:
         to_origin[:3, 3:] = np.cross(np.eye(3), lever_then).T
         covariance = _covariance(pose) + to_origin @ np.diag(growth) @ to_origin.T
     centre = np.array(pose.translation) - lever + (linear - np.cross(angular, lever)) * dt
-    return PoseAt(
-        centre + lever_then,
-        quaternion,
-        covariance,
-        pose.state,
-        pose.quality,
-        dt,
-        pose,
-    )
+    return PoseAt(centre + lever_then, quaternion, covariance, pose.state, pose.quality, dt, pose)
 
 
 def _between(before: PoseMessage, after: PoseMessage, share: float) -> PoseAt:

@@ -25,12 +25,7 @@ from huepose_protos.messages import (
     TruthMessage,
     TruthObject,
 )
-from huepose_services.convert import (
-    box_to_wire,
-    camera_from_wire,
-    optional_pose_from_wire,
-    prior_from_wire,
-)
+from huepose_services.convert import box_to_wire, camera_from_wire, optional_pose_from_wire, prior_from_wire
 from huepose_services.models import Outline, outline
 from huepose_services.runtime.clock import SECOND
 

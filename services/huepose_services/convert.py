@@ -181,11 +181,7 @@ def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None 
 
 
 def tracked_to_wire(
-    pose: TrackedPose,
-    header: FrameHeader,
-    publish_ns: int,
-    reason: str = "",
-    centre: Float64 | None = None,
+    pose: TrackedPose, header: FrameHeader, publish_ns: int, reason: str = "", centre: Float64 | None = None
 ) -> PoseMessage:
     """The message of a tracked pose; the header names the camera's frame and clock. centre (3,): of the
     object, in its own frame."""

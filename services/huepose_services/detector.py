@@ -10,13 +10,7 @@ from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
 from huepose_protos import WireError
-from huepose_protos.messages import (
-    DetectedObject,
-    Detections,
-    FrameHeader,
-    PerceptionRequest,
-    TruthMessage,
-)
+from huepose_protos.messages import DetectedObject, Detections, FrameHeader, PerceptionRequest, TruthMessage
 from huepose_services import models, networks
 from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, SearchedBoxes, SeenBoxes, TruthBoxes
 from huepose_services.convert import frame_from_wire

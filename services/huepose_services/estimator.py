@@ -27,9 +27,7 @@ from huepose_services.runtime.work import Work
 def make(bus: Bus, config: Config) -> EstimatorWork:
     """The estimator worker's work, with its kernels compiled."""
     settings = replace(
-        profile(config.profile).estimator,
-        method=config.estimator.method,
-        threads=config.estimator.threads,
+        profile(config.profile).estimator, method=config.estimator.method, threads=config.estimator.threads
     )
     estimator = Estimator(models.load(config), settings)
     estimator.warm_up()
@@ -41,11 +39,7 @@ class EstimatorWork(Work):
     """Answers the newest masks."""
 
     def __init__(
-        self,
-        bus: Bus,
-        estimator: Estimator,
-        objects: Follower[ReferenceModel],
-        check_camera: bool = True,
+        self, bus: Bus, estimator: Estimator, objects: Follower[ReferenceModel], check_camera: bool = True
     ) -> None:
         self._bus, self._estimator, self._objects = bus, estimator, objects
         self._masks = bus.inbox.ring(bus.keys.masks)

@@ -107,10 +107,7 @@ class ObjectList:
             fix = f"; to search it anew: huepose objects reset {name}"
             return False, f"{name} is looked for already (up to {count} of it){fix}"
         if known is None and len(self._entries) >= MOST_OBJECTS:
-            return (
-                False,
-                f"{MOST_OBJECTS} objects are looked for, which is the most: remove one first",
-            )
+            return (False, f"{MOST_OBJECTS} objects are looked for, which is the most: remove one first")
         try:
             slot = self._load(name, count)
         except InputError as error:

@@ -60,11 +60,7 @@ APART = SceneRanges(
 KINDS = {"apart": (APART, 7003), "heaps": (SceneRanges(), 7001), "piles": (PILES, 7002)}
 """From what ranges, and the seed of the first set."""
 
-FRAMES: dict[SetName, tuple[int, ...]] = {
-    "fit": (70, 50, 40),
-    "choose": (40, 30, 24),
-    "report": (32, 16, 12),
-}
+FRAMES: dict[SetName, tuple[int, ...]] = {"fit": (70, 50, 40), "choose": (40, 30, 24), "report": (32, 16, 12)}
 SEEDS_APART = 1000
 
 SMALLER = (1.0, 0.5, 1.0, 0.35)

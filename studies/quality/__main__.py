@@ -135,10 +135,7 @@ def _print(method: str, fitted: Fitted, labels: Judged, others: Judged, alike: J
 def by_object(labels: Judged, paths: Sequence[Path]) -> Judged:
     """The same poses as if each object were one frame: folds then leave whole objects out."""
     objects = {
-        (str(path), row["scene"], int(row["image"]), row["instance"]): (
-            row["scene"] == OWN,
-            row["object"],
-        )
+        (str(path), row["scene"], int(row["image"]), row["instance"]): (row["scene"] == OWN, row["object"])
         for path in paths
         for row in json.loads(path.read_text())["rows"]
     }

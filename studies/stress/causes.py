@@ -68,11 +68,7 @@ def loaded_schedule(count: int) -> list[int]:
 
 
 def _run(
-    film: Film,
-    cause: str,
-    chosen: Sequence[int],
-    suffix: str = "",
-    at_once: bool = False,
+    film: Film, cause: str, chosen: Sequence[int], suffix: str = "", at_once: bool = False
 ) -> Iterator[Run]:
     kept = [film.frames[i] for i in chosen]
     while kept and kept[0].visib_fract < LEAST_VISIBLE:

@@ -34,12 +34,7 @@ def builtin_meshes(seed: int) -> dict[str, Mesh]:
     corner = blocks(
         [-0.06, -0.03, 0.06], [-0.03, 0.03], [-0.05, -0.02, 0.05], np.array([[[1, 1]], [[1, 0]]], bool)
     )
-    tray = blocks(
-        [-0.07, -0.05, 0.05, 0.07],
-        [-0.05, -0.035, 0.035, 0.05],
-        [-0.03, -0.02, 0.03],
-        OPEN_TOP,
-    )
+    tray = blocks([-0.07, -0.05, 0.05, 0.07], [-0.05, -0.035, 0.035, 0.05], [-0.03, -0.02, 0.03], OPEN_TOP)
     can = revolved([_lid(-1), [(0.04, z) for z in np.linspace(-0.05, 0.05, 8)], _lid(1)])
     hues = rng.uniform() + np.arange(7) / 7.0
     front = textures.front("BRAND", "plain sides", "NEW")

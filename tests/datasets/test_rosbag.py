@@ -168,8 +168,7 @@ def test_pictures_that_are_rectified_already_have_the_intrinsics_of_p(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("encoding", "order"),
-    [("bgr8", [2, 1, 0]), ("rgba8", [0, 1, 2, 0]), ("bgra8", [2, 1, 0, 0])],
+    ("encoding", "order"), [("bgr8", [2, 1, 0]), ("rgba8", [0, 1, 2, 0]), ("bgra8", [2, 1, 0, 0])]
 )
 def test_other_orders_of_colours_are_brought_to_rgb(encoding: str, order: list[int], tmp_path: Path) -> None:
     ros = Ros("a")

@@ -30,11 +30,7 @@ def straight(t: float) -> np.ndarray:
 
 
 def looks(
-    model: ReferenceModel,
-    take_picture: TakePicture,
-    late_s: float,
-    path: Path = about,
-    right_px: int = 0,
+    model: ReferenceModel, take_picture: TakePicture, late_s: float, path: Path = about, right_px: int = 0
 ) -> tuple[list[Look], list[str]]:
     """Looks at an object on its path. late_s: by which depth is older; right_px: by which it lies beside."""
     found, blocks = [], []

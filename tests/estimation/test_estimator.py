@@ -11,13 +11,7 @@ import numpy as np
 import pytest
 
 from huepose.believe.state import State
-from huepose.estimation import (
-    Estimator,
-    EstimatorConfig,
-    ObjectQuery,
-    PoseEstimate,
-    PosePrior,
-)
+from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PoseEstimate, PosePrior
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
@@ -137,10 +131,7 @@ def test_results_repeat_in_any_order_and_with_threads(
 
 
 def test_no_thread_is_started_while_it_works(
-    tea_box: ReferenceModel,
-    take_picture: TakePicture,
-    standing: np.ndarray,
-    monkeypatch: pytest.MonkeyPatch,
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without memory for its stack a new thread dies before it says that it runs, and is waited for."""
     threaded = Estimator({"tea_box": tea_box}, EstimatorConfig(threads=2))

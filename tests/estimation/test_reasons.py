@@ -10,14 +10,7 @@ import pytest
 
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.reasons import (
-    covering,
-    displacement,
-    overlap,
-    reasons,
-    turned_as_well,
-    why_absent,
-)
+from huepose.estimation.reasons import covering, displacement, overlap, reasons, turned_as_well, why_absent
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
@@ -86,9 +79,7 @@ def test_without_depth_or_views_that_is_all(
     ]
 
 
-def test_why_nothing_is_there_is_said_by_what_was_measured(
-    looked: tuple[PoseEstimate, Explanation],
-) -> None:
+def test_why_nothing_is_there_is_said_by_what_was_measured(looked: tuple[PoseEstimate, Explanation]) -> None:
     answer, explanation = looked
     terms = answer.terms
     assert terms is not None

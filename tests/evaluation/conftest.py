@@ -11,13 +11,7 @@ import pytest
 from huepose.datasets.types import GroundTruth
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
-from huepose.model.types import (
-    DistanceGrid,
-    PairReference,
-    ReferenceModel,
-    Surface,
-    ViewTemplates,
-)
+from huepose.model.types import DistanceGrid, PairReference, ReferenceModel, Surface, ViewTemplates
 
 CAMERA = Camera(120.0, 120.0, 79.5, 59.5, 160, 120)
 HALF_TURN = se3.make(se3.rotation_exp([0, 0, np.pi]), [0, 0, 0])

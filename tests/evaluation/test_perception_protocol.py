@@ -82,11 +82,7 @@ def run(scene, models, detections, qualities, **options):
 
 
 def test_recall_counts_the_first_proposals_and_what_stands_in_the_end(models, scene) -> None:
-    detections = [
-        Detection("box", LEFT, 0.9),
-        Detection("brick", LEFT, 0.8),
-        Detection("brick", RIGHT, 0.7),
-    ]
+    detections = [Detection("box", LEFT, 0.9), Detection("brick", LEFT, 0.8), Detection("brick", RIGHT, 0.7)]
     result = run(scene, models, detections, {("box", LEFT): 0.99, ("brick", LEFT): 0.95})
     record = json.loads(json.dumps(plain(result.as_json())))
     summary = record["summary"]

@@ -93,11 +93,7 @@ def test_files_of_a_tracking_run(models, tmp_path: Path) -> None:
     )  # fmt: skip
     folder.tracks(result)
     names = sorted(p.name for p in tmp_path.rglob("*.png"))
-    assert names == [
-        "000001_000000_s0.png",
-        "000001_000004_s0.png",
-        "errors_000001.png",
-    ]
+    assert names == ["000001_000000_s0.png", "000001_000004_s0.png", "errors_000001.png"]
 
 
 def test_a_folder_that_cannot_be_made_is_named(models, tmp_path: Path) -> None:

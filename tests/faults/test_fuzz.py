@@ -221,10 +221,7 @@ _NAMES = tuple(type(m).__name__ for m in messages())
 READERS = (
     Reader("messages", _messages, _read_messages, (*_NAMES, "payload"), (WireError,), _NAMES),
     Reader(
-        "configuration",
-        _configuration,
-        lambda folder: load(folder / "pipeline.yaml"),
-        ("pipeline.yaml",),
+        "configuration", _configuration, lambda folder: load(folder / "pipeline.yaml"), ("pipeline.yaml",)
     ),
     mesh("obj", lambda path: meshes.write_obj(path, _mesh()), ("m.obj", "m.mtl", "m.png"), "m.obj"),
     mesh("ply ascii", partial(_write_ply, binary=False, lists=True), ("m.ply",), "m.ply"),

@@ -54,12 +54,7 @@ SMALL = {
     KEYS.objects: "ObjectsMessage",
     KEYS.truth: "TruthMessage",
 }
-PIXELS = {
-    KEYS.frame: "FrameHeader",
-    KEYS.look: "Look",
-    KEYS.detections: "Detections",
-    KEYS.masks: "Masks",
-}
+PIXELS = {KEYS.frame: "FrameHeader", KEYS.look: "Look", KEYS.detections: "Detections", KEYS.masks: "Masks"}
 NUMBERS = (0, 1, -1, 2, 7, 0.5, -1e-12, 1e-3, 1e9, 1e300, 2**31, 2**62, 2**63 - 1)
 
 

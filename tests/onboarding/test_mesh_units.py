@@ -98,8 +98,7 @@ def test_feet_can_be_said(tmp_path: Path) -> None:
 def test_gltf_is_metres_unless_told(tmp_path: Path) -> None:
     files.write_glb(tmp_path / "m.glb", solids.box((80.0, 60.0, 40.0)))
     with pytest.raises(
-        InputError,
-        match=r"8 cm if it is in mm or 80 cm if it is in cm.*--unit mm or --unit cm",
+        InputError, match=r"8 cm if it is in mm or 80 cm if it is in cm.*--unit mm or --unit cm"
     ):
         read_mesh(tmp_path / "m.glb")
     np.testing.assert_allclose(

@@ -8,13 +8,7 @@ import pytest
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry import se3
 from huepose.model.types import ReferenceModel
-from huepose.onboarding.pairs import (
-    PairView,
-    coarse_and_fine,
-    merged,
-    pair_reference,
-    reference_cameras,
-)
+from huepose.onboarding.pairs import PairView, coarse_and_fine, merged, pair_reference, reference_cameras
 from huepose.paper.tables import TableConfig, build_tables
 from huepose.rendering.render import render
 from huepose.support.errors import InputError

@@ -117,12 +117,7 @@ def test_classes_turn_what_shape_cannot() -> None:
     seen = semantic_icp(can, scene, can.cloud_classes[front], ones, start)
     assert np.degrees(se3.rotation_angle(seen.T_cam_obj, T_true)) < 0.5
     blind = semantic_icp(
-        can,
-        scene,
-        can.cloud_classes[front],
-        ones,
-        start,
-        replace(SemanticIcpConfig(), semantic=0.0),
+        can, scene, can.cloud_classes[front], ones, start, replace(SemanticIcpConfig(), semantic=0.0)
     )
     assert np.degrees(se3.rotation_angle(blind.T_cam_obj, T_true)) > 8.0
 

@@ -10,14 +10,7 @@ import pytest
 from huepose.geometry import kabsch, se3
 from huepose.geometry.se3 import angles_to
 from huepose.paper.cloud import ClassifiedCloud
-from huepose.paper.triangles import (
-    TriangleConfig,
-    _fit,
-    build_triangles,
-    draw_triples,
-    pack,
-    triangle_votes,
-)
+from huepose.paper.triangles import TriangleConfig, _fit, build_triangles, draw_triples, pack, triangle_votes
 from huepose.paper.voting import cluster
 
 DIAMETER = 0.156

@@ -150,10 +150,7 @@ def test_a_source_that_there_is_not_is_refused() -> None:
 
 
 def test_keypoints_are_asked_for_only_where_views_are_not_sure(
-    tea_box: ReferenceModel,
-    take_picture: TakePicture,
-    standing: np.ndarray,
-    monkeypatch: pytest.MonkeyPatch,
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scouting, "UNLIKE", 0.0)
     asked: list[bool] = []

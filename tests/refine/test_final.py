@@ -99,9 +99,7 @@ def of_a_ball(ball: ReferenceModel, region: Region, factor: float, distance_m: f
     middle = np.array([0.0, 0.0, (factor - 1.0) * RADIUS_M]) + ball.mesh.centre
     seen = factor * RADIUS_M * front + middle + T[:3, 3]
     return scale_residual(
-        ball,
-        replace(region, points_cam=seen, point_weights=np.ones(len(seen)), median_depth_m=distance_m),
-        T,
+        ball, replace(region, points_cam=seen, point_weights=np.ones(len(seen)), median_depth_m=distance_m), T
     )
 
 

@@ -125,8 +125,7 @@ def test_a_loop_that_was_started_anew_counts_on_from_what_was_applied() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
     request = loop.tick(0, [track(instance=3, applied=17)])
     found = loop.answer(
-        40 * MS,
-        result(request, 0, estimate(instance=3, prior_score=2.0), estimate(T=pose(0.4))),
+        40 * MS, result(request, 0, estimate(instance=3, prior_score=2.0), estimate(T=pose(0.4)))
     )
     assert [(c.instance, c.seq, c.verdict) for c in found] == [
         (3, 40 * MS, Verdict.AGREE),
@@ -137,21 +136,13 @@ def test_a_loop_that_was_started_anew_counts_on_from_what_was_applied() -> None:
 def test_no_number_that_a_pose_says_moves_those_of_the_loop() -> None:
     """Poses with the highest numbers that a message can have: of a correction, and of an instance."""
     loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
-    forged = [
-        track(instance=0, applied=2**63 - 1),
-        track(instance=2**31 - 1, T=pose(0.9), applied=2**63 - 1),
-    ]
+    forged = [track(instance=0, applied=2**63 - 1), track(instance=2**31 - 1, T=pose(0.9), applied=2**63 - 1)]
     for k in range(3):
         loop.tick(k * 250 * MS, forged)
     request = loop.tick(750 * MS, forged)
     found = loop.answer(
         800 * MS,
-        result(
-            request,
-            750,
-            estimate(T=pose(0.02), instance=0, prior_score=1.0),
-            estimate(T=pose(0.4)),
-        ),
+        result(request, 750, estimate(T=pose(0.02), instance=0, prior_score=1.0), estimate(T=pose(0.4))),
     )
     assert [(c.instance, c.seq) for c in found] == [(0, 800 * MS), (1, 800 * MS)]
 

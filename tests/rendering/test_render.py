@@ -32,11 +32,7 @@ def blob(n: int = 40) -> Mesh:
     )
     radius = 0.05 + 0.008 * np.sin(3 * phi) * np.sin(theta) ** 2 + 0.004 * np.cos(5 * theta)
     vertices = np.stack(
-        [
-            radius * np.sin(theta) * np.cos(phi),
-            radius * np.sin(theta) * np.sin(phi),
-            radius * np.cos(theta),
-        ],
+        [radius * np.sin(theta) * np.cos(phi), radius * np.sin(theta) * np.sin(phi), radius * np.cos(theta)],
         -1,
     )
     i, j = np.meshgrid(np.arange(n - 1), np.arange(n), indexing="ij")

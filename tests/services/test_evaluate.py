@@ -114,11 +114,7 @@ def test_results_are_written_where_nobody_reads_what_is_printed(
 
 
 @pytest.mark.parametrize(
-    ("extra", "named"),
-    [
-        (["--objects", "7"], "Onboard"),
-        (["--equivalent", "nowhere.json"], "nowhere.json"),
-    ],
+    ("extra", "named"), [(["--objects", "7"], "Onboard"), (["--equivalent", "nowhere.json"], "nowhere.json")]
 )
 def test_wrong_input_ends_with_2_and_says_what_to_do(
     bundles: Path, scene: Path, tmp_path: Path, capsys, extra: list[str], named: str

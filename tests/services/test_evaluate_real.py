@@ -136,11 +136,7 @@ def test_poses_of_a_file_start_the_tracker_in_either_frame(
     posecnn = tmp_path / "poses_ycb.txt"
     row = (*T_cam_posecnn[:3, 3], *(w / np.linalg.norm(w)), np.linalg.norm(w))
     posecnn.write_text(" ".join(f"{v:.9f}" for v in row))
-    ways = [
-        ["--init", str(tmp_path)],
-        ["--init", str(dope)],
-        ["--init", str(posecnn)],
-    ]
+    ways = [["--init", str(tmp_path)], ["--init", str(dope)], ["--init", str(posecnn)]]
     command = ["eval", "track", "--fast-ycb", str(sequence), "--bundles", str(bundles)]
     for way in ways:
         assert main([*command, *way, "--json", str(tmp_path / "r.json")]) == 0

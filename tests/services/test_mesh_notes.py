@@ -42,12 +42,7 @@ def test_the_meshes_of_a_file_that_are_taken_as_one_object_are_named(
 @pytest.mark.parametrize(
     ("form", "mode", "everywhere", "noted"),
     [
-        (
-            "obj",
-            "",
-            True,
-            "note: 100 % of the surface is transparent; it is read as opaque there",
-        ),
+        ("obj", "", True, "note: 100 % of the surface is transparent; it is read as opaque there"),
         ("obj", "", False, ""),
         ("glb", "MASK", True, "note: 100 % of the surface is transparent"),
         ("glb", "OPAQUE", True, ""),

@@ -94,12 +94,7 @@ def answer(bus, **changes):
     request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
     now = now_ns()
     message = Estimates(
-        publish_ns=now,
-        request_seq=request.seq,
-        camera_epoch=EPOCH,
-        frame_id=9,
-        capture_ns=now,
-        estimates=[],
+        publish_ns=now, request_seq=request.seq, camera_epoch=EPOCH, frame_id=9, capture_ns=now, estimates=[]
     )
     return msgspec.structs.replace(message, **changes)
 

@@ -143,15 +143,9 @@ def two_hosts(folder):
         ):
             yield process
 
-    with (
-        _namespaces(robot, desk),
-        _process(cable, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as wire,
-    ):
+    with _namespaces(robot, desk), _process(cable, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as wire:
         assert wire.stdout.readline() == "there\n"
-        with (
-            up(desk, "desk", other) as second,
-            up(robot, "robot", [*_HUEPOSE.split(), "up"]) as first,
-        ):
+        with up(desk, "desk", other) as second, up(robot, "robot", [*_HUEPOSE.split(), "up"]) as first:
             hosts = TwoHosts(folder, wire)
             with hosts.reader:
                 yield hosts

@@ -48,11 +48,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def assert_same(one: Outer, other: Outer) -> None:
-    pairs = [
-        (one.inner.turns, other.inner.turns),
-        (one.places, other.places),
-        (one.none, other.none),
-    ]
+    pairs = [(one.inner.turns, other.inner.turns), (one.places, other.places), (one.none, other.none)]
     for x, y in pairs:
         assert (x.dtype, x.shape) == (y.dtype, y.shape)
         np.testing.assert_array_equal(x, y)

@@ -79,11 +79,7 @@ def test_what_jumped_is_not_believed_because_it_was_right_before() -> None:
 def test_each_piece_of_evidence_counts() -> None:
     base = replace(GOOD, color=0.3)
     x = log_odds(base, None, 0.0)
-    for worse in (
-        replace(base, seen=0.2),
-        replace(base, through=0.2),
-        replace(base, color=0.1),
-    ):
+    for worse in (replace(base, seen=0.2), replace(base, through=0.2), replace(base, color=0.1)):
         assert log_odds(worse, None, 0.0) < x
 
 

@@ -8,13 +8,7 @@ import torch
 
 from huepose.paper.rotation_network import WEIGHTS, OnnxRotation
 from huepose.support.errors import InputError
-from huepose.training.network import (
-    AttentionDgcnn,
-    EdgeConvolution,
-    geodesic,
-    neighbours,
-    rotation_of_six,
-)
+from huepose.training.network import AttentionDgcnn, EdgeConvolution, geodesic, neighbours, rotation_of_six
 from huepose.training.rotation import RotationTraining, export, train
 
 pytestmark = pytest.mark.filterwarnings("ignore")

@@ -11,12 +11,7 @@ from huepose.geometry import icosphere
 from huepose.propose import view_pictures
 from huepose.propose.templates import view_rotations
 from huepose.training.network import info_nce, view_codes, window_codes
-from huepose.training.view_codes import (
-    ObjectBuffer,
-    ViewCodeTraining,
-    network_input,
-    train,
-)
+from huepose.training.view_codes import ObjectBuffer, ViewCodeTraining, network_input, train
 from huepose.training.windows import Drawn, endless
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -83,16 +78,7 @@ def test_a_training_leaves_a_network_that_runs(tmp_path):
     import onnxruntime as ort
 
     config = ViewCodeTraining(
-        steps=2,
-        seed=3,
-        validation=1,
-        workers=0,
-        objects=2,
-        windows=2,
-        beside=1,
-        views=6,
-        room=3,
-        first=2,
+        steps=2, seed=3, validation=1, workers=0, objects=2, windows=2, beside=1, views=6, room=3, first=2
     )
     report = train(config, tmp_path)
     assert report["steps"] == 2

@@ -68,11 +68,7 @@ def shows(part: RgbdFrame, ground: Float64) -> bool:
 
 
 def object_mask(
-    part: RgbdFrame,
-    T_cam_obj: Float64,
-    views: Sequence[View],
-    ground: Float64 | None,
-    radius_m: float,
+    part: RgbdFrame, T_cam_obj: Float64, views: Sequence[View], ground: Float64 | None, radius_m: float
 ) -> tuple[Bool, Bool]:
     """Pixels (H, W) that are the object: connected to what other views saw of it, and in the way of none; and
     those that are not: the ground, and what other views deny."""

@@ -85,10 +85,7 @@ class ColorpairMethod:
 
 
 def estimate_by_pairs(
-    model: ReferenceModel,
-    evidence: Evidence,
-    config: ColorpairPathConfig,
-    rng: np.random.Generator,
+    model: ReferenceModel, evidence: Evidence, config: ColorpairPathConfig, rng: np.random.Generator
 ) -> Ranked:
     """Poses of one object, best first.
 
@@ -176,11 +173,7 @@ def _proposed(
 
 
 def _with_near_symmetries(
-    model: ReferenceModel,
-    region: Region,
-    picture: PairPicture,
-    poses: Float64,
-    config: ColorpairPathConfig,
+    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64, config: ColorpairPathConfig
 ) -> Float64:
     """The best different ones among poses (N, 4, 4) and the near-symmetric rotations of the best of them."""
     totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]

@@ -141,10 +141,7 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
         return text
     poor = [
         f"{what} may be {ratio:.1f} times as wrong as one pose"
-        for what, ratio in (
-            ("the mount's place", sure.shift_ratio),
-            ("the mount's turn", sure.turn_ratio),
-        )
+        for what, ratio in (("the mount's place", sure.shift_ratio), ("the mount's turn", sure.turn_ratio))
         if ratio > 1.0
     ]
     axis = " ".join(f"{a:.1f}" for a in sure.axis + 0.0)

@@ -45,10 +45,7 @@ def call(arguments: argparse.Namespace) -> int:
     found_level = 0.0 if boxes == "detect" else None
     settings = profile(arguments.profile)
     config = replace(
-        settings.estimator,
-        method=arguments.method,
-        threads=arguments.threads,
-        found_level=found_level,
+        settings.estimator, method=arguments.method, threads=arguments.threads, found_level=found_level
     )
     estimator = Estimator(models, config)
     detector = None

@@ -88,11 +88,7 @@ def write_explanation(
     write_picture(folder / f"{model.name}_pose.png", draw_answers(frame, {model.name: model}, [answer]))
     evidence, ranked = explanation.evidence, explanation.ranked
     poses = [
-        {
-            "T_cam_obj": T.tolist(),
-            "behind": float(behind),
-            "terms": asdict(score(model, evidence.region, T)),
-        }
+        {"T_cam_obj": T.tolist(), "behind": float(behind), "terms": asdict(score(model, evidence.region, T))}
         for T, behind in zip(ranked.poses, ranked.behind, strict=True)
         if evidence is not None
     ]

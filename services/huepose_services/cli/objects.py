@@ -7,15 +7,7 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import (
-    add_box,
-    add_choice,
-    add_json,
-    answered,
-    chosen,
-    say,
-    say_if_unknown,
-)
+from huepose_services.cli.options import add_box, add_choice, add_json, answered, chosen, say, say_if_unknown
 
 if TYPE_CHECKING:
     from huepose_protos.messages import ControlReply, ControlRequest

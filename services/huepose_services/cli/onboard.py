@@ -197,15 +197,7 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
     from huepose.onboarding.reference import STAGES
 
     jobs = [
-        Job(
-            m.mesh_path,
-            m.name,
-            m.object_id,
-            "mm",
-            info=m.info,
-            frame_offset_m=m.frame_offset_m,
-            paper=paper,
-        )
+        Job(m.mesh_path, m.name, m.object_id, "mm", info=m.info, frame_offset_m=m.frame_offset_m, paper=paper)
         for m in models
     ]
     failures, what = [], f"onboarding {counted(len(jobs), 'object')}"

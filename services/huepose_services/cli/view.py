@@ -134,11 +134,7 @@ def _waited(stopping: Callable[[], bool], end: float, arguments: argparse.Namesp
 
 
 def _run(
-    config: Config,
-    recording: Any,
-    end: float,
-    stopping: Callable[[], bool],
-    arguments: argparse.Namespace,
+    config: Config, recording: Any, end: float, stopping: Callable[[], bool], arguments: argparse.Namespace
 ) -> tuple[int, str] | None:
     """Show until told to stop, or the disk is full: how many pictures came, and why a file is not whole. None
     where another pipeline is meant before a picture came: it was started meanwhile."""

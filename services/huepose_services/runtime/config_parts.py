@@ -49,9 +49,7 @@ def of_cameras(config: Config, has_camera: bool, refuse: Refuse) -> list[Config]
             cameras=[],
             gateway=replace(config.gateway, listen=f"{host}:{int(port) + k}"),
             viewer=replace(
-                config.viewer,
-                web_port=config.viewer.web_port + k,
-                grpc_port=config.viewer.grpc_port + k,
+                config.viewer, web_port=config.viewer.web_port + k, grpc_port=config.viewer.grpc_port + k
             ),
             ros2=replace(config.ros2, namespace=f"{config.ros2.namespace}/{camera.name.replace('-', '_')}"),
             bus=replace(config.bus, base_port=config.bus.base_port + k * PORTS_OF_A_CAMERA),

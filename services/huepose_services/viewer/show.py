@@ -175,8 +175,7 @@ class Show:
         path = f"{place.OVERLAY}/hypotheses"
         self._log(f"{path}/outlines", rr.LineStrips2D(lines, colors=[OTHER], radii=rr.Radius.ui_points(0.8)))
         self._log(
-            f"{path}/shares",
-            rr.Points2D(tips, labels=labels, colors=[OTHER], radii=rr.Radius.ui_points(1.0)),
+            f"{path}/shares", rr.Points2D(tips, labels=labels, colors=[OTHER], radii=rr.Radius.ui_points(1.0))
         )
 
     def pairs(self, pixels: Float64, elsewhere: Bool) -> None:

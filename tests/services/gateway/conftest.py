@@ -7,9 +7,7 @@ import msgspec
 import pytest
 
 from huepose_protos.examples import messages
-from huepose_protos.messages import (
-    PoseMessage,
-)
+from huepose_protos.messages import PoseMessage
 from huepose_services.authority import Authority
 from huepose_services.gateway import GatewayWork, make
 from huepose_services.runtime.bus import Bus
@@ -27,8 +25,7 @@ class Running:
     def __init__(self, base_port: int, host: str = "127.0.0.1", **gateway: object) -> None:
         self.port = base_port + 9
         self.config = Config(
-            bus=BusConfig(base_port=base_port),
-            gateway=GatewayConfig(listen=f"{host}:{self.port}", **gateway),
+            bus=BusConfig(base_port=base_port), gateway=GatewayConfig(listen=f"{host}:{self.port}", **gateway)
         )
         self.tracker = self._bus("tracker")
         self.corrections = self.tracker.inbox.queue(self.tracker.keys.correction)

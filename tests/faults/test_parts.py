@@ -30,28 +30,15 @@ from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.work import Work
 from tests.services.conftest import free_port_range, processes
+from tests.services.fake_bus import FakeBus
 
 POSE = next(m for m in messages() if isinstance(m, PoseMessage))
 SECOND = 1_000_000_000
 
 
-class _Bus:
-    """As much of a bus as a camera's publisher needs, and what was put on it."""
-
-    def __init__(self):
-        self.health, self.log, self.keys = Health("camera"), Log("camera"), Config().keys
-        self.headers = []
-
-    def put_pixels(self, key, header, payload):
-        self.headers.append(header)
-
-    def put(self, key, message):
-        pass
-
-
 def test_5_the_wall_clock_is_set_and_poses_stay_where_they_are_in_time(monkeypatch):
     """Stamps are of a clock that nobody sets; what relates them to the wall's is of now."""
-    bus = _Bus()
+    bus = FakeBus("camera")
     publisher = FramePublisher(bus, Config())
     camera = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
     frame = RgbdFrame(np.zeros((48, 64, 3), np.uint8), np.ones((48, 64), np.float32), camera)

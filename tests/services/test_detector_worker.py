@@ -1,6 +1,5 @@
 """What the detector worker says while it finds nothing."""
 
-from collections import defaultdict
 from types import SimpleNamespace
 
 import msgspec
@@ -15,34 +14,13 @@ from huepose_services.boxes import SearchedBoxes
 from huepose_services.camera.publish import packed
 from huepose_services.detector import ASK_EVERY_NS, DetectorWork
 from huepose_services.models import outline
-from huepose_services.runtime.config import Config
-from huepose_services.runtime.health import Health
-
-
-class _Bus:
-    def __init__(self):
-        self.keys, self.health = Config().keys, Health("detector")
-        self.inbox = SimpleNamespace(ring=lambda key: key, queue=lambda key: key)
-        self.logged, self.arriving, self.said = defaultdict(list), {}, []
-        self.log = SimpleNamespace(seldom=lambda kind, text: self.logged[kind].append(text))
-
-    def frames(self, wakes):
-        return "frames"
-
-    def take(self, place, kind):
-        return self.arriving.pop(place, None)
-
-    def take_with_payload(self, place, kind):
-        return self.arriving.pop(place, None)
-
-    def put_pixels(self, key, message, payload):
-        self.said.append(message)
+from tests.services.fake_bus import FakeBus
 
 
 def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, take_picture, standing):
     now = [10 * ASK_EVERY_NS]
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
-    bus = _Bus()
+    bus = FakeBus("detector")
     finder = SearchedBoxes({"tea_box": outline(tea_box)}, ColorPairDetector({"tea_box": tea_box}))
     work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
     frame = take_picture([(tea_box.mesh, standing)])
@@ -55,7 +33,7 @@ def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, ta
         header = msgspec.structs.replace(
             example(FrameHeader), intrinsics=picture.intrinsics, buffers=picture.buffers, capture_ns=now[0]
         )
-        bus.arriving = {"frames": (header, picture.payload), bus.keys.request: request}
+        bus.arriving |= {FrameHeader: [(header, picture.payload)], PerceptionRequest: [request]}
         work.step()
         return bus.health.message().warnings
 
@@ -85,7 +63,7 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
 
     finder.order_of_channels = ask
     finder.find = lambda header, request: []
-    bus = _Bus()
+    bus = FakeBus("detector")
     work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
     header = example(FrameHeader)
     followed = example(PerceptionRequest)
@@ -96,10 +74,8 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
         for _ in range(seconds):
             now[0] += ASK_EVERY_NS // 2
             frame = msgspec.structs.replace(header, camera_epoch=epoch)
-            bus.arriving = {
-                "frames": (frame, (GOLDEN / "frame_payload.bin").read_bytes()),
-                bus.keys.request: followed,
-            }
+            pixels = (GOLDEN / "frame_payload.bin").read_bytes()
+            bus.arriving |= {FrameHeader: [(frame, pixels)], PerceptionRequest: [followed]}
             work.step()
         return len(asked) - before
 
@@ -111,17 +87,17 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
 def test_a_request_about_a_frame_that_was_answered_waits_for_the_next_one():
     finder = SearchedBoxes({}, ColorPairDetector({}))
     finder.find = lambda header, request: []
-    bus = _Bus()
+    bus = FakeBus("detector")
     work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
     header, payload = example(FrameHeader), (GOLDEN / "frame_payload.bin").read_bytes()
     seen = msgspec.structs.replace(example(PerceptionRequest), seen=(header.camera_epoch, header.frame_id))
-    bus.arriving = {"frames": (header, payload), bus.keys.request: seen}
+    bus.arriving |= {FrameHeader: [(header, payload)], PerceptionRequest: [seen]}
     for _ in range(3):
         work.step()
     assert bus.said == []
     assert work.due_ns() is not None, "it looks for a newer one soon"
     newer = msgspec.structs.replace(header, frame_id=header.frame_id + 1)
-    bus.arriving = {"frames": (newer, payload)}
+    bus.arriving[FrameHeader] = [(newer, payload)]
     for _ in range(3):
         work.step()
     assert [(said.frame.frame_id, said.request_seq) for said in bus.said] == [(newer.frame_id, seen.seq)]

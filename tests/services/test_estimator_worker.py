@@ -1,6 +1,5 @@
 """What the estimator worker says where nothing is found in a picture."""
 
-from collections import defaultdict
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,26 +18,9 @@ from huepose_services.camera.publish import packed
 from huepose_services.camera_doubts import LOOK_EVERY_NS
 from huepose_services.estimator import EstimatorWork, make
 from huepose_services.runtime.config import CameraConfig, Config, EstimatorConfig
-from huepose_services.runtime.health import Health
+from tests.services.fake_bus import FakeBus
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
-
-
-class _Bus:
-    def __init__(self):
-        self.keys, self.health = Config().keys, Health("estimator")
-        self.inbox = SimpleNamespace(ring=lambda *_: None)
-        self.logged, self.arriving, self.said, self.healths = defaultdict(list), [], [], []
-        self.log = SimpleNamespace(seldom=lambda kind, text: self.logged[kind].append(text))
-
-    def take_with_payload(self, place, kind):
-        return self.arriving.pop(0) if self.arriving else None
-
-    def say_health(self):
-        self.healths.append(self.health.message().warnings)
-
-    def put_control(self, key, message):
-        self.said.append(message)
 
 
 class _Estimator:
@@ -74,15 +56,17 @@ def masks(times, *names):
 
 @pytest.mark.parametrize("times", [10.0, 0.05, 20.0])
 def test_depth_of_another_unit_is_named_in_answer_health_and_log(times):
-    bus = _Bus()
+    bus = FakeBus("estimator")
     work = EstimatorWork(bus, _Estimator(), SimpleNamespace(changes=lambda: []))
-    bus.arriving = [masks(times), masks(1.0)]
+    bus.arriving[Masks] = [masks(times), masks(1.0)]
     work.step()
     (answer,) = bus.said
     assert isinstance(answer, Estimates)
     assert "depth scale" in answer.picture
     assert bus.health.message().warnings == [answer.picture]
-    assert bus.healths == [[answer.picture]], "told at once, not with the next sign of life"
+    assert [said.warnings for said in bus.healths] == [[answer.picture]], (
+        "told at once, not with the next sign of life"
+    )
     assert bus.logged["picture"] == [f"nothing is found: {answer.picture}"]
     work.step()
     assert bus.said[-1].picture == ""
@@ -90,20 +74,20 @@ def test_depth_of_another_unit_is_named_in_answer_health_and_log(times):
 
 
 def test_only_of_a_tracking_instance_it_is_not_asked_whether_it_is_the_object():
-    bus, estimator = _Bus(), _Estimator()
+    bus, estimator = FakeBus("estimator"), _Estimator()
     estimator.answers = (PoseEstimate("cup"), PoseEstimate("cup"))
     work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
     message, payload = masks(1.0, "cup", "cup")
     known, new = message.objects
     detection = known.detection
     known = replace(known, detection=replace(detection, request=replace(detection.request, known=True)))
-    bus.arriving = [(replace(message, objects=[known, new]), payload)]
+    bus.arriving[Masks] = [(replace(message, objects=[known, new]), payload)]
     work.step()
     assert [query.searched for query in estimator.asked] == [False, True]
 
 
 def test_a_new_instance_is_told_where_the_others_are_in_this_frame():
-    bus, estimator = _Bus(), _Estimator()
+    bus, estimator = FakeBus("estimator"), _Estimator()
     estimator.answers = (PoseEstimate("cup"),)
     work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
     message, payload = masks(1.0, "cup")
@@ -117,7 +101,7 @@ def test_a_new_instance_is_told_where_the_others_are_in_this_frame():
     )
     request = replace(new.detection.request, others=[other])
     new = replace(new, detection=replace(new.detection, request=request))
-    bus.arriving = [(replace(message, objects=[new]), payload)]
+    bus.arriving[Masks] = [(replace(message, objects=[new]), payload)]
     work.step()
     (query,) = estimator.asked
     assert [T[:3, 3].tolist() for T in query.others] == [[pytest.approx(0.1), 0.0, 1.0]]
@@ -126,13 +110,13 @@ def test_a_new_instance_is_told_where_the_others_are_in_this_frame():
 @pytest.fixture
 def warned_after(monkeypatch):
     """A worker with a bus, an estimator and a clock, and what it says against the camera after so long."""
-    bus, estimator, now = _Bus(), _Estimator(), [0]
+    bus, estimator, now = FakeBus("estimator"), _Estimator(), [0]
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
     work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
 
     def warned(seconds):
         now[0] += int(seconds * 1e9)
-        bus.arriving = [masks(1.0, *(["cup"] * len(estimator.answers)))]
+        bus.arriving[Masks] = [masks(1.0, *(["cup"] * len(estimator.answers)))]
         work.step()
         said = [text for text in bus.health.message().warnings if "camera.check" in text]
         (text,) = [text for text in said if not text.startswith("cup/")] or [""]
@@ -147,7 +131,7 @@ def warned_after(monkeypatch):
             message.objects[number] = replace(item, detection=replace(item.detection, request=request))
         before = estimator.answers
         estimator.answers = tuple(cup("TRACKING", -1 if i is None else i) for i in instances)
-        bus.arriving = [(message, payload)]
+        bus.arriving[Masks] = [(message, payload)]
         work.step()
         estimator.answers = before
         return [item.reason for item in bus.said[-1].estimates]
@@ -237,7 +221,7 @@ def test_depth_beside_the_colours_is_said_at_the_first_look(warned_after, monkey
 
 
 def test_a_camera_is_not_doubted_where_its_owner_is_sure(monkeypatch):
-    bus = _Bus()
+    bus = FakeBus("estimator")
     monkeypatch.setattr(worker.models, "load", lambda config: {})
     monkeypatch.setattr(worker, "Follower", lambda *_: SimpleNamespace(changes=lambda: []))
     configs = [
@@ -248,9 +232,9 @@ def test_a_camera_is_not_doubted_where_its_owner_is_sure(monkeypatch):
 
 
 def test_what_the_detector_says_against_the_camera_goes_on(monkeypatch):
-    bus = _Bus()
+    bus = FakeBus("estimator")
     work = EstimatorWork(bus, _Estimator(), SimpleNamespace(changes=lambda: []))
     message, payload = masks(1.0)
-    bus.arriving = [(replace(message, camera="Blue for red."), payload)]
+    bus.arriving[Masks] = [(replace(message, camera="Blue for red."), payload)]
     work.step()
     assert bus.said[-1].camera == "Blue for red."

@@ -1,8 +1,6 @@
 """The re-initialisation worker tells at once what it searches for, and says nothing of an older search."""
 
-from collections import defaultdict
 from dataclasses import asdict
-from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -23,31 +21,13 @@ from huepose_protos.messages import (
 )
 from huepose_services.reinit import ReinitWork, slow_text
 from huepose_services.runtime.clock import SECOND, now_ns
-from huepose_services.runtime.config import Config
-from huepose_services.runtime.health import Health
 from huepose_services.steering import ObjectList
+from tests.services.fake_bus import FakeBus
 
 EPOCH = 5
 
 
-class _Bus:
-    """Gives the messages in `arriving`, and keeps what is published in `said`."""
-
-    def __init__(self):
-        self.keys, self.health = Config().keys, Health("reinit")
-        self.arriving, self.said = defaultdict(list), []
-        self.inbox = SimpleNamespace(queue=lambda *_, **__: None, ring=lambda *_, **__: None)
-        self.session = SimpleNamespace(declare_queryable=lambda *_: None)
-        self.log = SimpleNamespace(say=lambda *_: None)
-
-    def take(self, queue, kind):
-        return self.arriving[kind].pop(0) if self.arriving[kind] else None
-
-    def put(self, key, message):
-        self.said.append(message)
-
-    put_control = put
-
+class _Bus(FakeBus):
     def mug(self):
         """What was last told of the mug."""
         return [m for m in self.said if isinstance(m, ObjectsMessage)][-1].objects[0]
@@ -55,7 +35,7 @@ class _Bus:
 
 @pytest.fixture
 def bus():
-    return _Bus()
+    return _Bus("reinit")
 
 
 @pytest.fixture

@@ -2,33 +2,13 @@
 
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.python import open_source
 from huepose_services.runtime.config import load
-from huepose_services.runtime.health import Health
-
-
-class _Bus:
-    """Takes all that is published."""
-
-    def __init__(self, keys):
-        self.keys, self.health, self.inbox = keys, Health("camera"), SimpleNamespace()
-        self.log = SimpleNamespace(say=lambda *_: None, seldom=lambda *_: None)
-        self.frames, self.headers, self.said = 0, [], []
-
-    def put(self, key, message):
-        pass
-
-    def put_pixels(self, key, header, payload):
-        self.frames += 1
-        self.headers.append(header)
-
-    def say_health(self):
-        self.said.append(self.health.message().picture)
+from tests.services.fake_bus import FakeBus
 
 
 @pytest.fixture
@@ -42,7 +22,7 @@ def ingest_of(tmp_path: Path, python_camera):
             f"camera: {{source: python, path: cam.py, check: {check}}}\nworkers: [camera]\nbundles: bundles\n"
         )
         config = load(tmp_path / "pipeline.yaml")
-        made.append(LiveIngest(_Bus(config.keys), config, open_source(config)))
+        made.append(LiveIngest(FakeBus("camera", config.keys), config, open_source(config)))
         return made[-1], made[-1]._bus
 
     yield make
@@ -73,13 +53,13 @@ def test_depth_in_millimetres_is_why_nothing_is_found(ingest_of):
 def test_where_every_picture_is_refused_it_says_that_none_comes_and_why(ingest_of, change, why):
     ingest, bus = ingest_of(change)
     assert _picture(ingest, bus).startswith(f"No picture comes, and perception waits for the next. {why}")
-    assert bus.frames == 0
+    assert bus.headers == []
 
 
 def test_of_good_pictures_nothing_is_said(ingest_of):
     ingest, bus = ingest_of("pass")
     assert _picture(ingest, bus, 1.0) == ""
-    assert bus.frames > 5
+    assert len(bus.headers) > 5
 
 
 def test_the_log_names_the_rate_of_a_camera_that_has_become_slow_as_it_is(ingest_of):
@@ -108,7 +88,7 @@ def test_a_camera_that_hangs_is_said_to_give_no_picture_after_a_second_and_no_sl
     )
     logged, told, pictures, warnings = [], [], set(), set()
     bus.log.seldom = lambda kind, text: logged.append(kind)
-    bus.say_health = lambda: told.append((bus.frames, bus.health.message()))
+    bus.say_health = lambda: told.append((len(bus.headers), bus.health.message()))
     until = time.monotonic() + 5.0
     while time.monotonic() < until:
         ingest.step()
@@ -176,6 +156,6 @@ def test_health_says_at_once_what_is_wrong_with_the_pictures_and_that_it_is_over
     until = time.monotonic() + 2.5
     while time.monotonic() < until:
         ingest.step()
-    wrong, over = bus.said
+    wrong, over = (said.picture for said in bus.healths)
     assert wrong.startswith("cam.py: depth looks like millimetres")
     assert over == ""

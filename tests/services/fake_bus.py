@@ -1,0 +1,44 @@
+"""A bus without a session, for the steps of one worker."""
+
+from collections import defaultdict
+from types import SimpleNamespace
+
+from huepose_protos.messages import FrameHeader
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.health import Health
+
+
+def _nothing(*_, **__):
+    return None
+
+
+class FakeBus:
+    """Gives the messages in `arriving`, by their kind, and keeps what is published, logged and said of
+    health."""
+
+    frames = staticmethod(_nothing)
+
+    def __init__(self, worker, keys=None):
+        self.keys, self.health = keys or Config().keys, Health(worker)
+        self.arriving, self.said, self.healths, self.logged = defaultdict(list), [], [], defaultdict(list)
+        self.inbox = SimpleNamespace(queue=_nothing, ring=_nothing)
+        self.session = SimpleNamespace(declare_queryable=_nothing)
+        self.log = SimpleNamespace(say=_nothing, seldom=lambda kind, text: self.logged[kind].append(text))
+
+    def take(self, place, kind):
+        return self.arriving[kind].pop(0) if self.arriving[kind] else None
+
+    take_with_payload = take
+
+    def put(self, key, message, payload=b""):
+        self.said.append(message)
+
+    put_control = put_pixels = put
+
+    def say_health(self):
+        self.healths.append(self.health.message())
+
+    @property
+    def headers(self):
+        """Of the frames that were published."""
+        return [message for message in self.said if isinstance(message, FrameHeader)]

@@ -136,12 +136,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
-    parser.add_argument(
-        "--forms", nargs="+", choices=FORMS, default=FORMS, metavar="FORM", help=" ".join(FORMS)
-    )
     arguments = parser.parse_args()
     scenes = [BopScene(path) for path in arguments.bop]
-    jobs = [(scene, form) for form in arguments.forms for scene in scenes]
+    jobs = [(scene, form) for form in FORMS for scene in scenes]
     for scene, form in progress(jobs, "scenes"):
         write_changed(scene, form, arguments.out / form / f"{scene.path.parent.name}_{scene.name}")
 

@@ -23,7 +23,9 @@ class FakeBus:
         self.arriving, self.said, self.healths, self.logged = defaultdict(list), [], [], defaultdict(list)
         self.inbox = SimpleNamespace(queue=_nothing, ring=_nothing)
         self.session = SimpleNamespace(declare_queryable=_nothing)
-        self.log = SimpleNamespace(say=_nothing, seldom=lambda kind, text: self.logged[kind].append(text))
+        self.log = SimpleNamespace(
+            say=_nothing, seldom=lambda kind, text, **_: self.logged[kind].append(text)
+        )
 
     def take(self, place, kind):
         return self.arriving[kind].pop(0) if self.arriving[kind] else None

@@ -24,6 +24,7 @@ from huepose_services.boxes import Hints
 from huepose_services.following import Follower, Retired
 from huepose_services.steering import ObjectList, Order
 from huepose_services.watch import is_over
+from tests.services.fake_bus import FakeBus
 
 
 def entry(name, **more):
@@ -113,28 +114,6 @@ def test_another_number_of_a_known_object_is_no_refusal(objects):
     assert [(o.name, o.slot.max_instances) for o in objects.orders()] == [("mug", 3)]
 
 
-class _Bus:
-    """What a follower needs of the bus: the lists that a test gives it."""
-
-    def __init__(self):
-        self.lists = []
-        self.keys = self.inbox = self.health = self.log = self
-
-    objects = "objects"
-
-    def ring(self, key, wakes):
-        return key
-
-    def take(self, place, kind):
-        return self.lists.pop(0) if self.lists else None
-
-    def failed(self, text):
-        pass
-
-    def seldom(self, kind, text, level):
-        self.last = text
-
-
 def _changes(follower, within_s=5.0):
     until = time.monotonic() + within_s
     while not (out := follower.changes()) and time.monotonic() < until:
@@ -143,28 +122,30 @@ def _changes(follower, within_s=5.0):
 
 
 def test_a_worker_follows_the_list():
-    bus, threads = _Bus(), []
+    bus, threads = FakeBus("worker"), []
 
     def read(name):
         threads.append(threading.current_thread())
         return name.upper()
 
     follower = Follower(bus, read, ["mug"])
-    bus.lists = [ObjectsMessage(publish_ns=1, objects=[entry("mug", resets=5), entry("jar")])]
+    bus.arriving[ObjectsMessage] = [
+        ObjectsMessage(publish_ns=1, objects=[entry("mug", resets=5), entry("jar")])
+    ]
     (change,) = _changes(follower)
     assert (change.entry.object, change.added, change.removed) == ("jar", "JAR", False)
     assert threads[0] is not threading.current_thread()
     # The first list told how often the mug was reset; only what comes after that is an order.
-    bus.lists = [ObjectsMessage(publish_ns=2, objects=[entry("mug", resets=6)])]
+    bus.arriving[ObjectsMessage] = [ObjectsMessage(publish_ns=2, objects=[entry("mug", resets=6)])]
     gone, anew = follower.changes()
     assert (gone.entry.object, gone.removed) == ("jar", True)
     assert (anew.entry.object, anew.added, anew.removed) == ("mug", None, False)
-    bus.lists = [ObjectsMessage(publish_ns=3, objects=[entry("mug", resets=6)])]
+    bus.arriving[ObjectsMessage] = [ObjectsMessage(publish_ns=3, objects=[entry("mug", resets=6)])]
     assert follower.changes() == []
 
 
 def test_an_object_that_could_not_be_loaded_for_want_of_memory_is_loaded_with_the_next_list():
-    bus, tries = _Bus(), []
+    bus, tries = FakeBus("worker"), []
 
     def read(name):
         tries.append(name)
@@ -176,16 +157,16 @@ def test_an_object_that_could_not_be_loaded_for_want_of_memory_is_loaded_with_th
 
     follower = Follower(bus, read, [])
     for _ in range(2):
-        bus.lists = [ObjectsMessage(publish_ns=1, objects=[entry("jar")])]
+        bus.arriving[ObjectsMessage] = [ObjectsMessage(publish_ns=1, objects=[entry("jar")])]
         assert _changes(follower, 0.1) == []
-    assert bus.last == "jar is not loaded yet: MemoryError"
-    bus.lists = [ObjectsMessage(publish_ns=2, objects=[entry("jar"), entry("ghost")])]
+    assert bus.logged["load"][-1] == "jar is not loaded yet: MemoryError"
+    bus.arriving[ObjectsMessage] = [ObjectsMessage(publish_ns=2, objects=[entry("jar"), entry("ghost")])]
     (change,) = _changes(follower)
     assert (change.entry.object, change.added) == ("jar", "JAR")
     # What is not there is not looked for again and again.
     for _ in range(2):
         _changes(follower, 0.1)
-        bus.lists = [ObjectsMessage(publish_ns=3, objects=[entry("jar"), entry("ghost")])]
+        bus.arriving[ObjectsMessage] = [ObjectsMessage(publish_ns=3, objects=[entry("jar"), entry("ghost")])]
     assert tries.count("ghost") == 1
 
 

@@ -154,18 +154,7 @@ def test_what_was_seen_of_one_side_alone_tells_a_script(
     monkeypatch.setattr(onboard_video, "_learned", lambda *_: made)
     monkeypatch.setattr(onboard, "onboard_one", lambda *_, **__: result)
     monkeypatch.setattr(onboard, "self_test", lambda *given: tests.append(given) or ({}, "tried"))
-    given = [
-        "onboard",
-        "--from-video",
-        "t.mcap",
-        "--click",
-        "1",
-        "2",
-        "--name",
-        "tea",
-        "--out",
-        str(tmp_path),
-    ]
+    given = f"onboard --from-video t.mcap --click 1 2 --name tea --out {tmp_path}".split()
     assert main(given) == code
     assert tests == [(tmp_path, "tea", surface if code else None)]
     assert ("NOT ALL ROUND (exit code 1)" in capsys.readouterr().out) == bool(code)

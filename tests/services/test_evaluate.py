@@ -128,15 +128,6 @@ def test_wrong_input_ends_with_2_and_says_what_to_do(
 
 def test_a_scene_without_labels_is_named(bundles: Path, scene: Path, tmp_path: Path, capsys) -> None:
     (scene / "scene_gt.json").unlink()
-    command = [
-        "eval",
-        "estimate",
-        "--bop",
-        str(scene),
-        "--bundles",
-        str(bundles),
-        "--json",
-        str(tmp_path / "r"),
-    ]
+    command = f"eval estimate --bop {scene} --bundles {bundles} --json {tmp_path / 'r'}".split()
     assert main(command) == 2
     assert "scene_gt.json" in capsys.readouterr().err

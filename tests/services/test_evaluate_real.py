@@ -101,16 +101,7 @@ def test_single_frames(bundles: Path, scene: Path, tmp_path: Path, capsys) -> No
 def test_tracking_alone_and_with_late_results(bundles: Path, sequence: Path, tmp_path: Path) -> None:
     for protocol in (["--init", "gt"], ["--protocol", "roft", "--every", "2"]):
         result = tmp_path / "r.json"
-        command = [
-            "eval",
-            "track",
-            "--fast-ycb",
-            str(sequence),
-            "--bundles",
-            str(bundles),
-            "--json",
-            str(result),
-        ]
+        command = f"eval track --fast-ycb {sequence} --bundles {bundles} --json {result}".split()
         assert main([*command, *protocol]) == 0
         record = json.loads(result.read_text())
         assert record["summary"]["recall_add"] == 100.0
@@ -165,15 +156,6 @@ def test_a_sequence_without_reference_model_is_named(
 ) -> None:
     renamed = tmp_path / "mug_real"
     renamed.symlink_to(sequence)
-    command = [
-        "eval",
-        "track",
-        "--fast-ycb",
-        str(renamed),
-        "--bundles",
-        str(bundles),
-        "--json",
-        str(tmp_path / "r"),
-    ]
+    command = f"eval track --fast-ycb {renamed} --bundles {bundles} --json {tmp_path / 'r'}".split()
     assert main(command) == 2
     assert "tea_box" in capsys.readouterr().err

@@ -26,6 +26,8 @@ _FAR_M = 200.0
 
 _GAP_M = 0.0005
 _LYING_SHARE = 0.7
+_SAME_AREA = 9
+"""Decimals, square metres: sides whose areas are equal so far keep their order on every processor."""
 
 
 @dataclass(eq=False)
@@ -90,10 +92,10 @@ def resting_turns(mesh: Mesh) -> tuple[Float64, Float64]:
         return np.eye(3)[None], np.ones(1)
     corners = mesh.vertices[hull.simplices].astype(np.float64)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    normals = hull.equations[:, :3]
+    areas, normals = np.round(areas, _SAME_AREA), hull.equations[:, :3]
     sides: list[tuple[Float64, float]] = []
     left = np.ones(len(areas), bool)
-    for k in np.argsort(-areas):
+    for k in np.argsort(-areas, kind="stable"):
         if not left[k]:
             continue
         same = left & (normals @ normals[k] > np.cos(np.radians(4.0)))
@@ -102,7 +104,7 @@ def resting_turns(mesh: Mesh) -> tuple[Float64, Float64]:
         aside = mesh.centre - foot.mean(0)
         aside = aside - normals[k] * (aside @ normals[k])
         if np.linalg.norm(aside) < 0.6 * np.linalg.norm(foot - foot.mean(0), axis=1).max():
-            sides.append((normals[k], float(areas[same].sum())))
+            sides.append((normals[k], round(float(areas[same].sum()), _SAME_AREA)))
     sides = sorted(sides, key=lambda s: -s[1])[:12]
     if not sides:
         return np.eye(3)[None], np.ones(1)

@@ -7,8 +7,8 @@ which a correction arrives for a frame that is two frames old.
 
 The frames are some whose answers stay within the tolerances when all kernels are compiled for a processor
 without vector extensions (NUMBA_CPU_NAME=generic) and when NumPy does without them
-(NPY_DISABLE_CPU_FEATURES=X86_V3). Of the others that were tried (heaps 0 to 6, piles 0 to 9) two poses turn by
-0.75 degrees.
+(NPY_DISABLE_CPU_FEATURES=X86_V3). Of the others that were tried (heaps 0 to 6, piles 0 to 9) two poses turn
+by 0.75 degrees.
 """
 
 from __future__ import annotations

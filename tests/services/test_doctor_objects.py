@@ -6,9 +6,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from huepose.geometry import RgbdFrame
 from huepose.model.types import ReferenceModel
+from huepose_services.doctor import pictures
 from huepose_services.doctor.pictures import objects_in
 
 
@@ -19,7 +21,7 @@ def test_objects_are_found_or_asked_about(
     (found,) = objects_in(frame, {"tea_box": tea_box})
     assert (found.state, found.found[:17]) == ("ok", "tea_box TRACKING ")
     (none,) = objects_in(take_picture([]), {"tea_box": tea_box})
-    assert (none.state, none.fix) == ("none", "")
+    assert (none.state, "fx and fy" in none.fix) == ("none", True)
     blue_first = replace(frame, color=np.ascontiguousarray(frame.color[:, :, ::-1]))
     exchanged, seen = objects_in(blue_first, {"tea_box": tea_box})
     assert exchanged.bad
@@ -30,6 +32,18 @@ def test_objects_are_found_or_asked_about(
     assert size.bad
     assert "fx and fy" in size.fix
     assert (seen.state, "BAD above" in seen.fix) == ("note", True)
+
+
+def test_what_is_not_sure_is_no_ok(
+    soup_can: ReferenceModel, larger_box: Callable[[float], RgbdFrame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A can through a wrong camera matrix, where sizes do not tell."""
+    monkeypatch.setattr(pictures, "doubted_in", lambda *_: (None, {}))
+    frame = larger_box(1.0)
+    camera = replace(frame.camera, fx=0.86 * frame.camera.fx, fy=0.86 * frame.camera.fy)
+    (unsure,) = objects_in(replace(frame, camera=camera), {"soup_can": soup_can})
+    assert unsure.found.startswith("soup_can SUSPECT ")
+    assert (unsure.state, "fx and fy" in unsure.fix) == ("note", True)
 
 
 def test_of_several_objects_the_one_of_another_size_is_named(

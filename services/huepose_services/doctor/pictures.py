@@ -272,7 +272,8 @@ def objects_in(
     if why:
         yield Finding("camera", "bad", "red and blue seem to be exchanged", why)
     if not places:
-        yield Finding("objects", "none", f"none of {', '.join(names)} is in the last picture")
+        fix = "If they are in plain view, look at the depth scale, and at fx and fy."
+        yield Finding("objects", "none", f"none of {', '.join(names)} is in the last picture", fix)
         return
     best = {place.object: place for place in places[::-1]}
     estimator = Estimator(models, live.estimator)
@@ -287,5 +288,8 @@ def objects_in(
         yield Finding("objects", "bad", f"{answers[k].object} does not fit", of_object.said_of_one())
     if aside or size or why:
         yield Finding("objects", "note", said, "Seen, but not where these poses are: see what is BAD above.")
-    else:
+    elif all(answer.state == "TRACKING" for answer in answers):
         yield Finding("objects", "ok", said)
+    else:
+        fix = "What is not TRACKING was not sure in this picture. If it is in plain view, look at fx and fy."
+        yield Finding("objects", "note", said, fix)

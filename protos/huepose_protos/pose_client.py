@@ -169,7 +169,11 @@ class PoseClient:
     def why_silent(self) -> str:
         """Why no pose comes, in a sentence, as far as this can be found out here; may take seconds."""
         if self.connected:
-            return "connected, but no object is seen: `huepose status` says why"
+            with self._changed:
+                last = max(self._arrived.values(), default=None)
+            if last is None:
+                return "connected, but no object is seen: `huepose status` says why"
+            return f"connected: the last pose came {time.monotonic() - last:.1f} s ago"
         authority, certificate, key = self._files
         try:
             context = ssl.create_default_context(cafile=authority)

@@ -129,6 +129,7 @@ def test_by_tls_an_address_of_ipv6_needs_a_name_and_the_client_says_so(start, au
         )
     with PoseClient(f"tls/localhost:{one.port}", **files) as client:
         one.say_until(lambda: client.latest() is not None)
+        assert re.fullmatch(r"connected: the last pose came \d\.\d s ago", client.why_silent())
 
 
 def test_nobody_at_an_address_of_ipv6_is_said(base_port):

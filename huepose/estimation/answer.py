@@ -91,9 +91,9 @@ def answered(
             with stage("retrieval"):
                 crop, bounds = evidence.region.crop, evidence.region.bounds
                 views = retrieve(table_of(model), crop, bounds, evidence.sources, config.full.retrieval)
-            spent = time.perf_counter() - start
+            set_aside = time.perf_counter()
             yield
-            start = time.perf_counter() - spent
+            start += time.perf_counter() - set_aside
             poses = refine(model, evidence, views.poses, views.masks, config.full)
             ranked = judge(model, evidence.region, poses, look.prior, config.full)
             with stage("contest"):

@@ -119,9 +119,11 @@ class Estimator:
         answers = self._pool.map_steps(lambda query: look(frame, query), queries)
         if len(queries) < 2 or not self.config.competing or (self._method and self._method.bare):
             return answers
-        return compete(
-            frame, queries, answers, lambda *asked: finished(look(*asked)), self.config.competition
-        )
+
+        def look_again(seen: RgbdFrame, query: ObjectQuery) -> Answered:
+            return finished(look(seen, query))
+
+        return compete(frame, queries, answers, look_again, self.config.competition)
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> Answered:
         """The answer to one query, as if there were no other, and what led to it."""

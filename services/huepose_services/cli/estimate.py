@@ -325,7 +325,8 @@ def in_words(answers: Sequence[PoseEstimate]) -> str:
         lines.append(f"{answer.object:24s} {pose}  {1000 * answer.seconds:.0f} ms")
         lines += [f"    {answer.reason}"] if answer.reason else []
     for reason, names in missing.items():
-        lines += [f"not found: {', '.join(names)}", *([f"    {reason}"] if reason else [])]
+        lines.append(f"not found: {', '.join(names)}")
+        lines += [f"    {reason}"] if reason else []
     return "\n".join(lines)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from huepose_services.runtime.config import Config, RestartConfig
-from huepose_services.runtime.supervisor import Supervisor
+from huepose_services.runtime.supervisor import Child, Supervisor
 
 LIMITS = RestartConfig(start_within_s=10.0, hung_after_s=2.0, window_s=60.0)
 
@@ -70,3 +70,29 @@ def test_a_time_in_which_nothing_ran_does_not_count(supervisor):
     child.heard -= 30.0
     supervisor._forgive_standstill(0.1)
     assert supervisor._fault(child) is None
+
+
+class Waited:
+    """A process that waited for a processor for so long since it was last asked."""
+
+    def __init__(self, seconds):
+        self.seconds = seconds
+
+    def since_last_s(self):
+        return self.seconds
+
+
+def test_a_time_in_which_others_had_the_processor_does_not_count(supervisor):
+    child = object.__new__(Child)
+    child.worker, child.runs, child.compiling = "estimator", True, False
+    child.started = child.heard = time.monotonic() - 9.0
+    child._starved = Waited(4.0)
+    child.forgive_starving()
+    assert supervisor._fault(child) is None, "five of nine seconds count, of six"
+    child._starved = Waited(0.0)
+    child.heard -= 2.0
+    child.forgive_starving()
+    assert supervisor._fault(child) is not None
+    child._starved = Waited(60.0)
+    child.forgive_starving()
+    assert child.heard <= time.monotonic(), "no patience is saved up"

@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 TEMPLATE, TARGET = "huepose@.service", "huepose.target"
 _FIRST = ("camera", "tracker")
 _FIRST_START = 5
+_SLOW = 4
+"""So many times its patience may a worker be silent that nobody misses at once: systemd neither doubles the
+time after each restart nor leaves out that in which others had the processors, as `huepose up` does."""
 
 _UNIT = """\
 # Written by `huepose units`; make it again when pipeline.yaml changes.
@@ -166,7 +169,7 @@ def units(configs: Sequence[Config], huepose: PurePath, config_path: PurePath, u
             user=user,
             threads=" ".join(f"{name}=1" for name in THREAD_VARIABLES),
             start=f"{_FIRST_START * restarts.start_within_s:g}",
-            watchdog=f"{restarts.hung_after_s:g}",
+            watchdog=f"{_SLOW * restarts.patience_s('estimator'):g}",
         ),
         TARGET: _target(configs),
     }
@@ -194,6 +197,7 @@ def _extra(config: Config, worker: str) -> str:
     unit, service = "", ""
     if worker in _FIRST:
         service += "# Frames and tracking come first where the cores do not suffice for all.\nNice=-5\n"
+        service += f"WatchdogSec={config.restarts.patience_s(worker):g}\n"
     if worker == "camera" and config.camera.source in ("realsense", "oak"):
         service += _CAMERA
         service += _NETWORK if config.camera.source == "oak" else ""

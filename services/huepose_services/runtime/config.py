@@ -159,6 +159,10 @@ class RestartConfig(Section, frozen=True, kw_only=True):
     start_within_s: Annotated[float, Meta(ge=1.0, le=3600.0)] = 300.0
     hung_after_s: Annotated[float, Meta(ge=0.5, le=600.0)] = 2.0
 
+    def patience_s(self, worker: str) -> float:
+        """For how long a worker may be silent: one piece of work of others than these three takes longer."""
+        return self.hung_after_s * (1.0 if worker in ("camera", "tracker", "reinit") else 3.0)
+
 
 Processors = Annotated[list[Annotated[int, Meta(ge=0, le=1023)]], Meta(min_length=1)]
 

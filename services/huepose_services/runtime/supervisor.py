@@ -27,6 +27,7 @@ from huepose_services.runtime.log import Log, is_log_line
 from huepose_services.runtime.pulse import COMPILING, READY_FD
 from huepose_services.runtime.reload import Reload
 from huepose_services.runtime.session import RESTARTS
+from huepose_services.runtime.starved import Starved
 from huepose_services.runtime.threads import THREAD_VARIABLES
 from huepose_services.runtime.tied import SUPERVISOR
 from huepose_services.runtime.worker import TELL_WHERE
@@ -41,9 +42,8 @@ _HEAD_START_S = 0.1
 _BACKOFF_S, _BACKOFF_MAX_S = 0.25, 8.0
 _STANDSTILL_S = 0.5
 _FAILED, _BAD_INPUT = 1, 2
-_QUICK = ("camera", "tracker", "reinit")
-_PATIENCE = 3.0
-"""So much longer than the quick ones may the others be silent: one piece of their work takes longer."""
+_SILENT_S = 0.5
+"""A worker of which nothing was heard for so long is asked what it waits for."""
 
 
 class Child:
@@ -77,6 +77,7 @@ class Child:
         os.close(write_end)
         os.set_blocking(read_end, False)
         self.pipe: int | None = read_end
+        self._starved: Starved | None = None
         self._reader = threading.Thread(target=self._copy_log, daemon=True)
         self._reader.start()
 
@@ -104,9 +105,19 @@ class Child:
             self._close_pipe()
             return
         self.heard = time.monotonic()
+        self._starved = None
         self.runs = True
         self.compiling = said.endswith(COMPILING)
         self.ready = self.ready or b"ready" in said
+
+    def forgive_starving(self) -> None:
+        """Its silence, and its start, are as much shorter as it has had to wait for a processor in them."""
+        now = time.monotonic()
+        if self._starved is not None:
+            waited_s = self._starved.since_last_s()
+            self.started, self.heard = min(now, self.started + waited_s), min(now, self.heard + waited_s)
+        elif now - self.heard > _SILENT_S:
+            self._starved = Starved(self.process.pid)
 
     def ended_within(self, seconds: float) -> bool:
         """Wait for its end, at most so long."""
@@ -200,6 +211,7 @@ class Supervisor:
         self._forgive_standstill(timeout_s)
         for child in list(self._children.values()):
             child.listen()
+            child.forgive_starving()
             if child.ready and child.worker in self._read_again:
                 self._read_again.discard(child.worker)
                 child.process.send_signal(signal.SIGHUP)
@@ -252,7 +264,7 @@ class Supervisor:
         while silences and now - silences[0] > limits.window_s:
             silences.popleft()
         # Twice the patience after each time: what was slow only once comes to its end.
-        patience_s = limits.hung_after_s * (1.0 if child.worker in _QUICK else _PATIENCE) * 2 ** len(silences)
+        patience_s = limits.patience_s(child.worker) * 2 ** len(silences)
         silent_s = now - child.heard
         if silent_s <= patience_s:
             return None

@@ -1,0 +1,49 @@
+"""How long a process waited for a processor: of real processes that share one."""
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from huepose_services.runtime.starved import Starved
+
+BUSY = "while True: pass"
+
+
+@pytest.fixture
+def start():
+    started = []
+
+    def start(code, processor):
+        started.append(subprocess.Popen([sys.executable, "-c", code]))
+        os.sched_setaffinity(started[-1].pid, {processor})
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+
+
+def test_who_shares_a_processor_waits_and_who_sleeps_does_not(start):
+    processor = min(os.sched_getaffinity(0))
+    busy = [start(BUSY, processor) for _ in range(4)]
+    asleep = start("import time; time.sleep(60)", processor)
+    time.sleep(1.0)
+    of_busy, of_sleeper = Starved(busy[0].pid), Starved(asleep.pid)
+    began = time.monotonic()
+    time.sleep(2.0)
+    waited_s, slept_s = of_busy.since_last_s(), of_sleeper.since_last_s()
+    took_s = time.monotonic() - began
+    assert 0.5 * took_s < waited_s <= took_s + 0.1, "three others run at least half of the time"
+    assert slept_s < 0.1 * took_s
+    assert of_busy.since_last_s() < 0.5, "asked again at once: what was told is not told again"
+
+
+def test_a_process_that_is_gone_waits_for_nothing(start):
+    process = start("pass", min(os.sched_getaffinity(0)))
+    starved = Starved(process.pid)
+    process.wait()
+    assert starved.since_last_s() == 0.0

@@ -159,15 +159,17 @@ def frames():
         time.sleep(EVERY_S)
         color = rng.integers(60, 200, (3 * WIDTH // 4, WIDTH, 3), np.uint8)
         depth = np.full(color.shape[:2], 0.7, np.float32)
+        stamp_ns = 0
         CHANGE
         camera = Camera(focal, focal, 0.5 * WIDTH - 0.5, 0.375 * WIDTH - 0.5, WIDTH, 3 * WIDTH // 4)
-        yield RgbdFrame(color, depth, camera)
+        yield RgbdFrame(color, depth, camera, stamp_ns=stamp_ns)
 """
 
 
 @pytest.fixture
 def python_camera(tmp_path):
-    """Writes cam.py: a camera of coloured noise 0.7 m away; `change` is done to `color` and `depth`."""
+    """Writes cam.py: a camera of coloured noise 0.7 m away; `change` is done to `color`, `depth` and
+    `stamp_ns`."""
 
     def write(change, width=64, every_s=0.02):
         text = PYTHON_CAMERA.replace("WIDTH", str(width)).replace("EVERY_S", str(every_s))

@@ -168,6 +168,17 @@ def test_a_camera_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
     assert "Plug it in" in found["camera"]["found"]
 
 
+def test_stamps_of_wall_time_are_told(tmp_path, capsys, monkeypatch, python_camera):
+    monkeypatch.setattr(pictures, "LOOK_S", 1.5)
+    python_camera("stamp_ns = time.time_ns()", every_s=0.2)
+    camera = {"source": "python", "path": "cam.py", "rate": 4}
+    (tmp_path / "pipeline.yaml").write_text(json.dumps({"camera": camera, "workers": ["camera"]}))
+    assert main(["doctor", str(tmp_path / "pipeline.yaml"), "--camera", "--json"]) == 1
+    (said,) = [f for f in json.loads(capsys.readouterr().out) if "time stamps" in f["found"]]
+    assert said["state"] == "bad"
+    assert "Give the time.monotonic_ns()" in said["found"]
+
+
 def test_each_of_several_cameras_is_looked_at(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(pictures, "LOOK_S", 2.0)
     orders = {"left": {}, "right": {"unplugged": True}}

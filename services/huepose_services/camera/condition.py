@@ -42,6 +42,10 @@ STOPPED_NS = 4 * SECOND // 10
 GREY_NS = 2 * SECOND
 """For so long: a real scene may look so for a moment, as a white wall close to the lens."""
 
+AHEAD_S, BEHIND_S = 1.0, 60.0
+"""So far may a stamp of this computer's clock be off: no capture takes place after its arrival, nor is kept so
+long by a driver."""
+
 _LASTS_NS = {STOPPED: STOPPED_NS, "rate": SLOW_NS, "grey": GREY_NS}
 
 
@@ -59,8 +63,9 @@ class Condition:
         self._moved = False
         self._change: tuple[int, str] | None = None
 
-    def look(self, shot: Shot, now_ns: int) -> bool:
-        """Take in a picture of the open camera; whether it may be used: colour and depth are of one time."""
+    def look(self, shot: Shot, now_ns: int, clock_is_host: bool = False) -> bool:
+        """Take in a picture of the open camera; whether it may be used: colour and depth are of one time.
+        clock_is_host: whether its stamp is CLOCK_MONOTONIC."""
         apart = self._apart(shot)
         stands = self._stands(shot)
         stopped = self._moved and self._check
@@ -70,6 +75,7 @@ class Condition:
             ("depth", _no_depth(shot, self._farthest_m)),
             ("apart", apart),
             ("stamp", _one_stamp(shot, self._last)),
+            ("clock", _another_clock((shot.device_ns - shot.arrived_ns) / SECOND) if clock_is_host else None),
             ("again", _AGAIN if stands and not stopped else None),
             (STOPPED, _STOPPED if stands and stopped else None),
         ):
@@ -159,6 +165,18 @@ def _one_stamp(shot: Shot, last: Shot | None) -> str | None:
     if last is None or shot.number == last.number or shot.device_ns != last.device_ns:
         return None
     return "its pictures have one and the same time stamp: each needs that of its own capture"
+
+
+def _another_clock(seconds: float) -> str | None:
+    """That a stamp is so far ahead of this computer's clock, or behind it where negative."""
+    clock, fix = "this computer's CLOCK_MONOTONIC", "Give the time.monotonic_ns() of the capture"
+    if seconds > AHEAD_S:
+        taken = "so the time of arrival is taken instead"
+        return f"its time stamps are {rounded(seconds)} s ahead of {clock}, {taken}. {fix}"
+    if seconds < -BEHIND_S:
+        old = "so every pose is too old to be acted on"
+        return f"its time stamps are {rounded(-seconds)} s behind {clock}, {old}. {fix}"
+    return None
 
 
 def _dark(shot: Shot) -> str | None:

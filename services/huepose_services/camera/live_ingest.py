@@ -28,7 +28,6 @@ from huepose_services.runtime.work import Work
 
 _LONGEST_STEP_S = 0.05
 _SAY_AGAIN_NS = 30 * SECOND
-_AHEAD_S, _BEHIND_S = 1.0, 60.0
 _SILENT_S, _SILENT_PICTURES = 1.0, 3.0
 """After so long, and after the time of so many pictures, it is said that none comes."""
 _NOTHING_IS_SEEN = ("depth", "dark", "grey")
@@ -145,7 +144,7 @@ class LiveIngest(Work):
         """Look at a picture, and publish it where colour and depth belong together."""
         if taken.opening != self._opening:
             self._condition.reopened()
-        if self._condition.look(taken.shot, now_ns()):
+        if self._condition.look(taken.shot, now_ns(), taken.device_clock_is_host):
             self._publish(taken)
         else:
             self._bus.health.count("pictures_apart")
@@ -186,7 +185,6 @@ class LiveIngest(Work):
             self._begin_epoch(taken.opening, shot.camera)
         if taken.device_clock_is_host:
             capture_ns = min(shot.device_ns, shot.arrived_ns)
-            self._bus.health.warn_while("stamps", stamps_off((shot.device_ns - shot.arrived_ns) / SECOND))
         else:
             capture_ns = self._clock.capture_ns(shot.device_ns, shot.arrived_ns)
             self._bus.health.counters["clock_restarts"] = self._clock.restarts
@@ -216,16 +214,3 @@ class LiveIngest(Work):
 
 def _nothing_is_seen(complaints: dict[str, str]) -> str:
     return next((complaints[kind] for kind in _NOTHING_IS_SEEN if kind in complaints), "")
-
-
-def stamps_off(seconds: float) -> str | None:
-    """The warning for a stamp that is so far ahead of this computer's clock, or behind it where negative."""
-    clock = "this computer's CLOCK_MONOTONIC"
-    if seconds > _AHEAD_S:
-        return f"its time stamps are {seconds:.1f} s ahead of {clock}: the time of arrival is taken instead"
-    if seconds < -_BEHIND_S:
-        return (
-            f"its time stamps are {-seconds:.1f} s behind {clock}, so every pose is too old to be acted on: "
-            "give the time.monotonic_ns() of the capture"
-        )
-    return None

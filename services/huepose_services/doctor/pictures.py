@@ -111,7 +111,7 @@ def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Fin
             shot = camera.read(0.25)
             if shot is None:
                 continue
-            condition.look(shot, now_ns())
+            condition.look(shot, now_ns(), camera.device_clock_is_host)
             came += 1
             condition.count(came, now_ns())
             complaints |= condition.complaints(now_ns())

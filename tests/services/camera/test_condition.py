@@ -217,6 +217,29 @@ def test_a_still_picture_and_one_stamp_for_all_are_named():
     ]
 
 
+@pytest.mark.parametrize(
+    ("seconds", "says"),
+    [
+        (0.5, None),
+        (-30.0, None),
+        (3600.0, "its time stamps are 3600 s ahead of"),
+        (1.8e9, "so the time of arrival is taken instead. Give the time.monotonic_ns()"),
+        (-63524.0, "64000 s behind"),
+    ],
+)
+def test_stamps_of_another_clock_are_named_where_they_should_be_of_this_one(seconds, says):
+    """As of wall time, or of seconds in the place of nanoseconds."""
+    for clock_is_host in (True, False):
+        condition = Condition(RATE_HZ, FARTHEST_M)
+        for k in range(60):
+            now = round(k / RATE_HZ * SECOND)
+            stamp = now + round(seconds * SECOND)
+            condition.look(replace(shot(now), device_ns=stamp, depth_ns=None), now, clock_is_host)
+        said = condition.complaints(now)
+        assert list(said) == (["clock"] if says and clock_is_host else [])
+        assert (says or "") in said.get("clock", says or "")
+
+
 def _still_from(second):
     """Spoils what comes from a second on: the picture of then, with stamps of its own."""
 

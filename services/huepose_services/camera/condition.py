@@ -43,8 +43,7 @@ GREY_NS = 2 * SECOND
 """For so long: a real scene may look so for a moment, as a white wall close to the lens."""
 
 AHEAD_S, BEHIND_S = 1.0, 60.0
-"""So far may a stamp of this computer's clock be off: no capture takes place after its arrival, nor is kept so
-long by a driver."""
+"""Seconds from the arrival: no capture takes place after it, and no driver keeps a picture so long."""
 
 _LASTS_NS = {STOPPED: STOPPED_NS, "rate": SLOW_NS, "grey": GREY_NS}
 

@@ -27,6 +27,9 @@ from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 
 _IF_SILENT = "frames() waits for its next picture: does your camera still give some?"
+_RUNPY = (runpy.__file__, "<frozen runpy>")
+_RAISED = (Exception, SystemExit)
+"""What a file may raise: many scripts call sys.exit() where their device is not there."""
 
 
 def open_source(config: Config) -> LiveSource:
@@ -38,24 +41,36 @@ def open_source(config: Config) -> LiveSource:
         raise InputError(path, found="no such file", expected="a Python file with a function frames()")
     try:
         names = runpy.run_path(str(path), run_name="huepose_camera")
-    except Exception as error:
-        found = f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"
-        raise InputError(path, found=found, expected="a Python file that runs") from error
+    except _RAISED as error:
+        raise InputError(path, found=_said(error, path), expected="a Python file that runs") from error
     frames = names.get("frames")
     if not callable(frames):
         raise InputError(
             path, found="no function frames()", expected="one that gives RgbdFrame after RgbdFrame"
         )
     once = config.camera.once
-    return LiveSource(path.name, _IF_SILENT, lambda: PythonCamera(_opened(frames), path, once), once)
+    return LiveSource(path.name, _IF_SILENT, lambda: PythonCamera(_opened(frames, path), path, once), once)
 
 
-def _opened(frames: Callable[[], Any]) -> Iterator[Any]:
-    """What `frames` gives. Raises CameraError for what gives nothing."""
-    given = frames()
+def _opened(frames: Callable[[], Any], path: Path) -> Iterator[Any]:
+    """What `frames` of the file gives. Raises CameraError for what gives nothing."""
+    try:
+        given = frames()
+    except _RAISED as error:
+        raise CameraError(f"{_said(error, path)}.") from error
     if not isinstance(given, Iterable):
         raise CameraError(f"frames() returned {type(given).__name__}: it has to yield huepose.RgbdFrame")
     return iter(given)
+
+
+def _said(error: BaseException, path: Path) -> str:
+    """The exception, and where in the file at path it came up; elsewhere where it is not of that file."""
+    steps = [s for s in traceback.extract_tb(error.__traceback__) if s.filename not in (__file__, *_RUNPY)]
+    where = ([step for step in steps if Path(step.filename) == path] or steps)[-1:]
+    text = " ".join(str(error).split())[:200].rstrip(".")
+    named = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    # Python itself names the place of a wrong syntax.
+    return "".join([named, *(f", in {Path(step.filename).name}, line {step.lineno}" for step in where)])
 
 
 class PythonCamera:
@@ -76,14 +91,9 @@ class PythonCamera:
             if self._once:
                 raise FilmOver from None
             raise CameraError("frames() has ended. It is called again.") from None
-        except Exception as error:
-            steps = traceback.extract_tb(error.__traceback__)
-            # The last one in the file, not in what it calls.
-            where = [step for step in steps if Path(step.filename) == self._path][-1:] or steps[-1:]
-            text = f"{type(error).__name__}: {' '.join(str(error).split())[:200].rstrip('.')}"
-            at = f"{Path(where[0].filename).name}, line {where[0].lineno}"
+        except _RAISED as error:
             again = "" if self._once else " frames() is called again."
-            raise CameraError(f"{text}, in {at}.{again}") from error
+            raise CameraError(f"{_said(error, self._path)}.{again}") from error
         if not isinstance(frame, RgbdFrame):
             raise CameraError(f"frames() gave {type(frame).__name__}, expected huepose.RgbdFrame")
         if not np.isfinite(frame.depth).all():

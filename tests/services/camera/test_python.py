@@ -65,8 +65,10 @@ def frames():
     ("text", "says"),
     [
         ("frames = 3", "no function frames"),
-        ("import nothing_of_that_name", "ModuleNotFoundError"),
-        ("def frames(:", "SyntaxError"),
+        ("\nimport nothing_at_all", "ModuleNotFoundError: .*'nothing_at_all', in my_camera.py, line 2;"),
+        ("def frames(:", r"SyntaxError: invalid syntax \(my_camera.py, line 1\);"),
+        ("import json\njson.loads('')", "JSONDecodeError: .*, in my_camera.py, line 2;"),
+        ("import sys\nsys.exit('no camera')", "SystemExit: no camera, in my_camera.py, line 2;"),
     ],
 )
 def test_a_file_that_is_no_camera_is_refused(tmp_path: Path, text: str, says: str) -> None:
@@ -81,6 +83,10 @@ def test_a_file_that_is_no_camera_is_refused(tmp_path: Path, text: str, says: st
         ("def frames():\n    return 5", r"frames\(\) returned int: it has to yield"),
         ("def frames():\n    yield 3", "gave int"),
         ("def frames():\n    yield None", "gave NoneType"),
+        ("def frames():\n    raise RuntimeError", r"RuntimeError, in my_camera\.py, line 2\."),
+        ("def frames():\n    open('/none')\n    return 5", r"'/none', in my_camera\.py, line 2\."),
+        ("def frames():\n    exit()\n    yield", r"SystemExit: None, in my_camera\.py, line 2\. frames"),
+        ("def frames(device):\n    yield", r"missing 1 required positional argument: 'device'\.$"),
         (
             "from huepose.datasets.image_files import read_camera\n\n\n"
             "def frames():\n    read_camera('none.json')\n    yield",

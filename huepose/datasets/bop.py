@@ -18,6 +18,7 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
+from huepose.support.words import counted, listed
 
 _HOLDS = (
     "The folder of a scene has rgb/000000.png ..., depth/000000.png ... (16 bit) and scene_camera.json: "
@@ -25,6 +26,12 @@ _HOLDS = (
     "depth_scale is millimetres a depth value"
 )
 """What has to be there, in words."""
+
+
+def _scenes_in(folder: Path) -> list[str]:
+    """The scenes in a folder, or in its parts (`test/000048`), as paths below it."""
+    cameras = [*folder.glob("*/scene_camera.json"), *folder.glob("*/*/scene_camera.json")]
+    return sorted(str(path.parent.relative_to(folder)) for path in cameras)
 
 
 class BopScene:
@@ -35,6 +42,12 @@ class BopScene:
         if not self.path.is_dir():
             raise InputError(
                 self.path, found="no such folder", expected="a BOP scene folder", fix=f"{_HOLDS}."
+            )
+        if not (self.path / "rgb").is_dir() and (scenes := _scenes_in(self.path)):
+            raise InputError(
+                self.path,
+                found=f"a folder of {counted(len(scenes), 'scene')}: {listed(scenes)}",
+                expected=f"the folder of one, as {self.path / scenes[0]}",
             )
         self.name = files.folder_name(self.path)
         self._colors = files.numbered_files(self.path / "rgb")

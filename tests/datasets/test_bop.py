@@ -152,6 +152,21 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
         BopScene(tmp_path / "nowhere")
 
 
+@pytest.mark.parametrize("place", ["000048", "test/000048"])
+def test_the_folder_of_scenes_is_answered_with_their_names(
+    bop_scene: Path, tmp_path: Path, place: str
+) -> None:
+    scene = tmp_path / "set" / place
+    scene.parent.mkdir(parents=True)
+    bop_scene.rename(scene)
+    with pytest.raises(InputError) as raised:
+        BopScene(tmp_path / "set")
+    assert (raised.value.found, raised.value.expected) == (
+        f"a folder of 1 scene: {place}",
+        f"the folder of one, as {scene}",
+    )
+
+
 def test_a_folder_without_cameras_is_answered_with_what_to_write(bop_scene: Path) -> None:
     (bop_scene / "scene_camera.json").unlink()
     with pytest.raises(InputError, match=r'no such file\. The folder of a scene has rgb/.*"cam_K": \[fx, 0'):

@@ -46,6 +46,13 @@ def read_messages(path: Path | str) -> list[LivePose]:
     A last line that is cut short, as when the recording was stopped, is passed over as well.
     Raises InputError, naming the line."""
     text = files.read_bytes(Path(path)).decode("utf-8", "replace")
+    if "\ufffd" in text:
+        raise InputError(
+            path,
+            found="bytes that are no text",
+            expected="one JSON message a line, as `huepose poses --json` prints",
+            fix="Of a recording `huepose replay RUN.mcap --bop DIR` writes DIR/poses.jsonl.",
+        )
     lines = text.splitlines()
     messages = []
     for number, line in enumerate(lines, 1):
@@ -99,17 +106,23 @@ def _message(record: dict[str, Any], where: str) -> LivePose:
 def first_pass(messages: Sequence[LivePose], image_ids: Sequence[int]) -> list[LivePose]:
     """The messages about the scene's images, by capture time, of the first camera epoch, until the frame
     numbers start again; of several about the same track and frame the one published first."""
-    ordered = sorted(messages, key=lambda m: (m.capture_ns, m.publish_ns))
     images = set(image_ids)
     kept: dict[tuple[str, int, int], LivePose] = {}
-    newest = -1
-    for message in ordered:
-        if message.epoch != ordered[0].epoch or message.frame_id < newest:
-            break
-        newest = message.frame_id
+    for message in _until_it_begins_again(messages, max(images)):
         if message.frame_id in images:
             kept.setdefault((message.pose.object, message.pose.track, message.frame_id), message)
     return list(kept.values())
+
+
+def _until_it_begins_again(messages: Sequence[LivePose], last_image: int) -> list[LivePose]:
+    """The messages, by capture time, before the first of a later pass."""
+    ordered = sorted(messages, key=lambda m: (m.capture_ns, m.publish_ns))
+    newest = -1
+    for k, message in enumerate(ordered):
+        if message.epoch != ordered[0].epoch or not newest <= message.frame_id <= last_image:
+            return ordered[:k]
+        newest = message.frame_id
+    return ordered
 
 
 def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets) -> TrackResult:
@@ -125,7 +138,7 @@ def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets)
             f"scene {scene.name}",
             found="no message about any of its images",
             expected="frame ids that are image numbers of this scene",
-            fix="Score the poses against the scene that the pipeline was played.",
+            fix="Score the poses of the first pass (camera.once: true) of the scene that was played.",
         )
     by_image = grouped(kept, lambda m: m.frame_id)
     rows: list[TrackRow] = []
@@ -138,7 +151,12 @@ def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets)
         phantoms += spare
     due = [row for row in rows if not row.gone]
     with_pose = sum(row.T_cam_obj is not None for row in due)
-    measured = {"poses_for_frames": 100.0 * with_pose / len(due) if due else None, **_times(kept)}
+    measured = {
+        "poses_for_frames": 100.0 * with_pose / len(due) if due else None,
+        "messages": len(messages),
+        "messages_of_first_pass": len(_until_it_begins_again(messages, max(scene.image_ids))),
+        **_times(kept),
+    }
     return TrackResult(rows, {(scene.name, 0): phantoms}, {"frames": len(scene.image_ids)}, measured)
 
 

@@ -69,7 +69,9 @@ def test_only_the_first_pass_counts(models, tmp_path: Path) -> None:
     messages = read_messages(written(tmp_path, *reversed(first), *numbered_on, *again, *reopened))
     kept = first_pass(messages, SCENE.image_ids)
     assert sorted(m.frame_id for m in kept) == list(range(10))
-    assert evaluate_poses(messages, SCENE, Targets(models)).summary()["recall_add"] == 100.0
+    summary = evaluate_poses(messages, SCENE, Targets(models)).summary()
+    assert summary["recall_add"] == 100.0
+    assert (summary["messages_of_first_pass"], summary["messages"]) == (10, 40)
 
 
 def test_a_first_pass_with_gaps_is_not_filled_from_the_second(models, tmp_path: Path) -> None:
@@ -114,6 +116,13 @@ def test_what_is_broken_is_named(tmp_path: Path, text: str, named: str) -> None:
     path = tmp_path / "poses.jsonl"
     path.write_text(text)
     with pytest.raises(InputError, match=named):
+        read_messages(path)
+
+
+def test_a_recording_is_answered_with_how_to_have_its_poses(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"\x89MCAP0\r\n\x01\x04\x00" * 9)
+    with pytest.raises(InputError, match=r"run.mcap: found bytes that are no text; .*DIR/poses.jsonl\.$"):
         read_messages(path)
 
 

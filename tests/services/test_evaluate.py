@@ -94,7 +94,20 @@ def test_poses_of_a_live_run_are_scored(scoring: list[str], tmp_path: Path, caps
     assert record["summary"]["recall_add"] == 50.0
     assert record["rows"][1]["add_m"] == pytest.approx(0.01)
     assert record["rows"][0]["T_cam_obj"] is None
-    assert "50.0 % of frames" in capsys.readouterr().out
+    assert "50.0 % of frames" in (said := capsys.readouterr().out)
+    assert "first pass" not in said
+
+
+def test_it_says_where_only_the_first_pass_of_several_counts(
+    scoring: list[str], tmp_path: Path, capsys
+) -> None:
+    (message,) = (tmp_path / "poses.jsonl").read_text().splitlines()
+    later = [{**json.loads(message), "frame_id": 2 * n + 1, "capture_ns": n * 10**9} for n in (1, 2)]
+    with (tmp_path / "poses.jsonl").open("a") as poses:
+        poses.writelines(json.dumps(one) + "\n" for one in later)
+    assert main(scoring) == 0
+    said = "only the first pass of the scene counts: 1 of 3 messages are of it"
+    assert said in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("closed", [["stdout"], ["stderr"], ["stdout", "stderr"]])

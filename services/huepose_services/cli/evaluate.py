@@ -133,7 +133,8 @@ def _add_poses(verbs: Any) -> None:
     parser = verbs.add_parser(
         "poses",
         help="what a live run published",
-        description="Score what `huepose poses --json` printed against the scene that was played.",
+        description="Score what `huepose poses --json` printed against the scene that was played; of one "
+        "that loops its first pass.",
     )
     parser.add_argument("poses", type=Path, metavar="POSES.jsonl", help="what was printed")
     source = parser.add_mutually_exclusive_group(required=True)

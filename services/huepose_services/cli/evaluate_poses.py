@@ -25,8 +25,11 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _report(summary: dict[str, Any]) -> str:
+    counted, given = summary["messages_of_first_pass"], summary["messages"]
+    left_out = f"only the first pass of the scene counts: {counted} of {given} messages are of it"
     return "\n".join(
         [
+            *([left_out] if counted < given else []),
             figure_table("scene", summary["sequences"], {"instances": "n"}),
             states_line(summary),
             f"poses for {summary['poses_for_frames']:.1f} % of frames, {known(summary['fps'])} frames/s, "

@@ -35,6 +35,9 @@ _WAITING = 1024
 _LOOK_EVERY_S = 0.1
 _ASK_TIMEOUT_S = 2.0
 _FORGET_S = 60.0
+_SETTLES_S = 1.0
+"""A new client has its link, and the latest poses, after a fraction of this."""
+
 Instance = tuple[str, str, int]
 """The camera's frame, the object, the instance."""
 
@@ -71,6 +74,7 @@ class PoseClient:
         self._camera_said: CameraMessage | None = None
         self._fixed: dict[str, Mount | None] = {}
         self._moving: dict[str, deque[tuple[int, Mount]]] = {}
+        self._made = time.monotonic()
         self._closed = threading.Event()
         self._asker = threading.Thread(target=self._ask_whoever_is_new, daemon=True)
         self._listeners = Listeners()
@@ -167,7 +171,11 @@ class PoseClient:
         return bool(self._session.info.peers_zid())
 
     def why_silent(self) -> str:
-        """Why no pose comes, in a sentence, as far as this can be found out here; may take seconds."""
+        """Why no pose comes, in a sentence, as far as this can be found out here; may take seconds. Of a
+        client that was just made it waits for a pose, up to a second, before it says that none comes."""
+        with self._changed:
+            new_s = self._made + _SETTLES_S - time.monotonic()
+            self._changed.wait_for(lambda: self._arrived or self._closed.is_set(), max(0.0, new_s))
         if self.connected:
             with self._changed:
                 last = max(self._arrived.values(), default=None)

@@ -132,6 +132,15 @@ def test_by_tls_an_address_of_ipv6_needs_a_name_and_the_client_says_so(start, au
         assert re.fullmatch(r"connected: the last pose came \d\.\d s ago", client.why_silent())
 
 
+def test_a_client_that_was_just_made_does_not_say_that_nothing_comes(start):
+    one = start()
+    with PoseClient(f"localhost:{one.port}") as client:
+        one.say_until(lambda: client.latest() is not None)
+    for _ in range(3):
+        with PoseClient(f"localhost:{one.port}") as client:
+            assert client.why_silent().startswith("connected: the last pose came 0.0 s ago")
+
+
 def test_nobody_at_an_address_of_ipv6_is_said(base_port):
     with PoseClient(f"[::1]:{base_port}") as client:
         assert client.why_silent().endswith(f"tcp/[::1]:{base_port}: no program listens there")

@@ -13,6 +13,9 @@ from huepose.estimation.config import StandingConfig
 from huepose.estimation.types import PoseEstimate
 from huepose.select.distinct import pixels, standing
 
+IF_IN_PLAIN_VIEW = "If it is in plain view, look at the depth scale, and at fx and fy."
+"""What to do about an object that is not found, or never surely."""
+
 
 def standing_answers(
     answers: Sequence[PoseEstimate], config: StandingConfig | None = None
@@ -44,10 +47,7 @@ def why_none_stands(name: str, answers: Sequence[PoseEstimate], doubts: Sequence
     doubts = doubts or [""] * len(answers)
     mine = [x for x in zip(answers, doubts, strict=True) if x[0].object == name]
     if not mine:
-        return (
-            "The detector found no place in the frame that looks like the object. If it is in plain view, "
-            "look at the depth scale, and at fx and fy."
-        )
+        return f"The detector found no place in the frame that looks like the object. {IF_IN_PLAIN_VIEW}"
     best, doubt = max(mine, key=lambda item: chance(item[0]))
     if not best.found:
         return best.reason

@@ -15,6 +15,7 @@ from huepose.datasets.types import Scene
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.apparent_size import doubted_in
 from huepose.estimation.frame_offset import frame_offset
+from huepose.estimation.standing import IF_IN_PLAIN_VIEW
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.picture_faults import (
@@ -272,8 +273,8 @@ def objects_in(
     if why:
         yield Finding("camera", "bad", "red and blue seem to be exchanged", why)
     if not places:
-        fix = "If they are in plain view, look at the depth scale, and at fx and fy."
-        yield Finding("objects", "none", f"none of {', '.join(names)} is in the last picture", fix)
+        text = f"none of {', '.join(names)} is in the last picture"
+        yield Finding("objects", "none", text, IF_IN_PLAIN_VIEW)
         return
     best = {place.object: place for place in places[::-1]}
     estimator = Estimator(models, live.estimator)
@@ -291,5 +292,5 @@ def objects_in(
     elif all(answer.state == "TRACKING" for answer in answers):
         yield Finding("objects", "ok", said)
     else:
-        fix = "What is not TRACKING was not sure in this picture. If it is in plain view, look at fx and fy."
+        fix = f"What is not TRACKING was not sure in this picture. {IF_IN_PLAIN_VIEW}"
         yield Finding("objects", "note", said, fix)

@@ -107,10 +107,11 @@ def write_frame(folder: Path, shot: Shot, camera: Camera) -> None:
     import json
 
     import cv2
-    import numpy as np
+
+    from huepose.geometry.camera import depth_steps
 
     write_picture(folder / "color.png", shot.color)
-    depth = np.rint(shot.depth * 10_000.0).clip(0, np.iinfo(np.uint16).max).astype(np.uint16)
+    depth = depth_steps(shot.depth, 1e-4)
     write_bytes(folder / "depth.png", cv2.imencode(".png", depth)[1].tobytes())
     intrinsics = {key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy", "width", "height")}
     write_text(folder / "camera.json", json.dumps({**intrinsics, "depth_scale_m": 0.0001}) + "\n")

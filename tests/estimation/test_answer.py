@@ -15,18 +15,13 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.terms import score
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from tests.boxes import box_of
 
 TakePicture = Callable[..., RgbdFrame]
 
 
 def explained(model: ReferenceModel, frame: RgbdFrame, box: Box) -> tuple[PoseEstimate, Explanation]:
     return Estimator({model.name: model}).explain(frame, ObjectQuery(model.name, box))
-
-
-def box_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Box:
-    box = Box.of_mask(render_depth(model.mesh, T, frame.camera) > 0)
-    assert box is not None
-    return box
 
 
 def test_the_best_of_the_views_is_the_answer(

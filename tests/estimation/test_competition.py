@@ -14,6 +14,7 @@ from huepose.estimation.explanation import Explanation
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from tests.boxes import box_of
 
 TakePicture = Callable[..., RgbdFrame]
 FRAME = RgbdFrame(
@@ -110,7 +111,7 @@ def test_one_surface_is_not_given_to_two_objects(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    box = box_of(frame, tea_box, standing)
     models = {"tea_box": tea_box, "twin": replace(tea_box, name="twin")}
     first, second = Estimator(models).estimate(frame, [ObjectQuery(name, box) for name in models])
     assert first.quality > 0.9

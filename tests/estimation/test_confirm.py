@@ -10,10 +10,10 @@ import numpy as np
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PosePrior
 from huepose.estimation.answer import looks_in_full
 from huepose.estimation.config import ConfirmConfig
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render_depth
 from huepose.support.stages import listening
+from tests.boxes import box_of
 
 TakePicture = Callable[..., RgbdFrame]
 NOT_IN_FULL = next(i for i in range(9) if not looks_in_full(i, 3))
@@ -30,7 +30,7 @@ def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=NOT_IN_FULL)
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    box = box_of(frame, tea_box, standing)
     near = PosePrior(se3.perturb(standing, np.array([0.004, -0.003, 0.005, 0.04, -0.03, 0.03])))
     turned = PosePrior(se3.compose(standing, se3.make(np.diag([-1.0, 1.0, -1.0]), np.zeros(3))))
     models = {"tea_box": tea_box}
@@ -53,7 +53,7 @@ def test_a_confirmed_prior_of_an_object_without_near_symmetries_is_an_answer_wit
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=NOT_IN_FULL)
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    box = box_of(frame, tea_box, standing)
     alone = replace(tea_box, near_symmetries=tea_box.near_symmetries[:1])
     (answer,) = Estimator({"tea_box": alone}).estimate(
         frame, [ObjectQuery("tea_box", box, prior=PosePrior(standing))]

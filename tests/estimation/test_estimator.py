@@ -17,6 +17,7 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
+from tests.boxes import box_of
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -24,12 +25,6 @@ TakePicture = Callable[..., RgbdFrame]
 @pytest.fixture(scope="module")
 def estimator(tea_box: ReferenceModel) -> Estimator:
     return Estimator({"tea_box": tea_box})
-
-
-def box_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Box:
-    box = Box.of_mask(render_depth(model.mesh, T, frame.camera) > 0)
-    assert box is not None
-    return box
 
 
 def same(a: PoseEstimate, b: PoseEstimate) -> bool:

@@ -7,17 +7,16 @@ from collections.abc import Callable
 import numpy as np
 
 from huepose.estimation.panels import AGREES, SEEN_THROUGH, Panels
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render_depth
+from tests.boxes import box_of
 
 
 def test_where_a_pose_agrees_is_green_and_where_it_is_in_the_air_red(
     tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
-    assert box is not None
+    box = box_of(frame, tea_box, standing)
     panels = Panels.around(frame, box, [], 0.008)
     right = panels.judged(tea_box, standing)
     nearer = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -0.1]), standing)

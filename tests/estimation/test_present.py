@@ -12,14 +12,13 @@ from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.present import PresenceIn
 from huepose.estimation.types import PoseEstimate
-from huepose.geometry import Box
-from huepose.rendering.render import render_depth
+from tests.boxes import box_of
 
 
 def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, standing) -> None:
     models = {"tea_box": tea_box}
     frame = take_picture([(tea_box.mesh, standing)])
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    box = box_of(frame, tea_box, standing)
     (there,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
     beside = standing.copy()
     beside[0, 3] += 0.5 * tea_box.diameter_m
@@ -40,7 +39,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, st
 
 def test_only_what_a_search_proposed_is_asked_whether_it_is_there(tea_box, take_picture, standing) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    box = box_of(frame, tea_box, standing)
     queries = [ObjectQuery("tea_box", box), ObjectQuery("tea_box", box, searched=True)]
     estimator = Estimator({"tea_box": tea_box})
     given, searched = (estimator.estimate(frame, [query])[0] for query in queries)
@@ -63,7 +62,7 @@ def test_a_shape_in_another_texture_is_another_thing(tea_box, take_picture, stan
     models = {"tea_box": tea_box}
     texture = np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1])
     frame = take_picture([(replace(tea_box.mesh, texture=texture), standing)])
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    box = box_of(frame, tea_box, standing)
     (answer,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
     there = PresenceIn(frame, models, "full").asked(replace(answer, T_cam_obj=standing))
     assert there.present < 0.5
@@ -73,7 +72,7 @@ def test_another_texture_is_judged_by_the_method_that_answered(tea_box, take_pic
     """Contrasts that point elsewhere speak against an answer by as much as its method's own fit says."""
     models = {"tea_box": tea_box}
     frame = take_picture([(tea_box.mesh, standing)])
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    box = box_of(frame, tea_box, standing)
     (answer,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
     lacking = replace(answer, terms=replace(answer.terms, turned=0.5, otherwise=0.9, agreed=0.0))
     left = {}

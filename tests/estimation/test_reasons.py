@@ -14,8 +14,8 @@ from huepose.estimation.reasons import covering, displacement, overlap, reasons,
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render_depth
 from huepose.select.distinct import NONE, Ranked
+from tests.boxes import box_of
 
 
 def turned(T: np.ndarray, degrees: float, axis: int) -> np.ndarray:
@@ -27,7 +27,7 @@ def looked(
     tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
 ) -> tuple[PoseEstimate, Explanation]:
     frame = take_picture([(tea_box.mesh, standing)])
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    box = box_of(frame, tea_box, standing)
     return Estimator({"tea_box": tea_box}).explain(frame, ObjectQuery("tea_box", box))
 
 

@@ -16,6 +16,7 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.select.distinct import Ranked
 from huepose.select.near_ties import decided
+from tests.boxes import box_of
 from tests.kernels import compiled
 
 
@@ -45,7 +46,7 @@ def test_no_near_tie_and_no_prior_waits_for_the_compiler(
     estimator.warm_up()
     before = compiled()
     frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=2)
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    box = box_of(frame, tea_box, standing)
     prior = PosePrior(se3.perturb(standing, np.full(6, 0.002)))
     _, seen = estimator.explain(frame, ObjectQuery("tea_box", box, prior=prior))
     assert seen.evidence is not None

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.judge.borders import continuation_many
 from huepose.judge.region import model_arrays
 from huepose.model.types import ReferenceModel
@@ -23,6 +23,7 @@ from huepose.perception.window_table import narrowed, promising, window_table
 from huepose.perception.windows import WindowsBySize
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
+from tests.boxes import box_of
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -40,12 +41,6 @@ def frame(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, beside: np.ndarray
 ) -> RgbdFrame:
     return take_picture([(tea_box.mesh, standing), (tea_box.mesh, beside)])
-
-
-def box_of(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> Box:
-    box = Box.of_mask(render_depth(model.mesh, T, frame.camera) > 0)
-    assert box is not None
-    return box
 
 
 def test_the_table_is_taken_away_and_the_objects_stay(
@@ -80,8 +75,8 @@ def test_both_of_a_kind_are_found_where_they_are(
     found = ColorPairDetector({"tea_box": tea_box}).detect(frame, ["tea_box"])
     assert [d.object for d in found] == ["tea_box", "tea_box"]
     for T in (standing, beside):
-        best = max(found, key=lambda d: d.box.iou(box_of(tea_box, frame, T)))
-        assert best.box.iou(box_of(tea_box, frame, T)) > 0.75
+        best = max(found, key=lambda d: d.box.iou(box_of(frame, tea_box, T)))
+        assert best.box.iou(box_of(frame, tea_box, T)) > 0.75
         assert best.T_cam_obj is not None
         difference = se3.difference(T, best.T_cam_obj)
         assert np.linalg.norm(difference[:3]) < 0.02
@@ -119,7 +114,7 @@ def test_each_source_alone_finds_the_object(
     frame = take_picture([(tea_box.mesh, standing)], light=(0.7, 0.8, 0.9))
     detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(sources=(source,)))
     best = detector.detect(frame, ["tea_box"])[0]
-    assert best.box.iou(box_of(tea_box, frame, standing)) > 0.75
+    assert best.box.iou(box_of(frame, tea_box, standing)) > 0.75
     assert best.score > 0.9
 
 

@@ -15,11 +15,11 @@ import pytest
 
 from huepose.believe.state import State
 from huepose.estimation import PoseEstimate
-from huepose.geometry import Box, RgbdFrame
+from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel, save_model
-from huepose.rendering.render import render_depth
 from huepose_services.cli.estimate import in_words
 from huepose_services.cli.main import main
+from tests.boxes import box_of
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +57,7 @@ def written(folder: Path, frame: RgbdFrame, *models: ReferenceModel) -> list[str
 @pytest.fixture(scope="module")
 def box(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> list[str]:
     frame = take_picture([(tea_box.mesh, standing)])
-    bounds = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
-    assert bounds is not None
+    bounds = box_of(frame, tea_box, standing)
     return ["--box", *(str(x) for x in bounds)]
 
 

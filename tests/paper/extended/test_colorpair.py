@@ -15,6 +15,7 @@ from huepose.paper.extended.colorpair import ColorpairPathConfig, estimate_by_pa
 from huepose.paper.extended.hypotheses import HypothesesConfig
 from huepose.propose.evidence import Evidence, gather
 from huepose.rendering.render import render_depth
+from tests.boxes import box_of
 from tests.judge.regions import pair_score, prepare_region
 
 TakePicture = Callable[..., RgbdFrame]
@@ -34,7 +35,7 @@ def test_the_box_is_found_by_colour_pairs_alone(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)], light=(0.9, 0.75, 0.6))
-    box = Box.of_mask(render_depth(tea_box.mesh, standing, frame.camera) > 0)
+    box = box_of(frame, tea_box, standing)
     estimator = Estimator({"tea_box": tea_box}, EstimatorConfig(method="colorpair"))
     (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", box)])
     assert answer.found

@@ -11,10 +11,8 @@ from collections.abc import Sequence
 
 from huepose.estimation.config import StandingConfig
 from huepose.estimation.types import PoseEstimate
+from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.select.distinct import pixels, standing
-
-IF_IN_PLAIN_VIEW = "If it is in plain view, look at the depth scale, and at fx and fy."
-"""What to do about an object that is not found, or never surely."""
 
 
 def standing_answers(

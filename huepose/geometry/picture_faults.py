@@ -29,6 +29,9 @@ NO_COLOUR = (
     "camera's colour stream read?"
 )
 
+IF_IN_PLAIN_VIEW = "If it is in plain view, look at the depth scale, and at fx and fy."
+"""What to do about an object that is not found, or never surely, where nothing is known to be wrong."""
+
 LEAST_DEPTH = 0.01
 """A smaller share of readings is no depth picture: specks, in which no surface of any object is."""
 

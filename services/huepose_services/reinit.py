@@ -9,6 +9,7 @@ from typing import Literal
 
 from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
+from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
 from huepose.tracking.types import Correction, TrackedPose, Verdict
@@ -41,6 +42,8 @@ _TICK_NS = SECOND // 30
 _SLOW_S = 1.5
 # A track is over when it was not published for so long while others were.
 _FORGET_NS = 2 * SECOND
+# From the first answer about a camera: until then a right one has had objects found.
+_IN_VAIN_NS = 10 * SECOND
 _UNCONFIRMED = "Something was found, but the tracker has not confirmed it."
 
 
@@ -102,6 +105,8 @@ class ReinitWork(Work):
         self._camera_says = ""
         self._newest_frame: tuple[int, int] | None = None
         self._camera_doubt = ""
+        # Epochs of the camera: that of the answers and since when, and the last in which a pose was TRACKING.
+        self._answers_of, self._answers_since_ns, self._sure_in = -1, 0, -1
         self._told_missing: dict[str, int] = {}
         self._next_tick_ns = self._next_objects_ns = now_ns()
 
@@ -154,7 +159,8 @@ class ReinitWork(Work):
             tracks = (t for t in self._tracks.values() if t.stamp_ns >= answer.capture_ns)
             followed = {t.object for t in tracks if t.T_cam_obj is not None}
             sought = self._sought.get(answer.request_seq, ())
-            self._reasons |= reasons_not_seen(sought, answer, acquired, followed)
+            advice = IF_IN_PLAIN_VIEW if self._in_vain(answer) else ""
+            self._reasons |= reasons_not_seen(sought, answer, acquired, followed, advice)
             if bool(answer.picture) != self._picture_blamed:
                 self._picture_blamed = bool(answer.picture)
                 self._next_objects_ns = now_ns()
@@ -175,6 +181,13 @@ class ReinitWork(Work):
             self._next_objects_ns = now + SECOND
             self._publish_objects()
 
+    def _in_vain(self, answer: Estimates) -> bool:
+        """Whether pictures of its camera have been looked at for a while, and no pose in them was sure."""
+        if answer.camera_epoch != self._answers_of:
+            self._answers_of, self._answers_since_ns = answer.camera_epoch, now_ns()
+        in_vain = now_ns() - self._answers_since_ns > _IN_VAIN_NS
+        return in_vain and self._sure_in != answer.camera_epoch
+
     def _observe(self, pose: PoseMessage) -> None:
         try:
             check_number(pose, now_ns())
@@ -184,7 +197,8 @@ class ReinitWork(Work):
         if not self._camera.accepts(pose.camera_epoch, now_ns()):
             self._bus.health.count("poses_of_another_camera")
         elif not self._retired.includes(pose.object, pose.camera_epoch, pose.instance):
-            self._tracks[pose.object, pose.instance] = track_from_wire(pose)
+            self._tracks[pose.object, pose.instance] = track = track_from_wire(pose)
+            self._sure_in = pose.camera_epoch if track.state is State.TRACKING else self._sure_in
 
     def _apply_orders(self) -> None:
         """Tell the loop about objects that were added, removed or reset."""
@@ -250,11 +264,15 @@ def slow_text(age_s: float, took_s: float) -> str | None:
 
 
 def reasons_not_seen(
-    sought: Iterable[str], answer: Estimates, acquired: Container[str] = (), followed: Container[str] = ()
+    sought: Iterable[str],
+    answer: Estimates,
+    acquired: Container[str] = (),
+    followed: Container[str] = (),
+    advice: str = "",
 ) -> dict[str, str]:
     """By name, why no new instance of an object was found in the answer's picture. sought: the objects of
     which a new instance was requested; acquired: those of which one was found and given to the tracker;
-    followed: those of which one was followed before."""
+    followed: those of which one was followed before; advice: where none of any object was ever sure."""
     out = {}
     for name in sought:
         if name in acquired:
@@ -267,9 +285,10 @@ def reasons_not_seen(
         elif name in followed:
             out[name] = "No second one is seen."
         elif best is None:
-            out[name] = "No place in the picture looks like the object."
+            out[name] = f"No place in the picture looks like the object. {advice}".strip()
         elif best.found:
-            out[name] = f"Something like it is seen, too doubtful to follow (quality {best.quality:.2f})."
+            doubtful = f"too doubtful to follow (quality {best.quality:.2f})"
+            out[name] = f"Something like it is seen, {doubtful}. {advice}".strip()
         else:
             out[name] = best.reason
     return out

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.estimation.standing import IF_IN_PLAIN_VIEW
 from huepose.geometry import RgbdFrame
+from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.model.types import ReferenceModel
 from huepose_services.doctor import pictures
 from huepose_services.doctor.pictures import objects_in

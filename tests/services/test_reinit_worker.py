@@ -5,6 +5,7 @@ from dataclasses import asdict
 import msgspec
 import pytest
 
+from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.reinit import ReinitConfig, ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose_protos.examples import example
@@ -197,6 +198,33 @@ def test_a_reset_forgets_the_reason_of_the_search_before(bus, objects, step):
     objects.decide(ControlRequest(publish_ns=1, action="reset", object="mug"))
     step()
     assert (bus.mug().searching, bus.mug().reason) == (2, "")
+
+
+@pytest.mark.parametrize(
+    ("after_s", "state", "advised"),
+    [(12, "", True), (5, "", False), (12, "SUSPECT", True), (12, "TRACKING", False)],
+)
+def test_where_nothing_was_ever_sure_it_says_what_to_look_at(
+    bus, objects, monkeypatch, after_s, state, advised
+):
+    """As with a focal length that is twice too large: nothing is found in pictures that are good."""
+    at = [now_ns()]
+    monkeypatch.setattr("huepose_services.reinit.now_ns", lambda: at[0])
+    slots = [ObjectSlot("mug", 2, 0.1)]
+    work = ReinitWork(bus, ReinitLoop(ReinitConfig(), slots), objects)
+    if state:
+        bus.arriving[PoseMessage].append(msgspec.structs.replace(pose(0), object="can", state=state))
+    for passed_s in (0, after_s):
+        at[0] += passed_s * SECOND
+        work.step()
+        asked = [m for m in bus.said if isinstance(m, PerceptionRequest)][-1]
+        bus.arriving[Estimates].append(answer(bus, request_seq=asked.seq))
+        at[0] += SECOND // 5
+        work.step()
+    at[0] += SECOND
+    work.step()
+    said = "No place in the picture looks like the object."
+    assert bus.mug().reason == (f"{said} {IF_IN_PLAIN_VIEW}" if advised else said)
 
 
 def test_what_is_wrong_with_the_picture_is_the_reason_why_nothing_is_found_in_it(bus, objects, step):

@@ -15,10 +15,10 @@ from huepose.datasets.types import Scene
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.apparent_size import doubted_in
 from huepose.estimation.frame_offset import frame_offset
-from huepose.estimation.standing import IF_IN_PLAIN_VIEW
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.picture_faults import (
+    IF_IN_PLAIN_VIEW,
     LEAST_DEPTH,
     all_grey,
     camera_doubted,

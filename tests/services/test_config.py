@@ -38,6 +38,8 @@ GOOD = "camera: {truth: true}\n"
         ("camera: {rate: recorded, truth: true}", ["camera.rate", "recorded"]),
         ("camera: {truth: maybe}", ["camera.truth", "'maybe'", "true or false"]),
         ("camera: 7", ["camera", "found 7", "keys with values"]),
+        ("camera: bop", ["camera", "found 'bop'", "Write {source: bop} there"]),
+        ("cameras: [realsense]", ["cameras[0]", "Write {source: realsense} there"]),
         ("detector: {kind: truth}", ["detector.kind", "camera.truth: true"]),
         ("detector: {kind: first_box}", ["detector.boxes", "none"]),
         ("detector: {kind: first_box, boxes: {a: [1, 2, 3]}}", ["detector.boxes", "length 4"]),

@@ -66,7 +66,7 @@ def test_of_two_pipelines_one_has_to_be_named(runtime_folder):
         assert re.search(f"Say which: --pipeline ({lab}|{hall})", str(refusal.value))
         assert pick(which="lab/cam0") == pick(which="cam0") == pick(which="18100") == HERE
         assert pick(which="hall").base_port == 18200
-        with pytest.raises(InputError, match="no such pipeline runs here"):
+        with pytest.raises(InputError, match="no such pipeline here"):
             pick(which="attic")
 
 

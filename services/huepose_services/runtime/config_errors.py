@@ -113,14 +113,19 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
         f"{path}: {at or 'the whole file'}",
         found=shown,
         expected=_allowed(text, kind),
-        fix=_mended(at, found, close),
+        fix=_mended(at, found, close, kind),
     )
 
 
-def _mended(at: str, found: Any, close: list[str]) -> str:
+def _mended(at: str, found: Any, close: list[str], kind: Any) -> str:
     """What to write instead, as far as it is known."""
     if close:
         return f"Did you mean '{close[0]}'?"
+    for section in _parts(kind):
+        # `camera: bop`: the section's name with what is the value of one of its keys.
+        keys = msgspec.structs.fields(section) if hasattr(section, "__struct_fields__") else ()
+        for key in (key.name for key in keys if found in _literals(key.type)):
+            return f"Write {{{key}: {found}}} there, with what else it needs."
     if at.startswith("objects[") and isinstance(found, str):
         return f"Write {{name: {_SHORT.repr(found)[1:-1]}}}."
     if at.endswith(".source"):

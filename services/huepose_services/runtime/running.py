@@ -173,7 +173,7 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
         if not meant:
             raise InputError(
                 f"--pipeline {which}",
-                found="no such pipeline runs here",
+                found="no such pipeline here",
                 expected=_listed(found) or "a pipeline that runs: none does",
                 fix="Start it with `huepose up`, or name one that runs.",
             )

@@ -137,6 +137,15 @@ def test_what_points_outside_of_the_picture_is_told_its_size(selection: Selectio
     assert f"in the picture of {CAMERA.width} x {CAMERA.height}" in str(error.value)
 
 
+def test_a_wall_that_was_clicked_is_refused_as_an_object() -> None:
+    """One seen at a slant covers a third of the picture, and is as wide as it is far."""
+    depth = np.tile(1.0 / np.linspace(0.4, 2.0, CAMERA.height), (CAMERA.width, 1)).T.astype(np.float32)
+    depth[:, 110:] = 0.0
+    wall = RgbdFrame(np.full((*depth.shape, 3), 128, np.uint8), depth, CAMERA)
+    with pytest.raises(InputError, match=r"a surface \d\.\d m across, \d\.\d m from the camera.*--box"):
+        learn([wall, wall], Selection(click=(50.0, 120.0)))
+
+
 def test_an_object_that_stands_still_is_refused() -> None:
     with pytest.raises(InputError, match="turned by less than 5 degrees"):
         learn((drawn(pose(0.0), k) for k in range(3)), box_of(pose(0.0)))

@@ -111,6 +111,17 @@ def test_of_every_kind_of_recording_each_frame_is_learnt_from(
         np.testing.assert_allclose(frame.depth, true.depth, rtol=0, atol=depth_off_m)
 
 
+@pytest.mark.parametrize(
+    ("name", "found"), [("film.mp4", "another kind of file"), ("cut.mcap", "an empty file")]
+)
+def test_a_file_that_is_no_recording_is_not_taken_for_a_folder(
+    name: str, found: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / name).touch()
+    assert main(given_for(tmp_path / name, tmp_path / "bundles")) == 2
+    assert f"{name}: found {found}; expected a recording" in capsys.readouterr().err
+
+
 def test_a_recording_takes_the_place_of_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("open3d")
     from huepose_services.cli import onboard

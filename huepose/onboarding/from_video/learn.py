@@ -158,7 +158,13 @@ class _Track:
         T = se3.make(np.eye(3), np.median(points, axis=0))
         radius = float(np.percentile(np.linalg.norm(points - T[:3, 3], axis=1), 99))
         window = window_of(frame, T, 2 * radius)
-        assert window is not None  # it holds the mask
+        if window is None:
+            raise InputError(
+                "the first frame",
+                found=f"a surface {2 * radius:.1f} m across, {T[2, 3]:.1f} m from the camera",
+                expected="one object, which is farther from the camera than twice its own size",
+                fix="Point at the object, or mark it with --box X Y W H.",
+            )
         part = cut(frame, *window)
         view = View(part, mask[window], ~near[window], T, ground)
         shape = fused([view])

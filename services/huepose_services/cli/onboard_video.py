@@ -116,6 +116,13 @@ def _scene(path: Path) -> Scene:
         from huepose.datasets.rosbag import RosbagScene
 
         return RosbagScene(path)
+    if path.is_file():
+        raise InputError(
+            path,
+            found="another kind of file",
+            expected="a recording of `huepose record` (.mcap), a bag of ROS (a .bag, or its folder) or the "
+            "folder of a BOP scene",
+        )
     from huepose.datasets.bop import BopScene
 
     return BopScene(path)

@@ -82,8 +82,10 @@ class Recording:
 
     def _chunks(self, file: BinaryIO) -> Iterator[tuple[int, Chunk]]:
         self.cut, self._damage = "it was cut off", ""
-        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise InputError(self.path, found="another kind of file", expected="a recording (.mcap)")
+        begins = file.read(len(MCAP0_MAGIC))
+        if begins != MCAP0_MAGIC:
+            found = "another kind of file" if begins else "an empty file"
+            raise InputError(self.path, found=found, expected="a recording (.mcap)")
         place = file.tell()
         reader = StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=_MAX_RECORD)
         try:

@@ -201,6 +201,27 @@ def test_a_view_of_nothing_says_so_and_leaves_no_file(
     assert not saved.exists()
 
 
+def test_a_view_that_was_saved_before_is_not_written_over(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved = tmp_path / "out.rrd"
+    saved.write_text("of before")
+    assert main(["view", "--save", str(saved), "--seconds", "0.2"]) == BAD_INPUT
+    assert "found a file of that name; expected a new one" in capsys.readouterr().err
+    assert saved.read_text() == "of before"
+
+
+@pytest.mark.parametrize("line", ["record out.mcap", "view --save out.rrd", "top"])
+@pytest.mark.parametrize("seconds", ["-3", "0", "nan", "soon"])
+def test_so_many_seconds_are_more_than_none(
+    line: str, seconds: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([*line.split(), "--seconds", seconds])
+    assert ended.value.code == BAD_INPUT
+    assert f"found {seconds}, expected seconds, more than 0" in capsys.readouterr().err
+
+
 def test_a_shell_is_told_what_may_come_next(tmp_path: Path) -> None:
     def choices(line: str) -> set[str]:
         asked = {

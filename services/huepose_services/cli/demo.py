@@ -55,8 +55,8 @@ def call(arguments: argparse.Namespace) -> int:
 
     if arguments.seconds < 5.0 or arguments.seed < 0:
         raise InputError(
-            "demo",
-            found=f"--seconds {arguments.seconds:g} --seed {arguments.seed}",
+            "--seconds, --seed",
+            found=f"{arguments.seconds:g}, {arguments.seed}",
             expected="5 seconds or more and a seed of 0 or more",
         )
     if arguments.sam is not None and arguments.segmenter != "sam":

@@ -101,6 +101,21 @@ def add_number(
     parser.add_argument(option, type=type(default), default=default, metavar=unit, help=text)
 
 
+def add_seconds(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add `--seconds`: after how many to end, more than 0; None where it is not given."""
+    parser.add_argument("--seconds", type=_seconds, metavar="S", help=text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not seconds > 0.0:
+        raise argparse.ArgumentTypeError(f"found {text}, expected seconds, more than 0")
+    return seconds
+
+
 def add_pipeline(parser: argparse.ArgumentParser) -> None:
     """Add the file that describes a deployment, as `config`."""
     parser.add_argument(

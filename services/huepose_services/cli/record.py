@@ -16,6 +16,7 @@ from huepose_services.cli.options import (
     add_choice,
     add_json,
     add_number,
+    add_seconds,
     chosen,
     chosen_config,
     say,
@@ -35,7 +36,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("record", help="record a running pipeline: frames, poses, health")
     parser.add_argument("out", type=Path, metavar="FILE", help="a new file (.mcap)")
     add_choice(parser)
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
+    add_seconds(parser, "stop after so long")
     parser.add_argument("--no-frames", action="store_true", help="messages alone")
     parser.add_argument(
         "--jpeg", action="store_true", help="colour as JPEG: a third of the size, but not exact (no --verify)"
@@ -56,8 +57,8 @@ def call(arguments: argparse.Namespace) -> int:
     part, keep, free = arguments.part, arguments.keep, arguments.free
     if part < 1 or free < 0 or (keep is not None and keep < part):
         raise InputError(
-            "huepose record",
-            found=f"--part {part} --keep {keep} --free {free}",
+            "--part, --keep, --free",
+            found=f"{part}, {'none' if keep is None else keep}, {free}",
             expected="--part 1 or more, --keep no less than that, --free 0 or more",
         )
     stopping = until_told()

@@ -66,9 +66,12 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.bop is not None:
         from huepose_services.recording.export import export_bop
 
-        print(f"{arguments.bop}: {export_bop(_events(recordings), arguments.bop).text}")
+        exported = export_bop(_events(recordings), arguments.bop)
+        print(f"{arguments.bop}: {exported.text}")
         _say_cut(recordings)
-        return 0
+        if not exported.frames:
+            say("huepose replay: there is no frame in it, so there is no scene; record without --no-frames")
+        return 0 if exported.frames else 1
     return _play(arguments, recordings)
 
 

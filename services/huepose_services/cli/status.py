@@ -9,7 +9,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, chosen, say, until_told
+from huepose_services.cli.options import add_choice, add_seconds, chosen, say, until_told
 
 if TYPE_CHECKING:
     from huepose_protos.messages import HealthMessage, PoseMessage
@@ -27,7 +27,7 @@ def add_parser(subparsers: Any) -> None:
     add_choice(parser)
     parser.set_defaults(call=call)
     again = subparsers.add_parser("top", help="how a running pipeline is, every second")
-    again.add_argument("--seconds", type=float, metavar="S", help="end after so long; by default never")
+    add_seconds(again, "end after so long; by default never")
     add_choice(again)
     again.set_defaults(call=call_again)
 

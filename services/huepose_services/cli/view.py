@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import add_choice, add_path, chosen, chosen_config, say, until_told
+from huepose_services.cli.options import (
+    add_choice,
+    add_path,
+    add_seconds,
+    chosen,
+    chosen_config,
+    say,
+    until_told,
+)
 from huepose_services.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -35,7 +43,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--pairs", action="store_true", help="show the colour pairs that the picture shows or contradicts"
     )
-    parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
+    add_seconds(parser, "stop after so long")
     parser.set_defaults(call=call)
 
 
@@ -77,8 +85,12 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _check_file(path: Path | None) -> None:
-    """Raises InputError for a file of another ending than that of the rerun viewer's files."""
-    if path is not None and path.suffix.lower() != ".rrd":
+    """Raises InputError for a file that is there, and for another ending than that of rerun's files."""
+    if path is None:
+        return
+    if path.exists() and path.suffix.lower() == ".rrd":
+        raise InputError(path, found="a file of that name", expected="a new one")
+    if path.suffix.lower() != ".rrd":
         raise InputError(
             f"--save {path}",
             found=f"the ending '{path.suffix}'",

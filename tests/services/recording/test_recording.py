@@ -210,6 +210,12 @@ def test_what_is_no_recording_is_refused(tmp_path, content, capsys):
     assert not (tmp_path / "bop").exists()
 
 
+def test_a_recording_without_frames_is_no_scene(tmp_path, capsys):
+    path = mcap_of(tmp_path / "x.mcap", data=msgspec.json.encode(POSE))
+    assert main(["replay", str(path), "--bop", str(tmp_path / "bop")]) == 1
+    assert "there is no frame in it" in capsys.readouterr().err
+
+
 def test_a_small_file_does_not_fill_the_memory(tmp_path):
     """A chunk that says it is larger than it is, and one that is larger than it may be."""
     import lz4.frame

@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime
 import ipaddress
 import os
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -22,6 +23,8 @@ from huepose.support.errors import InputError
 from huepose_protos.fields import is_name
 
 AUTHORITY, GATEWAY, REVOKED = "authority", "gateway", "revoked"
+_NAME = re.compile(r"(?!.{254})[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*")
+"""Of a computer, as DNS has it; longer ones it does not know."""
 T = TypeVar("T")
 
 
@@ -47,7 +50,8 @@ class Authority:
     def make(folder: Path, hosts: Sequence[str], days: int) -> Authority:
         """A new one, with the certificate of the gateway, which readers reach by these names and addresses.
 
-        Raises InputError for a folder that has something in it."""
+        Raises InputError for a folder that has something in it, and for what is neither name nor address."""
+        reached_by = [*map(_host, hosts)]
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(folder, found="something there", expected="a new or empty folder")
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -63,7 +67,7 @@ class Authority:
         _write(folder / f"{AUTHORITY}.key", _pem(key))
         _write(folder / f"{AUTHORITY}.pem", certificate.public_bytes(serialization.Encoding.PEM))
         authority = Authority(folder)
-        authority._issue(GATEWAY, [*map(_host, hosts)], ExtendedKeyUsageOID.SERVER_AUTH, days)
+        authority._issue(GATEWAY, reached_by, ExtendedKeyUsageOID.SERVER_AUTH, days)
         authority._revoke([])
         return authority
 
@@ -171,10 +175,13 @@ def _host(text: str) -> x509.GeneralName:
         return x509.IPAddress(ipaddress.ip_address(text))
     except ValueError:
         pass
-    try:
-        return x509.DNSName(text)
-    except ValueError:
-        raise InputError("--host", found=text[:80], expected="a computer's name or address") from None
+    if not _NAME.fullmatch(text):
+        raise InputError(
+            "--host",
+            found=text[:80] or "nothing",
+            expected="a computer's name or address alone, without tcp/, https:// and port",
+        )
+    return x509.DNSName(text)
 
 
 def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:

@@ -38,6 +38,16 @@ def test_an_address_that_no_reader_can_give_is_noted(tmp_path, capsys):
     )
 
 
+@pytest.mark.parametrize(
+    "host", ["https://robot", "tcp/robot.local", "robot.local:7447", "[::1]", "", "roböt"]
+)
+def test_a_host_is_a_name_or_an_address_alone(host, tmp_path, capsys):
+    folder = tmp_path / "secure"
+    assert main(["secure", "init", "--folder", str(folder), "--host", host]) == 2
+    assert "expected a computer's name or address alone" in capsys.readouterr().err
+    assert not folder.exists()
+
+
 def test_keys_are_their_users_alone(tmp_path):
     authority = Authority.make(tmp_path / "secure", ["localhost"], 30)
     authority.add("arm", 30)

@@ -4,9 +4,25 @@ import pytest
 import yaml
 
 from huepose_services import networks as deployed
-from huepose_services.demo.run import pipeline
+from huepose_services.cli.main import main
+from huepose_services.demo.run import _complaints, pipeline
 from huepose_services.runtime.config import parse
 from tests.perception import networks
+
+
+def test_a_network_that_is_missing_is_said_before_anything_starts(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HUEPOSE_NETWORKS", str(tmp_path))
+    monkeypatch.setattr("huepose_services.demo.run.load_models", lambda folder, names: {})
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert main(["demo", "--segmenter", "sam"]) == 2
+    assert "`huepose models fetch nanosam-encoder` fetches it" in capsys.readouterr().err
+    assert not list(tmp_path.glob("huepose-demo-*"))
+
+
+def test_where_it_fails_the_last_that_was_complained_of_is_said():
+    log = "10:00:00.000 info  tracker   ready\n10:00:01.000 error segmenter no memory\n  File x\n"
+    assert _complaints(log) == "\n10:00:01.000 error segmenter no memory"
+    assert _complaints("") == ""
 
 
 @pytest.mark.parametrize("segmenter", ["depth", "sam"])

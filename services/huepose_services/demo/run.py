@@ -23,6 +23,7 @@ from huepose_services.demo.table import Table
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import WORKERS, Config, load
 from huepose_services.runtime.config_perception import is_network_file
+from huepose_services.runtime.prepare import check
 from huepose_services.runtime.run_folder import free_ports
 from huepose_services.runtime.running import described, noted
 from huepose_services.runtime.supervisor import Supervisor
@@ -31,10 +32,12 @@ _READY_WITHIN_S = 300.0
 _FIRST_FRAME_WITHIN_S = 30.0
 # The last frames of a run are still being worked on when it ends.
 _LEFT_OUT_NS = SECOND // 2
+_COMPLAINTS = 3
+"""Of a log, said where the demo fails: the reason is among the last."""
 
 
 class DemoError(RuntimeError):
-    """The pipeline did not run; the text says where its log is."""
+    """The pipeline did not run; the text says where its log is, and what it complains of last."""
 
 
 def pipeline(
@@ -75,8 +78,9 @@ def run_demo(
     path.write_text(yaml.safe_dump(dict(pipeline)))
     config = load(path)
     try:
+        check(config)
         open_source(config)  # drawn here, with progress, where it is not in the cache folder
-    except KeyboardInterrupt:
+    except (InputError, KeyboardInterrupt):
         shutil.rmtree(folder)
         raise
     yardsticks = {
@@ -90,7 +94,7 @@ def run_demo(
             stopping = until_told()
             health = _observe(config, path, log, score, seconds, live, stopping)
     except DemoError as error:
-        raise DemoError(f"{error}; the log is {log_path}") from None
+        raise DemoError(f"{error}; the log is {log_path}{_complaints(log_path.read_text())}") from None
     except InputError:
         sys.stderr.write(log_path.read_text())
         raise
@@ -103,6 +107,12 @@ def run_demo(
         shutil.rmtree(folder)
     summary = score.summary(score.last_ns - _LEFT_OUT_NS)
     return {"summary": summary, "workers": {name: _brief(message) for name, message in health.items()}}
+
+
+def _complaints(log: str) -> str:
+    """The last lines of a log that say what went wrong, each on a line; empty where there are none."""
+    said = [line for line in log.splitlines() if line.split()[1:2] in (["warn"], ["error"])]
+    return "".join(f"\n{line}" for line in said[-_COMPLAINTS:])
 
 
 def _observe(

@@ -105,6 +105,16 @@ def _is_kept(secured: ssl.SSLSocket) -> bool:
         return False
 
 
+_OF_ANOTHER = (7, 18, 19, 20)
+"""X509_V_ERR_CERT_SIGNATURE_FAILURE and those of a certificate whose authority is not known (OpenSSL,
+x509_vfy.h)."""
+
+
+def why_not_accepted(error: ssl.SSLCertVerificationError) -> str:
+    """What is wrong with a certificate, in words."""
+    return "another authority signed it" if error.verify_code in _OF_ANOTHER else error.verify_message
+
+
 def _refusal(link: socket.socket, host: str, context: ssl.SSLContext) -> str | None:
     try:
         with context.wrap_socket(link, server_hostname=host) as secured:
@@ -112,9 +122,9 @@ def _refusal(link: socket.socket, host: str, context: ssl.SSLContext) -> str | N
             secured.settimeout(_REFUSED_WITHIN_S)
             with suppress(TimeoutError):
                 if not _is_kept(secured):
-                    return "it does not accept this certificate, or has no place for it"
+                    return "it does not accept this certificate, or has no place for it: its log says why"
     except ssl.SSLCertVerificationError as error:
-        return f"its certificate is not accepted: {error.verify_message}"
+        return f"its certificate is not accepted: {why_not_accepted(error)}"
     except ssl.SSLError as error:
         said = str(error.reason or error).replace("_", " ").lower()
         return f"it does not accept this certificate: {said}" if "alert" in said else f"no TLS there: {said}"

@@ -90,7 +90,7 @@ _FORGET_NS = 10 * SECOND
 
 def make(bus: Bus, config: Config) -> GatewayWork:
     """The gateway's work, its port open."""
-    outside, door, warnings = open_outside(config.gateway, lambda why: bus.log.seldom("refused", why))
+    outside, door, warnings = open_outside(config.gateway, bus.log.seldom)
     bus.health.warnings += warnings
     for warning in warnings:
         bus.log.warn(warning)

@@ -21,6 +21,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from huepose.support.errors import InputError
+from huepose_protos.reach import why_not_accepted
 from huepose_services.pem import check_pem, tls_context
 from huepose_services.runtime.config import GatewayConfig
 from huepose_services.runtime.config_perception import TLS_FILES
@@ -53,7 +54,8 @@ class _Reader:
 
 
 class Door:
-    """Open from when it is made until `close`. `refused`: how many were not let in; tell: called with why;
+    """Open from when it is made until `close`. `refused`: how many were not let in; tell: called with a word
+    for the kind of what happened, and a sentence;
     rate_bytes_s: what a reader may say; section: of pipeline.yaml, for errors.
 
     Raises InputError for a port that is taken, and certificates that do not fit."""
@@ -62,7 +64,7 @@ class Door:
         self,
         gateway: GatewayConfig,
         inside: Path,
-        tell: Callable[[str], None],
+        tell: Callable[[str, str], None],
         rate_bytes_s: float,
         section: str,
     ) -> None:
@@ -118,7 +120,7 @@ class Door:
             host = str(address[0])
             if self._pending.total() >= PENDING or self._pending[host] >= PENDING_OF_ONE:
                 link.close()
-                self._refuse(f"{host} comes too often")
+                self._refuse("too often", f"{host} comes too often")
                 continue
             self._pending[host] += 1
             task = self._loop.create_task(self._serve(link, host))
@@ -136,7 +138,9 @@ class Door:
             try:
                 self._tls = _context(self._gateway, self._section)
             except InputError as error:
-                self._tell(f"its certificates have changed, and the old ones stay in use: {error}")
+                self._tell(
+                    "certificates", f"its certificates have changed, and the old ones stay in use: {error}"
+                )
                 continue
             self._ask_all()
 
@@ -147,13 +151,14 @@ class Door:
                 reader, writer = await self._greet(link)
                 name, until_s = self._known(writer, host)
             except (OSError, asyncio.TimeoutError) as error:
-                self._refuse(f"{host}: {' '.join(str(error).split())[:200] or 'it said nothing'}")
+                why = _in_words(error)
+                self._refuse(why, f"{host}: {why}")
                 return
             finally:
                 self._pending[host] -= 1
                 self._pending += Counter()  # forgets those at zero
-            if (why := self._why_not(name)) is not None:
-                self._refuse(why)
+            if (refusal := self._why_not(name)) is not None:
+                self._refuse(*refusal)
                 return
             self._readers.setdefault(name, _Reader(self._rate_bytes_s)).sessions += 1
             try:
@@ -187,19 +192,21 @@ class Door:
         # A timer cannot wait for years.
         return (names or ["(no name)"])[0], min(left_s, 24.0 * _SECONDS_A_DAY)
 
-    def _why_not(self, name: str) -> str | None:
+    def _why_not(self, name: str) -> tuple[str, str] | None:
+        """Kind and sentence."""
         gateway, reader = self._gateway, self._readers.get(name)
         if gateway.tls is not None and gateway.tls.readers and name not in gateway.tls.readers:
-            return f"{name} is not one of gateway.tls.readers"
+            return f"not {name}", f"{name} is not one of gateway.tls.readers"
         if reader is not None and reader.sessions >= gateway.sessions_per_reader:
-            return f"{name} has {reader.sessions} sessions (gateway.sessions_per_reader)"
+            return "sessions", f"{name} has {reader.sessions} sessions (gateway.sessions_per_reader)"
         if sum(reader.sessions for reader in self._readers.values()) >= gateway.max_sessions:
-            return f"no place for {name}: there are {gateway.max_sessions} sessions (gateway.max_sessions)"
+            every = f"there are {gateway.max_sessions} sessions (gateway.max_sessions)"
+            return "full", f"no place for {name}: {every}"
         return None
 
-    def _refuse(self, why: str) -> None:
+    def _refuse(self, kind: str, why: str) -> None:
         self.refused += 1
-        self._tell(f"a reader is not let in: {why}")
+        self._tell(f"refused: {kind}", f"a reader is not let in: {why}")
 
     async def _pass_on(self, name: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         back, forth = await asyncio.open_unix_connection(str(self._inside), limit=_CHUNK)
@@ -214,6 +221,21 @@ class Door:
                 pump.cancel()
             await asyncio.gather(*pumps, return_exceptions=True)
             forth.transport.abort()
+
+
+def _in_words(error: Exception) -> str:
+    """Why somebody did not show who it is."""
+    reason = str(getattr(error, "reason", None) or "")
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"its certificate is not accepted: {why_not_accepted(error)}"
+    if reason in ("WRONG_VERSION_NUMBER", "HTTP_REQUEST"):
+        return "it speaks without TLS"
+    if reason == "PEER_DID_NOT_RETURN_A_CERTIFICATE":
+        return "it shows no certificate"
+    if "_ALERT_" in reason:
+        said = reason.partition("_ALERT_")[2].replace("_", " ").lower()
+        return f"it does not accept the certificate here, of this name or address ({said})"
+    return " ".join(str(error).split())[:200] or "it said nothing"
 
 
 async def _pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter, limit: _Reader | None) -> None:
@@ -232,7 +254,7 @@ def _context(gateway: GatewayConfig, section: str) -> ssl.SSLContext | None:
         return None
     for name in TLS_FILES:
         if (path := getattr(tls, name)) is not None:
-            check_pem(f"{section}.tls.{name}", Path(path))
+            check_pem(f"{section}.tls.", name, Path(path))
     what = f"the certificates of {section}"
     context = tls_context(ssl.Purpose.CLIENT_AUTH, what, tls.authority, tls.certificate, tls.key, tls.revoked)
     context.verify_mode = ssl.CERT_REQUIRED

@@ -24,9 +24,10 @@ _MAX_MESSAGE = 64 * 1024
 
 
 def open_outside(
-    gateway: GatewayConfig, tell: Callable[[str], None]
+    gateway: GatewayConfig, tell: Callable[[str, str], None]
 ) -> tuple[zenoh.Session, Door, list[str]]:
-    """The session, its door, and warnings for health; tell: called with why a reader is not let in.
+    """The session, its door, and warnings for health; tell: called with a kind and the reason where a
+    reader is not let in.
 
     Raises InputError for files or a port that cannot be used."""
     session, door = open_behind_door(gateway, tell, outside_settings(gateway))
@@ -38,7 +39,7 @@ def open_outside(
 
 def open_behind_door(
     gateway: GatewayConfig,
-    tell: Callable[[str], None],
+    tell: Callable[[str, str], None],
     settings: dict[str, object],
     rate_bytes_s: float = RATE_BYTES_S,
     section: str = "gateway",

@@ -58,8 +58,9 @@ def check_link(config: Config) -> None:
         credentials(config).context()
 
 
-def open_uplink(config: Config, tell: Callable[[str], None]) -> tuple[zenoh.Session, Door]:
-    """The session of the camera's computer, and its door; tell: called with why somebody is not let in.
+def open_uplink(config: Config, tell: Callable[[str, str], None]) -> tuple[zenoh.Session, Door]:
+    """The session of the camera's computer, and its door; tell: called with the kind and the reason where
+    somebody is not let in.
 
     Raises InputError for files or a port that cannot be used."""
     door = _door(config)

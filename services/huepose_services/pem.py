@@ -8,20 +8,31 @@ from pathlib import Path
 
 from huepose.support.errors import InputError
 
+_HOLDS = {
+    "authority": ("CERTIFICATE-----", "a certificate"),
+    "certificate": ("CERTIFICATE-----", "a certificate"),
+    "key": ("PRIVATE KEY-----", "a private key"),
+    "revoked": ("X509 CRL-----", "a list of revoked certificates"),
+}
+"""What the first lines in PEM of each file end with, and what that is."""
 
-def check_pem(what: str, path: Path) -> None:
-    """Raises InputError unless it is a file that can be read and looks like PEM."""
+
+def check_pem(what: str, name: str, path: Path) -> None:
+    """Raises InputError unless it is a file that can be read and has what one of this name has: authority,
+    certificate, key or revoked; what: of which section or option it is."""
+    ending, kind = _HOLDS[name]
     try:
-        begins = path.read_text()[:4096]
+        lines = path.read_text().splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        begins, found = "", getattr(error, "strerror", None) or "no text"
+        begun, found = [], getattr(error, "strerror", None) or "no text"
     else:
-        found = "something else"
-    if "-----BEGIN" not in begins:
+        begun = [line for line in lines if line.startswith("-----BEGIN ")]
+        found = begun[0].strip("-").removeprefix("BEGIN ") if begun else "nothing in PEM"
+    if not any(line.rstrip().endswith(ending) for line in begun):
         raise InputError(
-            f"{what} {path}",
+            f"{what}{name} {path}",
             found=found,
-            expected="a file in PEM that this user can read",
+            expected=f"{kind} in PEM that this user can read",
             fix="docs/subscribers.md says how to make certificates.",
         )
 
@@ -39,11 +50,16 @@ def tls_context(
     except (ssl.SSLError, OSError) as error:
         raise InputError(
             what,
-            found=getattr(error, "reason", None) or str(error),
+            found=_in_words(error),
             expected="an authority's certificate, one's own, and the key that belongs to it",
             fix="docs/subscribers.md says how to make certificates.",
         ) from None
     return context
+
+
+def _in_words(error: OSError) -> str:
+    reason = str(getattr(error, "reason", None) or error)
+    return "a key of another certificate" if reason == "KEY_VALUES_MISMATCH" else reason
 
 
 @dataclass(frozen=True)
@@ -58,5 +74,5 @@ class Credentials:
         """Them as Python's own TLS knows them. Raises InputError for files that are none, or do not fit."""
         files = {name: str(path) for name, path in vars(self).items()}
         for name, path in files.items():
-            check_pem(f"--tls {name}", Path(path))
+            check_pem("--tls ", name, Path(path))
         return tls_context(ssl.Purpose.SERVER_AUTH, f"--tls {' '.join(files.values())}", **files)

@@ -31,7 +31,7 @@ _REMEMBERED = 256
 
 def make(bus: Bus, config: Config) -> UplinkWork:
     """The uplink's work, its port open."""
-    outside, door = open_uplink(config, lambda why: bus.log.seldom("refused", why))
+    outside, door = open_uplink(config, bus.log.seldom)
     return UplinkWork(bus, config, outside, door)
 
 

@@ -2,17 +2,22 @@
 
 import socket
 import time
+from contextlib import suppress
 from dataclasses import replace
+from datetime import datetime, timedelta, timezone
 
 import msgspec
 import pytest
 import zenoh
 
+from huepose.support.errors import InputError
 from huepose_protos import PoseClient, encode
 from huepose_protos.client import open_session
 from huepose_protos.messages import CorrectionMessage
 from huepose_protos.reach import why_unreachable
+from huepose_services.authority import Authority
 from huepose_services.cli.main import main
+from huepose_services.gateway_door import check_door
 from huepose_services.pem import Credentials
 from huepose_services.runtime.config import Config, GatewayConfig
 
@@ -80,7 +85,7 @@ def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monke
     reasons = {name: why_unreachable("localhost", one.port, files.context()) for name, files in shown.items()}
     assert reasons["robot1"] is None
     assert "does not accept this certificate" in reasons["stranger"]
-    assert "its certificate is not accepted" in reasons["no authority"]
+    assert reasons["no authority"] == "its certificate is not accepted: another authority signed it"
     assert "give authority, certificate and key" in why_unreachable("localhost", one.port, None)
     assert why_unreachable("localhost", base_port + 8, None) == "no program listens there"
     address = f"localhost:{one.port}"
@@ -103,7 +108,11 @@ def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monke
         (["--gateway", "x", "--tls", "{0}/authority.pem", "{0}/robot1.pem", "{0}/nothing"], "--tls key"),
         (
             ["--gateway", "x", "--tls", "{0}/authority.pem", "{0}/robot1.pem", "{0}/robot2.key"],
-            "key that belongs",
+            "a key of another certificate; expected",
+        ),
+        (
+            ["--gateway", "x", "--tls", "{0}/authority.pem", "{0}/robot1.key", "{0}/robot1.pem"],
+            "robot1.key: found PRIVATE KEY; expected a certificate in PEM",
         ),
     ],
 )
@@ -112,9 +121,51 @@ def test_options_for_another_machine_that_cannot_work_are_refused(authority, cap
     assert said in capsys.readouterr().err
 
 
+def test_a_list_of_revoked_that_is_none_is_refused(authority):
+    """With one no reader at all was let in."""
+    given = msgspec.structs.replace(tls(authority), revoked=str(authority / "authority.pem"))
+    with pytest.raises(InputError, match=r"gateway\.tls\.revoked .*found CERTIFICATE; expected a list"):
+        check_door(GatewayConfig(listen="127.0.0.1:1", tls=given))
+
+
+def test_the_log_says_why_each_kind_of_reader_is_not_let_in(start, authority, wait_until, capsys):
+    """Also beside one that goes on trying: what repeats is held back, and other reasons are not."""
+    one = start(tls=tls(authority, ["robot1"]))
+    expired = authority.parent / "expired"
+    expired.mkdir(exist_ok=True)
+    _expired(authority, expired)
+    shown = [Credentials(*credentials(authority, name).values()) for name in ("robot2", "stranger")]
+    shown.append(Credentials(authority / "authority.pem", expired / "old.pem", expired / "old.key"))
+    for _ in range(5):
+        with socket.create_connection(("127.0.0.1", one.port)) as link:
+            link.sendall(b"GET / HTTP/1.1\r\n\r\n")
+            with suppress(ConnectionError):
+                link.recv(1)
+    for files in shown:
+        assert "its log says why" in why_unreachable("localhost", one.port, files.context())
+    wait_until(lambda: one.work._door.refused >= 8)
+    log = capsys.readouterr().err
+    for why in (
+        "127.0.0.1: it speaks without TLS",
+        "robot2 is not one of gateway.tls.readers",
+        "127.0.0.1: its certificate is not accepted: another authority signed it",
+        "127.0.0.1: its certificate is not accepted: certificate has expired",
+    ):
+        assert log.count(f"a reader is not let in: {why}") == 1, log
+
+
+def _expired(authority, folder):
+    """A certificate of the authority, `old`, that held until yesterday."""
+    with pytest.MonkeyPatch.context() as patch:
+        before = datetime.now(timezone.utc) - timedelta(days=2)
+        patch.setattr("huepose_services.authority._now", lambda: before)
+        Authority(authority).add("old", 1)
+    for name in ("old.pem", "old.key"):
+        (authority / name).rename(folder / name)
+
+
 @pytest.mark.parametrize("name", ["authority", "certificate", "key"])
 def test_files_that_are_not_there_are_named(base_port, authority, name):
-    from huepose.support.errors import InputError
     from huepose_services.gateway_session import open_outside
 
     broken = msgspec.structs.replace(tls(authority), **{name: str(authority / "nothing.pem")})

@@ -171,6 +171,28 @@ def test_paths_with_blanks_and_percent_signs_stay_one_word():
     assert _value(template, "ExecStart") == f'"/opt/my apps/100%%/huepose" run %i {CONFIG}'
 
 
+def test_what_the_services_cannot_see_is_said(tmp_path, capsys, monkeypatch):
+    """In a home or among temporary files they find neither reference models nor the program itself."""
+    monkeypatch.setattr("huepose_services.cli.units._HIDDEN", (str(tmp_path / "home"), "/nowhere"))
+    for folder in ("home", "etc"):
+        (tmp_path / folder).mkdir()
+    there = tmp_path / "etc" / "pipeline.yaml"
+    there.write_text("bundles: ../home/bundles\nobjects: [{name: mug}]\n")
+    assert main(["units", str(there), "--out", str(tmp_path / "units")]) == 0
+    said = capsys.readouterr().err
+    assert "these units cannot work, as services see nothing of" in said
+    assert said.splitlines()[1:] == [f"  bundles: {tmp_path}/home/bundles"]
+    there.write_text("bundles: ../var/bundles\nobjects: [{name: mug}]\n")
+    assert main(["units", str(there), "--out", str(tmp_path / "units")]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_what_is_no_user_is_refused(tmp_path, capsys):
+    assert main(["units", str(ROOT / "pipeline.yaml"), "--out", str(tmp_path), "--user", "bob smith"]) == 2
+    assert "--user: found bob smith; expected the name of a user" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def _install(*arguments):
     return subprocess.run(["bash", str(INSTALL), *arguments], capture_output=True, text=True, timeout=60)
 

@@ -9,13 +9,15 @@ it sees no devices, no homes and no network but loopback, except where its work 
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.errors import InputError
 from huepose.support.files import writing
-from huepose_services.cli.options import add_host, add_path, add_pipeline
+from huepose_services.cli.options import add_host, add_path, add_pipeline, say
 from huepose_services.runtime.threads import THREAD_VARIABLES
 
 if TYPE_CHECKING:
@@ -27,6 +29,9 @@ _FIRST_START = 5
 _SLOW = 4
 """So many times its patience may a worker be silent that nobody misses at once: systemd neither doubles the
 time after each restart nor leaves out that in which others had the processors, as `huepose up` does."""
+
+_HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # noqa: S108  # nothing is written there
+"""What ProtectHome and PrivateTmp hide from the services."""
 
 _UNIT = """\
 # Written by `huepose units`; make it again when pipeline.yaml changes.
@@ -43,7 +48,6 @@ ExecStart={huepose} run %i {config}
 # Reads pipeline.yaml again, takes over what it can, and says what waits for a restart.
 ExecReload=/bin/kill -HUP $MAINPID
 User={user}
-Group={user}
 WorkingDirectory=/var/lib/huepose
 StateDirectory=huepose
 CacheDirectory=huepose
@@ -140,6 +144,8 @@ def call(arguments: argparse.Namespace) -> int:
 
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
     command = (Path(sys.executable).parent / "huepose").absolute()
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*", arguments.user):
+        raise InputError("--user", found=arguments.user, expected="the name of a user")
     files = units(configs, command, arguments.config.absolute(), arguments.user)
     with writing(arguments.out, fix="Give another with --out, or run it as root."):
         for old in arguments.out.glob("huepose@*.service.d/needs.conf"):
@@ -150,7 +156,37 @@ def call(arguments: argparse.Namespace) -> int:
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text)
             print(path)
+    used = {"the configuration": arguments.config.absolute(), "the program": command}
+    used |= {"its Python": Path(sys.base_prefix)}
+    for config in configs:
+        used |= _named(config)
+    hidden = {what: path for what, path in used.items() if _is_hidden(path)}
+    if hidden:
+        say(
+            f"note: these units cannot work, as services see nothing of {', '.join(_HIDDEN)}. Put elsewhere, "
+            "what they read to /etc/huepose or /var/lib/huepose:"
+        )
+        say("\n".join(f"  {what}: {path}" for what, path in hidden.items()))
     return 0
+
+
+def _is_hidden(path: Path) -> bool:
+    return any(one.is_relative_to(hidden) for one in (path, path.resolve()) for hidden in _HIDDEN)
+
+
+def _named(config: Config) -> dict[str, Path]:
+    """The paths in a configuration by their keys."""
+    from huepose_services.runtime.config_perception import NETWORKS, PATHS, is_network_file
+
+    found = {}
+    unused = set() if config.hosts else {"link.secure"}
+    for key in sorted((PATHS | NETWORKS) - unused):
+        value: Any = config
+        for part in key.split("."):
+            value = getattr(value, part, None)
+        if isinstance(value, str) and (key in PATHS or is_network_file(value)):
+            found[key] = Path(value)
+    return found
 
 
 def units(configs: Sequence[Config], huepose: PurePath, config_path: PurePath, user: str) -> dict[str, str]:
@@ -218,5 +254,5 @@ def _uses_gpu(config: Config, worker: str) -> bool:
 
 def _quoted(path: PurePath) -> str:
     """A path as one word of a command line in a unit."""
-    text = str(path).replace("%", "%%").replace("$", "$$")
+    text = str(path).replace("\\", r"\\").replace('"', r"\"").replace("%", "%%").replace("$", "$$")
     return f'"{text}"' if any(c in text for c in " \t'\";") else text

@@ -16,6 +16,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from errno import EADDRNOTAVAIL
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -34,6 +35,9 @@ RATE_BYTES_S, BURST_BYTES = 16 * 1024, 64 * 1024
 _CHUNK = 16 * 1024
 _LOOK_EVERY_S = 0.5
 _SECONDS_A_DAY = 86_400.0
+_FREEBIND = {socket.AF_INET: (socket.IPPROTO_IP, 15), socket.AF_INET6: (socket.IPPROTO_IPV6, 78)}
+"""IP_FREEBIND and IPV6_FREEBIND of Linux (linux/in.h, linux/in6.h), which Python does not name: an address to
+come can be listened at."""
 
 
 @dataclass
@@ -72,13 +76,25 @@ class Door:
         self._rate_bytes_s, self._section = rate_bytes_s, section
         self.refused = 0
         self._tls = _context(gateway, section)
-        self._listener = _listener(gateway, section)
+        self._listener = self._listen()
         self._readers: dict[str, _Reader] = {}
         self._pending: Counter[str] = Counter()
         self._tasks: set[asyncio.Task[None]] = set()
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._run, name="door", daemon=True)
         self._thread.start()
+
+    def _listen(self) -> socket.socket:
+        """Also where no network has the address yet, as at a start without one: readers come once it has."""
+        try:
+            return _listener(self._gateway, self._section)
+        except InputError as error:
+            if not isinstance(error.__context__, OSError) or error.__context__.errno != EADDRNOTAVAIL:
+                raise
+            listener = _listener(self._gateway, self._section, early=True)
+        listen = f"{self._section}.listen {self._gateway.listen}"
+        self._tell("address", f"{listen}: no network here has that address now; nobody comes before one has")
+        return listener
 
     def reload(self, gateway: GatewayConfig) -> None:
         """Other limits; where others may read than before, all are asked again who they are."""
@@ -279,23 +295,38 @@ def check_door(gateway: GatewayConfig, section: str = "gateway") -> None:
     _listener(gateway, section, port=0).close()
 
 
-def _listener(gateway: GatewayConfig, section: str, port: int | None = None) -> socket.socket:
-    """port: in the place of the one that is set, 0 for any."""
+def _listener(
+    gateway: GatewayConfig, section: str, port: int | None = None, early: bool = False
+) -> socket.socket:
+    """port: in the place of the one that is set, 0 for any; early: also at an address that is not there
+    yet."""
     written, own = gateway.listen.rsplit(":", 1)
     host, family = written.strip("[]"), socket.AF_INET6 if written.startswith("[") else socket.AF_INET
     try:
-        listener = socket.create_server(
-            (host, int(own) if port is None else port),
-            family=family,
-            backlog=PENDING,
-            dualstack_ipv6=host == "::" and socket.has_dualstack_ipv6(),
-        )
+        listener = _bound(family, host, int(own) if port is None else port, early)
     except OSError as error:
         raise InputError(
             f"{section}.listen {gateway.listen}",
-            found=getattr(error, "strerror", None) or str(error),
+            found=error.strerror or str(error),
             expected="an address of this computer and a free port",
             fix=f"Set {section}.listen, or end the other program.",
         ) from None
     listener.setblocking(False)
+    return listener
+
+
+def _bound(family: socket.AddressFamily, host: str, port: int, early: bool) -> socket.socket:
+    """Raises OSError."""
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if family == socket.AF_INET6:
+            listener.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, host != "::")
+        if early:
+            listener.setsockopt(*_FREEBIND[family], 1)
+        listener.bind((host, port))
+        listener.listen(PENDING)
+    except OSError:
+        listener.close()
+        raise
     return listener

@@ -227,6 +227,19 @@ def test_validate_notes_that_nobody_looks_for_objects(tmp_path, capsys):
     assert "is ever found" not in capsys.readouterr().out
 
 
+def test_validate_notes_a_section_of_a_worker_that_is_not_started(tmp_path, capsys):
+    path, said = (
+        tmp_path / "pipeline.yaml",
+        "the section `gateway` is set, and gateway is not among the workers",
+    )
+    path.write_text("gateway: {listen: '0.0.0.0:7447'}\n")
+    assert main(["validate", str(path)]) == 0
+    assert f"NOTE     {said}" in capsys.readouterr().out
+    path.write_text("gateway: {listen: '127.0.0.1:7447'}\n")  # as without the line
+    assert main(["validate", str(path)]) == 0
+    assert "NOTE" not in capsys.readouterr().out
+
+
 def test_validate_says_that_a_drawn_scene_shows_one_of_each(tmp_path, capsys):
     path = tmp_path / "pipeline.yaml"
     path.write_text("objects: [{name: tea_box, max_instances: 2}]\ncamera: {source: synthetic}\n")

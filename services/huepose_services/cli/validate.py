@@ -78,7 +78,7 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
-    for note in (*_limited(config), *_never_boxed(config), *_never_found(config)):
+    for note in (*_limited(config), *_never_boxed(config), *_never_found(config), *_unused(config)):
         summary += f"\n  NOTE     {note}"
     if one_of_each := _drawn_once(config):
         summary += f"\n  scene    {one_of_each}"
@@ -123,6 +123,18 @@ def _never_found(config: Config) -> list[str]:
     there = (*config.workers, *config.far)
     missing = [worker for worker in ("reinit", "detector", "segmenter", "estimator") if worker not in there]
     return [f"no object is ever found: {', '.join(missing)} not among the workers"] if missing else []
+
+
+def _unused(config: Config) -> list[str]:
+    """A sentence for each section of a worker that is set, where that worker is not started."""
+    from huepose_services.runtime.config import Config
+
+    there, default = (*config.workers, *config.far), Config()
+    return [
+        f"the section `{worker}` is set, and {worker} is not among the workers"
+        for worker in ("gateway", "viewer", "ros2")
+        if worker not in there and getattr(config, worker) != getattr(default, worker)
+    ]
 
 
 def _drawn_once(config: Config) -> str:

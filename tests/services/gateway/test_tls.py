@@ -5,6 +5,7 @@ import time
 from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime, timedelta, timezone
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -17,7 +18,7 @@ from huepose_protos.messages import CorrectionMessage
 from huepose_protos.reach import why_unreachable
 from huepose_services.authority import Authority
 from huepose_services.cli.main import main
-from huepose_services.gateway_door import check_door
+from huepose_services.gateway_door import Door, check_door
 from huepose_services.pem import Credentials
 from huepose_services.runtime.config import Config, GatewayConfig
 
@@ -126,6 +127,19 @@ def test_a_list_of_revoked_that_is_none_is_refused(authority):
     given = msgspec.structs.replace(tls(authority), revoked=str(authority / "authority.pem"))
     with pytest.raises(InputError, match=r"gateway\.tls\.revoked .*found CERTIFICATE; expected a list"):
         check_door(GatewayConfig(listen="127.0.0.1:1", tls=given))
+
+
+@pytest.mark.parametrize("address", ["192.0.2.7:7447", "[2001:db8::7]:7447"])
+def test_a_gateway_waits_for_its_address(address):
+    """At a start without a network nobody has it yet; to end with wrong input would be for ever."""
+    gateway, said = GatewayConfig(listen=address), []
+    with pytest.raises(InputError, match="Cannot assign requested address; expected an address of this"):
+        check_door(gateway)
+    door = Door(gateway, Path("/nowhere"), lambda kind, text: said.append(text), 1000.0, "gateway")
+    door.close()
+    assert said == [
+        f"gateway.listen {address}: no network here has that address now; nobody comes before one has"
+    ]
 
 
 def test_the_log_says_why_each_kind_of_reader_is_not_let_in(start, authority, wait_until, capsys):

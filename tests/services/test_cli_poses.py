@@ -122,6 +122,27 @@ def test_the_help_says_how_poses_of_a_bag_are_matched_with_its_pictures(capsys):
     assert "the time is that of playing; `frame` is then the picture's number in it" in said
 
 
+def test_poses_of_one_object_are_written_without_the_others(pose, tmp_path, monkeypatch, capsys):
+    """Of the key that an object's name stands for; what is no pose is refused."""
+    asked = []
+    monkeypatch.setattr(
+        "huepose_services.cli.poses._messages",
+        lambda arguments, *rest: asked.append(arguments.key) or iter([replace(pose, state="TRACKING")]),
+    )
+    assert main(["poses", "mug", "--csv", str(tmp_path / "a.csv")]) == 0
+    assert asked == ["pose/mug/**"]
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 2
+    assert main(["poses", "objects", "--csv", str(tmp_path / "b.csv")]) == 2
+    assert "found objects beside it" in capsys.readouterr().err
+
+
+def test_without_a_pose_no_file_is_in_the_way_of_the_next_try(pose, tmp_path, monkeypatch, capsys):
+    for state, code in (("SUSPECT", 1), ("TRACKING", 0)):
+        said = replace(pose, state=state)
+        monkeypatch.setattr("huepose_services.cli.poses._messages", lambda *_, said=said: iter([said]))
+        assert main(["poses", "--csv", str(tmp_path / "a.csv")]) == code
+
+
 def test_files_of_poses_and_other_ways_to_print_them_do_not_go_together(tmp_path, capsys):
     assert main(["poses", "--csv", str(tmp_path / "a.csv"), "--robot"]) == 2
     assert "found --robot beside it" in capsys.readouterr().err

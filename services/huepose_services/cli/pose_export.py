@@ -20,7 +20,7 @@ class PoseFiles:
     """Writes every TRACKING pose: a row of `csv`, and a line of DIR/OBJECT_INSTANCE.txt (`tum`).
 
     Stamps are of the capture, on the realtime clock, seconds; poses are T_cam_obj, metres. A line is in its
-    file at once.
+    file at once; without a pose there is no `csv`.
 
     Raises InputError for a file or a folder that has something in it, and for what the disk does not take."""
 
@@ -79,3 +79,5 @@ class PoseFiles:
     def __exit__(self, *error: object) -> None:
         for file in self._files.values():
             file.close()
+        if self._csv is not None and not self.written:
+            self._csv.unlink(missing_ok=True)

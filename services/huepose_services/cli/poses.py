@@ -185,7 +185,7 @@ def _write(arguments: argparse.Namespace, messages: Iterator[Message]) -> int:
         for name, given in (
             ("--json", arguments.json),
             ("--robot", arguments.robot),
-            (arguments.key, arguments.key != _POSES),
+            (arguments.key, not arguments.key.startswith("pose/")),
         )
         if given
     ]

@@ -79,5 +79,6 @@ class PoseFiles:
     def __exit__(self, *error: object) -> None:
         for file in self._files.values():
             file.close()
-        if self._csv is not None and not self.written:
-            self._csv.unlink(missing_ok=True)
+        csv = self._csv
+        if csv is not None and not self.written and csv.is_file() and not csv.is_symlink():  # not /dev/stdout
+            csv.unlink()

@@ -203,6 +203,13 @@ def _opened(path: Path) -> Iterator[AnyReader]:
 
 
 def _broken(path: Path, error: Exception | str) -> InputError:
+    if "not ros2" in str(error):
+        return InputError(
+            path,
+            found="a file of another program than ROS",
+            expected="a bag of ROS",
+            fix="A recording of `huepose record` is played with `source: recording`.",
+        )
     return InputError(
         path,
         found=" ".join(str(error).split())[:200] or type(error).__name__,

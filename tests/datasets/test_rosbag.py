@@ -288,3 +288,14 @@ def test_a_broken_bag_is_one_paragraph_and_exit_code_2(
     pipeline.write_text(pipeline.read_text().replace(name, "gone.bag"))
     assert main(["up", str(pipeline)]) == 2
     assert "gone.bag: found no such file" in capsys.readouterr().err
+
+
+def test_a_recording_of_huepose_is_told_from_a_bag(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    with (tmp_path / "run.mcap").open("wb") as file:
+        recording = Writer(file)
+        recording.start()
+        recording.finish()
+    with pytest.raises(InputError, match=r"of another program than ROS; .* played with `source: recording`"):
+        RosbagScene(tmp_path / "run.mcap")

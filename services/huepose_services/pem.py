@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ssl
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from huepose.support.errors import InputError
+from huepose_protos.reach import why_not_accepted
 
+_ROUNDS = 3
+"""In which both sides of TLS have said all that belongs to a handshake."""
 _HOLDS = {
     "authority": ("CERTIFICATE-----", "a certificate"),
     "certificate": ("CERTIFICATE-----", "a certificate"),
@@ -76,3 +80,21 @@ class Credentials:
         for name, path in files.items():
             check_pem("--tls ", name, Path(path))
         return tls_context(ssl.Purpose.SERVER_AUTH, f"--tls {' '.join(files.values())}", **files)
+
+    def fault(self) -> str | None:
+        """Why a gateway of the authority would not accept the certificate, by this computer's clock; None
+        where it would. A gateway itself only ends the link. Raises InputError as `context` does."""
+        ours = self.context()
+        ours.check_hostname, ours.verify_mode = False, ssl.CERT_NONE
+        theirs = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=self.authority)
+        theirs.load_cert_chain(self.certificate, self.key)  # any will do for its own
+        theirs.verify_mode = ssl.CERT_REQUIRED
+        forth, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+        ends = ours.wrap_bio(back, forth), theirs.wrap_bio(forth, back, server_side=True)
+        try:
+            for end in ends * _ROUNDS:
+                with suppress(ssl.SSLWantReadError):
+                    end.do_handshake()
+        except ssl.SSLCertVerificationError as error:
+            return why_not_accepted(error)
+        return None

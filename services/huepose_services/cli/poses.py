@@ -67,8 +67,11 @@ class Gateway:
             return (
                 f"connected to {self.endpoint}, but nothing is said on {tail}: no pipeline runs there{names}"
             )
-        context = None if self.credentials is None else self.credentials.context()
-        return why_unreached([self.endpoint], context)
+        if self.credentials is None:
+            return why_unreached([self.endpoint], None)
+        why = why_unreached([self.endpoint], self.credentials.context())
+        fault = self.credentials.fault()
+        return why if fault is None else f"{why}. Of {self.credentials.certificate} by itself: {fault}"
 
 
 def gateway_of(arguments: argparse.Namespace) -> Gateway | None:

@@ -46,6 +46,12 @@ def test_a_documented_command_is_one(line):
     assert parsed.verb == words[0]
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_no_page_installs_from_an_index_that_has_not_got_it(page):
+    """Under that name anyone may put anything there."""
+    assert not re.findall(r"pip install [^`\n]*'?huepose[\[\s`']", page.read_text())
+
+
 def test_every_script_that_is_named_is_there():
     text = "\n".join(page.read_text() for page in PAGES)
     modules = set(re.findall(r"(?<=-m )(?:studies|benchmarks)\.\w+", text))

@@ -83,7 +83,12 @@ def report(result: Mapping[str, Any]) -> str:
 
 def _why_not(name: str, figures: Mapping[str, Any]) -> str:
     """Why an object is often not TRACKING; empty where it mostly is."""
-    if (figures["coverage_tracking"] or 0.0) >= _MOSTLY:
+    covered = figures["coverage_tracking"] or 0.0
+    if covered >= _MOSTLY:
         return ""
-    often = [f'{share:.0f} % "{reason}"' for reason, share in figures["doubts"].items() if share >= 1.0]
-    return f"{name} was not TRACKING in {', '.join(often[:3])}" if often else ""
+    often = [
+        f'{share:.0f} % of its poses say "{reason}"'
+        for reason, share in figures["doubts"].items()
+        if share >= 1.0
+    ]
+    return f"{name} was TRACKING in {covered:.0f} %; {', '.join(often[:3])}" if often else ""

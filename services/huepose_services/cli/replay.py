@@ -70,7 +70,7 @@ def call(arguments: argparse.Namespace) -> int:
         print(f"{arguments.bop}: {exported.text}")
         _say_cut(recordings)
         if not exported.frames:
-            say("huepose replay: there is no frame in it, so there is no scene; record without --no-frames")
+            say("huepose replay: there is no frame in it, so there is no scene (--no-frames records none)")
         return 0 if exported.frames else 1
     return _play(arguments, recordings)
 
@@ -116,7 +116,7 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
             stack.enter_context(noted(played))
         # Who waits for a pipeline needs a moment to connect.
         time.sleep(_SETTLE_S)
-        again, status = True, Status()
+        began_ns, again, status = now_ns(), True, Status()
         while again and not stopping():
             players = [
                 Player(_events(files), bus, arguments.speed)
@@ -140,7 +140,7 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
                     left.remove(soonest)
             again = arguments.loop
         time.sleep(_SETTLE_S / 4.0)
-        seconds = (now_ns() - start_ns) / SECOND
+        seconds = (now_ns() - began_ns) / SECOND
         if stopping():
             status.line(f"stopped after {seconds:.1f} s")
         else:

@@ -4,6 +4,7 @@ and `scene_gt_info.json`, and its poses in `poses.jsonl`."""
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -52,11 +53,19 @@ def export_bop(events: Iterable[Event], folder: Path) -> Exported:
     """Write them to a new or empty folder. Frames keep their numbers; those of a camera that was opened anew
     go on counting. Labels name their objects; those without a BOP number get free ones.
 
-    Raises InputError for a folder that has something in it."""
+    Interrupted it leaves no folder. Raises InputError for one that has something in it."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(folder, found="something there", expected="a new or empty folder")
     for name in ("rgb", "depth"):
         (folder / name).mkdir(parents=True)
+    try:
+        return _exported(events, folder)
+    except KeyboardInterrupt:
+        shutil.rmtree(folder)
+        raise
+
+
+def _exported(events: Iterable[Event], folder: Path) -> Exported:
     cameras: dict[str, Any] = {}
     truths: dict[str, list[Any]] = {}
     details: dict[str, list[Any]] = {}

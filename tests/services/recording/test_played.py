@@ -192,6 +192,24 @@ def test_it_is_played_in_order_with_its_ages_at_any_speed(tmp_path):
     assert out[0][1].camera_epoch != events[0].message.camera_epoch
 
 
+def test_it_can_be_stopped_before_it_plays(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(json.dumps({"bus": {"base_port": free_port_range(20)}}))
+    monkeypatch.setattr("huepose_services.cli.replay.until_told", lambda: lambda: True)
+    assert main(["replay", str(written(tmp_path / "out").path), "--config", str(path)]) == 0
+    assert "stopped after" in capsys.readouterr().err
+
+
+def test_an_export_that_is_stopped_leaves_nothing_in_the_way(tmp_path):
+    def stopped():
+        yield next(Recording(written(tmp_path / "out").path).events())
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export_bop(stopped(), tmp_path / "bop")
+    assert not (tmp_path / "bop").exists()
+
+
 def test_recordings_of_several_cameras_are_played_each_as_its_own(tmp_path, monkeypatch, capsys):
     """Together, as far apart as they were recorded; or one, as the camera that is named."""
     for camera, number in (("left", 4), ("right", 7)):  # a tenth of a second later

@@ -3,6 +3,7 @@
 import pytest
 import yaml
 
+from huepose.support.errors import InputError
 from huepose_services import networks as deployed
 from huepose_services.cli.main import main
 from huepose_services.demo.run import _complaints, pipeline
@@ -16,6 +17,21 @@ def test_a_network_that_is_missing_is_said_before_anything_starts(tmp_path, monk
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     assert main(["demo", "--segmenter", "sam"]) == 2
     assert "`huepose models fetch nanosam-encoder` fetches it" in capsys.readouterr().err
+    assert not list(tmp_path.glob("huepose-demo-*"))
+
+
+def test_a_demo_that_is_refused_leaves_no_folder(tmp_path, monkeypatch):
+    def refused(*_):
+        raise InputError("port 17447", found="another pipeline")
+
+    for name, does in (
+        ("load_models", lambda *_: {}),
+        ("open_source", lambda *_: None),
+        ("_observe", refused),
+    ):
+        monkeypatch.setattr(f"huepose_services.demo.run.{name}", does)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert main(["demo"]) == 2
     assert not list(tmp_path.glob("huepose-demo-*"))
 
 

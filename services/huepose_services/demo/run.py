@@ -97,6 +97,7 @@ def run_demo(
         raise DemoError(f"{error}; the log is {log_path}{_complaints(log_path.read_text())}") from None
     except InputError:
         sys.stderr.write(log_path.read_text())
+        shutil.rmtree(folder)
         raise
     if stopping():
         shutil.rmtree(folder)

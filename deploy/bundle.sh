@@ -3,7 +3,7 @@
 # locked, uv, the installer and its files. What it holds is installed without internet:
 #   tar xf huepose-*.tar && sudo huepose-*/install.sh
 #   deploy/bundle.sh [TARGET...]    a target is x86_64-3.10, aarch64-3.12 and so on (default: both of each)
-#   EXTRAS="edge" deploy/bundle.sh  leaves out what is not needed (default: edge viewer realsense oak)
+#   EXTRAS="edge" deploy/bundle.sh  leaves out what is not needed (default: edge viewer realsense oak ros2 secure)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 UV=$PWD/$(echo .tools/uv-*/bin/uv)
@@ -13,7 +13,7 @@ PIP=("$("$PYTHON" -c 'import sys; print(sys._base_executable)')" -m pip)
 OUT=$PWD/build/bundle
 targets=("${@:-}")
 [ -n "${targets[0]}" ] || targets=(x86_64-3.10 x86_64-3.12 aarch64-3.10 aarch64-3.12)
-extras=${EXTRAS:-edge viewer realsense oak}
+extras=${EXTRAS:-edge viewer realsense oak ros2 secure}
 unset PYTHONPATH
 
 work=$(mktemp -d)

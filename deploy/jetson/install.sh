@@ -14,7 +14,7 @@ bundled=0
 if [ -f "$here/VERSION" ]; then bundled=1 repo=$here; else repo=$(cd "$here/../.." && pwd); fi
 
 # The first start compiles the kernels, which takes minutes on a small board.
-config="" prefix=/opt/huepose extras="edge viewer realsense oak" user=huepose ready_within=900
+config="" prefix=/opt/huepose extras="edge viewer realsense oak ros2 secure" user=huepose ready_within=900
 dry=0 what=install start=1
 units=/etc/systemd/system rules=/etc/udev/rules.d/70-huepose-cameras.rules home=/etc/huepose
 
@@ -37,6 +37,7 @@ while [ $# -gt 0 ]; do
 done
 case $prefix in /*) ;; *) fail "--prefix must be an absolute path, not $prefix" ;; esac
 case $prefix in /home/* | /root/* | /tmp/*) fail "the services cannot see $prefix; choose a prefix such as /opt/huepose" ;; esac
+case $ready_within in "" | *[!0-9]*) fail "--ready-within is a number of seconds, not $ready_within" ;; esac
 [ -z "$config" ] || [ -f "$config" ] || fail "no configuration $config"
 [ "$dry" = 1 ] || [ "$(id -u)" -eq 0 ] || fail "this needs root: run it with sudo, or look first with --dry-run"
 

@@ -207,6 +207,19 @@ def test_a_dry_run_says_what_it_would_do_and_does_nothing():
     assert not Path("/opt/huepose").exists()
 
 
+def test_what_workers_and_the_gateway_need_is_installed_where_nothing_else_is_said():
+    """The worker ros2 and `huepose secure` belong to the robot's own computer."""
+    for line in (r'extras="(.*?)"', r"EXTRAS:-(.*?)}"):
+        script = INSTALL if line.startswith("extras") else ROOT / "deploy" / "bundle.sh"
+        assert {"edge", "viewer", "ros2", "secure"} <= set(re.search(line, script.read_text())[1].split())
+
+
+def test_a_time_that_is_none_is_refused_before_anything_is_installed():
+    done = _install("--dry-run", "--ready-within", "soon")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--ready-within is a number of seconds, not soon" in done.stderr
+
+
 def test_a_bundle_is_installed_without_a_network_and_checked_by_its_hashes(tmp_path):
     shutil.copy(INSTALL, tmp_path)
     (tmp_path / "VERSION").write_text("0.1.0\n")

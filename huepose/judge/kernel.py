@@ -90,6 +90,12 @@ def score_kernel(
             continue
         u, v = int(uf + 0.5), int(vf + 0.5)
         observed = depth[v, u]
+        if observed < 0.0:
+            # Of a plane that is taken away: a surface that lies in it is not seen through, nor seen.
+            if abs(observed + z) * facing < tolerance:
+                blind += facing
+                continue
+            observed = np.inf
         # Distance along the ray, measured across the surface: slanted surfaces forgive more.
         gap = (observed - z) * facing
         fits = abs(gap) < tolerance

@@ -39,7 +39,8 @@ MASK_POINTS = 500
 @dataclass(frozen=True, eq=False)
 class Crop:
     """A part of a frame. camera: of the crop; x0, y0: its top-left pixel in the frame; color (h, w, 3) uint8
-    RGB; depth (h, w) float32 metres; saturated (h, w) bool."""
+    RGB; depth (h, w) float32 metres, negative: of a plane that a surface in it need not be seen before;
+    saturated (h, w) bool."""
 
     camera: Camera
     x0: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from huepose.geometry import RgbdFrame, icosphere, se3
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
 from huepose.judge.region import beside, model_arrays, nearest_view, region_arrays
-from huepose.judge.terms import DEFAULT_WEIGHTS, score_many, weight_array
+from huepose.judge.terms import DEFAULT_WEIGHTS, Terms, score, score_many, weight_array
 from huepose.model.types import ReferenceModel
 from tests.judge.regions import region_of
 
@@ -76,3 +77,26 @@ def test_the_view_found_from_neighbour_to_neighbour_is_the_nearest_of_all(
         T = se3.make(np.eye(3), -eye)
         alike = views.astype(np.float64) @ eye
         assert alike[nearest_view(T, model)] == pytest.approx(alike.max(), abs=1e-9)
+
+
+def test_in_a_plane_that_was_taken_away_a_surface_is_neither_seen_nor_seen_through(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    region = region_of(take_picture([(tea_box.mesh, standing)]), tea_box, standing)
+    half = np.zeros(region.crop.depth.shape, bool)
+    half[:, : int(np.flatnonzero(region.mask.any(0)).mean())] = True
+
+    def judged(depth_there: np.ndarray) -> Terms:
+        depth = np.where(half & (region.crop.depth > 0), depth_there, region.crop.depth)
+        there = replace(region, crop=replace(region.crop, depth=depth.astype(np.float32)))
+        return score(tea_box, there, standing)
+
+    whole, far = judged(region.crop.depth), judged(np.full(half.shape, 9.0))
+    plane, behind = judged(-region.crop.depth), judged(-region.crop.depth - 0.05)
+    assert whole.through < 0.02
+    assert far.through > 0.3
+    assert behind.through == far.through
+    assert plane.through < 0.05
+    assert plane.seen == far.seen < 0.7 * whole.seen
+    assert plane.blind > whole.blind + 0.3
+    assert far.depth_fit < plane.depth_fit < whole.depth_fit

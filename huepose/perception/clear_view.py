@@ -81,8 +81,8 @@ class ClearView:
         return Region.whole(self.crop, self.clear, self.colors, diameter_m, 1.0)
 
     def with_planes(self) -> ClearView:
-        """The same view to judge poses that were found: planes have their depth, negative, and say nothing of a
-        surface that lies in them. A thin thing on a table is within the table's noise."""
+        """The same view to judge poses that were found: planes have their depth, negative, and say nothing of
+        a surface that lies in them. A thin thing on a table is within the table's noise."""
         taken_away = ~self.clear & (self.depth > 0.0)
         return replace(
             self, crop=replace(self.crop, depth=np.where(taken_away, -self.depth, self.crop.depth))

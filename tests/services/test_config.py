@@ -38,6 +38,8 @@ GOOD = "camera: {truth: true}\n"
         ("camera: {rate: recorded, truth: true}", ["camera.rate", "recorded"]),
         ("camera: {truth: maybe}", ["camera.truth", "'maybe'", "true or false"]),
         ("camera: 7", ["camera", "found 7", "keys with values"]),
+        ("gateway: {listen: 7447}", ["gateway.listen", "found 7447", "expected ADDRESS:PORT"]),
+        ("link: {connect: 7448}", ["link.connect", "found 7448", "expected ADDRESS:PORT"]),
         ("camera: bop", ["camera", "found 'bop'", "Write {source: bop} there"]),
         ("cameras: [realsense]", ["cameras[0]", "Write {source: realsense} there"]),
         ("detector: {kind: truth}", ["detector.kind", "camera.truth: true"]),

@@ -139,9 +139,20 @@ def _allowed(text: str, kind: Any) -> str:
     if text.startswith("Invalid enum value"):
         text = f"Expected one of {', '.join(names)}" + (", or a number" if float in _parts(kind) else "")
     expected = re.sub(r", got .*$", "", text).removeprefix("Expected ").replace("`", "")
+    if expected in ("str", "str | null") and (form := _form(kind)):
+        expected = f"str matching regex '{form}'"
     for pattern, words in _WORDS:
         expected = re.sub(pattern, words, expected)
     return expected
+
+
+def _form(kind: Any) -> str | None:
+    """The regular expression that a text has to match, where there is one."""
+    for part in (kind, *typing.get_args(kind)):
+        for said in typing.get_args(part)[1:] if typing.get_origin(part) is typing.Annotated else ():
+            if isinstance(said, msgspec.Meta) and said.pattern:
+                return said.pattern
+    return None
 
 
 def _parts(kind: Any) -> list[Any]:

@@ -218,6 +218,14 @@ def test_validate_notes_that_a_file_is_empty(tmp_path, capsys, text, noted):
     assert ("the file is empty: everything is as in the built-in scene" in capsys.readouterr().out) == noted
 
 
+def test_validate_says_which_extra_a_worker_needs(tmp_path, capsys, monkeypatch):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("workers: [camera, tracker, reinit, detector, segmenter, estimator, viewer]\n")
+    monkeypatch.setattr("huepose_services.runtime.prepare.find_spec", lambda name: None)
+    assert main(["validate", str(path)]) == 2
+    assert "this needs the Python package rerun; install it with:" in capsys.readouterr().err
+
+
 def test_validate_notes_that_nobody_looks_for_objects(tmp_path, capsys):
     path = tmp_path / "pipeline.yaml"
     path.write_text("workers: [camera, tracker, reinit]\ncamera: {source: synthetic}\n")

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.run_folder import is_taken, make_folder
 from huepose_services.runtime.running import port_taken
 from huepose_services.runtime.threads import check_processors
+
+_PACKAGES = {"ros2": "rosbags", "viewer": "rerun"}
+"""What a worker imports that only its extra installs."""
 
 
 def prepare(config: Config) -> None:
@@ -31,11 +36,15 @@ def prepare(config: Config) -> None:
 
 
 def check(config: Config) -> None:
-    """Whether a configuration can be started, as far as that is known before workers are; changes nothing."""
+    """Whether a configuration can be started, as far as that is known before workers are; changes nothing.
+
+    Raises InputError, and ModuleNotFoundError where the extra of a worker is not installed."""
     from huepose.model.io import load_models
 
     for worker in config.workers:
         check_processors(config.cpus.get(worker, ()))
+        if (package := _PACKAGES.get(worker)) is not None and find_spec(package) is None:
+            raise ModuleNotFoundError(f"{worker} needs {package}", name=package)
     if config.bundles is None and config.objects:
         _check_builtin(config)
     elif config.bundles is not None and (config.objects or config.uses_models):

@@ -183,7 +183,7 @@ install)
     run "$release/.venv/bin/huepose" validate "$home/pipeline.yaml" || {
         run rm -rf "$release"
         old_config
-        fail "the new version does not take $home/pipeline.yaml; what was installed runs on"
+        fail "the new version does not take $home/pipeline.yaml${before:+; what was installed runs on}"
     }
     use "$release"
     install_rules

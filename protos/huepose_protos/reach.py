@@ -15,6 +15,8 @@ PORT = 7447
 """Of a gateway, where nothing else is said."""
 _LOCAL = "unixsock-stream/"
 _WITHIN_S, _REFUSED_WITHIN_S = 3.0, 0.5
+_ROUNDS = 3
+"""In which both sides of TLS have said all that belongs to a handshake."""
 
 
 def address_of(text: str) -> tuple[str, int]:
@@ -132,4 +134,24 @@ def _refusal(link: socket.socket, host: str, context: ssl.SSLContext) -> str | N
         return "no TLS there: no answer"
     except OSError as error:
         return f"no TLS there: {error.strerror or error}"
+    return None
+
+
+def fault_of(authority: Path | str, certificate: Path | str, key: Path | str) -> str | None:
+    """Why a gateway of this authority would not accept a certificate, by this computer's clock; None where it
+    would. A gateway itself only ends the link. Raises OSError for files that are no PEM, or do not fit."""
+    ours = ssl.create_default_context(cafile=authority)
+    ours.check_hostname, ours.verify_mode = False, ssl.CERT_NONE
+    theirs = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=authority)
+    theirs.verify_mode = ssl.CERT_REQUIRED
+    for end in (ours, theirs):  # any will do for the gateway's own
+        end.load_cert_chain(certificate, key)
+    forth, back = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = ours.wrap_bio(back, forth), theirs.wrap_bio(forth, back, server_side=True)
+    try:
+        for one in ends * _ROUNDS:
+            with suppress(ssl.SSLWantReadError):
+                one.do_handshake()
+    except ssl.SSLCertVerificationError as error:
+        return why_not_accepted(error)
     return None

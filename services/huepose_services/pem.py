@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import ssl
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from huepose.support.errors import InputError
-from huepose_protos.reach import why_not_accepted
+from huepose_protos.reach import fault_of
 
-_ROUNDS = 3
-"""In which both sides of TLS have said all that belongs to a handshake."""
 _HOLDS = {
     "authority": ("CERTIFICATE-----", "a certificate"),
     "certificate": ("CERTIFICATE-----", "a certificate"),
@@ -84,17 +81,5 @@ class Credentials:
     def fault(self) -> str | None:
         """Why a gateway of the authority would not accept the certificate, by this computer's clock; None
         where it would. A gateway itself only ends the link. Raises InputError as `context` does."""
-        ours = self.context()
-        ours.check_hostname, ours.verify_mode = False, ssl.CERT_NONE
-        theirs = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=self.authority)
-        theirs.load_cert_chain(self.certificate, self.key)  # any will do for its own
-        theirs.verify_mode = ssl.CERT_REQUIRED
-        forth, back = ssl.MemoryBIO(), ssl.MemoryBIO()
-        ends = ours.wrap_bio(back, forth), theirs.wrap_bio(forth, back, server_side=True)
-        try:
-            for end in ends * _ROUNDS:
-                with suppress(ssl.SSLWantReadError):
-                    end.do_handshake()
-        except ssl.SSLCertVerificationError as error:
-            return why_not_accepted(error)
-        return None
+        self.context()
+        return fault_of(self.authority, self.certificate, self.key)

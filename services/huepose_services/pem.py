@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from huepose.support.errors import InputError
-from huepose_protos.reach import fault_of
 
 _HOLDS = {
     "authority": ("CERTIFICATE-----", "a certificate"),
@@ -81,5 +80,7 @@ class Credentials:
     def fault(self) -> str | None:
         """Why a gateway of the authority would not accept the certificate, by this computer's clock; None
         where it would. A gateway itself only ends the link. Raises InputError as `context` does."""
+        from huepose_protos.reach import fault_of
+
         self.context()
         return fault_of(self.authority, self.certificate, self.key)

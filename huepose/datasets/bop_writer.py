@@ -22,6 +22,7 @@ import numpy as np
 from huepose.datasets import files
 from huepose.geometry import Box, Camera
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8, UInt16
+from huepose.geometry.camera import whole_steps
 from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError
 from huepose.support.files import whole, write_bytes, write_text, writing
@@ -108,8 +109,7 @@ class BopWriter:
 
 def depth_steps(depth: Float32) -> UInt16:
     """Depth (H, W), metres, in steps of DEPTH_SCALE_MM; 0, nothing, where it is farther than they reach."""
-    steps = np.rint(depth * np.float32(1000.0 / DEPTH_SCALE_MM))
-    return np.where(steps > np.iinfo(np.uint16).max, 0, steps).astype(np.uint16)
+    return whole_steps(depth * np.float32(1000.0 / DEPTH_SCALE_MM))
 
 
 def _pose(label: Label) -> dict[str, Any]:

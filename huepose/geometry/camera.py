@@ -80,13 +80,13 @@ POINTS_PER_READING = 6.0
 """Stereo matches windows, so neighbouring pixels err alike: so many points of an object count as one."""
 
 
-def depth_steps(depth_m: Float, step_m: float, end: int = 1 << 16) -> UInt16:
-    """Depth (H, W), metres, in whole steps; 0 where there is no reading, also from so many steps on.
+def whole_steps(depth: Float, end: int = 1 << 16) -> UInt16:
+    """Depth (H, W), counted in steps, in whole ones; 0 where there is no reading, also from so many on.
 
-    >>> depth_steps(np.array([0.0, 0.5, np.nan, 9.0], np.float32), 0.0001).tolist()
+    >>> whole_steps(np.array([0.0, 0.5, np.nan, 9.0], np.float32) / 0.0001).tolist()
     [0, 5000, 0, 0]
     """
-    steps = np.asarray(np.rint(depth_m / step_m))
+    steps = np.asarray(np.rint(depth))
     if not (steps.min() >= 0 and steps.max() < end):  # or one is not a number
         steps = np.where((steps >= 0) & (steps < end), steps, 0)
     return steps.astype(np.uint16)

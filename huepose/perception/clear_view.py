@@ -4,6 +4,7 @@ opponents."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -80,6 +81,7 @@ class ClearView:
         """The whole view as a region in which poses of an object are scored, without an outline."""
         return Region.whole(self.crop, self.clear, self.colors, diameter_m, 1.0)
 
+    @cached_property
     def with_planes(self) -> ClearView:
         """The same view to judge poses that were found: planes have their depth, negative, and say nothing of
         a surface that lies in them. A thin thing on a table is within the table's noise."""

@@ -42,8 +42,7 @@ def sights_of(
 ) -> list[Sight]:
     """The evidence for each named object at its pose T_cam_obj (4, 4). The costlier terms, outline and codes,
     are computed only where the object may still be there."""
-    judged = view.with_planes()
-    regions = {name: judged.region(models[name].diameter_m) for name, _ in poses}
+    regions = {name: view.with_planes.region(models[name].diameter_m) for name, _ in poses}
     sights = [sight(view, regions[name], models[name], T) for name, T in poses]
     # Terms that are not computed yet have their best value.
     for closer in (outlined, alike):
@@ -55,7 +54,7 @@ def sights_of(
 
 
 def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Float64) -> Sight:
-    """The evidence for a pose (4, 4) without outline and codes. region: `view.with_planes().region` for this
+    """The evidence for a pose (4, 4) without outline and codes. region: `view.with_planes.region` for this
     model."""
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
     terms = Terms(*(float(x) for x in score_many(model, region, T[None], CLOSE_SAMPLES)[0]))

@@ -24,7 +24,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float32, UInt8
-from huepose.geometry.camera import depth_steps
+from huepose.geometry.camera import whole_steps
 from huepose.support.errors import InputError
 from huepose.support.files import whole, writing
 from huepose.support.kept import unused
@@ -78,7 +78,7 @@ def write_loop(
                 bgr = cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
                 ok, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, 95])
                 assert ok
-                raw = depth_steps(depth, DEPTH_SCALE_M)
+                raw = whole_steps(depth / DEPTH_SCALE_M)
                 out.writestr(ZipInfo(f"{len(rows)}.jpg"), jpeg.tobytes())
                 out.writestr(ZipInfo(f"{len(rows)}.depth"), raw.tobytes())
                 size = raw.shape

@@ -28,7 +28,7 @@ from huepose_protos.keys import Keys
 from huepose_protos.local import boot_id
 from huepose_protos.messages import CameraMessage, Message, Mount, ObjectsMessage, PoseMessage
 from huepose_protos.motion import PoseAt, carried, mount_at, pose_at
-from huepose_protos.reach import endpoint_of, fault_of, why_unreached
+from huepose_protos.reach import endpoint_of, why_unreached
 
 _KEPT, _TOLD = 64, 512
 _WAITING = 1024
@@ -185,14 +185,13 @@ class PoseClient:
         authority, certificate, key = self._files
         try:
             context = ssl.create_default_context(cafile=authority)
-            fault = None
+            shown = None
             if authority and certificate and key:
                 context.load_cert_chain(certificate, key)
-                fault = fault_of(authority, certificate, key)
+                shown = authority, certificate, key
         except OSError as error:
             return f"authority, certificate and key cannot be used: {getattr(error, 'reason', None) or error}"
-        why = why_unreached(self._endpoints, context)
-        return why if fault is None else f"{why}. Of {certificate} by itself: {fault}"
+        return why_unreached(self._endpoints, context, shown)
 
     def next(self, timeout_s: float | None = None) -> PoseMessage | None:
         """The next pose that was not returned yet; None after the timeout, or when the client is closed."""

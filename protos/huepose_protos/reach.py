@@ -11,6 +11,9 @@ from pathlib import Path
 
 from huepose_protos.local import note_of
 
+Files = tuple[Path | str, Path | str, Path | str]
+"""Authority, certificate and key, in PEM."""
+
 PORT = 7447
 """Of a gateway, where nothing else is said."""
 _LOCAL = "unixsock-stream/"
@@ -47,10 +50,17 @@ def endpoint_of(text: str, tls: bool = False) -> str:
     return f"{kind}/{f'[{host}]' if ':' in host else host}:{port}"
 
 
-def why_unreached(endpoints: Sequence[str], context: ssl.SSLContext | None) -> str:
+def why_unreached(
+    endpoints: Sequence[str], context: ssl.SSLContext | None, shown: Files | None = None
+) -> str:
     """What is in the way to the first of these, in words; may take seconds. context: what a reader shows to
-    one with TLS."""
-    first = endpoints[0]
+    one with TLS; shown: the files that it is of, which are looked at by themselves as well."""
+    why = _why_not_reached(endpoints[0], context)
+    fault = None if shown is None else fault_of(*shown)
+    return why if shown is None or fault is None else f"{why}. Of {shown[1]} by itself: {fault}"
+
+
+def _why_not_reached(first: str, context: ssl.SSLContext | None) -> str:
     if first.startswith(_LOCAL):
         return f"waiting for a pipeline: {_why_none_runs(Path(first.removeprefix(_LOCAL)))}"
     try:

@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64, UInt16
-from huepose.geometry.camera import depth_steps
+from huepose.geometry.camera import whole_steps
 from huepose.reinit.types import Prior
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos.buffers import frame_images, mask_of, runs_of
@@ -89,7 +89,7 @@ def pose_of(message: PoseMessage) -> Float64 | None:
 
 def depth_to_wire(depth_m: Float, depth_scale_m: float) -> UInt16:
     """Depth in steps of depth_scale_m; 0 where there is no reading, also from LARGEST_STEP on."""
-    return depth_steps(depth_m, depth_scale_m, LARGEST_STEP)
+    return whole_steps(depth_m / depth_scale_m, LARGEST_STEP)
 
 
 def intrinsics_to_wire(camera: Camera, depth_scale_m: float) -> Intrinsics:

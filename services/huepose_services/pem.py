@@ -70,17 +70,14 @@ class Credentials:
     certificate: Path
     key: Path
 
+    @property
+    def files(self) -> tuple[Path, Path, Path]:
+        """Authority, certificate and key."""
+        return self.authority, self.certificate, self.key
+
     def context(self) -> ssl.SSLContext:
         """Them as Python's own TLS knows them. Raises InputError for files that are none, or do not fit."""
         files = {name: str(path) for name, path in vars(self).items()}
         for name, path in files.items():
             check_pem("--tls ", name, Path(path))
         return tls_context(ssl.Purpose.SERVER_AUTH, f"--tls {' '.join(files.values())}", **files)
-
-    def fault(self) -> str | None:
-        """Why a gateway of the authority would not accept the certificate, by this computer's clock; None
-        where it would. A gateway itself only ends the link. Raises InputError as `context` does."""
-        from huepose_protos.reach import fault_of
-
-        self.context()
-        return fault_of(self.authority, self.certificate, self.key)

@@ -172,8 +172,8 @@ def look(
         if t.T_cam_obj is not None and (model := targets.model_of(t)) is not None
         if (box := truth_box(t, model.mesh, sample.frame.camera)) is not None
     ]
-    judged = None if view is None else view.with_planes()
-    regions = {name: judged.region(m.diameter_m) for name, m in models.items()} if judged is not None else {}
+    standing = None if view is None else view.with_planes
+    regions = {} if standing is None else {name: standing.region(m.diameter_m) for name, m in models.items()}
     names, sights, certain, there = [], [], [], []
     for answer in answers:
         own = None if answer.mask is None else Box.of_mask(answer.mask)

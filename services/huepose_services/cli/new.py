@@ -108,10 +108,10 @@ def write_frame(folder: Path, shot: Shot, camera: Camera) -> None:
 
     import cv2
 
-    from huepose.geometry.camera import depth_steps
+    from huepose.geometry.camera import whole_steps
 
     write_picture(folder / "color.png", shot.color)
-    depth = depth_steps(shot.depth, 1e-4)
+    depth = whole_steps(shot.depth / 1e-4)
     write_bytes(folder / "depth.png", cv2.imencode(".png", depth)[1].tobytes())
     intrinsics = {key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy", "width", "height")}
     write_text(folder / "camera.json", json.dumps({**intrinsics, "depth_scale_m": 0.0001}) + "\n")

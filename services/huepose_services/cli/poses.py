@@ -69,9 +69,7 @@ class Gateway:
             )
         if self.credentials is None:
             return why_unreached([self.endpoint], None)
-        why = why_unreached([self.endpoint], self.credentials.context())
-        fault = self.credentials.fault()
-        return why if fault is None else f"{why}. Of {self.credentials.certificate} by itself: {fault}"
+        return why_unreached([self.endpoint], self.credentials.context(), self.credentials.files)
 
 
 def gateway_of(arguments: argparse.Namespace) -> Gateway | None:

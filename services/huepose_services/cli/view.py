@@ -88,8 +88,6 @@ def _check_file(path: Path | None) -> None:
     """Raises InputError for a file that is there, and for another ending than that of rerun's files."""
     if path is None:
         return
-    if path.exists() and path.suffix.lower() == ".rrd":
-        raise InputError(path, found="a file of that name", expected="a new one")
     if path.suffix.lower() != ".rrd":
         raise InputError(
             f"--save {path}",
@@ -97,6 +95,8 @@ def _check_file(path: Path | None) -> None:
             expected="a file for the rerun viewer, FILE.rrd",
             fix="`rerun FILE.rrd` shows it; a picture of one frame's poses is `huepose estimate --image`.",
         )
+    if path.exists():
+        raise InputError(path, found="a file of that name", expected="a new one")
 
 
 def _end(stopping: Callable[[], bool]) -> None:

@@ -15,7 +15,7 @@ from huepose.support.errors import InputError
 from huepose_protos import PoseClient, encode
 from huepose_protos.client import open_session
 from huepose_protos.messages import CorrectionMessage
-from huepose_protos.reach import why_unreachable
+from huepose_protos.reach import fault_of, why_unreachable
 from huepose_services.authority import Authority
 from huepose_services.cli.main import main
 from huepose_services.gateway_door import Door, check_door
@@ -159,7 +159,7 @@ def test_the_log_says_why_each_kind_of_reader_is_not_let_in(start, authority, wa
     for files in shown:
         assert "its log says why" in why_unreachable("localhost", one.port, files.context())
     # A reader far from the log finds the same by itself, where that is possible.
-    assert [files.fault() for files in shown] == [
+    assert [fault_of(*files.files) for files in shown] == [
         None,
         "another authority signed it",
         "certificate has expired",

@@ -2,8 +2,9 @@
 the fitted numbers of all of them, in one file, each with where it comes from.
 
 `fits.json` has one entry for each question: `quality` (is the pose of a single frame right? by method),
-`frame` (is a tracked pose right in this frame?) and `presence` (is the object there at all?). An entry has
-the `fit` and its `origin`: the command that writes it, the data and the seeds they were drawn from."""
+`frame` (is a tracked pose right in this frame?), `presence` (is the object there at all?) and `place` (the
+same of a rough pose). An entry has the `fit` and its `origin`: the command that writes it, the data and the
+seeds they were drawn from."""
 
 from __future__ import annotations
 
@@ -58,7 +59,7 @@ def probabilities(log_odds: Float64) -> Float64:
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(log_odds, -MOST_LOG_ODDS, MOST_LOG_ODDS))))
 
 
-Question = Literal["quality", "frame", "presence"]
+Question = Literal["quality", "frame", "presence", "place"]
 
 PATH = Path(__file__).with_name("fits.json")
 

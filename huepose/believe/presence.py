@@ -3,7 +3,9 @@
 Whether a *pose* is right asks for texture that tells it from its turns; a plain mug has none, and is there
 all the same. What speaks for an object being there is a shape that explains the depth, without a surface that
 goes on where the object ends, and a picture that looks like the object in this pose. All of it says the less
-the fewer pixels it is read from: in a speck of ten anything fits.
+the fewer pixels it is read from: in a speck of ten anything fits. A refined pose is asked one thing more: a
+network compares picture and model pixel by pixel. A rough one is off by too much for that, and has weights of
+its own.
 
 The weighted sum of these is a logit; the weights are fitted on drawn scenes (`believe.logistic`)."""
 
@@ -23,16 +25,17 @@ from huepose.judge.color_correlation import PLAIN
 ENOUGH_PIXELS, FEWEST_PIXELS = 400, 4
 """More pixels say no more: their errors are not independent."""
 
-MOST_ALIKE = 0.3
-"""Nine of ten true poses in real frames look less like their object."""
+MOST_ALIKE, MOST_VERIFIED = 0.3, 4.6
+"""Of likeness and verification: nine of ten true poses in real frames have less."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
     """What is seen where a pose says that an object is. fit 0..1, texture -1..1, contrast: terms of the dense
     score; rim 0..1: where the surface goes on beside it; goes_on 0..1: share of the outline beyond which
-    surface and colour go on; likeness -1..1: of codes of the picture and of the model in this pose; pixels:
-    of the picture that agree in depth."""
+    surface and colour go on; likeness -1..1: of codes of the picture and of the model in this pose; verified:
+    log-odds that a network gives to both showing the same, None for a rough pose; pixels: of the picture that
+    agree in depth."""
 
     fit: float
     texture: float
@@ -40,30 +43,50 @@ class Sight:
     rim: float
     goes_on: float
     likeness: float
+    verified: float | None
     pixels: int
 
 
 @cache
 def presence_fit() -> Logistic:
-    """The fitted weights of `features`."""
+    """The fitted weights of `features` of refined poses."""
     return Logistic(**fitted("presence"))
+
+
+@cache
+def place_fit() -> Logistic:
+    """Those of rough poses."""
+    return Logistic(**fitted("place"))
+
+
+def _weights(seen: Sight) -> Logistic:
+    return place_fit() if seen.verified is None else presence_fit()
 
 
 def features(seen: Sight) -> dict[str, float]:
     """What the log-odds are made of: depth that fits; color, how much less texture there is than the object
     would show, which says nothing of a plain one; a rim where the surface does not go on; an outline that
-    ends; likeness; pixels, by their logarithm."""
+    ends; likeness; what the verifying network says; pixels, by their logarithm."""
     return {
         "fit": seen.fit,
         "color": -max(seen.contrast / (seen.contrast + PLAIN) - seen.texture, 0.0),
         "free_rim": 1.0 - seen.rim,
         "ends": -seen.goes_on,
         "likeness": seen.likeness,
+        "verified": 0.0 if seen.verified is None else seen.verified,
         "pixels": log(min(max(seen.pixels, FEWEST_PIXELS), ENOUGH_PIXELS)),
     }
 
 
-USUAL = {"fit": 0.43, "color": -0.23, "free_rim": 1.0, "ends": 0.0, "likeness": 0.28, "pixels": 5.99}
+USUAL = {
+    "fit": 0.43,
+    "color": -0.23,
+    "free_rim": 1.0,
+    "ends": 0.0,
+    "likeness": 0.28,
+    "verified": 4.36,
+    "pixels": 5.99,
+}
 """Of poses that are right: medians on the 648 of the set that the weights are fitted to."""
 
 DOUBTS = {
@@ -72,6 +95,7 @@ DOUBTS = {
     "free_rim": "a surface goes on where the object ends",
     "ends": "surface and colour go on beyond its outline",
     "likeness": "the picture looks unlike it",
+    "verified": "the picture does not show it in this pose",
     "pixels": "too few pixels show it",
 }
 
@@ -79,12 +103,11 @@ DOUBTS = {
 def greatest_doubt(seen: Sight) -> str:
     """What speaks most against the object, in words: the feature that costs the most log-odds beside those
     of poses that are right."""
-    fit, values = presence_fit(), features(seen)
-    costs = {name: fit.factors[name] * (USUAL[name] - x) for name, x in values.items()}
+    fit, values = _weights(seen), features(seen)
+    costs = {name: factor * (USUAL[name] - values[name]) for name, factor in fit.factors.items()}
     return DOUBTS[max(costs, key=lambda name: costs[name])]
 
 
 def logits_of(sights: Sequence[Sight], fit: Logistic | None = None) -> Float64:
-    """Logit (N,) of each sight."""
-    fit = fit or presence_fit()
-    return np.array([fit.log_odds(features(s)) for s in sights])
+    """Logit (N,) of each sight, by the shipped weights or by `fit`."""
+    return np.array([(fit or _weights(s)).log_odds(features(s)) for s in sights])

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from huepose.believe.presence import MOST_ALIKE, Sight, logits_of
+from huepose.believe.presence import MOST_ALIKE, MOST_VERIFIED, Sight, logits_of
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import NEAREST_M
 from huepose.geometry.frame import RgbdFrame
@@ -18,6 +18,7 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.scouting import SEEN_M
 from huepose.propose.templates import SPAN
+from huepose.propose.verification import Pictures, verified
 from huepose.propose.view_codes import codes_of_pictures, codes_of_windows
 from huepose.propose.view_pictures import clean_view, window_pictures
 from huepose.propose.views import onto_rays
@@ -33,17 +34,22 @@ WORTH = -3.0
 def presences(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
 ) -> Float64:
-    """Log-odds (N,) that each named object is at its pose T_cam_obj (4, 4)."""
-    return logits_of(sights_of(view, models, poses))
+    """Log-odds (N,) that each named object is at its rough pose T_cam_obj (4, 4)."""
+    return logits_of(sights_of(view, models, poses, verifying=False))
 
 
 def sights_of(
-    view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
+    view: ClearView,
+    models: Mapping[str, ReferenceModel],
+    poses: Sequence[tuple[str, Float64]],
+    verifying: bool = True,
 ) -> list[Sight]:
-    """The evidence for each named object at its pose T_cam_obj (4, 4). The costlier terms, outline and codes,
-    are computed only where the object may still be there."""
+    """The evidence for each named object at its pose T_cam_obj (4, 4). The costlier terms, outline and what
+    networks say, are computed only where the object may still be there. verifying: the poses are refined."""
     regions = {name: view.with_planes.region(models[name].diameter_m) for name, _ in poses}
     sights = [sight(view, regions[name], models[name], T) for name, T in poses]
+    if not verifying:
+        sights = [replace(s, verified=None) for s in sights]
     # Terms that are not computed yet have their best value.
     for closer in (outlined, alike):
         doubtful = [int(k) for k in np.flatnonzero(logits_of(sights) > WORTH)]
@@ -61,7 +67,9 @@ def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Flo
     crop, arrays = view.crop, model_arrays(model)
     rim = continuation_many(arrays, crop.depth, view.clear, crop.camera, T[None], RIM_SAMPLES)[0]
     pixels = agreeing_pixels(model, view.frame, T)
-    return Sight(terms.depth_fit, terms.color, terms.contrast, float(rim), 0.0, MOST_ALIKE, pixels)
+    return Sight(
+        *(terms.depth_fit, terms.color, terms.contrast, float(rim), 0.0, MOST_ALIKE, MOST_VERIFIED, pixels)
+    )
 
 
 Named = Sequence[tuple[str, Float64]]
@@ -71,9 +79,16 @@ Named = Sequence[tuple[str, Float64]]
 def alike(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, sights: Sequence[Sight]
 ) -> list[Sight]:
-    """The evidence with the similarity of codes between what is seen and the object."""
-    found = likenesses(view, models, poses)
-    return [replace(s, likeness=float(x)) for s, x in zip(sights, found, strict=True)]
+    """The evidence with what networks say of what is seen and of the object in its pose: similarity of their
+    codes, and verification where it is asked for."""
+    if not sights:
+        return []
+    windows, views = pictures_of(view, models, poses)
+    likeness = (codes_of_pictures(*views) * codes_of_windows(*windows)).sum(1)
+    out = [replace(s, likeness=float(x)) for s, x in zip(sights, likeness, strict=True)]
+    if sights[0].verified is None:
+        return out
+    return [replace(s, verified=float(x)) for s, x in zip(out, verified(windows, views), strict=True)]
 
 
 def outlined(
@@ -121,13 +136,11 @@ def _agreeing(
     return len(np.unique(pixels[:count]))
 
 
-def likenesses(
+def pictures_of(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
-) -> Float64:
-    """Cosines (N,) between the codes of the window at each named object's pose T_cam_obj (4, 4) and of its
-    model drawn in that pose: 1 is the same."""
-    if not poses:
-        return np.zeros(0)
+) -> tuple[Pictures, Pictures]:
+    """The windows at each named object's pose T_cam_obj (4, 4), one or more, and the models drawn in these
+    poses."""
     clean, middles = [], []
     for name, T in poses:
         model = models[name]
@@ -135,9 +148,8 @@ def likenesses(
         turn = onto_rays(centre[None] / centre[2])[0]
         clean.append(clean_view(model.mesh, model.diameter_m, turn.T @ T[:3, :3]))
         middles.append(centre + turn @ clean[-1].middle_m)
-    of_poses = codes_of_pictures(np.stack([c.color for c in clean]), np.stack([c.relief for c in clean]))
     middle, diameters = np.stack(middles), np.array([models[name].diameter_m for name, _ in poses])
     span_px = SPAN * diameters / middle[:, 2] * view.crop.camera.fx
     place = view.crop.camera.project(middle), middle[:, 2], span_px
-    windows = codes_of_windows(*window_pictures(view.pyramid, view.depth, *place, diameters))
-    return np.asarray((of_poses * windows).sum(1), np.float64)
+    windows = window_pictures(view.pyramid, view.depth, *place, diameters)
+    return windows, (np.stack([c.color for c in clean]), np.stack([c.relief for c in clean]))

@@ -29,7 +29,7 @@ BATCH = 16
 """Windows a run: what the network makes of more does not stay in a core's cache."""
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""views.onnx; views.json beside it says how it was made."""
+"""views.onnx and verification.onnx (`propose.verification`); a JSON file beside each says how it was made."""
 
 _SMALLEST = 1e-6
 
@@ -60,7 +60,7 @@ def codes_of_windows(colors: UInt8, reliefs: Float32) -> Float32:
 
 def _codes(colors: UInt8, reliefs: Float32, *, clean: bool) -> Float32:
     """What the network says (N, C, 8, 8)."""
-    session, parts = _session(), []
+    session, parts = packaged_session(WEIGHTS / "views.onnx"), []
     for k in range(0, len(colors), BATCH):
         some = slice(k, k + BATCH)
         parts += session.run(None, {"window": network_input(colors[some], reliefs[some], clean=clean)})
@@ -73,11 +73,11 @@ def _of_unit_length(codes: Float32) -> Float32:
 
 
 @cache
-def _session() -> Any:
-    """The network, opened once in a process; sessions of ONNX Runtime serve several threads."""
+def packaged_session(file: Path) -> Any:
+    """A network of this package, opened once in a process; sessions of ONNX Runtime serve several threads."""
     import onnxruntime as ort
 
     options = ort.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = 1, 1
     options.log_severity_level = 3
-    return ort.InferenceSession(str(WEIGHTS / "views.onnx"), options, providers=["CPUExecutionProvider"])
+    return ort.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])

@@ -4,10 +4,10 @@ Rotations: Attention-DGCNN, edge convolutions on moving neighbourhoods, then att
 maximum. Paper, section III-E; edge convolution after Wang et al., Dynamic Graph CNN for Learning on Point
 Clouds (2019); the six numbers of a rotation after Zhou et al. (2019).
 
-View codes: depthwise separable convolutions as in ConvNeXt (Liu et al. 2022), with batch norm, which is
-folded into the weights for inference. The loss is InfoNCE (van den Oord et al. 2018) in both directions: each
-window has to pick its view among views of its own and of other objects, and each view its window among
-windows of other objects and windows beside the object.
+View codes and verification: depthwise separable convolutions as in ConvNeXt (Liu et al. 2022), with batch
+norm, which is folded into the weights for inference. The loss of codes is InfoNCE (van den Oord et al. 2018)
+in both directions: each window has to pick its view among views of its own and of other objects, and each
+view its window among windows of other objects and windows beside the object.
 """
 
 from __future__ import annotations
@@ -157,6 +157,38 @@ class ViewCodeNetwork(nn.Module):
     def forward(self, pictures: Tensor) -> Tensor:
         """pictures (N, 6, 64, 64) -> codes (N, 16, 8, 8)."""
         return self.body(pictures)
+
+
+class VerificationNetwork(nn.Module):
+    """Says whether a window shows an object in a pose: pictures (N, 12, 64, 64), those of the window and then
+    those of the object's clean view in this pose, to the log-odds (N,) that it does, and those (N, 8, 8) that
+    its cells show it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        first, second, third = WIDTHS
+        self.body = nn.Sequential(
+            *_downsampling(2 * CHANNELS, first),
+            nn.ReLU(),
+            *_downsampling(first, second),
+            nn.ReLU(),
+            *(Block(second) for _ in range(DEPTHS[0])),
+            *_downsampling(second, third),
+            *(Block(third) for _ in range(DEPTHS[1])),
+        )
+        self.cell = nn.Conv2d(third, 1, 1)
+        self.head = nn.Sequential(nn.Linear(2 * third + 2, 128), nn.ReLU(), nn.Linear(128, 1))
+
+    def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+        """See the class."""
+        features = self.body(pictures)
+        cells = self.cell(features)
+        covered = functional.avg_pool2d(pictures[:, CHANNELS + 4 : CHANNELS + 5], SIDE // CELLS)
+        area = covered.mean((2, 3))
+        of_object = (features * covered).mean((2, 3)) / area.clamp(min=1e-3)
+        seen = (torch.sigmoid(cells) * covered).mean((2, 3)) / area.clamp(min=1e-3)
+        everywhere = features.mean((2, 3))
+        return self.head(torch.cat([of_object, everywhere, area, seen], 1))[:, 0], cells[:, 0]
 
 
 def _downsampling(channels_in: int, channels_out: int) -> tuple[nn.Module, nn.Module]:

@@ -1,7 +1,9 @@
-"""Trains the network of view codes (`propose.view_codes`) on drawn objects and writes it as ONNX.
+"""Trains the networks of view codes and of verification on drawn objects and writes them as ONNX.
 
-Processes draw new objects (`training.windows`) while the network learns from a buffer of the newest ones.
-Each step takes windows and views of some of them at random, moves and recolours them, and takes `info_nce`.
+Processes draw new objects (`training.windows`) while the networks learn from a buffer of the newest ones.
+Each step takes windows and views of some of them at random, moves and recolours them, and takes `info_nce` of
+their codes (`propose.view_codes`). What the codes take for each other, the network of `propose.verification`
+learns to tell apart.
 """
 
 from __future__ import annotations
@@ -15,20 +17,29 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
-from torch.nn import functional
+from torch import Tensor, nn
 from torch.utils.data import DataLoader
 
 from huepose.drawing.plots import line_plot
 from huepose.geometry import icosphere
-from huepose.propose.templates import SPAN, view_rotations
-from huepose.propose.view_pictures import CHANNELS, NEAR, ROLLS, SIDE, UNTURNED
+from huepose.propose.templates import view_rotations
 from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
+from huepose.propose.view_pictures import ROLLS
 from huepose.support.files import write_picture
 from huepose.training.byte_input import read_bytes
-from huepose.training.network import LARGEST_SHARPNESS, ViewCodeNetwork, info_nce, view_codes, window_codes
+from huepose.training.network import (
+    LARGEST_SHARPNESS,
+    VerificationNetwork,
+    ViewCodeNetwork,
+    info_nce,
+    view_codes,
+    window_codes,
+)
+from huepose.training.object_buffer import ObjectBuffer
 from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
-from huepose.training.windows import PIXELS, WINDOWS, Drawn, endless
+from huepose.training.sensing import REPRINTED, SHINY, network_input, recolored, reprinted, sensed, shone_on
+from huepose.training.verification import Shown, pairs, verification_loss
+from huepose.training.windows import WINDOWS, endless
 
 SHIFT, LARGEST_SHIFT = 0.06, 0.13
 """Offset of a window from the object's middle, in diameters: standard deviation and largest. The detector's
@@ -44,16 +55,19 @@ SPREAD_DEG, REACH_DEG = 18.0, 38.0
 """The target distribution over views falls with the rotation to the true one as a Gaussian of this deviation,
 and ends at REACH_DEG."""
 
+CALIBRATED = 3
+"""Batches on which activations are calibrated before a network is quantised."""
+
 RIGHT_DEG = 25.0
 """In validation, a view rotated by less than this is right."""
 
-MOST_VEILED = 0.3
-"""Largest share of one colour that lies over a whole window: cameras show black as grey and red as pink."""
+NAME, VERIFICATION = "views", "verification"
+"""The two networks."""
 
-NAME = "views"
-FIGURES = ("first_right", "one_of_five_right", "median_rank")
+FIGURES = ("first_right", "one_of_five_right", "median_rank", "pairs_right")
 """On held-out windows, among all views of the object: share whose most similar view is right, share with a
-right view among the five most similar, median rank of the first right view."""
+right view among the five most similar, median rank of the first right view; and the share of true and wrong
+pairs that verification tells right."""
 
 
 @dataclass(frozen=True)
@@ -73,113 +87,32 @@ class ViewCodeTraining(Settings):
     reuse: float = 8.0
 
 
-class ObjectBuffer:
-    """The newest drawn objects, in memory of a device. added: how many there have been."""
+class Networks(nn.Module):
+    """Those that are trained together."""
 
-    def __init__(self, room: int, device: str) -> None:
-        views = len(icosphere.directions(VIEW_LEVEL))
-        byte, half = ({"dtype": kind, "device": device} for kind in (torch.uint8, torch.float16))
-        self.view_colors = torch.zeros(room, views, UNTURNED, UNTURNED, 3, **byte)
-        self.view_reliefs = torch.zeros(room, views, UNTURNED, UNTURNED, **half)
-        self.colors = torch.zeros(room, WINDOWS, PIXELS, PIXELS, 3, **byte)
-        self.reliefs = torch.zeros(room, WINDOWS, PIXELS, PIXELS, **half)
-        self.rotations = torch.zeros(room, WINDOWS, 3, 3, device=device)
-        self.added = 0
-
-    def __len__(self) -> int:
-        return min(self.added, len(self.rotations))
-
-    def add(self, one: Drawn) -> None:
-        """Add an object; it replaces the oldest where the buffer is full."""
-        kept = self.view_colors, self.view_reliefs, self.colors, self.reliefs, self.rotations
-        for room, part in zip(kept, one, strict=True):
-            room[self.added % len(room)] = torch.as_tensor(part).to(room)
-        self.added += 1
-
-    def views_of(self, objects: Tensor, numbers: Tensor) -> tuple[Tensor, Tensor]:
-        """Colours (M, 3, 64, 64) from 0 to 1 and relief (M, 64, 64), NaN where nothing is, of the numbered
-        views, in the order of `view_pictures.turned`, of objects (M,)."""
-        view, roll = numbers // ROLLS, numbers % ROLLS
-        angle = 2.0 * math.pi * roll / ROLLS
-        c, s, zero = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle)
-        share = SIDE / UNTURNED
-        rows = torch.stack([c * share, s * share, zero]), torch.stack([-s * share, c * share, zero])
-        to_picture = torch.stack(rows).permute(2, 0, 1)
-        return _resampled(self.view_colors[objects, view], self.view_reliefs[objects, view], to_picture)
-
-    def windows_of(
-        self, objects: Tensor, numbers: Tensor, shift: Tensor, stretch: Tensor, deeper: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        """Colours and relief, likewise, of the numbered windows of objects (M,), moved by `shift` (M, 2) and
-        `deeper` (M,) diameters and enlarged by `stretch` (M,)."""
-        share, zero = SIDE / PIXELS * stretch, torch.zeros_like(stretch)
-        half = PIXELS / SIDE * SPAN / 2.0
-        rows = (
-            torch.stack([share, zero, shift[:, 0] / half]),
-            torch.stack([zero, share, shift[:, 1] / half]),
-        )
-        to_picture = torch.stack(rows).permute(2, 0, 1)
-        colors, reliefs = _resampled(
-            self.colors[objects, numbers], self.reliefs[objects, numbers], to_picture
-        )
-        return colors, reliefs + deeper[:, None, None]
+    def __init__(self, coding: ViewCodeNetwork, verifying: VerificationNetwork) -> None:
+        super().__init__()
+        self.coding, self.verifying = coding, verifying
 
 
-def _resampled(colors: Tensor, reliefs: Tensor, to_picture: Tensor) -> tuple[Tensor, Tensor]:
-    """Pictures (M, 3, 64, 64) and relief (M, 64, 64) of colours (M, n, n, 3) and relief (M, n, n),
-    resampled by affine maps `to_picture` (M, 2, 3) in torch's coordinates from -1 to 1."""
-    known = torch.isfinite(reliefs)
-    both = torch.stack([torch.where(known, reliefs, 0.0).float(), known.float()], 1)
-    grid = functional.affine_grid(to_picture.float(), [len(colors), 1, SIDE, SIDE], align_corners=False)
-    rgb = functional.grid_sample(colors.permute(0, 3, 1, 2).float() / 255.0, grid, align_corners=False)
-    both = functional.grid_sample(both, grid, mode="nearest", align_corners=False)
-    return rgb, torch.where(both[:, 1] > 0.5, both[:, 0], math.nan)
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Pictures of `windows` (Q, 6, 64, 64) and of `views` (T, 6, 64, 64); known (T, 64, 64): which pixels of
+    the views show the object; angles_deg (Q, T), targets (Q, T) and valid (T,): for `info_nce`; shown: what
+    windows and views show."""
 
-
-def recolored(rgb: Tensor, strength: float) -> Tensor:
-    """Colours (N, 3, h, w) from 0 to 1 in another light, exposure, saturation and tone curve."""
-
-    def chance(spread: float, channels: int = 1) -> Tensor:
-        drawn = torch.randn(len(rgb), channels, 1, 1, device=rgb.device)
-        return torch.exp(strength * spread * drawn)
-
-    linear = rgb.clamp(0.0, 1.0) ** 2.2 * chance(0.15, 3) * chance(0.3)
-    grey = linear.mean(1, keepdim=True)
-    linear = grey + (linear - grey) * chance(0.3) * math.exp(-0.15 * strength)
-    return linear.clamp(1e-4, 1.0) ** (chance(0.18) / 2.2)
-
-
-def sensed(rgb: Tensor, relief: Tensor) -> tuple[Tensor, Tensor]:
-    """Windows as other sensors would give them: other colours, sharpened or soft, noisy; depth with holes."""
-    count, device = len(rgb), rgb.device
-
-    def share() -> Tensor:
-        return torch.rand(count, 1, 1, device=device)
-
-    rgb = recolored(rgb, 1.0)
-    veil = MOST_VEILED * share()[:, None] ** 2
-    rgb = (1.0 - veil) * rgb + veil * torch.rand(count, 3, 1, 1, device=device)
-    soft = functional.avg_pool2d(functional.pad(rgb, (1, 1, 1, 1), mode="replicate"), 3, 1)
-    rgb = rgb + (1.6 * share()[:, None] - 0.8) * (rgb - soft)
-    rgb = rgb + 0.03 * share()[:, None] * torch.randn_like(rgb)
-    blobs = functional.interpolate(torch.randn(count, 1, 9, 9, device=device), (SIDE, SIDE), mode="bicubic")
-    holes = (blobs[:, 0] > 1.1 + 1.2 * share()) & (share() < 0.4)
-    relief = relief + 0.02 * share() ** 2 * torch.randn_like(relief)
-    return rgb.clamp(0.0, 1.0), torch.where(holes, math.nan, relief)
-
-
-def network_input(rgb: Tensor, relief: Tensor, *, clean: bool) -> Tensor:
-    """As `view_pictures.network_input`, of colours from 0 to 1, but plain numbers (N, 6, 64, 64)."""
-    known = torch.isfinite(relief)
-    level = torch.where(known, relief, 0.0)
-    colors = (2.0 * rgb - 1.0) * (known[:, None] if clean else 1.0)
-    parts = [2.0 * level.clamp(-NEAR, NEAR), known.float(), (known & (level.abs() < NEAR)).float()]
-    return torch.cat([colors, torch.stack(parts, 1)], 1)
+    windows: Tensor
+    views: Tensor
+    known: Tensor
+    angles_deg: Tensor
+    targets: Tensor
+    valid: Tensor
+    shown: Shown
 
 
 def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str, Any]:
-    """Train until `config.hours` are over, or until interrupted; leave `views.onnx`, `views.json`,
-    `views.png`, its curve, and `checkpoint.pt` in `out`. Returns what views.json says.
+    """Train until `config.hours` are over, or until interrupted; leave `views.onnx`, `verification.onnx`,
+    `views.json`, `views.png`, its curve, and `checkpoint.pt` in `out`. Returns what views.json says.
 
     Raises InputError where `resume` finds no checkpoint, or one of another kind."""
     out.mkdir(parents=True, exist_ok=True)
@@ -189,17 +122,18 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
         held_out.add(one)
         if held_out.added == config.validation:
             break
-    net = ViewCodeNetwork().to(config.device)
-    optimiser = torch.optim.AdamW(net.parameters(), config.rate, weight_decay=1e-2)
-    training = Training.begun(out, NAME, config, optimiser, {NAME: net}, resume)
+    nets = Networks(ViewCodeNetwork().to(config.device), VerificationNetwork().to(config.device))
+    optimiser = torch.optim.AdamW(nets.parameters(), config.rate, weight_decay=1e-2)
+    by_name = {NAME: nets.coding, VERIFICATION: nets.verifying}
+    training = Training.begun(out, NAME, config, optimiser, by_name, resume)
     fresh = endless_loader(endless, config, training.course.rounds)
     training.run(
         _buffers(fresh, config),
-        lambda buffer: _step(net, optimiser, buffer, config),
-        partial(_validated, net, held_out),
+        lambda buffer: _step(nets, optimiser, buffer, config),
+        partial(_validated, nets, held_out, config),
     )
     _draw(out / f"{NAME}.png", training.course)
-    export(net, held_out, out / f"{NAME}.onnx")
+    export(nets, held_out, config, out)
     figures = dict(zip(FIGURES, training.course.curve[-1][2:], strict=True))
     return training.report(NAME, validation=figures)
 
@@ -214,38 +148,64 @@ def _buffers(fresh: DataLoader[Any], config: ViewCodeTraining) -> Iterator[Objec
             steps += 1
 
 
+class _LogOdds(nn.Module):
+    """Of verification, without what it says of cells."""
+
+    def __init__(self, verifying: VerificationNetwork) -> None:
+        super().__init__()
+        self.verifying = verifying
+
+    def forward(self, pair: Tensor) -> Tensor:
+        """pair (N, 12, 64, 64) -> (N,)."""
+        return self.verifying(pair)[0]
+
+
 def _step(
-    net: ViewCodeNetwork, optimiser: torch.optim.Optimizer, buffer: ObjectBuffer, config: ViewCodeTraining
+    nets: Networks, optimiser: torch.optim.Optimizer, buffer: ObjectBuffer, config: ViewCodeTraining
 ) -> None:
-    net.train()
+    nets.train()
     with torch.no_grad():
-        windows, views, known, angles_deg, targets, valid = batch(buffer, config)
-    half = torch.autocast(config.device, dtype=torch.bfloat16, enabled=config.device != "cpu")
-    with half:
-        codes = net(torch.cat([windows, views])).float()
-    similarity = window_codes(codes[: len(windows)]) @ view_codes(codes[len(windows) :], known).T
-    sharpness = net.log_sharpness.exp().clamp(max=LARGEST_SHARPNESS)
+        drawn = batch(buffer, config)
+    of_codes, similarity = _code_loss(nets.coding, drawn)
+    with torch.no_grad():
+        pictures, there, cells = pairs(buffer, drawn.shown, similarity.detach())
+    with _half(buffer):
+        of_pairs, _ = verification_loss(nets.verifying, pictures, there, cells)
     optimiser.zero_grad()
-    info_nce(sharpness * similarity, angles_deg, targets, valid).backward()
-    torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+    (of_codes + of_pairs).backward()
+    for net in (nets.coding, nets.verifying):
+        torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
     optimiser.step()
 
 
-def batch(
-    buffer: ObjectBuffer, config: ViewCodeTraining
-) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """A random batch: pictures of windows (Q, 6, 64, 64) and of views (T, 6, 64, 64), which pixels of the
-    views show the object (T, 64, 64), and for `info_nce` angles_deg (Q, T), targets (Q, T) and valid (T,)."""
+def _half(buffer: ObjectBuffer) -> torch.autocast:
+    device = buffer.rotations.device.type
+    return torch.autocast(device, dtype=torch.bfloat16, enabled=device != "cpu")
+
+
+def _code_loss(net: ViewCodeNetwork, drawn: Batch) -> tuple[Tensor, Tensor]:
+    """The loss, a scalar, and the cosines (Q, T) of windows and views."""
+    device = drawn.windows.device.type
+    with torch.autocast(device, dtype=torch.bfloat16, enabled=device != "cpu"):
+        codes = net(torch.cat([drawn.windows, drawn.views])).float()
+    count = len(drawn.windows)
+    similarity = window_codes(codes[:count]) @ view_codes(codes[count:], drawn.known).T
+    sharpness = net.log_sharpness.exp().clamp(max=LARGEST_SHARPNESS)
+    return info_nce(sharpness * similarity, drawn.angles_deg, drawn.targets, drawn.valid), similarity
+
+
+def batch(buffer: ObjectBuffer, config: ViewCodeTraining) -> Batch:
+    """A random batch."""
     device = buffer.rotations.device
     count, each = config.objects, config.windows
     objects = torch.randint(len(buffer), (count,), device=device)
     numbers = torch.rand(count, WINDOWS, device=device).argsort(1)[:, :each]
     apart = _angles(buffer.rotations[objects[:, None], numbers])
-    nearest = apart.topk(2, dim=2, largest=False).indices.flatten(1)
-    others = torch.randint(apart.shape[2], (count, config.views - nearest.shape[1]), device=device)
-    chosen = torch.cat([nearest, others], 1)
+    nearest = apart.topk(2, dim=2, largest=False).indices
+    others = torch.randint(apart.shape[2], (count, config.views - 2 * each), device=device)
+    chosen = torch.cat([nearest.flatten(1), others], 1)
     rgb, relief = buffer.views_of(objects.repeat_interleave(config.views), chosen.flatten())
-    views = network_input(recolored(rgb, 0.4), relief, clean=True)
+    rgb = reprinted(shone_on(recolored(rgb, 0.4), SHINY), REPRINTED)
 
     q, beside = count * each, count * config.beside
     shift = (SHIFT * torch.randn(q, 2, device=device)).clamp(-LARGEST_SHIFT, LARGEST_SHIFT)
@@ -256,7 +216,6 @@ def batch(
     whose = torch.cat([objects.repeat_interleave(each), objects.repeat_interleave(config.beside)])
     stretch = torch.exp(STRETCH * torch.randn(len(whose), device=device))
     deeper = (DEEPER * torch.randn(len(whose), device=device)).clamp(-DEEPEST, DEEPEST)
-    windows = network_input(*sensed(*buffer.windows_of(whose, which, shift, stretch, deeper)), clean=False)
 
     own = apart.gather(2, chosen[:, None].expand(-1, each, -1))
     valid = ~_repeated(chosen)
@@ -267,7 +226,18 @@ def batch(
     owner = torch.arange(count, device=device).repeat_interleave(each)
     rows = torch.arange(q, device=device)
     angles_deg[rows, owner], targets[rows, owner] = own.flatten(0, 1), weight.flatten(0, 1)
-    return windows, views, torch.isfinite(relief), angles_deg.flatten(1), targets.flatten(1), valid.flatten()
+    return Batch(
+        windows=network_input(*sensed(*buffer.windows_of(whose, which, shift, stretch, deeper)), clean=False),
+        views=network_input(rgb, relief, clean=True),
+        known=torch.isfinite(relief),
+        angles_deg=angles_deg.flatten(1),
+        targets=targets.flatten(1),
+        valid=valid.flatten(),
+        shown=Shown(
+            *(whose, which, q, shift, nearest[..., 0].flatten()),
+            *(objects.repeat_interleave(config.views), chosen.flatten()),
+        ),
+    )
 
 
 def _angles(rotations: Tensor) -> Tensor:
@@ -285,16 +255,19 @@ def _repeated(numbers: Tensor) -> Tensor:
     return torch.zeros_like(again).scatter(1, ordered.indices, again)
 
 
-def _validated(net: ViewCodeNetwork, held_out: ObjectBuffer, course: Course) -> None:
+def _validated(nets: Networks, held_out: ObjectBuffer, config: ViewCodeTraining, course: Course) -> None:
     """Append hours, steps and FIGURES to the curve."""
-    net.eval()
+    nets.eval()
     state = torch.random.get_rng_state()
     torch.manual_seed(0)
     with torch.no_grad():
-        ranks = [_ranks(net, held_out, k) for k in range(len(held_out))]
+        rank = torch.cat([_ranks(nets.coding, held_out, k) for k in range(len(held_out))]).float()
+        drawn = batch(held_out, config)
+        told = pairs(held_out, drawn.shown, _code_loss(nets.coding, drawn)[1])
+        log_odds = verification_loss(nets.verifying, *told)[1]
     torch.random.set_rng_state(state)
-    rank = torch.cat(ranks).float()
-    figures = ((rank < 1).float().mean(), (rank < 5).float().mean(), rank.median())
+    right = ((log_odds > 0) == (told[1] > 0)).float().mean()
+    figures = ((rank < 1).float().mean(), (rank < 5).float().mean(), rank.median(), right)
     course.curve.append([course.hours, course.steps, *map(float, figures)])
 
 
@@ -312,18 +285,29 @@ def _ranks(net: ViewCodeNetwork, buffer: ObjectBuffer, k: int) -> Tensor:
     return (similarity > best[:, None]).sum(1)
 
 
-def export(net: ViewCodeNetwork, buffer: ObjectBuffer, file: Path) -> None:
-    """Write the network as ONNX with a free batch size, quantised to 8 bits: half the CPU time, and the
-    cosine of its codes with the exact ones is 0.999. Activations are calibrated on objects of the buffer. It
-    reads the bytes of `view_pictures.network_input`."""
+def export(nets: Networks, buffer: ObjectBuffer, config: ViewCodeTraining, out: Path) -> None:
+    """Write both networks as ONNX with a free batch size, quantised to 8 bits: half the CPU time, and the
+    cosine of codes with the exact ones is 0.999. Activations are calibrated on objects of the buffer. The
+    network of codes reads the bytes of `view_pictures.network_input`."""
+    with torch.no_grad():
+        batches = [batch(buffer, config) for _ in range(CALIBRATED)]
+        similar = [_code_loss(nets.coding.eval(), drawn)[1] for drawn in batches]
+    told = [pairs(buffer, drawn.shown, s)[0] for drawn, s in zip(batches, similar, strict=True)]
+    pictures = [part for drawn in batches for part in (drawn.windows, drawn.views)]
+    _quantised(nets.coding, out / f"{NAME}.onnx", "window", "code", pictures)
+    read_bytes(out / f"{NAME}.onnx")
+    _quantised(_LogOdds(nets.verifying), out / f"{VERIFICATION}.onnx", "pair", "log_odds", told)
+
+
+def _quantised(net: nn.Module, file: Path, read: str, told: str, pictures: list[Tensor]) -> None:
     from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
 
     exact = file.with_suffix(".exact.onnx")
-    export_onnx(net, exact, {"window": torch.zeros(2, CHANNELS, SIDE, SIDE)}, "code", any_count=True)
+    export_onnx(net, exact, {read: torch.zeros(2, *pictures[0].shape[1:])}, told, any_count=True)
     quantize_static(
         str(exact),
         str(file),
-        _Pictures(buffer),
+        _Pictures(read, pictures),
         quant_format=QuantFormat.QDQ,
         per_channel=True,
         weight_type=QuantType.QInt8,
@@ -332,29 +316,17 @@ def export(net: ViewCodeNetwork, buffer: ObjectBuffer, file: Path) -> None:
         reduce_range=True,
     )
     exact.unlink()
-    read_bytes(file)
 
 
 class _Pictures:
-    """Batches of windows and views, as the quantiser's calibration reads them."""
+    """Batches of pictures, as the quantiser's calibration reads them."""
 
-    def __init__(self, buffer: ObjectBuffer, objects: int = 12, each: int = 6) -> None:
-        self.batches = iter(_some(buffer, min(objects, len(buffer)), each))
+    def __init__(self, name: str, pictures: list[Tensor]) -> None:
+        self.batches = iter([{name: part.cpu().numpy()} for part in pictures])
 
     def get_next(self) -> dict[str, np.ndarray] | None:
         """The next batch, or None."""
         return next(self.batches, None)
-
-
-def _some(buffer: ObjectBuffer, objects: int, each: int) -> Iterator[dict[str, np.ndarray]]:
-    device = buffer.rotations.device
-    still = torch.zeros(each, device=device)
-    for k in range(objects):
-        whose, which = torch.full((each,), k, device=device), torch.arange(each, device=device)
-        views = buffer.views_of(whose, which * ROLLS)
-        windows = buffer.windows_of(whose, which, still[:, None].expand(-1, 2), still + 1.0, still)
-        yield {"window": network_input(*views, clean=True).cpu().numpy()}
-        yield {"window": network_input(*windows, clean=False).cpu().numpy()}
 
 
 def _draw(file: Path, course: Course) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float32, Float64, Rng, UInt8
 from huepose.propose.templates import SPAN
-from huepose.propose.view_pictures import SIDE, Pyramid, unturned_views, window_pictures
+from huepose.propose.view_pictures import SIDE, Pyramid, clean_view, unturned_views, window_pictures
 from huepose.propose.views import onto_rays
 from huepose.rendering.render import Rendering, render
 from huepose.scenes.camera import COLOR, STEREO
@@ -44,7 +44,7 @@ DIAMETER_M, DISTANCE_M, FOCAL_PX = (0.06, 0.35), (0.4, 1.0), (450.0, 950.0)
 FAR, FAR_M = 0.4, (0.7, 1.9)
 """Share of the windows that are farther away, and bounds of their distance."""
 
-ON_GROUND, WALL, IN_FRONT, PILED, BLURRED = 0.8, 0.4, 0.35, 0.35, 0.3
+ON_GROUND, WALL, IN_FRONT, PILED, BLURRED = 0.8, 0.4, 0.35, 0.4, 0.3
 """Shares of the windows: on a ground, with a wall, with something in front, with things all round the object
 as in a pile, blurred by motion."""
 
@@ -54,17 +54,25 @@ STEREO_SHARE, FLIGHT_SHARE = 0.65, 0.2
 SHOWN = 0.25
 """Least visible share of the object."""
 
+TURNED_DEG = 5.0
+"""Standard deviation of the rotation of a pose that is nearly right, about each axis."""
+
 
 class Drawn(NamedTuple):
     """One object. view_colors (V, 92, 92, 3) uint8 and view_reliefs (V, 92, 92) float16: its clean views
     without a roll; colors (Q, 128, 128, 3) uint8 and reliefs (Q, 128, 128) float16: windows about it, twice
-    as wide as the network sees; rotations (Q, 3, 3) float32: its turn there, seen along the window's ray."""
+    as wide as the network sees; rotations (Q, 3, 3) float32: its turn there, seen along the window's ray;
+    shown (Q, 128, 128): where it is visible; pose_colors (Q, 64, 64, 3) uint8 and pose_reliefs (Q, 64, 64)
+    float16: its clean views in nearly this turn."""
 
     view_colors: UInt8
     view_reliefs: np.ndarray
     colors: UInt8
     reliefs: np.ndarray
     rotations: Float32
+    shown: Bool
+    pose_colors: UInt8
+    pose_reliefs: np.ndarray
 
 
 def endless(seed: int, stream: int) -> Iterator[Drawn]:
@@ -98,8 +106,8 @@ def draw_object(rng: Rng, props: Props) -> Drawn | None:
 
 def _window(
     rng: Rng, mesh: Mesh, diameter_m: float, props: Props
-) -> tuple[UInt8, np.ndarray, Float32] | None:
-    """Colours, relief and rotation of one window; None where too little of the object is visible."""
+) -> tuple[UInt8, np.ndarray, Float32, Bool, UInt8, np.ndarray] | None:
+    """What `Drawn` holds of one window; None where too little of the object is visible."""
     focal = rng.uniform(*FOCAL_PX)
     whole = Camera(focal, focal, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, WIDTH, HEIGHT)
     z = rng.uniform(*(FAR_M if rng.random() < FAR else DISTANCE_M))
@@ -125,8 +133,21 @@ def _window(
     place = middle[None], np.array([median]), np.array([span_px])
     shown = np.where(inside[..., None], color, 0).astype(np.uint8)
     colors, reliefs = window_pictures(Pyramid(shown), depth, *place, diameter_m, wide=WIDE)
+    _, owns = window_pictures(
+        Pyramid(shown), np.where(own, alone, np.float32(0.0)), *place, diameter_m, wide=WIDE
+    )
     turn = onto_rays(camera.rays(middle[None]))[0]
-    return colors[0], np.clip(reliefs[0], -8.0, 8.0).astype(np.float16), (turn.T @ R).astype(np.float32)
+    seen_along = turn.T @ R
+    near = cv2.Rodrigues(np.radians(TURNED_DEG) * rng.normal(size=3))[0] @ seen_along
+    posed = clean_view(mesh, diameter_m, near)
+    return (
+        *(colors[0], _half(reliefs[0]), seen_along.astype(np.float32), np.isfinite(owns[0])),
+        *(posed.color, posed.relief.astype(np.float16)),
+    )
+
+
+def _half(relief: Float32) -> np.ndarray:
+    return np.clip(relief, -8.0, 8.0).astype(np.float16)
 
 
 def _surroundings(

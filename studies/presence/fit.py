@@ -3,8 +3,10 @@ the weights of `perception.presence`.
 
 Frames are drawn: three sets of other seeds, to fit to, to choose on and to report on, each of objects that
 stand apart, of heaps and of piles. Some frames are made smaller, so that there is little to see of an object,
-and in some there are specks of wrong depth, as cameras give where they mistake a pattern. A pose's own
-certainty enters as it does in the verdict (`estimation.present`), so that the sum of all is a probability.
+and in some there are specks of wrong depth, as cameras give where they mistake a pattern. Each is looked at a
+second time in the colours of another camera, since the textures of the models are those of the scenes, and no
+user's camera sees as theirs did. A pose's own certainty enters as it does in the verdict
+(`estimation.present`), so that the sum of all is a probability.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from huepose.estimation.types import ObjectQuery
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.perception_protocol import SAME, first_of_each
 from huepose.evaluation.targets import Targets
-from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.model import load_models
@@ -150,17 +152,24 @@ def seen_in(folder: Path, bundles: Path) -> Sequence[SeenPlaces]:
     models = targets.models_by_name
     detector = ColorPairDetector(models, DetectorConfig(proposals=3, min_score=0.02))
     estimator = Estimator(models, EstimatorConfig(found_level=0.0, threads=1))
-    out = [look(sample, smaller, targets, detector, estimator)
-           for sample, smaller in progress(list(samples(folder)), folder.name)]  # fmt: skip
+    rng, out = np.random.default_rng(5), []
+    for sample, smaller in progress(list(samples(folder)), folder.name):
+        out += look(sample, smaller, targets, detector, estimator, rng)
     kept.write_bytes(pickle.dumps(out))
     return out
 
 
 def look(
-    sample: Sample, smaller: float, targets: Targets, detector: Detector, estimator: PoseEstimator
-) -> SeenPlaces:
-    """All objects of `targets` are asked for in a frame, which is so much smaller than its labels. An object
-    is there where the box of what its pose explains overlaps the box of one of its labels by IoU 0.5."""
+    sample: Sample,
+    smaller: float,
+    targets: Targets,
+    detector: Detector,
+    estimator: PoseEstimator,
+    rng: np.random.Generator,
+) -> list[SeenPlaces]:
+    """All objects of `targets` are asked for in a frame, which is so much smaller than its labels: what is
+    seen at their poses, there and in the colours of another camera. An object is there where the box of what
+    its pose explains overlaps the box of one of its labels by IoU 0.5."""
     models = targets.models_by_name
     view = clear_view(sample.frame, max(m.diameter_m for m in models.values()))
     places = first_of_each(detector.detect(sample.frame, list(models)), PLACES)
@@ -172,21 +181,42 @@ def look(
         if t.T_cam_obj is not None and (model := targets.model_of(t)) is not None
         if (box := truth_box(t, model.mesh, sample.frame.camera)) is not None
     ]
-    standing = None if view is None else view.with_planes
-    regions = {} if standing is None else {name: standing.region(m.diameter_m) for name, m in models.items()}
-    names, sights, certain, there = [], [], [], []
+    poses, certain, there = [], [], []
     for answer in answers:
         own = None if answer.mask is None else Box.of_mask(answer.mask)
-        if view is None or answer.T_cam_obj is None or own is None:
+        if answer.T_cam_obj is None or own is None:
             continue
-        names.append(answer.object)
-        model, T_cam_obj = models[answer.object], answer.T_cam_obj
-        plain = sight(view, regions[model.name], model, T_cam_obj)
-        named = [(model.name, T_cam_obj)]
-        sights.extend(outlined(view, models, named, alike(view, models, named, [plain])))
+        poses.append((answer.object, answer.T_cam_obj))
         certain.append(certainty(answer))
         there.append(any(n == answer.object and b.iou(own) >= SAME for n, b in boxes))
-    return SeenPlaces(tuple(names), tuple(sights), np.array(certain), np.array(there, dtype=bool))
+    other = replace(sample.frame, color=of_another_camera(sample.frame.color, rng))
+    names, rest = tuple(name for name, _ in poses), (np.array(certain), np.array(there, dtype=bool))
+    return [SeenPlaces(names, _sights(frame, poses, targets), *rest) for frame in (sample.frame, other)]
+
+
+def _sights(frame: RgbdFrame, poses: Sequence[tuple[str, Float64]], targets: Targets) -> tuple[Sight, ...]:
+    """All evidence for each named pose (4, 4) in a frame."""
+    models = targets.models_by_name
+    view = clear_view(frame, max(m.diameter_m for m in models.values()))
+    if not poses or view is None:
+        return ()
+    regions = {name: view.with_planes.region(models[name].diameter_m) for name, _ in poses}
+    plain = [sight(view, regions[name], models[name], T) for name, T in poses]
+    return tuple(outlined(view, models, poses, alike(view, models, poses, plain)))
+
+
+def of_another_camera(color: UInt8, rng: np.random.Generator) -> UInt8:
+    """A picture (H, W, 3) as a camera of other filters, white balance, exposure, saturation, tone curve and
+    veil takes it."""
+    linear = (color / 255.0) ** 2.2 * np.exp(0.15 * rng.normal(size=3)) * np.exp(0.2 * rng.normal())
+    filters = np.eye(3) + 0.12 * rng.normal(size=(3, 3))
+    linear = np.clip(linear @ (filters / filters.sum(1, keepdims=True)).T, 0.0, None)
+    grey = linear.mean(-1, keepdims=True)
+    linear = grey + (linear - grey) * np.exp(0.3 * rng.normal() - 0.15)
+    curved = np.clip(linear, 0.0, 1.0) ** (np.exp(0.18 * rng.normal()) / 2.2)
+    veil = 0.4 * rng.random() ** 2
+    veiled = (1.0 - veil) * curved + veil * (0.6 * rng.random() + 0.4 * rng.random(3))
+    return np.asarray(255.0 * np.clip(veiled, 0.0, 1.0), np.uint8)
 
 
 def fit_presence(frames: Sequence[SeenPlaces], start: Logistic) -> Logistic:

@@ -11,7 +11,7 @@ from huepose.believe.logistic import probabilities
 from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
-from huepose.perception.presence import agreeing_pixels, presences
+from huepose.perception.presence import agreeing_pixels, presences, sights_of
 from huepose.rendering.render import render
 
 TakePicture = Callable[..., RgbdFrame]
@@ -51,3 +51,22 @@ def test_in_a_handful_of_pixels_nothing_is_believed(
     models, view = {"tea_box": tea_box}, clear_view(far, 0.3)
     if view is not None:  # else it was taken for noise
         assert probabilities(presences(view, models, [("tea_box", standing)]))[0] < 0.3
+
+
+def test_a_rough_pose_is_not_verified_and_a_refined_one_with_another_print_is_doubted(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    models, poses = {"tea_box": tea_box}, [("tea_box", standing)]
+    view = clear_view(take_picture([(tea_box.mesh, standing)]), 0.3)
+    other = replace(tea_box.mesh, texture=255 - tea_box.mesh.texture[..., ::-1])
+    repainted = clear_view(take_picture([(other, standing)]), 0.3)
+    assert view is not None
+    assert repainted is not None
+    (rough,), (refined,) = sights_of(view, models, poses, verifying=False), sights_of(view, models, poses)
+    assert rough.verified is None
+    assert rough.likeness == refined.likeness
+    assert refined.verified is not None
+    assert refined.verified > 3.0
+    (doubted,) = sights_of(repainted, models, poses)
+    assert doubted.verified is not None
+    assert doubted.verified < refined.verified - 2.0

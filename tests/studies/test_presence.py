@@ -4,12 +4,23 @@ import numpy as np
 import pytest
 
 from huepose.believe.logistic import Logistic
-from huepose.believe.presence import Sight, features, presence_fit
+from huepose.believe.presence import Sight, features, place_fit, presence_fit
 from huepose.geometry import Camera, RgbdFrame
-from studies.presence.fit import SeenPlaces, chances, fit_presence, smaller_frame, specked
+from studies.presence.fit import (
+    SeenPlaces,
+    chances,
+    fit_presence,
+    of_another_camera,
+    smaller_frame,
+    specked,
+)
 
 LAW = Logistic(
-    -9.0, {"fit": 6.0, "color": 4.0, "free_rim": 5.0, "ends": 5.0, "likeness": 20.0, "pixels": 0.7}
+    -9.0,
+    {
+        **{"fit": 6.0, "color": 4.0, "free_rim": 5.0, "ends": 5.0, "likeness": 20.0},
+        **{"verified": 0.5, "pixels": 0.7},
+    },
 )
 
 
@@ -22,7 +33,8 @@ def drawn(frames: int, seed: int, law: Logistic = LAW) -> list[SeenPlaces]:
         for _ in range(12):
             fit, texture, rim, goes_on = rng.uniform(0.0, 1.0, 4)
             likeness = rng.uniform(0.0, 0.35)
-            sights.append(Sight(fit, texture, 36.0, rim, goes_on, likeness, int(rng.integers(5, 400))))
+            verified, pixels = rng.uniform(-5.0, 5.0), int(rng.integers(5, 400))
+            sights.append(Sight(fit, texture, 36.0, rim, goes_on, likeness, verified, pixels))
         names = tuple("abcdefghijkl")
         certain = rng.choice([0.0, 2.0], 12)
         seen = SeenPlaces(names, tuple(sights), certain, np.zeros(12, bool))
@@ -32,7 +44,11 @@ def drawn(frames: int, seed: int, law: Logistic = LAW) -> list[SeenPlaces]:
 
 def test_the_weights_behind_constructed_frames_are_found_from_a_poor_start() -> None:
     start = Logistic(
-        -1.0, {"fit": 1.0, "color": 1.0, "free_rim": 1.0, "ends": 1.0, "likeness": 1.0, "pixels": 0.1}
+        -1.0,
+        {
+            **{"fit": 1.0, "color": 1.0, "free_rim": 1.0, "ends": 1.0, "likeness": 1.0},
+            **{"verified": 0.1, "pixels": 0.1},
+        },
     )
     found = fit_presence(drawn(200, 0), start)
     for name in LAW.factors:
@@ -44,20 +60,21 @@ def test_the_weights_behind_constructed_frames_are_found_from_a_poor_start() -> 
 
 
 def test_everything_that_is_seen_speaks_for_presence_the_more_of_it_there_is() -> None:
-    sight = Sight(0.7, 0.4, 36.0, 0.2, 0.1, 0.25, 100)
+    sight = Sight(0.7, 0.4, 36.0, 0.2, 0.1, 0.25, 3.0, 100)
     known = {
         "fit": 0.7,
         "color": -0.5,
         "free_rim": 0.8,
         "ends": -0.1,
         "likeness": 0.25,
+        "verified": 3.0,
         "pixels": np.log(100.0),
     }
     assert features(sight) == pytest.approx(known)
     assert features(replace(sight, contrast=0.0))["color"] == 0.0  # of a plain thing none was to be expected
-    shipped = presence_fit()
-    assert set(shipped.factors) == set(known)
-    assert min(shipped.factors.values()) >= 0.0
+    assert set(presence_fit().factors) == set(known)
+    assert set(place_fit().factors) == set(known) - {"verified"}
+    assert min(*presence_fit().factors.values(), *place_fit().factors.values()) >= 0.0
 
 
 def test_a_frame_that_is_made_smaller_and_specked_keeps_its_camera_and_its_depth_elsewhere() -> None:
@@ -72,3 +89,15 @@ def test_a_frame_that_is_made_smaller_and_specked_keeps_its_camera_and_its_depth
     assert 0.5 < as_it_was.mean() < 1.0
     assert (depth == 0.0).any()
     assert ((depth > 0.0) & ~as_it_was).any()
+
+
+def test_another_camera_changes_colours_and_keeps_what_is_where() -> None:
+    color = np.zeros((20, 30, 3), np.uint8)
+    color[:, 15:] = (200, 60, 30)
+    seen = of_another_camera(color, np.random.default_rng(0))
+    assert seen.shape == color.shape
+    assert seen.dtype == np.uint8
+    left, right = seen[:, :15].reshape(-1, 3), seen[:, 15:].reshape(-1, 3)
+    assert len(np.unique(left, axis=0)) == len(np.unique(right, axis=0)) == 1
+    assert right[0].sum() > left[0].sum() + 60  # light stays light
+    assert np.abs(right[0].astype(int) - (200, 60, 30)).max() > 5

@@ -2,5 +2,5 @@
 
 from importlib.util import find_spec
 
-_NEED_TORCH = ["test_bank.py", "test_rotation_training.py", "test_view_codes.py"]
+_NEED_TORCH = ["test_bank.py", "test_rotation_training.py", "test_verification.py", "test_view_codes.py"]
 collect_ignore = [] if find_spec("torch") else _NEED_TORCH

@@ -11,7 +11,9 @@ from huepose.geometry import icosphere
 from huepose.propose import view_pictures
 from huepose.propose.templates import view_rotations
 from huepose.training.network import info_nce, view_codes, window_codes
-from huepose.training.view_codes import ObjectBuffer, ViewCodeTraining, network_input, train
+from huepose.training.object_buffer import ObjectBuffer
+from huepose.training.sensing import network_input
+from huepose.training.view_codes import ViewCodeTraining, train
 from huepose.training.windows import Drawn, endless
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -78,12 +80,15 @@ def test_a_training_leaves_a_network_that_runs(tmp_path):
     import onnxruntime as ort
 
     config = ViewCodeTraining(
-        steps=2, seed=3, validation=1, workers=0, objects=2, windows=2, beside=1, views=6, room=3, first=2
+        steps=2, seed=3, validation=2, workers=0, objects=2, windows=2, beside=1, views=6, room=3, first=2
     )
     report = train(config, tmp_path)
     assert report["steps"] == 2
     assert json.loads((tmp_path / "views.json").read_text()) == report
     session = ort.InferenceSession(str(tmp_path / "views.onnx"), providers=["CPUExecutionProvider"])
+    verifying = ort.InferenceSession(str(tmp_path / "verification.onnx"), providers=["CPUExecutionProvider"])
     for count in (1, 3):
         (codes,) = session.run(None, {"window": np.zeros((count, 64, 64, 8), np.uint8)})
         assert codes.shape == (count, 16, 8, 8)
+        (log_odds,) = verifying.run(None, {"pair": np.zeros((count, 12, 64, 64), np.float32)})
+        assert log_odds.shape == (count,)

@@ -1,0 +1,41 @@
+"""Does a window show an object in a pose? A small network looks at the window and at the object's clean view.
+
+Codes compare a window with hundreds of views, so each picture is coded alone. Here the pose is known: both
+pictures lie on each other, and the network sees where colours, relief and outline agree, and what is hidden
+by something nearer. It was trained on objects and scenes made by code (`huepose.training.verification`) and
+knows none of a user's objects. A network that compares picture and rendering: Labbé et al., MegaPose (CoRL
+2022).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Float64, UInt8
+from huepose.propose.view_codes import BATCH, WEIGHTS, packaged_session
+from huepose.propose.view_pictures import CHANNELS, STEP, ZERO, network_input
+
+SUREST = 5.0
+"""Largest log-odds of a pair, either way: beyond them the network has seen too few to know."""
+
+Pictures = tuple[UInt8, Float32]
+"""Colours (N, 64, 64, 3) and relief (N, 64, 64), as `view_pictures` makes them."""
+
+
+def verified(windows: Pictures, views: Pictures) -> Float64:
+    """Log-odds (N,) that each window shows the object as its clean view does; at most SUREST."""
+    session = packaged_session(WEIGHTS / "verification.onnx")
+    parts = []
+    for k in range(0, len(windows[0]), BATCH):
+        some = slice(k, k + BATCH)
+        seen = _numbers(windows[0][some], windows[1][some], clean=False)
+        drawn = _numbers(views[0][some], views[1][some], clean=True)
+        parts += session.run(None, {"pair": np.concatenate([seen, drawn], 1)})
+    logits = np.concatenate(parts) if parts else np.zeros(0)
+    return np.clip(np.asarray(logits, np.float64), -SUREST, SUREST)
+
+
+def _numbers(colors: UInt8, reliefs: Float32, *, clean: bool) -> Float32:
+    """The numbers (N, 6, 64, 64) of pictures."""
+    levels = network_input(colors, reliefs, clean=clean)[..., :CHANNELS].astype(np.float32) - np.float32(ZERO)
+    return np.asarray((levels * STEP).transpose(0, 3, 1, 2), np.float32)

@@ -17,8 +17,8 @@ from huepose.judge.terms import CLOSE_SAMPLES, Terms, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.scouting import SEEN_M
+from huepose.perception.verification import Pictures, verified
 from huepose.propose.templates import SPAN
-from huepose.propose.verification import Pictures, verified
 from huepose.propose.view_codes import codes_of_pictures, codes_of_windows
 from huepose.propose.view_pictures import clean_view, window_pictures
 from huepose.propose.views import onto_rays
@@ -56,7 +56,9 @@ def sights_of(
         asked = closer(view, models, [poses[k] for k in doubtful], [sights[k] for k in doubtful])
         for k, seen in zip(doubtful, asked, strict=True):
             sights[k] = seen
-    return sights
+    # What is not worth the last look is not verified: that network says nothing of it.
+    unseen = set(range(len(sights))) - set(doubtful) if verifying else set()
+    return [replace(s, verified=0.0) if k in unseen else s for k, s in enumerate(sights)]
 
 
 def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Float64) -> Sight:

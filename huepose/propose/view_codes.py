@@ -29,7 +29,7 @@ BATCH = 16
 """Windows a run: what the network makes of more does not stay in a core's cache."""
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""views.onnx and verification.onnx (`propose.verification`); a JSON file beside each says how it was made."""
+"""views.onnx; views.json beside it says how it was made."""
 
 _SMALLEST = 1e-6
 

@@ -2,7 +2,7 @@
 
 Processes draw new objects (`training.windows`) while the networks learn from a buffer of the newest ones.
 Each step takes windows and views of some of them at random, moves and recolours them, and takes `info_nce` of
-their codes (`propose.view_codes`). What the codes take for each other, the network of `propose.verification`
+their codes (`propose.view_codes`). What they take for each other, the network of `perception.verification`
 learns to tell apart.
 """
 

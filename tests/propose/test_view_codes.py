@@ -152,7 +152,6 @@ def test_codes_are_of_unit_length(codes: Float32) -> None:
     assert len(codes_of_windows(colors[:0], np.zeros((0, SIDE, SIDE), np.float32))) == 0
 
 
-@pytest.mark.parametrize("name", ["views", "verification"])
-def test_the_network_is_the_one_that_its_record_tells_of(name: str) -> None:
-    told = json.loads((WEIGHTS / f"{name}.json").read_text())
-    assert hashlib.sha256((WEIGHTS / f"{name}.onnx").read_bytes()).hexdigest() == told["sha256"]
+def test_the_network_is_the_one_that_its_record_tells_of() -> None:
+    told = json.loads((WEIGHTS / "views.json").read_text())
+    assert hashlib.sha256((WEIGHTS / "views.onnx").read_bytes()).hexdigest() == told["sha256"]

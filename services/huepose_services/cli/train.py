@@ -48,10 +48,10 @@ def _add_rotation(whats: Any) -> None:
 def _add_views(whats: Any) -> None:
     parser = whats.add_parser(
         "views",
-        help="the detector's codes of views, from windows of drawn scenes",
-        description="A convolutional network by which the detector tells which view of an object is in which "
-        "window, learned from random objects in random scenes. Leaves views.onnx, views.json, views.png and "
-        "checkpoint.pt.",
+        help="the detector's codes of views, and verification, from windows of drawn scenes",
+        description="Convolutional networks by which the detector tells which view of an object is in which "
+        "window, and the estimator whether a pose shows its object, learned from random objects in random "
+        "scenes. Leaves views.onnx, verification.onnx, views.json, views.png and checkpoint.pt.",
     )
     _add_limits(parser)
     parser.set_defaults(call=train_views)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+
 import numpy as np
 import pytest
 
 from huepose.geometry import icosphere
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.model.types import ReferenceModel
-from huepose.propose.verification import SUREST, verified
-from huepose.propose.view_pictures import SIDE, clean_view
+from huepose.perception.verification import SUREST, WEIGHTS, verified
+from huepose.propose.view_pictures import clean_view
 
 LOOKS = [icosphere.look_at(d) for d in icosphere.directions(1)[:10]]
 
@@ -57,5 +60,6 @@ def test_log_odds_are_bounded_and_do_not_depend_on_what_else_is_asked(
     assert verified((views[0][:0], views[1][:0]), (views[0][:0], views[1][:0])).shape == (0,)
 
 
-def test_the_pictures_are_of_the_size_that_the_network_reads(views: tuple[UInt8, Float32]) -> None:
-    assert views[0].shape == (len(LOOKS), SIDE, SIDE, 3)
+def test_the_network_is_the_one_that_its_record_tells_of() -> None:
+    told = json.loads((WEIGHTS / "verification.json").read_text())
+    assert hashlib.sha256((WEIGHTS / "verification.onnx").read_bytes()).hexdigest() == told["sha256"]

@@ -9,11 +9,16 @@ knows none of a user's objects. A network that compares picture and rendering: L
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, UInt8
-from huepose.propose.view_codes import BATCH, WEIGHTS, packaged_session
+from huepose.propose.view_codes import BATCH, packaged_session
 from huepose.propose.view_pictures import CHANNELS, STEP, ZERO, network_input
+
+WEIGHTS = Path(__file__).parent / "weights"
+"""verification.onnx; verification.json beside it says how it was made."""
 
 SUREST = 5.0
 """Largest log-odds of a pair, either way: beyond them the network has seen too few to know."""

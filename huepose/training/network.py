@@ -141,17 +141,7 @@ class ViewCodeNetwork(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        first, second, third = WIDTHS
-        self.body = nn.Sequential(
-            *_downsampling(CHANNELS, first),
-            nn.ReLU(),
-            *_downsampling(first, second),
-            nn.ReLU(),
-            *(Block(second) for _ in range(DEPTHS[0])),
-            *_downsampling(second, third),
-            *(Block(third) for _ in range(DEPTHS[1])),
-            nn.Conv2d(third, NUMBERS, 1),
-        )
+        self.body = nn.Sequential(*_body(CHANNELS), nn.Conv2d(WIDTHS[-1], NUMBERS, 1))
         self.log_sharpness = nn.Parameter(torch.tensor(math.log(SHARP)))
 
     def forward(self, pictures: Tensor) -> Tensor:
@@ -166,18 +156,9 @@ class VerificationNetwork(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        first, second, third = WIDTHS
-        self.body = nn.Sequential(
-            *_downsampling(2 * CHANNELS, first),
-            nn.ReLU(),
-            *_downsampling(first, second),
-            nn.ReLU(),
-            *(Block(second) for _ in range(DEPTHS[0])),
-            *_downsampling(second, third),
-            *(Block(third) for _ in range(DEPTHS[1])),
-        )
-        self.cell = nn.Conv2d(third, 1, 1)
-        self.head = nn.Sequential(nn.Linear(2 * third + 2, 128), nn.ReLU(), nn.Linear(128, 1))
+        self.body = nn.Sequential(*_body(2 * CHANNELS))
+        self.cell = nn.Conv2d(WIDTHS[-1], 1, 1)
+        self.head = nn.Sequential(nn.Linear(2 * WIDTHS[-1] + 2, 128), nn.ReLU(), nn.Linear(128, 1))
 
     def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
         """See the class."""
@@ -189,6 +170,20 @@ class VerificationNetwork(nn.Module):
         seen = (torch.sigmoid(cells) * covered).mean((2, 3)) / area.clamp(min=1e-3)
         everywhere = features.mean((2, 3))
         return self.head(torch.cat([of_object, everywhere, area, seen], 1))[:, 0], cells[:, 0]
+
+
+def _body(channels: int) -> list[nn.Module]:
+    """From pictures (N, channels, 64, 64) to (N, 128, 8, 8)."""
+    first, second, third = WIDTHS
+    return [
+        *_downsampling(channels, first),
+        nn.ReLU(),
+        *_downsampling(first, second),
+        nn.ReLU(),
+        *(Block(second) for _ in range(DEPTHS[0])),
+        *_downsampling(second, third),
+        *(Block(third) for _ in range(DEPTHS[1])),
+    ]
 
 
 def _downsampling(channels_in: int, channels_out: int) -> tuple[nn.Module, nn.Module]:

@@ -26,7 +26,7 @@ ENOUGH_PIXELS, FEWEST_PIXELS = 400, 4
 """More pixels say no more: their errors are not independent."""
 
 MOST_ALIKE, MOST_VERIFIED = 0.3, 4.6
-"""Of likeness and verification: nine of ten true poses in real frames have less."""
+"""Nine of ten true poses have less: of likeness in real frames, of verification in drawn ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,16 +66,16 @@ def _weights(seen: Sight) -> Logistic:
 def features(seen: Sight) -> dict[str, float]:
     """What the log-odds are made of: depth that fits; color, how much less texture there is than the object
     would show, which says nothing of a plain one; a rim where the surface does not go on; an outline that
-    ends; likeness; what the verifying network says; pixels, by their logarithm."""
-    return {
+    ends; likeness; pixels, by their logarithm; and of a refined pose what the verifying network says."""
+    known = {
         "fit": seen.fit,
         "color": -max(seen.contrast / (seen.contrast + PLAIN) - seen.texture, 0.0),
         "free_rim": 1.0 - seen.rim,
         "ends": -seen.goes_on,
         "likeness": seen.likeness,
-        "verified": 0.0 if seen.verified is None else seen.verified,
         "pixels": log(min(max(seen.pixels, FEWEST_PIXELS), ENOUGH_PIXELS)),
     }
+    return known if seen.verified is None else {**known, "verified": seen.verified}
 
 
 USUAL = {
@@ -87,7 +87,7 @@ USUAL = {
     "verified": 4.36,
     "pixels": 5.99,
 }
-"""Of poses that are right: medians on the 648 of the set that the weights are fitted to."""
+"""Of poses that are right: medians on the set that the weights are fitted to."""
 
 DOUBTS = {
     "fit": "the depth fits its surface too little",

@@ -39,7 +39,7 @@ class PresenceIn:
         `models`."""
         if answer.T_cam_obj is None:
             return replace(answer, present=0.0)
-        logit, _ = self._looked([(answer.object, answer.T_cam_obj)])[0]
+        logit, _ = self._looked([(answer.object, answer.T_cam_obj)], refined=True)[0]
         present = _chance(logit, answer, self._method)
         fit = quality_fits().get(self._method)
         if fit is None:
@@ -59,7 +59,7 @@ class PresenceIn:
         there by what is seen alone, and what speaks most against it, in words."""
         return [(probability(logit), doubt) for logit, doubt in self._looked(poses, refined)]
 
-    def _looked(self, poses: Sequence[tuple[str, Float64]], refined: bool = True) -> list[tuple[float, str]]:
+    def _looked(self, poses: Sequence[tuple[str, Float64]], refined: bool) -> list[tuple[float, str]]:
         """The logit that each is there, and the greatest doubt."""
         if self._view is None:
             return [(-np.inf, "nothing stands there")] * len(poses)

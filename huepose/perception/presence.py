@@ -56,9 +56,10 @@ def sights_of(
         asked = closer(view, models, [poses[k] for k in doubtful], [sights[k] for k in doubtful])
         for k, seen in zip(doubtful, asked, strict=True):
             sights[k] = seen
+    if not verifying:
+        return sights
     # What is not worth the last look is not verified: that network says nothing of it.
-    unseen = set(range(len(sights))) - set(doubtful) if verifying else set()
-    return [replace(s, verified=0.0) if k in unseen else s for k, s in enumerate(sights)]
+    return [s if k in doubtful else replace(s, verified=0.0) for k, s in enumerate(sights)]
 
 
 def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Float64) -> Sight:
@@ -70,7 +71,14 @@ def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Flo
     rim = continuation_many(arrays, crop.depth, view.clear, crop.camera, T[None], RIM_SAMPLES)[0]
     pixels = agreeing_pixels(model, view.frame, T)
     return Sight(
-        *(terms.depth_fit, terms.color, terms.contrast, float(rim), 0.0, MOST_ALIKE, MOST_VERIFIED, pixels)
+        fit=terms.depth_fit,
+        texture=terms.color,
+        contrast=terms.contrast,
+        rim=float(rim),
+        goes_on=0.0,
+        likeness=MOST_ALIKE,
+        verified=MOST_VERIFIED,
+        pixels=pixels,
     )
 
 

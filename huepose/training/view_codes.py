@@ -169,7 +169,7 @@ def _step(
     of_codes, similarity = _code_loss(nets.coding, drawn)
     with torch.no_grad():
         pictures, there, cells = pairs(buffer, drawn.shown, similarity.detach())
-    with _half(buffer):
+    with _half(pictures):
         of_pairs, _ = verification_loss(nets.verifying, pictures, there, cells)
     optimiser.zero_grad()
     (of_codes + of_pairs).backward()
@@ -178,15 +178,15 @@ def _step(
     optimiser.step()
 
 
-def _half(buffer: ObjectBuffer) -> torch.autocast:
-    device = buffer.rotations.device.type
+def _half(pictures: Tensor) -> torch.autocast:
+    """Half precision where an accelerator holds the pictures."""
+    device = pictures.device.type
     return torch.autocast(device, dtype=torch.bfloat16, enabled=device != "cpu")
 
 
 def _code_loss(net: ViewCodeNetwork, drawn: Batch) -> tuple[Tensor, Tensor]:
     """The loss, a scalar, and the cosines (Q, T) of windows and views."""
-    device = drawn.windows.device.type
-    with torch.autocast(device, dtype=torch.bfloat16, enabled=device != "cpu"):
+    with _half(drawn.windows):
         codes = net(torch.cat([drawn.windows, drawn.views])).float()
     count = len(drawn.windows)
     similarity = window_codes(codes[:count]) @ view_codes(codes[count:], drawn.known).T

@@ -132,10 +132,9 @@ def _window(
     span_px = SPAN * diameter_m / median * focal
     place = middle[None], np.array([median]), np.array([span_px])
     shown = np.where(inside[..., None], color, 0).astype(np.uint8)
-    colors, reliefs = window_pictures(Pyramid(shown), depth, *place, diameter_m, wide=WIDE)
-    _, owns = window_pictures(
-        Pyramid(shown), np.where(own, alone, np.float32(0.0)), *place, diameter_m, wide=WIDE
-    )
+    picture = Pyramid(shown)
+    colors, reliefs = window_pictures(picture, depth, *place, diameter_m, wide=WIDE)
+    _, owns = window_pictures(picture, np.where(own, alone, np.float32(0.0)), *place, diameter_m, wide=WIDE)
     turn = onto_rays(camera.rays(middle[None]))[0]
     seen_along = turn.T @ R
     near = cv2.Rodrigues(np.radians(TURNED_DEG) * rng.normal(size=3))[0] @ seen_along

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.believe.logistic import write_fit
-from huepose.believe.presence import presence_fit
+from huepose.believe.logistic import Logistic, Question, write_fit
+from huepose.believe.presence import place_fit, presence_fit
 from huepose.evaluation.summary import table
 from studies.presence.fit import FRAMES, chances, draw, fit_presence, seen_in
 from studies.quality.__main__ import bundles_of
@@ -35,9 +35,13 @@ def main() -> None:
         looks = dict(zip(asked, pool.map(seen_in, asked, [bundles] * len(asked)), strict=True))
     seen = {name: [frame for folder in each for frame in looks[folder]] for name, each in folders.items()}
     before, found = presence_fit(), fit_presence(seen["fit"], presence_fit())
-    factors = {name: round(x, 4) for name, x in found.factors.items()}
-    write_fit("presence", {"constant": round(found.constant, 4), "factors": factors})
-    print(found)
+    # Every second time a frame is seen as another camera sees it: rough poses are fitted as it is.
+    of_rough = fit_presence([frame.rough() for frame in seen["fit"][::2]], place_fit())
+    fits: tuple[tuple[Question, Logistic], ...] = (("presence", found), ("place", of_rough))
+    for question, fit in fits:
+        factors = {name: round(x, 4) for name, x in fit.factors.items()}
+        write_fit(question, {"constant": round(fit.constant, 4), "factors": factors})
+        print(question, fit)
     rows = []
     for name, frames in seen.items():
         there = np.concatenate([f.there for f in frames])

@@ -142,6 +142,10 @@ class SeenPlaces:
     certain: Float64
     there: Bool
 
+    def rough(self) -> SeenPlaces:
+        """The same, as of rough poses: not verified."""
+        return replace(self, sights=tuple(replace(s, verified=None) for s in self.sights))
+
 
 def seen_in(folder: Path, bundles: Path) -> Sequence[SeenPlaces]:
     """What is seen in the frames of a folder, everything asked for."""
@@ -171,10 +175,9 @@ def look(
     seen at their poses, there and in the colours of another camera. An object is there where the box of what
     its pose explains overlaps the box of one of its labels by IoU 0.5."""
     models = targets.models_by_name
-    view = clear_view(sample.frame, max(m.diameter_m for m in models.values()))
     places = first_of_each(detector.detect(sample.frame, list(models)), PLACES)
     queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(places)]
-    answers = estimator.estimate(sample.frame, queries) if queries and view is not None else []
+    answers = estimator.estimate(sample.frame, queries) if queries else []
     boxes = [
         (model.name, scaled(box, smaller))
         for t in sample.truths

@@ -69,7 +69,7 @@ must inside systemctl reload 'huepose@*'
 said() { inside journalctl --no-pager -u huepose@tracker | grep -qF "$1"; }
 for _ in $(seq 30); do said 'max_age_ms (300.0 > 250.0)' && break; sleep 1; done
 must said 'max_age_ms (300.0 > 250.0)'
-must said 'until the next start as it was: tracker.history_frames (20 > 30)'
+must said 'changes that wait for the next start: tracker.history_frames (20 > 30)'
 must active
 must test "$(pid tracker)" = "$old"
 say "reloaded: what can be is taken over, the rest is named"

@@ -41,9 +41,9 @@ class ObjectSlot:
 
     @staticmethod
     def of(model: ReferenceModel, max_instances: int = 1) -> ObjectSlot:
-        """What is known of the object by its reference model."""
-        equivalents = tuple(model.equivalents)
-        return ObjectSlot(model.name, max_instances, model.diameter_m, equivalents, model.mesh.bounds)
+        """What is known of the object by its reference model; the rest of it is let go."""
+        equivalents, bounds = tuple(model.equivalents.copy()), model.mesh.bounds.copy()
+        return ObjectSlot(model.name, max_instances, model.diameter_m, equivalents, bounds)
 
     @property
     def middle_obj(self) -> Float64:

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 
 from huepose_protos import encode
 from huepose_protos.messages import Estimates, HealthMessage, ObjectsMessage
-from huepose_protos.reach import why_unreachable
-from huepose_services.link import address, credentials, open_downlink, taken_up
+from huepose_protos.reach import address_of, why_unreachable
+from huepose_services.link import credentials, open_downlink, taken_up
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
@@ -74,7 +74,7 @@ class DownlinkWork(Work):
 
     def _ask_why(self) -> None:
         """Takes seconds where nothing answers."""
-        host, port = address(self._config)
+        host, port = address_of(str(self._config.link.connect))
         why = why_unreachable(host, port, credentials(self._config).context()) or "it does not answer"
         self._why = f"waiting for the camera's computer at {host}:{port}: {why}"
         self._bus.log.seldom("link", self._why)

@@ -95,12 +95,6 @@ def credentials(config: Config) -> Credentials:
     )
 
 
-def address(config: Config) -> tuple[str, int]:
-    """Host and port at which the camera's computer is reached."""
-    host, port = str(config.link.connect).rsplit(":", 1)
-    return host.strip("[]"), int(port)
-
-
 def _door(config: Config) -> GatewayConfig:
     if config.other_host is None:
         raise InputError("uplink", found="no second computer", expected="one in `hosts`")

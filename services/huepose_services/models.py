@@ -13,7 +13,7 @@ import numpy as np
 
 from huepose.datasets.files import read_bytes
 from huepose.geometry import Box, Camera, se3
-from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.arrays import Float, Float32
 from huepose.model import ReferenceModel, load_models
 from huepose.model.io import model_path
 from huepose.support.files import write_text
@@ -24,16 +24,12 @@ _OUTLINE_POINTS = 1500
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """What perception and the loop know of an object: points (N, 3) float32 of its surface, its diameter,
-    the rotations (4, 4) under which shape and texture look the same, and its least and greatest coordinates
-    (2, 3)."""
+    """What detector and segmenter know of an object: points (N, 3) float32 of its surface, its diameter."""
 
     name: str
     object_id: int | None
     points_obj: Float32
     diameter_m: float
-    equivalents: tuple[Float64, ...] = ()
-    bounds_obj: Float64 | None = None
 
     def box(self, T_cam_obj: Float, camera: Camera) -> Box | None:
         """Bounds of the object at a pose, cut to the image; None where it is outside or behind."""
@@ -72,9 +68,7 @@ def digests(config: Config, names: Iterable[str]) -> dict[str, str]:
 def outline(model: ReferenceModel) -> Outline:
     """The outline of a model; the rest of it is let go."""
     points = model.surface.points[:_OUTLINE_POINTS].copy()
-    equivalents = tuple(model.equivalents.copy())
-    bounds = model.mesh.bounds.copy()
-    return Outline(model.name, model.object_id, points, model.diameter_m, equivalents, bounds)
+    return Outline(model.name, model.object_id, points, model.diameter_m)
 
 
 def outlines(config: Config) -> dict[str, Outline]:

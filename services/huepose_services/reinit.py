@@ -4,12 +4,13 @@ its bus."""
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Literal
 
 from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
+from huepose.model import ReferenceModel
 from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
 from huepose.tracking.types import Correction, TrackedPose, Verdict
@@ -51,18 +52,18 @@ def make(bus: Bus, config: Config) -> ReinitWork:
     """The re-initialisation worker's work."""
 
     def load(name: str, count: int) -> ObjectSlot:
-        return _slot(name, count, models.outline(models.load_one(config, name)))
+        return _slot(name, count, models.load_one(config, name))
 
     entries = recall(bus)
     if entries:
         slots = [load(entry.object, entry.max_instances) for entry in entries]
     else:
-        outlines = models.outlines(config)
+        known = models.load(config)
         entries = [
             ObjectEntry(object=item.name, max_instances=item.max_instances, searching=item.max_instances)
-            for item in config.objects or [ObjectConfig(name=name) for name in outlines]
+            for item in config.objects or [ObjectConfig(name=name) for name in known]
         ]
-        slots = [_slot(e.object, e.max_instances, outlines[e.object]) for e in entries]
+        slots = [_slot(e.object, e.max_instances, known[e.object]) for e in entries]
     warm_up()
     loop = ReinitLoop(_settings(config), slots)
     for entry in entries:
@@ -71,8 +72,8 @@ def make(bus: Bus, config: Config) -> ReinitWork:
     return ReinitWork(bus, loop, ObjectList(entries, load), config.objects)
 
 
-def _slot(name: str, count: int, outline: models.Outline) -> ObjectSlot:
-    return ObjectSlot(name, count, outline.diameter_m, outline.equivalents, outline.bounds_obj)
+def _slot(name: str, count: int, model: ReferenceModel) -> ObjectSlot:
+    return replace(ObjectSlot.of(model, count), object=name)  # the file may have been renamed
 
 
 def _settings(config: Config) -> ReinitConfig:

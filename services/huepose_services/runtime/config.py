@@ -168,9 +168,9 @@ Processors = Annotated[list[Annotated[int, Meta(ge=0, le=1023)]], Meta(min_lengt
 
 
 class Config(Section, frozen=True, kw_only=True):
-    """A whole deployment. `folder` is that of the file: relative paths start there. cpus: the processors that
-    a worker keeps to; others go where they like. hosts: which workers run on another computer. cameras:
-    several instead of `camera`; of each is made a configuration of its own, with workers of its own."""
+    """A whole deployment. cpus: the processors that a worker keeps to; others go where they like. hosts:
+    which workers run on another computer. cameras: several instead of `camera`; of each is made a
+    configuration of its own, with workers of its own."""
 
     site: Name = "local"
     workers: tuple[WorkerName, ...] = CHAIN

@@ -15,6 +15,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import zenoh
 
@@ -36,6 +37,8 @@ from huepose_protos.messages import (
     TruthMessage,
 )
 from huepose_protos.reach import endpoint_of
+
+Hear = Callable[[zenoh.Sample], None]
 
 _ASK_TIMEOUT_S = 2.0
 _ROOM = 65_536  # samples that may wait for a busy program before the bus does
@@ -122,25 +125,32 @@ def open_session(
         raise ValueError(f"{', '.join(meant)} cannot be used: {said}") from None
 
 
-class Listeners:
-    """Threads that call back with what a session receives, until it is closed.
+C = TypeVar("C", bound="Client")
+
+
+class Client:
+    """A session that listens until it is closed; one that is left open, until the program's end.
 
     Given a callback, zenoh itself makes a thread that keeps a program for ever that leaves its session open,
-    as after Ctrl-C. These are daemons: who owns the session closes it at exit, and then joins them."""
+    as after Ctrl-C. The threads here are daemons. `refused`: how many messages could not be read."""
 
-    def __init__(self) -> None:
-        self._threads: list[threading.Thread] = []
-
-    def add(
+    def __init__(
         self,
-        declare: Callable[..., Iterable[zenoh.Sample]],
-        key: str,
-        hear: Callable[[zenoh.Sample], None],
-        **more: bool,
+        endpoints: Sequence[str],
+        authority: Path | str | None,
+        certificate: Path | str | None,
+        key: Path | str | None,
     ) -> None:
-        """Call `hear` with each sample on a key.
+        self.refused = 0
+        self._threads: list[threading.Thread] = []
+        self._session = open_session(endpoints, authority, certificate, key)
+        atexit.register(self.close)
 
-        declare: a session's `declare_subscriber`; more: what else it takes."""
+    def _listen(
+        self, declare: Callable[..., Iterable[zenoh.Sample]], key: str, hear: Hear, **more: bool
+    ) -> None:
+        """Call `hear` with each sample on a key. declare: a session's `declare_subscriber`; more: what else
+        it takes."""
         subscriber = declare(key, zenoh.handlers.FifoChannel(_ROOM), **more)
 
         def move() -> None:
@@ -151,20 +161,41 @@ class Listeners:
         self._threads.append(thread)
         thread.start()
 
-    def join(self) -> None:
-        """Wait for their end, after the session was closed."""
+    def _decoded(self, key: str, data: bytes) -> Message | None:
+        """The message of a key; None, and counted, for bytes that are none."""
+        kind = kind_of(key)
+        try:
+            return None if kind is None else decode(data, kind)
+        except WireError:
+            self.refused += 1
+            return None
+
+    @property
+    def connected(self) -> bool:
+        """Whether there is a link to any of the endpoints now."""
+        return bool(self._session.info.peers_zid())
+
+    def close(self) -> None:
+        """Leave the bus."""
+        atexit.unregister(self.close)
+        self._session.close()
         for thread in self._threads:
             if thread.is_alive():
                 thread.join()
 
+    def __enter__(self: C) -> C:
+        return self
 
-class Reader:
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class Reader(Client):
     """Messages on key expressions from workers, or a gateway, at the given endpoints, as soon as these are
     there. The files are those of `open_session`.
 
     `seen`: a worker was there since the start; `live`: keys of the workers that are there now; `gone_since`:
-    when the last of them went (time.monotonic), None while one is there: a gateway shows none of this;
-    `refused`: how many messages could not be read."""
+    when the last of them went (time.monotonic), None while one is there: a gateway shows none of this."""
 
     def __init__(
         self,
@@ -174,20 +205,17 @@ class Reader:
         certificate: Path | str | None = None,
         key: Path | str | None = None,
     ) -> None:
-        self.refused = 0
         self.seen = False
         self.live: set[str] = set()
         self.gone_since: float | None = None
         # Unbounded, so that a slow printer never blocks the bus: messages are small.
         self._messages: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
         self._keys, self._heard = keys, set[str]()
-        self._listeners = Listeners()
-        self._session = open_session(endpoints, authority, certificate, key)
-        atexit.register(self.close)
+        super().__init__(endpoints, authority, certificate, key)
         tokens = self._session.liveliness().declare_subscriber
-        self._listeners.add(tokens, "huepose/*/*/live/*", self._on_token, history=True)
+        self._listen(tokens, "huepose/*/*/live/*", self._on_token, history=True)
         for expression in keys:
-            self._listeners.add(self._session.declare_subscriber, expression, self._on_sample)
+            self._listen(self._session.declare_subscriber, expression, self._on_sample)
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         if sample.kind == zenoh.SampleKind.PUT:
@@ -213,11 +241,6 @@ class Reader:
             self._on_sample(reply.ok)
 
     @property
-    def connected(self) -> bool:
-        """Whether there is a link to any of the endpoints now."""
-        return bool(self._session.info.peers_zid())
-
-    @property
     def pending(self) -> int:
         """How many messages wait to be read."""
         return self._messages.qsize()
@@ -229,21 +252,5 @@ class Reader:
                 key, data = self._messages.get(timeout_s != 0.0, timeout_s)
             except queue.Empty:
                 return None
-            kind = kind_of(key)
-            try:
-                if kind is not None:
-                    return decode(data, kind)
-            except WireError:
-                self.refused += 1
-
-    def close(self) -> None:
-        """Leave the bus."""
-        atexit.unregister(self.close)
-        self._session.close()
-        self._listeners.join()
-
-    def __enter__(self) -> Reader:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
+            if (message := self._decoded(key, data)) is not None:
+                return message

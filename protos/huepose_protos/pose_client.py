@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import atexit
 import ssl
 import threading
 import time
@@ -21,9 +20,7 @@ from pathlib import Path
 
 import zenoh
 
-from huepose_protos.client import Listeners, kind_of, open_session
-from huepose_protos.codec import decode
-from huepose_protos.fields import WireError
+from huepose_protos.client import Client
 from huepose_protos.keys import Keys
 from huepose_protos.local import boot_id
 from huepose_protos.messages import CameraMessage, Message, Mount, ObjectsMessage, PoseMessage
@@ -42,7 +39,7 @@ Instance = tuple[str, str, int]
 """The camera's frame, the object, the instance."""
 
 
-class PoseClient:
+class PoseClient(Client):
     """Subscribes to poses at a gateway or, on the pipeline's own machine, at `local.pose_endpoints()`.
 
     endpoints: `HOST`, `HOST:PORT`, `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS the files in PEM of
@@ -52,8 +49,8 @@ class PoseClient:
     camera: the only one whose poses are read, else all, each for itself: `pose.frame` says which camera's a
     pose is. object: the only one that is of interest, else all. Can be used from several threads.
 
-    `refused`: messages that could not be read; `missed`: poses that were dropped because the iterator was not
-    read for too long (`latest` and `at` always know the newest)."""
+    `missed`: poses that were dropped because the iterator was not read for too long (`latest` and `at` always
+    know the newest)."""
 
     def __init__(
         self,
@@ -66,7 +63,7 @@ class PoseClient:
         certificate: Path | str | None = None,
         key: Path | str | None = None,
     ) -> None:
-        self.refused = self.missed = 0
+        self.missed = 0
         self._changed = threading.Condition()
         self._waiting: deque[PoseMessage] = deque()
         self._history: dict[Instance, deque[PoseMessage]] = {}
@@ -77,7 +74,6 @@ class PoseClient:
         self._made = time.monotonic()
         self._closed = threading.Event()
         self._asker = threading.Thread(target=self._ask_whoever_is_new, daemon=True)
-        self._listeners = Listeners()
         keys = Keys(site, camera)
         inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
         self._outside = (keys.outside(inside), keys.outside(keys.camera_info))
@@ -86,10 +82,9 @@ class PoseClient:
             raise ValueError("PoseClient: no endpoints; give a gateway's HOST, or local.pose_endpoints()")
         self._endpoints = [endpoint_of(one, tls=authority is not None) for one in endpoints]
         self._files = authority, certificate, key
-        self._session = open_session(endpoints, *self._files)
-        atexit.register(self.close)
+        super().__init__(endpoints, *self._files)
         for expression in (inside, keys.camera_info, *self._outside):
-            self._listeners.add(self._session.declare_subscriber, expression, self._on_sample)
+            self._listen(self._session.declare_subscriber, expression, self._on_sample)
         self._lists = (keys.objects, keys.outside(keys.objects))
         self._asker.start()
 
@@ -107,13 +102,7 @@ class PoseClient:
             self._on_sample(reply.ok)
 
     def _read(self, sample: zenoh.Sample) -> Message | None:
-        """The message of a key; None, and counted, for bytes that are none."""
-        kind = kind_of(str(sample.key_expr))
-        try:
-            return None if kind is None else decode(sample.payload.to_bytes(), kind)
-        except WireError:
-            self.refused += 1
-            return None
+        return self._decoded(str(sample.key_expr), sample.payload.to_bytes())
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         message = self._read(sample)
@@ -164,11 +153,6 @@ class PoseClient:
         now = time.monotonic()
         for old in [i for i, arrived in self._arrived.items() if now - arrived > _FORGET_S]:
             del self._arrived[old], self._history[old]
-
-    @property
-    def connected(self) -> bool:
-        """Whether there is a link to a gateway or tracker now."""
-        return bool(self._session.info.peers_zid())
 
     def why_silent(self) -> str:
         """Why no pose comes, in a sentence, as far as this can be found out here; may take seconds. Of a
@@ -279,17 +263,9 @@ class PoseClient:
         self._closed.set()
         with self._changed:
             self._changed.notify_all()
-        atexit.unregister(self.close)
         if self._asker.is_alive():
             self._asker.join()
-        self._session.close()
-        self._listeners.join()
-
-    def __enter__(self) -> PoseClient:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
+        super().close()
 
 
 def _says_again(pose: PoseMessage, last: PoseMessage) -> bool:

@@ -87,13 +87,13 @@ def test_a_program_ends_that_leaves_its_client_open(client, end):
 def test_ctrl_c_ends_a_program_whose_client_subscribes():
     program = """
 from huepose_protos import PoseClient
-from huepose_protos.client import Listeners
+from huepose_protos.client import Client
 
 def interrupted(*what):
     add(*what)
     raise KeyboardInterrupt
 
-add, Listeners.add = Listeners.add, interrupted
+add, Client._listen = Client._listen, interrupted
 try:
     with PoseClient("127.0.0.1:1"):
         print("went on")

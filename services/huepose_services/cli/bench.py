@@ -14,7 +14,6 @@ _WHAT = ("estimate", "track", "detect", "bus", "all")
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("bench", help="time of every stage")
     parser.add_argument("what", nargs="?", choices=_WHAT, default="all", help="default: all")
     add_json(parser, to_file=True)

@@ -22,7 +22,6 @@ _COLUMNS = "frame,object,x,y,z,qx,qy,qz,qw"
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("calibrate", help="where the camera is on the robot")
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
     one = kinds.add_parser(

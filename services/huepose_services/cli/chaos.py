@@ -12,7 +12,6 @@ from huepose_services.cli.options import add_json, add_number, add_several, answ
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser(
         "chaos", help="break a pipeline on the built-in scene in many ways, and say what held"
     )

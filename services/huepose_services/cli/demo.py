@@ -19,7 +19,6 @@ from huepose_services.cli.options import (
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("demo", help="the whole pipeline on a built-in scene, with its accuracy")
     add_number(parser, "--seconds", 25.0, "how long (default: 25)", "S")
     add_number(parser, "--seed", 0, "which scene (default: 0)")

@@ -12,7 +12,6 @@ from huepose.support.errors import InputError
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser(
         "doctor", help="check this machine: versions, limits, cameras, models, clock"
     )

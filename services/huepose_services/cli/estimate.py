@@ -40,7 +40,6 @@ _ASKED = 5
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser(
         "estimate",
         help="poses of known objects in one frame",

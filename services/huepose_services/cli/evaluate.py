@@ -19,7 +19,6 @@ from huepose_services.cli.options import (
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb and its sub-verbs."""
     parser = subparsers.add_parser("eval", help="measure accuracy on labelled data")
     verbs = parser.add_subparsers(dest="eval_verb", required=True, metavar="WHAT")
     _add_estimate(verbs)

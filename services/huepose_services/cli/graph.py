@@ -31,7 +31,6 @@ _COUNTED = ("request", "estimates", "correction", "pose")
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("graph", help="the workers and their rates as a Mermaid flowchart")
     add_choice(parser)
     add_json(parser)

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("models", help="networks for detector and segmenter: list, fetch, add")
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     shown = actions.add_parser("list", help="what is known, and what is here (the default)")

@@ -28,7 +28,6 @@ camera:
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser(
         "new",
         help="start with an object of your own: reference model, test frame, pipeline.yaml",

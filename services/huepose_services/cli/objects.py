@@ -17,7 +17,6 @@ _CONNECT_WITHIN_S, _ANSWER_WITHIN_S = 3.0, 5.0
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb and its four."""
     parser = subparsers.add_parser("objects", help="list, add, remove or reset objects of a running pipeline")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     for action, text in (

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add both verbs."""
     one = subparsers.add_parser(
         "onboard",
         help="make a reference model from a textured mesh, or from a recording of the object",

@@ -32,7 +32,6 @@ _SOON_S = 0.2
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("record", help="record a running pipeline: frames, poses, health")
     parser.add_argument("out", type=Path, metavar="FILE", help="a new file (.mcap)")
     add_choice(parser)

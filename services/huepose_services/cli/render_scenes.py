@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser(
         "render-scenes",
         help="draw labelled frames to measure on",

@@ -26,7 +26,6 @@ _SETTLE_S = 1.0
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser(
         "replay",
         help="play a recording back, compute its poses again (--verify), or write it as a BOP scene (--bop)",

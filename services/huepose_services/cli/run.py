@@ -14,7 +14,6 @@ from huepose_services.runtime.threads import single_threaded
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("run", help="run one worker of a pipeline in this process")
     parser.add_argument(
         "worker",

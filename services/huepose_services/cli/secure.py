@@ -14,7 +14,6 @@ _DAYS = 3650
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("secure", help="certificates: who may read from other machines")
     verbs = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     init = verbs.add_parser("init", help="an authority and the gateway's certificate, in a new folder")

@@ -21,7 +21,6 @@ _CLEAR, _EVERY_S = "\x1b[H\x1b[J", 1.0
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add both verbs."""
     parser = subparsers.add_parser("status", help="how a running pipeline is")
     parser.add_argument("--json", action="store_true", help="all that is known, as JSON")
     add_choice(parser)

@@ -14,7 +14,6 @@ from huepose_services.cli.options import add_number, add_path, add_some_of
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb and what it trains."""
     parser = subparsers.add_parser(
         "train",
         help="train the networks that come with HuePose anew (extra: train)",

@@ -129,7 +129,6 @@ IPAddressAllow=
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("units", help="write systemd units for the workers of a pipeline")
     add_pipeline(parser)
     add_path(parser, "--out", "DIR", "for example /etc/systemd/system", required=True)

@@ -16,7 +16,6 @@ _POLL_S = 0.1
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("up", help="run a whole pipeline")
     add_pipeline(parser)
     add_host(parser)

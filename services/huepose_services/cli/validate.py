@@ -17,7 +17,6 @@ _FAR_M = 20.0
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("validate", help="check a pipeline.yaml without starting anything")
     add_pipeline(parser)
     add_host(parser)

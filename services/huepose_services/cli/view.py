@@ -31,7 +31,6 @@ _LOOK_EVERY_S, _STOPPED_AFTER_S, _FLUSH_EVERY_S = 0.1, 0.7, 1.0
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
     parser = subparsers.add_parser("view", help="show what a running pipeline sees and believes")
     add_choice(parser)
     where = parser.add_mutually_exclusive_group()

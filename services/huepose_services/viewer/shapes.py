@@ -13,7 +13,6 @@ from huepose.geometry.arrays import Bool, Float, Float32, UInt8, UInt16
 from huepose.geometry.mesh import Mesh
 from huepose.rendering.render import render_depth
 
-UInt32 = np.ndarray[tuple[int, ...], np.dtype[np.uint32]]
 _MAX_TEXTURE = 512
 _CLOUD_REACH_M = 3.0
 _PIXELS_TOLERANCE = 0.7
@@ -53,13 +52,11 @@ def cloud(
     color: UInt8, depth: UInt16, depth_scale_m: float, camera: Camera, stride: int
 ) -> tuple[Float32, UInt8]:
     """Points (N, 3) in camera axes and their colours (N, 3): every so many pixels that have a depth."""
-    z = depth[::stride, ::stride].astype(np.float32) * np.float32(depth_scale_m)
+    z = depth[::stride, ::stride] * depth_scale_m
     rows, columns = np.nonzero((z > 0) & (z < _CLOUD_REACH_M))
-    near = z[rows, columns]
-    x = (columns * stride - camera.cx) / camera.fx * near
-    y = (rows * stride - camera.cy) / camera.fy * near
-    points = np.stack([x, y, near], axis=1).astype(np.float32)
-    return points, color[::stride, ::stride][rows, columns]
+    pixels = np.stack([columns, rows], -1).astype(np.float64)
+    points = camera.backproject(stride * pixels, z[rows, columns])
+    return points.astype(np.float32), color[::stride, ::stride][rows, columns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,30 +67,21 @@ class Body:
     diameter_m: float
 
 
-@dataclass(frozen=True, eq=False)
-class Drawable:
-    """A mesh as graphics cards take it: positions (3F, 3), triangles (F, 3), texture coordinates (3F, 2)."""
-
-    positions: Float32
-    triangles: UInt32
-    texture_coordinates: Float32
-    texture: UInt8
-
-
-def drawable(mesh: Mesh) -> Drawable:
-    """Each corner a vertex of its own, since texture coordinates belong to corners; a small texture."""
+def drawable(mesh: Mesh) -> dict[str, np.ndarray]:
+    """A mesh as graphics cards take it, by rerun's names: positions (3F, 3), triangles (F, 3), texture
+    coordinates (3F, 2), each corner a vertex of its own, since they belong to corners; a small texture."""
     corners = mesh.faces.reshape(-1)
     texture = mesh.texture
     scale = _MAX_TEXTURE / max(texture.shape[:2])
     if scale < 1.0:
         small = cv2.resize(texture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
         texture = small.astype(np.uint8, copy=False)
-    return Drawable(
-        mesh.vertices[corners],
-        np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
-        mesh.uv.reshape(-1, 2),
-        texture,
-    )
+    return {
+        "vertex_positions": mesh.vertices[corners],
+        "triangle_indices": np.arange(len(corners), dtype=np.uint32).reshape(-1, 3),
+        "vertex_texcoords": mesh.uv.reshape(-1, 2),
+        "albedo_texture": texture,
+    }
 
 
 def yuv(color: UInt8) -> tuple[bytes, int, int]:
@@ -101,11 +89,6 @@ def yuv(color: UInt8) -> tuple[bytes, int, int]:
     height of the first, which are even."""
     height, width = color.shape[0] // 2 * 2, color.shape[1] // 2 * 2
     return cv2.cvtColor(color[:height, :width], cv2.COLOR_RGB2YUV_I420).tobytes(), width, height
-
-
-def halved(depth: UInt16) -> UInt16:
-    """Every other pixel of a depth image."""
-    return np.ascontiguousarray(depth[::2, ::2])
 
 
 def depth_range(depth: UInt16) -> tuple[float, float]:

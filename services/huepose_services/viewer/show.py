@@ -23,7 +23,6 @@ from huepose_services.viewer.shapes import (
     cloud,
     depth_range,
     drawable,
-    halved,
     label_size,
     outlines,
     yuv,
@@ -112,7 +111,7 @@ class Show:
         self._log(place.COLOR, picture)
         if with_cloud:
             scale_m = header.intrinsics.depth_scale_m
-            small = halved(depth)
+            small = np.ascontiguousarray(depth[::2, ::2])
             shown = rr.DepthImage(
                 small, meter=1.0 / scale_m, colormap="viridis", depth_range=depth_range(small)
             )
@@ -220,14 +219,7 @@ class Show:
         self._log(f"{place.QUALITY}/{instance[0]}_{instance[1]}", line, static=True)
         body = self._bodies.get(instance[0])
         if body is not None:
-            mesh = drawable(body.mesh)
-            shown = rr.Mesh3D(
-                vertex_positions=mesh.positions,
-                triangle_indices=mesh.triangles,
-                vertex_texcoords=mesh.texture_coordinates,
-                albedo_texture=mesh.texture,
-            )
-            self._log(f"{path}/mesh", shown, static=True)
+            self._log(f"{path}/mesh", rr.Mesh3D(**drawable(body.mesh)), static=True)
 
     def latency(self, milliseconds: float) -> None:
         """From capture to a frame's first pose."""

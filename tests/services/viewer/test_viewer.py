@@ -72,9 +72,10 @@ def test_the_cloud_lies_where_the_pixels_look():
 def test_graphics_get_the_same_triangles_and_a_small_texture():
     mesh = _box()
     shown = drawable(mesh)
-    assert (shown.positions[shown.triangles] == mesh.vertices[mesh.faces]).all()
-    assert (shown.texture_coordinates[shown.triangles] == mesh.uv).all()
-    assert max(shown.texture.shape) <= 512
+    triangles = shown["triangle_indices"]
+    assert (shown["vertex_positions"][triangles] == mesh.vertices[mesh.faces]).all()
+    assert (shown["vertex_texcoords"][triangles] == mesh.uv).all()
+    assert max(shown["albedo_texture"].shape) <= 512
 
 
 def test_colours_survive_as_luma_and_chroma_planes():

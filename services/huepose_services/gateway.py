@@ -90,9 +90,9 @@ _FORGET_NS = 10 * SECOND
 
 def make(bus: Bus, config: Config) -> GatewayWork:
     """The gateway's work, its port open."""
-    outside, door, warnings = open_outside(config.gateway, bus.log.seldom)
-    bus.health.warnings += warnings
-    for warning in warnings:
+    outside, door, warning = open_outside(config.gateway, bus.log.seldom)
+    bus.health.warn_while("open", warning)
+    if warning is not None:
         bus.log.warn(warning)
     return GatewayWork(bus, outside, door, config.gateway.max_rate_hz)
 

@@ -25,16 +25,16 @@ _MAX_MESSAGE = 64 * 1024
 
 def open_outside(
     gateway: GatewayConfig, tell: Callable[[str, str], None]
-) -> tuple[zenoh.Session, Door, list[str]]:
-    """The session, its door, and warnings for health; tell: called with a kind and the reason where a
+) -> tuple[zenoh.Session, Door, str | None]:
+    """The session, its door, and a warning for health; tell: called with a kind and the reason where a
     reader is not let in.
 
     Raises InputError for files or a port that cannot be used."""
     session, door = open_behind_door(gateway, tell, outside_settings(gateway))
     host = gateway.listen.rsplit(":", 1)[0]
     if gateway.tls is None and not (host in ("localhost", "[::1]") or host.startswith("127.")):
-        return session, door, [f"anyone who reaches {gateway.listen} can read poses: gateway.tls is not set"]
-    return session, door, []
+        return session, door, f"anyone who reaches {gateway.listen} can read poses: gateway.tls is not set"
+    return session, door, None
 
 
 def open_behind_door(

@@ -58,7 +58,6 @@ class LiveIngest(Work):
         self._opening = -1
         self._camera: Camera | None = None
         self._epoch, self._frame_id = 0, 0
-        self._warnings = list(bus.health.warnings)
         self._told: str | None = None
         self._none_comes = False
         self._say_ns = 0
@@ -89,18 +88,16 @@ class LiveIngest(Work):
         silence = None if trouble else self._silence()
         news = self._complain(trouble is None)
         self._bus.health.picture = self._nothing_is_seen(trouble, silence)
+        missing = trouble or silence
+        self._bus.health.warn_while("silence", missing)
         if trouble != self._told:
             self._told, self._say_ns = trouble, 0
             notify(f"STATUS={trouble or 'ready'}")  # for `systemctl status`
+        good = self._frame_id and "apart" not in self._complaints and missing is None
+        self._bus.health.state = "ready" if good else "waiting"
+        self._say_at_once(news, missing is not None)
         if trouble is None:
-            good = self._frame_id and "apart" not in self._complaints and silence is None
-            self._bus.health.state = "ready" if good else "waiting"
-            self._bus.health.warnings = [*self._warnings, *filter(None, [silence])]
-            self._say_at_once(news, silence is not None)
             return
-        self._bus.health.state = "waiting"
-        self._bus.health.warnings = [*self._warnings, trouble]
-        self._say_at_once(news, True)
         if now_ns() >= self._say_ns:
             self._say_ns = now_ns() + _SAY_AGAIN_NS
             self._bus.log.seldom(trouble, trouble)

@@ -68,8 +68,7 @@ class FramePublisher:
         self._frame_name = f"{config.camera.name}_color_optical"
         self._mount = config.camera.mount
         self._told_mounts = bus.inbox.queue(self._keys.mount, wakes=False) if config.camera.told else None
-        self._newest: MountMessage | None = None
-        self._made_ns = now_ns()
+        self._placed_ns = now_ns()
         self._told: int | None = None
         self._tell_ns = 0
 
@@ -131,12 +130,12 @@ class FramePublisher:
     def _tell_mounts(self, header: FrameHeader, told: Place) -> None:
         """Where a camera that moves was, as it was told since the last frame."""
         while (message := self._bus.take(told, MountMessage)) is not None:
-            self._newest = message
+            self._placed_ns = message.capture_ns
             fixed = self._mount
             mount = message.mount if fixed is None else composed(message.mount, fixed)
             self._say(header, mount, message.capture_ns)
-        since = self._made_ns if self._newest is None else self._newest.capture_ns
-        self._bus.health.warn_while("mount", _NOT_TOLD if now_ns() - since > _LATE_NS else None)
+        late = now_ns() - self._placed_ns > _LATE_NS
+        self._bus.health.warn_while("mount", _NOT_TOLD if late else None)
 
     def _say(self, header: FrameHeader, mount: Mount | None, mount_ns: int | None) -> None:
         message = CameraMessage(

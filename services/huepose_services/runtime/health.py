@@ -29,8 +29,7 @@ class Health:
     def __init__(self, worker: str) -> None:
         self.worker = worker
         self.state: HealthState = "starting"
-        self.warnings: list[str] = []
-        self._conditions: dict[str, str] = {}
+        self._warnings: dict[str, str] = {}
         self.counters: dict[str, int] = {}
         self.shared_memory: bool | None = None
         self.drops = self.errors = 0
@@ -57,9 +56,9 @@ class Health:
     def warn_while(self, what: str, text: str | None) -> None:
         """A warning that holds until this is called with None, or with another text."""
         if text is None:
-            self._conditions.pop(what, None)
+            self._warnings.pop(what, None)
         else:
-            self._conditions[what] = text[:_LONGEST_TEXT]
+            self._warnings[what] = text[:_LONGEST_TEXT]
 
     def worked_on(self, started_ns: int, what: FrameHeader | PoseMessage | Estimates) -> None:
         """A piece of work that began at started_ns is done, on a frame or on what was computed from it. The
@@ -78,8 +77,8 @@ class Health:
         """The state of the worker now."""
         now = now_ns()
         locked_mib = _status_mib("VmLck")
-        if locked_mib > self.much_locked_mib and LOCKED_TEXT not in self.warnings:
-            self.warnings = [*self.warnings, LOCKED_TEXT]
+        if locked_mib > self.much_locked_mib:
+            self.warn_while("locked", LOCKED_TEXT)
         recent = [w for w in self._work if now - w[0] <= _WINDOW_S * SECOND]
         cpu = time.process_time()
         percent = 100.0 * (cpu - self._cpu_from) / max((now - self._cpu_from_ns) * 1e-9, 1e-3)
@@ -102,7 +101,7 @@ class Health:
             age_ms=_median_and_p99([w[2] for w in recent if w[2] is not None]),
             shared_memory=self.shared_memory,
             counters=dict(self.counters),
-            warnings=[*self.warnings, *self._conditions.values()][-32:],
+            warnings=list(self._warnings.values())[-32:],
             drops=self.drops,
             errors=self.errors,
             last_error=self.last_error,

@@ -90,21 +90,20 @@ def zenoh_config(
     return peer(connect, listen, settings | (more or {}))
 
 
-def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, list[str]]:
-    """The session of a worker, and warnings for its health. Raises InputError when its port is taken."""
-    warnings: list[str] = []
-    limit = lock_limit()
+def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, str | None]:
+    """The session of a worker, and a warning for its health. Raises InputError when its port is taken."""
+    warning, limit = None, lock_limit()
     pool = pool_size(config, limit)
     shared = pool > 0 and worker in FRAME_WORKERS
     if shared and not pool_fits(pool, limit):
         shared = False
-        warnings.append(
+        warning = (
             f"shared memory is off: frames need {(pool + _POOL_OVERHEAD) // 1024} KiB of locked memory, "
             f"the limit (ulimit -l) is {(limit or 0) // 1024} KiB; frames go by the socket"
         )
     elif shared and worker == "camera" and not pool_fits(pool, limit, 1 + restarts()):
         shared = False
-        warnings.append(
+        warning = (
             f"shared memory is off after {restarts()} restarts: readers keep the old pools locked, and the "
             f"limit (ulimit -l) of {(limit or 0) // 1024} KiB has no room for another; frames go by "
             "the socket"
@@ -118,7 +117,7 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, lis
         pool_bytes=pool if shared and worker == "camera" else 0,
     )
     try:
-        return zenoh.open(settings), warnings
+        return zenoh.open(settings), warning
     except zenoh.ZError as error:
         raise port_taken(config, worker, _other_than_held(error)) from None
 

@@ -104,9 +104,10 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None) -> int:
     come_first(worker)
     keep_to(config.cpus.get(cast(WorkerName, worker), ()))
     cv2.setNumThreads(1)
-    session, health.warnings = open_worker_session(config, worker)
-    for warning in health.warnings:
+    session, warning = open_worker_session(config, worker)
+    if warning is not None:
         log.warn(warning)
+        health.warn_while("session", warning)
     bus = Bus(session, config.keys, worker, log, health)
     pulse = Pulse()
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import closing
@@ -225,9 +224,7 @@ def _advance(steps: Iterator[int]) -> None:
 
 
 def _say(line: str) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write("\r\x1b[K")  # the progress bar makes room
-        sys.stderr.flush()
+    Status().clear()  # the progress bar makes room
     print(line, flush=True)
 
 

@@ -7,11 +7,10 @@ with the errors of a good detector), FirstBoxes (first_box: one given box, then 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from huepose.datasets.boxes import disturbed
 from huepose.geometry import Box, Camera, RgbdFrame
-from huepose.geometry.arrays import Float64
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.exchanged import Order, order_of_channels
@@ -37,6 +36,10 @@ _FORGET_S, _GROWTH_PER_S = 3.0, 0.5
 _HINT_NS = 3 * SECOND
 
 
+Pixels = Callable[[], RgbdFrame]
+"""The frame that a request is about. Raises WireError where its header and payload do not fit."""
+
+
 class BoxFinder:
     """Answers a request with boxes in one frame, and knows objects by their outlines; an object that is not
     there gets no box."""
@@ -52,8 +55,8 @@ class BoxFinder:
         """Forget an object; nothing happens when it is not known."""
         self._outlines.pop(name, None)
 
-    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
-        """Boxes, in the request's order."""
+    def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
+        """Boxes, in the request's order. pixels: called by those who look at the frame."""
         raise NotImplementedError
 
     def prior_box(self, name: str, prior: Prior | None, header: FrameHeader, camera: Camera) -> Box | None:
@@ -93,33 +96,24 @@ class BoxFinder:
 
 
 class SeenBoxes(BoxFinder):
-    """Shown a frame by `look`, it answers `find` about that frame's own pixels."""
+    """What a detector sees in the frame."""
 
     def __init__(self, outlines: Mapping[str, Outline], detector: Detector) -> None:
         super().__init__(outlines)
         self._detector = detector
-        self._frame: RgbdFrame | None = None
 
     @property
     def objects(self) -> list[str]:
         """Names of the objects that it knows."""
         return list(self._outlines)
 
-    def look(self, frame: RgbdFrame) -> None:
-        """The frame that the next request is about."""
-        self._frame = frame
-
-    def detections(self, names: list[str]) -> list[Detection]:
-        """What the detector sees of the named objects, best first."""
-        return self._detector.detect(self._frame, names) if self._frame is not None and names else []
-
-    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+    def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order."""
-        names = list(dict.fromkeys(wanted.object for wanted in request.objects))
-        return self.given_out(self.detections(names), header, request)
+        frame, names = pixels(), list(dict.fromkeys(wanted.object for wanted in request.objects))
+        return self.given_out(self._detector.detect(frame, names) if names else [], header, request)
 
 
-class SearchedBoxes(SeenBoxes):
+class SearchedBoxes(BoxFinder):
     """Boxes of the detector that needs no weights. It is asked only for objects without a fresh prediction;
     the others get the box of their prediction.
 
@@ -127,7 +121,7 @@ class SearchedBoxes(SeenBoxes):
     many are missing."""
 
     def __init__(self, outlines: Mapping[str, Outline], detector: ColorPairDetector) -> None:
-        super().__init__(outlines, detector)
+        super().__init__(outlines)
         self._searcher = detector
         self._turns: list[str] = []
 
@@ -141,17 +135,18 @@ class SearchedBoxes(SeenBoxes):
         super().remove(name)
         self._searcher.remove(name)
 
-    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+    def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order."""
-        camera = camera_from_wire(header.intrinsics)
+        frame, camera = pixels(), camera_from_wire(header.intrinsics)
         predicted = [self._predicted(wanted, header, camera) for wanted in request.objects]
-        names = [w.object for w, box in zip(request.objects, predicted, strict=True) if box is None]
+        missing = [w.object for w, box in zip(request.objects, predicted, strict=True) if box is None]
+        names = [name for name in dict.fromkeys(missing) if name in self._outlines]
         followed = {
             w.object: [prior_from_wire(other).predicted(header.capture_ns) for other in w.others]
             for w in request.objects
             if w.others
         }
-        seen = self.detections([name for name in dict.fromkeys(names) if name in self._outlines], followed)
+        seen = self._searcher.detect(frame, names, (self._turn(names),), followed) if names else []
         taken = [box for box in predicted if box is not None]
         found: list[DetectedObject] = []
         for wanted, box in zip(request.objects, predicted, strict=True):
@@ -163,20 +158,10 @@ class SearchedBoxes(SeenBoxes):
             found += [detected(wanted, d.box, d.score) for d in free[: wanted.wanted]]
         return found
 
-    def detections(
-        self, names: list[str], followed: Mapping[str, Sequence[Float64]] | None = None
-    ) -> list[Detection]:
-        """What the detector sees of the named objects, best first, beside instances that are followed."""
-        if self._frame is None or not names:
-            return []
-        return self._searcher.detect(self._frame, names, (self._turn(names),), followed)
-
-    def order_of_channels(self, names: Sequence[str], seen: Mapping[str, float]) -> Order:
-        """What the newest frame says of the order of its channels, by one of the objects, by turns, as in
-        `detections`. seen: scores of those that were searched in it."""
-        if self._frame is None or not names:
-            return Order()
-        return order_of_channels(self._frame, self._searcher, [self._turn(names)], seen)
+    def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> Order:
+        """What a frame says of the order of its channels, by one of the objects, by turns, as in `find`.
+        seen: scores of those that were searched in it."""
+        return order_of_channels(frame, self._searcher, [self._turn(names)], seen)
 
     def _turn(self, names: Sequence[str]) -> str:
         """The object whose turn is longest ago, which has it now; before all, one that never had a turn."""
@@ -203,7 +188,7 @@ class TruthBoxes(BoxFinder):
         """Remember the truth of a frame."""
         self._truths.append(truth)
 
-    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+    def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order."""
         frame = (header.camera_epoch, header.frame_id)
         truth = next((t for t in reversed(self._truths) if (t.camera_epoch, t.frame_id) == frame), None)
@@ -242,7 +227,7 @@ class FirstBoxes(BoxFinder):
         self._acquired: set[str] = set()
         self._last: dict[str, tuple[Box, int]] = {}
 
-    def find(self, header: FrameHeader, request: PerceptionRequest) -> list[DetectedObject]:
+    def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order."""
         camera = camera_from_wire(header.intrinsics)
         found = []

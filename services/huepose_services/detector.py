@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache, partial
 
 from huepose.geometry import Box
 from huepose.model import ReferenceModel
@@ -12,7 +13,7 @@ from huepose.profiles import profile
 from huepose_protos import WireError
 from huepose_protos.messages import DetectedObject, Detections, FrameHeader, PerceptionRequest, TruthMessage
 from huepose_services import models, networks
-from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, SearchedBoxes, SeenBoxes, TruthBoxes
+from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, Pixels, SearchedBoxes, SeenBoxes, TruthBoxes
 from huepose_services.convert import frame_from_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
@@ -103,13 +104,13 @@ class DetectorWork(Work):
 
     def _answer(self, request: PerceptionRequest, header: FrameHeader, payload: bytes) -> None:
         started, health = now_ns(), self._bus.health
-        if isinstance(self._finder, SeenBoxes):
-            try:
-                self._finder.look(frame_from_wire(header, payload))
-            except WireError as error:
-                self._bus.refuse(self._bus.keys.frame, error)
-                return
-        found = self._hints.applied(self._finder.find(header, request), header, request, started)
+        pixels = cache(partial(frame_from_wire, header, payload))
+        try:
+            found = self._finder.find(header, request, pixels)
+        except WireError as error:
+            self._bus.refuse(self._bus.keys.frame, error)
+            return
+        found = self._hints.applied(found, header, request, started)
         message = Detections(
             publish_ns=now_ns(),
             request_seq=request.seq,
@@ -123,10 +124,15 @@ class DetectorWork(Work):
         health.count("boxes", len(found))
         health.worked_on(started, header)
         if self._check_camera and isinstance(self._finder, SearchedBoxes):
-            self._doubt_colours(self._finder, header.camera_epoch, request, found)
+            self._doubt_colours(self._finder, header.camera_epoch, request, found, pixels)
 
     def _doubt_colours(
-        self, finder: SearchedBoxes, epoch: int, request: PerceptionRequest, found: Sequence[DetectedObject]
+        self,
+        finder: SearchedBoxes,
+        epoch: int,
+        request: PerceptionRequest,
+        found: Sequence[DetectedObject],
+        pixels: Pixels,
     ) -> None:
         """Ask now and then whether the colours are in the wrong order, until an object says that they are
         not: some times when a camera was opened, and for as long as nothing is followed."""
@@ -139,7 +145,7 @@ class DetectorWork(Work):
         for box in found:
             if box.request.prior is None:
                 seen[box.request.object] = max(seen[box.request.object], box.score)
-        order = finder.order_of_channels(names, seen)
+        order = finder.order_of_channels(pixels(), names, seen)
         self._asked, self._ask_ns = (epoch, asks + 1, order.right), now_ns() + ASK_EVERY_NS
         if order.right or order.exchanged:
             self._doubt(order.exchanged)

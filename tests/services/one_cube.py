@@ -36,8 +36,8 @@ def outlines(*names):
 
 
 def answer(finder, *objects):
-    """What a finder of boxes answers to a request, having looked at a picture."""
-    finder.look(RgbdFrame(np.zeros((480, 640, 3), np.uint8), np.ones((480, 640), np.float32), CAMERA))
+    """What a finder of boxes answers to a request about a picture."""
+    frame = RgbdFrame(np.zeros((480, 640, 3), np.uint8), np.ones((480, 640), np.float32), CAMERA)
     header = FrameHeader(
         publish_ns=STAMP,
         camera_epoch=1,
@@ -51,7 +51,7 @@ def answer(finder, *objects):
     request = PerceptionRequest(
         publish_ns=STAMP, seq=1, camera_epoch=1, deadline_ns=STAMP * 2, objects=list(objects)
     )
-    return finder.find(header, request)
+    return finder.find(header, request, lambda: frame)
 
 
 def tracked(age_s=0.0):

@@ -76,39 +76,39 @@ class TestTruth:
     def test_the_box_is_the_projected_object_within_a_tenth(self):
         finder = TruthBoxes(OUTLINES, 0)
         finder.learn(_truth(T_LEFT))
-        (found,) = finder.find(_header(), _request(NEW))
+        (found,) = finder.find(_header(), _request(NEW), None)
         assert Box(*found.box).iou(OUTLINES["cube"].box(T_LEFT, CAMERA)) > 0.6
         assert found.request == NEW
 
     def test_without_the_truth_of_that_very_frame_there_is_no_box(self):
         finder = TruthBoxes(OUTLINES, 0)
         finder.learn(_truth(T_LEFT, frame_id=2))
-        assert finder.find(_header(frame_id=1), _request(NEW)) == []
+        assert finder.find(_header(frame_id=1), _request(NEW), None) == []
 
     def test_a_hidden_object_gets_no_box(self):
         finder = TruthBoxes(OUTLINES, 0)
         finder.learn(_truth(T_LEFT, visib_fract=0.05))
-        assert finder.find(_header(), _request(NEW)) == []
+        assert finder.find(_header(), _request(NEW), None) == []
 
     def test_a_known_instance_gets_its_own_and_a_new_one_the_other(self):
         finder = TruthBoxes(OUTLINES, 0)
         finder.learn(_truth(T_LEFT, T_RIGHT))
         known = RequestedObject(object="cube", instance=4, prior=_prior(T_RIGHT))
-        first, second = finder.find(_header(), _request(known, NEW))
+        first, second = finder.find(_header(), _request(known, NEW), None)
         assert Box(*first.box).iou(OUTLINES["cube"].box(T_RIGHT, CAMERA)) > 0.6
         assert Box(*second.box).iou(OUTLINES["cube"].box(T_LEFT, CAMERA)) > 0.6
 
     def test_no_more_boxes_than_are_wanted(self):
         finder = TruthBoxes(OUTLINES, 0)
         finder.learn(_truth(T_LEFT, T_RIGHT))
-        assert len(finder.find(_header(), _request(NEW))) == 1
+        assert len(finder.find(_header(), _request(NEW), None)) == 1
 
     def test_the_same_seed_gives_the_same_boxes(self):
         found = []
         for seed in (3, 3, 4):
             finder = TruthBoxes(OUTLINES, seed)
             finder.learn(_truth(T_LEFT))
-            found.append(finder.find(_header(), _request(NEW))[0].box)
+            found.append(finder.find(_header(), _request(NEW), None)[0].box)
         assert found[0] == found[1] != found[2]
 
 
@@ -121,29 +121,29 @@ class TestFirstBox:
     def test_the_given_box_holds_until_the_object_is_acquired(self):
         finder = self._finder()
         for _ in range(3):
-            assert finder.find(_header(), _request(NEW))[0].box == tuple(self.GIVEN)
+            assert finder.find(_header(), _request(NEW), None)[0].box == tuple(self.GIVEN)
 
     def test_then_the_prediction_is_followed(self):
         prior = _prior(T_LEFT, stamp_ns=9_900_000_000, velocity_linear=(4.0, 0.0, 0.0))
         known = RequestedObject(object="cube", instance=1, prior=prior)
-        (found,) = self._finder().find(_header(), _request(known))
+        (found,) = self._finder().find(_header(), _request(known), None)
         assert Box(*found.box).iou(OUTLINES["cube"].box(T_RIGHT, CAMERA).grown(0.08)) > 0.999
 
     def test_after_a_loss_the_last_box_grows_to_the_image(self):
         finder = self._finder()
         known = RequestedObject(object="cube", instance=1, prior=_prior(T_LEFT))
-        finder.find(_header(), _request(known))
+        finder.find(_header(), _request(known), None)
         areas = []
         for lost_s in (1, 2, 4):
             header = _header(capture_ns=(10 + lost_s) * SECOND)
-            (found,) = finder.find(header, _request(known))
+            (found,) = finder.find(header, _request(known), None)
             areas.append(Box(*found.box).area)
         assert areas == sorted(areas)
         assert areas[-1] == 640 * 480
 
     def test_an_object_without_a_box_is_left_out(self):
         finder = FirstBoxes(OUTLINES, {})
-        assert finder.find(_header(), _request(NEW)) == []
+        assert finder.find(_header(), _request(NEW), None) == []
 
 
 @pytest.mark.parametrize("z", [-0.8, 0.0])

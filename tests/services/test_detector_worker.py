@@ -57,12 +57,12 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
     finder = SearchedBoxes({}, ColorPairDetector({}))
     order = Order()
 
-    def ask(names, seen):
+    def ask(frame, names, seen):
         asked.append(now[0])
         return order
 
     finder.order_of_channels = ask
-    finder.find = lambda header, request: []
+    finder.find = lambda *asked: []
     bus = FakeBus("detector")
     work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
     header = example(FrameHeader)
@@ -86,7 +86,7 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
 
 def test_a_request_about_a_frame_that_was_answered_waits_for_the_next_one():
     finder = SearchedBoxes({}, ColorPairDetector({}))
-    finder.find = lambda header, request: []
+    finder.find = lambda *asked: []
     bus = FakeBus("detector")
     work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
     header, payload = example(FrameHeader), (GOLDEN / "frame_payload.bin").read_bytes()

@@ -132,7 +132,7 @@ def _broken(o: Outcome, fault: Fault, steady: bool, calm_ms: float) -> list[str]
         (bool(fault.said) and o.noticed_s is None, f"the log never said {fault.said!r}"),
         (not steady, "not all workers work and objects are TRACKING again"),
         (
-            fault.worker is None and fault.number == 12 and o.late_ms > _LATER * calm_ms,
+            fault.number == 12 and o.late_ms > _LATER * calm_ms,
             f"others got poses after {o.late_ms:.0f} ms, without it after {calm_ms:.0f}",
         ),
     ]

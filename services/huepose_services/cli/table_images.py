@@ -6,7 +6,6 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from huepose.datasets.ycb_objects import ycb_objects
 from huepose.datasets.ycbv_folder import spread
@@ -47,7 +46,8 @@ def images(
     options = EstimateOptions(boxes, "auto", 0.0 if listed else 0.1, (arguments.seed,))
     equivalents = read_equivalents(source.equivalent) if source.equivalent else {}
     measured_on = bop_objects(folder.info, models) if folder.info is not None else {}
-    common = settings(arguments, boxes=arguments.boxes, seed=arguments.seed, objects=arguments.objects)
+    # What results depend on: a journal of other settings is not gone on with.
+    common = {key: getattr(arguments, key) for key in ("profile", "boxes", "seed", "objects")}
     entries = {}
     for method in arguments.methods:
         config = replace(profile(arguments.profile).estimator, method=method, threads=arguments.threads)
@@ -102,8 +102,3 @@ def left_out(entries: Sequence[Entry]) -> list[str]:
         reasons = "; ".join(str(entry["error"]) for entry in broken[:3])
         lines.append(f"{len(broken)} images or sequences could not be read: {reasons}")
     return lines
-
-
-def settings(arguments: argparse.Namespace, **more: Any) -> dict[str, Any]:
-    """What results depend on; a journal of other settings is not gone on with."""
-    return {"profile": arguments.profile, **more}

@@ -22,7 +22,7 @@ from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_scenes import open_fast_ycb
 from huepose_services.cli.pose_tables import PoseSources, warm_tracker
-from huepose_services.cli.table_images import left_out, settings
+from huepose_services.cli.table_images import left_out
 
 
 @dataclass(frozen=True)
@@ -55,15 +55,14 @@ def tracks(
     notes += [f"a sequence cannot be read, and is not measured: {reason}" for reason in broken]
     by_name = {files.folder_name(path): path for path in found}
     paths = {scene.name: by_name[scene.name] for scene in scenes}
-    starts = {name: _start(arguments.start or source.start, path) for name, path in paths.items()}
+    asked = arguments.start or source.start
+    starts = {name: asked or _usual_start(path) for name, path in paths.items()}
     kinds = sorted(set(starts.values()))
     for kind in kinds:
         own = ", ".join(name for name, start in starts.items() if start == kind)
         notes.append(f"first pose {kind}: {own if len(kinds) > 1 else 'all'}")
     notes.append(f"protocol {arguments.protocol}, profile {arguments.profile}")
-    common = settings(
-        arguments, protocol=arguments.protocol, start=arguments.start or source.start, seed=arguments.seed
-    )
+    common = {key: getattr(arguments, key) for key in ("profile", "protocol", "seed")} | {"start": asked}
     named, roft = PoseSources(models, profile(arguments.profile).estimator), arguments.protocol == "roft"
     ours = partial(warm_tracker, config=profile(arguments.profile).tracker)
 
@@ -123,6 +122,6 @@ def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) 
     return AblationResult(rows, pairs, left_out) if rows else None
 
 
-def _start(asked: str | None, path: Path) -> str:
+def _usual_start(path: Path) -> str:
     there = any((path / "dope" / name).exists() for name in ("poses_ycb.txt", "poses.txt"))
-    return asked or ("dope" if there else "gt")
+    return "dope" if there else "gt"

@@ -63,25 +63,24 @@ def pose_stamped(pose: PoseMessage) -> Any:
     return types().types[POSE](_header(pose), _pose(pose))
 
 
-def transforms(poses: Iterable[PoseMessage], camera: CameraMessage | None) -> Any:
+def transforms(poses: Sequence[PoseMessage], camera: CameraMessage | None) -> Any:
     """tf2_msgs/TFMessage: each object in the camera's frame, called OBJECT_INSTANCE; and the camera in the
     frame that it is mounted in, where that is known; of one that moves only by itself, at its own time."""
-    make = types().types
-    out = []
-    newest = None
-    for pose in poses:
-        newest = pose
-        stamped = _header(pose)
-        move = make["geometry_msgs/msg/Transform"](_vector(pose.translation), _quaternion(pose.quaternion))
-        name = f"{pose.object}_{pose.instance}"
-        out.append(make["geometry_msgs/msg/TransformStamped"](stamped, name, move))
+    out, newest = [], None
+    for newest in poses:
+        out.append(_transform(_header(newest), f"{newest.object}_{newest.instance}", newest))
     mount = None if camera is None else camera.mount
     if camera is not None and mount is not None and (newest is None or camera.mount_ns is None):
         stamp_ns = newest.capture_ns if newest else camera.mount_ns or camera.publish_ns
         stamped = header(stamp_ns + camera.clock.realtime_offset_ns, mount.parent)
-        move = make["geometry_msgs/msg/Transform"](_vector(mount.translation), _quaternion(mount.quaternion))
-        out.append(make["geometry_msgs/msg/TransformStamped"](stamped, camera.frame, move))
-    return make[TRANSFORMS](out)
+        out.append(_transform(stamped, camera.frame, mount))
+    return types().types[TRANSFORMS](out)
+
+
+def _transform(stamped: Any, child: str, place: PoseMessage | Mount) -> Any:
+    make = types().types
+    move = make["geometry_msgs/msg/Transform"](_vector(place.translation), _quaternion(place.quaternion))
+    return make["geometry_msgs/msg/TransformStamped"](stamped, child, move)
 
 
 _UNIT = 0.01

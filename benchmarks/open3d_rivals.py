@@ -13,6 +13,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import open3d as o3d
 from rival import Seen
 from scipy.spatial import cKDTree
 
@@ -21,12 +22,8 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.icosphere import directions, look_at
 from huepose.model import ReferenceModel
 
-
-def _o3d() -> Any:
-    import open3d
-
-    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
-    return open3d
+registration = o3d.pipelines.registration
+o3d.utility.set_verbosity_level(o3d.utility.VerbosityLevel.Error)
 
 
 def voxel_m(model: ReferenceModel) -> float:
@@ -36,7 +33,6 @@ def voxel_m(model: ReferenceModel) -> float:
 
 def model_cloud(model: ReferenceModel) -> Any:
     """Surface samples with normals."""
-    o3d = _o3d()
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(model.surface.points.astype(np.float64)))
     cloud.normals = o3d.utility.Vector3dVector(model.surface.normals.astype(np.float64))
     return cloud
@@ -44,7 +40,6 @@ def model_cloud(model: ReferenceModel) -> Any:
 
 def scene_cloud(seen: Seen, voxel: float) -> Any:
     """Averaged points with normals towards the camera."""
-    o3d = _o3d()
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(seen.points_cam))
     cloud.colors = o3d.utility.Vector3dVector(seen.colors)
     cloud = cloud.voxel_down_sample(voxel)
@@ -55,8 +50,6 @@ def scene_cloud(seen: Seen, voxel: float) -> Any:
 
 def settle(scene: Any, model: Any, T_obj_cam: Float64, gates_m: tuple[float, ...]) -> Any:
     """Point-to-plane ICP through ever smaller gates; Open3D's last result."""
-    o3d = _o3d()
-    registration = o3d.pipelines.registration
     result = None
     for gate in gates_m:
         result = registration.registration_icp(
@@ -87,8 +80,6 @@ class Features:
 
     def pose(self, model: ReferenceModel, seen: Seen) -> tuple[Float64, float, float] | None:
         """Match, register, settle."""
-        o3d = _o3d()
-        registration = o3d.pipelines.registration
         o3d.utility.random.seed(0)
         start = time.process_time()
         whole, sparse, model_features = self._models[model.name]
@@ -127,9 +118,8 @@ class Features:
 
 
 def _features(cloud: Any, voxel: float) -> Any:
-    o3d = _o3d()
     near = o3d.geometry.KDTreeSearchParamHybrid(radius=5.0 * voxel, max_nn=100)
-    return o3d.pipelines.registration.compute_fpfh_feature(cloud, near)
+    return registration.compute_fpfh_feature(cloud, near)
 
 
 FINISHED, FINISHED_BY_COLOR, APART_RAD = 5, 20, 0.35
@@ -163,7 +153,6 @@ class ManyStarts:
 
     def pose(self, model: ReferenceModel, seen: Seen) -> tuple[Float64, float, float] | None:
         """All starts, then the best of them."""
-        registration = _o3d().pipelines.registration
         begin = time.process_time()
         whole = self._models[model.name]
         scene = scene_cloud(seen, voxel_m(model))

@@ -8,16 +8,19 @@ weights, a gate on distance and normals, damped; with or without constant veloci
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
+import open3d as o3d
 
 from huepose.believe.state import State
 from huepose.geometry import Box, RgbdFrame, se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float64, Int32
 from huepose.model import ReferenceModel
+from huepose.model.types import Surface
 from huepose.propose import flow as optical_flow
 from huepose.propose.correspondences import match
 from huepose.propose.relative_pose import RobustKabsch, lift_matches
@@ -67,13 +70,18 @@ class LastPoseTracker:
         ]  # fmt: skip
 
 
+def shown(surface: Surface, T: Float64) -> Int32:
+    """The samples that the view shows which is nearest to a pose."""
+    towards = -(T[:3, :3].T @ T[:3, 3])
+    view = int(np.argmax(surface.directions @ (towards / np.linalg.norm(towards))))
+    return surface.visible[surface.offsets[view] : surface.offsets[view + 1]]
+
+
 def careful_icp(model: ReferenceModel, T: Float64, before: RgbdFrame | None, frame: RgbdFrame) -> Float64:
     """15 damped Gauss-Newton steps with the gate closing from 3 cm to 6 mm."""
     camera, surface = frame.camera, model.surface
     for gate in np.geomspace(0.03, 0.006, 15):
-        towards = -(T[:3, :3].T @ T[:3, 3])
-        view = int(np.argmax(surface.directions @ (towards / np.linalg.norm(towards))))
-        seen = surface.visible[surface.offsets[view] : surface.offsets[view + 1]][:800]
+        seen = shown(surface, T)[:800]
         points = se3.apply(T, surface.points[seen].astype(np.float64))
         normals = surface.normals[seen].astype(np.float64) @ T[:3, :3].T
         pixels = camera.project(points)
@@ -116,12 +124,8 @@ def _normals(frame: RgbdFrame, rows: Any, columns: Any, expected: Float64) -> Fl
 
 def color_icp(model: ReferenceModel, T: Float64, before: RgbdFrame | None, frame: RgbdFrame) -> Float64:
     """Open3D's coloured ICP from the visible surface of the model to the points near it."""
-    import open3d as o3d
-
     surface = model.surface
-    towards = -(T[:3, :3].T @ T[:3, 3])
-    view = int(np.argmax(surface.directions @ (towards / np.linalg.norm(towards))))
-    seen = surface.visible[surface.offsets[view] : surface.offsets[view + 1]]
+    seen = shown(surface, T)
     rgb = cv2.cvtColor(surface.lab[0, seen][None].astype(np.float32), cv2.COLOR_Lab2RGB)[0]
     pixels = frame.camera.project(se3.apply(T, surface.points[seen].astype(np.float64)))
     # Light: the texture's colours are brought to the brightness and tint of the pixels where they should lie.
@@ -144,32 +148,17 @@ def color_icp(model: ReferenceModel, T: Float64, before: RgbdFrame | None, frame
     target = _cloud(points, frame.color[rows, columns][v, u] / 255.0).voxel_down_sample(0.002)
     target.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(radius=0.008, max_nn=30))
     target.orient_normals_towards_camera_location(np.zeros(3))
-    for gate in (0.04, 0.02, 0.008):
-        T = _colored_icp(source, target, T, gate)
+    registration = o3d.pipelines.registration
+    by_color = registration.TransformationEstimationForColoredICP(lambda_geometric=0.968)
+    limits = registration.ICPConvergenceCriteria(max_iteration=20)
+    for gate_m in (0.04, 0.02, 0.008):
+        with suppress(RuntimeError):  # no correspondence within the gate
+            found = registration.registration_colored_icp(source, target, gate_m, T, by_color, limits)
+            T = np.asarray(found.transformation)
     return T
 
 
-def _colored_icp(source: Any, target: Any, T: Float64, gate_m: float) -> Float64:
-    import open3d as o3d
-
-    registration = o3d.pipelines.registration
-    try:
-        found = registration.registration_colored_icp(
-            source,
-            target,
-            gate_m,
-            T,
-            registration.TransformationEstimationForColoredICP(lambda_geometric=0.968),
-            registration.ICPConvergenceCriteria(max_iteration=20),
-        )
-    except RuntimeError:  # no correspondence within the gate
-        return T
-    return np.asarray(found.transformation)
-
-
 def _cloud(points: Any, colors: Any) -> Any:
-    import open3d as o3d
-
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.asarray(points, np.float64)))
     cloud.colors = o3d.utility.Vector3dVector(np.asarray(colors, np.float64))
     return cloud

@@ -7,6 +7,6 @@ UV=$(echo .tools/uv-*/bin/uv)
 mkdir -p build
 for extra in edge edge-gpu; do
     "$UV" export --frozen --quiet --no-dev --no-emit-project --extra "$extra" \
-        --extra onboard --extra viewer --extra realsense --extra oak > "build/$extra.txt"
+        --extra onboard --extra viewer --extra realsense --extra oak --extra ros2 --extra secure > "build/$extra.txt"
     "$UV" tool run --quiet pip-audit==2.9.0 --strict --disable-pip --require-hashes --requirement "build/$extra.txt"
 done

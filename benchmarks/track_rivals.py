@@ -21,9 +21,9 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.geometry.arrays import Float64, Int32
 from huepose.model import ReferenceModel
 from huepose.model.types import Surface
+from huepose.paper.correspondences import match
+from huepose.paper.relative_pose import RobustKabsch, lift_matches
 from huepose.propose import flow as optical_flow
-from huepose.propose.correspondences import match
-from huepose.propose.relative_pose import RobustKabsch, lift_matches
 from huepose.rendering import render_depth
 from huepose.tracking.types import Applied, Correction, TrackedPose
 

@@ -31,10 +31,10 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAREST_M, Camera
 from huepose.judge.silhouette import visible_within
 from huepose.model.types import ReferenceModel
+from huepose.paper.correspondences import MIN_SIMILARITY, Correspondences, match, side_color_similarity
+from huepose.paper.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
 from huepose.paper.rotation_network import learned
-from huepose.propose.correspondences import MIN_SIMILARITY, Correspondences, match, side_color_similarity
 from huepose.propose.flow import Flow, compute
-from huepose.propose.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
 from huepose.rendering import render_depth
 from huepose.support.errors import InputError
 from huepose.support.progress import progress

@@ -40,7 +40,7 @@ class PaperTracker:
 
     def __init__(self, models: Mapping[str, ReferenceModel], step: PaperStep | None = None) -> None:
         self._models = dict(models)
-        self._step = step or PaperStep.shipped()
+        self._step = step or PaperStep.of()
         self._followed: dict[Key, _Followed] = {}
         self._waiting: list[Correction] = []
         self._frames: deque[RgbdFrame] = deque()

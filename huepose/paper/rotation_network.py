@@ -16,7 +16,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.paper.canonical import FEATURES, Canonical, canonical
-from huepose.propose.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch
+from huepose.paper.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch
 from huepose.support.errors import InputError
 
 ROUNDS = 8

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -29,10 +30,10 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.silhouette import projected_box, visible_mask
 from huepose.model.types import ReferenceModel
+from huepose.paper.correspondences import match, propagate
+from huepose.paper.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.paper.rotation_network import learned
 from huepose.propose import flow as optical_flow
-from huepose.propose.correspondences import match, propagate
-from huepose.propose.relative_pose import RelativePose, RobustKabsch, lift_matches
 from huepose.refine.point_to_plane import align
 
 Rotation = Literal["direct", "residual", "kabsch"]
@@ -57,9 +58,14 @@ class PaperStep:
     flow: optical_flow.FlowSource = optical_flow.compute
 
     @staticmethod
-    def shipped(rotation: Rotation = "direct") -> PaperStep:
-        """With a network that comes with the library, or with the closed form alone."""
-        return PaperStep(RobustKabsch() if rotation == "kabsch" else learned(rotation))
+    def of(
+        rotation: Rotation = "direct",
+        model: Path | None = None,
+        flow: optical_flow.FlowSource = optical_flow.compute,
+    ) -> PaperStep:
+        """With a network for the rotation (the one of a file, else the one that comes with the library), or
+        with the closed form alone. Raises InputError for a file that is no such network."""
+        return PaperStep(RobustKabsch() if rotation == "kabsch" else learned(rotation, model), flow)
 
     def __call__(
         self,

@@ -39,6 +39,8 @@ class NetworkFlow:
             return None
         a, b = (_tensor(color[rows, columns], self._size) for color in (color_a, color_b))
         forward, backward = self._flow(a, b, height, width), self._flow(b, a, height, width)
+        if not (np.isfinite(forward).all() and np.isfinite(backward).all()):
+            return None
         return Flow(forward, backward, consistency(forward, backward), columns.start, rows.start)
 
     def _flow(self, a: Float32, b: Float32, height: int, width: int) -> Float32:

@@ -1,4 +1,4 @@
-"""Tracking: flow, correspondences, relative pose, refinement, history, state."""
+"""Tracking: proposals, refinement, history, state."""
 
 from typing import TYPE_CHECKING
 

@@ -19,7 +19,6 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.propose.relative_pose import RelativePose
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
@@ -60,9 +59,7 @@ class Pursuit:
         is found behind that, on the surface that hides it, is something else."""
         return self.track.evidence >= self._config.lost_quality
 
-    def follow(
-        self, kept: Sequence[RgbdFrame], relative_pose: RelativePose | None = None, tries: float = np.inf
-    ) -> float:
+    def follow(self, kept: Sequence[RgbdFrame], tries: float = np.inf) -> float:
         """One step towards the newest of the kept frames (oldest first, none before the correction's); says
         how many of at most `tries` dear proposals that took."""
         tried = 0.0
@@ -76,10 +73,9 @@ class Pursuit:
                 return tried
         before, reached = self.track.copy(), self.track.frame
         assert reached is not None
-        mask = self.correction.mask if reached.stamp_ns == self.correction.stamp_ns else None
         ahead = _ahead(reached, kept)
         frame = _next(reached, kept, self._stride)
-        tried += self.track.look(frame, relative_pose, tries - tried, mask)
+        tried += self.track.look(frame, tries - tried)
         if self.supported:
             self._stride = min(self._stride + 1, self._config.catch_up_stride)
             self.track.learn()

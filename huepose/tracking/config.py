@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from huepose.propose.flow import FlowSource, compute
 from huepose.support.errors import InputError
 
 
@@ -21,14 +20,14 @@ class TrackerConfig:
     it a frame gives no support; lost_after such frames in a row make an object LOST.
 
     Looking further (totals of the judge, 0 to 1.9). doubtful_total: a pose that explains less is looked into;
-    doubt: so is one this much under its baseline, long_doubt: after more than long_step_s, when flow finds
-    too little and there is time for a search, as there is when it moved by more than surprising_m; hidden:
-    share of the surface behind something from which there is nothing to look for. max_search_m_s,
-    max_search_rad_s: the fastest motion that the search covers; tries_per_s: how many dear proposals (optical
-    flow, a search or a part of a wide one, near-symmetric rotations) all objects together may make in a
-    second of the frames' time, None for as many as they need. They cost 5 to 18 ms each, and a live step
-    that takes longer than its frame makes the next one larger: so many take half of the time, and a step that
-    is late is not given more than a third of a second's. flow: where optical flow comes from."""
+    doubt: so is one this much under its baseline, long_doubt: after more than long_step_s, when there
+    is time for a search, as there is when it moved by more than surprising_m; hidden: share of the surface
+    behind something from which there is nothing to look for. max_search_m_s, max_search_rad_s: the fastest
+    motion that the search covers; tries_per_s: how many dear proposals (a search or a part of a wide one,
+    near-symmetric rotations) all objects together may make in a second of the frames' time, None for as many
+    as they need. They cost 5 to 18 ms each, and a live step that takes longer than its frame makes the next
+    one larger: so many take half of the time, and a step that is late is not given more than a third of a
+    second's."""
 
     history_frames: int = 20
     older_frames: int = 24
@@ -49,7 +48,6 @@ class TrackerConfig:
     tries_per_s: float | None = 30.0
     max_search_m_s: float = 0.8
     max_search_rad_s: float = 7.0
-    flow: FlowSource = compute
 
     def __post_init__(self) -> None:
         if not self.history_frames >= 2:

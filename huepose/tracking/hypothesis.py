@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import Terms
 from huepose.tracking.motion import Reach
@@ -29,8 +29,8 @@ HOPELESS = 4.0
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """T_cam_obj (4, 4); velocity (6,) or None, about the object's centre; what is seen of it; information
-    (6, 6) of the refinement; source: which start led there ("still", "velocity", "flow", "search", "views",
-    "turn", "correction", "ends"); log_odds: that it is right, filtered over the frames; goes_on: share of its
+    (6, 6) of the refinement; source: which start led there ("still", "velocity", "search", "views", "turn",
+    "correction", "ends"); log_odds: that it is right, filtered over the frames; goes_on: share of its
     outline beyond which the surface goes on; jump: what the motion model said of it when it was found, 0 or
     less, and 0 if it was followed."""
 
@@ -47,14 +47,12 @@ class Hypothesis:
 @dataclass(frozen=True, eq=False)
 class Anchor:
     """The object in the last frame. hypotheses: best first; usual: how it looks when its pose is right;
-    mask (H, W): its mask there, if known better than by rendering;
     unseen_s: for how long its pose had only been predicted; place: where the last frame looked most like it,
     if no search was made there yet; known: whether it is sure that it is this object."""
 
     hypotheses: tuple[Hypothesis, ...]
     frame: RgbdFrame
     usual: Usual = field(default_factory=Usual)
-    mask: Bool | None = None
     unseen_s: float = 0.0
     place: Reach | None = None
     known: bool = False

@@ -43,7 +43,7 @@ _CLASSES: dict[str, type] = {
 _ENUMS: dict[str, type[Enum]] = {"State": State, "Verdict": Verdict}
 _DTYPES = ("<f8", "<f4", "<i8", "<i4", "|u1", "|b1")
 # What a tracker is made with, beside what it learns.
-_GIVEN = ("config", "_relative_pose", "_subjects")
+_GIVEN = ("config", "_subjects")
 
 FrameOf = Callable[[int, int], RgbdFrame | None]
 

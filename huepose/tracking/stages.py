@@ -1,23 +1,15 @@
 """More poses for an object, where those that were followed explain less than they should.
 
-Cheap sources come first: optical flow (paper, section III-E), then searches of the places that it can have
-reached, then its near-symmetric rotations. They are tried stage by stage until a pose explains enough; what
-does not fit into one frame's time continues in the next. All poses are refined and judged alike."""
+Cheap sources come first: a search nearby, the place that looks most like the object, the rest of what it can
+have reached, then its near-symmetric rotations. They are tried stage by stage until a pose explains enough;
+what does not fit into one frame's time continues in the next. All poses are refined and judged alike."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.silhouette import visible_within
-from huepose.propose import flow as optical_flow
-from huepose.propose.correspondences import match
-from huepose.propose.relative_pose import RelativePose, lift_matches
 from huepose.refine.photometric import FULL
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.elsewhere import likeliest_place
@@ -35,17 +27,14 @@ from huepose.tracking.search import (
 )
 from huepose.tracking.subject import Subject
 
-FLOW, NEARBY, PLACE, THERE, FAR = 0, 1, 2, 3, 4
+NEARBY, PLACE, THERE, FAR = 0, 1, 2, 3
 TURN = FAR + PARTS
 END = TURN + 1
-"""Stages that are tried, in this order, while the best total is too low: optical flow, a search nearby, the
-place that looks most like the object, a search there, parts of a wide search, near-symmetric rotations."""
+"""Stages that are tried, in this order, while the best total is too low: a search nearby, the place
+that looks most like the object, a search there, parts of a wide search, near-symmetric rotations."""
 
 HIDDEN_COSTS = 0.5
 """A right pose loses this much of its total per hidden share of the object; no search is needed for that."""
-
-FLOW_GROWTH = 0.3
-"""Room round the object in which flow is computed, as a share of its size."""
 
 RETURNING_SEEN = 0.2
 """If this share of an object is seen again after it was hidden, its rotation is checked."""
@@ -63,7 +52,6 @@ class Task:
     anchor: Anchor
     frame: RgbdFrame
     config: TrackerConfig
-    relative_pose: RelativePose
     expected: Float64
     near: Reach
     far: Reach
@@ -88,10 +76,6 @@ class Task:
         doubtful = self.doubts(best)
         if self.hidden and stage not in (PLACE, THERE):
             return False
-        if stage == FLOW:
-            # It needs pixels of the object in the last frame.
-            followable = self.anchor.unseen_s == 0.0 and self.frame.camera == self.anchor.frame.camera
-            return doubtful and followable and 0.0 < self.seconds <= self.config.long_step_s
         if stage == NEARBY:
             # A wide one would be all of a wide search in one frame.
             fits = self.long or not is_wide(self.near)
@@ -109,11 +93,6 @@ class Task:
         """What a stage proposes: of each list of poses (4, 4) with their source, the best is refined. parts:
         of the wide search."""
         surface, frame, light = self.subject.surface, self.frame, self.anchor.usual.light
-        if stage == FLOW:
-            T = flow_start(
-                self.subject, self.anchor, frame, self.expected, self.relative_pose, self.config.flow
-            )
-            return [[(T, "flow")]] if T is not None and self.far.holds(surface.centre_cam(T)) else []
         if stage == TURN:
             return [[(best.T_cam_obj @ turn, "turn") for turn in self.subject.near_symmetries]]
         if stage == THERE and place is not None:
@@ -145,7 +124,7 @@ def propose(task: Task, best: Hypothesis, begun: int, tries: float) -> Proposed:
     proposed: tuple[Hypothesis, ...] = ()
     tried, place = 0, task.anchor.place
     # A picture that comes late is looked at anew; only the parts of a wide search go on where they ended.
-    stage, part = (FLOW, max(begun, FAR)) if task.long else (begun, FAR)
+    stage, part = (NEARBY, max(begun, FAR)) if task.long else (begun, FAR)
     while stage < END:
         if stage == FAR:
             stage = part
@@ -184,29 +163,3 @@ def convincing(found: Hypothesis, baseline: float | None, doubt: float, config: 
     """Whether a hypothesis has the total to be expected, so that no search is needed."""
     total, allowed = found.terms.total, doubt + HIDDEN_COSTS * found.terms.hidden
     return total >= config.doubtful_total and (baseline is None or total >= baseline - allowed)
-
-
-def flow_start(
-    subject: Subject,
-    anchor: Anchor,
-    frame: RgbdFrame,
-    expected: Float64,
-    relative_pose: RelativePose,
-    flow_source: optical_flow.FlowSource = optical_flow.compute,
-) -> Float64 | None:
-    """The pose (4, 4) from optical flow: flow on the region of the old and the expected outline, matches
-    filtered by mask and colour pairs, lifted to 3D, and a relative pose (paper, III-E). None if it fails."""
-    surface, camera, T_last = subject.surface, frame.camera, anchor.first.T_cam_obj
-    old, new = surface.box(T_last, camera), surface.box(expected, camera)
-    if old is None or new is None:
-        return None
-    flow = flow_source(anchor.frame.color, frame.color, Box.around(old, new).grown(FLOW_GROWTH, 8.0))
-    # A network may return NaN.
-    if flow is None or not (np.isfinite(flow.forward).all() and np.isfinite(flow.backward).all()):
-        return None
-    mask = anchor.mask
-    if mask is None:
-        mask = visible_within(subject.mesh, T_last, anchor.frame, old)
-    matches = match(anchor.frame.color, frame.color, mask, flow)
-    motion = relative_pose.estimate(lift_matches(anchor.frame, frame, matches))
-    return None if motion is None else se3.compose(motion.T_b_a, T_last)

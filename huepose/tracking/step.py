@@ -13,7 +13,6 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import PreparedSurface
-from huepose.propose.relative_pose import RelativePose, RobustKabsch
 from huepose.refine.photometric import FULL
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis
@@ -28,7 +27,7 @@ from huepose.tracking.refined import (
     unmoved,
 )
 from huepose.tracking.search import NORMAL_EFFORT, search
-from huepose.tracking.stages import FLOW, NEARBY, RETURNING_SEEN, Task, convincing, in_full, propose
+from huepose.tracking.stages import NEARBY, RETURNING_SEEN, Task, convincing, in_full, propose
 from huepose.tracking.subject import Subject
 
 WHOLLY_HIDDEN = 0.9
@@ -42,7 +41,7 @@ searched for as such."""
 @dataclass(frozen=True, eq=False)
 class Advance:
     """The result of a step. followed: one per hypothesis of the anchor, in order; proposed: further ones from
-    flow, search and near-symmetric rotations; tried: number of costly proposals; doubtful: the best total is
+    searches and near-symmetric rotations; tried: number of costly proposals; doubtful: the best total is
     below what is expected; begun: the stage to try next, END if all were tried; margin: total of the first
     followed one less that after the best small rotation; place: as in the anchor of the next step."""
 
@@ -50,7 +49,7 @@ class Advance:
     proposed: tuple[Hypothesis, ...] = ()
     tried: int = 0
     doubtful: bool = False
-    begun: int = FLOW
+    begun: int = NEARBY
     margin: float = np.inf
     place: Reach | None = None
 
@@ -60,9 +59,8 @@ def advance(
     anchor: Anchor,
     frame: RgbdFrame,
     config: TrackerConfig,
-    relative_pose: RelativePose | None = None,
     resting: bool = False,
-    begun: int = FLOW,
+    begun: int = NEARBY,
     tries: float = np.inf,
 ) -> Advance:
     """Find the object of `anchor` in a later frame. resting: all stages failed and may pause; begun: the
@@ -77,7 +75,6 @@ def advance(
         anchor,
         frame,
         config,
-        relative_pose or RobustKabsch(),
         expected=expected,
         near=near,
         far=far,
@@ -94,7 +91,7 @@ def advance(
             # Still occluded: refinement would move it onto the occluder. It may be in view elsewhere.
             for_long = seconds + anchor.unseen_s > HIDDEN_LONG_S
             best = max([waiting, *others], key=lambda h: h.terms.total)
-            more = propose(replace(task, hidden=True), best, FLOW, tries if for_long else 0.0)
+            more = propose(replace(task, hidden=True), best, NEARBY, tries if for_long else 0.0)
             return Advance((waiting, *others), more.proposed, more.tried, task.doubts(more.best))
     found = [followed(surface, frame, first, expected, light, MORE_PASSES), *others]
     if long or not convincing(found[0], anchor.usual.baseline, config.doubt, config):
@@ -118,7 +115,7 @@ def advance(
         return Advance(tuple(found), rolled, doubtful=True, margin=margin)
     # A sudden loss of total starts again with the cheap stages.
     missed = best.terms.total < first.terms.total - task.doubt
-    more = propose(task, best, FLOW if missed else begun, tries)
+    more = propose(task, best, NEARBY if missed else begun, tries)
     return Advance(
         tuple(found),
         rolled + more.proposed,

@@ -9,11 +9,10 @@ import numpy as np
 
 from huepose.believe.logistic import probability
 from huepose.believe.state import State
-from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.se3 import grown
 from huepose.judge.terms import NOTHING, Terms
-from huepose.propose.relative_pose import RelativePose
 from huepose.select.distinct import RIGHT
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
@@ -26,7 +25,7 @@ from huepose.tracking.motion import Reach, jump_since, predicted, same_motion
 from huepose.tracking.opinions import FIXED, found_again, opinions, uncertainty, weighed
 from huepose.tracking.orientation import LOOKED_FOR, Orientation, another_opinion
 from huepose.tracking.refined import unmoved
-from huepose.tracking.stages import END, FLOW
+from huepose.tracking.stages import END, NEARBY
 from huepose.tracking.step import Advance, advance, found_nearby
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
@@ -106,22 +105,16 @@ class Track:
         """The total of its pose plus the certainty of its orientation, in units of a total."""
         return self.terms.total + self._orientation.worth
 
-    def look(
-        self,
-        frame: RgbdFrame,
-        relative_pose: RelativePose | None = None,
-        tries: float = np.inf,
-        mask: Bool | None = None,
-    ) -> float:
-        """Find the object in the next frame. Returns how many of at most `tries` costly proposals were used.
-        mask (H, W): the object's in the last frame, if known."""
+    def look(self, frame: RgbdFrame, tries: float = np.inf) -> float:
+        """Find the object in the next frame. Returns how many of at most `tries` costly proposals were
+        used."""
         if self.frame is None or not self.hypotheses:
             return self._look_everywhere(frame, tries)
         begun = self._effort.begun
-        resting = begun == FLOW and self._effort.resting
+        resting = begun == NEARBY and self._effort.resting
         seen = self.hypotheses, self.frame, self.usual
-        anchor = Anchor(*seen, mask, self._unseen_s, self._place, self._known)
-        found = advance(self.subject, anchor, frame, self._config, relative_pose, resting, begun, tries)
+        anchor = Anchor(*seen, self._unseen_s, self._place, self._known)
+        found = advance(self.subject, anchor, frame, self._config, resting, begun, tries)
         orientation, facing = self._orientation, self._orientation.facing
         orientation.slide(found.margin, self._view())
         self._take(anchor, found, frame)

@@ -13,7 +13,6 @@ from huepose.judge.borders import Contours
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.silhouette import silhouette_iou
 from huepose.model.types import ReferenceModel, ReferenceModels
-from huepose.propose.relative_pose import RelativePose
 from huepose.support.errors import InputError, require
 from huepose.support.stages import stage
 from huepose.tracking.catching_up import Pursuit
@@ -58,14 +57,8 @@ class Tracker:
                 ...
     """
 
-    def __init__(
-        self,
-        models: Mapping[str, ReferenceModel],
-        config: TrackerConfig | None = None,
-        relative_pose: RelativePose | None = None,
-    ) -> None:
+    def __init__(self, models: Mapping[str, ReferenceModel], config: TrackerConfig | None = None) -> None:
         self.config = config or TrackerConfig()
-        self._relative_pose = relative_pose
         self._subjects: dict[str, Subject] = {}
         self._tracks: dict[Key, Track] = {}
         self._pursuits: dict[Key, Pursuit] = {}
@@ -132,7 +125,7 @@ class Tracker:
     def warm_up(self) -> None:
         """Compile kernels and load models, so that no frame waits for them; seconds if nothing is cached.
         Tracked instances are not touched."""
-        double = Tracker({}, self.config, self._relative_pose)
+        double = Tracker({}, self.config)
         double._subjects = dict(self._subjects)
         warm_up(double, self._subjects)
 
@@ -179,7 +172,7 @@ class Tracker:
         first = self._whose_turn % max(len(tracks), 1)
         for offset, (key, track) in enumerate(tracks[first:] + tracks[:first], 1):
             was_lost = track.T_cam_obj is None
-            tried = track.look(frame, self._relative_pose, self._whole_tries)
+            tried = track.look(frame, self._whole_tries)
             if was_lost and self._held(key, track):
                 track.lose()
             self._tries -= tried
@@ -297,7 +290,7 @@ class Tracker:
             kept = self._frames.since(reached.stamp_ns)
         if self._whole_tries < 1.0 and pursuit.needs_search(kept):
             return
-        self._tries -= pursuit.follow(kept, self._relative_pose, self._whole_tries)
+        self._tries -= pursuit.follow(kept, self._whole_tries)
         if pursuit.supported and not pursuit.arrived(newest):
             return
         del self._pursuits[key]

@@ -1,5 +1,5 @@
 """A warm-up: all that a tracker will do, on made-up frames, so that every kernel is compiled and loaded
-before the first real one, and the contours and codes of all views. Without it a first search, flow or
+before the first real one, and the contours and codes of all views. Without it a first search or
 correction waits for the compiler, and each new view for its contour."""
 
 from __future__ import annotations

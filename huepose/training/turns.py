@@ -15,11 +15,11 @@ import numpy as np
 from huepose.colorpair.extract import ExtractionConfig, extract
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float32, Float64
+from huepose.paper.correspondences import MAX_PAIRS, match
+from huepose.paper.relative_pose import LiftedMatches, RobustKabsch, lift_matches
 from huepose.paper.rotation_network import Kind, fixed_count, posed
 from huepose.paper.tracking import GROWTH
-from huepose.propose.correspondences import MAX_PAIRS, match
 from huepose.propose.flow import Flow, compute, consistency
-from huepose.propose.relative_pose import LiftedMatches, RobustKabsch, lift_matches
 from huepose.training.shapes import random_object
 from huepose.training.views import Props, ViewRange, Views, draw_views
 

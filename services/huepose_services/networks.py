@@ -12,8 +12,7 @@ from huepose.perception.flow_network import NetworkFlow
 from huepose.perception.sam import SamSegmenter
 from huepose.perception.sessions import Network, NetworkSettings, open_network, providers_here
 from huepose.perception.yolo import YoloDetector, class_names
-from huepose.propose.flow import FlowSource, compute
-from huepose.propose.relative_pose import RelativePose, RobustKabsch
+from huepose.propose.flow import FlowSource
 from huepose.support.errors import InputError
 from huepose.support.files import cache_folder
 from huepose.support.words import listed
@@ -23,9 +22,6 @@ from huepose_services.runtime.config_perception import is_network_file
 
 SAM_ENCODER, SAM_DECODER = "nanosam-encoder", "nanosam-decoder"
 """Names of `huepose models`: what the segmenter sam takes where none is configured."""
-
-FLOW = "neuflow-v2"
-"""The same for the tracker's flow neuflow."""
 
 
 def settings(config: Config) -> NetworkSettings:
@@ -65,14 +61,10 @@ def check(config: Config) -> None:
         networks.append(yolo)
     if "segmenter" in workers and config.segmenter.kind == "sam":
         networks.append(sam)
-    if "tracker" in workers and config.tracker.flow == "neuflow":
-        networks.append(flow)
     for opened_as in networks:
         opened_as(on_processor(config))
     if networks:
         providers_here(settings(config))
-    if "tracker" in workers:
-        relative_pose(config)
 
 
 def on_processor(config: Config) -> Config:
@@ -139,19 +131,6 @@ def sam(config: Config) -> tuple[SamSegmenter, Network]:
     return made, encoder
 
 
-def flow(config: Config) -> FlowSource:
-    """Where the tracker's flow comes from, ready to be used."""
-    if config.tracker.flow == "dis":
-        return compute
-    return NetworkFlow(opened(config, config.tracker.flow_model or FLOW))
-
-
-def relative_pose(config: Config) -> RelativePose:
-    """How the tracker gets a motion from matched points."""
-    rotation, model = config.tracker.rotation, config.tracker.rotation_model
-    if rotation == "kabsch":
-        return RobustKabsch()
-    # Nothing of the paper's room is loaded by a tracker that does without.
-    from huepose.paper.rotation_network import learned
-
-    return learned(rotation, None if model is None else Path(model))
+def flow(named: str) -> FlowSource:
+    """Optical flow by a network, of a path or a name of `huepose models`. Raises InputError."""
+    return NetworkFlow(opened(Config(), named))

@@ -18,7 +18,7 @@ from huepose.tracking import Tracker, memory
 from huepose.tracking.types import Applied, TrackedPose
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
-from huepose_services import models, networks
+from huepose_services import models
 from huepose_services.convert import correction_from_wire, frame_from_wire, tracked_to_wire
 from huepose_services.delay_doubt import DelayDoubt
 from huepose_services.doubts import (
@@ -79,9 +79,8 @@ def tracker_of(config: Config, known: Mapping[str, ReferenceModel]) -> Tracker:
         profile(config.profile).tracker,
         history_frames=config.tracker.history_frames,
         older_frames=config.tracker.older_frames,
-        flow=networks.flow(config),
     )
-    return Tracker(known, settings, networks.relative_pose(config))
+    return Tracker(known, settings)
 
 
 class TrackerWork(Work):

@@ -24,9 +24,9 @@ from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.geometry.box import Box
 from huepose.judge.silhouette import visible_within
 from huepose.model.types import ReferenceModel
-from huepose.propose.correspondences import Correspondences
+from huepose.paper.correspondences import Correspondences
+from huepose.paper.relative_pose import LiftedMatches, RobustKabsch, lift_matches
 from huepose.propose.flow import compute
-from huepose.propose.relative_pose import LiftedMatches, RobustKabsch, lift_matches
 from huepose.rendering import render
 from huepose.support.errors import InputError
 

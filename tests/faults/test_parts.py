@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import json
 import time
-from dataclasses import replace
 from types import SimpleNamespace
 
 import msgspec
 import numpy as np
 import pytest
 
-from huepose.believe.state import State
-from huepose.evaluation.metrics import add
 from huepose.geometry import Camera, RgbdFrame
 from huepose.model import load_models
 from huepose.model.io import model_path
-from huepose.propose.flow import Flow, compute
 from huepose.scenes.builtin import SyntheticScene
-from huepose.tracking import Correction, Tracker, TrackerConfig
 from huepose_protos import PoseClient
 from huepose_protos.examples import messages
 from huepose_protos.messages import PoseMessage
@@ -82,48 +77,6 @@ def test_23_a_subscriber_whose_clock_is_wrong_gets_no_old_pose_for_a_new_one(ske
 @pytest.fixture(scope="module")
 def film():
     return SyntheticScene(0), load_models(builtin_bundles(0))
-
-
-def _nothing_but_nan(color_a, color_b, box):
-    flow = compute(color_a, color_b, box)
-    if flow is None:
-        return None
-    nan = np.full_like(flow.forward, np.nan)
-    return Flow(nan, nan, np.ones_like(flow.consistent), flow.x0, flow.y0)
-
-
-@pytest.mark.parametrize("every", [1, 8])
-def test_11_flow_that_is_no_number_gives_no_pose_that_is_none_and_no_wrong_one(film, every):
-    scene, models = film
-    asked = []
-
-    def flow(*arguments):
-        asked.append(1)
-        return _nothing_but_nan(*arguments)
-
-    tracker = Tracker(models, replace(TrackerConfig(), flow=flow))
-    first = next(iter(scene))
-    for truth in first.truths:
-        if truth.visible:
-            tracker.correct(Correction.first(truth.object, truth.T_cam_obj, first.frame))
-    believed = 0
-    for number, k in enumerate(range(0, 40 * every, every)):
-        # Faster than it was drawn: where a velocity leads to what is there, flow is not asked.
-        frame = replace(scene.frame(k), epoch=first.frame.epoch, stamp_ns=number * SECOND // 30)
-        for pose in tracker.step(frame):
-            if pose.T_cam_obj is not None:
-                R = pose.T_cam_obj[:3, :3]
-                assert np.allclose(R @ R.T, np.eye(3), atol=1e-6)
-                assert np.linalg.det(R) > 0.0
-                assert np.isfinite(pose.T_cam_obj).all()
-            if pose.state is State.TRACKING:
-                believed += 1
-                model = models[pose.object]
-                truth = next(t for t in scene.truths(k) if t.object == pose.object)
-                error = add(model.eval_points[::20], pose.T_cam_obj, truth.T_cam_obj)
-                assert error < 0.1 * model.diameter_m, (k, pose.object)
-    assert believed > 20
-    assert asked or every == 1, "things move too slowly for flow to be asked"
 
 
 def test_14_a_damaged_model_is_named_and_the_pipeline_ends(tmp_path):

@@ -9,9 +9,7 @@ import pytest
 
 LIVE = """
 import huepose, huepose.estimation, huepose.tracking, huepose.reinit
-from huepose_services import detector, estimator, networks, reinit, segmenter, tracker
-from huepose_services.runtime.config import Config
-networks.relative_pose(Config())
+from huepose_services import detector, estimator, reinit, segmenter, tracker
 """
 METHOD = """
 from huepose.estimation import Estimator, EstimatorConfig

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from huepose.geometry import se3
 from huepose.paper.canonical import FEATURES, canonical, centroid, look_at
+from huepose.paper.relative_pose import LiftedMatches
 from huepose.paper.rotation_network import ResidualRotation, RotationFirst, translation_given
-from huepose.propose.relative_pose import LiftedMatches
 
 places = st.tuples(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(0.3, 1.5)).map(np.array)
 turns = st.tuples(*[st.floats(-0.9, 0.9)] * 3).map(np.array)

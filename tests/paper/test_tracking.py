@@ -12,8 +12,8 @@ from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.geometry import RgbdFrame, se3
 from huepose.judge.silhouette import visible_mask
 from huepose.model.types import ReferenceModel
+from huepose.paper.relative_pose import LiftedMatches, Motion
 from huepose.paper.tracking import PaperStep
-from huepose.propose.relative_pose import LiftedMatches, Motion
 from huepose.tracking.types import Applied, Correction, Verdict
 
 PERIOD_NS = 33_333_333
@@ -100,4 +100,4 @@ def test_the_rotation_comes_from_what_it_is_given(
 
 def test_out_of_sight_the_pose_stays(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:
     aside = se3.compose(se3.make(np.eye(3), np.array([3.0, 0.0, 0.0])), standing)
-    np.testing.assert_array_equal(PaperStep.shipped()(tea_box, aside, film(0), film(1)), aside)
+    np.testing.assert_array_equal(PaperStep.of()(tea_box, aside, film(0), film(1)), aside)

@@ -8,9 +8,7 @@ import pytest
 from huepose.geometry import Box
 from huepose.perception.flow_network import NetworkFlow
 from huepose.perception.sessions import open_network
-from huepose.propose.flow import compute
 from huepose.support.errors import InputError
-from huepose.tracking import Tracker, TrackerConfig
 from tests.perception import networks
 
 
@@ -59,13 +57,20 @@ def test_other_networks_are_refused(tmp_path):
         NetworkFlow(odd)
 
 
-def test_the_tracker_asks_the_source_that_it_is_given(tea_box):
-    asked = []
+def test_flow_that_is_no_number_is_none(tmp_path):
+    class Broken:
+        """A network whose answer is NaN once it has been opened."""
 
-    def source(a, b, box):
-        asked.append(box)
-        return compute(a, b, box)
+        def __init__(self, network):
+            self._network, self._answers = network, 0
 
-    tracker = Tracker({"tea_box": tea_box}, TrackerConfig(flow=source))
-    tracker.warm_up()
-    assert asked
+        def __getattr__(self, name):
+            return getattr(self._network, name)
+
+        def run(self, inputs):
+            self._answers += 1
+            found = self._network.run(inputs)
+            return found if self._answers == 1 else {k: np.full_like(v, np.nan) for k, v in found.items()}
+
+    flow = NetworkFlow(Broken(open_network(networks.blue_follower(tmp_path / "flow.onnx", 96, 128))))
+    assert flow(*pictures(3, 3), Box(0, 0, 200, 160)) is None

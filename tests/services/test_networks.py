@@ -13,11 +13,8 @@ import numpy as np
 import onnxruntime as ort
 import pytest
 
-from huepose.paper.rotation_network import ResidualRotation, RotationFirst
 from huepose.perception.flow_network import NetworkFlow
 from huepose.perception.sessions import PROVIDERS
-from huepose.propose.flow import compute
-from huepose.propose.relative_pose import RobustKabsch
 from huepose.support.errors import InputError
 from huepose_services import catalogue
 from huepose_services import networks as deployed
@@ -265,26 +262,14 @@ def test_sam_is_checked_too(tmp_path):
         deployed.check(parse(text.format("decoder", "encoder"), tmp_path / "p.yaml"))
 
 
-def test_the_trackers_networks_are_checked_and_taken(tmp_path):
+def test_a_network_for_flow_is_checked(tmp_path):
     networks.blue_follower(tmp_path / "flow.onnx", 64, 96)
     networks.identity(tmp_path / "other.onnx", (1, 3, 64, 64))
-    text = "tracker: {{flow: neuflow, flow_model: {}}}"
-    config = parse(text.format("flow.onnx"), tmp_path / "p.yaml")
-    deployed.check(config)
-    assert isinstance(deployed.flow(config), NetworkFlow)
+    assert isinstance(deployed.flow(str(tmp_path / "flow.onnx")), NetworkFlow)
     with pytest.raises(InputError, match="two inputs of float"):
-        deployed.check(parse(text.format("other.onnx"), tmp_path / "p.yaml"))
+        deployed.flow(str(tmp_path / "other.onnx"))
     with pytest.raises(InputError, match="neuflow-v2"):
-        deployed.check(parse(text.format("null"), tmp_path / "p.yaml"))
-    plain = parse("", tmp_path / "p.yaml")
-    assert deployed.flow(plain) is compute
-    assert isinstance(deployed.relative_pose(plain), RobustKabsch)
-    for kind, of_kind in (("residual", ResidualRotation), ("direct", RotationFirst)):
-        learned = parse(f"tracker: {{rotation: {kind}}}", tmp_path / "p.yaml")
-        assert isinstance(deployed.relative_pose(learned), of_kind), "the one in the package"
-    wrong = parse("tracker: {rotation: residual, rotation_model: other.onnx}", tmp_path / "p.yaml")
-    with pytest.raises(InputError, match="expected features"):
-        deployed.check(wrong)
+        deployed.flow("neuflow-v2")
 
 
 @pytest.mark.parametrize(

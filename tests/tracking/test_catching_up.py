@@ -133,7 +133,7 @@ def test_a_step_that_lost_the_object_is_taken_back_and_strides_grow_again(tea_bo
     frames, truth, _ = whirled
     pursuit, reached = Pursuit(late(frames[0], truth[0]), Subject.of(tea_box), LIVE), [0]
     for now in range(LATE, len(frames)):
-        pursuit.follow(frames[reached[-1] : now + 1], None, 1.0)
+        pursuit.follow(frames[reached[-1] : now + 1], 1.0)
         assert pursuit.supported
         reached.append(pursuit.track.frame.frame_id)
         if pursuit.arrived(frames[now]):

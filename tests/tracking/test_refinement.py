@@ -11,7 +11,6 @@ from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, totals, window
 from huepose.judge.terms import NOTHING, Terms, score_arrays
 from huepose.model.types import ReferenceModel
-from huepose.propose.relative_pose import RobustKabsch
 from huepose.refine.photometric import FULL, NEAR, QUICK, refine, refine_all
 from huepose.select.distinct import first_different
 from huepose.tracking.config import TrackerConfig
@@ -19,7 +18,6 @@ from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.motion import Reach
 from huepose.tracking.refined import about_its_axis, best_of, unmoved
 from huepose.tracking.search import search
-from huepose.tracking.stages import flow_start
 from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
 from tests.onboarded import onboarded
@@ -227,19 +225,6 @@ def test_different_poses_are_kept_in_order() -> None:
     poses = np.array([at(0, 0), at(0.001, 0.01), at(0.0, 0.5), at(0.1, 0.0), at(0.1, 0.45), at(0.0, 0.49)])
     assert first_different(poses, np.zeros(3), 0.1, 0.01, 10).tolist() == [0, 2, 3, 4]
     assert first_different(poses, np.zeros(3), 0.1, 0.01, 2).tolist() == [0, 2]
-
-
-def test_flow_gives_a_start_where_velocity_knows_nothing(tea_box, shoot, path) -> None:
-    subject = Subject.of(tea_box)
-    before, after = path(0), path(2)
-    frames = [shoot([(tea_box.mesh, T)], k) for k, T in ((0, before), (2, after))]
-    anchor = Anchor((guess(before),), frames[0])
-    start = flow_start(subject, anchor, frames[1], before, RobustKabsch())
-    assert start is not None
-    mm, degrees = errors(start, after)
-    moved_mm, moved_degrees = errors(before, after)
-    assert mm < 0.25 * moved_mm
-    assert degrees < 0.25 * moved_degrees
 
 
 def test_a_velocity_is_believed_only_if_the_image_agrees(tea_box, shoot, path) -> None:

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera, kabsch, se3
+from huepose.paper.relative_pose import RobustKabsch
 from huepose.paper.rotation_network import fixed_count, posed
-from huepose.propose.relative_pose import RobustKabsch
 from huepose.rendering.render import is_closed, render_depth
 from huepose.training.shapes import random_object, random_shape
 from huepose.training.turns import draw_turns, endless, sample_of

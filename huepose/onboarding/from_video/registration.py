@@ -9,10 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from huepose.geometry import se3
+from huepose.geometry import kabsch, se3
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.lifting import lift
 from huepose.judge.open_region import PreparedSurface, look, open_region, steepest
 from huepose.judge.region import ModelArrays
 from huepose.judge.terms import Terms
@@ -20,14 +21,14 @@ from huepose.onboarding.from_video.fusion import Fused
 from huepose.onboarding.from_video.sight import seen_more_squarely
 from huepose.onboarding.from_video.views import View
 from huepose.propose import flow
-from huepose.propose.relative_pose import LiftedMatches, RobustKabsch, lift
 from huepose.refine.photometric import COARSE, FULL, refine
 
 SAMPLES = 3000
 """Surface samples for an alignment."""
 
-MATCHES = 400
-"""Pixels whose flow is used."""
+MATCHES, INLIER_M, MIN_INLIERS, TRIALS = 400, 0.006, 8, 60
+"""Pixels whose flow is used; residual of a believed one, metres; so many of these make a motion; and triples
+that are tried."""
 
 WINDOW = 0.35
 """Margin around the object's box for its motion in one frame, over the size of the box."""
@@ -145,9 +146,10 @@ def followed(last: RgbdFrame, mask: Bool, T_cam_obj: Float64, frame: RgbdFrame) 
     a, known_a = lift(last.depth, last.camera, pixels)
     b, known_b = lift(frame.depth, frame.camera, pixels + by)
     k = ok & known_a & known_b
-    matches = LiftedMatches(a[k], b[k], pixels[k], (pixels + by)[k], np.ones(int(k.sum())))
-    motion = RobustKabsch().estimate(matches)
-    return None if motion is None else motion.T_b_a @ T_cam_obj
+    T_b_a, inliers, _ = kabsch.robust_fit(
+        a[k], b[k], inlier_m=INLIER_M, rng=np.random.default_rng(0), trials=TRIALS
+    )
+    return T_b_a @ T_cam_obj if inliers.sum() >= MIN_INLIERS else None
 
 
 SIGMA_M = 0.0015

@@ -10,8 +10,8 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box, given_box
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.lifting import EDGE_M, EDGE_SHARE
 from huepose.onboarding.from_video.views import tolerance_m
-from huepose.propose.relative_pose import EDGE_M, EDGE_SHARE
 from huepose.support.errors import InputError
 
 REACH_M = 0.5

@@ -114,6 +114,14 @@ def _add_track(verbs: Any) -> None:
         "of the method paper: a network for all of the turn, one that corrects the closed form, or the "
         "closed form alone (direct)",
     )
+    add_path(parser, "--rotation-model", "FILE", "its network, of huepose train rotation (the shipped one)")
+    parser.add_argument(
+        "--flow",
+        default="dis",
+        metavar="dis|FILE",
+        help="of the method paper: optical flow without a network, or NeuFlow v2 from an ONNX file or "
+        "a name of huepose models (dis)",
+    )
     add_one_of(
         parser,
         "--protocol",

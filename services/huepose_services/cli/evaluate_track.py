@@ -22,8 +22,10 @@ from huepose.evaluation.track_protocol import (
 from huepose.model import ReferenceModel
 from huepose.paper.tracking import PaperStep
 from huepose.profiles import profile
+from huepose.propose.flow import compute
 from huepose.support.errors import InputError
 from huepose.support.words import known
+from huepose_services import networks
 from huepose_services.cli.evaluate_scenes import (
     figure_table,
     intervals_line,
@@ -58,10 +60,10 @@ def call(arguments: argparse.Namespace) -> int:
     pictures = PictureFolder(arguments.plots, targets) if arguments.plots else None
     on_frame = None if pictures is None else pictures.frame
 
+    step = _paper_step(arguments) if arguments.method == "paper" else None
+
     def tracker(models: Mapping[str, ReferenceModel]) -> TrackerLike:
-        if arguments.method == "paper":
-            return PaperTracker(models, PaperStep.shipped(arguments.rotation))
-        return warm_tracker(models, settings.tracker)
+        return warm_tracker(models, settings.tracker) if step is None else PaperTracker(models, step)
 
     result = evaluate_tracking(
         scenes, targets, tracker, sources, options, names, judge=judge, on_frame=on_frame
@@ -69,13 +71,18 @@ def call(arguments: argparse.Namespace) -> int:
     record = result.as_json()
     record["summary"]["method"] = arguments.method
     if arguments.method == "paper":
-        record["summary"]["rotation"] = arguments.rotation
+        record["summary"] |= {"rotation": arguments.rotation, "flow": arguments.flow}
     record["summary"]["profile"] = arguments.profile
     print(_report(record["summary"]))
     write_json(arguments.json, record | {"origin": origin()})
     if pictures is not None:
         pictures.tracks(result)
     return 0
+
+
+def _paper_step(arguments: argparse.Namespace) -> PaperStep:
+    flow = compute if arguments.flow == "dis" else networks.flow(arguments.flow)
+    return PaperStep.of(arguments.rotation, arguments.rotation_model, flow)
 
 
 def _source_names(arguments: argparse.Namespace) -> SourceNames:

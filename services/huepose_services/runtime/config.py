@@ -71,16 +71,11 @@ class EstimatorConfig(Section, frozen=True, kw_only=True):
 
 
 class TrackerConfig(Section, frozen=True, kw_only=True):
-    """How far back a late correction may reach, how old a pose may be that is acted on, and where flow and
-    the turn between two frames come from."""
+    """How far back a late correction may reach, and how old a pose may be that is acted on."""
 
     history_frames: Annotated[int, Meta(ge=2, le=300)] = 20
     older_frames: Annotated[int, Meta(ge=0, le=300)] = 24
     max_age_ms: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 300.0
-    flow: Literal["dis", "neuflow"] = "dis"
-    flow_model: str | None = None
-    rotation: Literal["kabsch", "residual", "direct"] = "kabsch"
-    rotation_model: str | None = None
 
 
 class ReinitConfig(Section, frozen=True, kw_only=True):
@@ -236,8 +231,7 @@ class Config(Section, frozen=True, kw_only=True):
     @property
     def uses_networks(self) -> bool:
         """Whether any part is configured that runs a network."""
-        learned = self.tracker.flow == "neuflow" or self.tracker.rotation != "kabsch"
-        return learned or self.detector.kind == "yolo" or self.segmenter.kind == "sam"
+        return self.detector.kind == "yolo" or self.segmenter.kind == "sam"
 
     def port(self, worker: str) -> int:
         """The port of a worker: the name of its socket."""

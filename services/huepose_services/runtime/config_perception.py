@@ -121,11 +121,11 @@ class NetworksConfig(Section, frozen=True, kw_only=True):
 
 TLS_FILES = ("authority", "certificate", "key", "revoked")
 PATHS = frozenset(
-    {"bundles", "link.secure", "camera.path", "networks.cache", "tracker.rotation_model"}
+    {"bundles", "link.secure", "camera.path", "networks.cache"}
     | {f"gateway.tls.{name}" for name in TLS_FILES}
 )
 """The keys that are paths, relative to the folder of the file."""
-NETWORKS = frozenset({"detector.model", "segmenter.encoder", "segmenter.decoder", "tracker.flow_model"})
+NETWORKS = frozenset({"detector.model", "segmenter.encoder", "segmenter.decoder"})
 """Those that are a path, or a name of `huepose models`."""
 
 

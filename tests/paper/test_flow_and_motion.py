@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Box, Camera, RgbdFrame, se3
+from huepose.geometry.lifting import lift
+from huepose.paper.correspondences import match, propagate
+from huepose.paper.relative_pose import LiftedMatches, RobustKabsch, lift_matches
 from huepose.propose import flow as optical_flow
-from huepose.propose.correspondences import match, propagate
-from huepose.propose.relative_pose import LiftedMatches, RobustKabsch, lift, lift_matches
 
 ALL = Box(0, 0, 200, 160)
 

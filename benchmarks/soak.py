@@ -45,7 +45,7 @@ def main() -> None:
         result = {
             "seconds": seconds,
             "poses": pose_figures([p for p in pipeline.poses if start <= p.at <= end], start, end),
-            "frames_hz": sum(start <= at <= end for at, _ in pipeline.truths) / seconds,
+            "frames_hz": sum(start <= at <= end for at in pipeline.truths) / seconds,
             "estimates_hz": sum(start <= at <= end for at in pipeline.estimates) / seconds,
             "workers": {w: _worker(pipeline, w, start, end, spent[w]) for w in CHAIN},
             "too_old_tracking": too_old(pipeline.poses, pipeline.max_age_ms),

@@ -95,7 +95,6 @@ class Entry:
 
     network: KnownNetwork
     path: Path
-    known: bool
 
     @property
     def here(self) -> bool:
@@ -115,12 +114,10 @@ def folder() -> Path:
 
 def entries() -> list[Entry]:
     """All that are known or were added, and files that lie in the folder besides."""
-    place = folder()
-    added = _added(place)
-    found = [Entry(added.get(k.name, k), place / f"{k.name}.onnx", True) for k in KNOWN]
-    names = {entry.network.name for entry in found}
-    more = (path for path in sorted(place.glob("*.onnx")) if path.stem not in names)
-    return [*found, *(Entry(added.get(p.stem, _unknown(p.stem)), p, False) for p in more)]
+    place, known = folder(), {network.name: network for network in KNOWN}
+    noted = known | _added(place)
+    more = (path.stem for path in sorted(place.glob("*.onnx")) if path.stem not in known)
+    return [Entry(noted.get(name, _unknown(name)), place / f"{name}.onnx") for name in (*known, *more)]
 
 
 def entry_of(name: str) -> Entry:
@@ -154,7 +151,7 @@ def add(file: Path, name: str) -> Entry:
     network = replace(known or _unknown(name), size_bytes=path.stat().st_size, sha256=digest(path))
     notes = {n: asdict(k) for n, k in _added(place).items()} | {name: asdict(network)}
     write_text(place / _NOTES, json.dumps(notes, indent=1))
-    return Entry(network, path, known is not None)
+    return Entry(network, path)
 
 
 def _writing(place: Path) -> AbstractContextManager[None]:

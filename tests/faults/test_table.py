@@ -58,7 +58,7 @@ def test_the_short_ones_are_among_all():
 
 
 def pose(at, state="TRACKING", error=0.01, age_ms=20.0, frame=0):
-    return SeenPose(at, 0, age_ms, age_ms, "tea_box", 0, (1, frame), state, error)
+    return SeenPose(at, age_ms, age_ms, "tea_box", 0, (1, frame), state, error)
 
 
 def test_wrong_and_old_poses_to_act_on_are_counted_and_others_are_not():

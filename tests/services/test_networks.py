@@ -44,7 +44,7 @@ def entry(folder):
     known = catalogue.KnownNetwork(
         "known", "detector", "MIT", "somewhere", None, len(CONTENT), hashlib.sha256(CONTENT).hexdigest()
     )
-    return catalogue.Entry(known, folder / "known.onnx", True)
+    return catalogue.Entry(known, folder / "known.onnx")
 
 
 class Server:

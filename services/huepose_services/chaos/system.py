@@ -54,7 +54,6 @@ class SeenPose:
     ADD over the diameter, None without pose or truth; `quality`: how sure it says it is."""
 
     at: float
-    capture_ns: int
     age_ms: float
     late_ms: float
     name: str
@@ -106,7 +105,7 @@ class LivePipeline:
         self.health: dict[str, HealthMessage] = {}
         self.health_log: list[tuple[float, HealthMessage]] = []
         self.estimates: list[float] = []
-        self.truths: list[tuple[float, int]] = []
+        self.truths: list[float] = []
         self.epochs: set[int] = set()
         """Of the camera of this pipeline, as it says itself."""
         self.corrections: deque[CorrectionMessage] = deque(maxlen=_OLD_CORRECTIONS)
@@ -172,7 +171,7 @@ class LivePipeline:
             if isinstance(message, PoseMessage):
                 self._take_pose(message, now)
             elif isinstance(message, TruthMessage):
-                self.truths.append((now, message.capture_ns))
+                self.truths.append(now)
                 self.epochs.add(message.camera_epoch)
                 for item in message.objects:
                     if item.object is not None:
@@ -199,7 +198,7 @@ class LivePipeline:
         late_ms = (time.monotonic_ns() - pose.capture_ns) * 1e-6
         frame = (pose.camera_epoch, pose.frame_id)
         seen = (pose.object, pose.instance, frame, pose.state, error, pose.quality)
-        self.poses.append(SeenPose(now, pose.capture_ns, pose.age_ms, late_ms, *seen))
+        self.poses.append(SeenPose(now, pose.age_ms, late_ms, *seen))
 
     def tracking_now(self) -> set[str]:
         """Objects with a TRACKING pose in the last half second."""

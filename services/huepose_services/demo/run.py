@@ -143,7 +143,7 @@ def _observe(
                     raise DemoError("the pipeline has ended early")
                 _take(reader, score, health)
                 if table is not None:
-                    table.show(score.latest(), score.last_ns)
+                    table.show(score.latest())
                 elapsed_ns = 0 if score.first_ns is None else score.last_ns - score.first_ns
                 if elapsed_ns >= seconds * SECOND:
                     break

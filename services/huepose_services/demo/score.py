@@ -146,8 +146,7 @@ class Score:
             "frames": max((r.frames for r in reports.values()), default=0),
             "objects": len(self._yardsticks),
             "per_object": {
-                name: _one(reports[name], errors[name], self._yardsticks[name])
-                | {"doubts": self._doubts(name, until_ns)}
+                name: _one(reports[name], errors[name]) | {"doubts": self._doubts(name, until_ns)}
                 for name in self._yardsticks
             },
         }
@@ -187,7 +186,7 @@ class Score:
         return states, table[counted, 1:]
 
 
-def _one(states: StateReport, errors: Float64, yardstick: Yardstick) -> dict[str, Any]:
+def _one(states: StateReport, errors: Float64) -> dict[str, Any]:
     figures = four_figures(errors[:, 0], errors[:, 1], errors[:, 2])
     tracked = errors[np.isfinite(errors[:, 0]), 0]
     return {

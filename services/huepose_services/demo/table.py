@@ -26,7 +26,7 @@ class Table:
         self._next = 0.0
         self._lines = 0
 
-    def show(self, rows: Mapping[str, Latest], last_ns: int) -> None:
+    def show(self, rows: Mapping[str, Latest]) -> None:
         """Draw, if it is time."""
         now = time.monotonic()
         if now < self._next:

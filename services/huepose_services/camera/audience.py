@@ -21,27 +21,23 @@ class Audience:
         self.missing = {str(worker) for worker in (*config.workers, *config.far) if worker != "camera"}
         self._not_acquired = {item.name for item in config.objects}
         self._read: tuple[int | None, int | None] = (None, None)
-        self.reads = config.camera.once and "tracker" in config.workers
+        reads = config.camera.once and "tracker" in config.workers
         inbox, keys = bus.inbox, config.keys
         self._live = inbox.liveliness(keys.live()) if self.missing else None
-        self._poses = inbox.queue(keys.poses, wakes=False) if self.reads and config.objects else None
-        self._health = inbox.queue(keys.health("tracker"), wakes=False) if self.reads else None
+        self._poses = inbox.queue(keys.poses, wakes=False) if reads and config.objects else None
+        self._health = inbox.queue(keys.health("tracker"), wakes=False) if reads else None
 
-    def complete(self) -> bool:
-        """Whether every worker has been connected."""
+    def may_begin(self, impatient: bool) -> bool:
+        """Whether every worker is there, or is waited for no longer."""
         while self._live is not None and (sample := self._live.take()) is not None:
             self.missing.discard(last(str(sample.key_expr)))
+        if self.missing and impatient:
+            self._bus.log.say(f"playing without {', '.join(sorted(self.missing))}")
+            self.missing.clear()
         if self._live is not None and not self.missing:
             self._bus.inbox.forget(self._live)
             self._live = None
         return not self.missing
-
-    def may_begin(self, impatient: bool) -> bool:
-        """Whether every worker is there, or is waited for no longer."""
-        if not self.complete() and impatient:
-            self._bus.log.say(f"playing without {', '.join(sorted(self.missing))}")
-            self.missing.clear()
-        return self.complete()
 
     def has_acquired_all(self) -> bool:
         """Whether every object that is looked for by name has had a pose."""
@@ -56,13 +52,10 @@ class Audience:
             self._bus.inbox.forget(self._poses)
             self._poses = None
 
-    def has_read(self, camera_epoch: int, frame_id: int) -> bool:
-        """Whether the tracker says that this frame was its last."""
+    def is_done(self, camera_epoch: int, frame_id: int, since_ns: int) -> bool:
+        """Whether the tracker says that the last frame was its last, or time enough has gone by since it was
+        published."""
         while self._health is not None and (said := self._bus.take(self._health, HealthMessage)) is not None:
             self._read = (said.camera_epoch, said.frame_id)
-        return self._read == (camera_epoch, frame_id)
-
-    def is_done(self, camera_epoch: int, frame_id: int, since_ns: int) -> bool:
-        """Whether the last frame was read, or time enough has gone by since it was published."""
-        read = self.has_read(camera_epoch, frame_id) if self.reads else since_ns > _GRACE_NS
-        return read or since_ns > _WAIT_FOR_READERS_NS
+        wait_ns = _GRACE_NS if self._health is None else _WAIT_FOR_READERS_NS
+        return self._read == (camera_epoch, frame_id) or since_ns > wait_ns

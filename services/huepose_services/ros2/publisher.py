@@ -91,6 +91,11 @@ class Node:
         if style == "rmw_zenoh":
             self._announce(node_token(domain, self._zid, name))
 
+    @property
+    def connected(self) -> bool:
+        """Whether the router is there now."""
+        return bool(self._session.info.routers_zid())
+
     def _announce(self, token: str) -> None:
         self._tokens.append(self._session.liveliness().declare_token(token))
 

@@ -85,31 +85,24 @@ def without_router(ros2: Ros2Config) -> str:
 class Router:
     """Our node of ROS 2. A thread connects it to the router, however long that takes; the worker goes on."""
 
-    def __init__(self, ros2: Ros2Config) -> None:
-        self._ros2 = ros2
-        self._session: zenoh.Session | None = None
-        self._node: Node | None = None
-        threading.Thread(target=self._open, daemon=True).start()
+    node: Node | None = None
+    """None until the router was there."""
 
-    def _open(self) -> None:
-        session = open_ros_session(self._ros2, quiet=True)
-        self._node = Node(session, "huepose", self._ros2.domain, self._ros2.keys)
-        self._session = session
+    def __init__(self, ros2: Ros2Config) -> None:
+        threading.Thread(target=self._open, args=(ros2,), daemon=True).start()
+
+    def _open(self, ros2: Ros2Config) -> None:
+        self.node = Node(open_ros_session(ros2, quiet=True), "huepose", ros2.domain, ros2.keys)
 
     @property
     def connected(self) -> bool:
         """Whether the router is there now."""
-        return self._session is not None and bool(self._session.info.routers_zid())
-
-    @property
-    def node(self) -> Node | None:
-        """The node; None until the router was there."""
-        return self._node if self._session is not None else None
+        return self.node is not None and self.node.connected
 
     def publish(self, topic: str, type_name: str, payload: bytes) -> None:
         """Publish a message in CDR on a topic; it is dropped until the router was there."""
-        if (node := self.node) is not None:
-            node.publish(topic, type_name, payload)
+        if self.node is not None:
+            self.node.publish(topic, type_name, payload)
 
 
 class MountFromTf:

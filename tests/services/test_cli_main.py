@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from huepose.support.errors import InputError
+from huepose_services.cli import entry
 from huepose_services.cli import main as command_line
 from huepose_services.cli.main import BAD_INPUT, main
 from huepose_services.cli.options import answered
@@ -282,3 +283,29 @@ def test_ctrl_c_while_a_command_line_is_still_read_is_a_line_and_no_traceback(
     monkeypatch.setattr(command_line, "build_parser", interrupted)
     assert main(["poses"]) == 130
     assert capsys.readouterr().err == "huepose: interrupted\n"
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_ctrl_c_while_a_module_is_imported_is_a_line_and_no_traceback(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Interrupted:
+        @staticmethod
+        def find_spec(name: str, *_: object) -> None:
+            if name == command_line.__name__:
+                try:
+                    raise KeyboardInterrupt
+                except KeyboardInterrupt as ctrl_c:
+                    if compiled:
+                        raise ImportError("initialization failed") from ctrl_c
+                    raise
+
+    monkeypatch.delitem(sys.modules, command_line.__name__)
+    monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
+    assert entry.main() == 130
+    assert capsys.readouterr().err == "huepose: interrupted\n"
+
+
+def test_the_command_is_the_entry_that_catches_ctrl_c_in_imports() -> None:
+    said = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+    assert f'huepose = "{entry.__name__}:main"' in said

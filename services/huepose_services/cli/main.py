@@ -1,4 +1,3 @@
-# PYTHON_ARGCOMPLETE_OK
 """`huepose`: reads the command line, calls the verb, turns errors into a paragraph and an exit code.
 
 Each verb is a module of this package with `add_parser(subparsers)`, light to import: what a verb needs is

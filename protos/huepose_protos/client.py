@@ -41,6 +41,9 @@ from huepose_protos.reach import endpoint_of
 Hear = Callable[[zenoh.Sample], None]
 
 _ASK_TIMEOUT_S = 2.0
+_OPEN_WITHIN_MS = 2_000
+"""For a new link of one that only reads. Where the other side is mute, as one that hangs or has no TLS, who
+ends a session waits for as long; zenoh's own are ten seconds."""
 _ROOM = 65_536  # samples that may wait for a busy program before the bus does
 _KINDS: dict[str, type[Message]] = {
     "pose": PoseMessage,
@@ -89,6 +92,8 @@ def peer(
         "open/return_conditions/connect_scouted": False,
         "transport/shared_memory/enabled": False,
     }
+    if not listen:
+        settings["transport/unicast/open_timeout"] = _OPEN_WITHIN_MS
     return configured({**settings, **(more or {})})
 
 

@@ -2,12 +2,15 @@
 
 import json
 import os
+import socket
 import subprocess
 import sys
+import time
 
 import pytest
 
 from huepose_protos import PoseClient
+from huepose_protos.client import open_session
 from huepose_protos.local import pose_endpoints
 from huepose_protos.reach import endpoint_of
 
@@ -47,6 +50,16 @@ def test_nobody_at_a_host_is_said():
     with PoseClient("127.0.0.1:1") as client:
         said = "waiting for a gateway at tcp/127.0.0.1:1: no program listens there"
         assert client.why_silent() == said
+
+
+def test_one_that_takes_links_and_says_nothing_holds_up_no_end():
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        session = open_session([f"127.0.0.1:{mute.getsockname()[1]}"])
+        mute.settimeout(5.0)
+        with mute.accept()[0]:
+            began = time.monotonic()
+            session.close()
+            assert time.monotonic() - began < 4.0
 
 
 def test_files_that_are_no_certificates_are_said(tmp_path):

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from huepose_services.recording.record import Recorder
 
 _NOTHING_HEARD_AFTER_S = 2.0
-_SOON_S = 0.2
 
 
 def add_parser(subparsers: Any) -> None:
@@ -134,12 +133,14 @@ def _recorded(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> in
 
 
 def _answer(recorder: Recorder, parts: Parts) -> dict[str, Any]:
-    """What is in the files, for programs. `lost`: frames and steps of the tracker that came in no way."""
+    """What is in the files, for programs. `frames`: all of them, `frames_before`: those of `before_s`.
+    `lost`: frames and steps of the tracker that came in no way."""
     span = recorder.span
     return {
         "files": [str(path) for path in parts.paths if path.exists()],
         "frames": parts.frames,
         "seconds": span.seconds,
+        "frames_before": span.older,
         "before_s": span.before_s,
         "bytes": parts.size if span.first_ns is not None else 0,
         "missed": recorder.missed,
@@ -152,9 +153,10 @@ def _how_far(recorder: Recorder, parts: Parts) -> str:
     missed = f", {counted(recorder.missed, 'frame')} missed" if recorder.missed else ""
     missed += f", {recorder.lost} frames and steps of the tracker missed" if recorder.lost else ""
     span = recorder.span
-    size = f"{counted(parts.frames, 'frame')}, {span.seconds:.1f} s, {parts.size / 1e6:.1f} MB"
+    size = f"{counted(parts.frames - span.older, 'frame')}, {span.seconds:.1f} s, {parts.size / 1e6:.1f} MB"
     if span.seconds > 1.0:
         size += f" ({parts.size / 1e6 / (span.seconds + span.before_s):.0f} MB/s)"
-    if span.before_s > _SOON_S:
-        size += f", with {span.before_s:.1f} s before them that the tracker still remembers"
+    if span.older:
+        older = counted(span.older, "older frame")
+        size += f", and {older} ({span.before_s:.1f} s) that the tracker still remembers"
     return f"{parts.path}: {size}{missed}"

@@ -45,18 +45,20 @@ def _cpu() -> str:
 
 
 class Span:
-    """From when to when a recording is, by the stamps of what is in it."""
+    """From when to when a recording is, by the stamps of what is in it. `older`: frames from before it, for
+    which the tracker was asked."""
 
     def __init__(self) -> None:
         self.first_ns: int | None = None
-        self._began_ns = self._last_ns = 0
+        self.older = self._began_ns = self._last_ns = 0
 
-    def saw(self, stamp_ns: int, now_ns: int) -> None:
-        """Something of that stamp is recorded now."""
+    def saw(self, stamp_ns: int, now_ns: int, asked_for: bool = False) -> None:
+        """Something of that stamp is recorded now; asked_for: a frame for which the tracker was asked."""
         if self.first_ns is None:
             self._began_ns = now_ns
         self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)
         self._last_ns = max(self._last_ns, stamp_ns)
+        self.older += asked_for and stamp_ns < self._began_ns
 
     @property
     def seconds(self) -> float:
@@ -134,7 +136,7 @@ class Recorder:
             color, depth = frame_images(header, arrived.pixels)
             given = arrived.key == keys.again
             self._parts.frame(header, color, depth, keys.of_tail(GIVEN) if given else keys.frame)
-            self.span.saw(header.publish_ns, now_ns())
+            self.span.saw(header.publish_ns, now_ns(), given)
         elif arrived.key == keys.again:
             self._parts.message(keys.intake, decode(arrived.header, IntakeMessage))
         elif (kind := kind_of(arrived.key)) is not None:

@@ -243,7 +243,9 @@ def test_what_the_tracker_remembers_from_before_does_not_count_as_recorded_time(
     span, second = Span(), 1_000_000_000
     assert (span.seconds, span.before_s) == (0.0, 0.0)
     span.saw(99_990_000_000, 100 * second)
-    span.saw(98_200_000_000, 101 * second)  # a frame that the tracker was asked for
+    span.saw(98_200_000_000, 101 * second, asked_for=True)
+    span.saw(100_500_000_000, 102 * second, asked_for=True)  # one that was lost on the way
     span.saw(114 * second, 114 * second)
+    assert span.older == 1
     assert span.seconds == pytest.approx(14.0)
     assert span.before_s == pytest.approx(1.8)

@@ -24,6 +24,12 @@ MOST_SHIFT = 0.02
 FARTHEST_M = 10.0
 """No depth camera measures poses of an object that is farther away: these are no metres."""
 
+WIDEST = np.tan(np.radians(60.0))
+"""Of half the field of view: the widest depth cameras see 120 degrees (Azure Kinect)."""
+
+UNSEEN = 0.1
+"""Share of poses that may lie where no camera sees: wild ones."""
+
 Meaning = Literal["millimetres", "object in millimetres", "quaternion order", "camera"]
 """Positions of the hand, or of the object, that are no metres; quaternions of the hand with w first; a camera
 that is mounted the other way, or poses of the base in the hand, which are the same."""
@@ -42,6 +48,17 @@ def fits(B: Float64, found: HandEye) -> bool:
     if float(np.median(np.linalg.norm(B[:, :3, 3], axis=1))) > FARTHEST_M:
         return False
     return bool(np.median(found.shift_m) <= most_m and np.median(found.turn_rad) <= MOST_TURN_RAD)
+
+
+def exchanged(hand: Float64, B: Float64) -> bool:
+    """Whether T_base_hand (N, 4, 4) and B (N, 4, 4) were taken for each other: B lies where no camera sees an
+    object, and the hand where one might. Poses that are exchanged fit as well, to another mount."""
+    return _unseen(B) > UNSEEN and _unseen(hand) == 0.0
+
+
+def _unseen(T: Float64) -> float:
+    """Share of the poses (N, 4, 4) that lie behind a camera, or beside all that the widest sees."""
+    return float(np.mean(np.abs(T[:, :2, 3]).max(1) > WIDEST * T[:, 2, 3]))
 
 
 def meant(hand: Float64, B: Float64, fixed: bool) -> tuple[Meaning, ...]:

@@ -264,3 +264,29 @@ def test_the_two_files_exchanged_are_refused(tmp_path: Path, capsys: pytest.Capt
     said = " ".join(capsys.readouterr().err.split())
     assert "hand.csv: found poses of an object" in said
     assert "Is it the file for --object?" in said
+
+
+def test_files_exchanged_are_told_without_the_column_of_the_instance(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An arm 0.4 to 0.6 m before its base, 0.1 to 0.4 m high, and a camera beside it that looks at it."""
+    rng = np.random.default_rng(5)
+    X = se3.make(np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]]), np.array([0.5, 1.0, 0.25]))
+    hand = np.array(
+        [
+            se3.make(
+                se3.rotation_exp(rng.uniform(-0.8, 0.8, 3)), rng.uniform([0.4, -0.2, 0.1], [0.6, 0.2, 0.4])
+            )
+            for _ in range(12)
+        ]
+    )
+    seen = np.array([se3.inverse(X) @ T @ Y for T in hand])
+    right, wrong = tmp_path / "right", tmp_path / "wrong"
+    right.mkdir()
+    wrong.mkdir()
+    call = ["calibrate", "hand-eye", "--camera", "fixed"]
+    assert main([*call, *files(right, rows(hand), rows(seen))]) == 0
+    assert main([*call, *files(wrong, rows(seen), rows(hand))]) == 2
+    assert "Are the files of --object and --hand exchanged?" in capsys.readouterr().err
+    assert main([*call, *files(wrong, rows(seen), rows(seen))]) == 2
+    assert "hand.csv: found the poses of --object" in capsys.readouterr().err

@@ -59,6 +59,15 @@ def call(arguments: argparse.Namespace) -> int:
         raise InputError(arguments.hand, found="no frame that is in both files", expected="the same frames")
     fixed = arguments.camera == "fixed"
     hands, B = (np.array([poses[f] for f in frames]) for poses in (hand, seen))
+    if np.array_equal(hands, B):
+        raise InputError(arguments.hand, found="the poses of --object", expected="T_base_hand of the robot")
+    if hand_eye_doubts.exchanged(hands, B):
+        raise InputError(
+            arguments.object,
+            found="poses behind the camera, or far beside what it sees",
+            expected="T_cam_obj, which the camera sees",
+            fix="Are the files of --object and --hand exchanged?",
+        )
     A = hand_eye_doubts.measured(hands, fixed)
     found = hand_eye.solve(A, B)
     sure = certainty(A, B, found)

@@ -162,6 +162,9 @@ def test_only_those_that_need_them_see_devices_and_the_network():
     assert with_devices == {"huepose@camera.service.d/needs.conf", "huepose@detector.service.d/needs.conf"}
     with_network = {name for name, text in files.items() if "IPAddressDeny=\n" in text}
     assert with_network == {"huepose@gateway.service.d/needs.conf"}
+    assert not any(
+        "network-online" in text for text in files.values()
+    )  # each waits by itself for its network
 
 
 def test_paths_with_blanks_and_percent_signs_stay_one_word():

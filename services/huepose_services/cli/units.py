@@ -229,7 +229,7 @@ def _target(configs: Sequence[Config]) -> str:
 
 def _extra(config: Config, worker: str) -> str:
     """What a worker needs beyond the template; empty when nothing."""
-    unit, service = "", ""
+    service = ""
     if worker in _FIRST:
         service += "# Frames and tracking come first where the cores do not suffice for all.\nNice=-5\n"
         service += f"WatchdogSec={config.restarts.patience_s(worker):g}\n"
@@ -237,11 +237,10 @@ def _extra(config: Config, worker: str) -> str:
         service += _CAMERA
         service += _NETWORK if config.camera.source == "oak" else ""
     if worker in ("gateway", "viewer", "ros2", "uplink", "downlink"):
-        unit = "Wants=network-online.target\nAfter=network-online.target\n"
         service += _NETWORK
     if _uses_gpu(config, worker):
         service += _GPU
-    return (f"[Unit]\n{unit}\n" if unit else "") + (f"[Service]\n{service}" if service else "")
+    return f"[Service]\n{service}" if service else ""
 
 
 def _uses_gpu(config: Config, worker: str) -> bool:

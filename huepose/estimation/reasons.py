@@ -85,10 +85,17 @@ def why_absent(explanation: Explanation, terms: QualityTerms | None, chance: flo
     if terms is None:
         return "No view of the object resembles what is in the box."
     against = _of_terms(terms) or [f"the best pose scores {terms.total:.2f}"]
-    return (
-        f"The object is not in this box (it is with a probability of {chance:.2f}; {least:.2f} is needed): "
-        f"{', and '.join(against[:2])}."
-    )
+    likely = f"it is with a probability of {under(chance, least)}; {least:.2f} is needed"
+    return f"The object is not in this box ({likely}): {', and '.join(against[:2])}."
+
+
+def under(chance: float, least: float) -> str:
+    """A probability that is less than another one, so that both differ in two decimals as well.
+
+    >>> under(0.31, 0.6), under(0.598, 0.6)
+    ('0.31', '0.59')
+    """
+    return f"{min(chance, least - 0.01):.2f}"
 
 
 class _Measured(Protocol):

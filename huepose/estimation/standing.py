@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from huepose.estimation.config import StandingConfig
+from huepose.estimation.reasons import under
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.select.distinct import pixels, standing
@@ -52,6 +53,6 @@ def why_none_stands(name: str, answers: Sequence[PoseEstimate], doubts: Sequence
     places = "the only place" if len(mine) == 1 else f"the best of {len(mine)} places"
     if chance(best) >= least:
         return f"Another object explains the surface at {places} better."
-    likely = f"with a probability of {chance(best):.2f}, which is under {least:.2f}"
+    likely = f"with a probability of {under(chance(best), least)}, which is under {least:.2f}"
     said = f"At {places} the object is there {likely}"
     return f"{said}: {doubt}." if doubt else f"{said}."

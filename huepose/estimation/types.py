@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from huepose.believe.quality import QualityTerms
 from huepose.believe.state import State
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
-from huepose.support.errors import require
+from huepose.support.errors import InputError, require
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +28,7 @@ class ObjectQuery:
     """One object to look for: in a box, or in given candidate masks (H, W), with an optional prior.
 
     With neither box nor masks the prior's outline is used; with nothing at all InputError is raised, as
-    for a box of another type.
+    for a box of another type or with numbers that are not finite.
     `instance` is handed through. searched: the place is a proposal, and the object may not be there: then the
     answer says how likely it is there (`present`), and no pose of it is surer than that. others: poses
     T_cam_obj (4, 4) of other instances of the object, where this one is not.
@@ -43,9 +44,10 @@ class ObjectQuery:
 
     def __post_init__(self) -> None:
         if self.box is not None:
-            require(
-                self.box, Box, f"box of '{self.object}'", "a Box", "Make one: Box(x, y, w, h), in pixels."
-            )
+            what, fix = f"box of '{self.object}'", "Make one: Box(x, y, w, h), in pixels."
+            require(self.box, Box, what, "a Box", fix)
+            if not all(map(math.isfinite, self.box)):
+                raise InputError(what, found=str(self.box), expected="finite numbers", fix=fix)
 
 
 @dataclass(frozen=True, eq=False)

@@ -196,6 +196,8 @@ def test_what_is_of_another_type_is_refused_at_the_door(
         Estimator("bundles")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"found tuple; expected a Box\. Make one: Box\(x, y, w, h\)"):
         ObjectQuery("tea_box", (1, 2, 3, 4))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"box of 'tea_box': found Box\(x=nan.*; expected finite numbers"):
+        ObjectQuery("tea_box", Box(float("nan"), 2, 3, 4))
     with pytest.raises(InputError, match=r"queries: found ObjectQuery; expected a list of ObjectQuery"):
         estimator.estimate(frame, query)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"query: found str; expected an ObjectQuery"):

@@ -159,6 +159,7 @@ def test_why_none_of_an_object_stands() -> None:
     assert why_none_stands("brick", [found(0.2), found(0.31)]) == (
         "At the best of 2 places the object is there with a probability of 0.31, which is under 0.60."
     )
+    assert "of 0.59, which is under 0.60" in why_none_stands("brick", [found(0.598)])
     assert why_none_stands("brick", [found(0.2)], ["its texture is not seen there"]).endswith(
         "under 0.60: its texture is not seen there."
     )

@@ -182,10 +182,11 @@ def alignment(frames: Sequence[RgbdFrame], source: str) -> Finding:
     if offset is None:
         return Finding("alignment", "none", "too few edges to tell whether depth lies on the colours")
     right, down, sigmas = offset
-    found = f"edges of the picture are {beside(right, down) or 'on'} those of depth"
+    off = beside(right, down)
+    found = f"edges of the picture are {off or 'on'} those of depth"
     if np.hypot(right, down) >= CLEAR_PX and sigmas >= CLEAR_SIGMAS:
         return Finding("alignment", "bad", found, fix)
-    return Finding("alignment", "ok", f"{found}, which is no more than can be told")
+    return Finding("alignment", "ok", found + (", too little to be sure" if off else ""))
 
 
 def edge_offset(frames: Sequence[RgbdFrame]) -> tuple[float, float, float] | None:

@@ -203,7 +203,11 @@ def test_a_box_with_a_negative_side_is_explained_by_its_size(capsys):
     assert "name of" not in said
 
 
-def test_a_recording_that_is_played_is_no_pipeline_that_starts(tmp_path, capsys):
+def test_a_recording_that_is_played_is_no_pipeline_that_starts(tmp_path, monkeypatch, capsys):
+    def waits_for_an_answer(*_):
+        pytest.fail("nobody steers a recording")
+
+    monkeypatch.setattr("huepose_services.cli.objects.ask", waits_for_an_answer)
     played = Pipeline(base_port=29347, site="lab", camera="cam0", file=str(tmp_path / "run1.mcap"))
     with noted(played):
         assert main(["objects", "list", "--pipeline", "lab/cam0"]) == 1

@@ -72,7 +72,7 @@ def call(arguments: argparse.Namespace) -> int:
         ) from error
     pipeline = chosen(arguments)
     say_if_unknown(pipeline)
-    reply = ask(pipeline, request)
+    reply = None if pipeline.played else ask(pipeline, request)
     if reply is None:
         say(f"huepose objects: {pipeline.absence}")
         return 1

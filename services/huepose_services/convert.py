@@ -57,26 +57,6 @@ def optional_pose_from_wire(translation: Vector | None, quaternion: Quaternion |
     return pose_from_wire(translation, quaternion)
 
 
-def _twist_to_wire(velocity: Float) -> tuple[Vector, Vector]:
-    """Linear and angular velocity of a twist (6,)."""
-    vx, vy, vz, wx, wy, wz = np.asarray(velocity, dtype=np.float64).tolist()
-    return (vx, vy, vz), (wx, wy, wz)
-
-
-def _twist_from_wire(linear: Vector, angular: Vector) -> Float64:
-    return np.array([*linear, *angular])
-
-
-def _covariance_to_wire(covariance: Float) -> list[float]:
-    """36 numbers of a covariance (6, 6)."""
-    numbers: list[float] = np.asarray(covariance, dtype=np.float64).ravel().tolist()
-    return numbers
-
-
-def _covariance_from_wire(numbers: list[float]) -> Float64:
-    return np.array(numbers).reshape(6, 6)
-
-
 def box_to_wire(box: Box) -> BoxTuple:
     """x, y, width, height."""
     return float(box.x), float(box.y), float(box.w), float(box.h)
@@ -103,12 +83,20 @@ def camera_from_wire(i: Intrinsics) -> Camera:
 
 
 _POSE = pose_to_wire, pose_from_wire
+_TWIST = (
+    lambda twist: tuple(map(tuple, np.asarray(twist, dtype=np.float64).reshape(2, 3).tolist())),
+    lambda linear, angular: np.array([*linear, *angular]),
+)
+_COVARIANCE = (
+    lambda covariance: np.asarray(covariance, dtype=np.float64).ravel().tolist(),
+    lambda numbers: np.array(numbers).reshape(6, 6),
+)
 _BOX = box_to_wire, lambda box: Box(*box)
 _FORMS: dict[str, tuple[tuple[str, ...], tuple[Callable[..., Any], Callable[..., Any]]]] = {
     "T_cam_obj": (("translation", "quaternion"), _POSE),
     "prior_T_cam_obj": (("prior_translation", "prior_quaternion"), _POSE),
-    "velocity": (("velocity_linear", "velocity_angular"), (_twist_to_wire, _twist_from_wire)),
-    "covariance": (("covariance",), (_covariance_to_wire, _covariance_from_wire)),
+    "velocity": (("velocity_linear", "velocity_angular"), _TWIST),
+    "covariance": (("covariance",), _COVARIANCE),
     "mask": (("mask",), (runs_of, mask_of)),
     "box": (("box",), _BOX),
     "box_visib": (("box",), _BOX),

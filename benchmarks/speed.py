@@ -1,6 +1,6 @@
 """Has a stage become slower? Its CPU time, divided by that of fixed work beside it, and what it was.
 
-    OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.speed [--only track estimate detect] [--rounds N]
+    OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.speed [--only track estimate detect]
 
 Other load slows both. The least of many rounds is compared, for nothing makes work faster than it is.
 It exits with 1 when a stage costs more than ALARM times what it did. After a change that is meant to
@@ -83,19 +83,19 @@ def stages() -> dict[str, Work]:
     }
 
 
-def measured(works: Mapping[str, Work], rounds: int = ROUNDS) -> dict[str, float]:
-    """CPU time of each, in units of the fixed work, of so many rounds, and more while one is too slow."""
+def measured(works: Mapping[str, Work]) -> dict[str, float]:
+    """CPU time of each, in units of the fixed work; of more rounds while one is too slow."""
     fixed = fixed_work()
     for work in works.values():
         work()
     least = dict.fromkeys([*works, ""], np.inf)
     ratios: dict[str, float] = {}
-    for k in range(max(MOST_ROUNDS, rounds)):
+    for k in range(MOST_ROUNDS):
         for name, work in works.items():
             least[""] = min(least[""], _cpu_s(fixed))
             least[name] = min(least[name], _cpu_s(work))
         ratios = {name: least[name] / least[""] for name in works}
-        if k + 1 >= rounds and not slower(ratios):
+        if k + 1 >= ROUNDS and not slower(ratios):
             break
     return ratios
 
@@ -129,7 +129,6 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--only", nargs="+", choices=list(RATIOS), default=list(RATIOS))
-    parser.add_argument("--rounds", type=int, default=ROUNDS)
     parser.add_argument(
         "--slowed", type=float, default=0.0, metavar="SHARE", help="make them slower by so much"
     )
@@ -140,7 +139,7 @@ def main() -> None:
         for name, work in stages().items()
         if name in arguments.only
     }
-    found = measured(works, arguments.rounds)
+    found = measured(works)
     late = slower(found)
     print(json.dumps({"ratios": found, "slower": late}))
     sys.exit(1 if late else 0)

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes .venv with everything of `edge`, `onboard`, `viewer`, `ros2`, `docs`, both cameras and `dev`, where there is only Python, pip and apt.
+# Makes .venv with everything of `edge`, `onboard`, `viewer`, `ros2`, `secure`, `docs`, both cameras and `dev`, where there is only Python, pip and apt.
 # Idempotent: a second call with nothing to do takes about a second.
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -64,7 +64,8 @@ def main() -> None:
     arguments = _arguments()
     work: Path = arguments.work
     own, builtin = work / "builtin", work / OWN
-    ycb, piles = drawn_ycb(arguments.models, work)
+    ycb = drawn(work / "cal_ycb", str(arguments.models), 100, 101)
+    piles = drawn(work / "cal_piles", str(arguments.models), 80, 106, "--kind", "piles")
     bundles = bundles_of(arguments.models, arguments.bundles, work)
     drawn(builtin, "builtin", 30, 102)
     alike = [
@@ -208,14 +209,6 @@ def drawn(scene: Path, models: str, frames: int, seed: int, *more: str) -> Path:
         run_huepose(["render-scenes", "--models", models, "--out", str(scene),
                  "--frames", str(frames), "--seed", str(seed), *more])  # fmt: skip
     return scene
-
-
-def drawn_ycb(models: Path, work: Path) -> tuple[Path, Path]:
-    """Heaps and piles of the objects of a BOP models folder."""
-    return (
-        drawn(work / "cal_ycb", str(models), 100, 101),
-        drawn(work / "cal_piles", str(models), 80, 106, "--kind", "piles"),
-    )
 
 
 def bundles_of(models: Path, bundles: Path | None, work: Path) -> Path:

@@ -30,7 +30,7 @@ def _add_rotation(whats: Any) -> None:
         "rotation",
         help="the turn between two frames, from matched points",
         description="Attention-DGCNN on canonical features of matched points of random objects, followed by "
-        "flow as the tracker follows. Leaves KIND.onnx, KIND.json, KIND.png and checkpoint.pt.",
+        "flow as the paper's tracker follows. Leaves KIND.onnx, KIND.json, KIND.png and checkpoint.pt.",
     )
     add_some_of(
         parser,

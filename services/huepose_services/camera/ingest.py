@@ -161,7 +161,8 @@ class Ingest(Work):
         """Publish what is due."""
         now = now_ns()
         if self._schedule is None:
-            if self._may_begin(now):
+            patience_ns = WAIT_TO_PLAY_ONCE_NS if self._camera.once else _WAIT_TO_LOOP_NS
+            if self._audience.may_begin(now - self._made_ns > patience_ns):
                 self._begin(now)
         elif self._ended_ns is not None:
             self._wait_for_readers(self._ended_ns, now)
@@ -169,10 +170,6 @@ class Ingest(Work):
             self._stand_on_first_frame(self._stand, self._schedule, now)
         else:
             self._play(self._schedule, now)
-
-    def _may_begin(self, now: int) -> bool:
-        patience_ns = WAIT_TO_PLAY_ONCE_NS if self._camera.once else _WAIT_TO_LOOP_NS
-        return self._audience.may_begin(now - self._made_ns > patience_ns)
 
     def _begin(self, now: int) -> None:
         """The first frame, which takes long because zenoh makes the pool of shared memory for it."""

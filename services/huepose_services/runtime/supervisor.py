@@ -207,7 +207,8 @@ class Supervisor:
 
     def poll(self, timeout_s: float = 0.1) -> None:
         """Look after the workers for a while: readiness, signs of life, deaths, restarts, the end."""
-        self._wait_for_something(timeout_s)
+        pipes = [c.pipe for c in self._children.values() if c.pipe is not None]
+        select.select(pipes, [], [], timeout_s)  # until one says something, or closes its pipe by dying
         self._forgive_standstill(timeout_s)
         for child in list(self._children.values()):
             child.listen()
@@ -235,11 +236,6 @@ class Supervisor:
             self.exit_code = self._ends_with if now >= self._drain_until else self.exit_code
         elif not self._children and all(r.restart_at is None for r in self._records.values()):
             self.exit_code = 1 if self.exit_code is None else self.exit_code
-
-    def _wait_for_something(self, timeout_s: float) -> None:
-        """Sleep until a worker says something or closes its pipe by dying, at most so long."""
-        pipes = [c.pipe for c in self._children.values() if c.pipe is not None]
-        select.select(pipes, [], [], timeout_s)
 
     def _forgive_standstill(self, timeout_s: float) -> None:
         """Where this process did not run, its workers may not have run either: that time does not count."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
-from typing import Generic, TypeVar
 
 import zenoh
 
@@ -22,29 +21,27 @@ from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
 
-T = TypeVar("T")
-
 
 @dataclass
-class _Key(Generic[T]):
+class _Key:
     next_ns: int
-    held: T | None = None
+    held: bytes | None = None
 
 
-class Holdback(Generic[T]):
+class Holdback:
     """How often a key may be sent, on a clock that is passed in: what comes too soon is held back, and only
     the newest of it goes out later.
 
     >>> limit = Holdback(10.0)
-    >>> limit.offer("pose", 1, 0), limit.offer("pose", 2, 1), limit.offer("pose", 3, 2)
-    (1, None, None)
+    >>> limit.offer("pose", b"1", 0), limit.offer("pose", b"2", 1), limit.offer("pose", b"3", 2)
+    (b'1', None, None)
     >>> limit.due(SECOND // 10), limit.held
-    ([('pose', 3)], 1)
+    ([('pose', b'3')], 1)
     """
 
     def __init__(self, rate_hz: float) -> None:
         self.at_rate(rate_hz)
-        self._keys: dict[str, _Key[T]] = {}
+        self._keys: dict[str, _Key] = {}
         self.held = 0
         """How many values were replaced by newer ones and never sent."""
 
@@ -52,7 +49,7 @@ class Holdback(Generic[T]):
         """From now on so often."""
         self._period_ns = int(SECOND / rate_hz)
 
-    def offer(self, key: str, value: T, now_ns: int, urgent: bool = False) -> T | None:
+    def offer(self, key: str, value: bytes, now_ns: int, urgent: bool = False) -> bytes | None:
         """The value if it may be sent now, else None: then it is held. An urgent one is never held."""
         place = self._keys.setdefault(key, _Key(now_ns))
         self.held += place.held is not None
@@ -65,7 +62,7 @@ class Holdback(Generic[T]):
         place.held = value
         return None
 
-    def due(self, now_ns: int) -> list[tuple[str, T]]:
+    def due(self, now_ns: int) -> list[tuple[str, bytes]]:
         """What was held and may be sent now."""
         out = []
         for key, place in self._keys.items():
@@ -116,7 +113,7 @@ class GatewayWork(Work):
         self._objects = inbox.queue(keys.objects, wakes=False)
         self._camera = inbox.queue(keys.camera_info, wakes=False)
         self._health = inbox.queue(keys.health(), wakes=False)
-        self._limit: Holdback[bytes] = Holdback(max_rate_hz)
+        self._limit = Holdback(max_rate_hz)
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._latest: dict[str, _Said] = {}
         self._lock = threading.Lock()

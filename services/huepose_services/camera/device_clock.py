@@ -36,27 +36,23 @@ class DeviceClock:
         self._fastest: deque[tuple[int, int]] = deque(maxlen=_BUCKETS)
         self._bucket: int | None = None
         self._origin = (0, 0)
-        self._drift = 0.0
-        self._last: tuple[int, int, int] | None = None
-
-    @property
-    def drift(self) -> float:
+        self.drift = 0.0
         """Seconds that this machine's clock gains on the device's in a second."""
-        return self._drift
+        self._last: tuple[int, int, int] | None = None
 
     def capture_ns(self, device_ns: int, arrived_ns: int) -> int:
         """When the picture with that device time was captured, as far as the fastest pictures tell."""
         if self._last is not None and self._jumped(device_ns, arrived_ns):
             self.restarts += 1
             self._fastest.clear()
-            self._bucket, self._drift = None, 0.0
+            self._bucket, self.drift = None, 0.0
         if not self._fastest:
             self._origin = (device_ns, arrived_ns)
         # Nanoseconds since boot do not fit a float's 53 bits for long: all is relative to the origin.
         device, arrived = device_ns - self._origin[0], arrived_ns - self._origin[1]
         self._learn(device, arrived)
         at, behind = self._line()
-        stamp = round(device + behind + self._drift * (device - at)) + self._origin[1]
+        stamp = round(device + behind + self.drift * (device - at)) + self._origin[1]
         stamp = min(stamp, arrived_ns)
         if self._last is not None:
             stamp = max(stamp, self._last[2])
@@ -70,7 +66,7 @@ class DeviceClock:
             return True
         at, behind = self._fastest[-1]
         device, arrived = device_ns - self._origin[0], arrived_ns - self._origin[1]
-        late = arrived - device - behind - self._drift * (device - at)
+        late = arrived - device - behind - self.drift * (device - at)
         return not -_EARLY_NS < late < _LATE_NS
 
     def _learn(self, device: int, arrived: int) -> None:
@@ -79,7 +75,7 @@ class DeviceClock:
         if bucket != self._bucket:
             self._bucket = bucket
             self._fastest.append((device, arrived - device))
-        elif arrived - device < self._fastest[-1][1] + self._drift * (device - self._fastest[-1][0]):
+        elif arrived - device < self._fastest[-1][1] + self.drift * (device - self._fastest[-1][0]):
             self._fastest[-1] = (device, arrived - device)
 
     def _line(self) -> tuple[float, float]:
@@ -97,8 +93,8 @@ class DeviceClock:
         # The edge of the hull over the middle is the line below all pairs with the least sum of distances.
         for a, b in pairwise(hull):
             if a[0] <= middle <= b[0]:
-                self._drift = min(max(_slope(a, b), -_MAX_DRIFT), _MAX_DRIFT)
-                return middle, a[1] + self._drift * (middle - a[0])
+                self.drift = min(max(_slope(a, b), -_MAX_DRIFT), _MAX_DRIFT)
+                return middle, a[1] + self.drift * (middle - a[0])
         return hull[-1]
 
 

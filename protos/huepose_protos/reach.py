@@ -139,12 +139,19 @@ def _refusal(link: socket.socket, host: str, context: ssl.SSLContext) -> str | N
         return f"its certificate is not accepted: {why_not_accepted(error)}"
     except ssl.SSLError as error:
         said = str(error.reason or error).replace("_", " ").lower()
-        return f"it does not accept this certificate: {said}" if "alert" in said else f"no TLS there: {said}"
+        return f"it does not accept this certificate: {said}" if "alert" in said else _without_tls(said)
     except TimeoutError:
-        return "no TLS there: no answer"
+        return _without_tls("no answer")
     except OSError as error:
-        return f"no TLS there: {error.strerror or error}"
+        return _without_tls(error.strerror or str(error))
     return None
+
+
+def _without_tls(said: str) -> str:
+    return (
+        f"it does not answer by TLS ({said}): one that has none is read without authority, certificate and "
+        "key (in a shell: without --tls)"
+    )
 
 
 def fault_of(authority: Path | str, certificate: Path | str, key: Path | str) -> str | None:

@@ -99,7 +99,7 @@ def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monke
             assert client.why_silent().startswith(f"waiting for a gateway at {given}: it ")
             assert found in client.why_silent()
     with socket.create_server(("127.0.0.1", base_port + 1)):
-        assert "no TLS there" in why_unreachable("127.0.0.1", base_port + 1, shown["robot1"].context())
+        assert "without --tls" in why_unreachable("127.0.0.1", base_port + 1, shown["robot1"].context())
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from argparse import ArgumentParser, Namespace
@@ -294,15 +295,19 @@ def test_ctrl_c_while_a_module_is_imported_is_a_line_and_no_traceback(
         def find_spec(name: str, *_: object) -> None:
             if name == command_line.__name__:
                 try:
-                    raise KeyboardInterrupt
-                except KeyboardInterrupt as ctrl_c:
-                    if compiled:
-                        raise ImportError("initialization failed") from ctrl_c
-                    raise
+                    signal.raise_signal(signal.SIGINT)
+                except KeyboardInterrupt:
+                    if not compiled:
+                        raise
+                raise ImportError("initialization failed")
 
     monkeypatch.delitem(sys.modules, command_line.__name__)
     monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
-    assert entry.main() == 130
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # as where a program starts
+    try:
+        assert entry.main() == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert capsys.readouterr().err == "huepose: interrupted\n"
 
 

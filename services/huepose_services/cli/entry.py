@@ -3,25 +3,27 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 
 
 def main() -> int:
     """Run the command line of this process. Returns the exit code."""
+    pressed = False
+
+    def ctrl_c(*what: object) -> None:
+        nonlocal pressed
+        pressed = True
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where a shell has it ignored
+        signal.signal(signal.SIGINT, ctrl_c)
     try:
         from huepose_services.cli.main import main as run
 
         return run()
-    except (KeyboardInterrupt, ImportError) as error:
-        if not _by_ctrl_c(error):
+    except (KeyboardInterrupt, ImportError):  # a compiled module may make the one into the other
+        if not pressed:
             raise
     print("huepose: interrupted", file=sys.stderr)
     return 130
-
-
-def _by_ctrl_c(error: BaseException) -> bool:
-    """Whether Ctrl-C is behind it: a compiled module that is being imported turns it into an ImportError."""
-    behind: BaseException | None = error
-    while behind is not None and not isinstance(behind, KeyboardInterrupt):
-        behind = behind.__cause__ or behind.__context__
-    return behind is not None

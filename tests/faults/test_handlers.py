@@ -119,7 +119,7 @@ def _work(worker: str, bus: Bus, model: Any) -> Any:
     entry = ObjectEntry(object=model.name, max_instances=2, searching=2)
 
     def slot(name: str, count: int) -> ObjectSlot:
-        return ObjectSlot(name, count, model.diameter_m, outlines[name].equivalents)
+        return ObjectSlot.of(model, count)
 
     loop = ReinitLoop(ReinitConfig(), [slot(model.name, 2)])
     return ReinitWork(bus, loop, ObjectList([entry], slot))

@@ -82,12 +82,20 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
     import cv2
     import numpy as np
 
-    ending = path.suffix.lower() or ".png"
-    if not cv2.haveImageWriter(f"picture{ending}"):
-        raise InputError(path, found="a picture that cannot be encoded", expected="an ending such as .png")
+    ending = check_picture(path)
     bgr = picture if picture.ndim == 2 else picture[..., ::-1]
     data = cv2.imencode(ending, np.ascontiguousarray(bgr))[1].tobytes()
     write_bytes(path, data)
+
+
+def check_picture(path: Path) -> str:
+    """The ending of a picture's kind, PNG's without one. Raises InputError for one that cannot be written."""
+    import cv2
+
+    ending = path.suffix.lower() or ".png"
+    if not cv2.haveImageWriter(f"picture{ending}"):
+        raise InputError(path, found="a picture that cannot be encoded", expected="an ending such as .png")
+    return ending
 
 
 def check_place(path: Path, makes_folders: bool = True) -> None:

@@ -19,6 +19,16 @@ from huepose_services.cli.options import answered
 from tests.disk import full_disk
 
 
+def test_a_picture_that_cannot_be_encoded_is_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lacking = [f"--{option}=no_{option}" for option in ("color", "depth", "camera", "bundles")]
+    assert main(["estimate", *lacking, "--image", str(tmp_path / "out.foo")]) == BAD_INPUT
+    error = capsys.readouterr().err
+    assert "out.foo: found a picture that cannot be encoded" in error
+    assert "no_" not in error
+
+
 @pytest.mark.parametrize(
     "arguments",
     [

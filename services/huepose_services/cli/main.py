@@ -18,7 +18,7 @@ from typing import Any
 
 from huepose.support.errors import InputError
 from huepose.support.extras import install_command
-from huepose.support.files import check_place
+from huepose.support.files import check_picture, check_place
 from huepose_services.runtime.threads import single_threaded
 
 # In the order in which `huepose --help` lists them.
@@ -47,6 +47,7 @@ _OF_EXTRAS = {
 }
 # Options that say where results go.
 _OUTPUTS = ("out", "json", "csv", "image", "picture", "explain", "plots", "save")
+_PICTURES = ("image", "picture")
 # Those of a picture or a recording, whose folder must be there: a mistyped one is not made.
 _IN_FOLDERS = ("image", "save")
 # What a full, protected or odd disk answers; any other error of the system is a mistake of ours.
@@ -145,6 +146,8 @@ def check_outputs(parsed: argparse.Namespace) -> None:
         path = getattr(parsed, option, None)
         if isinstance(path, Path):
             check_place(path, makes_folders=option not in _IN_FOLDERS)
+            if option in _PICTURES:
+                check_picture(path)
 
 
 def _told(verb: str) -> AbstractContextManager[Any]:
@@ -180,9 +183,9 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _interrupted("huepose")
     try:
-        check_outputs(parsed)
         if parsed.verb in _SHORT:
             single_threaded()
+        check_outputs(parsed)
         with ExitStack() as around:
             if parsed.verb not in _LASTING:
                 around.enter_context(redirect_stdout(_Patient(sys.stdout)))

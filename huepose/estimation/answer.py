@@ -36,7 +36,7 @@ from huepose.judge.region import Region
 from huepose.judge.silhouette import projected_box, visible_mask
 from huepose.judge.terms import CLOSE_SAMPLES, score, score_many
 from huepose.judge.terms import totals as totals_of
-from huepose.judge.texture_evidence import agreement_many, contrast_disagreement_many, texture_evidence
+from huepose.judge.texture_evidence import agreement_many, contrast_disagreement, texture_evidence
 from huepose.model.types import ReferenceModel
 from huepose.perception.types import Segmenter
 from huepose.propose.evidence import Evidence, gather
@@ -327,7 +327,7 @@ def _terms(model: ReferenceModel, region: Region, ranked: Ranked, most_behind: f
     if most_behind is not None:
         gaps = np.concatenate([[min([most_behind, *gaps[:1]])], gaps[1:]])
     dense, seen = score(model, region, T_cam_obj), texture_evidence(model, region, T_cam_obj)
-    contrasts, pose = pair_picture(model, region.crop, region.median_depth_m), T_cam_obj[None]
+    picture = pair_picture(model, region.crop, region.median_depth_m)
     return QualityTerms(
         float(ranked.totals[0]),
         tuple(float(gap) for gap in gaps),
@@ -344,6 +344,6 @@ def _terms(model: ReferenceModel, region: Region, ranked: Ranked, most_behind: f
         scale_residual(model, region, T_cam_obj),
         float(np.count_nonzero(region.mask)),
         seen.turned,
-        float(contrast_disagreement_many(model, region, contrasts, pose)[0]),
-        float(agreement_many(model, region, contrasts, pose)[0]),
+        contrast_disagreement(model, region, picture, T_cam_obj),
+        float(agreement_many(model, region, picture, T_cam_obj[None])[0]),
     )

@@ -3,11 +3,16 @@ samples."""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.judge.region import RegionArrays
 from huepose.support.jit import jit_dividing
+
+if TYPE_CHECKING:
+    from huepose.judge.terms import ScoreWeights
 
 SHADING_RIDGE = 0.03
 """Ridge regularisation of the fit of lightness to normals, in variance of a normal's component: keeps it
@@ -25,7 +30,7 @@ mostly from shading."""
 
 @jit_dividing
 def color_agreement(
-    samples: Float64, count: int, weight: float, weights: Float64, region: RegionArrays, seen: Float64
+    samples: Float64, count: int, weight: float, weights: ScoreWeights, region: RegionArrays, seen: Float64
 ) -> float:
     """Correlation of texture and image over channels and scales, each weighted by how much texture there is.
 
@@ -37,7 +42,6 @@ def color_agreement(
     without texture; where the light is known, their mean colour makes up for it. seen (4,) gets the contrast
     of the texture in view and the mean colour of the image less that of the texture: the light's.
     """
-    lightness, coarse, floor = weights[6], weights[7], weights[9]
     n0, n1, n2, a00, a11, a22, a01, a02, a12 = _spread_of_normals(samples, count, weight)
     # Cholesky factor of the ridged spread, once for all four right sides.
     l00 = np.sqrt(a00 + SHADING_RIDGE)
@@ -63,9 +67,9 @@ def color_agreement(
         if q < 3:
             seen[1 + q] = mean_i - mean_m
             off += ((mean_i - mean_m - region.light[q]) / LIGHT_SIGMA[q]) ** 2
-        w = 1.0 if q < 3 else coarse
+        w = 1.0 if q < 3 else weights.coarse
         if q % 3 == 0:
-            w *= lightness
+            w *= weights.lightness
             m0, m1, m2, i0, i1, i2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for k in range(count):
                 gm, gi = samples[7, k] * samples[8 + q, k], samples[7, k] * samples[14 + q, k]
@@ -104,7 +108,7 @@ def color_agreement(
             covariance -= y0 * m0 + y1 * m1 + y2 * m2
         var_m, var_i = max(var_m, 0.0), max(var_i, 0.0)
         w *= np.sqrt(var_m)
-        total += w * covariance / (np.sqrt(var_m * var_i) + floor)
+        total += w * covariance / (np.sqrt(var_m * var_i) + weights.color_floor)
         total_weight += w
     seen[0] = total_weight - PLAIN
     if region.lit:

@@ -9,6 +9,8 @@ the kernel stops as soon as the pose cannot reach it.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from huepose.geometry.arrays import Float64
@@ -16,6 +18,9 @@ from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import color_agreement
 from huepose.judge.region import ModelArrays, RegionArrays, nearest_view
 from huepose.support.jit import jit_dividing
+
+if TYPE_CHECKING:
+    from huepose.judge.terms import ScoreWeights
 
 TERMS = 17
 """Length of the kernel's output: the fields of `terms.Terms` in order."""
@@ -54,7 +59,7 @@ def score_kernel(
     model: ModelArrays,
     region: RegionArrays,
     samples: int,
-    weights: Float64,
+    weights: ScoreWeights,
     scratch: Float64,
     out: Float64,
     needed: float,
@@ -65,8 +70,6 @@ def score_kernel(
     If the total cannot exceed `needed`, the kernel may stop early. It then returns an upper bound of the
     total that is not over `needed`, and `out` is undefined.
     """
-    w_fit, w_coverage, w_violation, w_color = weights[0], weights[1], weights[2], weights[3]
-    w_occluded, w_box, w_outside = weights[4], weights[5], weights[8]
     depth, belief, saturated = region.depth, region.belief, region.saturated
     height, width = depth.shape
     tolerance = region.tolerance
@@ -106,7 +109,7 @@ def score_kernel(
             if region.blind == 0.0:
                 continue
         if fits or observed == 0.0:
-            g = facing * (w_outside + (1.0 - w_outside) * belief[v, u])
+            g = facing * (weights.outside + (1.0 - weights.outside) * belief[v, u])
             if fits:
                 fit += g * (1.0 - (gap / tolerance) ** 2)
                 near += facing
@@ -146,21 +149,26 @@ def score_kernel(
     out[11] = outside / total
     out[12], out[13], out[14], out[15] = 0.0, 0.0, 0.0, 0.0
     out[16] = colored / total
-    known = w_fit * out[1] - w_violation * out[3] - w_occluded * out[5] + w_box * out[7]
-    full_coverage, full_color = max(w_coverage * region.trust, 0.0), abs(w_color)
+    known = (
+        weights.depth_fit * out[1]
+        - weights.violation * out[3]
+        - weights.occluded * out[5]
+        + weights.box * out[7]
+    )
+    full_coverage, full_color = max(weights.coverage * region.trust, 0.0), abs(weights.color)
     if known + full_coverage + full_color <= needed:
         return float(known + full_coverage + full_color)
-    has_color = w_color != 0.0 and color_weight > SEEN_IN_COLOR * total
+    has_color = weights.color != 0.0 and color_weight > SEEN_IN_COLOR * total
     out[4] = 0.0
     if has_color:
         _read_colors(model, region, fitting, scratch)
         out[4] = color_agreement(scratch, fitting, color_weight, weights, region, out[12:])
-    known += w_color * out[4]
+    known += weights.color * out[4]
     if known + full_coverage <= needed:
         return float(known + full_coverage)
     enough = (needed - known) / full_coverage if full_coverage > 0.0 else -np.inf
     out[2] = _coverage(T, model, region, enough, scratch)
-    out[0] = known + w_coverage * region.trust * out[2]
+    out[0] = known + weights.coverage * region.trust * out[2]
     return float(out[0])
 
 

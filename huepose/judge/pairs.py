@@ -9,7 +9,6 @@ the mask are judged by the dense score (`judge.terms`) with its colour term swit
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -22,12 +21,44 @@ from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import PLAIN
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
 from huepose.judge.region import Crop, ModelArrays, Region, RegionArrays, model_arrays, region_arrays
-from huepose.judge.terms import DEFAULT_WEIGHTS, weight_array
+from huepose.judge.terms import DEFAULT_WEIGHTS, ScoreWeights
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
 from huepose.support.kept import once_for_each
 
-PAIR_TERMS = 4
+PAIR_TERMS = 5
+"""Of a pose: total, geometry, color, contrast, and how many pairs are visible."""
+
+GEOMETRY = DEFAULT_WEIGHTS._replace(color=0.0, box=0.2)
+"""Weights of the dense score without colour, chosen for pairs."""
+
+
+class PairWeights(NamedTuple):
+    """Weights of the pair terms beside the geometry, as the kernels read them.
+
+    color, contrast: of the two correlations.
+    lightness: of lightness against the other two channels.
+    floor: opponent units, keeps the correlation of plain surfaces low.
+    even: added to the sum of the channels' weights, lowers objects without texture.
+    few: number of visible pairs at which the colour terms count half.
+    """
+
+    color: float = 1.0
+    contrast: float = 0.6
+    lightness: float = 0.4
+    floor: float = DEFAULT_WEIGHTS.color_floor
+    even: float = PLAIN
+    few: float = 10.0
+
+
+PAIR_WEIGHTS = PairWeights()
+
+CLOSE_PAIRS, CLOSE_PAIR_SAMPLES = 1500, 600
+"""Most colour pairs and surface samples with which the last few poses are judged."""
+
+REACH_PX = 2.0
+"""Distance from the edge at which the colours of a pair were sampled, pixels of the reference views: the
+middle of the candidates of a sharp edge."""
 
 
 class PairArrays(NamedTuple):
@@ -51,16 +82,16 @@ class PairPicture(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """All inputs of the pair kernel. samples: most surface samples that are used; geometry, weights: weights
-    of the dense score's terms and of the pair terms, as arrays."""
+    """All inputs of the pair kernel. samples: most surface samples that are used; geometry, weights: of the
+    dense score's terms and of the pair terms."""
 
     model: ModelArrays
     region: RegionArrays
     samples: int
-    geometry: Float64
+    geometry: ScoreWeights
     pairs: PairArrays
     picture: PairPicture
-    weights: Float64
+    weights: PairWeights
 
 
 class PairScratch(NamedTuple):
@@ -75,7 +106,7 @@ class PairScratch(NamedTuple):
 def scratch(samples: int) -> PairScratch:
     """Allocate the scratch arrays for at most `samples` surface samples."""
     return PairScratch(
-        np.empty((6, 5)), np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS), np.empty(PAIR_TERMS + 1)
+        np.empty((6, 5)), np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS), np.empty(PAIR_TERMS)
     )
 
 
@@ -89,10 +120,10 @@ def pair_kernel(T: Float64, on: Judged, work: PairScratch, needed: float) -> flo
     moments, out, weights = work.moments, work.out, on.weights
     moments[:] = 0.0
     visible = _read_pairs(T, on.region, on.pairs, on.picture, moments)
-    few = visible / (visible + weights[5])
+    few = visible / (visible + weights.few)
     color = few * _correlation(moments, 0, weights)
     contrast = few * _correlation(moments, 3, weights)
-    colors = weights[0] * color + weights[1] * contrast
+    colors = weights.color * color + weights.contrast * contrast
     # What geometry has to give; the slack is more than rounding.
     enough = needed - colors - 1e-9
     geometry = score_kernel(T, on.model, on.region, on.samples, on.geometry, work.rows, work.terms, enough)
@@ -196,14 +227,14 @@ def _read_pairs(
 
 
 @jit
-def _correlation(moments: Float64, first: int, weights: Float64) -> float:
+def _correlation(moments: Float64, first: int, weights: PairWeights) -> float:
     """Correlation over the three channels from row `first` on, each weighted by the variation of the model in
     it."""
     count = moments[3, 0]
     if count <= 0.0:
         return 0.0
     readings = 2.0 * count if first == 0 else count
-    total, total_weight = 0.0, weights[4]
+    total, total_weight = 0.0, weights.even
     for c in range(3):
         q = first + c
         mean_m, mean_s = 0.0, 0.0
@@ -212,44 +243,10 @@ def _correlation(moments: Float64, first: int, weights: Float64) -> float:
         var_m = max(moments[q, 2] / readings - mean_m * mean_m, 0.0)
         var_s = max(moments[q, 3] / readings - mean_s * mean_s, 0.0)
         covariance = moments[q, 4] / readings - mean_m * mean_s
-        w = (weights[2] if c == 0 else 1.0) * np.sqrt(var_m)
-        total += w * covariance / (np.sqrt(var_m * var_s) + weights[3])
+        w = (weights.lightness if c == 0 else 1.0) * np.sqrt(var_m)
+        total += w * covariance / (np.sqrt(var_m * var_s) + weights.floor)
         total_weight += w
     return float(total / total_weight)
-
-
-GEOMETRY = replace(DEFAULT_WEIGHTS, color=0.0, box=0.2)
-"""Weights of the dense score without colour, chosen for pairs."""
-
-CLOSE_PAIRS, CLOSE_PAIR_SAMPLES = 1500, 600
-"""Most colour pairs and surface samples with which the last few poses are judged."""
-
-REACH_PX = 2.0
-"""Distance from the edge at which the colours of a pair were sampled, pixels of the reference views: the
-middle of the candidates of a sharp edge."""
-
-
-@dataclass(frozen=True)
-class PairWeights:
-    """Weights of the pair terms beside the geometry.
-
-    color, contrast: of the two correlations.
-    lightness: of lightness against the other two channels.
-    floor: opponent units, keeps the correlation of plain surfaces low.
-    even: added to the sum of the channels' weights, lowers objects without texture.
-    few: number of visible pairs at which the colour terms count half.
-    """
-
-    color: float = 1.0
-    contrast: float = 0.6
-    lightness: float = 0.4
-    floor: float = DEFAULT_WEIGHTS.color_floor
-    even: float = PLAIN
-    few: float = 10.0
-
-
-DEFAULT_PAIR_WEIGHTS = PairWeights()
-_PAIR_WEIGHTS = np.array(astuple(DEFAULT_PAIR_WEIGHTS))  # as kernels read them
 
 
 def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPicture:
@@ -268,8 +265,8 @@ def pair_score_many(
     region: Region,
     picture: PairPicture,
     poses: Float,
-    pairs: int = 600,
-    samples: int = 300,
+    pairs: int,
+    samples: int,
 ) -> Float64:
     """Judge poses (M, 4, 4) by at most `pairs` of the model's pairs and `samples` of its surface.
 
@@ -277,7 +274,7 @@ def pair_score_many(
     colour; color and contrast, correlations in -1..1, lowered where there is little evidence; number of pairs
     compared.
     """
-    out = np.zeros((len(poses), PAIR_TERMS + 1))
+    out = np.zeros((len(poses), PAIR_TERMS))
     on = judged_on(model, region, picture, pairs, samples)
     _score_all(np.ascontiguousarray(poses, dtype=np.float64), on, scratch(samples), out)
     return out
@@ -295,10 +292,10 @@ def judged_on(
         model_arrays(model),
         region_arrays(region),
         samples,
-        weight_array(GEOMETRY),
+        GEOMETRY,
         pair_arrays(model.pairs, pairs),
         picture,
-        _PAIR_WEIGHTS,
+        PAIR_WEIGHTS,
     )
 
 

@@ -23,7 +23,7 @@ CLEAR = 0.4
 def pairs_seen(frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float) -> tuple[Float64, Bool]:
     """Pixels (N, 2) of the model's pairs that are in view at a pose (4, 4) and whose contrast is clear on the
     texture and in the picture; and whether the picture's points in another colour (N,), which speaks against
-    the pose as in `texture_evidence.contrast_disagreement_many`."""
+    the pose as in `texture_evidence.contrast_disagreement`."""
     box = projected_box(model, frame, T_cam_obj)
     if box is None:
         return np.zeros((0, 2)), np.zeros(0, bool)

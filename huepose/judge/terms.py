@@ -8,8 +8,8 @@ compared after shading is removed.
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
-from functools import lru_cache
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,9 +23,8 @@ CLOSE_SAMPLES = 800
 """Most surface samples of a close look at a pose: 0.5 % of noise in a share of the surface."""
 
 
-@dataclass(frozen=True)
-class ScoreWeights:
-    """Weights of the terms in the total.
+class ScoreWeights(NamedTuple):
+    """Weights of the terms in the total, as the kernels read them.
 
     lightness: relative weight of lightness against the other two channels.
     coarse: relative weight of the 3.5 mm scale against the 1 mm scale.
@@ -98,51 +97,21 @@ NOTHING = Terms(*(0.0,) * 11, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """The terms of a pose outside the image."""
 
 
-def weight_array(weights: ScoreWeights) -> Float64:
-    """The weights as the kernels read them, in the order of ScoreWeights."""
-    return np.array(_numbers(weights), dtype=np.float64)
+def score(model: ReferenceModel, region: Region, T_cam_obj: Float) -> Terms:
+    """Judge one pose T_cam_obj (4, 4) in a region, closely."""
+    return Terms(*(float(x) for x in score_many(model, region, T_cam_obj[None], CLOSE_SAMPLES)[0]))
 
 
-@lru_cache(maxsize=64)
-def _numbers(weights: ScoreWeights) -> tuple[float, ...]:
-    """`astuple` copies deeply, which takes longer than to judge a pose."""
-    return astuple(weights)
+def score_many(model: ReferenceModel, region: Region, poses: Float, samples: int) -> Float64:
+    """Judge poses (M, 4, 4) with at most `samples` surface samples in one compiled call: (M, 17), columns in
+    the order of the fields of Terms."""
+    return score_arrays(model_arrays(model), region_arrays(region), poses, samples)
 
 
-def score(
-    model: ReferenceModel,
-    region: Region,
-    T_cam_obj: Float,
-    samples: int = 800,
-    weights: ScoreWeights = DEFAULT_WEIGHTS,
-) -> Terms:
-    """Judge one pose T_cam_obj (4, 4) in a region with at most `samples` surface samples."""
-    return Terms(*(float(x) for x in score_many(model, region, T_cam_obj[None], samples, weights)[0]))
-
-
-def score_many(
-    model: ReferenceModel,
-    region: Region,
-    poses: Float,
-    samples: int = 800,
-    weights: ScoreWeights = DEFAULT_WEIGHTS,
-) -> Float64:
-    """Judge poses (M, 4, 4) in one compiled call: (M, 17), columns in the order of the fields of Terms."""
-    return score_arrays(model_arrays(model), region_arrays(region), poses, samples, weights)
-
-
-def score_arrays(
-    model: ModelArrays,
-    region: RegionArrays,
-    poses: Float,
-    samples: int,
-    weights: ScoreWeights = DEFAULT_WEIGHTS,
-) -> Float64:
+def score_arrays(model: ModelArrays, region: RegionArrays, poses: Float, samples: int) -> Float64:
     """`score_many` on arrays that are already bundled for the kernels: (M, 17)."""
     out = np.zeros((len(poses), TERMS))
-    _score_all(
-        np.ascontiguousarray(poses, dtype=np.float64), model, region, samples, weight_array(weights), out
-    )
+    _score_all(np.ascontiguousarray(poses, dtype=np.float64), model, region, samples, DEFAULT_WEIGHTS, out)
     return out
 
 
@@ -153,7 +122,12 @@ def totals(model: ReferenceModel, region: Region, poses: Float) -> Float64:
 
 @jit
 def _score_all(
-    poses: Float64, model: ModelArrays, region: RegionArrays, samples: int, weights: Float64, out: Float64
+    poses: Float64,
+    model: ModelArrays,
+    region: RegionArrays,
+    samples: int,
+    weights: ScoreWeights,
+    out: Float64,
 ) -> None:
     scratch = np.empty((SCRATCH_ROWS, samples))
     for i in range(poses.shape[0]):

@@ -8,7 +8,7 @@ that blurred ones do not.
 
 Correlations are dominated by the largest disagreement: a third of a surface in other, stronger colours
 outweighs the rest. So colour pairs are counted as well, each with a bounded vote.
-`contrast_disagreement_many`: share of visible contrasts that point elsewhere. The contrast of a pair is a
+`contrast_disagreement`: share of visible contrasts that point elsewhere. The contrast of a pair is a
 direction in opponent space; light, shadow and exposure change its length, noise turns short ones, and only
 another colour turns long ones. `agreement_many`: how much of the texture agrees when a part of it may be
 outdated or hidden, by contrasts (where light cancels) and by colours under the light on which most of them
@@ -23,7 +23,14 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.judge.color_correlation import PLAIN
-from huepose.judge.pairs import DEFAULT_PAIR_WEIGHTS, PairArrays, PairPicture, pair_arrays, read_pair
+from huepose.judge.pairs import (
+    CLOSE_PAIRS,
+    PAIR_WEIGHTS,
+    PairArrays,
+    PairPicture,
+    pair_arrays,
+    read_pair,
+)
 from huepose.judge.region import Region, RegionArrays, model_arrays, nearest_view, region_arrays
 from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS
 from huepose.model.types import ReferenceModel
@@ -153,20 +160,16 @@ NEUTRAL = 3.0
 pose."""
 
 
-def contrast_disagreement_many(
-    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float, pairs: int = 1500
-) -> Float64:
-    """Share (M,) in 0..1 of visible contrasts that point elsewhere, at poses (M, 4, 4), by at most `pairs` of
-    the model's pairs; 0 where none is visible."""
-    out = np.zeros(len(poses))
-    for m, T in enumerate(poses):
-        voices, elsewhere = contrasts(model, region, picture, T, pairs)
-        out[m] = voices[elsewhere].sum() / (NEUTRAL + voices.sum())
-    return out
+def contrast_disagreement(
+    model: ReferenceModel, region: Region, picture: PairPicture, T_cam_obj: Float
+) -> float:
+    """Share in 0..1 of visible contrasts that point elsewhere at a pose (4, 4); 0 where none is visible."""
+    voices, elsewhere = contrasts(model, region, picture, T_cam_obj, CLOSE_PAIRS)
+    return float(voices[elsewhere].sum() / (NEUTRAL + voices.sum()))
 
 
 def contrasts(
-    model: ReferenceModel, region: Region, picture: PairPicture, T_cam_obj: Float, pairs: int = 1500
+    model: ReferenceModel, region: Region, picture: PairPicture, T_cam_obj: Float, pairs: int
 ) -> tuple[Float64, Bool]:
     """For each pair of `pair_arrays` at a pose (4, 4): clarity (N,) of its contrast, 0..1, 0 where not
     visible; and whether it points elsewhere (N,)."""
@@ -222,8 +225,7 @@ def _compare_contrasts(
         elsewhere[i] = across > ASIDE * along + CONTRAST_NOISE
 
 
-PAIR_LIGHTNESS, PAIR_FLOOR = DEFAULT_PAIR_WEIGHTS.lightness, DEFAULT_PAIR_WEIGHTS.floor
-PAIR_FEW = DEFAULT_PAIR_WEIGHTS.few
+PAIR_LIGHTNESS, PAIR_FLOOR, PAIR_FEW = PAIR_WEIGHTS.lightness, PAIR_WEIGHTS.floor, PAIR_WEIGHTS.few
 """As the score of pairs has them."""
 
 HALF_AGREED = 16.0
@@ -236,16 +238,13 @@ FEWEST_PAIRS = 5
 """Least number of visible pairs: with fewer there is no evidence."""
 
 
-def agreement_many(
-    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float, pairs: int = 1500
-) -> Float64:
-    """Sum of the agreeing shares of contrasts and of colours, 0..2 each pose: (M,) for poses (M, 4, 4), by at
-    most `pairs` of the model's pairs."""
+def agreement_many(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float) -> Float64:
+    """Sum of the agreeing shares of contrasts and of colours, 0..2 each pose: (M,) for poses (M, 4, 4)."""
     out = np.zeros(len(poses))
     _agree_all(
         np.ascontiguousarray(poses, dtype=np.float64),
         region_arrays(region),
-        pair_arrays(model.pairs, pairs),
+        pair_arrays(model.pairs, CLOSE_PAIRS),
         picture,
         out,
     )

@@ -15,7 +15,7 @@ from huepose.geometry.arrays import Float, Float64
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
 from huepose.judge.outline import NO_RIM, Rim, rim_agreement
 from huepose.judge.region import ModelArrays, Region, RegionArrays, model_arrays, region_arrays
-from huepose.judge.terms import DEFAULT_WEIGHTS, ScoreWeights, weight_array
+from huepose.judge.terms import DEFAULT_WEIGHTS, ScoreWeights
 from huepose.model.types import ReferenceModel
 from huepose.refine.solver import rotation_exp_into
 from huepose.support.jit import jit
@@ -41,7 +41,6 @@ def search(
     poses: Float,
     steps_deg: Sequence[float],
     samples: int,
-    weights: ScoreWeights = DEFAULT_WEIGHTS,
     race: float = np.inf,
 ) -> tuple[Float64, Float64]:
     """Improve poses (M, 4, 4) by turns about the object's centre and shifts, along the object's axes, with
@@ -50,22 +49,8 @@ def search(
     Where the poses are rivals for one answer, `race` (RACE) leaves those as they are whose total lies behind
     the best by more than that a degree of the next step.
     """
-    out = np.array(poses, dtype=np.float64)
-    totals = np.zeros(len(out))
-    _search_all(
-        out,
-        model_arrays(model),
-        region_arrays(region),
-        model.mesh.centre,
-        model.diameter_m * SHIFT_PER_RADIAN,
-        np.radians(np.asarray(steps_deg, dtype=np.float64)),
-        samples,
-        weight_array(weights),
-        NO_RIM,
-        race,
-        totals,
-    )
-    return out, totals
+    on = _judged(model_arrays(model), region_arrays(region), samples, DEFAULT_WEIGHTS, NO_RIM)
+    return _searched(model, poses, steps_deg, on, race)
 
 
 def search_rendered_view(
@@ -79,21 +64,18 @@ def search_rendered_view(
     weights: ScoreWeights,
 ) -> Float64:
     """The same for one pose (4, 4) with the arrays of its rendered view, its outline counting as well."""
-    out = np.array(T_cam_obj, dtype=np.float64)[None]
-    _search_all(
-        out,
-        drawn,
-        region,
-        model.mesh.centre,
-        model.diameter_m * SHIFT_PER_RADIAN,
-        np.radians(np.asarray(steps_deg, dtype=np.float64)),
-        samples,
-        weight_array(weights),
-        rim,
-        np.inf,
-        np.zeros(1),
-    )
-    return np.asarray(out[0])
+    on = _judged(drawn, region, samples, weights, rim)
+    return np.asarray(_searched(model, T_cam_obj[None], steps_deg, on, np.inf)[0][0])
+
+
+def _searched(
+    model: ReferenceModel, poses: Float, steps_deg: Sequence[float], on: _Judged, race: float
+) -> tuple[Float64, Float64]:
+    out = np.array(poses, dtype=np.float64)
+    totals = np.zeros(len(out))
+    steps, shift = np.radians(np.asarray(steps_deg, np.float64)), model.diameter_m * SHIFT_PER_RADIAN
+    _search_all(out, on, model.mesh.centre, shift, steps, race, totals)
+    return out, totals
 
 
 @jit
@@ -168,10 +150,17 @@ class _Judged(NamedTuple):
     model: ModelArrays
     region: RegionArrays
     samples: int
-    weights: Float64
+    weights: ScoreWeights
     rim: Rim
     scratch: Float64
     terms: Float64
+
+
+def _judged(
+    model: ModelArrays, region: RegionArrays, samples: int, weights: ScoreWeights, rim: Rim
+) -> _Judged:
+    scratch, terms = np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS)
+    return _Judged(model, region, samples, weights, rim, scratch, terms)
 
 
 @jit
@@ -191,19 +180,13 @@ _climb = climber(_total)
 @jit
 def _search_all(
     poses: Float64,
-    model: ModelArrays,
-    region: RegionArrays,
+    on: _Judged,
     centre: Float64,
     shift_per_radian: float,
     steps: Float64,
-    samples: int,
-    weights: Float64,
-    rim: Rim,
     race: float,
     totals: Float64,
 ) -> None:
-    scratch, terms = np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS)
-    on = _Judged(model, region, samples, weights, rim, scratch, terms)
     for m in range(poses.shape[0]):
         totals[m] = _total(poses[m], on, -np.inf)
     for level in range(steps.shape[0]):

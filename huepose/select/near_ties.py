@@ -19,7 +19,7 @@ from huepose.judge.outline import Rim, edge_tensor
 from huepose.judge.pairs import (
     CLOSE_PAIR_SAMPLES,
     CLOSE_PAIRS,
-    DEFAULT_PAIR_WEIGHTS,
+    PAIR_WEIGHTS,
     pair_picture,
     pair_score_many,
 )
@@ -147,5 +147,4 @@ def pair_colors(model: ReferenceModel, region: Region, poses: Float64) -> Float6
     """Colour-pair agreement (K,) at poses (K, 4, 4), 0 without pairs."""
     picture = pair_picture(model, region.crop, region.median_depth_m)
     terms = pair_score_many(model, region, picture, poses, CLOSE_PAIRS, CLOSE_PAIR_SAMPLES)
-    weights = DEFAULT_PAIR_WEIGHTS
-    return np.asarray(weights.color * terms[:, 2] + weights.contrast * terms[:, 3])
+    return np.asarray(PAIR_WEIGHTS.color * terms[:, 2] + PAIR_WEIGHTS.contrast * terms[:, 3])

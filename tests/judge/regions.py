@@ -35,10 +35,15 @@ class PairScore(NamedTuple):
 
 
 def pair_score(
-    model: ReferenceModel, region: Region, picture: PairPicture, T: np.ndarray, *counts: int
+    model: ReferenceModel,
+    region: Region,
+    picture: PairPicture,
+    T: np.ndarray,
+    pairs: int = 600,
+    samples: int = 300,
 ) -> PairScore:
     """Of one pose (4, 4)."""
-    return PairScore(*pair_score_many(model, region, picture, T[None], *counts)[0].tolist())
+    return PairScore(*pair_score_many(model, region, picture, T[None], pairs, samples)[0].tolist())
 
 
 def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:

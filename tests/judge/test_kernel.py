@@ -11,7 +11,7 @@ import pytest
 from huepose.geometry import RgbdFrame, icosphere, se3
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
 from huepose.judge.region import beside, model_arrays, nearest_view, region_arrays
-from huepose.judge.terms import DEFAULT_WEIGHTS, Terms, score, score_many, weight_array
+from huepose.judge.terms import DEFAULT_WEIGHTS, Terms, score, score_many
 from huepose.model.types import ReferenceModel
 from tests.judge.regions import region_of
 
@@ -21,7 +21,7 @@ def test_a_needed_total_decides_as_the_whole_total_does(
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
     region = region_of(frame, tea_box, standing)
-    model, seen, weights = model_arrays(tea_box), region_arrays(region), weight_array(DEFAULT_WEIGHTS)
+    model, seen = model_arrays(tea_box), region_arrays(region)
     rng = np.random.default_rng(3)
     poses = [
         se3.perturb(standing, rng.normal(size=6) * ([0.01] * 3 + [0.2] * 3) * size)
@@ -30,7 +30,7 @@ def test_a_needed_total_decides_as_the_whole_total_does(
     scratch, terms = np.empty((SCRATCH_ROWS, 220)), np.empty(TERMS)
 
     def judged(T: np.ndarray, needed: float) -> float:
-        return score_kernel(T, model, seen, 220, weights, scratch, terms, needed)
+        return score_kernel(T, model, seen, 220, DEFAULT_WEIGHTS, scratch, terms, needed)
 
     totals = [judged(T, -np.inf) for T in poses]
     shortened = 0

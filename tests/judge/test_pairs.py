@@ -84,7 +84,7 @@ def test_many_poses_are_judged_as_one_by_one(
     tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
 ) -> None:
     poses = np.stack([se3.perturb(standing, d) for d in np.diag([0.004] * 3 + [0.05] * 3)])
-    table = pair_score_many(tea_box, *view, poses)
+    table = pair_score_many(tea_box, *view, poses, 600, 300)
     for T, row in zip(poses, table, strict=True):
         assert pair_score(tea_box, *view, T).total == pytest.approx(row[0])
 

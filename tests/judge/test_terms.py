@@ -10,7 +10,7 @@ import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.kernel import IMPLAUSIBLE, MARGIN
-from huepose.judge.terms import Terms, score, score_many
+from huepose.judge.terms import CLOSE_SAMPLES, Terms, score, score_many
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
@@ -43,7 +43,7 @@ def test_the_truth_beats_every_other_pose(
     steps = [np.eye(6)[k] * s for k in range(3) for s in (-0.02, -0.006, 0.006, 0.02)]
     steps += [np.eye(6)[3 + k] * np.radians(s) for k in range(3) for s in (-90, -20, -5, 5, 20, 90, 180)]
     poses = np.array([standing] + [se3.perturb(standing, s) for s in steps])
-    totals = score_many(tea_box, region, poses)[:, 0]
+    totals = score_many(tea_box, region, poses, CLOSE_SAMPLES)[:, 0]
     assert (totals[1:] < totals[0] - 0.02).all()
 
 
@@ -152,8 +152,10 @@ def test_many_equal_one_by_one_and_repeat(
     region = region_of(frame, tea_box, standing)
     rng = np.random.default_rng(0)
     poses = np.array([se3.perturb(standing, rng.normal(0, 0.02, 6)) for _ in range(6)])
-    many = score_many(tea_box, region, poses)
-    assert np.array_equal(many, score_many(tea_box, region_of(frame, tea_box, standing), poses))
+    many = score_many(tea_box, region, poses, CLOSE_SAMPLES)
+    assert np.array_equal(
+        many, score_many(tea_box, region_of(frame, tea_box, standing), poses, CLOSE_SAMPLES)
+    )
     for row, T in zip(many, poses, strict=True):
         one = score(tea_box, region, T)
         assert (one.total, one.color, one.box_iou) == (row[0], row[4], row[7])
@@ -167,7 +169,7 @@ def test_poses_behind_the_camera_or_far_outside_are_scored_not_crashed(
     away = [
         se3.make(np.eye(3), np.array(t)) for t in ([0, 0, -1.0], [0, 0, 0.0], [9.0, 0, 0.1], [0, 0, 50.0])
     ]
-    scores = score_many(tea_box, region, np.array(away))
+    scores = score_many(tea_box, region, np.array(away), CLOSE_SAMPLES)
     assert np.isfinite(scores).all()
     assert (scores[:, 0] < 0.2).all()
 

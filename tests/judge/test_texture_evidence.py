@@ -11,7 +11,7 @@ import pytest
 from huepose.geometry import RgbdFrame, se3
 from huepose.judge.pairs import PairPicture, pair_score_many
 from huepose.judge.region import Region
-from huepose.judge.texture_evidence import agreement_many, contrast_disagreement_many
+from huepose.judge.texture_evidence import agreement_many, contrast_disagreement
 from huepose.model.types import ReferenceModel
 from huepose.scenes.shapes import demo_objects
 from tests.judge.regions import seen_by_pairs
@@ -20,7 +20,7 @@ TakePicture = Callable[..., RgbdFrame]
 
 
 def _otherwise(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> float:
-    return float(contrast_disagreement_many(model, *seen_by_pairs(model, frame, T), T[None])[0])
+    return contrast_disagreement(model, *seen_by_pairs(model, frame, T), T)
 
 
 @pytest.mark.parametrize("light", [(1.0, 1.0, 1.0), (0.9, 0.6, 0.4), (0.35, 0.3, 0.3)])
@@ -56,7 +56,7 @@ def test_nothing_speaks_against_a_texture_of_which_nothing_is_seen(
     view = seen_by_pairs(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
     away = standing.copy()
     away[2, 3] += 1.0
-    assert contrast_disagreement_many(tea_box, *view, away[None]).tolist() == [0.0]
+    assert contrast_disagreement(tea_box, *view, away) == 0.0
 
 
 TakePicture = Callable[..., RgbdFrame]
@@ -97,7 +97,7 @@ def test_what_is_out_of_date_takes_away_its_own_share_and_no_more(
     before, after = (float(agreement_many(m, *view, standing[None])[0]) for m in (tea_box, old))
     assert 0.5 * before < after < 0.95 * before
     # the correlation loses more, as what disagrees is also what varies most
-    terms = [pair_score_many(m, *view, standing[None], 1500)[0] for m in (tea_box, old)]
+    terms = [pair_score_many(m, *view, standing[None], 1500, 300)[0] for m in (tea_box, old)]
     colors = [row[2] + 0.6 * row[3] for row in terms]
     assert colors[1] / colors[0] < after / before - 0.1
 

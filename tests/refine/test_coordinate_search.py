@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.judge.terms import score_many
+from huepose.judge.terms import CLOSE_SAMPLES, score_many
 from huepose.model.types import ReferenceModel
 from huepose.refine.coordinate_search import RACE, search
 from tests.judge.regions import region_of
@@ -24,9 +24,9 @@ def test_search_climbs_to_the_truth(
     offsets[:, 3:] *= np.radians(6) / np.linalg.norm(offsets[:, 3:], axis=1, keepdims=True)
     starts = np.array([se3.perturb(standing, o) for o in offsets])
     found, totals = search(tea_box, region, starts, (4.0, 2.0, 1.0, 0.5), 800)
-    before = score_many(tea_box, region, starts)[:, 0]
+    before = score_many(tea_box, region, starts, CLOSE_SAMPLES)[:, 0]
     assert (totals > before).all()
-    assert np.allclose(totals, score_many(tea_box, region, found)[:, 0], atol=0.005)
+    assert np.allclose(totals, score_many(tea_box, region, found, CLOSE_SAMPLES)[:, 0], atol=0.005)
     for T in found:
         assert se3.is_rigid(T)
         assert np.linalg.norm(T[:3, 3] - standing[:3, 3]) < 0.0025

@@ -194,7 +194,7 @@ def _decided(
     """Different poses (K, 4, 4), judged already (K, 5), put in order by what agrees as well as by how it
     correlates."""
     totals, geometry = terms[:, 0], terms[:, 1]
-    agreed = agreement_many(model, region, picture, poses, CLOSE_PAIRS)
+    agreed = agreement_many(model, region, picture, poses)
     weighed = geometry + CORRELATED * (totals - geometry) + AGREED * agreed
     return Ranked.of(poses, totals, weighed)
 

@@ -97,7 +97,7 @@ def answered(
             poses = refine(model, evidence, views.poses, views.masks, config.full)
             ranked = judge(model, evidence.region, poses, look.prior, config.full)
             with stage("contest"):
-                ranked, held = decided(model, evidence.region, ranked, config.near_ties)
+                ranked, held = decided(model, evidence.region, ranked)
             look = replace(look, ranked=ranked, contest=held)
         with stage("answer"):
             bare = method is not None and method.bare

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, get_args
 
 from huepose.propose.config import EvidenceConfig, RetrievalConfig
-from huepose.select.config import NearTieConfig
 from huepose.support.errors import InputError
 
 if TYPE_CHECKING:
@@ -114,7 +113,6 @@ class EstimatorConfig:
     evidence: EvidenceConfig = field(default_factory=EvidenceConfig)
     full: FullPathConfig = field(default_factory=FullPathConfig)
     confirm: ConfirmConfig = field(default_factory=ConfirmConfig)
-    near_ties: NearTieConfig = field(default_factory=NearTieConfig)
     competition: CompetitionConfig = field(default_factory=CompetitionConfig)
     colorpair: ColorpairPathConfig | None = None
     paper: PaperConfig | None = None

@@ -8,7 +8,7 @@ is exact to a pixel. So each of the few best poses is first refined on them with
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,11 +25,42 @@ from huepose.judge.pairs import (
 )
 from huepose.judge.region import OUTSIDE_WEIGHT, Region, region_arrays
 from huepose.judge.rendered_view import Likeness, Part, detail_colors, draw_rendered_view, likeness
+from huepose.judge.terms import ScoreWeights
 from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
 from huepose.refine.coordinate_search import search_rendered_view
-from huepose.select.config import CloseLookConfig, NearTieConfig, NearTieWeights
 from huepose.select.distinct import Ranked, different_answers
+
+WEIGHTS = {"dense": 1.0, "detail": 1.5, "broad": 6.5, "pairs": 0.6}
+"""Of the terms between poses in a near tie. dense: distance to the first in the dense score, at most 0;
+detail, broad: how well fine and broader texture explain the same pixels; pairs: agreement of colour pairs.
+
+Fitted on drawn heaps, path-traced piles and real frames, some of them those of docs/accuracy.md, to the
+largest likelihood that the right pose wins (softmax of the weighted sums). Fitted on drawn frames alone they
+lose 3.4 points of ADD on path-traced piles."""
+
+TERMS = tuple(WEIGHTS)
+"""Names of the terms in a near tie."""
+
+CONTENDERS, WITHIN = 4, 0.12
+"""Most poses that get a close look, with time in mind, and how close to the best total such a pose is: noise
+and light change totals as much. Chosen."""
+
+SHARE = 0.35
+"""Factor from a weighted difference of the terms to a difference of the total. Chosen, so that quality reads
+both alike."""
+
+CLOSE_WEIGHTS, RIM_WEIGHT = ScoreWeights(color=1.5, coarse=1.0), 0.75
+"""Of the dense score in the close look, on detail and blunt colours, which count alike and more than in the
+first score; of the agreement of outline and picture edges, in units of the total. Chosen."""
+
+STEPS_DEG, SAMPLES = (3.0, 1.5, 0.7, 0.35), 600
+"""Of the search in the close look: steps, degrees of rotation at the object's surface, and most surface
+samples. Chosen."""
+
+TOLERANCES, ROOM_PX = 1.5, 10.0
+"""Textures are compared where depth is within this many of the region's tolerances of the pose; margin around
+the poses in the picture, pixels. Chosen."""
 
 HULL_POINTS = 200
 """Surface points whose bounds stand for those of the object."""
@@ -44,13 +75,10 @@ class CloseLook:
     alike: Likeness
 
 
-def close_look(
-    model: ReferenceModel, region: Region, poses: Float64, config: CloseLookConfig | None = None
-) -> CloseLook | None:
+def close_look(model: ReferenceModel, region: Region, poses: Float64) -> CloseLook | None:
     """A close look at each of the poses (K, 4, 4); None where one shows too little of the object, or is too
     near for a picture of it."""
-    config = config or CloseLookConfig()
-    rows, columns = _window(model, region, poses, config.room_px)
+    rows, columns = _window(model, region, poses)
     weight = np.maximum(region.belief[rows, columns], np.float32(OUTSIDE_WEIGHT))
     color = region.crop.color[rows, columns]
     colors, edges = np.zeros_like(region.colors), np.zeros((*region.belief.shape, 3), np.float32)
@@ -59,18 +87,18 @@ def close_look(
     arrays = region_arrays(region)._replace(colors=colors)
     refined = poses.copy()
     for k, T in enumerate(poses):
-        drawn = draw_rendered_view(model, T, region.crop.camera, config.samples)
+        drawn = draw_rendered_view(model, T, region.crop.camera, SAMPLES)
         if drawn is None:
             return None
-        rim = Rim(drawn.rim_points, drawn.rim_inward, edges, config.rim_weight)
+        rim = Rim(drawn.rim_points, drawn.rim_inward, edges, RIM_WEIGHT)
         refined[k] = search_rendered_view(
-            model, drawn.arrays, arrays, rim, T, config.steps_deg, config.samples, config.weights
+            model, drawn.arrays, arrays, rim, T, STEPS_DEG, SAMPLES, CLOSE_WEIGHTS
         )
-    alike = likeness(model, _part(region, rows, columns, colors, config.tolerances), refined)
+    alike = likeness(model, _part(region, rows, columns, colors), refined)
     return None if alike is None else CloseLook(refined, alike)
 
 
-def _part(region: Region, rows: slice, columns: slice, colors: Float32, tolerances: float) -> Part:
+def _part(region: Region, rows: slice, columns: slice, colors: Float32) -> Part:
     """A part of the region's crop, with the colours (2, h, w, 3) of the whole crop."""
     crop = region.crop
     return Part(
@@ -78,11 +106,11 @@ def _part(region: Region, rows: slice, columns: slice, colors: Float32, toleranc
         colors[:, rows, columns],
         crop.depth[rows, columns],
         crop.saturated[rows, columns],
-        tolerances * region.tolerance_m,
+        TOLERANCES * region.tolerance_m,
     )
 
 
-def _window(model: ReferenceModel, region: Region, poses: Float64, room_px: float) -> tuple[slice, slice]:
+def _window(model: ReferenceModel, region: Region, poses: Float64) -> tuple[slice, slice]:
     """Rows and columns of the crop that the poses cover, with some room."""
     camera = region.crop.camera
     points = model.surface.points[:HULL_POINTS]
@@ -90,11 +118,7 @@ def _window(model: ReferenceModel, region: Region, poses: Float64, room_px: floa
     ahead = placed[placed[:, 2] > NEAR_M]
     if not len(ahead):
         return slice(0, camera.height), slice(0, camera.width)
-    return Box.of_pixels(camera.project(ahead)).grown(0.1, room_px).slices(camera.width, camera.height)
-
-
-TERMS = tuple(term.name for term in fields(NearTieWeights))
-"""Names of the terms in a near tie, see `NearTieWeights`."""
+    return Box.of_pixels(camera.project(ahead)).grown(0.1, ROOM_PX).slices(camera.width, camera.height)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,22 +128,19 @@ class Contest:
     poses: Float64
     terms: Float64
 
-    def weighed(self, weights: NearTieWeights | None = None) -> Float64:
+    def weighed(self) -> Float64:
         """Sums (K,) of the terms, each with its weight."""
-        return np.asarray(self.terms @ np.array(astuple(weights or NearTieWeights())))
+        return np.asarray(self.terms @ np.array(list(WEIGHTS.values())))
 
 
-def contest(
-    model: ReferenceModel, region: Region, found: Ranked, config: NearTieConfig | None = None
-) -> Contest | None:
+def contest(model: ReferenceModel, region: Region, found: Ranked) -> Contest | None:
     """The close look at the best few poses; None where the first is clearly ahead, or one cannot be
     compared."""
-    config = config or NearTieConfig()
-    rivals = int((found.behind[: config.contenders] < config.within).sum())
+    rivals = int((found.behind[:CONTENDERS] < WITHIN).sum())
     if rivals < 2:
         return None
     poses = found.poses[:rivals]
-    look = close_look(model, region, poses, config.close)
+    look = close_look(model, region, poses)
     if look is None:
         return None
     alike, pairs = look.alike, pair_colors(model, region, poses)
@@ -127,19 +148,16 @@ def contest(
     return Contest(look.poses, np.stack(columns, axis=-1))
 
 
-def decided(
-    model: ReferenceModel, region: Region, found: Ranked, config: NearTieConfig | None = None
-) -> tuple[Ranked, Contest | None]:
+def decided(model: ReferenceModel, region: Region, found: Ranked) -> tuple[Ranked, Contest | None]:
     """Poses reordered by the close look at the best few, and the contest where there was one."""
-    config = config or NearTieConfig()
-    held = contest(model, region, found, config)
+    held = contest(model, region, found)
     if held is None:
         return found, None
-    rivals, weighed = len(held.poses), held.weighed(config.weights)
+    rivals, weighed = len(held.poses), held.weighed()
     poses = np.concatenate([held.poses, found.poses[rivals:]])
     totals = np.concatenate([totals_of(model, region, held.poses), found.totals[rivals:]])
-    others = np.maximum(found.behind[rivals:], config.within)
-    ranked = Ranked.of(poses, totals, np.concatenate([config.share * (weighed - weighed.max()), -others]))
+    others = np.maximum(found.behind[rivals:], WITHIN)
+    ranked = Ranked.of(poses, totals, np.concatenate([SHARE * (weighed - weighed.max()), -others]))
     return ranked.these(different_answers(model, ranked.poses)), held
 
 

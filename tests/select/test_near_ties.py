@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import astuple
 
 import numpy as np
 import pytest
@@ -12,12 +11,11 @@ from huepose.geometry import RgbdFrame, se3
 from huepose.judge.region import Region
 from huepose.judge.terms import totals as judge
 from huepose.model.types import ReferenceModel
-from huepose.select.config import NearTieConfig, NearTieWeights
+from huepose.select import near_ties
 from huepose.select.distinct import NONE, Ranked
-from huepose.select.near_ties import TERMS, contest, decided, pair_colors
+from huepose.select.near_ties import SHARE, TERMS, WEIGHTS, WITHIN, contest, decided, pair_colors
 from tests.judge.regions import region_of
 
-EVERY_TIE = NearTieConfig(within=3.0)
 UPSIDE_DOWN = se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 
 
@@ -38,10 +36,11 @@ def test_the_right_way_round_wins_though_the_score_preferred_the_other(
 
 
 def test_totals_stay_what_the_judge_says(
-    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(near_ties, "WITHIN", 3.0)
     poses = np.stack([standing @ UPSIDE_DOWN, standing])
-    found, held = decided(tea_box, region, Ranked.of(poses, judge(tea_box, region, poses)), EVERY_TIE)
+    found, held = decided(tea_box, region, Ranked.of(poses, judge(tea_box, region, poses)))
     assert held is not None
     assert found.totals == pytest.approx(judge(tea_box, region, found.poses))
 
@@ -62,26 +61,26 @@ def test_who_does_not_contend_stays_behind(
 ) -> None:
     aside = se3.compose(se3.make(np.eye(3), [0.05, 0.0, 0.0]), standing)
     poses = np.stack([standing @ UPSIDE_DOWN, standing, aside])
-    totals = np.array([1.95, 1.94, 1.95 - NearTieConfig().within - 0.2])
+    totals = np.array([1.95, 1.94, 1.95 - WITHIN - 0.2])
     found, _ = decided(tea_box, region, Ranked.of(poses, totals))
     assert se3.rotation_angle(found.poses[0], standing) < np.radians(1.0)
     k = next(k for k, T in enumerate(found.poses) if np.array_equal(T, aside))
-    assert found.behind[k] == pytest.approx(NearTieConfig().within + 0.2)
+    assert found.behind[k] == pytest.approx(WITHIN + 0.2)
     assert found.totals[k] == totals[2]
 
 
-def weighing(pairs: float) -> NearTieConfig:
-    return NearTieConfig(weights=NearTieWeights(pairs=pairs))
-
-
-def test_pairs_say_how_much_more(region: Region, tea_box: ReferenceModel, standing: np.ndarray) -> None:
+def test_pairs_say_how_much_more(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
     poses = np.stack([standing, standing @ UPSIDE_DOWN])
     right, wrong = pair_colors(tea_box, region, poses)
     assert right > wrong + 0.3
     near = Ranked.of(poses, np.array([1.95, 1.94]))
-    without, _ = decided(tea_box, region, near, weighing(0.0))
-    much, _ = decided(tea_box, region, near, weighing(2.0))
-    assert much.behind[1] - without.behind[1] == pytest.approx(NearTieConfig().share * 2.0 * (right - wrong))
+    monkeypatch.setitem(near_ties.WEIGHTS, "pairs", 0.0)
+    without, _ = decided(tea_box, region, near)
+    monkeypatch.setitem(near_ties.WEIGHTS, "pairs", 2.0)
+    much, _ = decided(tea_box, region, near)
+    assert much.behind[1] - without.behind[1] == pytest.approx(SHARE * 2.0 * (right - wrong))
 
 
 def test_every_term_is_for_the_right_one(
@@ -94,4 +93,4 @@ def test_every_term_is_for_the_right_one(
     better = dict(zip(TERMS, right - wrong, strict=True))
     assert better["dense"] == pytest.approx(-0.01)
     assert min(better[name] for name in ("detail", "broad", "pairs")) > 0.1
-    assert held.weighed() == pytest.approx(held.terms @ list(astuple(NearTieWeights())))
+    assert held.weighed() == pytest.approx(held.terms @ list(WEIGHTS.values()))

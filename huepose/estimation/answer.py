@@ -22,7 +22,7 @@ import numpy as np
 
 from huepose.believe.quality import QualityTerms, quality_fits
 from huepose.believe.state import State
-from huepose.estimation.config import ConfirmConfig, EstimatorConfig, FullPathConfig
+from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.methods import PairMethod
 from huepose.estimation.reasons import why_absent
@@ -58,6 +58,33 @@ from huepose.support.errors import InputError
 from huepose.support.pool import Steps
 from huepose.support.stages import stage
 
+# How much the full method tries: chosen, by `huepose eval estimate` on drawn heaps and piles, as little as
+# loses no recall there.
+
+KEPT, WITH_NEAR_SYMMETRIES, SEARCHED = 8, 5, 18
+"""Poses that stay after registration; those of them whose near-symmetric rotations are tried; those of both
+that are searched."""
+
+JUDGED, FINISHED, ALTERNATIVES = 40, 5, 6
+"""Poses judged by all masks; those of them that are searched finely; different poses that are returned."""
+
+COARSE_SAMPLES, SAMPLES = 350, 220
+"""Of the surface, by which poses are ranked before the search, and in it."""
+
+SEARCH_DEG, FINE_DEG, PRIOR_DEG = (8.0, 4.0, 2.0, 1.0), (3.0, 1.5, 0.7), (4.0, 2.0, 1.0)
+"""Steps of the search, coarse to fine, in degrees: of proposed poses, of the best of them, and of a prior,
+which is nearer."""
+
+REGISTERED_WITHIN = 0.5
+"""After the search, poses whose total is farther behind the best are not registered again."""
+
+PLAINLY_RIGHT, CLEAR_MARGIN = 1.9, 0.12
+"""A refined prior is confirmed, so that no views are sought, from this total, where its near-symmetric
+rotations are so much worse; its margin counts no more than that then. Chosen."""
+
+CONFIRM_TURNS, CONFIRM_DEG = 3, (3.0, 1.0)
+"""Near-symmetric rotations of a prior that are searched, and the steps in degrees. Chosen."""
+
 
 def answered(
     frame: RgbdFrame,
@@ -72,13 +99,13 @@ def answered(
     start = time.perf_counter()
     box, masks = _box_and_masks(frame, query, model, segmenter)
     with stage("evidence"):
-        evidence = gather(frame, masks, box, model.diameter_m, config.evidence)
+        evidence = gather(frame, masks, box, model.diameter_m)
     look, answer = Explanation(box, tuple(masks), evidence), None
     if evidence is not None and query.prior is not None and method is None:
         with stage("prior"):
-            prior = refine_prior(model, evidence, query.prior.T_cam_obj, config.full)
+            prior = refine_prior(model, evidence, query.prior.T_cam_obj)
             if not looks_in_full(frame.frame_id, config.confirm.look_anew_every):
-                ranked = confirm(model, evidence.region, prior, config.confirm)
+                ranked = confirm(model, evidence.region, prior)
                 look = replace(look, ranked=ranked, confirmed=len(ranked) > 0)
             look = replace(look, prior=prior)
         if look.confirmed:
@@ -90,12 +117,12 @@ def answered(
         elif evidence is not None:
             with stage("retrieval"):
                 crop, bounds = evidence.region.crop, evidence.region.bounds
-                views = retrieve(table_of(model), crop, bounds, evidence.sources, config.full.retrieval)
+                views = retrieve(table_of(model), crop, bounds, evidence.sources)
             set_aside = time.perf_counter()
             yield
             start += time.perf_counter() - set_aside
-            poses = refine(model, evidence, views.poses, views.masks, config.full)
-            ranked = judge(model, evidence.region, poses, look.prior, config.full)
+            poses = refine(model, evidence, views.poses, views.masks)
+            ranked = judge(model, evidence.region, poses, look.prior)
             with stage("contest"):
                 ranked, held = decided(model, evidence.region, ranked)
             look = replace(look, ranked=ranked, contest=held)
@@ -154,61 +181,51 @@ def _found_by(
     return method.poses(model, evidence, np.random.default_rng([seed, crc32(query.object.encode()), shown]))
 
 
-def refine(
-    model: ReferenceModel, evidence: Evidence, proposed: Float64, sources: Int64, config: FullPathConfig
-) -> Float64:
-    """Proposed poses (N, 4, 4) brought home (M, 4, 4), each from the source (N,) of the evidence that
-    proposed it."""
+def refine(model: ReferenceModel, evidence: Evidence, proposed: Float64, sources: Int64) -> Float64:
+    """Proposed poses (N, 4, 4) brought home (M, 4, 4): each aligned with the source (N,) of the evidence that
+    proposed it; near-symmetric rotations; search on the score, ICP."""
     with stage("icp"):
         aligned = [
             _icp(model, points, proposed[sources == k], 0.1 * model.diameter_m, 0.008, 12)
             for k, points in enumerate(evidence.points_cam)
         ]
-    return refine_coarse(model, evidence.region, np.concatenate(aligned), config)
-
-
-def refine_coarse(model: ReferenceModel, region: Region, poses: Float64, config: FullPathConfig) -> Float64:
-    """Aligned poses (N, 4, 4) brought home: near-symmetric rotations, search on the score, ICP (M, 4, 4)."""
+    poses, region = np.concatenate(aligned), evidence.region
     if not len(poses):
         return poses
     with stage("turns"):
-        totals = score_many(model, region, poses, config.coarse_samples)[:, 0]
-        best = different_poses(model, poses, totals, config.kept)
+        totals = score_many(model, region, poses, COARSE_SAMPLES)[:, 0]
+        best = different_poses(model, poses, totals, KEPT)
         poses, totals = poses[best], totals[best]
         near_symmetric = np.einsum(
-            "nij,mjk->nmik", poses[: config.with_near_symmetries], model.near_symmetries[1:]
+            "nij,mjk->nmik", poses[:WITH_NEAR_SYMMETRIES], model.near_symmetries[1:]
         ).reshape(-1, 4, 4)
-        near_symmetric_totals = score_many(model, region, near_symmetric, config.coarse_samples)[:, 0]
+        near_symmetric_totals = score_many(model, region, near_symmetric, COARSE_SAMPLES)[:, 0]
         poses, totals = (
             np.concatenate([poses, near_symmetric]),
             np.concatenate([totals, near_symmetric_totals]),
         )
-        poses = poses[different_poses(model, poses, totals, config.searched)]
+        poses = poses[different_poses(model, poses, totals, SEARCHED)]
     with stage("search"):
-        searched, totals = search(model, region, poses, config.search_deg, config.samples, race=RACE)
+        searched, totals = search(model, region, poses, SEARCH_DEG, SAMPLES, race=RACE)
     with stage("icp"):
-        rivals = searched[totals > totals.max() - config.registered_within]
+        rivals = searched[totals > totals.max() - REGISTERED_WITHIN]
         registered = _icp(model, region.points_cam, rivals, 0.012, 0.006, 5)
     return np.concatenate([searched, registered])
 
 
-def refine_prior(
-    model: ReferenceModel, evidence: Evidence, T_cam_obj: Float, config: FullPathConfig | None = None
-) -> Ranked:
+def refine_prior(model: ReferenceModel, evidence: Evidence, T_cam_obj: Float) -> Ranked:
     """A predicted pose (4, 4) brought onto the region: the best one of ICP and search from it."""
-    config, region = config or FullPathConfig(), evidence.region
+    region = evidence.region
     start = np.asarray(T_cam_obj, dtype=np.float64)[None]
     aligned = [_icp(model, p, start, 0.15 * model.diameter_m, 0.008, 20) for p in evidence.points_cam]
     starts = np.concatenate([start, *aligned])
-    searched, _ = search(model, region, starts, config.prior_deg, CLOSE_SAMPLES, race=RACE)
+    searched, _ = search(model, region, starts, PRIOR_DEG, CLOSE_SAMPLES, race=RACE)
     registered = _icp(model, region.points_cam, searched, 0.012, 0.006, 5)
     poses = np.concatenate([starts, searched, registered])
     return Ranked.of(poses, totals_of(model, region, poses)).these([0])
 
 
-def judge(
-    model: ReferenceModel, region: Region, poses: Float64, prior: Ranked, config: FullPathConfig
-) -> Ranked:
+def judge(model: ReferenceModel, region: Region, poses: Float64, prior: Ranked) -> Ranked:
     """Judge refined poses (N, 4, 4), search the best finely, and return different ones, best first. prior:
     more of them, which were judged before."""
     if not len(poses) and not len(prior):
@@ -216,14 +233,12 @@ def judge(
     with stage("judge"):
         totals = np.concatenate([prior.totals, totals_of(model, region, poses)])
         poses = np.concatenate([prior.poses, poses])
-        best = different_poses(model, poses, totals, config.judged, FINAL_TURN_RAD, FINAL_SHIFT)
+        best = different_poses(model, poses, totals, JUDGED, FINAL_TURN_RAD, FINAL_SHIFT)
         poses, totals = poses[best], totals[best]
     with stage("search"):
-        fine, fine_totals = search(
-            model, region, poses[: config.finished], config.fine_deg, CLOSE_SAMPLES, race=RACE
-        )
+        fine, fine_totals = search(model, region, poses[:FINISHED], FINE_DEG, CLOSE_SAMPLES, race=RACE)
         poses, totals = np.concatenate([poses, fine]), np.concatenate([totals, fine_totals])
-        best = different_poses(model, poses, totals, config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
+        best = different_poses(model, poses, totals, ALTERNATIVES, FINAL_TURN_RAD, FINAL_SHIFT)
     return Ranked.of(poses[best], totals[best])
 
 
@@ -233,21 +248,18 @@ def looks_in_full(frame_id: int, every: int) -> bool:
     return every <= 1 or (frame_id * 2654435761 >> 16) % every == 0
 
 
-def confirm(
-    model: ReferenceModel, region: Region, prior: Ranked, config: ConfirmConfig | None = None
-) -> Ranked:
+def confirm(model: ReferenceModel, region: Region, prior: Ranked) -> Ranked:
     """The refined prior first, then its best different near-symmetric rotations; none when the prior is not
     plainly right."""
-    config = config or ConfirmConfig()
-    if prior.totals[0] < config.score:
+    if prior.totals[0] < PLAINLY_RIGHT:
         return NONE
     rotated = prior.poses[0] @ model.near_symmetries[1:]
-    first = score_many(model, region, rotated, config.samples)[:, 0]
-    best = np.argsort(-first, kind="stable")[: config.near_symmetries]
-    searched, totals = search(model, region, rotated[best], config.steps_deg, CLOSE_SAMPLES, race=RACE)
+    first = score_many(model, region, rotated, COARSE_SAMPLES)[:, 0]
+    best = np.argsort(-first, kind="stable")[:CONFIRM_TURNS]
+    searched, totals = search(model, region, rotated[best], CONFIRM_DEG, CLOSE_SAMPLES, race=RACE)
     poses, totals = np.concatenate([prior.poses, searched]), np.concatenate([prior.totals, totals])
     order = different_poses(model, poses, totals, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)
-    if len(order) > 1 and (order[0] != 0 or totals[0] - totals[order[1]] < config.margin):
+    if len(order) > 1 and (order[0] != 0 or totals[0] - totals[order[1]] < CLEAR_MARGIN):
         return NONE
     return Ranked.of(poses[order], totals[order])
 
@@ -271,7 +283,7 @@ def believe(
     region, ranked, terms = None if look.evidence is None else look.evidence.region, look.ranked, None
     if region is not None and len(ranked):
         ranked = ranked.these(different_answers(model, ranked.poses))
-        terms = _terms(model, region, ranked, config.confirm.margin if look.confirmed else None)
+        terms = _terms(model, region, ranked, CLEAR_MARGIN if look.confirmed else None)
     present = 0.0 if terms is None else fit.present(terms)
     answer = _of_none(query, look.prior)
     if region is None or terms is None or present < least:

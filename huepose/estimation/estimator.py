@@ -18,7 +18,7 @@ import numpy as np
 
 from huepose.estimation.answer import answered, confirm, refine_prior
 from huepose.estimation.apparent_size import looks, support
-from huepose.estimation.config import CompetitionConfig, EstimatorConfig
+from huepose.estimation.config import EstimatorConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.methods import method_of
 from huepose.estimation.present import PresenceIn
@@ -41,10 +41,19 @@ from huepose.support.errors import require
 from huepose.support.pool import Pool, Steps, finished
 from huepose.support.stages import stage
 
+SURE = 0.5
+"""Quality from which a pose keeps its pixels; from other instances of its object it always does. Chosen."""
+
+CONTESTED = 0.25
+"""A pose is judged again when surer ones have this share of its visible pixels. Chosen."""
+
+DOUBTFUL, TAKEN = 0.8, 0.05
+"""So is one under this quality when surer ones have this share of its box. Chosen."""
+
 Answered = tuple[PoseEstimate, Explanation]
 """An answer and what led to it."""
 
-LookAgain = Callable[[RgbdFrame, ObjectQuery], Answered]
+Answering = Callable[[RgbdFrame, ObjectQuery], Answered]
 
 
 class Estimator:
@@ -117,13 +126,13 @@ class Estimator:
             return answer, led
 
         answers = self._pool.map_steps(lambda query: look(frame, query), queries)
-        if len(queries) < 2 or not self.config.competing or (self._method and self._method.bare):
+        if len(queries) < 2 or (self._method and self._method.bare):
             return answers
 
         def look_again(seen: RgbdFrame, query: ObjectQuery) -> Answered:
             return finished(look(seen, query))
 
-        return compete(frame, queries, answers, look_again, self.config.competition)
+        return compete(frame, queries, answers, look_again)
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> Answered:
         """The answer to one query, as if there were no other, and what led to it."""
@@ -166,20 +175,19 @@ def compete(
     frame: RgbdFrame,
     queries: Sequence[ObjectQuery],
     answers: Sequence[Answered],
-    look_again: LookAgain,
-    config: CompetitionConfig | None = None,
+    look_again: Answering,
 ) -> list[Answered]:
     """Answers, in the order of the queries, of which no two explain the same surface.
 
     `look_again` estimates a query in a frame from whose depth that of surer poses was taken away. A pose that
     lived on it gives way to what is found then; one that was only doubtful does so when that is surer.
     """
-    config, out = config or CompetitionConfig(), list(answers)
+    out = list(answers)
     before: list[PoseEstimate] = []
     for k in sorted(range(len(out)), key=lambda i: _rank(out[i][0])):
-        sure = [o for o in before if o.quality >= config.sure or o.object == queries[k].object]
+        sure = [o for o in before if o.quality >= SURE or o.object == queries[k].object]
         taken = np.any([o.mask for o in sure if o.mask is not None] or [np.zeros(frame.depth.shape, bool)], 0)
-        out[k] = _without(frame, queries[k], out[k], taken, look_again, config)
+        out[k] = _without(frame, queries[k], out[k], taken, look_again)
         before.append(out[k][0])
     return out
 
@@ -190,17 +198,12 @@ def _rank(answer: PoseEstimate) -> tuple[float, float, str, int]:
 
 
 def _without(
-    frame: RgbdFrame,
-    query: ObjectQuery,
-    known: Answered,
-    taken: Bool,
-    look_again: LookAgain,
-    config: CompetitionConfig,
+    frame: RgbdFrame, query: ObjectQuery, known: Answered, taken: Bool, look_again: Answering
 ) -> Answered:
     """The answer, or what is found instead where it may not use the pixels that are taken."""
     answer = known[0]
-    contested = _share_of_mask(answer.mask, taken) > config.contested
-    doubtful = answer.quality < config.doubtful and _share_of_box(query.box, taken) > config.taken
+    contested = _share_of_mask(answer.mask, taken) > CONTESTED
+    doubtful = answer.quality < DOUBTFUL and _share_of_box(query.box, taken) > TAKEN
     if not contested and not doubtful:
         return known
     again, look = look_again(*_free_of(frame, query, taken))
@@ -227,10 +230,7 @@ def _share_of_box(box: Box | None, taken: Bool) -> float:
     return float(inside.mean()) if inside.size else 0.0
 
 
-Explain = Callable[[RgbdFrame, ObjectQuery], tuple[PoseEstimate, Explanation]]
-
-
-def warm_up(explain: Explain, model: ReferenceModel, full: bool) -> None:
+def warm_up(explain: Answering, model: ReferenceModel, full: bool) -> None:
     """Let an estimator look for an object that stands before a wall, and ask whether it is there; full: by
     the method of that name, for which there may be a prior, and a near tie between poses."""
     camera = Camera(320.0, 320.0, 159.5, 119.5, 320, 240)

@@ -16,13 +16,19 @@ from huepose.believe.logistic import probability
 from huepose.believe.presence import greatest_doubt, logits_of
 from huepose.believe.quality import features, quality_fits
 from huepose.believe.state import State
-from huepose.estimation.config import Method, StandingConfig
+from huepose.estimation.config import Method
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.presence import sights_of
+
+MOST_SURE = 0.99
+"""No pose speaks more for its object than one of this quality. Chosen."""
+
+OTHER_TEXTURE = 2.0
+"""Another texture must be so many times likelier than the own one before it speaks against it. Chosen."""
 
 
 class PresenceIn:
@@ -76,7 +82,7 @@ def _chance(logit: float, answer: PoseEstimate, method: Method) -> float:
 def certainty(answer: PoseEstimate) -> float:
     """How sure a pose is of itself, in log odds, 0 or more: one that is surely right speaks for its object;
     one that is not, for want of texture to tell its turn by, does not speak against it."""
-    sure = min(max(answer.quality, 0.5), StandingConfig().most_sure)
+    sure = min(max(answer.quality, 0.5), MOST_SURE)
     return float(np.log(sure / (1.0 - sure)))
 
 
@@ -86,4 +92,4 @@ def _own_texture(answer: PoseEstimate, method: Method) -> float:
     if answer.terms is None:
         return 1.0
     own = quality_fits()[method].this_texture(features(answer.terms))
-    return min(1.0, StandingConfig().other_texture * own / max(1.0 - own, 1e-9))
+    return min(1.0, OTHER_TEXTURE * own / max(1.0 - own, 1e-9))

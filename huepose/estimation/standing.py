@@ -9,27 +9,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from huepose.estimation.config import StandingConfig
 from huepose.estimation.reasons import under
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.select.distinct import pixels, standing
 
+PRESENT = 0.6
+"""Probability that the object is there from which a pose stands. A false one in ten frames of the drawn set
+`choose` of studies.presence (docs/detection.md)."""
 
-def standing_answers(
-    answers: Sequence[PoseEstimate], config: StandingConfig | None = None
-) -> list[PoseEstimate]:
+
+def standing_answers(answers: Sequence[PoseEstimate]) -> list[PoseEstimate]:
     """The answers that stand, likeliest first.
 
     Answers that were not found are left out; one without a mask claims nothing and is not contested."""
-    config = config or StandingConfig()
     likely = [
         answer
         for answer in answers
-        if answer.found and chance(answer) >= config.present and (answer.mask is None or answer.mask.any())
+        if answer.found and chance(answer) >= PRESENT and (answer.mask is None or answer.mask.any())
     ]
     surfaces = [pixels(answer.mask) for answer in likely]
-    return [likely[i] for i in standing(surfaces, [chance(answer) for answer in likely], config.claimed)]
+    return [likely[i] for i in standing(surfaces, [chance(answer) for answer in likely])]
 
 
 def chance(answer: PoseEstimate) -> float:
@@ -42,7 +42,6 @@ def why_none_stands(name: str, answers: Sequence[PoseEstimate], doubts: Sequence
 
     answers: as for `standing_answers`, of all objects of the frame; doubts: of each answer, what speaks most
     against its object (`estimation.present`)."""
-    least = StandingConfig().present
     doubts = doubts or [""] * len(answers)
     mine = [x for x in zip(answers, doubts, strict=True) if x[0].object == name]
     if not mine:
@@ -51,8 +50,8 @@ def why_none_stands(name: str, answers: Sequence[PoseEstimate], doubts: Sequence
     if not best.found:
         return best.reason
     places = "the only place" if len(mine) == 1 else f"the best of {len(mine)} places"
-    if chance(best) >= least:
+    if chance(best) >= PRESENT:
         return f"Another object explains the surface at {places} better."
-    likely = f"with a probability of {under(chance(best), least)}, which is under {least:.2f}"
+    likely = f"with a probability of {under(chance(best), PRESENT)}, which is under {PRESENT:.2f}"
     said = f"At {places} the object is there {likely}"
     return f"{said}: {doubt}." if doubt else f"{said}."

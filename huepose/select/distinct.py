@@ -151,9 +151,9 @@ HALF = 0.5
 """A pose is suppressed when better poses hold more than this share of its surface."""
 
 
-def standing(surfaces: Sequence[Int64], scores: Sequence[float], share: float = HALF) -> list[int]:
+def standing(surfaces: Sequence[Int64], scores: Sequence[float]) -> list[int]:
     """Greedy suppression: indices of the poses that stay, best score first (ties: the first). A pose goes if
-    those that stay before it hold more than `share` of its surface.
+    those that stay before it hold more than HALF of its surface.
 
     >>> standing([np.array([1, 2, 3]), np.array([2, 3, 4]), np.array([3, 4, 5])], [0.5, 0.9, 0.4])
     [1]
@@ -164,7 +164,7 @@ def standing(surfaces: Sequence[Int64], scores: Sequence[float], share: float = 
     out = []
     for i in sorted(range(len(surfaces)), key=lambda i: (-scores[i], i)):
         surface = surfaces[i]
-        if np.count_nonzero(held[surface]) <= share * len(surface):
+        if np.count_nonzero(held[surface]) <= HALF * len(surface):
             out.append(i)
             held[surface] = True
     return out

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PoseEstimate
+from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
 from huepose.estimation.estimator import Answered, compete
 from huepose.estimation.explanation import Explanation
 from huepose.geometry import Box, Camera, RgbdFrame, se3
@@ -97,8 +97,9 @@ def test_two_instances_in_one_box_are_both_found(
         both |= render_depth(tea_box.mesh, T, frame.camera) > 0
     box = Box.of_mask(both)
     queries = [ObjectQuery("tea_box", box, instance=k) for k in range(2)]
-    found = Estimator({"tea_box": tea_box}).estimate(frame, queries)
-    alone = Estimator({"tea_box": tea_box}, EstimatorConfig(competing=False)).estimate(frame, queries)
+    estimator = Estimator({"tea_box": tea_box})
+    found = estimator.estimate(frame, queries)
+    alone = [estimator.estimate(frame, [query])[0] for query in queries]
     assert np.array_equal(alone[0].T_cam_obj, alone[1].T_cam_obj)
     for T in (standing, beside):
         assert (

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PosePrior
-from huepose.estimation.answer import looks_in_full
+from huepose.estimation.answer import CLEAR_MARGIN, looks_in_full
 from huepose.estimation.config import ConfirmConfig
 from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
@@ -46,7 +46,7 @@ def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
         assert answer.T_cam_obj is not None
         assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.002
         assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(1.0)
-        assert sought or answer.margin <= ConfirmConfig().margin
+        assert sought or answer.margin <= CLEAR_MARGIN
 
 
 def test_a_confirmed_prior_of_an_object_without_near_symmetries_is_an_answer_without_rivals(

@@ -9,8 +9,8 @@ import pytest
 
 from huepose.believe.quality import features, quality_fits
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.estimation.config import StandingConfig
-from huepose.estimation.present import PresenceIn
+from huepose.estimation.present import OTHER_TEXTURE, PresenceIn
+from huepose.estimation.standing import PRESENT
 from huepose.estimation.types import PoseEstimate
 from tests.boxes import box_of
 
@@ -30,7 +30,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, st
     assert right.present > 0.9
     assert (right.quality, right.state) == (there.quality, "TRACKING")
     # For all that it claims to be sure: no pose of it is surer than that anything of it is there.
-    assert wrong.present < 0.5 * StandingConfig().present
+    assert wrong.present < 0.5 * PRESENT
     assert wrong.quality == pytest.approx(wrong.present)
     assert wrong.alternatives[0][1] == pytest.approx(0.1 * wrong.present / there.quality)
     assert wrong.state == "SUSPECT"
@@ -81,8 +81,6 @@ def test_another_texture_is_judged_by_the_method_that_answered(tea_box, take_pic
         own, other = (presence.asked(a).present for a in (answer, lacking))
         chance = quality_fits()[method].this_texture(features(lacking.terms))
         left[method] = other / own
-        assert left[method] == pytest.approx(
-            min(1.0, StandingConfig().other_texture * chance / (1.0 - chance)), rel=1e-6
-        )
+        assert left[method] == pytest.approx(min(1.0, OTHER_TEXTURE * chance / (1.0 - chance)), rel=1e-6)
         assert left[method] < 0.5
     assert left["full"] != pytest.approx(left["colorpair"], rel=0.05)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from huepose.datasets.types import Sample
-from huepose.estimation.config import StandingConfig
 from huepose.estimation.standing import standing_answers, why_none_stands
 from huepose.estimation.types import PoseEstimate
 from huepose.evaluation import pictures
@@ -148,7 +147,6 @@ def test_one_surface_stands_for_one_pose() -> None:
     beside, doubtful = answer("brick", RIGHT, 0.7), answer("can", NOWHERE, 0.3)
     assert standing_answers([worse, doubtful, beside, better]) == [better, beside]
     assert standing_answers([worse, PoseEstimate("box", present=1.0)]) == [worse]
-    assert standing_answers([doubtful], StandingConfig(present=0.2)) == [doubtful]
 
 
 def test_why_none_of_an_object_stands() -> None:

@@ -41,9 +41,9 @@ from huepose.refine.point_to_plane import (
     surface_arrays,
 )
 from huepose.refine.projective import (
+    DEPTH_GATE_M,
     DepthImage,
     DepthSamples,
-    EdgeLimits,
     ImageEdges,
     ModelEdges,
     add_depth_samples,
@@ -99,52 +99,34 @@ def _points(frame: RgbdFrame, mask: Bool) -> Float64:
     return frame.camera.backproject(np.stack([columns, rows], -1), frame.depth[rows, columns])
 
 
-@dataclass(frozen=True)
-class PoseNoise:
-    """What a fit to depth does not know. Metres and radians, camera axes. Origin: chosen.
+TEXTURE_SIGMA = np.array([0.004, 0.004, 0.004, 0.05, 0.05, 0.05])
+"""What the texture still fixes where depth fixes nothing: metres and radians, camera axes. Chosen."""
 
-    points_per_reading: neighbouring depth pixels err alike, so that many of them count as one.
-    depth_sigma_m: of a depth reading, beside the residuals of the fit. texture_sigma: what the texture still
-    fixes where depth fixes nothing. floor_sigma: errors of model and calibration, which no number of points
-    averages away.
-    """
-
-    points_per_reading: float = POINTS_PER_READING
-    depth_sigma_m: float = FLOOR_M
-    texture_sigma: tuple[float, ...] = (0.004, 0.004, 0.004, 0.05, 0.05, 0.05)
-    floor_sigma: tuple[float, ...] = (0.0005, 0.0005, 0.0010, 0.006, 0.006, 0.006)
+FLOOR_SIGMA = np.array([0.0005, 0.0005, 0.0010, 0.006, 0.006, 0.006])
+"""Errors of model and calibration, which no number of points averages away; the same units. Chosen."""
 
 
-def covariance(alignment: Alignment, centre_obj: Float64, noise: PoseNoise | None = None) -> Float64:
+def covariance(alignment: Alignment, centre_obj: Float64) -> Float64:
     """Covariance (6, 6) of a pose from the point-to-plane fit at it; order tx ty tz rx ry rz, camera axes,
     about the origin. centre_obj (3,): of the object; the noise is about it."""
-    noise = noise or PoseNoise()
-    variance = (alignment.rms_m**2 + noise.depth_sigma_m**2) * noise.points_per_reading
-    texture, floor = np.array(noise.texture_sigma), np.array(noise.floor_sigma)
+    variance = (alignment.rms_m**2 + FLOOR_M**2) * POINTS_PER_READING
     to_origin = carrying(-alignment.T_cam_obj[:3, :3] @ centre_obj)
-    information = to_origin.T @ alignment.information @ to_origin / variance + np.diag(1.0 / texture**2)
-    return np.asarray(to_origin @ (np.linalg.inv(information) + np.diag(floor**2)) @ to_origin.T)
+    information = to_origin.T @ alignment.information @ to_origin / variance + np.diag(1.0 / TEXTURE_SIGMA**2)
+    return np.asarray(to_origin @ (np.linalg.inv(information) + np.diag(FLOOR_SIGMA**2)) @ to_origin.T)
 
 
 PAIRS = 800
 """Of the model, those that a view shows among them."""
 
 
-@dataclass(frozen=True)
-class EdgeConfig:
-    """gates_px: how far across the edge is looked, one iteration each; along_px: how far along it;
-    min_cosine: of the directions of two edges; min_contrast: cosine of their contrasts; depth: weight of a
-    depth residual against one of an edge, both in metres; gate_m: of depth residuals; samples: of the
-    surface; fewest: edges that have to be matched for a pose to be moved."""
+GATES_PX = np.array([5.0, 4.0, 3.0, 2.5, 2.0, 2.0, 1.5, 1.5])
+"""How far across an edge its partner is looked for, one step each."""
 
-    gates_px: tuple[float, ...] = (5.0, 4.0, 3.0, 2.5, 2.0, 2.0, 1.5, 1.5)
-    along_px: float = 3.0
-    min_cosine: float = 0.9
-    min_contrast: float = 0.8
-    depth: float = 0.3
-    gate_m: float = 0.006
-    samples: int = 300
-    fewest: int = 15
+DEPTH_WEIGHT, EDGE_SAMPLES = 0.3, 300
+"""Beside the edges: weight of a depth residual against one of an edge, in metres, and surface samples."""
+
+FEWEST_EDGES = 15
+"""Edges that have to be matched for a pose to be moved."""
 
 
 class _Factors(NamedTuple):
@@ -152,19 +134,16 @@ class _Factors(NamedTuple):
 
     model: ModelEdges
     edges: ImageEdges
-    limits: EdgeLimits
     image: DepthImage
     samples: DepthSamples
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeAlignment:
-    """T_cam_obj (4, 4); matched: edges in the last iteration, 0 when the pose was left alone; rms_px: their
-    distance across the edge then."""
+    """T_cam_obj (4, 4); matched: edges in the last iteration, 0 when the pose was left alone."""
 
     T_cam_obj: Float64
     matched: int
-    rms_px: float
 
 
 def refine_on_edges(model: ReferenceModel, frame: RgbdFrame, mask: Bool, T_cam_obj: Float64) -> Float64:
@@ -186,52 +165,46 @@ def align_edges(
     depth: Float32,
     camera: Camera,
     T_cam_obj: Float,
-    config: EdgeConfig | None = None,
 ) -> EdgeAlignment:
     """Move the object so that its texture lies on the image's edges and its surface on the depth.
 
     model: the edges of its texture; depth (h, w) metres, 0 = nothing, of the camera that saw the edges.
-    The pose comes back unchanged where fewer than `fewest` edges match.
+    The pose comes back unchanged where fewer than FEWEST_EDGES match.
     """
-    config = config or EdgeConfig()
     start = np.array(T_cam_obj, dtype=np.float64)
     if not len(model.points):
-        return EdgeAlignment(start, 0, 0.0)
+        return EdgeAlignment(start, 0)
     T = start.copy()
     low, high = surface.points.min(0).astype(np.float64), surface.points.max(0).astype(np.float64)
     factors = _Factors(
         model,
         edges,
-        EdgeLimits(config.along_px, config.min_cosine, config.min_contrast, config.gate_m),
         depth_image(depth, camera),
-        depth_samples(surface, T, config.samples, config.depth),
+        depth_samples(surface, T, EDGE_SAMPLES, DEPTH_WEIGHT),
     )
     body = Body(0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)))
-    matched, rms_px = _align(T, factors, body, np.array(config.gates_px))
-    if matched < config.fewest:
-        return EdgeAlignment(start, 0, 0.0)
-    return EdgeAlignment(se3.orthonormalised(T), int(matched), float(rms_px))
+    matched = _align(T, factors, body, GATES_PX)
+    if matched < FEWEST_EDGES:
+        return EdgeAlignment(start, 0)
+    return EdgeAlignment(se3.orthonormalised(T), int(matched))
 
 
 @jit
-def _align(T: Float64, factors: _Factors, body: Body, gates_px: Float64) -> tuple[int, float]:
-    """Move the pose, one step a gate; edges matched in the last one, and the RMS of their pixels across."""
-    image, limits = factors.image, factors.limits
+def _align(T: Float64, factors: _Factors, body: Body, gates_px: Float64) -> int:
+    """Move the pose, one step a gate; edges matched in the last one."""
+    image = factors.image
     cells = edge_cells(factors.edges, image.depth.shape[0], image.depth.shape[1])
     equations = normal_equations(6)
-    matched, rms_px = 0, 0.0
+    matched = 0
     for gate_px in gates_px:
         clear(equations)
-        matched, weight, squares = add_edges(
-            T, factors.model, factors.edges, cells, image, body, gate_px, limits, equations
-        )
-        rms_px = np.sqrt(squares / weight) if weight > 0.0 else 0.0
+        matched, weight = add_edges(T, factors.model, factors.edges, cells, image, body, gate_px, equations)
         if matched < FEWEST_FOR_A_STEP:
             break
-        weight += add_depth_samples(T, factors.samples, image, body, limits.depth_m, equations)
+        weight += add_depth_samples(T, factors.samples, image, body, DEPTH_GATE_M, equations)
         if advance(T, equations, body, DAMPING * weight) < 0.0:
             break
-    return matched, rms_px
+    return matched
 
 
 @once_for_each

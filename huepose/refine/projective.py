@@ -97,11 +97,18 @@ def add_depth_samples(
     return total
 
 
+DEPTH_GATE_M = 0.006
+"""Largest distance of depth from an edge's place, metres."""
+
 CELL_PX = 8.0
 """Side of the cells by which the edges near a pixel are found."""
 
-ALONG_SHARE = 0.3
-"""What a distance along the edge counts, against one across it, in the choice of an edge's partner."""
+ALONG_PX, ALONG_SHARE = 3.0, 0.3
+"""How far along an edge its partner is looked for, and what a distance along it counts in the choice, against
+one across it."""
+
+MIN_COSINE, MIN_CONTRAST = 0.9, 0.8
+"""Least cosine between the directions of an edge and its partner, and between their contrasts."""
 
 
 class ImageEdges(NamedTuple):
@@ -127,16 +134,6 @@ class EdgeCells(NamedTuple):
 
     head: Int32
     follow: Int32
-
-
-class EdgeLimits(NamedTuple):
-    """along_px: how far along an edge is looked for its partner; min_cosine: of their directions;
-    min_contrast: cosine of their contrasts; depth_m: how far the depth may be from an edge's place."""
-
-    along_px: float
-    min_cosine: float
-    min_contrast: float
-    depth_m: float
 
 
 def image_edges(pairs: ColorPairs) -> ImageEdges:
@@ -185,18 +182,17 @@ def add_edges(
     image: DepthImage,
     body: Body,
     gate_px: float,
-    limits: EdgeLimits,
     equations: NormalEquations,
-) -> tuple[int, float, float]:
+) -> tuple[int, float]:
     """Add the distances across the model's edges to their partners in the image; returns how many have one
-    within `gate_px`, their weight, and their weighted squares in pixels."""
+    within `gate_px`, and their weight."""
     depth, points, model_contrasts = image.depth, model.points, model.contrasts
     pixels, directions, scene_contrasts = edges.pixels, edges.directions, edges.contrasts
     head, follow = cells.head, cells.follow
     fx, fy, cx, cy = image.camera[0], image.camera[1], image.camera[2], image.camera[3]
     height, width = depth.shape
     P, n, s = np.empty(3), np.empty(3), np.empty(3)
-    matched, total, squares = 0, 0.0, 0.0
+    matched, total = 0, 0.0
     for i in range(points.shape[0]):
         _in_camera(T, model.points, i, 1.0, P)
         _in_camera(T, model.normals, i, 0.0, n)
@@ -208,7 +204,7 @@ def add_edges(
         if u < 0.0 or v < 0.0 or u > width - 1.0 or v > height - 1.0:
             continue
         seen = depth[int(v + 0.5), int(u + 0.5)]
-        if seen <= 0.0 or abs(seen - P[2]) * facing > limits.depth_m:
+        if seen <= 0.0 or abs(seen - P[2]) * facing > DEPTH_GATE_M:
             continue
         _in_camera(T, model.tangents, i, 0.0, s)
         a0, a1 = (s[0] - P[0] / P[2] * s[2]) * fx, (s[1] - P[1] / P[2] * s[2]) * fy
@@ -225,13 +221,13 @@ def add_edges(
                 while j >= 0:
                     d0, d1 = pixels[j, 0] - u, pixels[j, 1] - v
                     e, f = d0 * a0 + d1 * a1, d1 * a0 - d0 * a1
-                    apart = (e / gate_px) ** 2 + ALONG_SHARE * (f / limits.along_px) ** 2
+                    apart = (e / gate_px) ** 2 + ALONG_SHARE * (f / ALONG_PX) ** 2
                     cosine = directions[j, 0] * a0 + directions[j, 1] * a1
-                    if apart < best and abs(f) < limits.along_px and abs(cosine) > limits.min_cosine:
+                    if apart < best and abs(f) < ALONG_PX and abs(cosine) > MIN_COSINE:
                         alike = 0.0
                         for c in range(3):
                             alike += scene_contrasts[j, c] * model_contrasts[i, c]
-                        if alike * (1.0 if cosine > 0.0 else -1.0) > limits.min_contrast:
+                        if alike * (1.0 if cosine > 0.0 else -1.0) > MIN_CONTRAST:
                             best, across = apart, e
                     j = follow[j]
         if best >= 1.0:
@@ -246,8 +242,7 @@ def add_edges(
         add_residual(equations, w * metres * metres, across, jacobian)  # weighed as metres at its depth
         matched += 1
         total += w
-        squares += w * across * across
-    return matched, total, squares
+    return matched, total
 
 
 @jit_dividing

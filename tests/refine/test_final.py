@@ -15,38 +15,37 @@ from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.onboarding.surface import build_grid
 from huepose.refine import final
-from huepose.refine.final import PoseNoise, covariance, refine_on_edges, scale_residual
+from huepose.refine.final import FLOOR_SIGMA, TEXTURE_SIGMA, covariance, refine_on_edges, scale_residual
 from huepose.refine.point_to_plane import Alignment
 from huepose.rendering.render import render_depth
 from tests.judge.regions import region_of
 
-NOISE, MIDDLE = PoseNoise(), np.zeros(3)
+MIDDLE = np.zeros(3)
 
 
 def test_where_depth_fixes_nothing_the_texture_does() -> None:
-    expected = np.array(NOISE.texture_sigma) ** 2 + np.array(NOISE.floor_sigma) ** 2
+    expected = TEXTURE_SIGMA**2 + FLOOR_SIGMA**2
     np.testing.assert_allclose(covariance(fitted(np.zeros((6, 6))), MIDDLE), np.diag(expected), rtol=1e-12)
 
 
 def test_no_number_of_points_averages_the_floor_away() -> None:
-    floor = np.diag(np.array(NOISE.floor_sigma) ** 2)
+    floor = np.diag(FLOOR_SIGMA**2)
     np.testing.assert_allclose(covariance(fitted(1e15 * np.eye(6)), MIDDLE), floor, rtol=1e-6, atol=1e-15)
 
 
-def test_four_times_the_points_halve_what_depth_leaves_open() -> None:
-    noise = PoseNoise(texture_sigma=(1e3,) * 6, floor_sigma=(0.0,) * 6)
-    few, many = (np.sqrt(np.diag(covariance(fitted(n * np.eye(6)), MIDDLE, noise))) for n in (1e4, 4e4))
+def test_four_times_the_points_halve_what_depth_leaves_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(final, "TEXTURE_SIGMA", np.full(6, 1e3))
+    monkeypatch.setattr(final, "FLOOR_SIGMA", np.zeros(6))
+    few, many = (np.sqrt(np.diag(covariance(fitted(n * np.eye(6)), MIDDLE))) for n in (1e4, 4e4))
     np.testing.assert_allclose(few, 2.0 * many, rtol=1e-6)
 
 
 def test_the_noise_is_about_the_object_wherever_its_origin_is() -> None:
     known, off = 1e15 * np.eye(6), np.array([0.0, 5.0, 0.0])
     far = covariance(fitted(known), off)
-    assert np.sqrt(far[2, 2]) == pytest.approx(5.0 * NOISE.floor_sigma[3], rel=0.01)
+    assert np.sqrt(far[2, 2]) == pytest.approx(5.0 * FLOOR_SIGMA[3], rel=0.01)
     to_object = carrying(off)
-    np.testing.assert_allclose(
-        to_object @ far @ to_object.T, np.diag(np.array(NOISE.floor_sigma) ** 2), rtol=1e-4, atol=1e-9
-    )
+    np.testing.assert_allclose(to_object @ far @ to_object.T, np.diag(FLOOR_SIGMA**2), rtol=1e-4, atol=1e-9)
 
 
 def fitted(information: np.ndarray) -> Alignment:

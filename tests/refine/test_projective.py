@@ -51,7 +51,6 @@ def test_a_shift_along_the_faces_is_undone_in_any_light(
             model_edges(fine_pairs(tea_box)), tea_box.surface, edges, frame.depth, frame.camera, start
         )
         assert found.matched > 50
-        assert found.rms_px < 0.8
         assert np.linalg.norm((found.T_cam_obj - standing)[:3, 3]) < 0.0006
         assert se3.rotation_angle(found.T_cam_obj, standing) < np.radians(0.4)
 

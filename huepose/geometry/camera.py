@@ -37,6 +37,11 @@ class Camera:
         """3x3 intrinsic matrix."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
+    @property
+    def lens(self) -> Float64:
+        """fx, fy, cx, cy (4,), as kernels take them."""
+        return np.array([self.fx, self.fy, self.cx, self.cy], np.float64)
+
     def cropped(self, x0: int, y0: int, width: int, height: int) -> Camera:
         """The camera of the sub-image whose top-left pixel is (x0, y0)."""
         return replace(self, cx=self.cx - x0, cy=self.cy - y0, width=width, height=height)

@@ -23,7 +23,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.icosphere import look_at
 from huepose.geometry.mesh import Mesh
 from huepose.judge.open_region import PreparedSurface
-from huepose.judge.region import ModelArrays, nearest_view
+from huepose.judge.region import ModelArrays, projected, shown_range
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.support.jit import jit
@@ -255,10 +255,7 @@ def continuation_many(
     samples that draw the silhouette.
     """
     out = np.zeros(len(poses))
-    _continue(
-        np.ascontiguousarray(poses), model, clear, depth,
-        camera.fx, camera.fy, camera.cx, camera.cy, samples, out,
-    )  # fmt: skip
+    _continue(np.ascontiguousarray(poses), model, clear, depth, camera.lens, samples, out)
     return out
 
 
@@ -268,10 +265,7 @@ def _continue(
     model: ModelArrays,
     clear: Bool,
     depth: Float32,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
+    lens: Float64,
     samples: int,
     out: Float64,
 ) -> None:
@@ -281,18 +275,13 @@ def _continue(
     seen = np.empty((samples, 3))
     for m in range(poses.shape[0]):
         T = poses[m]
-        view = nearest_view(T, model)
-        first = model.offsets[view]
-        last = min(model.offsets[view + 1], first + samples)
+        first, last = shown_range(T, model, samples)
         count = 0
         left, top, right, bottom = 1e9, 1e9, -1e9, -1e9
         for k in range(first, last):
-            p = model.points[model.visible[k]]
-            z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+            u, v, z = projected(T, model.points, model.visible[k], lens)
             if z < NEAR_M:
                 continue
-            u = (T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]) / z * fx + cx
-            v = (T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]) / z * fy + cy
             left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
             seen[count, 0], seen[count, 1], seen[count, 2] = u, v, z
             count += 1
@@ -315,7 +304,7 @@ def _continue(
                 if u < 0 or v < 0 or u >= width or v >= height or depth[v, u] == 0.0:
                     continue
                 total += 1.0
-                tolerance = TOLERANCE_M + 1.5 * cell * near / fx
+                tolerance = TOLERANCE_M + 1.5 * cell * near / lens[0]
                 if clear[v, u] and abs(depth[v, u] - near) < tolerance:
                     on += 1.0
         out[m] = on / total

@@ -347,6 +347,17 @@ def region_arrays(region: Region) -> RegionArrays:
     )
 
 
+@jit_dividing
+def projected(T: Float64, points: Float32, i: int, lens: Float64) -> tuple[float, float, float]:
+    """Pixel and depth of point i of (N, 3) at pose T (4, 4); the pixel of a point behind the camera is none.
+    lens (4,): fx, fy, cx, cy."""
+    p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
+    z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
+    u = (T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]) / z * lens[0] + lens[2]
+    v = (T[1, 0] * p0 + T[1, 1] * p1 + T[1, 2] * p2 + T[1, 3]) / z * lens[1] + lens[3]
+    return u, v, z
+
+
 FIRST_VIEWS = 42
 """Directions of an icosphere that are looked at before one goes from neighbour to neighbour: those of its
 first levels."""
@@ -376,3 +387,11 @@ def nearest_view(T: Float64, model: ModelArrays) -> int:
             if dot > best_dot:
                 best, best_dot = i, dot
     return best
+
+
+@jit
+def shown_range(T: Float64, model: ModelArrays, most: int) -> tuple[int, int]:
+    """Where in `model.visible` the samples begin and end that pose `T` shows, `most` of them at most."""
+    view = nearest_view(T, model)
+    first = model.offsets[view]
+    return first, min(model.offsets[view + 1], first + most)

@@ -45,10 +45,9 @@ class _View(NamedTuple):
 def align_in_view(model: ReferenceModel, view: ClearView, poses: Float64) -> Float64:
     """Poses (M, 4, 4) after robust point-to-plane ICP with the clear points around each of them."""
     out = np.array(poses)
-    camera = view.crop.camera
     _align(
         out,
-        _View(view.crop.depth, view.clear, np.array([camera.fx, camera.fy, camera.cx, camera.cy])),
+        _View(view.crop.depth, view.clear, view.crop.camera.lens),
         surface_arrays(model.surface, model.grid),
         grid_body(model.grid),
         Body(model.mesh.centre, REACH * model.diameter_m),

@@ -12,7 +12,7 @@ from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import NEAREST_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours, continuation_many, outline
-from huepose.judge.region import ModelArrays, Region, model_arrays, nearest_view
+from huepose.judge.region import ModelArrays, Region, model_arrays, projected, shown_range
 from huepose.judge.terms import CLOSE_SAMPLES, Terms, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
@@ -113,33 +113,21 @@ def outlined(
 
 def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) -> int:
     """Number of pixels of a frame whose depth agrees with a surface sample of a pose (4, 4)."""
-    camera = frame.camera
-    return int(
-        _agreeing(
-            np.ascontiguousarray(T_cam_obj, dtype=np.float64), model_arrays(model), frame.depth,
-            float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy),
-        )
-    )  # fmt: skip
+    T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
+    return int(_agreeing(T, model_arrays(model), frame.depth, frame.camera.lens))
 
 
 @jit
-def _agreeing(
-    T: Float64, model: ModelArrays, depth: Float32, fx: float, fy: float, cx: float, cy: float
-) -> int:
+def _agreeing(T: Float64, model: ModelArrays, depth: Float32, lens: Float64) -> int:
     height, width = depth.shape
-    view = nearest_view(T, model)
-    first = model.offsets[view]
-    last = min(model.offsets[view + 1], first + CLOSE_SAMPLES)
+    first, last = shown_range(T, model, CLOSE_SAMPLES)
     pixels = np.empty(CLOSE_SAMPLES, np.int64)
     count = 0
     for k in range(first, last):
-        p = model.points[model.visible[k]]
-        z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
+        uf, vf, z = projected(T, model.points, model.visible[k], lens)
         if z <= NEAREST_M:
             continue
-        x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
-        y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
-        u, v = int(np.rint(x / z * fx + cx)), int(np.rint(y / z * fy + cy))
+        u, v = int(np.rint(uf)), int(np.rint(vf))
         if u >= 0 and v >= 0 and u < width and v < height and abs(depth[v, u] - z) < SEEN_M:
             pixels[count] = v * width + u
             count += 1

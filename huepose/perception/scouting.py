@@ -13,7 +13,7 @@ from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAREST_M
 from huepose.judge.borders import continuation_many
-from huepose.judge.region import ModelArrays, Region, model_arrays, nearest_view
+from huepose.judge.region import ModelArrays, Region, model_arrays, projected, shown_range
 from huepose.judge.terms import DEFAULT_WEIGHTS, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
@@ -41,9 +41,9 @@ SAME_TURN, TURNS = np.radians(30.0), 2
 """Up to TURNS poses of one place are kept if they differ by more than SAME_TURN, the spacing of views: which
 way a plain mug's handle points is told better by the codes than by the score."""
 
-SEEN_M, PATCH_PX, LEAST_SEEN = 0.02, 6, 5
-"""A surface sample is seen where the depth agrees to SEEN_M; side of a patch of the support; fewest
-samples."""
+SEEN_M, SEEN_SAMPLES, LEAST_SEEN, PATCH_PX = 0.02, 400, 5, 6
+"""A surface sample is seen where the depth agrees to SEEN_M; most samples that are asked, fewest that are
+seen; side of a patch of the support."""
 
 
 @dataclass(frozen=True)
@@ -275,17 +275,12 @@ def _thinned(
     return out
 
 
-def seen_part(
-    model: ReferenceModel, view: ClearView, T_cam_obj: Float64, samples: int = 400
-) -> tuple[Box, Int64] | None:
+def seen_part(model: ReferenceModel, view: ClearView, T_cam_obj: Float64) -> tuple[Box, Int64] | None:
     """Box in the frame of the surface samples that agree with the depth, and indices of the patches in which
     they lie; None if fewer than LEAST_SEEN agree."""
-    camera = view.crop.camera
-    bounds, patches = np.empty(4), np.empty(samples, np.int64)
-    count = _seen(
-        np.ascontiguousarray(T_cam_obj), model_arrays(model), view.crop.depth,
-        camera.fx, camera.fy, camera.cx, camera.cy, bounds, patches,
-    )  # fmt: skip
+    bounds, patches = np.empty(4), np.empty(SEEN_SAMPLES, np.int64)
+    T = np.ascontiguousarray(T_cam_obj)
+    count = _seen(T, model_arrays(model), view.crop.depth, view.crop.camera.lens, bounds, patches)
     if count < LEAST_SEEN:
         return None
     left, top, right, bottom = bounds
@@ -295,32 +290,17 @@ def seen_part(
 
 @jit
 def _seen(
-    T: Float64,
-    model: ModelArrays,
-    depth: Float32,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    bounds: Float64,
-    patches: Int64,
+    T: Float64, model: ModelArrays, depth: Float32, lens: Float64, bounds: Float64, patches: Int64
 ) -> int:
     """Fill bounds (4,) with the left, top, right and bottom pixel, patches (N,) with one number for each
     sample that agrees; returns how many do."""
     height, width = depth.shape
-    view = nearest_view(T, model)
-    first = model.offsets[view]
-    last = min(model.offsets[view + 1], first + patches.shape[0])
+    first, last = shown_range(T, model, patches.shape[0])
     count = 0
     bounds[0], bounds[1], bounds[2], bounds[3] = 1e9, 1e9, -1e9, -1e9
     for k in range(first, last):
-        p = model.points[model.visible[k]]
-        z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
-        if z < NEAREST_M:
-            continue
-        u = (T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]) / z * fx + cx
-        v = (T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]) / z * fy + cy
-        if u < -0.5 or v < -0.5 or u >= width - 0.5 or v >= height - 0.5:
+        u, v, z = projected(T, model.points, model.visible[k], lens)
+        if z < NEAREST_M or u < -0.5 or v < -0.5 or u >= width - 0.5 or v >= height - 0.5:
             continue
         x, y = int(u + 0.5), int(v + 0.5)
         if depth[y, x] == 0.0 or abs(depth[y, x] - z) >= SEEN_M:

@@ -43,8 +43,7 @@ class DepthSamples(NamedTuple):
 
 def depth_image(depth: Float32, camera: Camera) -> DepthImage:
     """Bundle a depth image's arrays for the kernels."""
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    return DepthImage(np.ascontiguousarray(depth), lens)
+    return DepthImage(np.ascontiguousarray(depth), camera.lens)
 
 
 def depth_samples(surface: Surface, T_cam_obj: Float64, count: int, weight: float) -> DepthSamples:

@@ -9,7 +9,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64, Int32
 from huepose.geometry.camera import NEAREST_M
-from huepose.judge.region import ModelArrays, RegionArrays, nearest_view
+from huepose.judge.region import ModelArrays, RegionArrays, shown_range
 from huepose.support.jit import jit, jit_dividing
 
 MIN_COSINE = 0.12
@@ -89,9 +89,7 @@ def project(
     """Fill `out` with at most `limit` samples that the pose T shows; depth within `gate` metres of a sample's
     plane agrees with it, and four pixels `reach` away tell whether it lies inside the object. Returns their
     number."""
-    view = nearest_view(T, surface)
-    first = surface.offsets[view]
-    last = min(surface.offsets[view + 1], first + limit)
+    first, last = shown_range(T, surface, limit)
     depth = region.depth
     height, width = depth.shape
     fx, fy, cx, cy = region.fx, region.fy, region.cx, region.cy

@@ -53,8 +53,7 @@ class View:
     @property
     def camera_at(self) -> tuple[Float64, Float64]:
         """Its pose and its camera's fx, fy, cx, cy, as the loops of `sight` take them."""
-        camera = self.frame.camera
-        return np.ascontiguousarray(self.T_cam_obj), np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        return np.ascontiguousarray(self.T_cam_obj), self.frame.camera.lens
 
     @cached_property
     def inner(self) -> Bool:

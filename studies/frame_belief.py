@@ -27,7 +27,7 @@ from huepose.believe.logistic import Logistic, write_fit
 from huepose.evaluation import metrics
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float64
-from huepose.judge.borders import outline
+from huepose.judge.borders import continued
 from huepose.judge.terms import NOTHING
 from huepose.model import ReferenceModel
 from huepose.support.progress import progress
@@ -163,7 +163,7 @@ def collect(job: Job) -> list[Row]:
                     min(error_of(model, h.T_cam_obj, truth[i], turns), FAR_OFF)
                     for turns in (model.equivalents, model.near_symmetries)
                 )
-            goes_on = outline(subject.contours, h.T_cam_obj, frames[i]).goes_on
+            goes_on = continued(subject.contours, h.T_cam_obj, frames[i])
             seen = features(h.terms, usual.baseline, goes_on, usual.light)
             rows.append(Row(film.name, i, kind, h.source, seen, error, turned))
     return rows

@@ -2,9 +2,9 @@
 
 A plane face fits on every plane. An object differs from a floor in that it ends: beyond its outline there is
 something farther away, or of another colour. Contours are rendered once for each view direction; at a pose
-some hundred contour points are compared with the frame on both sides (`outline`). `continuation_many` tests
-many poses quickly, by depth alone: where the measured surface continues beyond the outline, only the object's
-shape or texture is there, not the object.
+some hundred contour points are compared with the frame on both sides (`continued`, `held`).
+`continuation_many` tests many poses quickly, by depth alone: where the measured surface continues beyond the
+outline, only the object's shape or texture is there, not the object.
 """
 
 from __future__ import annotations
@@ -49,19 +49,6 @@ OTHER_COLOR = 12.0
 
 UNKNOWN, ENDED, GOES_ON = range(3)
 """What a frame says of a point of an outline."""
-
-
-@dataclass(frozen=True)
-class Outline:
-    """Result of the comparison, shares 0..1 of the outline, together at most 1. ended: beyond is something
-    farther away or of another colour; goes_on: surface and colour continue. The rest is hidden, outside the
-    image, unknown, or the surface is not there at all."""
-
-    ended: float
-    goes_on: float
-
-
-NO_OUTLINE = Outline(0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,12 +120,10 @@ def _contour(mesh: Mesh, surface: PreparedSurface, direction: Float32) -> tuple[
     return points_obj.astype(np.float32), (out @ R[:2]).astype(np.float32)
 
 
-def outline(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Outline:
-    """Compare the outline of a pose T_cam_obj (4, 4) with a frame."""
+def continued(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> float:
+    """Share 0..1 of the outline of a pose T_cam_obj (4, 4) beyond which surface and colour continue."""
     says = _compared(contours, T_cam_obj, frame)[2]
-    if not len(says):
-        return NO_OUTLINE
-    return Outline(*(np.count_nonzero(says == answer) / len(says) for answer in (ENDED, GOES_ON)))
+    return np.count_nonzero(says == GOES_ON) / max(len(says), 1)
 
 
 def held(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Float64:
@@ -159,18 +144,16 @@ def _compared(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> tuple[F
     """Points and outward directions (K, 3) of the outline at a pose, camera axes, and what the frame says
     there (K,): UNKNOWN, ENDED or GOES_ON."""
     points, out = contours.at(T_cam_obj)
-    camera = frame.camera
     p = points @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
     o = out @ T_cam_obj[:3, :3].T
     says = np.zeros(len(p), np.int32)
     if not len(p):
         return p, o, says
-    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     allowed = STEP_M + STEP_SIGMAS * depth_noise_m(float(p[:, 2].mean()))
     # A picture that came over the bus cannot be written: told so always, the kernel is compiled once.
     color = frame.color.view()
     color.flags.writeable = False
-    _compare(p, o, lens, frame.depth, color, LOGARITHMS, OPPONENTS, BESIDE_M, allowed, says)
+    _compare(p, o, frame.camera.lens, frame.depth, color, allowed, says)
     return p, o, says
 
 
@@ -181,9 +164,6 @@ def _compare(
     lens: Float64,
     depth: Float32,
     color: UInt8,
-    logarithms: Float32,
-    opponents: Float32,
-    beside_m: Float64,
     allowed: float,
     says: Int32,
 ) -> None:
@@ -196,7 +176,7 @@ def _compare(
         logs[:] = 0.0
         for side in range(2):
             for n in range(3):
-                step = beside_m[n] if side else -beside_m[n]
+                step = BESIDE_M[n] if side else -BESIDE_M[n]
                 q_z = points[k, 2] + step * out[k, 2]
                 far = max(q_z, NEAR_M)
                 u = int(np.rint((points[k, 0] + step * out[k, 0]) / far * lens[0] + lens[2]))
@@ -210,19 +190,19 @@ def _compare(
                     continue
                 z[side, n] = reading
                 for channel in range(3):
-                    logs[side, channel] += logarithms[color[v, u, channel]] / np.float32(3.0)
+                    logs[side, channel] += LOGARITHMS[color[v, u, channel]] / np.float32(3.0)
         if not known:
             continue
         # Continued by what was measured inside: level and slope, as far as three readings tell them.
         there = True
         for n in range(3):
             there = there and abs(z[0, n] - points[k, 2]) < 2.0 * allowed
-        slope = (z[0, 0] - z[0, 2]) / (beside_m[2] - beside_m[0])
+        slope = (z[0, 0] - z[0, 2]) / (BESIDE_M[2] - BESIDE_M[0])
         level = (z[0, 0] + z[0, 1] + z[0, 2]) / 3.0
-        middle = (beside_m[0] + beside_m[1] + beside_m[2]) / 3.0
+        middle = (BESIDE_M[0] + BESIDE_M[1] + BESIDE_M[2]) / 3.0
         behind = np.empty(3)
         for n in range(3):
-            behind[n] = z[1, n] - level - slope * (middle + beside_m[n])
+            behind[n] = z[1, n] - level - slope * (middle + BESIDE_M[n])
             there = there and behind[n] > -allowed
         if not there:
             continue
@@ -231,7 +211,7 @@ def _compare(
         for row in range(3):
             change = np.float32(0.0)
             for channel in range(3):
-                change += opponents[row, channel] * (logs[0, channel] - logs[1, channel])
+                change += OPPONENTS[row, channel] * (logs[0, channel] - logs[1, channel])
             other = other or abs(change) > OTHER_COLOR
         says[k] = ENDED if other else GOES_ON
 

@@ -11,7 +11,7 @@ from huepose.believe.presence import MOST_ALIKE, MOST_VERIFIED, Sight, logits_of
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import NEAREST_M
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.borders import Contours, continuation_many, outline
+from huepose.judge.borders import Contours, continuation_many, continued
 from huepose.judge.region import ModelArrays, Region, model_arrays, projected, shown_range
 from huepose.judge.terms import CLOSE_SAMPLES, Terms, score_many
 from huepose.model.types import ReferenceModel
@@ -106,7 +106,7 @@ def outlined(
 ) -> list[Sight]:
     """The evidence with the term of the outline."""
     return [
-        replace(s, goes_on=outline(Contours.of(models[name]), T, view.frame).goes_on)
+        replace(s, goes_on=continued(Contours.of(models[name]), T, view.frame))
         for s, (name, T) in zip(sights, poses, strict=True)
     ]
 

@@ -18,7 +18,7 @@ from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.se3 import carrying
-from huepose.judge.borders import held, outline
+from huepose.judge.borders import continued, held
 from huepose.refine.ends import moved_to_ends
 from huepose.refine.photometric import FULL, RESIDUALS_PER_READING
 from huepose.tracking import evidence
@@ -104,7 +104,7 @@ def weighed(
     jump: float = 0.0,
 ) -> Hypothesis:
     """A hypothesis with its log-odds; before and jump as in `evidence.log_odds`."""
-    goes_on = outline(subject.contours, h.T_cam_obj, frame).goes_on
+    goes_on = continued(subject.contours, h.T_cam_obj, frame)
     odds = evidence.log_odds(h.terms, usual.baseline, before, goes_on, usual.light, jump)
     return replace(h, log_odds=odds, goes_on=goes_on, jump=jump)
 

@@ -16,7 +16,7 @@ from huepose.believe.logistic import probability
 from huepose.evaluation import metrics
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
-from huepose.judge.borders import outline
+from huepose.judge.borders import continued
 from huepose.model.types import ReferenceModel
 from huepose.tracking import evidence
 from huepose.tracking.refined import best_of
@@ -48,7 +48,7 @@ def challenge(frames: Sequence[Seen], model: ReferenceModel, every: int) -> tupl
         for i, start in enumerate([truth, *wrong_starts(truth, model, rng)]):
             step = best_of(subject.surface, seen.frame, [(start, "still")], more_passes=UNTIL_SETTLED)
             add = metrics.add(model.eval_points, step.T_cam_obj, truth)
-            goes_on = outline(subject.contours, step.T_cam_obj, seen.frame).goes_on
+            goes_on = continued(subject.contours, step.T_cam_obj, seen.frame)
             odds = evidence.log_odds(step.terms, usual.baseline, UNDECIDED, goes_on)
             qualities.append(probability(odds))
             right.append(add < metrics.RECALL_FRACTION * model.diameter_m)

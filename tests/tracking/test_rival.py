@@ -8,7 +8,7 @@ import pytest
 from huepose.believe.state import State
 from huepose.evaluation import metrics
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
-from huepose.judge.borders import Contours, held, outline
+from huepose.judge.borders import Contours, continued, held
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import NOTHING
 from huepose.model import ReferenceModel
@@ -58,23 +58,18 @@ def lying(model: ReferenceModel, x: float = 0.0) -> np.ndarray:
 
 def test_a_box_ends_where_its_outline_says_and_a_floor_does_not(plain_box: ReferenceModel) -> None:
     contours, T = Contours(plain_box.mesh, PreparedSurface.of(plain_box)), lying(plain_box)
-    there = outline(contours, T, picture(plain_box.mesh, T, (90, 130, 160)))
-    assert there.ended > 0.8
-    assert there.goes_on < 0.05
+    assert continued(contours, T, picture(plain_box.mesh, T, (90, 130, 160))) < 0.05
     sunk = T.copy()
     front = float((plain_box.mesh.vertices @ T[:3, :3].T)[:, 2].min())
     sunk[2, 3] = FLOOR_M - front  # its upper face in the plane of the bare floor
-    bare = outline(contours, sunk, picture(None, T, (90, 130, 160)))
-    assert bare.goes_on > 0.8
-    assert bare.ended < 0.05
+    assert continued(contours, sunk, picture(None, T, (90, 130, 160))) > 0.8
 
 
 def test_what_is_moved_along_its_own_face_goes_on_on_one_side(plain_box: ReferenceModel) -> None:
     contours, T = Contours(plain_box.mesh, PreparedSurface.of(plain_box)), lying(plain_box)
     frame = picture(plain_box.mesh, T, (170, 120, 90))
-    moved = outline(contours, lying(plain_box, 0.03), frame)
-    assert moved.goes_on > 0.15
-    assert outline(contours, T, frame).goes_on < 0.05
+    assert continued(contours, lying(plain_box, 0.03), frame) > 0.15
+    assert continued(contours, T, frame) < 0.05
 
 
 def test_where_a_plain_box_ends_fixes_how_it_lies_along_its_face(plain_box: ReferenceModel) -> None:

@@ -21,7 +21,7 @@ from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.geometry.box import Box
 from huepose.geometry.camera import FLOOR_M, NEAR_M, NEAREST_M, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.region import SATURATED, ModelArrays, RegionArrays, model_arrays
+from huepose.judge.region import NO_LIGHT, ModelArrays, RegionArrays, model_arrays, saturated
 from huepose.judge.silhouette import bounds_of
 from huepose.judge.terms import Terms, score_arrays
 from huepose.model.types import COLOR_SCALES_M, ReferenceModel
@@ -44,7 +44,7 @@ BLIND = 0.3
 """Weight of a sample's colour where there is no depth reading that shows whether the object is in front."""
 
 _NOWHERE = np.array([-2.0, -2.0, -1.0, -1.0])
-_NO_POINTS, _NO_WEIGHTS, _NO_LIGHT = np.zeros((0, 3)), np.zeros(0), np.zeros(3)
+_NO_POINTS, _NO_WEIGHTS = np.zeros((0, 3)), np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +60,8 @@ class OpenRegion:
     def lit(self, light: Float64 | None) -> OpenRegion:
         """A copy with known light (3,), in opponents, or with unknown light (None)."""
         known = light is not None
-        arrays = self.arrays._replace(light=_NO_LIGHT if light is None else light, lit=known)
+        arrays = self.arrays._replace(light=NO_LIGHT if light is None else light, lit=known)
         return OpenRegion(arrays, self.camera, self.x0, self.y0)
-
-    def blunt(self) -> RegionArrays:
-        """The arrays with the two coarser colour scales in place of the two finer ones: wider basins of
-        convergence."""
-        return self.arrays._replace(finest=1)
 
 
 def window(box: Box, width: int, height: int) -> tuple[int, int, int, int] | None:
@@ -88,7 +83,6 @@ def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float
     depth = np.ascontiguousarray(frame.depth[y0 : y0 + h, x0 : x0 + w])
     if not np.isfinite(depth).all():
         depth = np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0)
-    saturated = np.asarray(cv2.inRange(color, (0, 0, 0), (SATURATED - 1,) * 3) == 0)
     px_per_m = (frame.camera.fx + frame.camera.fy) / 2.0 / max(distance_m, NEAR_M)
     camera = frame.camera.cropped(x0, y0, w, h)
     # Whole numbers would have every kernel compiled once more.
@@ -100,17 +94,14 @@ def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float
         depth,
         np.zeros((h, w), np.float32),
         _averaged(opponents_of_bytes(color), px_per_m),
-        saturated,
+        saturated(color),
         fx,
         fy,
         cx,
         cy,
         _NOWHERE,
         tolerance_m(diameter_m, distance_m),
-        0,
-        _NO_LIGHT,
-        False,
-        BLIND,
+        blind=BLIND,
     )
     return OpenRegion(arrays, camera, x0, y0)
 
@@ -260,7 +251,7 @@ def totals(
 ) -> Float64:
     """Totals (K,) of poses (K, 4, 4) by few samples and the coarser colours, which have wide basins of
     convergence."""
-    arrays = region.blunt()
+    arrays = region.arrays._replace(finest=1)
     if tolerance_m is not None:
         arrays = arrays._replace(tolerance=tolerance_m)
     return np.asarray(score_arrays(surface.arrays, arrays, poses, samples)[:, 0])

@@ -158,7 +158,7 @@ def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
 def smoothed_opponents(color: UInt8, weight: Float32, sigmas_px: Sequence[float]) -> Float32:
     """Opponents (S, h, w, 3) at each sigma: linear colours of a picture (h, w, 3) averaged by a Gaussian,
     pixels weighted by weight (h, w) > 0, then converted."""
-    weighted = _weighted(color, LINEAR, weight)
+    weighted = _weighted(color, weight)
     out = np.empty((len(sigmas_px), *weight.shape, 3), np.float32)
     for sigma, smooth in zip(sigmas_px, out, strict=True):
         if sigma < HALVED_FROM_PX:
@@ -189,15 +189,15 @@ def _smoothed(weighted: Float32, sigma: float) -> Float32:
 
 
 @jit_dividing
-def _weighted(color: UInt8, linear: Float32, weight: Float32) -> Float32:
+def _weighted(color: UInt8, weight: Float32) -> Float32:
     """Linear values of colours (h, w, 3) times weights (h, w), and the weights behind them: (h, w, 4)."""
     height, width = weight.shape
     out = np.empty((height, width, 4), np.float32)
     for v in range(height):
         for u in range(width):
             w = weight[v, u]
-            out[v, u, 0], out[v, u, 1] = linear[color[v, u, 0]] * w, linear[color[v, u, 1]] * w
-            out[v, u, 2], out[v, u, 3] = linear[color[v, u, 2]] * w, w
+            out[v, u, 0], out[v, u, 1] = LINEAR[color[v, u, 0]] * w, LINEAR[color[v, u, 1]] * w
+            out[v, u, 2], out[v, u, 3] = LINEAR[color[v, u, 2]] * w, w
     return out
 
 
@@ -266,11 +266,14 @@ class ModelArrays(NamedTuple):
     centre: Float64
 
 
+NO_LIGHT = np.zeros(3)
+
+
 class RegionArrays(NamedTuple):
     """The arrays of a region that kernels read. colors (S, h, w, 3) float32: opponents averaged at the
-    model's scales; finest: of the scales of colours, the first of the two that
-    are compared; light (3,): what the light adds to opponents, where that is known (`lit`); blind: weight of
-    colours where there is no depth to say whether the object is in front."""
+    model's scales; finest: of the scales of colours, the first of the two that are compared; light (3,): what
+    the light adds to opponents, where that is known (`lit`); blind: weight of colours where there is no depth
+    to say whether the object is in front."""
 
     points_cam: Float64
     point_weights: Float64
@@ -285,13 +288,10 @@ class RegionArrays(NamedTuple):
     cy: float
     bounds: Float64
     tolerance: float
-    finest: int
-    light: Float64
-    lit: bool
-    blind: float
-
-
-_NO_LIGHT = np.zeros(3)
+    finest: int = 0
+    light: Float64 = NO_LIGHT
+    lit: bool = False
+    blind: float = 0.0
 
 
 @once_for_each
@@ -340,10 +340,6 @@ def region_arrays(region: Region) -> RegionArrays:
         camera.cy,
         region.bounds,
         region.tolerance_m,
-        0,
-        _NO_LIGHT,
-        False,
-        0.0,
     )
 
 

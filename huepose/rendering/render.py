@@ -16,7 +16,7 @@ from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64, UInt8
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.mesh import Mesh
 from huepose.rendering.raster import depth_of, rasterise, transform
-from huepose.rendering.shade import locate, paint, turn_normals
+from huepose.rendering.shade import Drawn, locate, paint, turn_normals
 from huepose.rendering.textures import Pyramid, build_pyramid
 from huepose.support.jit import jit
 from huepose.support.kept import kept, once_for_each
@@ -30,8 +30,7 @@ class Rendering:
 
     depth (H, W) float32 metres, 0 = nothing; color (H, W, 3) uint8 RGB, 0 = nothing; normals_cam (H, W, 3)
     float32 unit, towards the camera, 0 = nothing; points_obj (H, W, 3) float32 metres in the frame of the
-    object seen; object_index (H, W) int16, position in the scene, -1 = nothing; face (H, W) int32, its
-    triangle, -1 = nothing.
+    object seen; object_index (H, W) int16, position in the scene, -1 = nothing.
     """
 
     depth: Float32
@@ -39,7 +38,6 @@ class Rendering:
     normals_cam: Float32
     points_obj: Float32
     object_index: np.ndarray[tuple[int, ...], np.dtype[np.int16]]
-    face: Int32
 
 
 class _Prepared:
@@ -129,16 +127,16 @@ def render(
     normals_out: Float32 = np.zeros((*size, 3), np.float32) if normals else none_f32
     points_out: Float32 = np.zeros((*size, 3), np.float32) if points else none_f32
     for index, part, T, points_cam, bounds in drawn:
-        where = (owner, face, index, bounds, points_cam, part.faces)
+        where = Drawn(owner, face, index, bounds, points_cam, part.faces, focal, centre)
         if color:
             p = part.pyramid
-            paint(*where, part.uv, p.texels, p.levels, focal, centre, color_out)
+            paint(where, part.uv, p.texels, p.levels, color_out)
         if points:
-            locate(*where, part.corner_points, focal, centre, points_out)
+            locate(where, part.corner_points, points_out)
         if normals:
-            locate(*where, part.corner_normals, focal, centre, normals_out)
-            turn_normals(*where, np.ascontiguousarray(T[:3, :3]), normals_out)
-    return Rendering(depth_of(inverse), color_out, normals_out, points_out, owner.astype(np.int16), face)
+            locate(where, part.corner_normals, normals_out)
+            turn_normals(where, np.ascontiguousarray(T[:3, :3]), normals_out)
+    return Rendering(depth_of(inverse), color_out, normals_out, points_out, owner.astype(np.int16))
 
 
 def render_depth(mesh: Mesh, T_cam_obj: Float, camera: Camera, *, near_m: float = NEAR_M) -> Float32:
@@ -170,7 +168,7 @@ def corner_normals(mesh: Mesh) -> Float32:
     corner_place = place.reshape(-1)[mesh.faces.reshape(-1)]
     order = np.argsort(corner_place, kind="stable")
     starts = np.searchsorted(corner_place[order], np.arange(corner_place.max(initial=-1) + 2))
-    return _smooth(normals, angles, corner_place, order, starts, CREASE_COS)
+    return _smooth(normals, angles, corner_place, order, starts)
 
 
 def _corner_angles(mesh: Mesh) -> Float64:
@@ -183,9 +181,7 @@ def _corner_angles(mesh: Mesh) -> Float64:
 
 
 @jit
-def _smooth(
-    normals: Float64, weights: Float64, places: Int64, corners_at: Int64, starts: Int64, crease_cos: float
-) -> Float32:
+def _smooth(normals: Float64, weights: Float64, places: Int64, corners_at: Int64, starts: Int64) -> Float32:
     out = np.empty((normals.shape[0], 3, 3), np.float32)
     for f in range(normals.shape[0]):
         for c in range(3):
@@ -199,7 +195,7 @@ def _smooth(
                     + normals[f, 1] * normals[g, 1]
                     + normals[f, 2] * normals[g, 2]
                 )
-                if cos > crease_cos or g == f:
+                if cos > CREASE_COS or g == f:
                     x += weights[corner] * normals[g, 0]
                     y += weights[corner] * normals[g, 1]
                     z += weights[corner] * normals[g, 2]

@@ -8,11 +8,26 @@ also where the triangle passes behind the camera. So an attribute is (r.n) / (r.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8
 from huepose.support.jit import jit
+
+
+class Drawn(NamedTuple):
+    """A mesh in the z-buffer: `number` in owner (H, W) where it is the nearest, faces_at (H, W) its triangle
+    there; bounds: left, top, right, bottom pixel; points (V, 3), camera axes, and faces (F, 3)."""
+
+    owner: Int32
+    faces_at: Int32
+    number: int
+    bounds: tuple[int, int, int, int]
+    points: Float64
+    faces: Int32
+    focal: tuple[float, float]
+    centre: tuple[float, float]
 
 
 @jit
@@ -54,26 +69,14 @@ def _texel(
 
 
 @jit
-def paint(
-    owner: Int32,
-    faces_at: Int32,
-    index: int,
-    bounds: tuple[int, int, int, int],
-    points: Float64,
-    faces: Int32,
-    uv: Float32,
-    texels: UInt8,
-    levels: Int64,
-    focal: tuple[float, float],
-    centre: tuple[float, float],
-    color: UInt8,
-) -> None:
-    """Texture colour of the pixels owned by `index` into color (H, W, 3): trilinear in the pyramid.
+def paint(drawn: Drawn, uv: Float32, texels: UInt8, levels: Int64, color: UInt8) -> None:
+    """Texture colour of the pixels of a mesh into color (H, W, 3): trilinear in the pyramid.
 
     The level is where a texel is as large as the pixel: the Jacobian determinant of the projective map from
     the image to the texture, per pixel.
     """
-    left, top, right, bottom = bounds
+    left, top, right, bottom = drawn.bounds
+    focal, centre = drawn.focal, drawn.centre
     m, s_of, t_of = np.empty((4, 3)), np.empty(3), np.empty(3)
     scale = levels[0, 1] * levels[0, 2] / (focal[0] * focal[1])
     last, top_level, base = -1, levels.shape[0] - 1, 0.0
@@ -81,12 +84,12 @@ def paint(
     for row in range(top, bottom + 1):
         y = (row - centre[1]) / focal[1]
         for column in range(left, right + 1):
-            if owner[row, column] != index:
+            if drawn.owner[row, column] != drawn.number:
                 continue
-            f = faces_at[row, column]
+            f = drawn.faces_at[row, column]
             if f != last:
                 last = f
-                volume = _edges(points, faces[f], m)
+                volume = _edges(drawn.points, drawn.faces[f], m)
                 s0, s1, s2 = np.float64(uv[f, 0, 0]), np.float64(uv[f, 1, 0]), np.float64(uv[f, 2, 0])
                 t0, t1, t2 = np.float64(uv[f, 0, 1]), np.float64(uv[f, 1, 1]), np.float64(uv[f, 2, 1])
                 for k in range(3):
@@ -124,31 +127,21 @@ def paint(
 
 
 @jit
-def locate(
-    owner: Int32,
-    faces_at: Int32,
-    index: int,
-    bounds: tuple[int, int, int, int],
-    points: Float64,
-    faces: Int32,
-    corner_values: Float32,
-    focal: tuple[float, float],
-    centre: tuple[float, float],
-    out: Float32,
-) -> None:
-    """Interpolate values at face corners (F, 3, 3) over the pixels owned by `index` into out (H, W, 3)."""
-    left, top, right, bottom = bounds
+def locate(drawn: Drawn, corner_values: Float32, out: Float32) -> None:
+    """Interpolate values at face corners (F, 3, 3) over the pixels of a mesh into out (H, W, 3)."""
+    left, top, right, bottom = drawn.bounds
+    focal, centre = drawn.focal, drawn.centre
     m, of, low, high = np.empty((4, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     last = -1
     for row in range(top, bottom + 1):
         y = (row - centre[1]) / focal[1]
         for column in range(left, right + 1):
-            if owner[row, column] != index:
+            if drawn.owner[row, column] != drawn.number:
                 continue
-            f = faces_at[row, column]
+            f = drawn.faces_at[row, column]
             if f != last:
                 last = f
-                _edges(points, faces[f], m)
+                _edges(drawn.points, drawn.faces[f], m)
                 for k in range(3):
                     a, b, c = corner_values[f, 0, k], corner_values[f, 1, k], corner_values[f, 2, k]
                     low[k], high[k] = min(a, b, c), max(a, b, c)
@@ -163,29 +156,20 @@ def locate(
 
 
 @jit
-def turn_normals(
-    owner: Int32,
-    faces_at: Int32,
-    index: int,
-    bounds: tuple[int, int, int, int],
-    points: Float64,
-    faces: Int32,
-    R: Float64,
-    normals: Float32,
-) -> None:
-    """Model-frame normals of the pixels owned by `index` into the camera frame, unit length, in place;
-    negated where the back of a face is seen."""
-    left, top, right, bottom = bounds
+def turn_normals(drawn: Drawn, R: Float64, normals: Float32) -> None:
+    """Model-frame normals of the pixels of a mesh into the camera frame, unit length, in place; negated where
+    the back of a face is seen."""
+    left, top, right, bottom = drawn.bounds
     m = np.empty((4, 3))
     last, side = -1, 1.0
     for row in range(top, bottom + 1):
         for column in range(left, right + 1):
-            if owner[row, column] != index:
+            if drawn.owner[row, column] != drawn.number:
                 continue
-            f = faces_at[row, column]
+            f = drawn.faces_at[row, column]
             if f != last:
                 last = f
-                side = -1.0 if _edges(points, faces[f], m) > 0 else 1.0
+                side = -1.0 if _edges(drawn.points, drawn.faces[f], m) > 0 else 1.0
             x = np.float64(normals[row, column, 0])
             y = np.float64(normals[row, column, 1])
             z = np.float64(normals[row, column, 2])

@@ -167,7 +167,7 @@ def test_crop_is_the_sub_image(window: tuple[int, int, int, int]) -> None:
     part = render(scene, CAMERA.cropped(*window), normals=True, points=True)
     rows, columns = slice(max(0, y0), min(480, y0 + height)), slice(max(0, x0), min(640, x0 + width))
     inner = (slice(rows.start - y0, rows.stop - y0), slice(columns.start - x0, columns.stop - x0))
-    for name in ("depth", "color", "normals_cam", "points_obj", "object_index", "face"):
+    for name in ("depth", "color", "normals_cam", "points_obj", "object_index"):
         assert np.array_equal(getattr(part, name)[inner], getattr(whole, name)[rows, columns]), name
     assert set(np.unique(part.object_index)) >= {0, 1}
 
@@ -180,7 +180,6 @@ def test_several_meshes_share_one_depth_buffer() -> None:
     assert np.array_equal(drawn.object_index == 1, alone[1] > 0)
     assert np.array_equal(drawn.object_index == 0, (alone[0] > 0) & (alone[1] == 0))
     assert np.array_equal(drawn.depth, np.where(alone[1] > 0, alone[1], alone[0]))
-    assert np.array_equal(drawn.face >= 0, drawn.depth > 0)
 
 
 def test_floor_that_passes_under_the_camera_is_clipped_at_the_near_plane() -> None:

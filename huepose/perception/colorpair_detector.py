@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from huepose.believe.logistic import probability
+from huepose.believe.presence import logits_of
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
@@ -27,7 +28,7 @@ from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.config import DetectorConfig
 from huepose.perception.memory import Memory, features_of, looking
-from huepose.perception.presence import presences
+from huepose.perception.presence import sights_of
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
 from huepose.perception.types import Detection
 from huepose.perception.veil import unveiled
@@ -41,6 +42,9 @@ from huepose.select.distinct import HALF, share_held
 from huepose.support.kept import kept
 from huepose.support.pool import Pool
 from huepose.support.stages import stage
+
+COMPETING = 3
+"""Places of each object, at least, that compete with those of the others. Chosen for time."""
 
 HOLE_PX = 9
 """Pixels without depth this near to the clear part may belong to it: sheen leaves holes."""
@@ -97,7 +101,7 @@ class ColorPairDetector:
         if view is None:
             return []
         proposals = self.config.proposals
-        most = max(proposals, self.config.pool) if len(names) > 1 else proposals
+        most = max(proposals, COMPETING) if len(names) > 1 else proposals
         memory = None
         if self.config.remembering:
             with stage("memory"):
@@ -214,16 +218,12 @@ class _FeaturesOnce:
 
 def _rated(view: ClearView, model: ReferenceModel, proposals: Sequence[Proposal]) -> list[Proposal]:
     """The best pose at each place; its score is the log-odds that it is the object's."""
-    logits = presences(view, {model.name: model}, [(model.name, p.T_cam_obj) for p in proposals])
-    return _likeliest_turns([replace(p, score=float(x)) for p, x in zip(proposals, logits, strict=True)])
-
-
-def _likeliest_turns(proposals: Sequence[Proposal]) -> list[Proposal]:
-    """The pose with the highest score at each place."""
+    poses = [(model.name, p.T_cam_obj) for p in proposals]
+    logits = logits_of(sights_of(view, {model.name: model}, poses, verifying=False))
     best: dict[int, Proposal] = {}
-    for p in proposals:
-        if p.place not in best or p.score > best[p.place].score:
-            best[p.place] = p
+    for p, x in zip(proposals, logits, strict=True):
+        if p.place not in best or x > best[p.place].score:
+            best[p.place] = replace(p, score=float(x))
     return list(best.values())
 
 

@@ -14,10 +14,9 @@ SOURCES: tuple[Source, ...] = get_args(Source)
 @dataclass(frozen=True)
 class DetectorConfig:
     """sources: what proposes poses; proposals: most boxes of one object; min_score: a place that is the
-    object's with less than this probability is not worth an estimate; pool: places of each object that
-    compete with those of the others; threads: objects that are searched for at the same time; remembering:
-    frames come from one camera, in order, so that what stands still is not looked at each time
-    (`perception.memory`).
+    object's with less than this probability is not worth an estimate; threads: objects that are searched for
+    at the same time; remembering: frames come from one camera, in order, so that what stands still is not
+    looked at each time (`perception.memory`).
 
     Origin: chosen for time. Two boxes instead of three lose 0 to 3 % of the labels (docs/detection.md, first
     1 / 2 / 5 proposals), and each box costs an estimate.
@@ -26,7 +25,6 @@ class DetectorConfig:
     sources: tuple[Source, ...] = SOURCES
     proposals: int = 2
     min_score: float = 0.05
-    pool: int = 3
     threads: int = 1
     remembering: bool = False
 
@@ -35,7 +33,7 @@ class DetectorConfig:
             raise InputError(
                 "detector: sources", found=str(self.sources), expected=f"some of {', '.join(SOURCES)}"
             )
-        for name in ("proposals", "pool", "threads"):
+        for name in ("proposals", "threads"):
             if getattr(self, name) < 1:
                 raise InputError(f"detector: {name}", found=str(getattr(self, name)), expected="1 or more")
         if not 0.0 <= self.min_score < 1.0:

@@ -31,18 +31,12 @@ WORTH = -3.0
 """Log-odds below which the costlier terms are not computed: a place of 2 % is not proposed."""
 
 
-def presences(
-    view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
-) -> Float64:
-    """Log-odds (N,) that each named object is at its rough pose T_cam_obj (4, 4)."""
-    return logits_of(sights_of(view, models, poses, verifying=False))
+Named = Sequence[tuple[str, Float64]]
+"""Objects with their poses T_cam_obj (4, 4)."""
 
 
 def sights_of(
-    view: ClearView,
-    models: Mapping[str, ReferenceModel],
-    poses: Sequence[tuple[str, Float64]],
-    verifying: bool = True,
+    view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, verifying: bool
 ) -> list[Sight]:
     """The evidence for each named object at its pose T_cam_obj (4, 4). The costlier terms, outline and what
     networks say, are computed only where the object may still be there. verifying: the poses are refined."""
@@ -80,10 +74,6 @@ def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Flo
         verified=MOST_VERIFIED,
         pixels=pixels,
     )
-
-
-Named = Sequence[tuple[str, Float64]]
-"""Objects with their poses T_cam_obj (4, 4)."""
 
 
 def alike(
@@ -135,7 +125,7 @@ def _agreeing(T: Float64, model: ModelArrays, depth: Float32, lens: Float64) -> 
 
 
 def pictures_of(
-    view: ClearView, models: Mapping[str, ReferenceModel], poses: Sequence[tuple[str, Float64]]
+    view: ClearView, models: Mapping[str, ReferenceModel], poses: Named
 ) -> tuple[Pictures, Pictures]:
     """The windows at each named object's pose T_cam_obj (4, 4), one or more, and the models drawn in these
     poses."""

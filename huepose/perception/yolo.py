@@ -211,13 +211,8 @@ class Letterbox:
         resized = (
             image if size == image.shape[1::-1] else cv2.resize(image, size).astype(np.uint8, copy=False)
         )
-        return self.filled(resized, input_size)
-
-    def filled(self, scaled: UInt8, input_size: tuple[int, int]) -> UInt8:
-        """The same for a picture that has the scale of the input already."""
         out = np.full((*input_size, 3), _GREY, np.uint8)
-        height, width = scaled.shape[:2]
-        out[self.top : self.top + height, self.left : self.left + width] = scaled
+        out[self.top : self.top + size[1], self.left : self.left + size[0]] = resized
         return out
 
     def back(self, corners: Float) -> Float64:

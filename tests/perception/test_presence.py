@@ -7,14 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from huepose.believe.logistic import probabilities
+from huepose.believe.logistic import probability
+from huepose.believe.presence import logits_of
 from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
-from huepose.perception.clear_view import clear_view
-from huepose.perception.presence import agreeing_pixels, presences, sights_of
+from huepose.perception.clear_view import ClearView, clear_view
+from huepose.perception.presence import agreeing_pixels, sights_of
 from huepose.rendering.render import render
 
 TakePicture = Callable[..., RgbdFrame]
+
+
+def likely(view: ClearView, model: ReferenceModel, T: np.ndarray) -> float:
+    """How likely an object is at a rough pose (4, 4)."""
+    return probability(logits_of(sights_of(view, {model.name: model}, [(model.name, T)], verifying=False))[0])
 
 
 def test_an_object_is_there_less_likely_turned_or_without_its_texture_and_not_beside_itself(
@@ -23,7 +29,7 @@ def test_an_object_is_there_less_likely_turned_or_without_its_texture_and_not_be
     def chance(frame: RgbdFrame, T: np.ndarray) -> float:
         view = clear_view(frame, 0.3)
         assert view is not None
-        return float(probabilities(presences(view, {"tea_box": tea_box}, [("tea_box", T)]))[0])
+        return likely(view, tea_box, T)
 
     frame = take_picture([(tea_box.mesh, standing)])
     beside = standing.copy()
@@ -48,9 +54,9 @@ def test_in_a_handful_of_pixels_nothing_is_believed(
     assert 5 < pixels < 30
     far = replace(far, color=speck.color, depth=speck.depth.astype(np.float32))
     assert 3 <= agreeing_pixels(tea_box, far, standing) <= pixels + 5
-    models, view = {"tea_box": tea_box}, clear_view(far, 0.3)
+    view = clear_view(far, 0.3)
     if view is not None:  # else it was taken for noise
-        assert probabilities(presences(view, models, [("tea_box", standing)]))[0] < 0.3
+        assert likely(view, tea_box, standing) < 0.3
 
 
 def test_a_rough_pose_is_not_verified_and_a_refined_one_with_another_print_is_doubted(
@@ -62,11 +68,11 @@ def test_a_rough_pose_is_not_verified_and_a_refined_one_with_another_print_is_do
     repainted = clear_view(take_picture([(other, standing)]), 0.3)
     assert view is not None
     assert repainted is not None
-    (rough,), (refined,) = sights_of(view, models, poses, verifying=False), sights_of(view, models, poses)
+    (rough,), (refined,) = (sights_of(view, models, poses, verifying=v) for v in (False, True))
     assert rough.verified is None
     assert rough.likeness == refined.likeness
     assert refined.verified is not None
     assert refined.verified > 3.0
-    (doubted,) = sights_of(repainted, models, poses)
+    (doubted,) = sights_of(repainted, models, poses, verifying=True)
     assert doubted.verified is not None
     assert doubted.verified < refined.verified - 2.0

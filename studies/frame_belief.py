@@ -22,8 +22,8 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.believe.frame import features, frame_fit
-from huepose.believe.logistic import Logistic, write_fit
+from huepose.believe.frame import features
+from huepose.believe.logistic import Logistic, belief, write_fit
 from huepose.evaluation import metrics
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float64
@@ -214,7 +214,7 @@ def fitted(rows: Sequence[Row], only: Sequence[str] = ()) -> Logistic:
     weight = len(rows) * np.array([share[name] for name in groups])
     if not only:
         return logistic(X, right, weight, names)
-    kept = frame_fit()
+    kept = belief("frame")
     kept = Logistic(kept.constant, {k: f for k, f in kept.factors.items() if k not in only})
     known = np.array([kept.log_odds(row.features) for row in rows])
     new = logistic(X[:, [names.index(name) for name in only]], right, weight, only, known)

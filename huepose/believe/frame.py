@@ -5,10 +5,9 @@ The weights are fitted on poses that tracking reached on drawn sequences (`belie
 
 from __future__ import annotations
 
-from functools import cache
 from math import log1p
 
-from huepose.believe.logistic import Logistic, fitted
+from huepose.believe.logistic import belief
 from huepose.colorpair.opponents import SCALE
 from huepose.geometry.arrays import Float64
 from huepose.judge.color_correlation import PLAIN
@@ -66,7 +65,7 @@ def features(
 
 def log_odds(terms: Terms, baseline: float | None, goes_on: float, light: Float64 | None = None) -> float:
     """Log-odds that the pose is right, with nothing known beforehand. Arguments as of `features`."""
-    x = frame_fit().log_odds(features(terms, baseline, goes_on, light))
+    x = belief("frame").log_odds(features(terms, baseline, goes_on, light))
     return x - ABSENT * max(1.0 - min(_there(terms) / LEAST_THERE, 1.0), _of_another_color(terms))
 
 
@@ -84,9 +83,3 @@ def _of_another_color(terms: Terms) -> float:
     """In 0..1: the picture has a colour that no light gives the texture, where enough of it is seen."""
     light = max(abs(terms.light_rg), abs(terms.light_yb)) / SCALE
     return _heard(terms) * min(max((light - MOST_LIGHT) / LIGHT_STEP, 0.0), 1.0)
-
-
-@cache
-def frame_fit() -> Logistic:
-    """The fitted weights of `features`."""
-    return Logistic(**fitted("frame"))

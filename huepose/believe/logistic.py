@@ -74,6 +74,12 @@ def fitted(question: Question) -> Mapping[str, Any]:
     return dict(_entries()[question]["fit"])
 
 
+@cache
+def belief(question: Question) -> Logistic:
+    """The fit that answers a question with one logistic: all but `quality`."""
+    return Logistic(**fitted(question))
+
+
 def write_fit(question: Question, fit: Mapping[str, Any]) -> None:
     """Put a fit in the package; where it comes from stays as written. For the commands of `studies`."""
     entries = json.loads(PATH.read_text())

@@ -13,12 +13,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from math import log
 
 import numpy as np
 
-from huepose.believe.logistic import Logistic, fitted
+from huepose.believe.logistic import Logistic, belief
 from huepose.geometry.arrays import Float64
 from huepose.judge.color_correlation import PLAIN
 
@@ -47,20 +46,9 @@ class Sight:
     pixels: int
 
 
-@cache
-def presence_fit() -> Logistic:
-    """The fitted weights of `features` of refined poses."""
-    return Logistic(**fitted("presence"))
-
-
-@cache
-def place_fit() -> Logistic:
-    """Those of rough poses."""
-    return Logistic(**fitted("place"))
-
-
 def _weights(seen: Sight) -> Logistic:
-    return place_fit() if seen.verified is None else presence_fit()
+    """The fitted weights of its `features`: those of refined poses, or of rough ones."""
+    return belief("place" if seen.verified is None else "presence")
 
 
 def features(seen: Sight) -> dict[str, float]:

@@ -19,25 +19,18 @@ import numpy as np
 from huepose.believe.logistic import Logistic, fitted
 from huepose.geometry.arrays import Float64
 
+# Beyond which a term says nothing more. Part of the fit: another value needs a new one (`studies.quality`).
+# Chosen before the fit.
 
-@dataclass(frozen=True)
-class FeatureLimits:
-    """Beyond which a term says nothing more. Part of the fit: another value needs a new one
-    (`studies.quality`). Origin: chosen before the fit.
+MOST_MARGIN = 0.3
+"""Of the totals, to the next other pose; also that of a pose without any other."""
 
-    margin: of the totals, to the next other pose; also that of a pose without any other. size: of the scale
-    residual, for whether it is this size. near_size: of the same, for whether the object is there at all: so
-    much may come of what is not the object's among the points. tie: gaps of totals much smaller than this are
-    ties, in which chance has put one answer first.
-    """
+MOST_SIZE, MOST_NEAR_SIZE = 0.15, 0.05
+"""Of the scale residual, for whether it is this size, and for whether the object is there at all: so much may
+come of what is not the object's among the points."""
 
-    margin: float = 0.3
-    size: float = 0.15
-    near_size: float = 0.05
-    tie: float = 0.02
-
-
-LIMITS = FeatureLimits()
+TIE = 0.02
+"""Gaps of totals much smaller than this are ties, in which chance has put one answer first."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +62,8 @@ class QualityTerms:
 
     @property
     def margin(self) -> float:
-        """To the best other answer, at most LIMITS.margin, which it also is where there is no other."""
-        return min(max(self.gaps[0], 0.0), LIMITS.margin) if self.gaps else LIMITS.margin
+        """To the best other answer, at most MOST_MARGIN, which it also is where there is no other."""
+        return min(max(self.gaps[0], 0.0), MOST_MARGIN) if self.gaps else MOST_MARGIN
 
 
 @dataclass(frozen=True)
@@ -122,7 +115,7 @@ def shares(terms: QualityTerms, sharpness: float, handicap: float) -> Float64:
 
 def behind(gaps: Float64) -> Float64:
     """How far answers with these gaps, of any shape, are behind at all: 0 for a tie, 1 for a clear second."""
-    return np.asarray(np.tanh(gaps / LIMITS.tie))
+    return np.asarray(np.tanh(gaps / TIE))
 
 
 def features(terms: QualityTerms) -> dict[str, float]:
@@ -144,8 +137,8 @@ def features(terms: QualityTerms) -> dict[str, float]:
         "same_hues": 1.0 - terms.turned,
         "same_way": 1.0 - terms.otherwise,
         "agreed": terms.agreed,
-        "same_size": -min(abs(terms.scale_residual), LIMITS.size),
-        "near_size": -min(abs(terms.scale_residual), LIMITS.near_size),
+        "same_size": -min(abs(terms.scale_residual), MOST_SIZE),
+        "near_size": -min(abs(terms.scale_residual), MOST_NEAR_SIZE),
         "size": float(np.log10(max(terms.pixels, 1.0))),
     }
 

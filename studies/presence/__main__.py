@@ -16,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.believe.logistic import Logistic, Question, write_fit
-from huepose.believe.presence import place_fit, presence_fit
+from huepose.believe.logistic import Logistic, Question, belief, write_fit
 from huepose.evaluation.summary import table
 from studies.presence.fit import FRAMES, chances, draw, fit_presence, seen_in
 from studies.quality.__main__ import bundles_of
@@ -34,9 +33,9 @@ def main() -> None:
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         looks = dict(zip(asked, pool.map(seen_in, asked, [bundles] * len(asked)), strict=True))
     seen = {name: [frame for folder in each for frame in looks[folder]] for name, each in folders.items()}
-    before, found = presence_fit(), fit_presence(seen["fit"], presence_fit())
+    before, found = belief("presence"), fit_presence(seen["fit"], belief("presence"))
     # Every second time a frame is seen as another camera sees it: rough poses are fitted as it is.
-    of_rough = fit_presence([frame.rough() for frame in seen["fit"][::2]], place_fit())
+    of_rough = fit_presence([frame.rough() for frame in seen["fit"][::2]], belief("place"))
     fits: tuple[tuple[Question, Logistic], ...] = (("presence", found), ("place", of_rough))
     for question, fit in fits:
         factors = {name: round(x, 4) for name, x in fit.factors.items()}

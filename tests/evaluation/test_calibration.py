@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.believe.quality import LIMITS
+from huepose.believe.quality import MOST_MARGIN
 from huepose.evaluation.calibration import FALSE_WEIGHT, by_chance, read_judged, worth
 from huepose.support.errors import InputError
 from tests.evaluation.judged import PLAIN, judged
@@ -33,9 +33,9 @@ def test_what_calibration_error_is_by_chance_depends_on_how_many_instances_there
 
 
 def test_the_margin_is_that_to_the_best_other_answer() -> None:
-    assert replace(PLAIN, gaps=()).margin == LIMITS.margin
+    assert replace(PLAIN, gaps=()).margin == MOST_MARGIN
     assert replace(PLAIN, gaps=(0.05, 0.2)).margin == 0.05
-    assert replace(PLAIN, gaps=(1.0,)).margin == LIMITS.margin
+    assert replace(PLAIN, gaps=(1.0,)).margin == MOST_MARGIN
 
 
 def test_results_are_read_with_what_was_right(tmp_path: Path) -> None:

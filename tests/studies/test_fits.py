@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from huepose.believe.quality import LIMITS, features, quality_fits
+from huepose.believe.quality import TIE, features, quality_fits
 from huepose.evaluation.calibration import Judged, worth
 from huepose.support.errors import InputError
 from studies.quality import fit as quality_fit
@@ -49,7 +49,7 @@ def test_in_an_exact_tie_the_first_has_no_advantage_and_a_clear_second_has_a_han
     rng = np.random.default_rng(8)
     n = 6000
     gaps = rng.choice([0.0, 0.002, 0.02, 0.05, 0.1], n)
-    first = 1 / (1 + np.exp(-20.0 * gaps - 1.5 * np.tanh(gaps / LIMITS.tie)))
+    first = 1 / (1 + np.exp(-20.0 * gaps - 1.5 * np.tanh(gaps / TIE)))
     which = np.where(rng.random(n) < 0.9, np.where(rng.random(n) < first, 0, 1), -1)
     labels = judged([replace(PLAIN, gaps=(float(g),)) for g in gaps], which)
     fit = quality_fit.fit(labels, NAMES).fit

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
-from huepose.judge.terms import score
+from huepose.judge.terms import Terms, score
 from huepose.model.types import ReferenceModel
 
 CLOSE_MARGIN = 0.1
@@ -98,22 +97,7 @@ def under(chance: float, least: float) -> str:
     return f"{min(chance, least - 0.01):.2f}"
 
 
-class _Measured(Protocol):
-    """What both the score of a pose and the terms of its quality say."""
-
-    @property
-    def violation(self) -> float: ...
-    @property
-    def occluded(self) -> float: ...
-    @property
-    def seen(self) -> float: ...
-    @property
-    def color(self) -> float: ...
-    @property
-    def box_iou(self) -> float: ...
-
-
-def _of_terms(terms: _Measured) -> list[str]:
+def _of_terms(terms: Terms | QualityTerms) -> list[str]:
     unknown = max(0.0, 1.0 - terms.seen - terms.occluded)
     said = (
         (

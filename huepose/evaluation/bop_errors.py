@@ -96,7 +96,6 @@ def vsd(
     depth_m: Float32,
     camera: Camera,
     diameter_m: float,
-    delta_m: float = VSD_DELTA_M,
 ) -> Float64:
     """Visible surface discrepancy (10,) at the tolerances FRACTIONS, of rendered and measured depths (H, W).
 
@@ -108,8 +107,8 @@ def vsd(
         return np.asarray(np.sqrt((slope_x * depth) ** 2 + (slope_y * depth) ** 2 + depth.astype(float) ** 2))
 
     measured, truth, estimate = distance(depth_m), distance(depth_truth_m), distance(depth_estimate_m)
-    seen_truth = (truth > 0) & ((truth - measured <= delta_m) | (measured == 0))
-    seen_estimate = (estimate > 0) & ((estimate - measured <= delta_m) | (measured == 0) | seen_truth)
+    seen_truth = (truth > 0) & ((truth - measured <= VSD_DELTA_M) | (measured == 0))
+    seen_estimate = (estimate > 0) & ((estimate - measured <= VSD_DELTA_M) | (measured == 0) | seen_truth)
     both, either = seen_truth & seen_estimate, int((seen_truth | seen_estimate).sum())
     if not either:
         return np.ones(len(FRACTIONS))

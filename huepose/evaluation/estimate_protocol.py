@@ -153,12 +153,12 @@ class _FrameRun:
         """A row for each label that counts, and the poses that belong to none."""
         setup = self.setup
         if setup.detector is not None and setup.options.boxes == "detect":
-            return self.detected(setup.estimator, setup.detector)
+            return self.detected(setup.detector)
         if setup.given is not None and setup.options.boxes == "file":
-            return self.given(setup.estimator, setup.given), []
-        return self.boxed(setup.estimator), []
+            return self.given(setup.given), []
+        return self.boxed(), []
 
-    def boxed(self, estimator: PoseEstimator) -> list[EstimateRow]:
+    def boxed(self) -> list[EstimateRow]:
         """One query for each label."""
         queries: dict[int, ObjectQuery] = {}
         for label in self.labels:
@@ -166,7 +166,7 @@ class _FrameRun:
             if query is not None:
                 queries[label.truth.instance] = query
         start = time.perf_counter()
-        answers = estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
+        answers = self._estimated(queries)
         seconds = time.perf_counter() - start
         by_instance = {answer.instance: answer for answer in answers}
         taken = {
@@ -176,6 +176,9 @@ class _FrameRun:
         }
         why = "The box is empty: nothing of the object is in the image."
         return self._rows(queries, taken, seconds, lambda name: why)
+
+    def _estimated(self, queries: Mapping[int, ObjectQuery]) -> list[PoseEstimate]:
+        return self.setup.estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
 
     def _query(self, label: Label) -> ObjectQuery | None:
         """None where the true mask or the box is empty: nothing of the object is in the image."""
@@ -204,9 +207,7 @@ class _FrameRun:
             return None
         return ObjectQuery(label.model.name, box=box, masks=masks, instance=truth.instance)
 
-    def detected(
-        self, estimator: PoseEstimator, detector: Detector
-    ) -> tuple[list[EstimateRow], list[FalsePose]]:
+    def detected(self, detector: Detector) -> tuple[list[EstimateRow], list[FalsePose]]:
         """Every object is asked for; the poses that stand are matched to the labels of their object."""
         start = time.perf_counter()
         names = [model.name for model in self.setup.targets.models]
@@ -214,7 +215,7 @@ class _FrameRun:
         queries = {
             i: ObjectQuery(d.object, box=d.box, instance=i, searched=True) for i, d in enumerate(detections)
         }
-        answers = estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
+        answers = self._estimated(queries)
         poses = standing_answers(answers)
 
         def why(name: str) -> str:
@@ -226,7 +227,7 @@ class _FrameRun:
         rows = self._rows(queries, taken, time.perf_counter() - start, why)
         return rows, [self._false(answer, T) for answer, T in spare]
 
-    def given(self, estimator: PoseEstimator, boxes: BopDetections) -> list[EstimateRow]:
+    def given(self, boxes: BopDetections) -> list[EstimateRow]:
         """As BOP's task of localisation has it: which objects are there, and how often, is known; the surest
         boxes of each are looked at."""
         start = time.perf_counter()
@@ -239,7 +240,7 @@ class _FrameRun:
                 prior = None if box.T_cam_obj is None else PosePrior(box.T_cam_obj)
                 k = len(queries)
                 queries[k] = ObjectQuery(model.name, box.box, prior=prior, instance=k)
-        answers = estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
+        answers = self._estimated(queries)
         reasons = {answer.object: answer.reason for answer in answers}
 
         def why(name: str) -> str:

@@ -22,6 +22,9 @@ from huepose.reinit.judge import judge_tracked, usable
 from huepose.reinit.types import ObjectSlot, Prior
 from huepose.tracking.types import TrackedPose, Verdict
 
+Priors = Mapping[tuple[str, int], PosePrior]
+"""Of the instances that are tracked, by (object, ordinal)."""
+
 
 @dataclass(frozen=True, eq=False)
 class SourcedPose:
@@ -37,20 +40,15 @@ class SourcedPose:
 class PoseSource(Protocol):
     """Gives poses for one frame; what it cannot give is missing from the answer."""
 
-    def poses(
-        self, sample: Sample, places: Sequence[Place], priors: Mapping[tuple[str, int], PosePrior]
-    ) -> list[SourcedPose]:
-        """Poses of the instances that have a label in the frame, by (object, ordinal) in `priors` where one
-        is tracked."""
+    def poses(self, sample: Sample, places: Sequence[Place], priors: Priors) -> list[SourcedPose]:
+        """Poses of the instances that have a label in the frame."""
         ...
 
 
 class TruthSource:
     """The labels, with their masks."""
 
-    def poses(
-        self, sample: Sample, places: Sequence[Place], priors: Mapping[tuple[str, int], PosePrior]
-    ) -> list[SourcedPose]:
+    def poses(self, sample: Sample, places: Sequence[Place], priors: Priors) -> list[SourcedPose]:
         """The labelled poses of the instances that are not gone."""
         return [
             SourcedPose(place, truth.T_cam_obj, 1.0, truth.mask())
@@ -67,18 +65,14 @@ class EstimatorSource:
     seed: int
     _answers: dict[tuple[str, int], list[SourcedPose]] = field(default_factory=dict)
 
-    def poses(
-        self, sample: Sample, places: Sequence[Place], priors: Mapping[tuple[str, int], PosePrior]
-    ) -> list[SourcedPose]:
+    def poses(self, sample: Sample, places: Sequence[Place], priors: Priors) -> list[SourcedPose]:
         """What was found."""
         key = (sample.scene, sample.image)
         if key not in self._answers:
             self._answers[key] = self._estimate(sample, places, priors)
         return self._answers[key]
 
-    def _estimate(
-        self, sample: Sample, places: Sequence[Place], priors: Mapping[tuple[str, int], PosePrior]
-    ) -> list[SourcedPose]:
+    def _estimate(self, sample: Sample, places: Sequence[Place], priors: Priors) -> list[SourcedPose]:
         camera = sample.frame.camera
         asked: dict[int, Place] = {}
         queries = []
@@ -105,9 +99,7 @@ class FileSource:
 
     table: PoseTable
 
-    def poses(
-        self, sample: Sample, places: Sequence[Place], priors: Mapping[tuple[str, int], PosePrior]
-    ) -> list[SourcedPose]:
+    def poses(self, sample: Sample, places: Sequence[Place], priors: Priors) -> list[SourcedPose]:
         """The poses that the file has for this frame."""
         found = []
         for place in places:

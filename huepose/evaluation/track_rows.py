@@ -221,12 +221,11 @@ def _intervals(rows: Sequence[TrackRow]) -> dict[str, Interval]:
 def _roft_figures(rows: Sequence[TrackRow]) -> Figures:
     """Of the frames of one instance that count, in order."""
     scored = [row for row in rows if row.scored]
-    velocities = [row.velocity for row in scored]
     return roft_figures(
         [row.T_cam_obj for row in scored],
         [row.T_truth for row in scored],
         [row.stamp_ns for row in scored],
-        velocities if any(v is not None for v in velocities) else None,
+        [row.velocity for row in scored],
     )
 
 

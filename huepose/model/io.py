@@ -189,6 +189,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any], digest: str) -> R
     def part(room: str, kind: type) -> dict[str, Any]:
         return {name: arrays[f"{room}.{name}"] for name in _array_fields(kind)}
 
+    tables = header["table_parameters"]
     texture = kept(_Texture, digest, lambda: _Texture(picture(arrays["mesh.texture_png"])))
     source = header["keypoint_source"]
     return ReferenceModel(
@@ -205,14 +206,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any], digest: str) -> R
         grid=DistanceGrid(arrays["grid.origin"], header["grid_step"], arrays["grid.nearest"]),
         templates=ViewTemplates(**part("templates", ViewTemplates), span=header["template_span"]),
         pairs=PairReference(**part("pairs", PairReference), parameters=header["pair_parameters"]),
-        tables=_tables(header, arrays),
+        tables=None if tables is None else PaperTables(**part("tables", PaperTables), parameters=tables),
         keypoints=None if source is None else Keypoints(**part("keypoints", Keypoints), source=str(source)),
         digest=digest,
     )
-
-
-def _tables(header: dict[str, Any], arrays: dict[str, Any]) -> PaperTables | None:
-    if header["table_parameters"] is None:
-        return None
-    part = {name: arrays[f"tables.{name}"] for name in _array_fields(PaperTables)}
-    return PaperTables(**part, parameters=header["table_parameters"])

@@ -2,9 +2,6 @@
 
 Read: POSITION, TEXCOORD, COLOR_0, indices, the base colour's factor and texture, the nodes' transforms.
 Lengths are metres and y is up by the standard; axes are kept as they are in the file.
-
-trimesh takes normalised integers for what they are (texture coordinates up to 65535), colours and factors as
-if they were not linear, TEXCOORD_0 whatever the material names, and knows neither fans nor escaped names.
 """
 
 from __future__ import annotations

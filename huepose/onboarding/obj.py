@@ -3,9 +3,8 @@ texture `map_Kd`.
 
 Colours come from the materials, else from six-number vertices (x y z r g b).
 
-Vertices and texture coordinates keep their own numbers, as in the file. trimesh joins both into one number,
-which repeats the vertices along every seam of the texture, and the error of a pose is measured over vertices;
-it counts negative indices from the end of the file, and says nothing of a missing material or texture.
+Vertices and texture coordinates keep their own numbers, as in the file: one number for both would repeat the
+vertices along every seam of the texture, and the error of a pose is measured over vertices.
 """
 
 from __future__ import annotations

@@ -2,9 +2,6 @@
 
 The texture's file is named by `comment TextureFile NAME`, or is a picture of the mesh's own name. An ascii
 body is read as a binary one in which every number is a double.
-
-trimesh refuses binary files with polygons of different sizes or a newline at their end, and comments that are
-not UTF-8; it takes the last of several textures for all, and says nothing of a missing texture or a cut file.
 """
 
 from __future__ import annotations

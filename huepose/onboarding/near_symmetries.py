@@ -18,6 +18,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int64
 from huepose.geometry.symmetry import rotation_about
 from huepose.model.types import DistanceGrid, Surface
+from huepose.refine.point_to_plane import SurfaceArrays, surface_arrays
 from huepose.support.jit import jit
 
 _NORMAL_LENGTH = 0.05  # of the diameter: samples that face away are a tenth of a diameter farther
@@ -221,47 +222,23 @@ def fitted(
     twentieth of a diameter."""
     out = np.ascontiguousarray(transforms, np.float64).copy()
     errors = np.empty(len(out))
-    points = surface.points[:_FIT_POINTS].astype(np.float64)
-    normals = surface.normals[:_FIT_POINTS].astype(np.float64)
-    _fit_all(
-        out,
-        errors,
-        points,
-        normals,
-        surface.points.astype(np.float64),
-        surface.normals.astype(np.float64),
-        grid.origin,
-        grid.step,
-        grid.nearest,
-        float(diameter_m),
-        _ITERATIONS,
-    )
+    _fit_all(out, errors, surface_arrays(surface, grid), float(diameter_m))
     return np.stack([se3.orthonormalised(T) for T in out]), errors
 
 
 @jit
-def _fit_all(
-    transforms: Float64,
-    errors: Float64,
-    points: Float64,
-    normals: Float64,
-    surface: Float64,
-    surface_normals: Float64,
-    low: Float64,
-    step: float,
-    nearest: np.ndarray,
-    d: float,
-    iterations: int,
-) -> None:
+def _fit_all(transforms: Float64, errors: Float64, surface: SurfaceArrays, d: float) -> None:
+    points, normals, nearest = surface.samples, surface.normals, surface.nearest
+    low, step, count = surface.origin, surface.step, min(_FIT_POINTS, points.shape[0])
     J = np.empty(6)
     for m in range(transforms.shape[0]):
         T = transforms[m]
-        for it in range(iterations + 1):
-            scale = d * (0.10 + (0.03 - 0.10) * min(1.0, it / max(1.0, 0.6 * iterations)))
+        for it in range(_ITERATIONS + 1):
+            scale = d * (0.10 + (0.03 - 0.10) * min(1.0, it / max(1.0, 0.6 * _ITERATIONS)))
             A = np.zeros((6, 6))
             b = np.zeros(6)
             error = 0.0
-            for i in range(points.shape[0]):
+            for i in range(count):
                 p, n = points[i], normals[i]
                 q0 = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
                 q1 = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
@@ -270,7 +247,7 @@ def _fit_all(
                 a1 = min(max(int((q1 - low[1]) / step + 0.5), 0), nearest.shape[1] - 1)
                 a2 = min(max(int((q2 - low[2]) / step + 0.5), 0), nearest.shape[2] - 1)
                 j = nearest[a0, a1, a2]
-                s, sn = surface[j], surface_normals[j]
+                s, sn = points[j], normals[j]
                 e0, e1, e2 = q0 - s[0], q1 - s[1], q2 - s[2]
                 r = e0 * sn[0] + e1 * sn[1] + e2 * sn[2]
                 distance = np.sqrt(e0 * e0 + e1 * e1 + e2 * e2)
@@ -287,12 +264,12 @@ def _fit_all(
                     b[a] -= w * r * J[a]
                     for c in range(6):
                         A[a, c] += w * J[a] * J[c]
-            errors[m] = error / (points.shape[0] * d)
-            if it == iterations:
+            errors[m] = error / (count * d)
+            if it == _ITERATIONS:
                 break
             for a in range(3):  # slides along what the surface does not fix are damped away
-                A[a, a] += 2e-4 * d * d * points.shape[0]
-                A[a + 3, a + 3] += 2e-3 * points.shape[0]
+                A[a, a] += 2e-4 * d * d * count
+                A[a + 3, a + 3] += 2e-3 * count
             x = np.linalg.solve(A, b)
             angle = np.sqrt(x[0] ** 2 + x[1] ** 2 + x[2] ** 2)
             R = np.eye(3)

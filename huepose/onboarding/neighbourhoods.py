@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -10,8 +10,7 @@ from huepose.geometry.arrays import Float, Float64, Int64
 from huepose.support.jit import jit
 
 
-@dataclass(frozen=True, eq=False)
-class Cells:
+class Cells(NamedTuple):
     """Samples sorted by cubic cells of side `size`; keys (M,): the cell of each."""
 
     points: Float64
@@ -46,18 +45,15 @@ class Cells:
         distance, within the radius, times the cosine to the sample's normal; 0 for samples that face away."""
         out = np.zeros((len(points), self.values.shape[1]))
         weights = np.zeros(len(points))
-        _gaussian(*self._arrays(), _columns(points), _columns(normals), sigma, out, weights)
+        _gaussian(self, _columns(points), _columns(normals), sigma, out, weights)
         return out, weights
 
     def facing_sum(self, points: Float, normals: Float, least_cosine: float) -> Float64:
         """Sums (N, 3) of the normals within the radius whose cosine to `normals` (N, 3) is at least
         `least_cosine`."""
         out = np.zeros((len(points), 3))
-        _facing_sum(*self._arrays(), _columns(points), _columns(normals), least_cosine, out)
+        _facing_sum(self, _columns(points), _columns(normals), least_cosine, out)
         return out
-
-    def _arrays(self) -> tuple[Float64, Float64, Float64, Int64, Float64, float, Int64]:
-        return self.points, self.normals, self.values, self.keys, self.low, self.size, self.shape
 
 
 def _columns(a: Float) -> Float64:
@@ -65,8 +61,9 @@ def _columns(a: Float) -> Float64:
 
 
 @jit
-def _row(keys: Int64, shape: Int64, i: int, j: int, k: int) -> tuple[int, int]:
+def _row(cells: Cells, i: int, j: int, k: int) -> tuple[int, int]:
     """Range [first, last) of the samples in the cells (i, j, k - 1 .. k + 1), which are contiguous."""
+    keys, shape = cells.keys, cells.shape
     if i < 0 or j < 0 or i >= shape[0] or j >= shape[1]:
         return 0, 0
     base = (i * shape[1] + j) * shape[2]
@@ -77,8 +74,9 @@ def _row(keys: Int64, shape: Int64, i: int, j: int, k: int) -> tuple[int, int]:
 
 
 @jit
-def _cell(at: Float64, low: Float64, size: float) -> tuple[int, int, int]:
+def _cell(cells: Cells, at: Float64) -> tuple[int, int, int]:
     """The cell (i, j, k) that a point (3,) lies in."""
+    low, size = cells.low, cells.size
     return (
         int(np.floor((at[0] - low[0]) / size)),
         int(np.floor((at[1] - low[1]) / size)),
@@ -96,24 +94,14 @@ def _square_and_cosine(point: Float64, normal: Float64, at: Float64, facing: Flo
 
 @jit
 def _gaussian(
-    points: Float64,
-    normals: Float64,
-    values: Float64,
-    keys: Int64,
-    low: Float64,
-    size: float,
-    shape: Int64,
-    at: Float64,
-    facing: Float64,
-    sigma: float,
-    out: Float64,
-    weights: Float64,
+    cells: Cells, at: Float64, facing: Float64, sigma: float, out: Float64, weights: Float64
 ) -> None:
+    points, normals, values, size = cells.points, cells.normals, cells.values, cells.size
     for q in range(at.shape[0]):
-        c0, c1, c2 = _cell(at[q], low, size)
+        c0, c1, c2 = _cell(cells, at[q])
         for i in range(c0 - 1, c0 + 2):
             for j in range(c1 - 1, c1 + 2):
-                first, last = _row(keys, shape, i, j, c2)
+                first, last = _row(cells, i, j, c2)
                 for m in range(first, last):
                     square, cosine = _square_and_cosine(points[m], normals[m], at[q], facing[q])
                     if square > size * size or cosine <= 0.0:
@@ -128,24 +116,13 @@ def _gaussian(
 
 
 @jit
-def _facing_sum(
-    points: Float64,
-    normals: Float64,
-    values: Float64,
-    keys: Int64,
-    low: Float64,
-    size: float,
-    shape: Int64,
-    at: Float64,
-    facing: Float64,
-    least: float,
-    out: Float64,
-) -> None:
+def _facing_sum(cells: Cells, at: Float64, facing: Float64, least: float, out: Float64) -> None:
+    points, normals, size = cells.points, cells.normals, cells.size
     for q in range(at.shape[0]):
-        c0, c1, c2 = _cell(at[q], low, size)
+        c0, c1, c2 = _cell(cells, at[q])
         for i in range(c0 - 1, c0 + 2):
             for j in range(c1 - 1, c1 + 2):
-                first, last = _row(keys, shape, i, j, c2)
+                first, last = _row(cells, i, j, c2)
                 for m in range(first, last):
                     square, cosine = _square_and_cosine(points[m], normals[m], at[q], facing[q])
                     if square <= size * size and cosine > least:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,15 +24,16 @@ _AT_ONCE = 20_000
 """Points for a kernel: a tenth of a second, and in between Ctrl-C is heard."""
 
 
-@dataclass(frozen=True, eq=False)
-class DepthViews:
+class DepthViews(NamedTuple):
     """Depth pictures of an object from `directions` (V, 3), each at `T_cam_obj` (V, 4, 4); depths
-    (V, H, W) float32 metres, 0 = nothing; pixel_m: size of a pixel at the object."""
+    (V, H, W) float32 metres, 0 = nothing; focal, middle: of the camera, the same along both axes, pixels;
+    pixel_m: size of a pixel at the object."""
 
     directions: Float64
     T_cam_obj: Float64
     depths: Float32
-    camera: Camera
+    focal: float
+    middle: float
     pixel_m: float
 
 
@@ -45,7 +46,7 @@ def depth_views(mesh: Mesh, diameter_m: float, level: int = LEVEL) -> DepthViews
     camera = Camera(focal, focal, middle, middle, _PIXELS, _PIXELS)
     poses = np.stack([pose_from(d, mesh.centre, distance) for d in directions])
     depths = np.stack([render_depth(mesh, T, camera, near_m=diameter_m) for T in poses])
-    return DepthViews(directions, poses, depths, camera, diameter_m / _DIAMETER_PX)
+    return DepthViews(directions, poses, depths, focal, middle, diameter_m / _DIAMETER_PX)
 
 
 def pose_from(direction: Float, centre: Float, distance_m: float) -> Float64:
@@ -60,7 +61,7 @@ def seen(views: DepthViews, points: Float, normals: Float) -> Bool:
     points, normals (N, 3): object axes. The depth tolerance grows with pixel size and slope of the surface.
     """
     out = np.zeros((len(views.directions), len(points)), np.bool_)
-    _seen(*_arrays(views, points, normals), out)
+    _seen(views, np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64), out)
     return out
 
 
@@ -76,87 +77,50 @@ def votes(views: DepthViews, points: Float, normals: Float, enough: int | None =
 
 
 def _votes(views: DepthViews, points: Float, normals: Float, most: int) -> Int32:
+    p, n = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64)
     out = np.zeros(len(points), np.int32)
     coarse = icosphere.directions(LEVEL - 1).shape[0]  # the finer sphere begins with the coarser one
-    _count_seen(*_arrays(views, points, normals), coarse, most, out)
+    _count_seen(views, p, n, coarse, most, out)
     unseen = np.flatnonzero(out == 0)
     again = np.zeros(len(unseen), np.int32)
-    _count_seen(*_arrays(views, points[unseen], normals[unseen]), len(views.directions), most, again)
+    _count_seen(views, p[unseen], n[unseen], len(views.directions), most, again)
     out[unseen] = again
     return out
 
 
-def _arrays(
-    views: DepthViews, points: Float, normals: Float
-) -> tuple[Float64, Float64, Float32, float, float, float, Float64, Float64]:
-    return (
-        np.ascontiguousarray(views.directions),
-        np.ascontiguousarray(views.T_cam_obj[:, :3]),
-        views.depths,
-        views.camera.fx,
-        views.camera.cx,
-        views.pixel_m,
-        np.ascontiguousarray(points, np.float64),
-        np.ascontiguousarray(normals, np.float64),
-    )
-
-
 @jit
-def _is_seen(
-    d: Float, T: Float, depth: Float, focal: float, middle: float, pixel: float, p: Float, cosine: float
-) -> bool:
+def _is_seen(views: DepthViews, k: int, p: Float64, normal: Float64) -> bool:
+    d, T, depth = views.directions[k], views.T_cam_obj[k], views.depths[k]
+    cosine = d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2]
     if cosine < _MIN_COSINE:
         return False
     x = T[0, 0] * p[0] + T[0, 1] * p[1] + T[0, 2] * p[2] + T[0, 3]
     y = T[1, 0] * p[0] + T[1, 1] * p[1] + T[1, 2] * p[2] + T[1, 3]
     z = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2] + T[2, 3]
-    u = int(x / z * focal + middle + 0.5)
-    v = int(y / z * focal + middle + 0.5)
+    u = int(x / z * views.focal + views.middle + 0.5)
+    v = int(y / z * views.focal + views.middle + 0.5)
     if u < 0 or v < 0 or v >= depth.shape[0] or u >= depth.shape[1]:
         return False
     surface = depth[v, u]
     slope = min(np.sqrt(1.0 - min(cosine, 1.0) ** 2) / cosine, 3.0)
-    return bool(surface == 0.0 or z < surface + _TOLERANCE_M + 0.75 * pixel * slope)
+    return bool(surface == 0.0 or z < surface + _TOLERANCE_M + 0.75 * views.pixel_m * slope)
 
 
 @jit
-def _seen(
-    directions: Float,
-    T: Float,
-    depths: Float,
-    focal: float,
-    middle: float,
-    pixel: float,
-    points: Float,
-    normals: Float,
-    out: Bool,
-) -> None:
-    for k in range(directions.shape[0]):
-        d = directions[k]
+def _seen(views: DepthViews, points: Float64, normals: Float64, out: Bool) -> None:
+    for k in range(views.directions.shape[0]):
         for i in range(points.shape[0]):
-            cosine = d[0] * normals[i, 0] + d[1] * normals[i, 1] + d[2] * normals[i, 2]
-            out[k, i] = _is_seen(d, T[k], depths[k], focal, middle, pixel, points[i], cosine)
+            out[k, i] = _is_seen(views, k, points[i], normals[i])
 
 
 @jit
 def _count_seen(
-    directions: Float,
-    T: Float,
-    depths: Float,
-    focal: float,
-    middle: float,
-    pixel: float,
-    points: Float,
-    normals: Float,
-    views: int,
-    most: int,
-    out: Int32,
+    views: DepthViews, points: Float64, normals: Float64, first: int, most: int, out: Int32
 ) -> None:
+    """How many of the first so many views see each point, `most` at most."""
     for i in range(points.shape[0]):
-        for k in range(min(views, directions.shape[0])):
-            d = directions[k]
-            cosine = d[0] * normals[i, 0] + d[1] * normals[i, 1] + d[2] * normals[i, 2]
-            if _is_seen(d, T[k], depths[k], focal, middle, pixel, points[i], cosine):
+        for k in range(min(first, views.directions.shape[0])):
+            if _is_seen(views, k, points[i], normals[i]):
                 out[i] += 1
                 if out[i] == most:
                     break

@@ -28,7 +28,7 @@ from pathlib import Path
 
 from huepose.evaluation.result_files import write_json
 from huepose.support.progress import progress
-from studies.stress.playing import MODES, OBJECTS, SPLITS, Job, models_of, played
+from studies.stress.playing import MODES, OBJECTS, SPLITS, Job, missing, models_of, played
 from studies.stress.report import summary, text
 
 
@@ -56,10 +56,9 @@ def main() -> None:
         models_of(arguments.split, objects)
     arguments.out.mkdir(parents=True, exist_ok=True)
     path = arguments.out / "rows.jsonl"
-    done = {json.loads(line)["job"] for line in path.read_text().splitlines()} if path.exists() else set()
-    missing = [job for job in jobs if job.name not in done]
+    rows = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     with ProcessPoolExecutor(arguments.processes, get_context("spawn")) as pool, path.open("a") as out:
-        tasks = [pool.submit(played, job) for job in missing]
+        tasks = [pool.submit(played, job) for job in missing(jobs, rows)]
         for task in progress(as_completed(tasks), "films", len(tasks)):
             for row in task.result():
                 out.write(json.dumps(row) + "\n")

@@ -3,8 +3,8 @@ right, or without any."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import astuple, dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -102,6 +102,16 @@ class Job:
         """Unique in a folder of results."""
         kind = self.objects if isinstance(self.objects, str) else "bundles"
         return str(self.recorded) if self.recorded is not None else f"{self.split}-{kind}-{self.number}"
+
+
+def missing(jobs: Sequence[Job], rows: Iterable[Row]) -> list[Job]:
+    """What is left to play of some jobs: those whose rows are not there, in the modes that are not."""
+    done = {(row["job"], row.get("mode")) for row in rows}
+    left = [
+        replace(job, modes=tuple(mode for mode in job.modes if (job.name, mode) not in done)) for job in jobs
+    ]
+    # Where there is nothing to play, a row without a mode says so.
+    return [job for job in left if job.modes and (job.name, None) not in done]
 
 
 @cache

@@ -8,6 +8,7 @@ from huepose.model import ReferenceModel
 from studies.stress.causes import JUMP_AT, JUMP_FRAMES, loaded_schedule, runs
 from studies.stress.films import Film, Seen
 from studies.stress.objects import builtin_meshes, look_alike
+from studies.stress.playing import Job, missing
 from studies.stress.report import figures
 
 FRAME_NS = round(1e9 / 30)
@@ -77,3 +78,12 @@ def test_figures_of_a_run_that_is_known() -> None:
     assert found["coverage"] == pytest.approx(70.0)
     assert found["suspect_after_frames_most"] == 2
     assert found["back_after_s_median"] == pytest.approx(3 / 30, abs=1e-6)
+
+
+def test_what_was_played_in_one_mode_is_left_to_play_in_the_other() -> None:
+    both = ("alone", "with_loop")
+    new, half, empty = (Job("report", number, "builtin", None, both) for number in range(3))
+    rows = [{"job": half.name, "mode": "alone", "frames": [1]}, {"job": empty.name, "frames": []}]
+    left = missing([new, half, empty], rows)
+    assert [(job.number, job.modes) for job in left] == [(0, both), (1, ("with_loop",))]
+    assert missing([half], [*rows, {"job": half.name, "mode": "with_loop"}]) == []

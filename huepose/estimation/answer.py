@@ -104,7 +104,7 @@ def answered(
     if evidence is not None and query.prior is not None and method is None:
         with stage("prior"):
             prior = refine_prior(model, evidence, query.prior.T_cam_obj)
-            if not looks_in_full(frame.frame_id, config.confirm.look_anew_every):
+            if not looks_in_full(frame.frame_id, config.look_anew_every):
                 ranked = confirm(model, evidence.region, prior)
                 look = replace(look, ranked=ranked, confirmed=len(ranked) > 0)
             look = replace(look, prior=prior)

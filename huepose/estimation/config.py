@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, get_args
 
 from huepose.support.errors import InputError
@@ -15,26 +15,19 @@ Method = Literal["full", "colorpair", "paper"]
 
 
 @dataclass(frozen=True)
-class ConfirmConfig:
-    """When no views are sought, because a refined prior is plainly right. look_anew_every: one in so many
-    frames is searched in full all the same, 1 for all of them. Chosen."""
-
-    look_anew_every: int = 3
-
-
-@dataclass(frozen=True)
 class EstimatorConfig:
     """method: "full" (the best that there is), "colorpair" (colour pairs alone, with what was added to the
     paper's path) or "paper" (the paper's path as it is); seed: of all random choices; threads: objects of a
     frame that are estimated at the same time; found_level: the probability that the object is there under
-    which nothing is found, None for the calibrated one, which `paper` does not have; colorpair, paper: what
-    can be set about the method of that name, None for its defaults."""
+    which nothing is found, None for the calibrated one, which `paper` does not have; look_anew_every: one in
+    so many frames is searched in full even where a refined prior is plainly right, 1 for all (chosen);
+    colorpair, paper: what can be set about the method of that name, None for its defaults."""
 
     method: Method = "full"
     seed: int = 0
     threads: int = 1
     found_level: float | None = None
-    confirm: ConfirmConfig = field(default_factory=ConfirmConfig)
+    look_anew_every: int = 3
     colorpair: ColorpairPathConfig | None = None
     paper: PaperConfig | None = None
 

@@ -29,7 +29,8 @@ from huepose.geometry import kabsch, se3
 from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAREST_M, Camera
-from huepose.judge.silhouette import visible_within
+from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.mesh import Mesh
 from huepose.model.types import ReferenceModel
 from huepose.paper.correspondences import MIN_SIMILARITY, Correspondences, match, side_color_similarity
 from huepose.paper.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
@@ -45,6 +46,10 @@ LEAST_M, LEAST_RAD = 0.001, np.radians(1.0)
 FLOW_STEP_PX = 4
 """Every choice starts from as dense a grid."""
 
+VISIBLE_M, VISIBLE_SHARE = 0.01, 0.005
+"""Largest difference of depth and rendered surface at visible pixels: these metres plus this share of the
+distance."""
+
 WINDOW_GROWTH, WINDOW_PX = 0.3, 8.0
 """Flow is computed where the object is in either frame, and this much around it."""
 
@@ -53,7 +58,7 @@ WINDOW_GROWTH, WINDOW_PX = 0.3, 8.0
 class PlainKabsch:
     """A RelativePose by weighted least squares over every match, wrong ones included."""
 
-    min_matches: int = 8
+    min_matches: int = kabsch.MIN_INLIERS
 
     def estimate(self, matches: LiftedMatches) -> Motion | None:
         """See RelativePose."""
@@ -155,6 +160,21 @@ def compare(
             rotation, translation = (None, None) if motion is None else errors(motion.T_b_a, T_a, T_b)
             out.append((f"{choice}/{name}", rotation, translation, epe_px, len(lifted)))
     return out
+
+
+def visible_within(mesh: Mesh, T_cam_obj: Float64, frame: RgbdFrame, box: Box) -> Bool:
+    """Pixels (H, W) of the frame in which the object is seen: rendered there, and confirmed by depth. `box`
+    bounds the object; it is clipped to the image."""
+    mask = np.zeros(frame.depth.shape, bool)
+    rows, columns = box.slices(frame.camera.width, frame.camera.height)
+    w, h = columns.stop - columns.start, rows.stop - rows.start
+    if w <= 0 or h <= 0:
+        return mask
+    rendered = render_depth(mesh, T_cam_obj, frame.camera.cropped(columns.start, rows.start, w, h))
+    seen = frame.depth[rows, columns]
+    near = np.abs(seen - rendered) < VISIBLE_M + VISIBLE_SHARE * rendered
+    mask[rows, columns] = (rendered > 0) & (seen > 0) & near
+    return mask
 
 
 CHOICES = ("flow", "flow filtered", "consistent", "consistent filtered", "colorpair")

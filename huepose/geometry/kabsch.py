@@ -14,6 +14,10 @@ from huepose.geometry.arrays import Bool, Float, Float64
 REFINEMENTS = 5
 """Rounds of reweighting after the best triple."""
 
+INLIER_M, MIN_INLIERS, TRIALS = 0.006, 8, 60
+"""Of a motion between two frames: residual of a believed pair, metres; so many of them make a motion; triples
+that are tried."""
+
 
 def fit(source: Float, target: Float, weights: Float | None = None) -> Float64:
     """Least-squares rigid T_target_source (4, 4) of paired points (N, 3), N >= 3, weights (N,) >= 0.
@@ -67,6 +71,16 @@ def robust_fit(
         T = fit(p, q, w)
     e = np.linalg.norm(se3.apply(T, p) - q, axis=1)
     return T, e < inlier_m, w
+
+
+def motion(source: Float, target: Float, weights: Float | None = None) -> tuple[Float64, int] | None:
+    """The motion (4, 4) of one surface between two frames from paired points (N, 3), wrong ones among them,
+    and how many agree with it; None where fewer than MIN_INLIERS do. The same pairs give the same motion."""
+    T_target_source, inliers, _ = robust_fit(
+        source, target, weights, inlier_m=INLIER_M, rng=np.random.default_rng(0), trials=TRIALS
+    )
+    count = int(inliers.sum())
+    return (T_target_source, count) if count >= MIN_INLIERS else None
 
 
 def fit_triples(p: Float64, q: Float64) -> tuple[Float64, Float64]:

@@ -93,27 +93,8 @@ def taken_by(model: ReferenceModel, frame: RgbdFrame, poses: Sequence[Float64]) 
     return np.asarray(cv2.dilate(seen.view(np.uint8), np.ones((RIM_PX, RIM_PX), np.uint8)) > 0)
 
 
-VISIBLE_M, VISIBLE_SHARE = 0.01, 0.005
-"""Largest difference of depth and rendered surface at visible pixels: these metres plus this share of the
-distance."""
-
 COMPARED_PX = 96
 """Side of the pictures on which silhouettes are compared, pixels: exact enough for a ratio of areas."""
-
-
-def visible_within(mesh: Mesh, T_cam_obj: Float64, frame: RgbdFrame, box: Box) -> Bool:
-    """Pixels (H, W) of the frame in which the object is seen: rendered there, and confirmed by depth. `box`
-    bounds the object; it is clipped to the image."""
-    mask = np.zeros(frame.depth.shape, bool)
-    rows, columns = box.slices(frame.camera.width, frame.camera.height)
-    w, h = columns.stop - columns.start, rows.stop - rows.start
-    if w <= 0 or h <= 0:
-        return mask
-    rendered = render_depth(mesh, T_cam_obj, frame.camera.cropped(columns.start, rows.start, w, h))
-    seen = frame.depth[rows, columns]
-    near = np.abs(seen - rendered) < VISIBLE_M + VISIBLE_SHARE * rendered
-    mask[rows, columns] = (rendered > 0) & (seen > 0) & near
-    return mask
 
 
 def silhouette_iou(

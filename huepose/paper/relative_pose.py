@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
 from huepose.geometry import kabsch
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
@@ -51,29 +49,13 @@ class RelativePose(Protocol):
         ...
 
 
-@dataclass(frozen=True)
 class RobustKabsch:
-    """RANSAC over triples, then reweighted least squares. inlier_m: residual of a believed match, metres;
-    min_inliers under which there is no motion."""
-
-    inlier_m: float = 0.006
-    min_inliers: int = 8
-    trials: int = 60
+    """RANSAC over triples, then reweighted least squares (`kabsch.motion`)."""
 
     def estimate(self, matches: LiftedMatches) -> Motion | None:
         """See RelativePose; the same matches give the same motion."""
-        if len(matches) < self.min_inliers:
-            return None
-        T, inliers, _ = kabsch.robust_fit(
-            matches.points_a,
-            matches.points_b,
-            matches.weights,
-            inlier_m=self.inlier_m,
-            rng=np.random.default_rng(0),
-            trials=self.trials,
-        )
-        count = int(inliers.sum())
-        return Motion(T, count, len(matches)) if count >= self.min_inliers else None
+        found = kabsch.motion(matches.points_a, matches.points_b, matches.weights)
+        return None if found is None else Motion(*found, len(matches))
 
 
 def lift_matches(frame_a: RgbdFrame, frame_b: RgbdFrame, matches: Correspondences) -> LiftedMatches:

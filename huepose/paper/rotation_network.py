@@ -7,7 +7,7 @@ closed form ("residual"). Training prepares its inputs with the functions of thi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.kabsch import INLIER_M, MIN_INLIERS
 from huepose.paper.canonical import FEATURES, Canonical, canonical
 from huepose.paper.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch
 from huepose.support.errors import InputError
@@ -47,32 +48,28 @@ def translation_given(
     return np.asarray(t)
 
 
-def motion_given(R_b_a: Float, matches: LiftedMatches, inlier_m: float, min_inliers: int) -> Motion | None:
-    """The motion with a known rotation (3, 3); None when fewer than `min_inliers` matches lie within
-    `inlier_m` metres of it."""
-    t = translation_given(R_b_a, matches.points_a, matches.points_b, matches.weights, inlier_m)
+def motion_given(R_b_a: Float, matches: LiftedMatches) -> Motion | None:
+    """The motion with a known rotation (3, 3); None when too few matches agree with it (`kabsch.motion`)."""
+    t = translation_given(R_b_a, matches.points_a, matches.points_b, matches.weights, INLIER_M)
     T = se3.orthonormalised(se3.make(R_b_a, t))
     miss = np.linalg.norm(se3.apply(T, matches.points_a) - matches.points_b, axis=1)
-    inliers = int((miss < inlier_m).sum())
-    return Motion(T, inliers, len(matches)) if inliers >= min_inliers else None
+    inliers = int((miss < INLIER_M).sum())
+    return Motion(T, inliers, len(matches)) if inliers >= MIN_INLIERS else None
 
 
 @dataclass(frozen=True)
 class RotationFirst:
-    """A RelativePose by a regressor. inlier_m: residual of a believed match, metres; min_inliers under which
-    there is no motion."""
+    """A RelativePose by a regressor."""
 
     regressor: RotationRegressor
-    inlier_m: float = 0.006
-    min_inliers: int = 8
 
     def estimate(self, matches: LiftedMatches) -> Motion | None:
         """See RelativePose."""
-        if len(matches) < self.min_inliers:
+        if len(matches) < MIN_INLIERS:
             return None
         seen = canonical(matches.points_a, matches.points_b, matches.weights)
         R = seen.rotation(self.regressor.regress(seen.features, matches.weights))
-        return motion_given(R, matches, self.inlier_m, self.min_inliers)
+        return motion_given(R, matches)
 
 
 Kind = Literal["residual", "direct"]
@@ -99,12 +96,12 @@ class Posed:
     R_first: Float64
 
 
-def posed(matches: LiftedMatches, kind: Kind, first: RobustKabsch) -> Posed | None:
+def posed(matches: LiftedMatches, kind: Kind) -> Posed | None:
     """The matches as the network sees them. For "residual" the closed form moves the first cloud onto the
     second before; None where it finds no motion."""
     if kind == "direct":
         return Posed(canonical(matches.points_a, matches.points_b, matches.weights), np.eye(3))
-    motion = first.estimate(matches)
+    motion = RobustKabsch().estimate(matches)
     if motion is None:
         return None
     moved = se3.apply(motion.T_b_a, matches.points_a)
@@ -162,13 +159,12 @@ class ResidualRotation:
     """A RelativePose: closed form, then the network's residual rotation, then the translation."""
 
     regressor: RotationRegressor
-    first: RobustKabsch = field(default_factory=RobustKabsch)
 
     def estimate(self, matches: LiftedMatches) -> Motion | None:
         """See RelativePose."""
-        question = posed(matches, "residual", self.first)
+        question = posed(matches, "residual")
         if question is None:
             return None
         left = question.seen.rotation(self.regressor.regress(question.seen.features, matches.weights))
         R = left @ question.R_first
-        return motion_given(R, matches, self.first.inlier_m, self.first.min_inliers)
+        return motion_given(R, matches)

@@ -16,7 +16,20 @@ from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.median import median
 from huepose.judge.region import Region, prepare_believed, prepare_crop, sampled_points
-from huepose.propose.config import EvidenceConfig
+
+FITTING_IOU = 0.75
+"""IoU of a mask's bounds and the box from which the mask gets full weight: a true mask reaches it in a box
+that is shifted and scaled by a tenth. Chosen."""
+
+LEAST_TRUST = 0.05
+"""Weight of a mask that does not overlap the box at all. Chosen."""
+
+MASK_POINTS, BOX_POINTS = 400, 800
+"""Surface points sampled for registration from each mask and from the whole box."""
+
+REACH = 0.7
+"""Margin of the crop around a mask, in object diameters at the mask's depth, so that the whole object lies in
+the crop. A mask of only one end of a thin object would need 1.0. Chosen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +42,8 @@ class Evidence:
     points_cam: tuple[Float64, ...]
 
 
-def gather(
-    frame: RgbdFrame,
-    masks: Sequence[Bool],
-    box: Box,
-    diameter_m: float,
-    config: EvidenceConfig | None = None,
-) -> Evidence | None:
+def gather(frame: RgbdFrame, masks: Sequence[Bool], box: Box, diameter_m: float) -> Evidence | None:
     """Crop a frame for candidate masks (H, W) bool and a box; None when neither has any depth."""
-    config = config or EvidenceConfig()
     size = (frame.camera.width, frame.camera.height)
     inside = np.zeros(frame.depth.shape, bool)
     inside[box.slices(*size)] = True
@@ -49,27 +55,27 @@ def gather(
         return None
     believed = masks_with_depth or [whole]
     shown = [(mask, Box.of_mask(mask)) for mask in (*masks_with_depth, whole)]
-    crop = prepare_crop(frame, _window(frame, shown, config.reach * diameter_m))
-    fits = [_box_fit(bounds, box, config.fitting_iou) for _, bounds in shown[: len(believed)]]
+    crop = prepare_crop(frame, _window(frame, shown, REACH * diameter_m))
+    fits = [_box_fit(bounds, box) for _, bounds in shown[: len(believed)]]
     region = prepare_believed(
-        crop, believed, [f * f + config.least_trust for f in fits], max(fits) ** 2, box, diameter_m
+        crop, believed, [f * f + LEAST_TRUST for f in fits], max(fits) ** 2, box, diameter_m
     )
     if region is None:
         return None
     h, w = crop.depth.shape
     cut = (slice(crop.y0, crop.y0 + h), slice(crop.x0, crop.x0 + w))
     sources = [m[cut] for m in masks_with_depth]
-    counts = [config.mask_points] * len(sources)
+    counts = [MASK_POINTS] * len(sources)
     if whole[cut].any():
         sources.append(whole[cut])
-        counts.append(config.box_points)
+        counts.append(BOX_POINTS)
     points = tuple(sampled_points(crop, m, n)[0] for m, n in zip(sources, counts, strict=True))
     return Evidence(region, tuple(sources), points)
 
 
-def _box_fit(bounds: Box | None, box: Box, fitting_iou: float) -> float:
-    """Fit of a mask to the box, 0..1: IoU of its bounds over `fitting_iou`, at most 1."""
-    return 0.0 if bounds is None else min(1.0, bounds.iou(box) / fitting_iou)
+def _box_fit(bounds: Box | None, box: Box) -> float:
+    """Fit of a mask to the box, 0..1: IoU of its bounds over FITTING_IOU, at most 1."""
+    return 0.0 if bounds is None else min(1.0, bounds.iou(box) / FITTING_IOU)
 
 
 def _window(frame: RgbdFrame, masks: Sequence[tuple[Bool, Box | None]], reach_m: float) -> Box:

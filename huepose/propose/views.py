@@ -18,7 +18,6 @@ from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64
 from huepose.geometry.camera import Camera
 from huepose.geometry.median import median
 from huepose.judge.region import Crop
-from huepose.propose.config import RetrievalConfig
 from huepose.propose.quick_look import known_cells, masked_cells, nearest, quick_look, sampled
 from huepose.propose.template_check import Canvas, check_templates
 from huepose.propose.templates import COARSE_SIDE, MILLIMETRES, TemplateTable
@@ -26,6 +25,20 @@ from huepose.support.jit import jit_dividing
 
 SHIFTS = (-1, 0, 1)
 """Shifts of the window from the mask's centroid, in cells of the quick look, along both image axes."""
+
+VIEWS = 30
+"""Hypotheses for all masks together. Chosen by recall in piles (`huepose eval estimate`)."""
+
+CLOSER, CLOSEST = 1500, 200
+"""Templates per mask that get the close look, and the best of these, which are also tried one cell to each
+side. Chosen by recall in piles: 700 and 80, with fewer poses searched, lose three points there."""
+
+QUICK_WEIGHT = 0.5
+"""Of the score of the quick look, added to the close look's. Chosen."""
+
+RANKED, APART_RAD = 300, np.radians(18.0)
+"""Best templates per mask that may become hypotheses; least angle between the rotations of two hypotheses:
+template directions are 16 degrees apart, so that neighbours count as the same view."""
 
 MAX_MEDIAN_PIXELS = 4000
 """Depth readings used for the median depth of a mask: more do not change it."""
@@ -67,11 +80,11 @@ def retrieve(
     crop: Crop,
     bounds: Float64,
     masks: Sequence[Bool],
-    config: RetrievalConfig | None = None,
+    views: int = VIEWS,
 ) -> Retrieved:
     """The best hypotheses under candidate masks (h, w) bool of a crop; empty where no mask has a pixel with
-    depth. bounds (4,): left, top, right, bottom of the object's box in the crop's pixels."""
-    config = config or RetrievalConfig()
+    depth. bounds (4,): left, top, right, bottom of the object's box in the crop's pixels; views: the most of
+    them, for all masks together."""
     seen = [(k, mask & (crop.depth > 0)) for k, mask in enumerate(masks)]
     seen = [(k, mask) for k, mask in seen if mask.any()]
     if not seen:
@@ -79,8 +92,7 @@ def retrieve(
     places = [_place(table, crop, mask) for _, mask in seen]
     best_shift, quick = quick_look(table, np.concatenate([p.windows for p in places]), len(SHIFTS) ** 2)
     found = [
-        _close_look(table, crop, bounds, p, w, q, config)
-        for p, w, q in zip(places, best_shift, quick, strict=True)
+        _close_look(table, crop, bounds, p, w, q) for p, w, q in zip(places, best_shift, quick, strict=True)
     ]
     scores = np.concatenate([f.scores for f in found])
     order = np.argsort(-scores, kind="stable")
@@ -91,7 +103,7 @@ def retrieve(
         np.concatenate([f.depth_m for f in found])[order],
         crop.camera,
     )
-    chosen = distinct(poses, config.views, np.radians(config.apart_deg))
+    chosen = distinct(poses, views, APART_RAD)
     origin = np.repeat([k for k, _ in seen], [len(f.scores) for f in found])
     return Retrieved(poses[chosen], scores[order[chosen]], origin[order[chosen]])
 
@@ -164,7 +176,6 @@ def _close_look(
     place: _Place,
     best_shift: Int64,
     quick: Float32,
-    config: RetrievalConfig,
 ) -> _Ranked:
     """The best templates at one mask. best_shift (N,): the best window of each template in the quick look;
     quick (N,): its score there."""
@@ -176,21 +187,21 @@ def _close_look(
     bounds = (bounds - np.concatenate([place.centre, place.centre])) / cell + wide / 2.0
     canvas = Canvas(*known_cells(color, depth, fine, place.middle_m), bounds)
 
-    templates = _best(quick, config.closer)
+    templates = _best(quick, CLOSER)
     corners = margin + np.rint(coarse[best_shift[templates]]).astype(np.int64)
     rated, depth_mm = check_templates(table, canvas, templates, corners)
-    rated += config.quick_weight * quick[templates]
+    rated += QUICK_WEIGHT * quick[templates]
 
-    best = _best(rated, config.closest)
+    best = _best(rated, CLOSEST)
     steps = np.array([(x, y) for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y])
     near = np.clip(corners[best][:, None] + steps, 0, 2 * margin).reshape(-1, 2)
     again = np.repeat(templates[best], len(steps))
     rated_again, depth_again = check_templates(table, canvas, again, near)
-    rated_again += config.quick_weight * quick[again]
+    rated_again += QUICK_WEIGHT * quick[again]
 
     templates, corners = np.concatenate([templates, again]), np.concatenate([corners, near])
     rated, depth_mm = np.concatenate([rated, rated_again]), np.concatenate([depth_mm, depth_again])
-    best = _best(rated, config.ranked)
+    best = _best(rated, RANKED)
     pixels = place.centre + (corners[best] - margin) * cell
     return _Ranked(templates[best], pixels, place.middle_m + depth_mm[best] / MILLIMETRES, rated[best])
 

@@ -52,10 +52,8 @@ class Task:
     anchor: Anchor
     frame: RgbdFrame
     config: TrackerConfig
-    expected: Float64
     near: Reach
     far: Reach
-    seconds: float
     long: bool
     uneasy: bool = False
     back: bool = False

@@ -75,10 +75,8 @@ def advance(
         anchor,
         frame,
         config,
-        expected=expected,
         near=near,
         far=far,
-        seconds=seconds,
         long=long,
     )
     others = tuple(

@@ -15,8 +15,9 @@ import numpy as np
 from huepose.colorpair.extract import ExtractionConfig, extract
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.kabsch import MIN_INLIERS
 from huepose.paper.correspondences import MAX_PAIRS, match
-from huepose.paper.relative_pose import LiftedMatches, RobustKabsch, lift_matches
+from huepose.paper.relative_pose import LiftedMatches, lift_matches
 from huepose.paper.rotation_network import Kind, fixed_count, posed
 from huepose.paper.tracking import GROWTH
 from huepose.propose.flow import Flow, compute, consistency
@@ -29,7 +30,6 @@ PAIRS = ((0, 1), (3, 4), (1, 3), (2, 4), (0, 3), (2, 5), (0, 4), (1, 5), (0, 5))
 JOURNEYS = 3
 """So often an object is shown before another one is drawn."""
 
-MIN_MATCHES = RobustKabsch().min_inliers
 MIN_PIXELS = 200
 """An object that shows less is not followed."""
 
@@ -66,7 +66,7 @@ def turns_of(views: Views) -> Iterator[Turn]:
             before, after = views.frames[a], views.frames[b]
             found = match(before.color, after.color, views.masks[a], moved, pairs=pairs[a])
             matches = lift_matches(before, after, found)
-            if len(matches) >= MIN_MATCHES:
+            if len(matches) >= MIN_INLIERS:
                 T_b_a = se3.compose(views.T_cam_obj[b], se3.inverse(views.T_cam_obj[a]))
                 yield Turn(matches, T_b_a)
 
@@ -82,7 +82,7 @@ class RotationSample:
 
 def sample_of(turn: Turn, kind: Kind) -> RotationSample | None:
     """The question that the tracker would ask about a turn, with its true answer."""
-    question = posed(turn.matches, kind, RobustKabsch())
+    question = posed(turn.matches, kind)
     if question is None:
         return None
     features, weights = fixed_count(question.seen.features, turn.matches.weights)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
-from huepose.estimation.config import ConfirmConfig
 from huepose.estimation.explanation import Explanation
 from huepose.estimation.types import PoseEstimate, PosePrior
 from huepose.geometry import Box, RgbdFrame, se3
@@ -49,7 +48,7 @@ def test_a_prior_is_judged_once_and_where_the_others_are(
     frame = take_picture([(tea_box.mesh, standing)])
     mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
     query = ObjectQuery(tea_box.name, masks=(mask,), prior=PosePrior(standing))
-    config = EstimatorConfig(confirm=ConfirmConfig(look_anew_every=1))
+    config = EstimatorConfig(look_anew_every=1)
     answer, look = Estimator({tea_box.name: tea_box}, config).explain(frame, query)
     assert look.evidence is not None
     assert answer.prior_T_cam_obj is not None

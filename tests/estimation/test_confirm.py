@@ -9,7 +9,6 @@ import numpy as np
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PosePrior
 from huepose.estimation.answer import CLEAR_MARGIN, looks_in_full
-from huepose.estimation.config import ConfirmConfig
 from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.support.stages import listening
@@ -34,7 +33,7 @@ def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
     near = PosePrior(se3.perturb(standing, np.array([0.004, -0.003, 0.005, 0.04, -0.03, 0.03])))
     turned = PosePrior(se3.compose(standing, se3.make(np.diag([-1.0, 1.0, -1.0]), np.zeros(3))))
     models = {"tea_box": tea_box}
-    always = Estimator(models, EstimatorConfig(confirm=ConfirmConfig(look_anew_every=1)))
+    always = Estimator(models, EstimatorConfig(look_anew_every=1))
     for estimator, prior, sought in (
         (Estimator(models), near, False),
         (Estimator(models), turned, True),

@@ -16,13 +16,13 @@ from huepose.evaluation.ablation import (
     endpoint_error_px,
     errors,
     evaluate_ablation,
+    visible_within,
     with_networks,
 )
 from huepose.evaluation.ablation_rows import FILTERED, AblationResult, AblationRow
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.geometry.box import Box
-from huepose.judge.silhouette import visible_within
 from huepose.model.types import ReferenceModel
 from huepose.paper.correspondences import Correspondences
 from huepose.paper.relative_pose import LiftedMatches, RobustKabsch, lift_matches

@@ -11,7 +11,6 @@ import pytest
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.judge.region import Crop, prepare_crop
 from huepose.model.types import ReferenceModel
-from huepose.propose.config import RetrievalConfig
 from huepose.propose.quick_look import (
     CHANNEL_FLOOR,
     CHANNEL_WEIGHTS,
@@ -62,7 +61,7 @@ def test_the_true_view_is_among_the_first(
         T = random_pose(rng)
         frame = take_picture([(tea_box.mesh, T)], light=(0.8, 0.6, 0.45), with_table=False)
         mask = render_depth(tea_box.mesh, T, frame.camera) > 0
-        views = retrieve(table, *picture_of(frame, mask), [mask], RetrievalConfig(views=10))
+        views = retrieve(table, *picture_of(frame, mask), [mask], views=10)
         assert len(views.poses) == 10
         assert (np.diff(views.scores) <= 0).all()
         assert not views.masks.any()
@@ -81,7 +80,7 @@ def test_half_a_view_is_enough(
     hidden = np.arange(640)[None, :] < np.nonzero(full)[1].mean()
     covered = RgbdFrame(frame.color, np.where(hidden, np.float32(0.4), frame.depth), frame.camera)
     mask = full & ~hidden
-    views = retrieve(table, *picture_of(covered, mask), [mask], RetrievalConfig(views=10))
+    views = retrieve(table, *picture_of(covered, mask), [mask], views=10)
     assert any(near(views.poses, standing, 0.04))
 
 
@@ -96,7 +95,7 @@ def test_the_whole_box_will_do_for_a_mask(
     whole, wrong = np.zeros_like(truth), np.zeros_like(truth)
     whole[box.slices(640, 480)] = True
     wrong[400:440, 500:600] = True
-    views = retrieve(table, *picture_of(frame, truth), [wrong, whole], RetrievalConfig(views=10))
+    views = retrieve(table, *picture_of(frame, truth), [wrong, whole], views=10)
     hits = near(views.poses, standing)
     assert any(hits[:3])
     assert views.masks[hits.index(True)] == 1
@@ -107,14 +106,12 @@ def test_views_are_different_and_repeat(
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)], with_table=False)
     mask = frame.depth > 0
-    views = retrieve(table, *picture_of(frame, mask), [mask], RetrievalConfig(views=20))
+    views = retrieve(table, *picture_of(frame, mask), [mask], views=20)
     for i in range(len(views.poses)):
         assert se3.is_rigid(views.poses[i])
         for k in range(i):
             assert se3.rotation_angle(views.poses[i], views.poses[k]) >= np.radians(17.99)
-    assert np.array_equal(
-        views.poses, retrieve(table, *picture_of(frame, mask), [mask], RetrievalConfig(views=20)).poses
-    )
+    assert np.array_equal(views.poses, retrieve(table, *picture_of(frame, mask), [mask], views=20).poses)
 
 
 def test_an_empty_mask_retrieves_nothing(
@@ -123,7 +120,7 @@ def test_an_empty_mask_retrieves_nothing(
     frame = take_picture([(tea_box.mesh, standing)])
     empty = np.zeros(frame.depth.shape, bool)
     for masks in ([empty], []):
-        views = retrieve(table, *picture_of(frame, empty), masks, RetrievalConfig(views=5))
+        views = retrieve(table, *picture_of(frame, empty), masks, views=5)
         assert views.poses.shape == (0, 4, 4)
         assert views.scores.shape == views.masks.shape == (0,)
 

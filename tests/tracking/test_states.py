@@ -9,10 +9,11 @@ import pytest
 
 from huepose.believe.logistic import probability
 from huepose.believe.state import State
+from huepose.evaluation.ablation import visible_within
 from huepose.geometry import Camera, se3
 from huepose.geometry.se3 import grown
 from huepose.judge.open_region import PreparedSurface
-from huepose.judge.silhouette import silhouette_iou, visible_within
+from huepose.judge.silhouette import silhouette_iou
 from huepose.judge.terms import NOTHING, Terms
 from huepose.tracking import TrackerConfig
 from huepose.tracking.competition import Claim, losers

@@ -26,9 +26,8 @@ from huepose.refine.photometric import COARSE, FULL, refine
 SAMPLES = 3000
 """Surface samples for an alignment."""
 
-MATCHES, INLIER_M, MIN_INLIERS, TRIALS = 400, 0.006, 8, 60
-"""Pixels whose flow is used; residual of a believed one, metres; so many of these make a motion; and triples
-that are tried."""
+MATCHES = 400
+"""Pixels whose flow is used."""
 
 WINDOW = 0.35
 """Margin around the object's box for its motion in one frame, over the size of the box."""
@@ -146,10 +145,8 @@ def followed(last: RgbdFrame, mask: Bool, T_cam_obj: Float64, frame: RgbdFrame) 
     a, known_a = lift(last.depth, last.camera, pixels)
     b, known_b = lift(frame.depth, frame.camera, pixels + by)
     k = ok & known_a & known_b
-    T_b_a, inliers, _ = kabsch.robust_fit(
-        a[k], b[k], inlier_m=INLIER_M, rng=np.random.default_rng(0), trials=TRIALS
-    )
-    return T_b_a @ T_cam_obj if inliers.sum() >= MIN_INLIERS else None
+    motion = kabsch.motion(a[k], b[k])
+    return None if motion is None else motion[0] @ T_cam_obj
 
 
 SIGMA_M = 0.0015

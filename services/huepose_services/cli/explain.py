@@ -20,7 +20,6 @@ from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.arrays import Bool, Float64, UInt8
 from huepose.judge.terms import score
 from huepose.model import ReferenceModel
-from huepose.propose.config import RetrievalConfig
 from huepose.propose.templates import table_of
 from huepose.propose.views import retrieve
 from huepose.rendering.render import render
@@ -134,7 +133,7 @@ def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) ->
     if evidence is None:
         return
     crop, bounds = evidence.region.crop, evidence.region.bounds
-    views = retrieve(table_of(model), crop, bounds, evidence.sources, RetrievalConfig(views=VIEWS))
+    views = retrieve(table_of(model), crop, bounds, evidence.sources, VIEWS)
     x0, y0, x1, y1 = (float(x) for x in bounds)
     around = Box(x0, y0, x1 - x0, y1 - y0).grown(0.3, 5)
     rows, columns = around.slices(crop.camera.width, crop.camera.height)

@@ -243,11 +243,14 @@ def test_why_no_pose_comes_in_the_robot_s_frame_is_said_as_it_is(pose, base_port
     printing.terminate()
 
 
-def test_why_no_pose_comes_names_a_tracker_that_is_not_there():
-    """Of which an object that was found before says nothing any more."""
-    pipeline = Pipeline(
-        base_port=17447, site="local", camera="cam0", workers=("camera", "tracker"), folder="/run"
-    )
-    for worker, said in (("tracker", "no object has been found yet"), ("camera", "its tracker is not there")):
-        reader = SimpleNamespace(seen=True, live={f"huepose/local/cam0/live/{worker}"})
-        assert f"the pipeline runs, but {said}; " in _silence(reader, pipeline, pipeline.key("pose/**"))
+def test_why_no_pose_comes_names_the_workers_that_are_not_there():
+    """Of which an object that was found before, or is not searched for yet, says nothing."""
+    workers = ("camera", "tracker", "detector", "gateway")
+    pipeline = Pipeline(base_port=17447, site="local", camera="cam0", workers=workers, folder="/run")
+    for there, said in (
+        (("tracker", "camera", "detector"), "the pipeline runs, but no object has been found yet; "),
+        (("camera",), "the pipeline runs without tracker, detector: starting, or ended; "),
+    ):
+        reader = SimpleNamespace(seen=True, live={f"huepose/local/cam0/live/{worker}" for worker in there})
+        assert _silence(reader, pipeline, pipeline.key("pose/**")).startswith(said)
+    assert "without tracker, detector" in _silence(reader, pipeline, pipeline.key("pose/mug/**"))

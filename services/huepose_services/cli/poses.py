@@ -305,7 +305,7 @@ def _messages_here(
     from huepose_protos.messages import HealthMessage
 
     pipeline, again, say_at = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
-    told: set[str] = set()
+    said, told = "", set[str]()
     while again and not stopping():
         key, health = pipeline.key(arguments.key), pipeline.key("health/**")
         asks_for_health = zenoh.KeyExpr(key).intersects(zenoh.KeyExpr(health))
@@ -324,12 +324,13 @@ def _messages_here(
                     yield message
                     continue
                 if time.monotonic() > say_at:
-                    # Once for a pipeline that is not there, once for one that says nothing.
-                    say_at = float("inf")
-                    say(_silence(reader, pipeline, key))
+                    say_at = time.monotonic() + _SAY_WAITING_AFTER_S
+                    before, said = said, _silence(reader, pipeline, key)
+                    if said != before:
+                        say(said)
                 if not reader.seen:
-                    before, pipeline = pipeline, chosen(arguments, tell=False)
-                    again = pipeline != before
+                    old, pipeline = pipeline, chosen(arguments, tell=False)
+                    again = pipeline != old
                     if again:
                         say_which(arguments, pipeline)
             if _is_over(reader):
@@ -344,13 +345,22 @@ def _warn(health: HealthMessage, told: set[str]) -> None:
             say(f"{health.worker}: {text}")
 
 
+_SHOW_ONLY = ("gateway", "viewer", "ros2")
+"""Workers without which poses come here all the same."""
+
+
 def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
+    from huepose_protos.keys import last
+
     if not reader.seen:
         return f"waiting for a pipeline: {pipeline.absence}"
     what = f"nothing is said on {key} yet"
-    if key.endswith(_POSES):
-        here = pipeline.played or any(live.endswith("/live/tracker") for live in reader.live)
-        what = "no object has been found yet" if here else "its tracker is not there"
+    if "/pose/" in key:
+        there, needed = {last(live) for live in list(reader.live)}, pipeline.workers or ("tracker",)
+        away = [] if pipeline.played else [w for w in needed if w not in there and w not in _SHOW_ONLY]
+        if away:
+            return f"the pipeline runs without {', '.join(away)}: starting, or ended; its log says which"
+        what = "no object has been found yet" if key.endswith(_POSES) else what
     return f"the pipeline runs, but {what}; `huepose status` says how it is"
 
 

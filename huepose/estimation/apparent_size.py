@@ -61,6 +61,7 @@ PATCH_PX = 5.0
 """Correlation length of colours, pixels: nearer ones are not independent."""
 
 QUARTERS = 4
+"""Parts of what is seen of an object; each is left out once, for a standard error (jackknife)."""
 
 SAMPLES = 600
 """Most pixels whose colours are compared."""

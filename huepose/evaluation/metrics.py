@@ -15,7 +15,11 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
 
 AUC_LIMIT_M = 0.1
+"""Largest error in the area under the curve of ADD (Xiang et al., PoseCNN, RSS 2018)."""
+
 RECALL_FRACTION = 0.1
+"""Of the diameter: a pose with a smaller ADD is right (Hinterstoisser et al., ACCV 2012)."""
+
 FIGURES = ("recall_add", "recall_adds", "auc_add", "auc_adds")
 
 

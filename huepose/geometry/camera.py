@@ -3,11 +3,13 @@ follow from. Pixel (u, v) = (column, row); integer coordinates are pixel centres
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float64, UInt16
+from huepose.support.errors import InputError
 
 NEAREST_M = 0.02
 """Nothing is nearer to a camera."""
@@ -18,7 +20,9 @@ NEAR_M = 0.05
 
 @dataclass(frozen=True)
 class Camera:
-    """Intrinsics of a pinhole camera: focal lengths and principal point in pixels, size in pixels."""
+    """Intrinsics of a pinhole camera: focal lengths and principal point in pixels, size in pixels.
+
+    Raises InputError where a focal length is not positive, or a number is not finite."""
 
     fx: float
     fy: float
@@ -26,6 +30,16 @@ class Camera:
     cy: float
     width: int
     height: int
+
+    def __post_init__(self) -> None:
+        finite = math.isfinite(self.fx + self.fy + self.cx + self.cy)
+        if not finite or self.fx <= 0.0 or self.fy <= 0.0:
+            raise InputError(
+                "camera intrinsics",
+                found=f"fx {self.fx:g}, fy {self.fy:g}, cx {self.cx:g}, cy {self.cy:g}",
+                expected="focal lengths over 0 and a principal point, in pixels",
+                fix="Take them from the camera's driver or calibration file.",
+            )
 
     @staticmethod
     def from_matrix(K: Float, width: int, height: int) -> Camera:

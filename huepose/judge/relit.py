@@ -14,6 +14,7 @@ LEAST = 0.1
 pictures for it."""
 
 _EVERY = 16
+"""Pixels between those that are compared, along each axis."""
 
 
 def relit(before: UInt8, now: UInt8) -> bool:

@@ -16,7 +16,7 @@ from huepose.onboarding.cloud import Cloud, averaged_lab
 from huepose.onboarding.near_symmetries import NearSymmetries, SidedSurface, rotations_about
 from huepose.support.errors import InputError
 
-EQUIVALENT_STEP_RAD = np.radians(5.0)
+EQUIVALENT_STEP_RAD = np.radians(5.0)  # between rotations about an axis of revolution that count as one
 AXES = ("x", "y", "z")
 ALONG = 0.95  # cosine between an axis of rotation and one of the object's, from which they are one
 _ONE_AXIS = np.cos(np.radians(3.0))  # cosine between two axes that are one; flips are 7.5 degrees apart

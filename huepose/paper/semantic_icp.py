@@ -33,7 +33,7 @@ from huepose.refine.solver import (
 )
 from huepose.support.jit import jit
 
-STEP_TOLERANCE_M = 2e-6
+STEP_TOLERANCE_M = 2e-6  # a step that moves no point by more has converged
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,8 @@ TEXTURE_WEIGHT, SEEN_WEIGHT, RIM_WEIGHT = 1.5, 0.3, 0.7
 """Weights of texture, visible share and outline in the score; depth and free space as in the dense score."""
 
 SEARCH_SAMPLES, SEARCH_STEPS_DEG = 100, (8.0, 4.0)
+"""Surface samples and steps of the coordinate search from the best poses."""
+
 SAME_SHIFT, SAME_IOU = 0.25, 0.6
 """Poses whose centres are nearer than this (diameters), or whose boxes overlap by this IoU, are one place."""
 

@@ -22,7 +22,11 @@ COLOR_WEIGHT, BOX_WEIGHT, OCCLUDED_WEIGHT = 0.7, 1.4, 0.1
 """Weights of the terms; depth fit and free-space violation as in `judge.terms`, the others chosen."""
 
 LIGHTNESS_WEIGHT = 0.4
+"""Of the correlation of lightness against that of the other two channels: shading is in it."""
+
 CHANNEL_FLOOR = 3.0
+"""Opponent units, added to the spreads of a channel: keeps the correlation of plain cells low."""
+
 TOLERANCE, MIN_TOLERANCE_MM = 0.05, 8.0
 """Largest difference of a fitting cell, the larger of this share of the diameter and these millimetres."""
 

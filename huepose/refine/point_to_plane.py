@@ -25,7 +25,7 @@ DAMPING = 2e-3
 GATE_SHRUNK_AFTER = 0.7
 """Share of the iterations after which the gate has its final width."""
 
-STEP_TOLERANCE_M = 1e-5
+STEP_TOLERANCE_M = 1e-5  # a step that moves no point by more has converged
 
 SCRATCH_ROWS = 12
 

@@ -75,7 +75,11 @@ def _about(velocity: Float64, lever: Float64) -> Float64:
 
 
 SLACK_M, SLACK_RAD = 0.02, np.radians(10.0)
+"""How far off the last pose itself may be."""
+
 MAX_M, MAX_RAD = 0.35, np.pi
+"""Nothing is looked for farther from where it is expected, however long it was not seen."""
+
 TRUSTED_VELOCITY = 0.5
 """Factor of the reach if the velocity is known: what remains is the acceleration."""
 

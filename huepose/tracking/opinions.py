@@ -167,6 +167,9 @@ def found_again(
 
 
 FLOOR_SIGMA = np.array([0.0003, 0.0003, 0.0005, 0.004, 0.004, 0.004])
+"""Least standard errors of a pose, metres along the camera's axes and radians, however many pixels speak for
+it: what a model's own errors leave."""
+
 BIAS_SHARE = 0.15
 """Of the depth sensor's noise: what its errors have in common over an object."""
 

@@ -78,7 +78,11 @@ SMALL_EFFORT = Effort(2, 24, 6, 2)
 """Where place and turn are known roughly."""
 
 NORMAL_EFFORT = Effort(5, 80, 20, 4)
+"""Near where the object is expected."""
+
 GREAT_EFFORT = Effort(8, 250, 40, 6)
+"""Wherever it can be by now."""
+
 PARTS = 10
 """A wide search can be made in so many parts."""
 

@@ -38,6 +38,13 @@ def test_scaling_keeps_pixel_areas():
     np.testing.assert_allclose(CAMERA.scaled(0.5).project(corner), [-0.5, -0.5], atol=1e-12)
 
 
+@pytest.mark.parametrize("fault", [{"fx": 0.0}, {"fy": -600.0}, {"fx": np.nan}, {"cx": np.inf}])
+def test_intrinsics_that_no_camera_has_are_refused_with_their_numbers(fault: dict[str, float]) -> None:
+    numbers = {"fx": 600.0, "fy": 600.0, "cx": 320.0, "cy": 240.0, **fault}
+    with pytest.raises(InputError, match=f"camera intrinsics: found fx {numbers['fx']:g}, "):
+        Camera(**numbers, width=640, height=480)
+
+
 def test_box_iou_and_mask_bounds():
     assert Box(0, 0, 2, 2).iou(Box(1, 0, 2, 2)) == pytest.approx(1 / 3)
     assert Box(0, 0, 1, 1).iou(Box(5, 5, 1, 1)) == 0

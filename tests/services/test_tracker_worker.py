@@ -12,6 +12,7 @@ from huepose_protos.messages import MaskRuns, ObjectEntry
 from huepose_services.doubts import TOO_OLD
 from huepose_services.following import Change
 from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.tied import SUPERVISOR
 from tests.services.tracker_work import CENTRE, CORRECTION, HEADER, MS, frame_of_age, worker
 
 
@@ -144,6 +145,31 @@ def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, 
     ]
     work.step()
     assert said in capfd.readouterr().err
+    assert bus.health.message().warnings == []
+
+
+def test_who_starts_it_without_a_camera_is_told_once_until_a_frame_comes(capfd):
+    at = [now_ns()]
+    work, bus, _ = worker(clock=lambda: at[0])
+    warnings = []
+    for _ in range(8):
+        work.step()
+        warnings.append(bus.health.message().warnings)
+        at[0] += SECOND
+    assert warnings[:6] == [[]] * 6, "a camera that is plugged in takes a moment"
+    assert "`huepose run camera`" in warnings[7][0]
+    assert capfd.readouterr().err.count("no frame has come yet") == 1
+    bus.waiting["frame"] = [frame_of_age(1, 0.0)]
+    work.step()
+    assert bus.health.message().warnings == []
+
+
+def test_beside_a_supervisor_the_camera_says_itself_what_is_in_its_way(monkeypatch):
+    monkeypatch.setenv(SUPERVISOR, "1")
+    at = [now_ns()]
+    work, bus, _ = worker(clock=lambda: at[0])
+    at[0] += 60 * SECOND
+    work.step()
     assert bus.health.message().warnings == []
 
 

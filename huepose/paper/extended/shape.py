@@ -24,7 +24,10 @@ LEVEL, ROLLS = 1, 16
 """Views of the icosphere and rolls about the viewing ray: a rotation is at most about 20 degrees from one."""
 
 DISTINCT_DEG = 20.0
+"""Rotations that differ by less are one."""
+
 POINTS = 400
+"""Most pixels of a mask whose depth says where the object is."""
 
 
 def shape_hypotheses(model: ReferenceModel, frame: RgbdFrame, mask: Bool, count: int) -> list[Hypothesis]:

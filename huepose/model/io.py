@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import io
 import json
 import re
@@ -32,6 +31,7 @@ from huepose.model.types import (
 from huepose.support.errors import InputError
 from huepose.support.files import whole
 from huepose.support.kept import kept
+from huepose.support.words import did_you_mean
 
 SUFFIX = ".huepose"
 VERSION = 2
@@ -152,12 +152,11 @@ def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> 
     wanted = known if names is None else list(dict.fromkeys(names))
     unknown = [n for n in wanted if n not in known]
     if unknown:
-        meant = difflib.get_close_matches(unknown[0], known, 1)
         raise InputError(
             f"object '{unknown[0]}'",
             found=f"no such reference model in {folder}",
             expected=f"one of {', '.join(known)}",
-            fix=f"Did you mean {meant[0]}?" if meant else "Correct the name, or onboard the object.",
+            fix=did_you_mean(unknown[0], known) or "Correct the name, or onboard the object.",
         )
     return {name: load_model(model_path(folder, name)) for name in wanted}
 

@@ -21,7 +21,6 @@ numbers. With one or two classes some shapes fit two layouts: then the layout ha
 from __future__ import annotations
 
 import ast
-import difflib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -34,7 +33,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.perception.sessions import Network
 from huepose.perception.types import Detection
 from huepose.support.errors import InputError
-from huepose.support.words import listed
+from huepose.support.words import did_you_mean, listed
 
 _NAMES = """
 person, bicycle, car, motorcycle, airplane, bus, train, truck, boat, traffic light, fire hydrant, stop sign,
@@ -89,12 +88,11 @@ class YoloDetector:
                 wrong = one not in names if isinstance(one, str) else count is not None and one >= count
                 if wrong:
                     known = listed(names) or "no names in the file"
-                    meant = difflib.get_close_matches(str(one), names, 1)
                     raise InputError(
                         f"{self._network.path}: class '{one}' of {name}",
                         found=f"{'any number of' if count is None else count} classes ({known})",
                         expected="a name of these, or a number from 0",
-                        fix=f"Did you mean '{meant[0]}'?" if meant else "",
+                        fix=did_you_mean(str(one), names),
                     )
             numbers[name] = frozenset(names.index(one) if isinstance(one, str) else one for one in given)
         return numbers

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Sequence
 
 
@@ -34,6 +35,16 @@ def listed(names: Sequence[str], longest: int = 200) -> str:
         shown.pop()
     left = len(names) - len(shown)
     return ", ".join(shown) + (f" and {left} more" if left else "")
+
+
+def did_you_mean(word: str, known: Sequence[str]) -> str:
+    """A question that names the likest of the known words; empty where none is like it.
+
+    >>> did_you_mean("mugg", ["can", "mug"]), did_you_mean("mug", ["can"])
+    ("Did you mean 'mug'?", '')
+    """
+    meant = difflib.get_close_matches(word, known, 1)
+    return f"Did you mean '{meant[0]}'?" if meant else ""
 
 
 def rounded(value: float) -> str:

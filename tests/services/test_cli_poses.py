@@ -205,7 +205,7 @@ def test_an_object_that_is_not_looked_for_is_said_with_those_that_are(
         headed = huepose("poses", "jar", *choice)
         known = huepose("poses", "jar", "--json", *choice)
         for process, fix in (
-            (misspelt, "Did you mean biscuit?"),
+            (misspelt, "Did you mean 'biscuit'?"),
             (strange, "Look for it: huepose objects add cup"),
         ):
             said = process.communicate(timeout=30.0)[1]

@@ -213,4 +213,4 @@ def test_an_unknown_object_is_named_with_the_known_ones(recording, tmp_path, bas
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert "'teabox'" in err
-    assert f"Did you mean {NAME}?" in err
+    assert f"Did you mean '{NAME}'?" in err

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import difflib
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
-from huepose.support.words import counted
+from huepose.support.words import counted, did_you_mean
 from huepose_services.cli.options import add_choice, add_path, chosen, say, say_which, until_told
 from huepose_services.pem import Credentials
 
@@ -235,12 +234,11 @@ class _Only:
         name, self._name = self._name, None
         known = [entry.object for entry in message.objects]
         if name not in known:
-            meant = difflib.get_close_matches(name, known, 1)
             raise InputError(
                 name,
                 found="no object of that name that is looked for",
                 expected=f"one of {', '.join(known)}" if known else "one that is: none is now",
-                fix=f"Did you mean {meant[0]}?" if meant else f"Look for it: huepose objects add {name}",
+                fix=did_you_mean(name, known) or f"Look for it: huepose objects add {name}",
             )
         return True
 

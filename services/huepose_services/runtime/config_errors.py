@@ -3,7 +3,6 @@ allowed, hint. What YAML would pass over in silence is an error too."""
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 import reprlib
@@ -16,6 +15,7 @@ import msgspec
 import yaml
 
 from huepose.support.errors import InputError
+from huepose.support.words import did_you_mean
 
 
 class _Loader(yaml.SafeLoader):
@@ -96,31 +96,28 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
         key = named["key"]
         section = next(part for part in _parts(_type(config, at)) if part is not type(None))
         allowed = [f.name for f in msgspec.structs.fields(section)]
-        close = difflib.get_close_matches(key, allowed, 1)
         return InputError(
             f"{path}: {at}.{key}".replace(": .", ": "),
             found="a key that is not known" if unknown else "nothing",
             expected=f"one of {', '.join(allowed)}" if unknown else "a value",
-            fix=f"Did you mean '{close[0]}'?" if unknown and close else "",
+            fix=did_you_mean(key, allowed) if unknown else "",
         )
     found, kind = _value(data, at), _type(config, at)
     shown = _shown(found)
     if text == "quaternion is not of unit length":  # said of the mount that it belongs to
         at, shown = f"{at}.quaternion", _with_length(found["quaternion"])
     word = found[: _SHORT.maxstring] if isinstance(found, str) else ""
-    close = difflib.get_close_matches(word, [str(name) for name in _literals(kind)], 1)
+    meant = did_you_mean(word, [str(name) for name in _literals(kind)])
     return InputError(
         f"{path}: {at or 'the whole file'}",
         found=shown,
         expected=_allowed(text, kind),
-        fix=_mended(at, found, close, kind),
+        fix=meant or _mended(at, found, kind),
     )
 
 
-def _mended(at: str, found: Any, close: list[str], kind: Any) -> str:
+def _mended(at: str, found: Any, kind: Any) -> str:
     """What to write instead, as far as it is known."""
-    if close:
-        return f"Did you mean '{close[0]}'?"
     for section in _parts(kind):
         # `camera: bop`: the section's name with what is the value of one of its keys.
         keys = msgspec.structs.fields(section) if hasattr(section, "__struct_fields__") else ()

@@ -28,6 +28,7 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.picture_faults import bad_picture
 from huepose.judge.silhouette import projected_box, taken_by
 from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.embedded import DepthSegmenter
@@ -108,6 +109,7 @@ class Estimator:
         for query in queries:
             require(query, ObjectQuery, "query", "an ObjectQuery", "Make one: ObjectQuery(name, box).")
             self._models[query.object]  # raises before anything is looked at
+        picture = frame
         if self.config.method == "full":
             with stage("veil"):
                 frame = unveiled(frame)
@@ -126,13 +128,19 @@ class Estimator:
             return answer, led
 
         answers = self._pool.map_steps(lambda query: look(frame, query), queries)
-        if len(queries) < 2 or (self._method and self._method.bare):
-            return answers
 
         def look_again(seen: RgbdFrame, query: ObjectQuery) -> Answered:
             return finished(look(seen, query))
 
-        return compete(frame, queries, answers, look_again)
+        if len(queries) > 1 and not (self._method and self._method.bare):
+            answers = compete(frame, queries, answers, look_again)
+        if any(answer.found for answer, _ in answers):
+            return answers
+        faults = [bad_picture(picture, self._models[query.object].diameter_m) for query in queries]
+        return [
+            (answer if fault is None else replace(answer, reason=fault), led)
+            for fault, (answer, led) in zip(faults, answers, strict=True)
+        ]
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> Answered:
         """The answer to one query, as if there were no other, and what led to it."""

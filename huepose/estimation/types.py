@@ -60,9 +60,10 @@ class PoseEstimate:
     different pose. quality: calibrated probability that the pose is right (of the method `paper`: its fitness
     in 0..1, which is no probability). state: as of a track; TRACKING over the acquisition level, else
     SUSPECT; LOST when not found. alternatives: other poses and their probabilities. terms: what the quality
-    was made of. reason: where not found, why, in one sentence; where found, why it is not to be acted on,
-    where that is known; else empty. present: probability that the object is there at all, whatever its pose;
-    None where nobody asked (`ObjectQuery.searched`).
+    was made of. reason: where not found, why, in one sentence (where none is found, what is wrong with the
+    frame comes first); where found, why it is not to be acted on, where that is known; else empty. present:
+    probability that the object is there at all, whatever its pose; None where nobody asked
+    (`ObjectQuery.searched`).
     """
 
     object: str

@@ -130,8 +130,8 @@ class TrackerWork(Work):
         self._believed: list[TrackedPose] = []
         self._holds_until_ns = 0
         # Who is started alone may lack a camera. With a supervisor one starts beside it, and says itself what
-        # is in its way.
-        self._no_frame_since_ns = None if SUPERVISOR in os.environ else clock()
+        # is in its way. Not by the clock of a recording, which is read where frames are.
+        self._no_frame_since_ns = None if SUPERVISOR in os.environ else now_ns()
 
     def reload(self, config: Config) -> list[str]:
         """Take over `tracker.max_age_ms`; a recorder gets the memory, which names the step from which it
@@ -186,7 +186,7 @@ class TrackerWork(Work):
         if not none:
             self._no_frame_since_ns = None
             self._bus.health.warn_while("frames", None)
-        elif (since_ns := self._no_frame_since_ns) is not None and self._clock() - since_ns > _NO_FRAME_NS:
+        elif (since_ns := self._no_frame_since_ns) is not None and now_ns() - since_ns > _NO_FRAME_NS:
             self._no_frame_since_ns = None
             self._bus.health.warn_while("frames", _NO_FRAME)
             self._bus.log.warn(_NO_FRAME)

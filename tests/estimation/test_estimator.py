@@ -172,10 +172,12 @@ def test_nothing_there_is_not_found(
     blind = replace(frame, depth=np.zeros_like(frame.depth))
     box = box_of(frame, tea_box, standing)
     behind = PosePrior(se3.make(np.eye(3), np.array([0.0, 0.0, -1.0])))
+    millimetres = replace(frame, depth=frame.depth * np.float32(1000.0))
     no_depth = "There is no depth in the box, so there is nothing to look at."
     for picture, query, why in (
-        (blind, ObjectQuery("tea_box", box), no_depth),
-        (blind, ObjectQuery("tea_box", box, prior=PosePrior(standing)), no_depth),
+        (blind, ObjectQuery("tea_box", box), "The frame has no depth (under 1 % of its pixels"),
+        (blind, ObjectQuery("tea_box", box, prior=PosePrior(standing)), "The frame has no depth"),
+        (millimetres, ObjectQuery("tea_box", box), "All depth is "),
         (frame, ObjectQuery("tea_box", Box(-50, -50, 20, 20)), no_depth),
         (frame, ObjectQuery("tea_box", prior=behind), "The box is empty (0 x 0 pixels), so"),
         (frame, ObjectQuery("tea_box", Box(30, 30, 0, 20)), "The box is empty (0 x 20 pixels), so"),

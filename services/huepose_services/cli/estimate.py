@@ -127,8 +127,6 @@ def call(arguments: argparse.Namespace) -> int:
             answers += [_answer(arguments, frame, models, estimator, query) for query in queries]
             found = _several(answers, found, arguments.instances, before)
         answers = _standing(arguments, frame, models, names, answers, proposed)
-    else:
-        answers = [a if a.found else _of_the_picture(frame, models[a.object], a) for a in answers]
     answers = [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
     loaded = "one model" if len(names) == 1 else f"{len(names)} models"
     say(
@@ -254,13 +252,6 @@ def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, meth
         return replace(answer, reason=NO_PROBABILITY)
     turned = Doubt.TURN if turned_as_well(answer, method) else None
     return replace(answer, reason=why_doubted(PreparedSurface.of(model), frame, answer.T_cam_obj, turned))
-
-
-def _of_the_picture(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate) -> PoseEstimate:
-    """An answer that says what is wrong with the whole picture, where something is."""
-    from huepose.geometry.picture_faults import bad_picture
-
-    return replace(answer, reason=bad_picture(frame, model.diameter_m) or answer.reason)
 
 
 def _standing(

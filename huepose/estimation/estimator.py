@@ -136,11 +136,9 @@ class Estimator:
             answers = compete(frame, queries, answers, look_again)
         if any(answer.found for answer, _ in answers):
             return answers
-        faults = [bad_picture(picture, self._models[query.object].diameter_m) for query in queries]
-        return [
-            (answer if fault is None else replace(answer, reason=fault), led)
-            for fault, (answer, led) in zip(faults, answers, strict=True)
-        ]
+        names = {query.object for query in queries}
+        faults = {name: bad_picture(picture, self._models[name].diameter_m) for name in names}
+        return [(replace(a, reason=faults[a.object] or a.reason), led) for a, led in answers]
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> Answered:
         """The answer to one query, as if there were no other, and what led to it."""

@@ -3,7 +3,6 @@ frames."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
@@ -32,6 +31,7 @@ from huepose_services.doubts import (
     why_doubted,
     why_refused,
 )
+from huepose_services.first_frame import FirstFrame
 from huepose_services.following import Follower, Retired
 from huepose_services.held import held
 from huepose_services.intake import MEMORY_EVERY_NS, Clock, InputCache, Intake
@@ -39,16 +39,9 @@ from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, check_number, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import StateChanges
-from huepose_services.runtime.tied import SUPERVISOR
 from huepose_services.runtime.work import Work
 
 _REFUSED_EVERY_S = 10.0
-_NO_FRAME_NS = 5 * SECOND
-"""A camera that is there shows its first frame sooner, also one that is plugged in."""
-_NO_FRAME = (
-    "no frame has come yet: `huepose run camera` starts the camera's worker, `huepose up` starts all; "
-    "`huepose status` says which are there"
-)
 # Who comes late is to hear that the camera has stopped.
 _SAID_AGAIN_NS = SECOND
 _Frame = tuple[int, int]
@@ -116,7 +109,7 @@ class TrackerWork(Work):
         self._told = StateChanges(bus.log)
         self._refused: tuple[str, int, int] | None = None
         self._corrections = bus.inbox.queue(bus.keys.correction)
-        self._frames = bus.frames()
+        self._frames, self._first_frame = bus.frames(), FirstFrame(bus.health, bus.log)
         self._header: FrameHeader | None = None
         self._pixels: RgbdFrame | None = None
         self._fx_of_size: dict[str, float] = {}
@@ -129,9 +122,6 @@ class TrackerWork(Work):
         # then they are SUSPECT, and said again at that time.
         self._believed: list[TrackedPose] = []
         self._holds_until_ns = 0
-        # Who is started alone may lack a camera. With a supervisor one starts beside it, and says itself what
-        # is in its way. Not by the clock of a recording, which is read where frames are.
-        self._no_frame_since_ns = None if SUPERVISOR in os.environ else now_ns()
 
     def reload(self, config: Config) -> list[str]:
         """Take over `tracker.max_age_ms`; a recorder gets the memory, which names the step from which it
@@ -168,7 +158,7 @@ class TrackerWork(Work):
         if not self._intake.empty:
             self._intake.mark("corrections", self._tracker)
         taken = self._bus.take_with_payload(self._frames, FrameHeader)
-        self._miss_frames(taken is None)
+        self._first_frame.look(taken is not None)
         tracked = taken is not None and self._track(*taken)
         if corrected and not tracked and self._header is not None:
             # New instances are published on the last frame, because the next may come late. A pose that was
@@ -180,16 +170,6 @@ class TrackerWork(Work):
             ends = ": the recording has ended, or it falls behind" if self._config.camera.once else ""
             self._withdraw(f"no new frame came{ends}")
             self._holds_until_ns = now + _SAID_AGAIN_NS
-
-    def _miss_frames(self, none: bool) -> None:
-        """Say once that no frame has ever come, until one does."""
-        if not none:
-            self._no_frame_since_ns = None
-            self._bus.health.warn_while("frames", None)
-        elif (since_ns := self._no_frame_since_ns) is not None and now_ns() - since_ns > _NO_FRAME_NS:
-            self._no_frame_since_ns = None
-            self._bus.health.warn_while("frames", _NO_FRAME)
-            self._bus.log.warn(_NO_FRAME)
 
     def _withdraw(self, why: str) -> None:
         """Publish what was TRACKING again as SUSPECT, without a newer frame."""

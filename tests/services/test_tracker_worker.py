@@ -9,7 +9,7 @@ import pytest
 from huepose.geometry import se3
 from huepose.tracking.types import Applied
 from huepose_protos.messages import MaskRuns, ObjectEntry
-from huepose_services import tracker
+from huepose_services import first_frame
 from huepose_services.doubts import TOO_OLD
 from huepose_services.following import Change
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -151,7 +151,7 @@ def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, 
 
 def test_who_starts_it_without_a_camera_is_told_once_until_a_frame_comes(capfd, monkeypatch):
     at = [now_ns()]
-    monkeypatch.setattr(tracker, "now_ns", lambda: at[0])
+    monkeypatch.setattr(first_frame, "now_ns", lambda: at[0])
     work, bus, _ = worker()
     warnings = []
     for _ in range(8):
@@ -169,7 +169,7 @@ def test_who_starts_it_without_a_camera_is_told_once_until_a_frame_comes(capfd, 
 def test_beside_a_supervisor_the_camera_says_itself_what_is_in_its_way(monkeypatch):
     monkeypatch.setenv(SUPERVISOR, "1")
     at = [now_ns()]
-    monkeypatch.setattr(tracker, "now_ns", lambda: at[0])
+    monkeypatch.setattr(first_frame, "now_ns", lambda: at[0])
     work, bus, _ = worker()
     at[0] += 60 * SECOND
     work.step()

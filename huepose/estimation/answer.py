@@ -54,6 +54,7 @@ from huepose.select.distinct import (
     different_poses,
 )
 from huepose.select.near_ties import decided
+from huepose.select.shade import in_their_light
 from huepose.support.errors import InputError
 from huepose.support.pool import Steps
 from huepose.support.stages import stage
@@ -259,9 +260,9 @@ def confirm(model: ReferenceModel, region: Region, prior: Ranked) -> Ranked:
     searched, totals = search(model, region, rotated[best], CONFIRM_DEG, CLOSE_SAMPLES, race=RACE)
     poses, totals = np.concatenate([prior.poses, searched]), np.concatenate([prior.totals, totals])
     order = different_poses(model, poses, totals, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)
-    if len(order) > 1 and (order[0] != 0 or totals[0] - totals[order[1]] < CLEAR_MARGIN):
-        return NONE
-    return Ranked.of(poses[order], totals[order])
+    ranked, _ = in_their_light(model, region, Ranked.of(poses[order], totals[order]))
+    clear = len(ranked) == 1 or ranked.behind[1] >= CLEAR_MARGIN
+    return ranked if clear and np.array_equal(ranked.poses[0], prior.poses[0]) else NONE
 
 
 def _icp(

@@ -20,11 +20,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from huepose.colorpair.opponents import LINEAR, bytes_of
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
 from huepose.geometry.camera import NEAR_M, Camera
+from huepose.judge.implied_light import Light
 from huepose.judge.region import ModelArrays, model_arrays, smoothed_opponents
 from huepose.model.types import ReferenceModel
-from huepose.rendering.render import render
+from huepose.rendering.render import Rendering, render
 
 SHARP_PX, BLUNT_PX = 0.6, 2.5
 """Detail is the band between these two smoothings (sigmas, pixels): light varies more slowly, and the camera
@@ -57,10 +59,10 @@ def detail_colors(color: UInt8, weight: Float32) -> Float32:
 
 
 def draw_rendered_view(
-    model: ReferenceModel, T_cam_obj: Float, camera: Camera, samples: int
+    model: ReferenceModel, T_cam_obj: Float, camera: Camera, samples: int, light: Light | None = None
 ) -> RenderedView | None:
-    """The rendered view of a pose (4, 4) with at most `samples` samples; None where it shows too little of
-    the object, or is too near for a picture of it."""
+    """The rendered view of a pose (4, 4) with at most `samples` samples, in a light where it is given; None
+    where it shows too little of the object, or is too near for a picture of it."""
     window = _window(model, T_cam_obj, camera)
     if window is None:
         return None
@@ -71,8 +73,7 @@ def draw_rendered_view(
     rim_rows, rim_columns, inward_px = _rim(shown)
     if len(rows) < 20 or not len(rim_rows):
         return None
-    colors = detail_colors(seen.color, np.maximum(shown, np.float32(1e-6)))
-    picked = colors[:, rows, columns]
+    picked = _colors(seen, T, light)[:, rows, columns]
     R = T[:3, :3]
     metres = seen.depth[rim_rows, rim_columns][:, None] / np.array([window.fx, window.fy])
     inward = np.zeros((len(rim_rows), 3))
@@ -183,22 +184,38 @@ class _Seen:
     comparable: Bool
 
 
-def likeness(model: ReferenceModel, part: Part, poses: Float64) -> Likeness | None:
-    """How well each of the poses (K, 4, 4) explains the pixels where any of them lies; None where these are
-    too few."""
-    seen = [_seen(model, part, T) for T in poses]
+def likeness(
+    model: ReferenceModel, part: Part, poses: Float64, lights: Sequence[Light | None]
+) -> Likeness | None:
+    """How well each of the poses (K, 4, 4), in its light (K), explains the pixels where any of them lies;
+    None where these are too few."""
+    seen = [_seen(model, part, T, light) for T, light in zip(poses, lights, strict=True)]
     shared = np.any([one.comparable for one in seen], axis=0)
     if int(shared.sum()) < MIN_PIXELS:
         return None
     return Likeness(_detail(part.colors, seen, shared), _broad(part.colors, seen, shared))
 
 
-def _seen(model: ReferenceModel, part: Part, T_cam_obj: Float64) -> _Seen:
-    picture = render([(model.mesh, np.ascontiguousarray(T_cam_obj))], part.camera)
+def _seen(model: ReferenceModel, part: Part, T_cam_obj: Float64, light: Light | None) -> _Seen:
+    T = np.ascontiguousarray(T_cam_obj)
+    picture = render([(model.mesh, T)], part.camera, normals=light is not None)
     shown = picture.depth > 0
     fits = (part.depth == 0) | (np.abs(part.depth - picture.depth) < part.tolerance_m)
-    colors = detail_colors(picture.color, np.maximum(shown, np.float32(1e-6)))
-    return _Seen(colors, shown & fits & ~part.saturated)
+    return _Seen(_colors(picture, T, light), shown & fits & ~part.saturated)
+
+
+def _colors(picture: Rendering, T_cam_obj: Float64, light: Light | None) -> Float32:
+    """Detail and blunt colours of a rendered pose (4, 4) in a light; lightness, which shading changes most,
+    is left as it is."""
+    shown = picture.depth > 0
+    weight = np.maximum(shown, np.float32(1e-6))
+    colors = detail_colors(picture.color, weight)
+    if light is not None:
+        normals = picture.normals_cam[shown] @ T_cam_obj[:3, :3].astype(np.float32)
+        lit = picture.color.copy()
+        lit[shown] = bytes_of(LINEAR[lit[shown]] * light.on(normals)[:, None])
+        colors[..., 1:] = detail_colors(lit, weight)[..., 1:]
+    return colors
 
 
 def _detail(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:

@@ -8,6 +8,7 @@ is exact to a pixel. So each of the few best poses is first refined on them with
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M
+from huepose.judge.implied_light import Light, implied_lights
 from huepose.judge.outline import Rim, edge_tensor
 from huepose.judge.pairs import (
     CLOSE_PAIR_SAMPLES,
@@ -23,13 +25,14 @@ from huepose.judge.pairs import (
     pair_picture,
     pair_score_many,
 )
-from huepose.judge.region import OUTSIDE_WEIGHT, Region, region_arrays
+from huepose.judge.region import OUTSIDE_WEIGHT, Region, model_arrays, region_arrays
 from huepose.judge.rendered_view import Likeness, Part, detail_colors, draw_rendered_view, likeness
 from huepose.judge.terms import ScoreWeights
 from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
 from huepose.refine.coordinate_search import search_rendered_view
 from huepose.select.distinct import Ranked, different_answers
+from huepose.select.shade import in_their_light
 
 WEIGHTS = {"dense": 1.0, "detail": 1.5, "broad": 6.5, "pairs": 0.6}
 """Of the terms between poses in a near tie. dense: distance to the first in the dense score, at most 0;
@@ -75,9 +78,11 @@ class CloseLook:
     alike: Likeness
 
 
-def close_look(model: ReferenceModel, region: Region, poses: Float64) -> CloseLook | None:
-    """A close look at each of the poses (K, 4, 4); None where one shows too little of the object, or is too
-    near for a picture of it."""
+def close_look(
+    model: ReferenceModel, region: Region, poses: Float64, lights: Sequence[Light | None]
+) -> CloseLook | None:
+    """A close look at each of the poses (K, 4, 4), whose textures are compared in its light (K) where it is
+    given; None where one shows too little of the object, or is too near for a picture of it."""
     rows, columns = _window(model, region, poses)
     weight = np.maximum(region.belief[rows, columns], np.float32(OUTSIDE_WEIGHT))
     color = region.crop.color[rows, columns]
@@ -86,15 +91,15 @@ def close_look(model: ReferenceModel, region: Region, poses: Float64) -> CloseLo
     edges[rows, columns] = edge_tensor(color)
     arrays = region_arrays(region)._replace(colors=colors)
     refined = poses.copy()
-    for k, T in enumerate(poses):
-        drawn = draw_rendered_view(model, T, region.crop.camera, SAMPLES)
+    for k, (T, light) in enumerate(zip(poses, lights, strict=True)):
+        drawn = draw_rendered_view(model, T, region.crop.camera, SAMPLES, light)
         if drawn is None:
             return None
         rim = Rim(drawn.rim_points, drawn.rim_inward, edges, RIM_WEIGHT)
         refined[k] = search_rendered_view(
             model, drawn.arrays, arrays, rim, T, STEPS_DEG, SAMPLES, CLOSE_WEIGHTS
         )
-    alike = likeness(model, _part(region, rows, columns, colors), refined)
+    alike = likeness(model, _part(region, rows, columns, colors), refined, lights)
     return None if alike is None else CloseLook(refined, alike)
 
 
@@ -133,24 +138,29 @@ class Contest:
         return np.asarray(self.terms @ np.array(list(WEIGHTS.values())))
 
 
-def contest(model: ReferenceModel, region: Region, found: Ranked) -> Contest | None:
-    """The close look at the best few poses; None where the first is clearly ahead, or one cannot be
-    compared."""
+def contest(model: ReferenceModel, region: Region, found: Ranked, shaded: bool = False) -> Contest | None:
+    """The close look at the best few poses, each in the light that it implies where shade matters; None where
+    the first is clearly ahead, or one cannot be compared."""
     rivals = int((found.behind[:CONTENDERS] < WITHIN).sum())
     if rivals < 2:
         return None
     poses = found.poses[:rivals]
-    look = close_look(model, region, poses)
+    lights: Sequence[Light | None] = [None] * rivals
+    if shaded:
+        lights = implied_lights(model_arrays(model), region_arrays(region), poses)
+    look = close_look(model, region, poses, lights)
     if look is None:
         return None
-    alike, pairs = look.alike, pair_colors(model, region, poses)
+    alike, pairs = look.alike, pair_colors(model, region, poses, lights)
     columns = [-found.behind[:rivals], alike.detail, alike.broad, pairs]
     return Contest(look.poses, np.stack(columns, axis=-1))
 
 
 def decided(model: ReferenceModel, region: Region, found: Ranked) -> tuple[Ranked, Contest | None]:
-    """Poses reordered by the close look at the best few, and the contest where there was one."""
-    held = contest(model, region, found)
+    """Poses reordered by the light on near-symmetric rotations and the close look at the best few, and the
+    contest where there was one."""
+    found, shaded = in_their_light(model, region, found)
+    held = contest(model, region, found, shaded)
     if held is None:
         return found, None
     rivals, weighed = len(held.poses), held.weighed()
@@ -161,8 +171,11 @@ def decided(model: ReferenceModel, region: Region, found: Ranked) -> tuple[Ranke
     return ranked.these(different_answers(model, ranked.poses)), held
 
 
-def pair_colors(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
-    """Colour-pair agreement (K,) at poses (K, 4, 4), 0 without pairs."""
+def pair_colors(
+    model: ReferenceModel, region: Region, poses: Float64, lights: Sequence[Light | None] | None = None
+) -> Float64:
+    """Colour-pair agreement (K,) at poses (K, 4, 4), in their lights (K) where they are given; 0 without
+    pairs."""
     picture = pair_picture(model, region.crop, region.median_depth_m)
-    terms = pair_score_many(model, region, picture, poses, CLOSE_PAIRS, CLOSE_PAIR_SAMPLES)
+    terms = pair_score_many(model, region, picture, poses, CLOSE_PAIRS, CLOSE_PAIR_SAMPLES, lights)
     return np.asarray(PAIR_WEIGHTS.color * terms[:, 2] + PAIR_WEIGHTS.contrast * terms[:, 3])

@@ -6,11 +6,14 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PosePrior
 from huepose.estimation.answer import CLEAR_MARGIN, looks_in_full
 from huepose.geometry import RgbdFrame, se3
+from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
+from huepose.select.distinct import Ranked
 from huepose.support.stages import listening
 from tests.boxes import box_of
 
@@ -46,6 +49,23 @@ def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
         assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.002
         assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(1.0)
         assert sought or answer.margin <= CLEAR_MARGIN
+
+
+def test_a_prior_that_a_rotation_beats_in_its_light_is_not_confirmed(
+    tea_box: ReferenceModel,
+    take_picture: TakePicture,
+    standing: np.ndarray,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def beaten(model: ReferenceModel, region: Region, found: Ranked) -> tuple[Ranked, bool]:
+        return Ranked(found.poses[::-1], found.totals[::-1], found.behind), True
+
+    monkeypatch.setattr("huepose.estimation.answer.in_their_light", beaten)
+    frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=NOT_IN_FULL)
+    query = ObjectQuery("tea_box", box_of(frame, tea_box, standing), prior=PosePrior(standing))
+    with listening() as clock:
+        Estimator({"tea_box": tea_box}).estimate(frame, [query])
+    assert "retrieval" in clock.totals()
 
 
 def test_a_confirmed_prior_of_an_object_without_near_symmetries_is_an_answer_without_rivals(

@@ -100,7 +100,7 @@ def test_a_pose_a_few_pixels_off_is_brought_home(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     near = se3.perturb(standing, np.array([0.003, -0.002, 0.002, 0.03, -0.02, 0.03]))
-    look = close_look(tea_box, region, near[None])
+    look = close_look(tea_box, region, near[None], [None])
     assert look is not None
     found = look.poses[0]
     assert np.linalg.norm(found[:3, 3] - standing[:3, 3]) < 0.0012
@@ -110,7 +110,7 @@ def test_a_pose_a_few_pixels_off_is_brought_home(
 def test_the_same_pixels_tell_the_right_way_round(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
-    look = close_look(tea_box, region, np.stack([standing @ UPSIDE_DOWN, standing]))
+    look = close_look(tea_box, region, np.stack([standing @ UPSIDE_DOWN, standing]), [None, None])
     assert look is not None
     assert look.alike.detail[1] > 0.8 > 0.4 > look.alike.detail[0]
     assert look.alike.broad[1] > look.alike.broad[0] + 0.1
@@ -122,4 +122,4 @@ def test_of_what_is_too_near_or_out_of_view_there_is_no_portrait(
     camera = region.crop.camera
     behind = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -2.0]), standing)
     assert draw_rendered_view(tea_box, behind, camera, 200) is None
-    assert close_look(tea_box, region, behind[None]) is None
+    assert close_look(tea_box, region, behind[None], [None]) is None

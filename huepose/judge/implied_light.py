@@ -1,0 +1,116 @@
+"""The light that a pose implies, and what it leaves of a texture's colours.
+
+Opponents are of logarithms of light plus a floor (`colorpair.opponents.DARKEST`), since what is darker is
+noise. So light is an offset only where a colour is bright: in the shade a red brick is nearly black, its
+opponents are small, and a pose whose texture has a dark part there agrees better than the right one. Shading
+by distant lights is linear in the normal; fitted to what is seen, it says how bright the texture is at each
+sample, and so what the floor leaves of its colour. Only the strength of the light is fitted: its own colour
+is an offset, and lightness is compared without shading anyhow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.colorpair.opponents import DARKEST, OPPONENTS, SCALE, opponents
+from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.camera import NEAREST_M
+from huepose.judge.color_correlation import SHADING_RIDGE
+from huepose.judge.kernel import GRAZING
+from huepose.judge.region import ModelArrays, RegionArrays, shown_range
+from huepose.judge.terms import score_arrays
+
+SAMPLES = 400
+"""Most surface samples to which the light is fitted, and by which colours are compared in it."""
+
+LEAST_SEEN = 30
+"""Fewer samples that are seen tell no light."""
+
+COARSER = 1
+"""Of the scales of colours, that at which the light is fitted: less noise."""
+
+_NO_LIGHT = 1e-5
+"""Added to products of linear values before their logarithm."""
+
+_OF_OPPONENTS = np.linalg.inv(OPPONENTS.astype(np.float64)).T.astype(np.float32) / np.float32(SCALE)
+
+
+@dataclass(frozen=True, eq=False)
+class Light:
+    """How strongly distant lamps shine on a surface. slopes (4,): of the logarithm over 1 and the normal in
+    object axes."""
+
+    slopes: Float64
+
+    def on(self, normals: Float) -> Float32:
+        """Factors (N,) of linear RGB where a surface has normals (N, 3), object axes."""
+        return np.asarray(np.exp(self.slopes[0] + normals @ self.slopes[1:]), np.float32)
+
+    def falls_on(self, colors: Float32, normals: Float) -> Float32:
+        """Opponents (..., N, 3) of a texture with normals (N, 3) as they look in this light, but for their
+        lightness, which stays."""
+        lit = opponents(_linear(colors) * self.on(normals)[:, None])
+        lit[..., 0] = colors[..., 0]
+        return lit
+
+
+def implied_lights(model: ModelArrays, region: RegionArrays, poses: Float64) -> list[Light | None]:
+    """The light in which the texture looks most as in the picture, at each of the poses T_cam_obj (K, 4, 4);
+    None where too few samples are seen."""
+    return [_implied_light(model, region, np.ascontiguousarray(T, np.float64)) for T in poses]
+
+
+def _implied_light(model: ModelArrays, region: RegionArrays, T: Float64) -> Light | None:
+    first, last = shown_range(T, model, SAMPLES)
+    shown = model.visible[first:last]
+    R, normals = T[:3, :3], model.normals[shown]
+    points = model.points[shown] @ R.T + T[:3, 3]
+    facing = -(normals @ R.T * points).sum(1) / np.linalg.norm(points, axis=1)
+    height, width = region.depth.shape
+    z = np.maximum(points[:, 2], NEAREST_M)
+    u = np.rint(points[:, 0] / z * region.fx + region.cx).astype(np.int64)
+    v = np.rint(points[:, 1] / z * region.fy + region.cy).astype(np.int64)
+    seen = np.flatnonzero((facing > GRAZING) & (u >= 0) & (v >= 0) & (u < width) & (v < height))
+    gap = np.abs(region.depth[v[seen], u[seen]] - points[seen, 2]) * facing[seen]
+    seen = seen[(gap < region.tolerance) & ~region.saturated[v[seen], u[seen]]]
+    if len(seen) < LEAST_SEEN:
+        return None
+    picture = _linear(region.colors[COARSER][v[seen], u[seen]])
+    texture = _linear(model.colors[COARSER][shown[seen]])
+    # What is bright in the texture says how bright the light is; what is dark in it is haze in the picture.
+    known, shown_of_it = (texture * texture).sum(1), (picture * texture).sum(1)
+    brighter = np.log((shown_of_it + _NO_LIGHT) / (known + _NO_LIGHT))
+    over_normals = np.column_stack([np.ones(len(seen)), normals[seen]])
+    weighted = over_normals * facing[seen, None]
+    ridge = SHADING_RIDGE * facing[seen].sum() * np.diag([0.0, 1.0, 1.0, 1.0])
+    return Light(np.linalg.solve(weighted.T @ over_normals + ridge, weighted.T @ brighter))
+
+
+def shading_gains(
+    model: ModelArrays, region: RegionArrays, poses: Float64, lights: Sequence[Light | None]
+) -> Float64:
+    """By how much more (K,) the colours of poses T_cam_obj (K, 4, 4) agree where the texture is seen in its
+    light, in units of the total; 0 without a light."""
+    poses = np.ascontiguousarray(poses, dtype=np.float64)
+    gains = -score_arrays(model, region, poses, SAMPLES)[:, 4]
+    for k, (T, light) in enumerate(zip(poses, lights, strict=True)):
+        lit = model if light is None else _relit(model, light, T)
+        gains[k] += score_arrays(lit, region, T[None], SAMPLES)[0, 4]
+    return gains
+
+
+def _relit(model: ModelArrays, light: Light, T_cam_obj: Float64) -> ModelArrays:
+    """A model with the colours that the first SAMPLES samples that a pose (4, 4) shows have in a light."""
+    first, last = shown_range(T_cam_obj, model, SAMPLES)
+    shown = model.visible[first:last]
+    colors = model.colors.copy()
+    colors[:, shown] = light.falls_on(colors[:, shown], model.normals[shown])
+    return model._replace(colors=colors)
+
+
+def _linear(colors: Float32) -> Float32:
+    """Linear RGB (..., 3) of opponents (..., 3)."""
+    return np.maximum(np.exp(colors @ _OF_OPPONENTS) - np.float32(DARKEST), np.float32(0.0))

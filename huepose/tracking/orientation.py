@@ -15,8 +15,11 @@ from huepose.believe.logistic import probability
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.judge.implied_light import implied_lights, shading_gains
+from huepose.judge.open_region import PreparedSurface
 from huepose.refine.photometric import COARSE, refine_all
 from huepose.select.distinct import RIGHT
+from huepose.select.shade import beyond_chance
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import NEW_VIEW, odds_of
 from huepose.tracking.hypothesis import Anchor, Hypothesis, same_pose
@@ -125,7 +128,7 @@ class Orientation:
             return 0.0
         turns = self._subject.other_turns[self.facing.doubted]
         rival = best_rival(self._subject, first, turns, frame, light)
-        margin = np.inf if rival is None else first.terms.total - rival.terms.total
+        margin = np.inf if rival is None else lead(self._subject.surface, first, rival, frame)
         self.facing = self.facing.told(margin, view)
         return COSTS if len(turns) else 0.0
 
@@ -234,6 +237,20 @@ def best_rival(
         if not same_pose(subject, found.T_cam_obj, first.T_cam_obj, RIGHT):
             return found
     return None
+
+
+def lead(surface: PreparedSurface, first: Hypothesis, rival: Hypothesis, frame: RgbdFrame) -> float:
+    """By how much the total of a pose exceeds that of a near-symmetric rotation, each in the light that it
+    implies."""
+    gains = np.zeros(2)
+    for k, pose in enumerate((first, rival)):
+        region = region_of(surface, frame, pose.T_cam_obj, None)
+        if region is not None:
+            at = pose.T_cam_obj[None]
+            lights = implied_lights(surface.arrays, region.arrays, at)
+            gains[k] = shading_gains(surface.arrays, region.arrays, at, lights)[0]
+    more = beyond_chance(gains[:1] - gains[1:])
+    return float(first.terms.total - rival.terms.total + more[0])
 
 
 def reached(turns: Float64, T_cam_obj: Float64, expected: Float64, radians: float) -> Bool:

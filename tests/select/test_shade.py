@@ -26,8 +26,7 @@ RIGHT = standing_pose(0.6, 0.0, 0.0)
 ABOUT_Z = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
 
-@pytest.fixture(scope="module")
-def brick() -> ReferenceModel:
+def brick_with_a_dark_side() -> ReferenceModel:
     """Red, each side with a yellow label; one that is hidden in the right pose is dark, and half a turn
     brings it where the shade is."""
     side = np.full((64, 64, 3), RED, np.uint8)
@@ -35,6 +34,11 @@ def brick() -> ReferenceModel:
     return onboarded(
         solids.box((0.06, 0.05, 0.09), {**dict.fromkeys(solids.SIDES, side), "+x": side // 3}), "brick"
     )
+
+
+@pytest.fixture(scope="module")
+def brick() -> ReferenceModel:
+    return brick_with_a_dark_side()
 
 
 @pytest.fixture(scope="module")

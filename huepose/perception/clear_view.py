@@ -18,7 +18,7 @@ from huepose.geometry.median import median
 from huepose.judge.region import Crop, Region, saturated
 from huepose.model.types import COLOR_SCALES_M
 from huepose.perception.embedded import depth_steps
-from huepose.perception.ground import large_planes, standing_clear
+from huepose.perception.planes import large_planes, standing_clear
 from huepose.perception.stretches import connected, written
 from huepose.propose.view_pictures import Pyramid
 from huepose.support.jit import jit

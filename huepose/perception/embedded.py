@@ -24,8 +24,8 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int, Int32, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.median import median
+from huepose.perception.planes import above_plane, find_support_plane
 from huepose.perception.stretches import connected, written
-from huepose.perception.support_plane import above_plane, find_support_plane
 from huepose.support.jit import jit
 
 COLOR_MIN_PIXELS = 60

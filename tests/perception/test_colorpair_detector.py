@@ -16,8 +16,8 @@ from huepose.perception import scouting
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig, Source
-from huepose.perception.ground import large_planes, standing_clear
 from huepose.perception.nearby import align_in_view
+from huepose.perception.planes import large_planes, standing_clear
 from huepose.perception.scouting import EFFORTS, Effort, likeliest_near_symmetries, propose
 from huepose.perception.window_table import narrowed, promising, window_table
 from huepose.perception.windows import WindowsBySize

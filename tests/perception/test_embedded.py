@@ -11,7 +11,7 @@ import pytest
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.perception.embedded import DepthSegmenter, color_cut, cut_pieces, depth_steps
-from huepose.perception.support_plane import NEAR_M, _near_plane, _outside, above_plane, find_support_plane
+from huepose.perception.planes import NEAR_M, _near_plane, _outside, above_plane, find_support_plane
 from huepose.rendering.render import render_depth
 
 TakePicture = Callable[..., RgbdFrame]

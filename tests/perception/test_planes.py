@@ -6,8 +6,7 @@ import numpy as np
 
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32
-from huepose.perception.ground import standing_clear
-from huepose.perception.support_plane import Plane
+from huepose.perception.planes import Plane, standing_clear
 
 CAMERA = Camera(200.0, 200.0, 99.5, 74.5, 200, 150)
 TABLE = Plane(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]))

@@ -1,0 +1,287 @@
+"""Planes in a picture's depth, by RANSAC (Fischler and Bolles, 1981): the one that an object stands on, in a
+ring round its box; and those larger than any object, such as tables, floors and walls. No object is there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from huepose.geometry.arrays import Bool, Float32, Float64, Int8, Int64, UInt8
+from huepose.geometry.box import Box
+from huepose.geometry.camera import Camera
+from huepose.perception.stretches import connected
+from huepose.support.jit import jit, jit_dividing
+
+RING_GROWTH, RING_PIXELS = 0.6, 15.0
+"""The ring reaches 60 % of the box's size and 15 pixels beyond it."""
+
+POINTS = 1500
+"""Most readings that are looked at."""
+
+RING_TRIALS, LARGE_TRIALS = 150, 120
+"""Triples of readings that RANSAC draws, in the ring and in the whole picture."""
+
+NEAR_M = 0.008
+"""Points within this of a plane are its."""
+
+MIN_RING_SHARE, MIN_SHARE = 0.25, 0.06
+"""A plane that holds less of the ring is no support; one that holds less of the picture is not looked for."""
+
+MOST = 3
+"""Most large planes of a picture."""
+
+REFITS = 3
+"""Least-squares fits of a plane, each to the points near the one before."""
+
+BAND_M, BAND_PER_M = 0.004, 0.004
+BEYOND = 2.0
+"""Depth this near to a plane, and so much more per square metre of depth squared, lies on it; what is more
+than so many times as far off stands in front of it."""
+
+BESIDE_PX, BOUNDED = 3, 0.25
+"""A small piece of a plane is the plane's where, of what is so far beside it, so much more stands in front of
+it or is the plane again than lies behind it. The floor, continued, also cuts through what stands on a table,
+and a table through the bottom of a bowl; there the surface goes on beside it, or crosses it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """normal (3,): unit, towards the camera; point (3,): on the plane. Camera axes, metres."""
+
+    normal: Float64
+    point: Float64
+
+    def height(self, points_cam: Float64) -> Float64:
+        """Signed distance (...,) of points (..., 3) above the plane, towards the camera."""
+        return np.asarray((points_cam - self.point) @ self.normal)
+
+
+def find_support_plane(depth: Float32, camera: Camera, box: Box) -> Plane | None:
+    """The largest plane in the depth (H, W) round a box by RANSAC and three refits; None when no plane holds
+    a quarter of it. The same picture always gives the same plane."""
+    window = box.grown(RING_GROWTH, RING_PIXELS)
+    rows, columns = window.slices(camera.width, camera.height)
+    ring = np.ascontiguousarray(depth[rows, columns][::2, ::2])
+    wide = ring.shape[1]
+    left, right = float(box.x - columns.start), float(box.x1 - columns.start)
+    top, bottom = float(box.y - rows.start), float(box.y1 - rows.start)
+    keep = _outside(ring, left, top, right, bottom)
+    if len(keep) < 50:
+        return None
+    rng = np.random.default_rng(0)
+    keep = rng.permutation(keep)[:POINTS]
+    down, across = np.divmod(keep, wide)
+    pixels = np.stack([columns.start + 2 * across, rows.start + 2 * down], -1)
+    points = camera.backproject(pixels, ring[down, across])
+    best = _best_plane(points, rng.integers(0, len(points), (RING_TRIALS, 3)))
+    if best[0] < MIN_RING_SHARE * len(points):
+        return None
+    normal, point = best[1:4], best[4:7]
+    for _ in range(REFITS):
+        near, point, spread = _near_plane(points, normal, point)
+        if near < 3:
+            return None
+        normal = np.linalg.eigh(spread)[1][:, 0]
+    return Plane(normal * -np.sign(normal @ point), point)
+
+
+@jit
+def _outside(ring: Float32, left: float, top: float, right: float, bottom: float) -> Int64:
+    """Places (N,), row by row, of the readings of every second pixel (h, w) of a window that do not lie in a
+    box, which is given in all of its pixels."""
+    out = np.empty(ring.size, np.int64)
+    count = 0
+    for v in range(ring.shape[0]):
+        beside = not (top < 2 * v < bottom)
+        for u in range(ring.shape[1]):
+            if ring[v, u] > 0.0 and (beside or not (left < 2 * u < right)):
+                out[count] = v * ring.shape[1] + u
+                count += 1
+    return out[:count]
+
+
+@jit
+def _near_plane(points: Float64, normal: Float64, point: Float64) -> tuple[int, Float64, Float64]:
+    """How many points (N, 3) lie within NEAR_M of a plane, their mean (3,) and their spread about it (3, 3),
+    not divided."""
+    count, mean, spread = 0, np.zeros(3), np.zeros((3, 3))
+    rows = np.empty((points.shape[0], 3))
+    for k in range(points.shape[0]):
+        height = 0.0
+        for r in range(3):
+            height += (points[k, r] - point[r]) * normal[r]
+        if abs(height) < NEAR_M:
+            for r in range(3):
+                rows[count, r] = points[k, r]
+                mean[r] += points[k, r]
+            count += 1
+    for r in range(3):
+        mean[r] /= max(count, 1)
+    for k in range(count):
+        d0, d1, d2 = rows[k, 0] - mean[0], rows[k, 1] - mean[1], rows[k, 2] - mean[2]
+        spread[0, 0] += d0 * d0
+        spread[1, 1] += d1 * d1
+        spread[2, 2] += d2 * d2
+        spread[1, 0] += d1 * d0
+        spread[2, 0] += d2 * d0
+        spread[2, 1] += d2 * d1
+    return count, mean, spread
+
+
+def above_plane(depth: Float32, camera: Camera, plane: Plane | None) -> Bool:
+    """Pixels (H, W) with depth that stand clear of the plane (all with depth, without one)."""
+    valid = depth > 0
+    if plane is None:
+        return valid
+    # Height of a pixel: z (ray . n) - point . n, with the ray linear in the pixel.
+    n = plane.normal
+    u = (np.arange(depth.shape[1], dtype=np.float32) - np.float32(camera.cx)) * np.float32(n[0] / camera.fx)
+    v = (np.arange(depth.shape[0], dtype=np.float32) - np.float32(camera.cy)) * np.float32(n[1] / camera.fy)
+    slope = u[None, :] + v[:, None] + np.float32(n[2])
+    height = depth * slope - np.float32(plane.point @ n)
+    return np.asarray(valid & (height > 0.004 + 0.003 * depth * depth))
+
+
+def large_planes(depth: Float32, camera: Camera, larger_than_m2: float) -> list[Plane]:
+    """Planes of a picture's depth (H, W) of which more than `larger_than_m2` is seen, the largest first.
+
+    By RANSAC on a sparse lattice, one plane after the other; the same picture always gives the same planes.
+    """
+    step = max(2, round(np.sqrt(depth.size / (3 * POINTS))))
+    v, u = (g.ravel() for g in np.mgrid[step // 2 : depth.shape[0] : step, step // 2 : depth.shape[1] : step])
+    z = depth[v, u]
+    known = z > 0
+    points = camera.backproject(np.stack([u[known], v[known]], -1), z[known])
+    rng = np.random.default_rng(0)
+    points = points[rng.permutation(len(points))[:POINTS]]
+    total = len(points)
+    each = step * step * known.sum() / max(total, 1) / (camera.fx * camera.fy)
+    planes: list[Plane] = []
+    while len(planes) < MOST and len(points) > MIN_SHARE * total + 3:
+        best = _best_plane(points, rng.integers(0, len(points), (LARGE_TRIALS, 3)))
+        if best[0] < MIN_SHARE * total:
+            break
+        plane, near = _refitted(points, Plane(best[1:4], best[4:7]))
+        if each * _area(points[near], plane) > larger_than_m2:
+            planes.append(plane)
+        points = points[~near]
+    return planes
+
+
+def standing_clear(depth: Float32, camera: Camera, planes: Sequence[Plane], larger_than_m2: float) -> Bool:
+    """Pixels (H, W) with depth that lie on none of the planes. Of a plane those pieces count that are larger
+    than `larger_than_m2`, and what of it is seen between things that stand on it."""
+    clear = depth > 0
+    on, front = np.empty(depth.shape, np.uint8), np.empty(depth.shape, np.int8)
+    for plane in planes:
+        n, offset = plane.normal, float(plane.point @ plane.normal)
+        rows = np.array([n[0] / camera.fx, n[1] / camera.fy, n[2]])
+        rows[2] -= rows[0] * camera.cx + rows[1] * camera.cy
+        _sorted(depth, clear, rows, offset, on, front)
+        # A pixel sees z^3 / (fx fy |offset|) of a plane.
+        _take_away(on, depth, front, larger_than_m2 * camera.fx * camera.fy * abs(offset), clear)
+    return np.asarray(clear)
+
+
+@jit_dividing
+def _sorted(depth: Float32, clear: Bool, rows: Float64, offset: float, on: UInt8, front: Int8) -> None:
+    """Fill `on` (H, W) with 1 where what is clear lies on a plane, else 0; `front` (H, W) with 1 on it, in
+    front of it and where planes before took what is there, -1 behind it, 0 between. rows (3,): the product of
+    a pixel's ray with the normal is rows @ (u, v, 1)."""
+    right = np.float32(rows[0])
+    for v in range(depth.shape[0]):
+        first = np.float32(rows[1] * v + rows[2])
+        for u in range(depth.shape[1]):
+            z = depth[v, u]
+            # The normal points to the camera: what is in front of the plane has more height.
+            height = z * (right * np.float32(u) + first) - np.float32(offset)
+            band = np.float32(BAND_M) + np.float32(BAND_PER_M) * z * z
+            on[v, u] = clear[v, u] and abs(height) <= band
+            if on[v, u] or not clear[v, u]:
+                front[v, u] = 1
+            else:
+                beyond = np.float32(BEYOND) * band
+                front[v, u] = np.int8(height > beyond) - np.int8(height < -beyond)
+
+
+@jit
+def _take_away(on: UInt8, depth: Float32, front: Int8, larger_than: float, clear: Bool) -> None:
+    """Clear away the connected pieces of a plane (`on`) that are large (their sums of depth cubed), or that
+    what has depth beside them bounds, by the mean of `front` there."""
+    height, width = on.shape
+    stretches, count = connected(on)
+    size, seen, bounded = np.zeros((3, count))
+    pieces = np.full(on.shape, -1, np.int32)
+    for v, first, last, piece in stretches:
+        pieces[v, first:last] = piece
+        for u in range(first, last):
+            size[piece] += depth[v, u] ** 3
+    for v, first, last, piece in stretches:
+        if size[piece] >= larger_than:
+            continue
+        for u in range(first, last):
+            for q in range(4):
+                b, a = v + BESIDE_PX * ((q == 0) - (q == 1)), u + BESIDE_PX * ((q == 2) - (q == 3))
+                if 0 <= b < height and 0 <= a < width and pieces[b, a] != piece and depth[b, a] > 0.0:
+                    seen[piece] += 1.0
+                    bounded[piece] += front[b, a]
+    for v, first, last, piece in stretches:
+        if size[piece] >= larger_than or bounded[piece] >= BOUNDED * seen[piece]:
+            clear[v, first:last] = False
+
+
+def _refitted(points: Float64, plane: Plane) -> tuple[Plane, Bool]:
+    """The plane fitted to the points near it, and which points (N,) these are."""
+    near = _near(points, plane)
+    for _ in range(REFITS):
+        if near.sum() < 3:
+            break
+        middle = points[near].mean(0)
+        normal = np.linalg.svd(points[near] - middle, full_matrices=False)[2][2]
+        plane = Plane(normal * -np.sign(normal @ middle), middle)
+        near = _near(points, plane)
+    return plane, near
+
+
+def _near(points: Float64, plane: Plane) -> Bool:
+    return np.asarray(np.abs(plane.height(points)) < NEAR_M * np.maximum(points[:, 2], 0.5) ** 2 * 1.5)
+
+
+def _area(points: Float64, plane: Plane) -> float:
+    """Area of a plane seen in pixels of unit focal length at points (N, 3)."""
+    slant = np.abs(points @ plane.normal) / np.linalg.norm(points, axis=1)
+    return float((points[:, 2] ** 2 / np.maximum(slant, 0.1)).sum())
+
+
+@jit
+def _best_plane(points: Float64, triples: np.ndarray) -> Float64:
+    """Count, normal, point of the plane through one of the triples that has most points near it; what is near
+    grows with the square of depth, as the noise of stereo does."""
+    best = np.zeros(7)
+    n = np.empty(3)
+    # Coordinate by coordinate, so that the compiler works on several points at once.
+    x, y, z, near = np.empty((4, points.shape[0]))
+    for k in range(points.shape[0]):
+        x[k], y[k], z[k] = points[k, 0], points[k, 1], points[k, 2]
+        deep = max(z[k], 0.5)
+        near[k] = 0.006 * deep * deep
+    for i in range(triples.shape[0]):
+        a, b, c = points[triples[i, 0]], points[triples[i, 1]], points[triples[i, 2]]
+        x0, x1, x2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        y0, y1, y2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        n[0], n[1], n[2] = x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0
+        length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+        if length < 1e-9:
+            continue
+        n0, n1, n2, a0, a1, a2 = n[0] / length, n[1] / length, n[2] / length, a[0], a[1], a[2]
+        count = 0
+        for k in range(points.shape[0]):
+            height = (x[k] - a0) * n0 + (y[k] - a1) * n1 + (z[k] - a2) * n2
+            count += 1 if abs(height) < near[k] else 0
+        if count > best[0]:
+            best[0] = count
+            for r in range(3):
+                best[1 + r], best[4 + r] = n[r] / length, a[r]
+    return best

@@ -5,20 +5,31 @@ A coloured light multiplies linear red, green and blue by three numbers (von Kri
 their logarithms; shading multiplies all three by one, which changes the lightness alone. So correlations of
 the last two channels see neither light nor shading, and what shading does to the first can be taken out by
 the surface's normals.
+
+A veil of light (flare, a dirty lens, mist) is no such factor: it adds the same light to all of a picture, and
+in logarithms takes the contrast from what is dark, so that a thing and the shadow beside it have one colour
+and seem to be one surface. Nothing is darker than the veil, and there is hardly a picture in which nothing is
+dark (dark-object subtraction: Chavez, 1988; He et al., CVPR 2009). So it is measured, and taken off first.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float32, UInt8
+from huepose.geometry.frame import RgbdFrame
 
 DARKEST = 0.015
 """Added to linear values (0..1) before the logarithm: darker than this is noise."""
 
 SCALE = 25.0
 """Units a natural logarithm, so that numbers are about as large as those of CIELAB."""
+
+VEILED = 0.001
+"""Share of a picture that is at most as light as its veil: more than noise, and no more than a dark thing."""
 
 LINEAR = np.where(
     np.arange(256) <= 0.04045 * 255,
@@ -75,3 +86,29 @@ def opponents_of_lab(lab: Float) -> Float32:
     flat = np.ascontiguousarray(lab, dtype=np.float32).reshape(1, -1, 3)
     linear = np.asarray(cv2.cvtColor(flat, cv2.COLOR_Lab2LRGB), dtype=np.float32)
     return opponents(np.clip(linear, 0.0, 1.0, out=linear)).reshape(lab.shape)
+
+
+def unveiled(frame: RgbdFrame) -> RgbdFrame:
+    """The frame without the light that `veil` measures; itself where that is no more than colours take for
+    noise (`DARKEST`)."""
+    light = veil(frame.color)
+    if light <= DARKEST:
+        return frame
+    linear = np.maximum(LINEAR - np.float32(light), 0.0) / np.float32(1.0 - light)
+    table = np.searchsorted(0.5 * (LINEAR[1:] + LINEAR[:-1]), linear).astype(np.uint8)
+    return replace(frame, color=np.asarray(cv2.LUT(frame.color, table), np.uint8))
+
+
+def veil(color: UInt8) -> float:
+    """The light, 0..1 linear, that is added to all of a picture (h, w, 3): the weakest channel of its darkest
+    pixels. A picture with a black border, as rectification leaves it, has none.
+
+    >>> picture = np.full((20, 30, 3), 150, np.uint8)
+    >>> picture[4:8, 4:8] = 80, 60, 90
+    >>> veil(picture) == float(LINEAR[60])
+    True
+    """
+    some = color[::2, ::2]
+    weakest = cv2.min(cv2.min(some[..., 0], some[..., 1]), some[..., 2])
+    count = np.bincount(weakest.ravel(), minlength=256)
+    return float(LINEAR[int(np.searchsorted(np.cumsum(count), VEILED * weakest.size))])

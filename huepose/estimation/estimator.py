@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from huepose.colorpair.opponents import unveiled
 from huepose.estimation.answer import answered, confirm, refine_prior
 from huepose.estimation.apparent_size import looks, support
 from huepose.estimation.config import EstimatorConfig
@@ -33,7 +34,6 @@ from huepose.judge.silhouette import projected_box, taken_by
 from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.embedded import DepthSegmenter
 from huepose.perception.types import Segmenter
-from huepose.perception.veil import unveiled
 from huepose.propose.templates import table_of
 from huepose.rendering.render import render
 from huepose.select.distinct import Ranked

@@ -18,6 +18,7 @@ import numpy as np
 
 from huepose.believe.logistic import probability
 from huepose.believe.presence import logits_of
+from huepose.colorpair.opponents import unveiled
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
@@ -31,7 +32,6 @@ from huepose.perception.memory import Memory, features_of, looking
 from huepose.perception.presence import sights_of
 from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
 from huepose.perception.types import Detection
-from huepose.perception.veil import unveiled
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.perception.windows import WindowsBySize
 from huepose.propose.features import Features, FeatureSource, Sift

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.colorpair.opponents import LINEAR
+from huepose.colorpair.opponents import LINEAR, unveiled, veil
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.geometry.frame import RgbdFrame
 from huepose.perception.colorpair_detector import ColorPairDetector
-from huepose.perception.veil import unveiled, veil
 
 LIGHT = 0.12
 

@@ -15,11 +15,10 @@ import numpy as np
 
 from huepose.colorpair.opponents import DARKEST, LINEAR, SCALE, opponents_of_lab
 from huepose.geometry import icosphere
-from huepose.geometry.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
+from huepose.geometry.arrays import Bool, Float32, Float64, Int32, Int64, UInt8, median
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.median import median
 from huepose.model.types import COLOR_SCALES_M, ReferenceModel
 from huepose.support.jit import jit, jit_dividing
 from huepose.support.kept import once_for_each

@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 
 from huepose.colorpair.opponents import opponents_of_bytes
-from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32, Int64, UInt8
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int32, Int64, UInt8, median
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.median import median
 from huepose.judge.region import Crop, Region, saturated
 from huepose.model.types import COLOR_SCALES_M
 from huepose.perception.embedded import depth_steps

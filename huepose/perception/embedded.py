@@ -20,10 +20,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64, Int, Int32, UInt8
+from huepose.geometry.arrays import Bool, Float32, Float64, Int, Int32, UInt8, median
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.median import median
 from huepose.perception.planes import above_plane, find_support_plane
 from huepose.perception.stretches import connected, written
 from huepose.support.jit import jit

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.arrays import Bool, Float64, median
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.median import median
 from huepose.judge.region import Region, prepare_believed, prepare_crop, sampled_points
 
 FITTING_IOU = 0.75

@@ -13,9 +13,8 @@ import cv2
 import numpy as np
 
 from huepose.geometry import icosphere, se3
-from huepose.geometry.arrays import Float32, Float64, UInt8, UInt64
+from huepose.geometry.arrays import Float32, Float64, UInt8, UInt64, median
 from huepose.geometry.camera import Camera
-from huepose.geometry.median import median
 from huepose.geometry.mesh import Mesh
 from huepose.propose.templates import DISTANCE_DIAMETERS, DISTANCE_M, SPAN
 from huepose.rendering.render import render

@@ -19,9 +19,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, median
 from huepose.geometry.camera import Camera
-from huepose.geometry.median import median
 from huepose.judge.region import Crop
 from huepose.judge.terms import DEFAULT_WEIGHTS
 from huepose.propose.quick_look import known_cells, masked_cells, nearest, quick_look, sampled

@@ -22,10 +22,9 @@ import numpy as np
 
 from huepose.colorpair.extract import extract
 from huepose.geometry import se3
-from huepose.geometry.arrays import Bool, Float, Float32, Float64
+from huepose.geometry.arrays import Bool, Float, Float32, Float64, median
 from huepose.geometry.camera import FLOOR_M, POINTS_PER_READING, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.median import median
 from huepose.geometry.se3 import carrying
 from huepose.judge.region import Region
 from huepose.judge.silhouette import visible_mask

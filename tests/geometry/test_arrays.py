@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from huepose.geometry.median import median
+from huepose.geometry.arrays import median
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 10, 1001, 4000])

@@ -164,7 +164,7 @@ class PoseClient(Client):
             with self._changed:
                 last = max(self._arrived.values(), default=None)
             if last is None:
-                return "connected, but no object is seen: `huepose status` says why"
+                return f"connected, but {self._why_none_is_seen()}: `huepose status` says why"
             return f"connected: the last pose came {time.monotonic() - last:.1f} s ago"
         authority, certificate, key = self._files
         try:
@@ -176,6 +176,16 @@ class PoseClient(Client):
         except OSError as error:
             return f"authority, certificate and key cannot be used: {getattr(error, 'reason', None) or error}"
         return why_unreached(self._endpoints, context, shown)
+
+    def _why_none_is_seen(self) -> str:
+        names = self.looked_for()
+        if names is None:
+            return "no tracker answers, or it is only starting"
+        return (
+            f"of what is looked for ({', '.join(names)}) nothing is seen"
+            if names
+            else "nothing is looked for"
+        )
 
     def next(self, timeout_s: float | None = None) -> PoseMessage | None:
         """The next pose that was not returned yet; None after the timeout, or when the client is closed."""

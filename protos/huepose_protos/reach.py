@@ -78,7 +78,7 @@ def _why_none_runs(socket_of: Path) -> str:
     port = int(socket_of.name) if socket_of.name.isdigit() else 0
     for base_port in (port, port - 1):  # where poses are read: at the camera, and at the tracker
         if (note := note_of(base_port, socket_of.parent)) is not None:
-            return f"{note} is being started; its log says how far it is"
+            return f"{note} is being started or stopped; its log says how far it is"
     return f"none runs at {socket_of}; `huepose up` starts one"
 
 

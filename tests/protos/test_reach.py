@@ -78,7 +78,7 @@ def test_a_pipeline_that_is_being_started_is_told_from_none(tmp_path):
         (tmp_path / f"{2**22 + 1}-17447.json").write_text(json.dumps(note))  # of a process that is gone
         assert client.why_silent() == none
         (tmp_path / f"{os.getpid()}-17447.json").write_text(json.dumps(note))
-        started = "waiting for a pipeline: lab/left, from /etc/lab.yaml, is being started"
+        started = "waiting for a pipeline: lab/left, from /etc/lab.yaml, is being started or stopped"
         assert client.why_silent() == f"{started}; its log says how far it is"
 
 

@@ -116,7 +116,7 @@ def test_a_pipeline_that_is_being_prepared_is_said_to_come(tmp_path, monkeypatch
 
     monkeypatch.setattr("huepose_services.runtime.prepare.prepare", prepare)
     assert main(["up", str(path)]) == 2
-    assert f"lab/cam0 is being started, from {path}" in capsys.readouterr().err
+    assert f"lab/cam0 is being started or stopped, from {path}" in capsys.readouterr().err
     assert running() == []
     assert main(["status", "--config", str(path)]) == 1
     assert "no pipeline runs at port 18100" in capsys.readouterr().err

@@ -66,7 +66,7 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
         if self.played:
             return f"{self.name} is a recording that is played, {self.file}: there is nothing to steer"
         if self.noted:
-            return f"{self.name} is being started, from {self.file}; its log says how far it is"
+            return f"{self.name} is being started or stopped, from {self.file}; its log says how far it is"
         return f"no pipeline runs at port {self.base_port}; `huepose up` starts one"
 
     @property

@@ -141,6 +141,18 @@ def test_a_client_that_was_just_made_does_not_say_that_nothing_comes(start):
             assert client.why_silent().startswith("connected: the last pose came 0.0 s ago")
 
 
+def test_a_tracker_that_starts_is_told_from_objects_that_are_not_in_view(start, wait_until):
+    one = start()
+    with PoseClient(f"localhost:{one.port}") as client:
+        wait_until(lambda: client.connected)
+        assert "no tracker answers, or it is only starting" in client.why_silent()
+        names = [entry.object for entry in EXAMPLES[ObjectsMessage].objects]
+        one.tracker.put(one.tracker.keys.objects, EXAMPLES[ObjectsMessage])
+        wait_until(lambda: client.looked_for() == sorted(names))
+        said = f"connected, but of what is looked for ({', '.join(sorted(names))}) nothing is seen: "
+        assert client.why_silent() == said + "`huepose status` says why"
+
+
 def test_nobody_at_an_address_of_ipv6_is_said(base_port):
     with PoseClient(f"[::1]:{base_port}") as client:
         assert client.why_silent().endswith(f"tcp/[::1]:{base_port}: no program listens there")

@@ -36,7 +36,8 @@ LINEAR = np.where(
     np.arange(256) / 255 / 12.92,
     ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4,
 ).astype(np.float32)
-_BYTES = np.searchsorted((LINEAR[1:] + LINEAR[:-1]) / 2.0, np.linspace(0.0, 1.0, 1024) ** 2).astype(np.uint8)
+_BETWEEN = (LINEAR[1:] + LINEAR[:-1]) / 2.0
+_BYTES = np.searchsorted(_BETWEEN, np.linspace(0.0, 1.0, 1024) ** 2).astype(np.uint8)
 LOGARITHMS = (np.log(LINEAR + np.float32(DARKEST)) * np.float32(SCALE)).astype(np.float32)
 OPPONENTS = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0.5, 0.5, -1]], np.float32)
 """Lightness, red-green, yellow-blue of three logarithms."""
@@ -95,7 +96,7 @@ def unveiled(frame: RgbdFrame) -> RgbdFrame:
     if light <= DARKEST:
         return frame
     linear = np.maximum(LINEAR - np.float32(light), 0.0) / np.float32(1.0 - light)
-    table = np.searchsorted(0.5 * (LINEAR[1:] + LINEAR[:-1]), linear).astype(np.uint8)
+    table = np.searchsorted(_BETWEEN, linear).astype(np.uint8)
     return replace(frame, color=np.asarray(cv2.LUT(frame.color, table), np.uint8))
 
 

@@ -23,7 +23,7 @@ CHANCE = 0.03
 less. Chosen by the likelihood of the right pose on drawn heaps and piles, `fit` and `choose`."""
 
 ABOUT = np.radians(15.0)
-"""A pose that is rotated from another by a near symmetry and at most so much more is that rotation of it."""
+"""Refinement rotates a pose by less than this: within it, two poses have the same orientation."""
 
 
 def in_their_light(model: ReferenceModel, region: Region, found: Ranked) -> tuple[Ranked, bool]:

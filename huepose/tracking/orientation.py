@@ -19,7 +19,7 @@ from huepose.judge.implied_light import implied_lights, shading_gains
 from huepose.judge.open_region import PreparedSurface
 from huepose.refine.photometric import COARSE, refine_all
 from huepose.select.distinct import RIGHT
-from huepose.select.shade import beyond_chance
+from huepose.select.shade import ABOUT, beyond_chance
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import NEW_VIEW, odds_of
 from huepose.tracking.hypothesis import Anchor, Hypothesis, same_pose
@@ -150,9 +150,6 @@ household and YCB objects; docs/tracking.md)."""
 
 SAME_VIEW = np.radians(8.0)
 """A viewpoint that differs by less than this gives the evidence that is known."""
-
-ABOUT = np.radians(15.0)
-"""Refinement rotates a pose by less than this: within it, two poses have the same orientation."""
 
 COARSELY, TRIES = 8, 3
 """Of the rotated poses the COARSELY best are refined coarsely; of those that do not return to the pose itself

@@ -181,11 +181,9 @@ class PoseClient(Client):
         names = self.looked_for()
         if names is None:
             return "no tracker answers, or it is only starting"
-        return (
-            f"of what is looked for ({', '.join(names)}) nothing is seen"
-            if names
-            else "nothing is looked for"
-        )
+        if not names:
+            return "nothing is looked for"
+        return f"of what is looked for ({', '.join(names)}) nothing is seen"
 
     def next(self, timeout_s: float | None = None) -> PoseMessage | None:
         """The next pose that was not returned yet; None after the timeout, or when the client is closed."""

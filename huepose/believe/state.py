@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class State(str, Enum):
-    """A member is its name's text: it compares with it, prints as it, and is it in JSON.
+    """Only TRACKING may be acted on. A member is the text of its name, also in comparisons, print and JSON.
 
     >>> State.TRACKING == "TRACKING", f"{State.LOST}"
     (True, 'LOST')

@@ -54,16 +54,18 @@ class ObjectQuery:
 class PoseEstimate:
     """The answer for one query. The defaults are those of an object of which no pose was found.
 
-    found is False when nothing was there to estimate; then T_cam_obj, covariance and mask are None. score:
-    the dense score of the pose, comparable between poses on the same pixels; prior_score: that of the
-    refined prior, None without one; prior_T_cam_obj: the refined prior. margin: score above the best clearly
-    different pose. quality: calibrated probability that the pose is right (of the method `paper`: its fitness
-    in 0..1, which is no probability). state: as of a track; TRACKING over the acquisition level, else
-    SUSPECT; LOST when not found. alternatives: other poses and their probabilities. terms: what the quality
-    was made of. reason: where not found, why, in one sentence (where none is found, what is wrong with the
-    frame comes first); where found, why it is not to be acted on, where that is known; else empty. present:
-    probability that the object is there at all, whatever its pose; None where nobody asked
-    (`ObjectQuery.searched`).
+    found is False when nothing was there to estimate; then T_cam_obj, covariance and mask are None.
+    T_cam_obj (4, 4) float64: object to camera, metres; covariance (6, 6): order tx ty tz rx ry rz, metres and
+    radians, about the object's origin, camera axes; mask (H, W) bool: pixels of the object; box: of the pose,
+    pixels. score: the dense score of the pose, comparable between poses on the same pixels; prior_score: that
+    of the refined prior, None without one; prior_T_cam_obj (4, 4): the refined prior. margin: score above the
+    best clearly different pose. quality: calibrated probability that the pose is right (method `paper`: its
+    fitness in 0..1, which is no probability). state: as of a track; TRACKING over the acquisition level,
+    else SUSPECT; LOST when not found. alternatives: other poses (4, 4) and their probabilities. seconds: wall
+    time of this answer. terms: what the quality was made of. reason: where not found, why, in one sentence
+    (where none is found, what is wrong with the frame comes first); where found, why it is not to be acted
+    on, if that is known; else empty. present: probability that the object is there at all, whatever its pose;
+    None unless asked for (`ObjectQuery.searched`).
     """
 
     object: str

@@ -13,7 +13,7 @@ from huepose.support.errors import InputError
 
 
 class Box(NamedTuple):
-    """A box covers [x, x + w) by [y, y + h)."""
+    """A box in pixels: left x, top y, width w, height h; it covers [x, x + w) by [y, y + h)."""
 
     x: float
     y: float

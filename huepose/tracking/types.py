@@ -67,8 +67,10 @@ class TrackedPose:
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """A verdict on one instance at one (past) frame. `seq` counts per instance; mask (H, W) at that frame;
-    reason: of the estimate behind it. Raises InputError where T_cam_obj is no rigid transform (4, 4)."""
+    """A verdict on one instance at one (past) frame, named by epoch, frame_id and capture time stamp_ns
+    (CLOCK_MONOTONIC). T_cam_obj (4, 4): object to camera, metres; quality in 0..1; `seq` counts per instance;
+    mask (H, W) bool at that frame; reason: of the estimate behind it. Raises InputError where T_cam_obj is no
+    rigid transform (4, 4)."""
 
     object: str
     instance: int
@@ -98,7 +100,8 @@ class Correction:
 
     @staticmethod
     def first(name: str, T_cam_obj: Float64, frame: RgbdFrame, quality: float = 1.0) -> Correction:
-        """What starts the first instance of an object at a frame, for those who run a tracker themselves."""
+        """What starts the first instance of an object, with T_cam_obj (4, 4) in metres at a frame, for those
+        who run a tracker themselves. Raises InputError where T_cam_obj is no rigid transform."""
         return Correction(
             name, 0, frame.epoch, frame.frame_id, frame.stamp_ns, T_cam_obj, quality, Verdict.ACQUIRE, 1
         )

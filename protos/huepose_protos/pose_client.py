@@ -48,6 +48,7 @@ class PoseClient(Client):
     it is closed at the program's end.
     camera: the only one whose poses are read, else all, each for itself: `pose.frame` says which camera's a
     pose is. object: the only one that is of interest, else all. Can be used from several threads.
+    Raises ValueError for endpoints or files that cannot be used, FileNotFoundError for a missing file.
 
     `missed`: poses that were dropped because the iterator was not read for too long (`latest` and `at` always
     know the newest)."""

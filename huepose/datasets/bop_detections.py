@@ -54,9 +54,10 @@ class BopDetections:
 
 def read_detections(path: Path | str) -> BopDetections:
     """Read a file. Raises InputError, naming the entry."""
+    content = files.read_bytes(Path(path))
     try:
-        entries = json.loads(files.read_bytes(Path(path)))
-    except ValueError as error:
+        entries = json.loads(content)
+    except (ValueError, RecursionError) as error:
         raise InputError(path, found=f"no valid JSON ({str(error)[:80]})") from None
     if not isinstance(entries, list):
         raise InputError(path, found=f"a JSON {type(entries).__name__}", expected="a list of detections")

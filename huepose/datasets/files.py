@@ -34,7 +34,7 @@ def read_bytes(path: Path, fix: str = "") -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError:
-        raise InputError(path, found="no such file", fix=fix) from None
+        raise InputError(path, found="no such file", fix=fix or "Check the path.") from None
     except OSError as error:
         raise InputError(path, found=error.strerror or str(error), expected="a readable file") from None
 

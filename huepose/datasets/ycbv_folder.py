@@ -99,8 +99,9 @@ def open_ycbv(path: Path | str) -> YcbvFolder:
 
 def read_targets(path: Path) -> Targets:
     """`test_targets_bop19.json`: a list of scene_id, im_id, obj_id, inst_count. Raises InputError."""
+    content = files.read_bytes(path)
     try:
-        entries = json.loads(files.read_bytes(path))
+        entries = json.loads(content)
         targets: dict[tuple[int, int], dict[int, int]] = {}
         for entry in entries:
             key = int(entry["scene_id"]), int(entry["im_id"])

@@ -8,7 +8,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, UInt8
 from huepose.geometry.camera import Camera
-from huepose.support.errors import InputError
+from huepose.support.errors import InputError, require
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +17,7 @@ class RgbdFrame:
 
     color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 where there is no reading;
     frame_id counts within a camera epoch; stamp_ns is the capture time, monotonic clock.
-    Raises InputError when sizes differ.
+    Raises InputError when sizes or types differ.
     """
 
     color: UInt8
@@ -28,6 +28,9 @@ class RgbdFrame:
     epoch: int = 0
 
     def __post_init__(self) -> None:
+        require(self.camera, Camera, "camera", "a Camera", "Make one: Camera(fx, fy, cx, cy, width, height).")
+        require(self.color, np.ndarray, "colour image", "a numpy array")
+        require(self.depth, np.ndarray, "depth image", "a numpy array", "Every picture needs its depth.")
         size = (self.camera.height, self.camera.width)
         if self.color.shape != (*size, 3) or self.color.dtype.name != "uint8":
             fix = "Check that the image and the camera file belong together."

@@ -40,3 +40,8 @@ def test_what_is_broken_is_named(tmp_path: Path, text: str, named: str) -> None:
     path.write_text(text)
     with pytest.raises(InputError, match=named):
         read_detections(path)
+
+
+def test_a_file_that_is_not_there_is_no_matter_of_json(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nowhere\.json: found no such file\. Check the path\.$"):
+        read_detections(tmp_path / "nowhere.json")

@@ -72,7 +72,7 @@ def test_so_many_instances_are_found_as_are_asked_for(
     for k, T in enumerate(truths):
         T[:3, 3] += [0.13 * (k - 1.5), 0.0, 0.03 * k]
     files = written(tmp_path, take_picture([(tea_box.mesh, T) for T in truths]), tea_box)
-    assert main([*files, "--instances", "6", "--json"]) == 0
+    assert main([*files, "--instances", "6", "--json", "-"]) == 0
     poses = json.loads(capsys.readouterr().out)["poses"]
     assert len(poses) == 4, "and none that is not there"
     x = sorted(pose["T_cam_obj"][0][3] for pose in poses)

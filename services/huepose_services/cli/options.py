@@ -20,17 +20,21 @@ if TYPE_CHECKING:
     from huepose_services.runtime.running import Pipeline
 
 
+def _file_or_output(name: str) -> Path | bool:
+    return True if name == "-" else Path(name)
+
+
 def add_json(parser: argparse.ArgumentParser, to_file: bool = False) -> None:
     """Add `--json`, the answer for programs; to_file: it may name a file, which is written beside the
     summary."""
     if to_file:
         parser.add_argument(
             "--json",
-            type=Path,
+            type=_file_or_output,
             nargs="?",
             const=True,
             metavar="FILE",
-            help="the answer as JSON: in a file, or without its name instead of the summary",
+            help="the answer as JSON: in a file, or without its name, or as -, instead of the summary",
         )
     else:
         parser.add_argument("--json", action="store_true", help="the answer as JSON instead of the summary")

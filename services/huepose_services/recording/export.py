@@ -16,7 +16,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.support.errors import InputError
-from huepose.support.files import whole, write_bytes, write_text
+from huepose.support.files import whole, write_bytes, write_text, writing
 from huepose.support.progress import progress
 from huepose.support.words import counted
 from huepose_protos import to_json
@@ -53,11 +53,13 @@ def export_bop(events: Iterable[Event], folder: Path) -> Exported:
     """Write them to a new or empty folder. Frames keep their numbers; those of a camera that was opened anew
     go on counting. Labels name their objects; those without a BOP number get free ones.
 
-    Interrupted it leaves no folder. Raises InputError for one that has something in it."""
+    Interrupted it leaves no folder. Raises InputError for one that has something in it, or
+    cannot be made."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(folder, found="something there", expected="a new or empty folder")
-    for name in ("rgb", "depth"):
-        (folder / name).mkdir(parents=True)
+    with writing(folder):
+        for name in ("rgb", "depth"):
+            (folder / name).mkdir(parents=True)
     try:
         return _exported(events, folder)
     except KeyboardInterrupt:

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -62,6 +63,8 @@ def test_it_is_exported_as_a_bop_scene(tmp_path):
     assert json.loads((folder / "poses.jsonl").read_text())["frame_id"] == 12
     with pytest.raises(InputError, match="a new or empty folder"):
         export_bop([], folder)
+    with pytest.raises(InputError, match=r"/proc/scene: found .*; expected a place that can be written"):
+        export_bop([], Path("/proc/scene"))
 
 
 def test_on_a_full_disk_an_export_names_its_file(tmp_path, capsys):

@@ -3,8 +3,9 @@
 Whether a *pose* is right asks for texture that tells it from its turns; a plain mug has none, and is there
 all the same. What speaks for an object being there is a shape that explains the depth, without a surface that
 goes on where the object ends, and a picture that looks like the object in this pose. All of it says the less
-the fewer pixels it is read from: in a speck of ten anything fits. A network compares picture and model pixel
-by pixel. A rough pose is off by more than a refined one, so it has a network and weights of its own.
+the fewer pixels it is read from: in a speck of ten anything fits. A refined pose is asked one thing more: a
+network compares picture and model pixel by pixel. A rough one is off by too much for that, and has weights of
+its own.
 
 The weighted sum of these is a logit; the weights are fitted on drawn scenes (`believe.logistic`)."""
 
@@ -32,8 +33,8 @@ class Sight:
     """What is seen where a pose says that an object is. fit 0..1, texture -1..1, contrast: terms of the dense
     score; rim 0..1: where the surface goes on beside it; goes_on 0..1: share of the outline beyond which
     surface and colour go on; likeness -1..1: of codes of the picture and of the model in this pose; verified:
-    log-odds that a network gives to both showing the same object; pixels: of the picture that agree in depth;
-    rough: the pose is not refined."""
+    log-odds that a network gives to both showing the same, None for a rough pose; pixels: of the picture that
+    agree in depth."""
 
     fit: float
     texture: float
@@ -41,29 +42,28 @@ class Sight:
     rim: float
     goes_on: float
     likeness: float
-    verified: float
+    verified: float | None
     pixels: int
-    rough: bool = False
 
 
 def _weights(seen: Sight) -> Logistic:
     """The fitted weights of its `features`: those of refined poses, or of rough ones."""
-    return belief("place" if seen.rough else "presence")
+    return belief("place" if seen.verified is None else "presence")
 
 
 def features(seen: Sight) -> dict[str, float]:
     """What the log-odds are made of: depth that fits; color, how much less texture there is than the object
     would show, which says nothing of a plain one; a rim where the surface does not go on; an outline that
-    ends; likeness; what the verifying network says; pixels, by their logarithm."""
-    return {
+    ends; likeness; pixels, by their logarithm; and of a refined pose what the verifying network says."""
+    known = {
         "fit": seen.fit,
         "color": -max(seen.contrast / (seen.contrast + PLAIN) - seen.texture, 0.0),
         "free_rim": 1.0 - seen.rim,
         "ends": -seen.goes_on,
         "likeness": seen.likeness,
-        "verified": seen.verified,
         "pixels": log(min(max(seen.pixels, FEWEST_PIXELS), ENOUGH_PIXELS)),
     }
+    return known if seen.verified is None else {**known, "verified": seen.verified}
 
 
 USUAL = {

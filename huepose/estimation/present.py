@@ -45,7 +45,7 @@ class PresenceIn:
         `models`."""
         if answer.T_cam_obj is None:
             return replace(answer, present=0.0)
-        logit, _ = self._looked([(answer.object, answer.T_cam_obj)], rough=False)[0]
+        logit, _ = self._looked([(answer.object, answer.T_cam_obj)], refined=True)[0]
         present = _chance(logit, answer, self._method)
         fit = quality_fits().get(self._method)
         if fit is None:
@@ -60,16 +60,16 @@ class PresenceIn:
             alternatives=tuple((T, p * share) for T, p in answer.alternatives),
         )
 
-    def places(self, poses: Sequence[tuple[str, Float64]], rough: bool = False) -> list[tuple[float, str]]:
+    def places(self, poses: Sequence[tuple[str, Float64]], refined: bool = True) -> list[tuple[float, str]]:
         """Of named objects at poses T_cam_obj (4, 4), refined ones or rough: the probability that they are
         there by what is seen alone, and what speaks most against it, in words."""
-        return [(probability(logit), doubt) for logit, doubt in self._looked(poses, rough)]
+        return [(probability(logit), doubt) for logit, doubt in self._looked(poses, refined)]
 
-    def _looked(self, poses: Sequence[tuple[str, Float64]], rough: bool) -> list[tuple[float, str]]:
+    def _looked(self, poses: Sequence[tuple[str, Float64]], refined: bool) -> list[tuple[float, str]]:
         """The logit that each is there, and the greatest doubt."""
         if self._view is None:
             return [(-np.inf, "nothing stands there")] * len(poses)
-        sights = sights_of(self._view, self._models, poses, rough=rough)
+        sights = sights_of(self._view, self._models, poses, verifying=refined)
         return [(float(x), greatest_doubt(s)) for s, x in zip(sights, logits_of(sights), strict=True)]
 
 

@@ -121,7 +121,7 @@ class ColorPairDetector:
                 partial(self._guessed, name, free, features) if "keypoints" in self.config.sources else None,
             )
             with stage("presence"):
-                return self.rated(free, model, proposed)
+                return _rated(free, model, proposed)
 
         places = dict(zip(names, self._pool.map(places_of, names), strict=True))
         if memory is not None:
@@ -135,16 +135,6 @@ class ColorPairDetector:
             for p in mine[:proposals]
         ]
         return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
-
-    def rated(self, view: ClearView, model: ReferenceModel, proposals: Sequence[Proposal]) -> list[Proposal]:
-        """The best pose at each place; its score is the log-odds that it is the object's."""
-        poses = [(model.name, p.T_cam_obj) for p in proposals]
-        logits = logits_of(sights_of(view, {model.name: model}, poses, rough=True))
-        best: dict[int, Proposal] = {}
-        for p, x in zip(proposals, logits, strict=True):
-            if p.place not in best or x > best[p.place].score:
-                best[p.place] = replace(p, score=float(x))
-        return list(best.values())
 
     def _guessed(self, name: str, view: ClearView, features: _FeaturesOnce) -> Float64:
         """Poses (K, 4, 4) of an object from its keypoints in a view."""
@@ -224,6 +214,17 @@ class _FeaturesOnce:
         last = np.array([shown.shape[1] - 1, shown.shape[0] - 1])
         within = np.asarray(((pixels >= 0) & (pixels <= last)).all(1))
         return replace(found, pixels=pixels)[within]
+
+
+def _rated(view: ClearView, model: ReferenceModel, proposals: Sequence[Proposal]) -> list[Proposal]:
+    """The best pose at each place; its score is the log-odds that it is the object's."""
+    poses = [(model.name, p.T_cam_obj) for p in proposals]
+    logits = logits_of(sights_of(view, {model.name: model}, poses, verifying=False))
+    best: dict[int, Proposal] = {}
+    for p, x in zip(proposals, logits, strict=True):
+        if p.place not in best or x > best[p.place].score:
+            best[p.place] = replace(p, score=float(x))
+    return list(best.values())
 
 
 LEAD = 0.7

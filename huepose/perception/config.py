@@ -24,7 +24,7 @@ class DetectorConfig:
 
     sources: tuple[Source, ...] = SOURCES
     proposals: int = 2
-    min_score: float = 0.03
+    min_score: float = 0.05
     threads: int = 1
     remembering: bool = False
 

@@ -36,18 +36,22 @@ Named = Sequence[tuple[str, Float64]]
 
 
 def sights_of(
-    view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, rough: bool
+    view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, verifying: bool
 ) -> list[Sight]:
     """The evidence for each named object at its pose T_cam_obj (4, 4). The costlier terms, outline and what
-    networks say, are computed only where the object may still be there. rough: the poses are not refined."""
+    networks say, are computed only where the object may still be there. verifying: the poses are refined."""
     regions = {name: view.with_planes.region(models[name].diameter_m) for name, _ in poses}
-    sights = [replace(sight(view, regions[name], models[name], T), rough=rough) for name, T in poses]
+    sights = [sight(view, regions[name], models[name], T) for name, T in poses]
+    if not verifying:
+        sights = [replace(s, verified=None) for s in sights]
     # Terms that are not computed yet have their best value.
     for closer in (outlined, alike):
         doubtful = [int(k) for k in np.flatnonzero(logits_of(sights) > WORTH)]
         asked = closer(view, models, [poses[k] for k in doubtful], [sights[k] for k in doubtful])
         for k, seen in zip(doubtful, asked, strict=True):
             sights[k] = seen
+    if not verifying:
+        return sights
     # What is not worth the last look is not verified: that network says nothing of it.
     return [s if k in doubtful else replace(s, verified=0.0) for k, s in enumerate(sights)]
 
@@ -76,13 +80,15 @@ def alike(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, sights: Sequence[Sight]
 ) -> list[Sight]:
     """The evidence with what networks say of what is seen and of the object in its pose: similarity of their
-    codes, and verification. All poses are rough, or none."""
+    codes, and verification where it is asked for."""
     if not sights:
         return []
     windows, views = pictures_of(view, models, poses)
     likeness = (codes_of_pictures(*views) * codes_of_windows(*windows)).sum(1)
-    both = zip(sights, likeness, verified(windows, views, rough=sights[0].rough), strict=True)
-    return [replace(s, likeness=float(a), verified=float(b)) for s, a, b in both]
+    out = [replace(s, likeness=float(x)) for s, x in zip(sights, likeness, strict=True)]
+    if sights[0].verified is None:
+        return out
+    return [replace(s, verified=float(x)) for s, x in zip(out, verified(windows, views), strict=True)]
 
 
 def outlined(

@@ -18,8 +18,7 @@ from huepose.propose.view_codes import BATCH, packaged_session
 from huepose.propose.view_pictures import CHANNELS, STEP, ZERO, network_input
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""verification.onnx for refined poses, verification_rough.onnx for rough ones; the JSON files beside them say
-how they were made."""
+"""verification.onnx; verification.json beside it says how it was made."""
 
 SUREST = 5.0
 """Largest log-odds of a pair, either way: beyond them the network has seen too few to know."""
@@ -28,10 +27,9 @@ Pictures = tuple[UInt8, Float32]
 """Colours (N, 64, 64, 3) and relief (N, 64, 64), as `view_pictures` makes them."""
 
 
-def verified(windows: Pictures, views: Pictures, rough: bool) -> Float64:
-    """Log-odds (N,) that each window shows the object that its clean view does; at most SUREST. rough: the
-    views may be some tens of degrees off."""
-    session = packaged_session(WEIGHTS / ("verification_rough.onnx" if rough else "verification.onnx"))
+def verified(windows: Pictures, views: Pictures) -> Float64:
+    """Log-odds (N,) that each window shows the object as its clean view does; at most SUREST."""
+    session = packaged_session(WEIGHTS / "verification.onnx")
     parts = []
     for k in range(0, len(windows[0]), BATCH):
         some = slice(k, k + BATCH)

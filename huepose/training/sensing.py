@@ -21,10 +21,6 @@ MOST_VEILED = 0.45
 CROSSTALK = 0.12
 """Standard deviation of what a colour channel takes of each other one in another camera."""
 
-CAST = 0.25
-"""Standard deviation of the logarithm of a channel's gain. A white bottle before a RealSense has 0.3 more of
-blue and 0.3 less of red."""
-
 SHINY, REPRINTED = 0.3, 0.15
 """Shares of the pictures with patches of sheen, which scanned models have in their textures, too; and of the
 views with a part in other colours."""
@@ -37,7 +33,7 @@ def recolored(rgb: Tensor, strength: float) -> Tensor:
         drawn = torch.randn(len(rgb), channels, 1, 1, device=rgb.device)
         return torch.exp(strength * spread * drawn)
 
-    linear = rgb.clamp(0.0, 1.0) ** 2.2 * chance(CAST, 3) * chance(0.3)
+    linear = rgb.clamp(0.0, 1.0) ** 2.2 * chance(0.15, 3) * chance(0.3)
     grey = linear.mean(1, keepdim=True)
     linear = grey + (linear - grey) * chance(0.3) * math.exp(-0.15 * strength)
     return linear.clamp(1e-4, 1.0) ** (chance(0.18) / 2.2)

@@ -38,7 +38,7 @@ from huepose.training.network import (
 from huepose.training.object_buffer import ObjectBuffer
 from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
 from huepose.training.sensing import REPRINTED, SHINY, network_input, recolored, reprinted, sensed, shone_on
-from huepose.training.verification import Shown, pairs, rough_views, verification_loss
+from huepose.training.verification import Shown, pairs, verification_loss
 from huepose.training.windows import WINDOWS, endless
 
 SHIFT, LARGEST_SHIFT = 0.06, 0.13
@@ -61,13 +61,13 @@ CALIBRATED = 3
 RIGHT_DEG = 25.0
 """In validation, a view rotated by less than this is right."""
 
-NAME, REFINED, ROUGH = "views", "verification", "verification_rough"
-"""The networks: of codes, and those that verify refined poses and rough ones."""
+NAME, VERIFICATION = "views", "verification"
+"""The two networks."""
 
 FIGURES = ("first_right", "one_of_five_right", "median_rank", "pairs_right")
 """On held-out windows, among all views of the object: share whose most similar view is right, share with a
 right view among the five most similar, median rank of the first right view; and the share of true and wrong
-pairs of refined poses that verification tells right."""
+pairs that verification tells right."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +90,9 @@ class ViewCodeTraining(Settings):
 class Networks(nn.Module):
     """Those that are trained together."""
 
-    def __init__(self) -> None:
+    def __init__(self, coding: ViewCodeNetwork, verifying: VerificationNetwork) -> None:
         super().__init__()
-        self.coding = ViewCodeNetwork()
-        self.refined, self.rough = VerificationNetwork(), VerificationNetwork()
+        self.coding, self.verifying = coding, verifying
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,8 +112,7 @@ class Batch:
 
 def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str, Any]:
     """Train until `config.hours` are over, or until interrupted; leave `views.onnx`, `verification.onnx`,
-    `verification_rough.onnx`, `views.json`, `views.png`, its curve, and `checkpoint.pt` in `out`. Returns
-    what views.json says.
+    `views.json`, `views.png`, its curve, and `checkpoint.pt` in `out`. Returns what views.json says.
 
     Raises InputError where `resume` finds no checkpoint, or one of another kind."""
     out.mkdir(parents=True, exist_ok=True)
@@ -124,9 +122,9 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
         held_out.add(one)
         if held_out.added == config.validation:
             break
-    nets = Networks().to(config.device)
+    nets = Networks(ViewCodeNetwork().to(config.device), VerificationNetwork().to(config.device))
     optimiser = torch.optim.AdamW(nets.parameters(), config.rate, weight_decay=1e-2)
-    by_name = {NAME: nets.coding, REFINED: nets.refined, ROUGH: nets.rough}
+    by_name = {NAME: nets.coding, VERIFICATION: nets.verifying}
     training = Training.begun(out, NAME, config, optimiser, by_name, resume)
     fresh = endless_loader(endless, config, training.course.rounds)
     training.run(
@@ -169,15 +167,13 @@ def _step(
     with torch.no_grad():
         drawn = batch(buffer, config)
     of_codes, similarity = _code_loss(nets.coding, drawn)
-    losses = [of_codes]
-    for net, rough in ((nets.refined, False), (nets.rough, True)):
-        with torch.no_grad():
-            pictures, there, cells = pairs(buffer, drawn.shown, similarity.detach(), rough)
-        with _half(pictures):
-            losses.append(verification_loss(net, pictures, there, cells)[0])
+    with torch.no_grad():
+        pictures, there, cells = pairs(buffer, drawn.shown, similarity.detach())
+    with _half(pictures):
+        of_pairs, _ = verification_loss(nets.verifying, pictures, there, cells)
     optimiser.zero_grad()
-    torch.stack(losses).sum().backward()
-    for net in (nets.coding, nets.refined, nets.rough):
+    (of_codes + of_pairs).backward()
+    for net in (nets.coding, nets.verifying):
         torch.nn.utils.clip_grad_norm_(net.parameters(), 1.0)
     optimiser.step()
 
@@ -238,7 +234,7 @@ def batch(buffer: ObjectBuffer, config: ViewCodeTraining) -> Batch:
         targets=targets.flatten(1),
         valid=valid.flatten(),
         shown=Shown(
-            *(whose, which, q, shift, nearest[..., 0].flatten(), rough_views(apart.flatten(0, 1))),
+            *(whose, which, q, shift, nearest[..., 0].flatten()),
             *(objects.repeat_interleave(config.views), chosen.flatten()),
         ),
     )
@@ -267,8 +263,8 @@ def _validated(nets: Networks, held_out: ObjectBuffer, config: ViewCodeTraining,
     with torch.no_grad():
         rank = torch.cat([_ranks(nets.coding, held_out, k) for k in range(len(held_out))]).float()
         drawn = batch(held_out, config)
-        told = pairs(held_out, drawn.shown, _code_loss(nets.coding, drawn)[1], rough=False)
-        log_odds = verification_loss(nets.refined, *told)[1]
+        told = pairs(held_out, drawn.shown, _code_loss(nets.coding, drawn)[1])
+        log_odds = verification_loss(nets.verifying, *told)[1]
     torch.random.set_rng_state(state)
     right = ((log_odds > 0) == (told[1] > 0)).float().mean()
     figures = ((rank < 1).float().mean(), (rank < 5).float().mean(), rank.median(), right)
@@ -290,18 +286,17 @@ def _ranks(net: ViewCodeNetwork, buffer: ObjectBuffer, k: int) -> Tensor:
 
 
 def export(nets: Networks, buffer: ObjectBuffer, config: ViewCodeTraining, out: Path) -> None:
-    """Write the networks as ONNX with a free batch size, quantised to 8 bits: half the CPU time, and the
+    """Write both networks as ONNX with a free batch size, quantised to 8 bits: half the CPU time, and the
     cosine of codes with the exact ones is 0.999. Activations are calibrated on objects of the buffer. The
     network of codes reads the bytes of `view_pictures.network_input`."""
     with torch.no_grad():
         batches = [batch(buffer, config) for _ in range(CALIBRATED)]
         similar = [_code_loss(nets.coding.eval(), drawn)[1] for drawn in batches]
+    told = [pairs(buffer, drawn.shown, s)[0] for drawn, s in zip(batches, similar, strict=True)]
     pictures = [part for drawn in batches for part in (drawn.windows, drawn.views)]
     _quantised(nets.coding, out / f"{NAME}.onnx", "window", "code", pictures)
     read_bytes(out / f"{NAME}.onnx")
-    for name, net, rough in ((REFINED, nets.refined, False), (ROUGH, nets.rough, True)):
-        told = [pairs(buffer, b.shown, s, rough)[0] for b, s in zip(batches, similar, strict=True)]
-        _quantised(_LogOdds(net), out / f"{name}.onnx", "pair", "log_odds", told)
+    _quantised(_LogOdds(nets.verifying), out / f"{VERIFICATION}.onnx", "pair", "log_odds", told)
 
 
 def _quantised(net: nn.Module, file: Path, read: str, told: str, pictures: list[Tensor]) -> None:

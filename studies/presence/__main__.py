@@ -10,7 +10,6 @@ be fitted first, because a pose that is surely right speaks for its object.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 
 from huepose.believe.logistic import Logistic, Question, belief, write_fit
 from huepose.evaluation.summary import table
-from studies.presence.fit import FRAMES, SeenPlaces, SetName, chances, draw, fit_presence, seen_in
+from studies.presence.fit import FRAMES, chances, draw, fit_presence, seen_in
 from studies.quality.__main__ import bundles_of
 
 LEVELS = (0.3, 0.4, 0.5, 0.6, 0.7)
@@ -34,18 +33,14 @@ def main() -> None:
     with ProcessPoolExecutor(arguments.processes, mp_context=get_context("spawn")) as pool:
         looks = dict(zip(asked, pool.map(seen_in, asked, [bundles] * len(asked)), strict=True))
     seen = {name: [frame for folder in each for frame in looks[folder]] for name, each in folders.items()}
-    questions: tuple[tuple[Question, bool], ...] = (("presence", False), ("place", True))
-    for question, rough in questions:
-        kept = {name: [frame.of(rough) for frame in frames] for name, frames in seen.items()}
-        before, found = belief(question), fit_presence(kept["fit"], belief(question))
-        factors = {name: round(x, 4) for name, x in found.factors.items()}
-        write_fit(question, {"constant": round(found.constant, 4), "factors": factors})
-        print(question, found)
-        print(_report(kept, before, found))
-
-
-def _report(seen: Mapping[SetName, Sequence[SeenPlaces]], before: Logistic, found: Logistic) -> str:
-    """What is kept of the poses of each set, at some levels."""
+    before, found = belief("presence"), fit_presence(seen["fit"], belief("presence"))
+    # Every second time a frame is seen as another camera sees it: rough poses are fitted as it is.
+    of_rough = fit_presence([frame.rough() for frame in seen["fit"][::2]], belief("place"))
+    fits: tuple[tuple[Question, Logistic], ...] = (("presence", found), ("place", of_rough))
+    for question, fit in fits:
+        factors = {name: round(x, 4) for name, x in fit.factors.items()}
+        write_fit(question, {"constant": round(fit.constant, 4), "factors": factors})
+        print(question, fit)
     rows = []
     for name, frames in seen.items():
         there = np.concatenate([f.there for f in frames])
@@ -55,7 +50,7 @@ def _report(seen: Mapping[SetName, Sequence[SeenPlaces]], before: Logistic, foun
                 over = stated >= level
                 rows.append([name, weights, level, len(there), int(there.sum()), 100.0 * over[there].mean(),
                              over[~there].sum() / len(frames)])  # fmt: skip
-    return table(["set", "weights", "level", "poses", "there", "of them over it %", "others a frame"], rows)
+    print(table(["set", "weights", "level", "poses", "there", "of them over it %", "others a frame"], rows))
 
 
 def _arguments() -> argparse.Namespace:

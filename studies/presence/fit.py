@@ -1,5 +1,5 @@
-"""Fitting presence: from a detector's places and the answers there, of which it is known whether the object
-is there, to the weights of `perception.presence`.
+"""Fitting presence: from answers at a detector's places, of which it is known whether the object is there, to
+the weights of `perception.presence`.
 
 Frames are drawn: three sets of other seeds, to fit to, to choose on and to report on, each of objects that
 stand apart, of heaps and of piles. Some frames are made smaller, so that there is little to see of an object,
@@ -12,7 +12,7 @@ user's camera sees as theirs did. A pose's own certainty enters as it does in th
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -35,14 +35,13 @@ from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.model import load_models
-from huepose.model.types import ReferenceModel
 from huepose.onboarding.bop_folder import bop_models
 from huepose.onboarding.meshes import read_mesh
-from huepose.perception.clear_view import ClearView, clear_view
+from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
-from huepose.perception.presence import alike, outlined, sight, sights_of
-from huepose.perception.scouting import Proposal
+from huepose.perception.presence import alike, outlined, sight
+from huepose.perception.types import Detector
 from huepose.scenes.rendered import PILES, SceneRanges, write_rendered_set
 from huepose.support.progress import progress
 from studies.likelihood import logistic
@@ -128,9 +127,6 @@ def specked(depth: Float32, rng: np.random.Generator) -> Float32:
 PLACES = 2
 """Of each object, the best that are looked at."""
 
-NEAR = 0.25
-"""A rough pose with its middle within so many diameters of the true one is at the object."""
-
 PLAUSIBLE = 0.01
 """Poses that are the object's with less than this probability say where nothing is; they are so many, and so
 easily told, that the weights would be made for them and not for what is doubtful."""
@@ -146,29 +142,9 @@ class SeenPlaces:
     certain: Float64
     there: Bool
 
-    def of(self, rough: bool) -> SeenPlaces:
-        """Only the rough poses, or only the refined ones."""
-        kept = [k for k, seen in enumerate(self.sights) if seen.rough is rough]
-        names, sights = tuple(self.names[k] for k in kept), tuple(self.sights[k] for k in kept)
-        return SeenPlaces(names, sights, self.certain[kept], self.there[kept])
-
-
-class RecordingDetector(ColorPairDetector):
-    """A detector that remembers which poses it has judged."""
-
-    def __init__(self, models: Mapping[str, ReferenceModel], config: DetectorConfig) -> None:
-        super().__init__(models, config)
-        self._judged: list[tuple[str, Float64]] = []
-
-    def rated(self, view: ClearView, model: ReferenceModel, proposals: Sequence[Proposal]) -> list[Proposal]:
-        """As the detector does."""
-        self._judged += [(model.name, p.T_cam_obj) for p in proposals]
-        return super().rated(view, model, proposals)
-
-    def judged(self) -> list[tuple[str, Float64]]:
-        """All that were judged since the last call: objects and poses T_cam_obj (4, 4)."""
-        judged, self._judged = self._judged, []
-        return judged
+    def rough(self) -> SeenPlaces:
+        """The same, as of rough poses: not verified."""
+        return replace(self, sights=tuple(replace(s, verified=None) for s in self.sights))
 
 
 def seen_in(folder: Path, bundles: Path) -> Sequence[SeenPlaces]:
@@ -178,7 +154,7 @@ def seen_in(folder: Path, bundles: Path) -> Sequence[SeenPlaces]:
         return list(pickle.loads(kept.read_bytes()))
     targets = Targets(load_models(bundles))
     models = targets.models_by_name
-    detector = RecordingDetector(models, DetectorConfig(proposals=3, min_score=0.02))
+    detector = ColorPairDetector(models, DetectorConfig(proposals=3, min_score=0.02))
     estimator = Estimator(models, EstimatorConfig(found_level=0.0, threads=1))
     rng, out = np.random.default_rng(5), []
     for sample, smaller in progress(list(samples(folder)), folder.name):
@@ -191,81 +167,44 @@ def look(
     sample: Sample,
     smaller: float,
     targets: Targets,
-    detector: RecordingDetector,
+    detector: Detector,
     estimator: PoseEstimator,
     rng: np.random.Generator,
 ) -> list[SeenPlaces]:
     """All objects of `targets` are asked for in a frame, which is so much smaller than its labels: what is
-    seen at their rough and their refined poses, and in another camera's colours. An object is there where
-    the box of what its refined pose explains overlaps that of a label by IoU 0.5, or where its rough pose has
-    its middle within NEAR diameters of a label's."""
+    seen at their poses, there and in the colours of another camera. An object is there where the box of what
+    its pose explains overlaps the box of one of its labels by IoU 0.5."""
     models = targets.models_by_name
     places = first_of_each(detector.detect(sample.frame, list(models)), PLACES)
     queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(places)]
     answers = estimator.estimate(sample.frame, queries) if queries else []
-    labels = [
-        (model, t)
-        for t in sample.truths
-        if t.T_cam_obj is not None and (model := targets.model_of(t)) is not None
-    ]
     boxes = [
         (model.name, scaled(box, smaller))
-        for model, t in labels
+        for t in sample.truths
+        if t.T_cam_obj is not None and (model := targets.model_of(t)) is not None
         if (box := truth_box(t, model.mesh, sample.frame.camera)) is not None
     ]
-    middles = [(m.name, _middle_m(m, t.T_cam_obj)) for m, t in labels if t.T_cam_obj is not None]
-    rough, refined, certain, there = [], [], [], []
-    for name, T_cam_obj in _plausible(sample.frame, detector.judged(), models):
-        middle_m, reach_m = _middle_m(models[name], T_cam_obj), NEAR * models[name].diameter_m
-        rough.append((name, T_cam_obj))
-        certain.append(0.0)
-        there.append(any(n == name and np.linalg.norm(m - middle_m) < reach_m for n, m in middles))
+    poses, certain, there = [], [], []
     for answer in answers:
         own = None if answer.mask is None else Box.of_mask(answer.mask)
         if answer.T_cam_obj is None or own is None:
             continue
-        refined.append((answer.object, answer.T_cam_obj))
+        poses.append((answer.object, answer.T_cam_obj))
         certain.append(certainty(answer))
         there.append(any(n == answer.object and b.iou(own) >= SAME for n, b in boxes))
     other = replace(sample.frame, color=of_another_camera(sample.frame.color, rng))
-    names = tuple(name for name, _ in (*rough, *refined))
-    rest = np.array(certain), np.array(there, dtype=bool)
-    return [
-        SeenPlaces(
-            names,
-            (*_sights(frame, rough, targets, rough=True), *_sights(frame, refined, targets, rough=False)),
-            *rest,
-        )
-        for frame in (sample.frame, other)
-    ]
+    names, rest = tuple(name for name, _ in poses), (np.array(certain), np.array(there, dtype=bool))
+    return [SeenPlaces(names, _sights(frame, poses, targets), *rest) for frame in (sample.frame, other)]
 
 
-def _plausible(
-    frame: RgbdFrame, poses: Sequence[tuple[str, Float64]], models: Mapping[str, ReferenceModel]
-) -> list[tuple[str, Float64]]:
-    """Those that are plausible by the weights so far."""
-    view = clear_view(frame, max(m.diameter_m for m in models.values()))
-    if not poses or view is None:
-        return []
-    stated = probabilities(logits_of(sights_of(view, models, poses, rough=True)))
-    return [pose for pose, p in zip(poses, stated, strict=True) if p >= PLAUSIBLE]
-
-
-def _middle_m(model: ReferenceModel, T_cam_obj: Float64) -> Float64:
-    """The middle (3,) of an object in a pose (4, 4), in the camera's frame."""
-    return np.asarray(T_cam_obj[:3, :3] @ model.mesh.centre + T_cam_obj[:3, 3])
-
-
-def _sights(
-    frame: RgbdFrame, poses: Sequence[tuple[str, Float64]], targets: Targets, rough: bool
-) -> tuple[Sight, ...]:
+def _sights(frame: RgbdFrame, poses: Sequence[tuple[str, Float64]], targets: Targets) -> tuple[Sight, ...]:
     """All evidence for each named pose (4, 4) in a frame."""
     models = targets.models_by_name
     view = clear_view(frame, max(m.diameter_m for m in models.values()))
     if not poses or view is None:
         return ()
     regions = {name: view.with_planes.region(models[name].diameter_m) for name, _ in poses}
-    plain = [replace(sight(view, regions[name], models[name], T), rough=rough) for name, T in poses]
+    plain = [sight(view, regions[name], models[name], T) for name, T in poses]
     return tuple(outlined(view, models, poses, alike(view, models, poses, plain)))
 
 

@@ -32,37 +32,34 @@ def before_a_wall(views: tuple[UInt8, Float32], brightness: float) -> tuple[UInt
     return np.clip(color, 0, 255).astype(np.uint8), relief.astype(np.float32)
 
 
-@pytest.mark.parametrize("rough", [False, True])
 @pytest.mark.parametrize("brightness", [0.6, 1.0])
 def test_an_object_is_told_from_one_of_other_colours_and_from_an_empty_place(
-    views: tuple[UInt8, Float32], brightness: float, rough: bool
+    views: tuple[UInt8, Float32], brightness: float
 ) -> None:
     windows = before_a_wall(views, brightness)
-    right = verified(windows, views, rough)
+    right = verified(windows, views)
     assert np.median(right) > 3.0
     there = np.isfinite(views[1])[..., None]
     painted = np.where(there, 255 - views[0][..., ::-1], 0).astype(np.uint8), views[1]
-    assert np.median(verified(windows, painted, rough)) < np.median(right) - 4.0
+    assert np.median(verified(windows, painted)) < np.median(right) - 4.0
     nothing = np.full_like(windows[0], 110), np.full_like(windows[1], 1.5)
-    assert (verified(nothing, views, rough) < 0.0).all()
+    assert (verified(nothing, views) < 0.0).all()
 
 
 def test_log_odds_are_bounded_and_do_not_depend_on_what_else_is_asked(
     views: tuple[UInt8, Float32],
 ) -> None:
     windows = before_a_wall(views, 1.0)
-    all_at_once = verified(windows, views, rough=False)
+    all_at_once = verified(windows, views)
     assert (np.abs(all_at_once) <= SUREST).all()
     twice = (
         tuple(np.concatenate([part, part]) for part in windows),
         tuple(np.concatenate([p, p]) for p in views),
     )
-    np.testing.assert_allclose(verified(*twice, rough=False), np.tile(all_at_once, 2), atol=1e-5)
-    none = views[0][:0], views[1][:0]
-    assert verified(none, none, rough=False).shape == (0,)
+    np.testing.assert_allclose(verified(*twice), np.tile(all_at_once, 2), atol=1e-5)
+    assert verified((views[0][:0], views[1][:0]), (views[0][:0], views[1][:0])).shape == (0,)
 
 
-@pytest.mark.parametrize("name", ["verification", "verification_rough"])
-def test_each_network_is_the_one_that_its_record_tells_of(name: str) -> None:
-    told = json.loads((WEIGHTS / f"{name}.json").read_text())
-    assert hashlib.sha256((WEIGHTS / f"{name}.onnx").read_bytes()).hexdigest() == told["sha256"]
+def test_the_network_is_the_one_that_its_record_tells_of() -> None:
+    told = json.loads((WEIGHTS / "verification.json").read_text())
+    assert hashlib.sha256((WEIGHTS / "verification.onnx").read_bytes()).hexdigest() == told["sha256"]

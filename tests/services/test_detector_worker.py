@@ -38,7 +38,7 @@ def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, ta
         return bus.health.message().warnings
 
     assert warned(frame.color[:, :, ::-1]) == []  # it has only just begun
-    in_other_colours = max((box.score for box in bus.said[-1].objects), default=0.0)
+    assert bus.said[-1].objects == [] or max(box.score for box in bus.said[-1].objects) < 0.7
     now[0] += ASK_EVERY_NS
     (said,) = warned(frame.color[:, :, ::-1])
     assert said.startswith("With red and blue exchanged, tea_box is in the picture")
@@ -47,9 +47,7 @@ def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, ta
     assert bus.said[-1].camera == said, "it goes on with the boxes, and to every pose"
     now[0] += ASK_EVERY_NS
     assert warned(frame.color) == []
-    (box,) = bus.said[-1].objects
-    assert box.request.object == "tea_box"
-    assert box.score > 0.95 > in_other_colours + 0.1
+    assert [box.request.object for box in bus.said[-1].objects] == ["tea_box"]
 
 
 def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(monkeypatch):

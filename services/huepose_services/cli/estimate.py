@@ -294,7 +294,7 @@ def _standing(
             ]
             if not tried:
                 best = [p.T_cam_obj for p in proposed if p.object == name and p.T_cam_obj is not None]
-                seen = presence.places([(name, T) for T in best], rough=True)
+                seen = presence.places([(name, T) for T in best], refined=False)
                 tried = [(T, *x) for T, x in zip(best, seen, strict=True)]
             tried.sort(key=lambda place: -place[1])
             page = draw_places(frame, models[name], why, tried)

@@ -50,8 +50,7 @@ def _add_views(whats: Any) -> None:
         help="the detector's codes of views, and verification, from windows of drawn scenes",
         description="Convolutional networks by which the detector tells which view of an object is in which "
         "window, and the estimator whether a pose shows its object, learned from random objects in random "
-        "scenes. Leaves views.onnx, verification.onnx, verification_rough.onnx, views.json, views.png and "
-        "checkpoint.pt.",
+        "scenes. Leaves views.onnx, verification.onnx, views.json, views.png and checkpoint.pt.",
     )
     _add_limits(parser)
     parser.set_defaults(call=train_views)

@@ -61,6 +61,7 @@ class Watch:
         keys = ("health/*", "objects", "pose/**", "perception/request", "perception/estimates", "correction")
         self._reader = Reader(pipeline.endpoints, *(pipeline.key(key) for key in keys))
         self._health: dict[str, tuple[float, HealthMessage]] = {}
+        self._were_there: set[str] = set()
         self._objects: list[ObjectEntry] | None = None
         self._poses: dict[tuple[str, int], tuple[float, PoseMessage]] = {}
         self._arrivals: dict[str, deque[float]] = {}
@@ -73,6 +74,14 @@ class Watch:
             message = self._reader.next(min(left, _NOTICED_S))
             if message is not None:
                 self._take(message)
+            self._forget_gone()
+
+    def _forget_gone(self) -> None:
+        """What a worker said before it ended is not how the one is that takes its place."""
+        there = self._there()
+        for worker in self._were_there - there:
+            self._health.pop(worker, None)
+        self._were_there = there
 
     def _take(self, message: Message) -> None:
         now = time.monotonic()

@@ -9,12 +9,14 @@ from huepose.support.words import counted
 
 @dataclass
 class Report:
-    """The result. steps: computed again; skipped: steps that were not, skipped_first: of these before the
-    first that was; from_s, until_s: times of the first and the last of `steps`, seconds after the tracker's
-    first message in the recording; poses, memories: found to be the same; unrecorded: poses that the
-    recording lacks; difference: where and what the first difference is, or empty."""
+    """The result. steps: computed again, without_pose: those of them that gave none; skipped: steps that
+    were not computed again, skipped_first: of these before the first that was; from_s, until_s: times of the
+    first and the last of `steps`, seconds after the tracker's first message in the recording; poses,
+    memories: found to be the same; unrecorded: poses that the recording lacks; difference: where and what the
+    first difference is, or empty."""
 
     steps: int = 0
+    without_pose: int = 0
     skipped: int = 0
     skipped_first: int = 0
     from_s: float = 0.0
@@ -30,7 +32,7 @@ class Report:
         """The result in words."""
         lines = [
             f"{self.steps} steps of the tracker computed again, from {self.from_s:.2f} s to "
-            f"{self.until_s:.2f} s of the recording: {self._same} the same, bit by bit"
+            f"{self.until_s:.2f} s of the recording{self._without}: {self._compared}, the same bit by bit"
             if self.steps
             else self._nothing
         ]
@@ -50,15 +52,17 @@ class Report:
             )
         lines += [f"a gap: {gap}" for gap in self.gaps]
         if self.unrecorded:
-            lines.append(f"not in the recording: {counted(self.unrecorded, 'pose')}")
+            lines.append(f"not compared: {counted(self.unrecorded, 'pose')} that the recording lacks")
         return "\n".join(lines)
 
     @property
-    def _same(self) -> str:
-        poses = counted(self.poses, "pose")
-        if not self.memories:
-            return f"{poses} {'is' if self.poses == 1 else 'are'}"
-        return f"{poses} and {counted(self.memories, 'recorded state')} of the tracker are"
+    def _without(self) -> str:
+        return f", {self.without_pose} of them without a pose" if self.without_pose else ""
+
+    @property
+    def _compared(self) -> str:
+        states = f" and {counted(self.memories, 'recorded state')} of the tracker" if self.memories else ""
+        return f"{counted(self.poses, 'pose')}{states} compared"
 
     @property
     def _nothing(self) -> str:

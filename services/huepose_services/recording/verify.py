@@ -132,6 +132,7 @@ class _Verifier:
         if replay is not None and replay.seq == message.seq:
             if replay.work.memory().memory != message.memory:
                 self._differs(None, "memory", "what it believes, beside the poses")
+                return
             self.report.memories += 1
             if replay.recorded_config == message.config:
                 return
@@ -220,6 +221,7 @@ class _Verifier:
         self.report.from_s = self.report.from_s if self.report.steps else at_s
         self.report.until_s = at_s
         self.report.steps += 1
+        self.report.without_pose += not poses
         for before, after in zip(was.marks, [*now.marks, *[None] * len(was.marks)], strict=False):
             if before != after:
                 self._differs(was, before.stage, error or "what is believed after it")

@@ -32,10 +32,14 @@ def test_all_of_it_is_the_same_bit_by_bit(followed):
     said = [e.message for e in Recording(followed.path).events() if isinstance(e.message, PoseMessage)]
     assert report.poses == len(said) >= STEPS - 3
     assert "not checked: the first step, after which" in report.text
-    same = f"{report.poses} poses and 3 recorded states of the tracker are the same, bit by bit"
-    assert same in report.text
-    assert f"recording: {report.poses} poses are the same" in replace(report, memories=0).text
-    assert "recording: 1 pose is the same" in replace(report, memories=0, poses=1).text
+    assert report.without_pose == STEPS - len(said) > 0  # one object: a step gives one pose or none
+    assert (
+        f"{STEPS} steps of the tracker computed again, from {report.from_s:.2f} s to {report.until_s:.2f} s "
+        f"of the recording, {report.without_pose} of them without a pose: {report.poses} poses and 3 "
+        "recorded states of the tracker compared, the same bit by bit\n"
+    ) in report.text
+    few = replace(report, memories=0, poses=1, without_pose=0).text
+    assert "of the recording: 1 pose compared, the same bit by bit\n" in few
     # The last of it was taken back when nothing newer came.
     assert [pose.state for pose in said[-2:]] == ["TRACKING", "SUSPECT"]
     assert said[-1].frame_id == said[-2].frame_id
@@ -116,7 +120,9 @@ def test_what_it_believed_beside_the_poses_is_compared_as_well(followed):
                 return type(event)(event.key, message)
         return event
 
-    assert "stage memory" in _verified(followed.rewritten(change)).difference
+    report = _verified(followed.rewritten(change))
+    assert "stage memory" in report.difference
+    assert report.memories == 0
 
 
 @pytest.mark.parametrize("kind", [IntakeMessage, FrameHeader])
@@ -187,6 +193,8 @@ def test_poses_that_were_not_recorded_are_counted(followed):
         )
     )
     assert (report.difference, report.unrecorded, report.steps) == ("", 1, STEPS)
+    assert f" {report.poses} poses and 3 recorded states of the tracker compared, the same" in report.text
+    assert report.text.endswith("\nnot compared: 1 pose that the recording lacks")
 
 
 def test_jpeg_cannot_be_verified(followed):

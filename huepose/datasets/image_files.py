@@ -2,12 +2,14 @@
 
 Forms of the JSON: the intrinsics are `fx fy cx cy`, or nine numbers as `cam_K` or `K` (row by row), or
 Open3D's `intrinsic_matrix` (column by column); the unit of depth is `depth_scale_m` (metres a depth value) or
-BOP's `depth_scale` (millimetres a depth value); `width height`, and `distortion_model` with `distortion`, may
-be left out. Of BOP's `scene_camera.json` the entry of the image number counts.
+BOP's `depth_scale` (millimetres a depth value), or both where they agree; `width height`, and
+`distortion_model` with `distortion`, may be left out. Of BOP's `scene_camera.json` the entry of the image
+number counts.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -127,9 +129,16 @@ def _size(record: dict[str, Any], key: str, where: str) -> int | None:
 
 
 def _depth_scale_m(record: dict[str, Any], where: str) -> float | None:
-    if "depth_scale_m" in record:
-        return files.positive(record, "depth_scale_m", where)
-    return files.positive(record, "depth_scale", where) / 1000.0 if "depth_scale" in record else None
+    scales = {"depth_scale_m": 1.0, "depth_scale": 0.001}
+    said = {key: files.positive(record, key, where) * m for key, m in scales.items() if key in record}
+    if len(said) == 2 and not math.isclose(*said.values(), rel_tol=1e-6):
+        raise InputError(
+            where,
+            found=f"'depth_scale_m': {record['depth_scale_m']} beside 'depth_scale': {record['depth_scale']}",
+            expected="one of them, or the same scale in both",
+            fix="'depth_scale_m' is metres a depth value, BOP's 'depth_scale' millimetres.",
+        )
+    return next(iter(said.values()), None)
 
 
 def read_frame(color: Path | str, depth: Path | str, camera: Path | str) -> RgbdFrame:

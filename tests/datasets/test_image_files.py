@@ -47,6 +47,7 @@ def files(tmp_path: Path) -> tuple[Path, Path, Path]:
         MATRIX,
         {"3": {}, "4": MATRIX},
         {**OWN, "distortion_model": "none"},
+        {**OWN, "depth_scale": 0.1},
         {"K": [[20.0, 0, 7.5], [0, 21.0, 5.5], [0, 0, 1]], "depth_scale_m": 0.0001},
         {"intrinsic_matrix": [20.0, 0, 0, 0, 21.0, 0, 7.5, 5.5, 1], "depth_scale_m": 0.0001},
     ],
@@ -66,6 +67,7 @@ def test_every_form_of_intrinsics_gives_the_same_frame(files, form: dict) -> Non
     [
         ({k: v for k, v in OWN.items() if k != "fy"}, "fy"),
         ({k: v for k, v in OWN.items() if k != "depth_scale_m"}, "depth_scale_m"),
+        ({**OWN, "depth_scale": 0.0001}, "'depth_scale_m': 0.0001 beside 'depth_scale': 0.0001"),
         ({**OWN, "width": 640}, "640 x 12"),
         ({**OWN, "fx": "wide"}, "fx"),
         ({**OWN, "fx": -1.0}, "fx"),

@@ -53,17 +53,24 @@ def export_bop(events: Iterable[Event], folder: Path) -> Exported:
     """Write them to a new or empty folder. Frames keep their numbers; those of a camera that was opened anew
     go on counting. Labels name their objects; those without a BOP number get free ones.
 
-    Interrupted it leaves no folder. Raises InputError for one that has something in it, or
-    cannot be made."""
+    Interrupted it leaves the folder empty, or none where it made it. Raises InputError for one that has
+    something in it, or cannot be made."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(folder, found="something there", expected="a new or empty folder")
+    made = not folder.exists()
     with writing(folder):
         for name in ("rgb", "depth"):
             (folder / name).mkdir(parents=True)
     try:
         return _exported(events, folder)
     except KeyboardInterrupt:
-        shutil.rmtree(folder)
+        for path in list(folder.iterdir()):
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink()
+        if made:
+            folder.rmdir()
         raise
 
 

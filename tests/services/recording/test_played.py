@@ -204,13 +204,22 @@ def test_it_can_be_stopped_before_it_plays(tmp_path, monkeypatch, capsys):
 
 
 def test_an_export_that_is_stopped_leaves_nothing_in_the_way(tmp_path):
+    event = next(Recording(written(tmp_path / "out").path).events())
+
     def stopped():
-        yield next(Recording(written(tmp_path / "out").path).events())
+        yield event
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         export_bop(stopped(), tmp_path / "bop")
     assert not (tmp_path / "bop").exists()
+    own = tmp_path / "own"
+    own.mkdir()
+    (tmp_path / "link").symlink_to(own)
+    for folder in (own, tmp_path / "link"):
+        with pytest.raises(KeyboardInterrupt):
+            export_bop(stopped(), folder)
+        assert list(folder.iterdir()) == []
 
 
 def test_recordings_of_several_cameras_are_played_each_as_its_own(tmp_path, monkeypatch, capsys):

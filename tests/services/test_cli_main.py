@@ -50,6 +50,24 @@ def test_results_that_cannot_be_written_end_it_before_the_work(
 
 
 @pytest.mark.parametrize(
+    ("option", "given", "said"),
+    [
+        ("--explain", "file", "found a file; expected a folder, which may be new"),
+        ("--json", "folder", "found a folder; expected a file, which may be new"),
+        ("--image", "folder", "found a folder; expected a file, which may be new"),
+    ],
+)
+def test_a_file_for_a_folder_and_a_folder_for_a_file_end_it_before_the_work(
+    option: str, given: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder").mkdir()
+    lacking = [f"--{name}=no_{name}" for name in ("color", "depth", "camera", "bundles")]
+    assert main(["estimate", *lacking, option, str(tmp_path / given)]) == BAD_INPUT
+    assert capsys.readouterr().err == f"huepose estimate: {option} {tmp_path / given}: {said}.\n"
+
+
+@pytest.mark.parametrize(
     "arguments",
     [
         ["view", "--save", "/proc/out.rrd"],

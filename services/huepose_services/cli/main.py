@@ -48,6 +48,8 @@ _OF_EXTRAS = {
 # Options that say where results go.
 _OUTPUTS = ("out", "json", "csv", "image", "picture", "explain", "plots", "save")
 _PICTURES = ("image", "picture")
+# Those that are folders. `out` is one or the other, as its verb has it; the rest are files.
+_FOLDERS = ("explain", "plots")
 # Those of a picture or a recording, whose folder must be there: a mistyped one is not made.
 _IN_FOLDERS = ("image", "save")
 # What a full, protected or odd disk answers; any other error of the system is a mistake of ours.
@@ -146,6 +148,9 @@ def check_outputs(parsed: argparse.Namespace) -> None:
         path = getattr(parsed, option, None)
         if isinstance(path, Path):
             check_place(path, makes_folders=option not in _IN_FOLDERS)
+            if option != "out" and path.exists() and path.is_dir() != (option in _FOLDERS):
+                found, wanted = ("a folder", "a file") if path.is_dir() else ("a file", "a folder")
+                raise InputError(f"--{option} {path}", found=found, expected=f"{wanted}, which may be new")
             if option in _PICTURES:
                 check_picture(path)
 

@@ -221,7 +221,11 @@ class ReinitWork(Work):
 
     def _living(self) -> list[TrackedPose]:
         newest_ns = max((t.stamp_ns for t in self._tracks.values()), default=0)
-        self._tracks = {k: t for k, t in self._tracks.items() if newest_ns - t.stamp_ns < _FORGET_NS}
+        over = [key for key, t in self._tracks.items() if newest_ns - t.stamp_ns >= _FORGET_NS]
+        for key in over:
+            del self._tracks[key]
+            # What was said while it was followed says nothing about the search that begins now.
+            self._reasons.pop(key[0], None)
         return list(self._tracks.values())
 
     def _send(self, correction: Correction) -> None:

@@ -81,6 +81,10 @@ class Watch:
         there = self._there()
         for worker in self._were_there - there:
             self._health.pop(worker, None)
+            if worker == "tracker":
+                self._poses.clear()
+            elif worker == "reinit":
+                self._objects = None
         self._were_there = there
 
     def _take(self, message: Message) -> None:

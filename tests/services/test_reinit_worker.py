@@ -170,6 +170,23 @@ def test_a_second_one_is_spoken_of_only_while_the_first_is_followed(bus, objects
     assert (bus.mug().searching, bus.mug().reason) == (2, said)
 
 
+def test_of_one_that_is_followed_no_more_no_older_reason_is_said(bus, objects, step):
+    """As after a restart of the tracker, which finds another object first."""
+    objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
+    step()
+    last = pose(0)
+    bus.arriving[PoseMessage].append(last)
+    bus.arriving[Estimates].append(answer(bus, capture_ns=last.capture_ns))
+    step()
+    objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=3))
+    step()
+    assert (bus.mug().searching, bus.mug().reason) == (2, "No second one is seen.")
+    old = msgspec.structs.replace(pose(0), capture_ns=now_ns() - 3 * SECOND)
+    bus.arriving[PoseMessage] += [old, msgspec.structs.replace(pose(0), object="can")]
+    step()
+    assert (bus.mug().searching, bus.mug().reason) == (3, "")
+
+
 def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus, objects, step):
     step()
     objects.decide(ControlRequest(publish_ns=1, action="reset", object="mug"))

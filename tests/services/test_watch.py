@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import msgspec
 import pytest
 
 from huepose_protos.examples import example
-from huepose_protos.messages import HealthMessage
+from huepose_protos.messages import HealthMessage, Message, ObjectEntry, ObjectsMessage, PoseMessage
 from huepose_services.runtime.running import Pipeline
 from huepose_services.watch import Watch
 
 PIPELINE = Pipeline(base_port=18200, site="lab", camera="cam0", workers=("camera",))
+POSE = example(PoseMessage)
+assert isinstance(POSE, PoseMessage)
+ENTRY = ObjectEntry(object=POSE.object, max_instances=2, searching=1)
 
 
 class FakeReader:
     """Gives the messages of `waiting`; `live` as it is set."""
 
     def __init__(self, endpoints: list[str], *keys: str) -> None:
-        self.live, self.waiting = set[str](), list[HealthMessage]()
+        self.live, self.waiting = set[str](), list[Message]()
 
-    def next(self, timeout_s: float) -> HealthMessage | None:
+    def next(self, timeout_s: float) -> Message | None:
         return self.waiting.pop(0) if self.waiting else None
 
 
@@ -30,15 +35,15 @@ def says(pid: int, state: str) -> HealthMessage:
 
 
 class Watched:
-    """What is known of the camera when these tokens are there and these messages come."""
+    """What is known of a pipeline of which these workers are there and say this; `after`: of its camera."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.watch = Watch(pipeline)
 
-    def after(self, token: str | None, *messages: HealthMessage) -> tuple[int, str] | None:
+    def after(self, there: Sequence[str], *messages: Message) -> tuple[int, str] | None:
         reader = self.watch._reader
         assert isinstance(reader, FakeReader)
-        reader.live = set() if token is None else {f"huepose/lab/cam0/live/{token}"}
+        reader.live = {f"huepose/lab/cam0/live/{worker}" for worker in there}
         reader.waiting = list(messages)
         self.watch.look(0.01)
         said = self.watch.view().health.get("camera")
@@ -52,16 +57,32 @@ def _no_bus(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_worker_that_was_killed_and_started_again_is_not_ready_until_it_says_so() -> None:
     camera = Watched(PIPELINE)
-    assert camera.after("camera", says(1, "ready")) == (1, "ready")
-    assert camera.after("camera") == (1, "ready")
-    camera.after(None)
+    assert camera.after(["camera"], says(1, "ready")) == (1, "ready")
+    assert camera.after(["camera"]) == (1, "ready")
+    camera.after([])
     assert camera.watch.view().missing == ("camera",)
-    assert camera.after("camera") is None
+    assert camera.after(["camera"]) is None
     assert camera.watch.view().missing == ()
-    assert camera.after("camera", says(2, "starting")) == (2, "starting")
+    assert camera.after(["camera"], says(2, "starting")) == (2, "starting")
+
+
+@pytest.mark.parametrize(("ends", "poses", "objects"), [("tracker", 0, 1), ("reinit", 1, 0)])
+def test_poses_end_with_their_tracker_and_the_list_of_objects_with_its_worker(
+    ends: str, poses: int, objects: int
+) -> None:
+    there = ("tracker", "reinit")
+    said = POSE, msgspec.structs.replace(example(ObjectsMessage), objects=[ENTRY])
+    pipeline = Watched(PIPELINE)
+    pipeline.after(there, *said)
+    view = pipeline.watch.view()
+    assert (len(view.poses), len(view.objects)) == (1, 1)
+    pipeline.after([worker for worker in there if worker != ends])
+    pipeline.after(there)
+    view = pipeline.watch.view()
+    assert (len(view.poses), len(view.objects)) == (poses, objects)
 
 
 def test_a_recording_that_is_played_says_how_workers_were_that_are_not_there() -> None:
     camera = Watched(msgspec.structs.replace(PIPELINE, workers=(), folder="/run/huepose"))
-    assert camera.after("replay", says(1, "ready")) == (1, "ready")
-    assert camera.after("replay") == (1, "ready")
+    assert camera.after(["replay"], says(1, "ready")) == (1, "ready")
+    assert camera.after(["replay"]) == (1, "ready")

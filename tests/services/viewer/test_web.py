@@ -82,7 +82,7 @@ def messages_of(frame: RgbdFrame, frame_id: int) -> tuple[FrameHeader, bytes, li
     possible = [
         HeldHypothesis(translation=t, quaternion=q, share=share, source=source)
         for (t, q), share, source in (
-            (pose_to_wire(DOUBTED), 0.7, "flow"),
+            (pose_to_wire(DOUBTED), 0.7, "velocity"),
             (pose_to_wire(TURNED), 0.3, "turn"),
         )
     ]

@@ -64,10 +64,13 @@ def test_what_is_too_large_to_be_drawn_is_not_learnt_first(
 def test_ctrl_c_ends_a_demo_whose_scene_is_still_being_drawn(tea_box: ReferenceModel, tmp_path: Path) -> None:
     save_model(tea_box, tmp_path / "tea_box.huepose")
     seed = str(time.time_ns() % 10**9)  # of a scene that is not kept yet
-    command = [sys.executable, "-m", "huepose_services.cli.main", "demo", "--bundles", str(tmp_path)]
+    # As `huepose` does: by `-m` Python ends by the signal itself where it came while `exec` or `eval` of a
+    # text ran, whatever the program makes of it.
+    start = "import sys; from huepose_services.cli.entry import main; sys.exit(main())"
+    command = [sys.executable, "-c", start, "demo", "--bundles", str(tmp_path), "--seed", seed]
     (tmp_path / "made").mkdir()
     with subprocess.Popen(
-        [*command, "--seed", seed],
+        command,
         stderr=subprocess.PIPE,
         env=os.environ | {"TMPDIR": str(tmp_path / "made")},
         text=True,

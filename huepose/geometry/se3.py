@@ -22,7 +22,7 @@ NEARLY_ORTHONORMAL = 1e-7
 
 def make(R: Float, t: Float) -> Float64:
     """4x4 transform from a 3x3 rotation and a translation (3,)."""
-    T = np.eye(4)
+    T = _AT_REST.copy()
     T[:3, :3] = R
     T[:3, 3] = t
     return T
@@ -35,16 +35,28 @@ def inverse(T: Float) -> Float64:
 
 def orthonormalised(T: Float) -> Float64:
     """The nearest rigid transform to `T` (4, 4): singular values of its rotation set to one, det +1."""
-    R = np.asarray(T, np.float64)[:3, :3]
-    gap = _IDENTITY - R.T @ R
-    if np.vdot(gap, gap) < NEARLY_ORTHONORMAL**2 and _determinant(R) > 0.0:
-        return make(R + 0.5 * (R @ gap), T[:3, 3])
-    U, _, Vt = np.linalg.svd(R)
+    T = np.asarray(T, np.float64)
+    (a, b, c, x), (d, e, f, y), (g, h, i, z) = T[:3].tolist()
+    # Half of I - R^T R, which is symmetric. As plain numbers, for it is done some hundred times a frame.
+    xx, xy = 0.5 * (1.0 - a * a - d * d - g * g), -0.5 * (a * b + d * e + g * h)
+    yy, xz = 0.5 * (1.0 - b * b - e * e - h * h), -0.5 * (a * c + d * f + g * i)
+    zz, yz = 0.5 * (1.0 - c * c - f * f - i * i), -0.5 * (b * c + e * f + h * i)
+    square = xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)
+    if 4.0 * square < NEARLY_ORTHONORMAL**2 and _determinant(T[:3, :3]) > 0.0:
+        return np.array(
+            [
+                [a + a * xx + b * xy + c * xz, b + a * xy + b * yy + c * yz, c + a * xz + b * yz + c * zz, x],
+                [d + d * xx + e * xy + f * xz, e + d * xy + e * yy + f * yz, f + d * xz + e * yz + f * zz, y],
+                [g + g * xx + h * xy + i * xz, h + g * xy + h * yy + i * yz, i + g * xz + h * yz + i * zz, z],
+                [0.0, 0.0, 0.0, 1.0],
+            ]
+        )
+    U, _, Vt = np.linalg.svd(T[:3, :3])
     U[:, 2] *= np.sign(_determinant(U @ Vt))
     return make(U @ Vt, T[:3, 3])
 
 
-_IDENTITY, _ORIGIN = np.eye(3), np.zeros(3)
+_AT_REST, _ORIGIN = np.eye(4), np.zeros(3)
 
 
 def _determinant(R: Float64) -> float:
@@ -54,8 +66,8 @@ def _determinant(R: Float64) -> float:
 
 def compose(*transforms: Float) -> Float64:
     """Product of transforms, re-orthonormalised: `compose(T_a_b, T_b_c)` is T_a_c."""
-    T = np.eye(4)
-    for X in transforms:
+    T = np.eye(4) if not transforms else np.asarray(transforms[0], np.float64)
+    for X in transforms[1:]:
         T = T @ X
     return orthonormalised(T)
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float64, Int64
+from huepose.geometry.arrays import Bool, Float, Float64, Int64
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 
@@ -151,22 +151,31 @@ HALF = 0.5
 """A pose is suppressed when better poses hold more than this share of its surface."""
 
 
-def standing(surfaces: Sequence[Int64], scores: Sequence[float]) -> list[int]:
+def standing(
+    surfaces: Sequence[Int64],
+    scores: Sequence[float],
+    misfits: Sequence[Float] | None = None,
+    margin: float = 0.0,
+) -> list[int]:
     """Greedy suppression: indices of the poses that stay, best score first (ties: the first). A pose goes if
-    those that stay before it hold more than HALF of its surface.
+    those that stay before it hold more than HALF of its surface. misfits: how badly each piece of each
+    surface fits the picture; who fits worse by more than the margin does not hold a piece.
 
     >>> standing([np.array([1, 2, 3]), np.array([2, 3, 4]), np.array([3, 4, 5])], [0.5, 0.9, 0.4])
     [1]
     >>> standing([np.array([1, 2]), np.array([2, 3])], [0.5, 0.9])
     [1, 0]
+    >>> standing([np.array([1, 2]), np.array([1, 2])], [0.5, 0.9], [[0.0, 0.0], [2.0, 2.0]], 1.0)
+    [1, 0]
     """
-    held = np.zeros(max((int(s.max(initial=-1)) for s in surfaces), default=-1) + 1, bool)
+    held = np.full(max((int(s.max(initial=-1)) for s in surfaces), default=-1) + 1, np.inf)
     out = []
     for i in sorted(range(len(surfaces)), key=lambda i: (-scores[i], i)):
         surface = surfaces[i]
-        if np.count_nonzero(held[surface]) <= HALF * len(surface):
+        own = np.zeros(len(surface)) if misfits is None else np.asarray(misfits[i])
+        if np.count_nonzero(held[surface] <= own + margin) <= HALF * len(surface):
             out.append(i)
-            held[surface] = True
+            held[surface] = np.minimum(held[surface], own)
     return out
 
 

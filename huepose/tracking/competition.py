@@ -11,16 +11,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64, Int64
-from huepose.geometry.camera import Camera
+from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.camera import NEAR_M, Camera, depth_noise_m
 from huepose.judge.open_region import PreparedSurface, tolerance_m
+from huepose.judge.region import ModelArrays, projected
 from huepose.select.distinct import standing
+from huepose.support.jit import jit_dividing
 
 CELL_PX = 6
-"""Claims are compared in cells of this size: about the spacing of the samples on a near object."""
+"""Claims are compared in cells of this size."""
 
-CLAIM_SAMPLES = 200
-"""Most surface samples by which a pose claims cells."""
+FOOTPRINT = 1.5
+"""Side of what a sample claims, in mean distances of samples: the claims of evenly spread samples close up. A
+gap in the claim of one object would look like a place that another has for itself."""
+
+MARGIN_SIGMAS = 2.0
+"""A thing that lies flat on another fits the readings there better, by its thickness. Less than so many
+standard errors of a reading tells nothing."""
+
+GRAZING = 0.2
+"""Cosine of the line of sight to the normal below which a sample claims nothing: its plane does not say how
+deep the surface is beside it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +46,20 @@ class Claim:
 def losers(claims: Sequence[Claim], depth: Float32, camera: Camera) -> list[int]:
     """Indices of the claims that others hold with better right; earlier ones win ties."""
     touched = _touched(claims, camera)
-    surfaces = [
-        _cells(claim, depth, camera) if touches else np.zeros(0, np.int64)
-        for claim, touches in zip(claims, touched, strict=True)
-    ]
-    stand = standing(surfaces, [claim.total for claim in claims])
-    return sorted(set(range(len(surfaces))) - set(stand))
+    if not touched.any():
+        return []
+    shape = camera.height // CELL_PX + 1, camera.width // CELL_PX + 1
+    grids = np.full((len(claims), shape[0] * shape[1]), np.inf, np.float32)
+    away_m = 0.0
+    for grid, claim, touches in zip(grids, claims, touched, strict=True):
+        if touches:
+            _fill(claim, depth, camera, grid.reshape(shape))
+            away_m = max(away_m, float(claim.surface.centre_cam(claim.T_cam_obj)[2]))
+    surfaces = [np.flatnonzero(np.isfinite(grid)) for grid in grids]
+    misfits = [grid[surface] for grid, surface in zip(grids, surfaces, strict=True)]
+    margin_m = MARGIN_SIGMAS * depth_noise_m(away_m)
+    stand = standing(surfaces, [claim.total for claim in claims], misfits, margin_m)
+    return sorted(set(range(len(claims))) - set(stand))
 
 
 def _touched(claims: Sequence[Claim], camera: Camera) -> Bool:
@@ -62,19 +81,56 @@ def _touched(claims: Sequence[Claim], camera: Camera) -> Bool:
     return np.asarray(near.any(axis=1))
 
 
-def _cells(claim: Claim, depth: Float32, camera: Camera) -> Int64:
-    """Sorted numbers of the image cells in which depth agrees with the object's surface."""
-    surface, T = claim.surface, claim.T_cam_obj
-    a = surface.arrays
-    p = a.points[surface.shown(T, CLAIM_SAMPLES)] @ T[:3, :3].T + T[:3, 3]
-    z = p[:, 2]
-    ahead = z > 0.02
-    u = np.where(ahead, p[:, 0] / np.where(ahead, z, 1.0) * camera.fx + camera.cx, -1.0)
-    v = np.where(ahead, p[:, 1] / np.where(ahead, z, 1.0) * camera.fy + camera.cy, -1.0)
-    columns, rows = np.rint(u).astype(np.int64), np.rint(v).astype(np.int64)
-    inside = (columns >= 0) & (rows >= 0) & (columns < camera.width) & (rows < camera.height)
-    columns, rows, z = columns[inside], rows[inside], z[inside]
-    tau = 2.0 * tolerance_m(surface.diameter_m, float(surface.centre_cam(T)[2]))
-    agrees = np.abs(depth[rows, columns] - z) < tau
-    in_a_row = camera.width // CELL_PX + 1
-    return np.unique(rows[agrees] // CELL_PX * in_a_row + columns[agrees] // CELL_PX)
+def _fill(claim: Claim, depth: Float32, camera: Camera, misfit: Float32) -> None:
+    """Write by how many metres depth differs from the object's surface at least, into each cell (rows,
+    columns) of the image in which they agree."""
+    surface, T = claim.surface, np.array(claim.T_cam_obj, np.float64, order="C")
+    box = surface.box(T, camera)
+    if box is None:
+        return
+    view = surface.view_of(T)
+    first, last = (int(x) for x in surface.arrays.offsets[view : view + 2])
+    spacing_px = np.sqrt(box.w * box.h / max(last - first, 1))
+    side = max(1, round(FOOTPRINT * float(spacing_px) / CELL_PX))
+    tolerance = 2.0 * tolerance_m(surface.diameter_m, float(surface.centre_cam(T)[2]))
+    _claim_cells(T, surface.arrays, first, last, side, depth, camera.lens, tolerance, misfit)
+
+
+@jit_dividing
+def _claim_cells(
+    T: Float64,
+    surface: ModelArrays,
+    first: int,
+    last: int,
+    side: int,
+    depth: Float32,
+    lens: Float64,
+    tolerance_m: float,
+    misfit: Float32,
+) -> None:
+    """Samples `first` to `last` of those that a view shows, each for `side` x `side` cells around it, where
+    its tangent plane is as deep as the reading."""
+    for k in range(first, last):
+        i = surface.visible[k]
+        u, v, z = projected(T, surface.points, i, lens)
+        if z < NEAR_M:
+            continue
+        x, y = (u - lens[2]) / lens[0], (v - lens[3]) / lens[1]
+        a, b, c = surface.normals[i, 0], surface.normals[i, 1], surface.normals[i, 2]
+        n0 = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c
+        n1 = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c
+        n2 = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c
+        along = n0 * x + n1 * y + n2
+        if abs(along) < GRAZING * np.sqrt(x * x + y * y + 1.0):
+            continue
+        for down in range(side):
+            row = int(np.rint(v + (down - 0.5 * (side - 1)) * CELL_PX))
+            for across in range(side):
+                column = int(np.rint(u + (across - 0.5 * (side - 1)) * CELL_PX))
+                if row < 0 or column < 0 or row >= depth.shape[0] or column >= depth.shape[1]:
+                    continue
+                there = n0 * (column - lens[2]) / lens[0] + n1 * (row - lens[3]) / lens[1] + n2
+                off = abs(depth[row, column] - z * along / there)
+                cell = row // CELL_PX, column // CELL_PX
+                if depth[row, column] > 0.0 and off < min(tolerance_m, misfit[cell]):
+                    misfit[cell] = off

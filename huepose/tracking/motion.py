@@ -71,7 +71,7 @@ def about_origin(surface: PreparedSurface, T_cam_obj: Float64, velocity: Float64
 
 
 def _about(velocity: Float64, lever: Float64) -> Float64:
-    return np.concatenate([velocity[:3] + np.cross(velocity[3:], lever), velocity[3:]])
+    return np.concatenate([velocity[:3] + se3.hat(velocity[3:]) @ lever, velocity[3:]])
 
 
 SLACK_M, SLACK_RAD = 0.02, np.radians(10.0)

@@ -1,26 +1,17 @@
 """What is believed of each hypothesis of a frame: its log-odds, from the picture, its past and its motion;
-what may be believed of a lost object at the place that looks most like it; and the covariance that is
-published.
-
-A covariance has the order tx ty tz rx ry rz, metres and radians, about the object's origin, camera axes. The
-refinement's information counts residuals as if their errors were independent; those of neighbouring pixels
-are not, and a sensor and a scanned model err alike everywhere, which no number of samples averages away."""
+and what may be believed of a lost object at the place that looks most like it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-
 from huepose.believe.logistic import probability
-from huepose.geometry.arrays import Float32, Float64
-from huepose.geometry.camera import depth_noise_m
+from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.se3 import carrying
-from huepose.judge.borders import continued, held
+from huepose.judge.borders import continued
 from huepose.refine.ends import moved_to_ends
-from huepose.refine.photometric import FULL, RESIDUALS_PER_READING
+from huepose.refine.photometric import FULL
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct
@@ -28,12 +19,9 @@ from huepose.tracking.motion import Reach, filtered, increment_velocity, jump_od
 from huepose.tracking.refined import best_of, unmoved
 from huepose.tracking.stages import found_at
 from huepose.tracking.step import WHOLLY_HIDDEN, Advance
-from huepose.tracking.subject import POINTS, Subject
+from huepose.tracking.subject import Subject
+from huepose.tracking.uncertainty import FIXED, uncertainty
 from huepose.tracking.usual import Usual
-
-FIXED = 0.012
-"""Expected pose error, as a share of the diameter, up to which the texture fixes the pose; textured objects
-have half of it."""
 
 UNSUPPORTED = 0.1
 """Log-odds by which a jump that nothing supports, or any such pose while the object is hidden where it is
@@ -122,27 +110,6 @@ def _held_by_its_ends(
     return replace(unmoved(subject.surface, frame, T, light), information=h.information)
 
 
-def uncertainty(subject: Subject, h: Hypothesis, frame: RgbdFrame | None = None) -> tuple[Float64, float]:
-    """Covariance (6, 6) of a pose, and its expected error as a share of the diameter. frame: asked where the
-    object ends, if depth and texture do not fix the pose."""
-    known, spread = _uncertainty(subject, h)
-    if frame is None or spread < FIXED:
-        return known, spread
-    return _uncertainty(subject, h, held(subject.contours, h.T_cam_obj, frame))
-
-
-def _uncertainty(subject: Subject, h: Hypothesis, by_outline: Float64 | float = 0.0) -> tuple[Float64, float]:
-    surface, T = subject.surface, h.T_cam_obj
-    centre = surface.centre_cam(T)
-    # What is known without the picture, and its floors, are about the object, wherever its origin is.
-    to_origin = carrying(T[:3, 3] - centre)
-    known = covariance(to_origin.T @ h.information @ to_origin, float(centre[2]), by_outline)
-    known = to_origin @ known @ to_origin.T
-    # What readings have in common turns the object about the part that is in the picture.
-    known /= max(1.0 - h.terms.outside, LEAST_INSIDE)
-    return known, spread_m(known, T, surface.arrays.points[:POINTS]) / surface.diameter_m
-
-
 def found_again(
     subject: Subject,
     seen: Hypothesis,
@@ -164,40 +131,3 @@ def found_again(
     if not opinions or evidence.one_sense(opinions[0].terms):
         return ()
     return opinions if probability(opinions[0].log_odds) >= config.suspect_quality else ()
-
-
-FLOOR_SIGMA = np.array([0.0003, 0.0003, 0.0005, 0.004, 0.004, 0.004])
-"""Least standard errors of a pose, metres along the camera's axes and radians, however many pixels speak for
-it: what a model's own errors leave."""
-
-BIAS_SHARE = 0.15
-"""Of the depth sensor's noise: what its errors have in common over an object."""
-
-LEAST_INSIDE = 0.05
-"""What is inside of the picture counts as this share at least. That errors grow with the inverse root of it:
-medians of error over expected error in 5,900 frames of drawn objects that the picture's edge cuts."""
-
-WEAK_SIGMA = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])
-"""What is known even where nothing was measured: the object was tracked a moment ago."""
-
-_WEAK = np.diag(1.0 / WEAK_SIGMA**2)
-
-
-def covariance(information: Float64, distance_m: float, by_outline: Float64 | float = 0.0) -> Float64:
-    """Covariance (6, 6) of a refined pose at that distance, about the point that the information (6, 6) is
-    about; by_outline (6, 6): what the outline says about that point beside it."""
-    out = np.linalg.inv(information / RESIDUALS_PER_READING + by_outline + _WEAK)
-    bias = BIAS_SHARE * depth_noise_m(distance_m)
-    out.flat[::7] += FLOOR_SIGMA**2 + np.array([0.0, 0.0, bias**2, 0.0, 0.0, 0.0])
-    return np.asarray(out)
-
-
-def spread_m(covariance: Float64, T_cam_obj: Float64, points_obj: Float32) -> float:
-    """By how much the object's points (N, 3) lie off, RMS, if the pose errs as that covariance says."""
-    # A point p moves by t + r x p: its mean square needs the mean and the second moments of the points only.
-    points = points_obj.astype(np.float64) @ T_cam_obj[:3, :3].T
-    mean, second = points.mean(axis=0), points.T @ points / len(points)
-    moved, mixed, turned = covariance[:3, :3], covariance[:3, 3:], covariance[3:, 3:]
-    curl = np.array([mixed[1, 2] - mixed[2, 1], mixed[2, 0] - mixed[0, 2], mixed[0, 1] - mixed[1, 0]])
-    square = np.trace(moved) + 2.0 * mean @ curl + np.trace(turned) * np.trace(second)
-    return float(np.sqrt(square - (turned * second).sum()))

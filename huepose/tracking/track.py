@@ -22,13 +22,14 @@ from huepose.tracking.evidence import Identity, Standing, next_standing, turned_
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.motion import Reach, jump_since, predicted, same_motion
-from huepose.tracking.opinions import FIXED, found_again, opinions, uncertainty, weighed
+from huepose.tracking.opinions import found_again, opinions, weighed
 from huepose.tracking.orientation import LOOKED_FOR, Orientation, another_opinion
 from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, NEARBY
 from huepose.tracking.step import Advance, advance, found_nearby
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
+from huepose.tracking.uncertainty import FIXED, uncertainty
 from huepose.tracking.usual import Usual
 
 COASTING_SEEN = 0.15

@@ -19,7 +19,6 @@ from huepose.tracking import Correction, Tracker
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import is_loose
 from huepose.tracking.hypothesis import Hypothesis
-from huepose.tracking.opinions import uncertainty
 from huepose.tracking.orientation import (
     NEW_VIEW,
     SETTLED,
@@ -34,6 +33,7 @@ from huepose.tracking.orientation import (
 from huepose.tracking.refined import best_of
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
+from huepose.tracking.uncertainty import uncertainty
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
 FLOOR_M = 0.8

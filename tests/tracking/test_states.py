@@ -27,7 +27,7 @@ from huepose.tracking.evidence import (
     one_sense,
     scarce,
 )
-from huepose.tracking.opinions import covariance
+from huepose.tracking.uncertainty import covariance
 from huepose.tracking.usual import Usual
 
 GOOD = Terms(

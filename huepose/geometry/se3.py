@@ -35,14 +35,14 @@ def inverse(T: Float) -> Float64:
 
 def orthonormalised(T: Float) -> Float64:
     """The nearest rigid transform to `T` (4, 4): singular values of its rotation set to one, det +1."""
-    T = np.asarray(T, np.float64)
-    (a, b, c, x), (d, e, f, y), (g, h, i, z) = T[:3].tolist()
+    (a, b, c, x), (d, e, f, y), (g, h, i, z) = np.asarray(T, np.float64)[:3].tolist()
     # Half of I - R^T R, which is symmetric. As plain numbers, for it is done some hundred times a frame.
     xx, xy = 0.5 * (1.0 - a * a - d * d - g * g), -0.5 * (a * b + d * e + g * h)
     yy, xz = 0.5 * (1.0 - b * b - e * e - h * h), -0.5 * (a * c + d * f + g * i)
     zz, yz = 0.5 * (1.0 - c * c - f * f - i * i), -0.5 * (b * c + e * f + h * i)
     square = xx * xx + yy * yy + zz * zz + 2.0 * (xy * xy + xz * xz + yz * yz)
-    if 4.0 * square < NEARLY_ORTHONORMAL**2 and _determinant(T[:3, :3]) > 0.0:
+    positive = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0.0
+    if 4.0 * square < NEARLY_ORTHONORMAL**2 and positive:
         return np.array(
             [
                 [a + a * xx + b * xy + c * xz, b + a * xy + b * yy + c * yz, c + a * xz + b * yz + c * zz, x],
@@ -51,17 +51,12 @@ def orthonormalised(T: Float) -> Float64:
                 [0.0, 0.0, 0.0, 1.0],
             ]
         )
-    U, _, Vt = np.linalg.svd(T[:3, :3])
-    U[:, 2] *= np.sign(_determinant(U @ Vt))
+    U, _, Vt = np.linalg.svd(np.array([[a, b, c], [d, e, f], [g, h, i]]))
+    U[:, 2] *= np.sign(np.linalg.det(U @ Vt))
     return make(U @ Vt, T[:3, 3])
 
 
 _AT_REST, _ORIGIN = np.eye(4), np.zeros(3)
-
-
-def _determinant(R: Float64) -> float:
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    return float(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g))
 
 
 def compose(*transforms: Float) -> Float64:

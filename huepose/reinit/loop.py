@@ -138,7 +138,7 @@ class ReinitLoop:
         elsewhere = self._elsewhere.names(now_ns, self._tracks, self._looked_ns, self.config)
         wanted = self._wanted(now_ns)
         options = candidates(list(self._slots.values()), self._tracks, wanted, self._looked_ns, elsewhere)
-        chosen = choose(now_ns, options, self.config)
+        chosen = choose(now_ns, options, self.config, answers=self.counters.answers > 0)
         if not chosen:
             return None
         for asked in chosen:
@@ -150,7 +150,8 @@ class ReinitLoop:
         self.counters.requests += 1
         self._asked_ns = now_ns
         self._pace.asked(self.counters.requests, now_ns)
-        deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms) * 1e9)
+        more = max(0, len(chosen) - self.config.objects_per_request)
+        deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms, more) * 1e9)
         # One of the missing objects of a request is searched for everywhere, by turns; one turn is to spare.
         seen = self._answered.seen(chosen, self.config.objects_per_request + 1)
         self._in_flight = Request(self.counters.requests, self._epoch, deadline_ns, tuple(chosen), seen)

@@ -117,16 +117,27 @@ def candidates(
     return out
 
 
-def choose(now_ns: int, options: Sequence[Candidate], config: ReinitConfig) -> list[RequestedObject]:
+NEW = 3
+"""So 20 known objects have their first look in four requests instead of ten. All in one would keep those that
+are found first waiting for the others, a second long."""
+
+
+def choose(
+    now_ns: int, options: Sequence[Candidate], config: ReinitConfig, *, answers: bool = True
+) -> list[RequestedObject]:
     """Lost objects first, then doubtful ones, then those not looked at for longest; ties go to the longest
     wait.
 
-    So that objects that cannot be found do not starve the others, one that was not looked at for `stale_ms`
-    gets the last place.
+    Of those that were never looked for a request takes NEW times as many, if perception `answers`, so that
+    what is in the picture from the start is found soon. So that objects that cannot be found do not starve
+    the others, one that was not looked at for `stale_ms` gets the last place.
     """
     order = sorted(
         options, key=lambda c: (c.rank, c.looked_ns, c.requested.object, c.requested.instance or 0)
     )
+    new = [c for c in order if c.looked_ns == NEVER] if answers else []
+    if len(new) > config.objects_per_request:
+        return [c.requested for c in new[: NEW * config.objects_per_request]]
     chosen = order[: config.objects_per_request]
     starving = [
         c for c in order if c.rank > 0 and c not in chosen and now_ns - c.looked_ns >= config.stale_ms * 1e6
@@ -141,6 +152,10 @@ LONGEST_S = 10.0
 
 PATIENCE = 1.5
 """Deadline over the duration of the last answers."""
+
+EACH_MORE_S = 0.15
+"""What each object beyond the usual number adds to a deadline, seconds: four times what the search for one
+takes on two x86-64 cores, for slower ones."""
 
 
 class Pace:
@@ -176,11 +191,10 @@ class Pace:
         """Age of the frame at the last answer about it, seconds."""
         return self._age_s
 
-    def deadline_s(self, configured_s: float) -> float:
-        """Deadline of the next request, seconds."""
-        if self._took_s <= configured_s:
-            return configured_s
-        return max(configured_s, min(PATIENCE * self._took_s, LONGEST_S))
+    def deadline_s(self, configured_s: float, more: int = 0) -> float:
+        """Deadline of the next request, seconds. more: objects that it has beyond the usual number."""
+        known_s = 0.0 if self._took_s <= configured_s else min(PATIENCE * self._took_s, LONGEST_S)
+        return max(configured_s, known_s) + more * EACH_MORE_S
 
     def between_s(self, period_s: float) -> float:
         """Expected time between answers, seconds."""

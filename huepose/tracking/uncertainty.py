@@ -132,4 +132,4 @@ def _spread_m(covariance: Float64, T: Float64, points: Float64) -> float:
         square += 2.0 * p0 * (covariance[1, 5] - covariance[2, 4])
         square += 2.0 * p1 * (covariance[2, 3] - covariance[0, 5])
         square += 2.0 * p2 * (covariance[0, 4] - covariance[1, 3])
-    return np.sqrt(square / points.shape[0] + covariance[0, 0] + covariance[1, 1] + covariance[2, 2])
+    return float(np.sqrt(square / points.shape[0] + covariance[0, 0] + covariance[1, 1] + covariance[2, 2]))

@@ -117,8 +117,8 @@ class SearchedBoxes(BoxFinder):
     """Boxes of the detector that needs no weights. It is asked only for objects without a fresh prediction;
     the others get the box of their prediction.
 
-    One missing object at a time, by turns, is searched in the whole image: a request costs the same however
-    many are missing."""
+    One missing object at a time, by turns, is searched with all effort: a request costs the same however many
+    are missing. Those that never had a turn all have it at once."""
 
     def __init__(self, outlines: Mapping[str, Outline], detector: ColorPairDetector) -> None:
         super().__init__(outlines)
@@ -146,7 +146,7 @@ class SearchedBoxes(BoxFinder):
             for w in request.objects
             if w.others
         }
-        seen = self._searcher.detect(frame, names, (self._turn(names),), followed) if names else []
+        seen = self._searcher.detect(frame, names, self._turn(names), followed) if names else []
         taken = [box for box in predicted if box is not None]
         found: list[DetectedObject] = []
         for wanted, box in zip(request.objects, predicted, strict=True):
@@ -161,12 +161,14 @@ class SearchedBoxes(BoxFinder):
     def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> Order:
         """What a frame says of the order of its channels, by one of the objects, by turns, as in `find`.
         seen: scores of those that were searched in it."""
-        return order_of_channels(frame, self._searcher, [self._turn(names)], seen)
+        return order_of_channels(frame, self._searcher, self._turn(names)[:1], seen)
 
-    def _turn(self, names: Sequence[str]) -> str:
-        """The object whose turn is longest ago, which has it now; before all, one that never had a turn."""
-        turn = min(names, key=lambda name: self._turns.index(name) if name in self._turns else -1)
-        self._turns = [name for name in self._turns if name != turn] + [turn]
+    def _turn(self, names: Sequence[str]) -> list[str]:
+        """The objects that never had a turn, which have it now; without any, that whose turn is longest
+        ago."""
+        turn = [name for name in names if name not in self._turns]
+        turn = turn or [min(names, key=self._turns.index)]
+        self._turns = [name for name in self._turns if name not in turn] + turn
         return turn
 
     def _predicted(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:

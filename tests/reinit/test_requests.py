@@ -264,3 +264,26 @@ def test_what_is_most_likely_another_thing_is_looked_for_elsewhere_now_and_then(
     assert all(("mug", 0) in look for look in looks)
     doubted = track(state=State.SUSPECT, stamp_ms=6000, quality=0.4)
     assert asked(loop.tick(6000 * MS, [doubted])) == [("mug", 0)], "which may well be right"
+
+
+def test_all_new_objects_are_looked_for_soon_once_perception_answers() -> None:
+    names = [f"o{k:02d}" for k in range(12)]
+    loop = ReinitLoop(objects=[(name, 1) for name in names])
+    first = loop.tick(0, [])
+    assert first is not None
+    assert asked(first) == [("o00", None), ("o01", None)], "nobody may be listening yet"
+    assert loop.tick(500 * MS, []) is None
+    again = loop.tick(600 * MS, [])
+    assert again is not None
+    assert len(again.objects) == 2, "there was no answer"
+    loop.answer(700 * MS, result(again, 600))
+    second = loop.tick(800 * MS, [])
+    assert second is not None
+    assert asked(second) == [(name, None) for name in names[:6]]
+    assert second.deadline_ns - 800 * MS == (600 + 4 * 150) * MS, "it takes longer"
+    loop.answer(1200 * MS, result(second, 800))
+    third = loop.tick(1200 * MS, [])
+    assert third is not None
+    assert asked(third) == [(name, None) for name in names[6:]]
+    loop.answer(1300 * MS, result(third, 1200))
+    assert asked(loop.tick(1400 * MS, [])) == [("o00", None), ("o01", None)], "from here on by turns"

@@ -26,7 +26,7 @@ class Seer:
     def detect(self, frame, names, thorough=(), followed=None):
         self.asked.append(tuple(names))
         self.followed = followed
-        self.thorough += thorough
+        self.thorough.append(list(thorough))
         return [d for d in self.detections if d.object in names]
 
 

@@ -1,7 +1,8 @@
-"""How cost grows: with the objects known, the objects in view, the size of the picture.
+"""How cost grows: with the objects known, the objects in view, the size of the picture, the triangles of a
+mesh, the readers of poses.
 
     OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.growth --out DIR
-        [--only known memory visible pixels] [--quick]
+        [--only known memory visible pixels triangles onboarding readers] [--quick]
 
 CPU milliseconds (all threads) of one frame, medians, and memory that a process has for itself. The scene is a
 wall with objects before it in rows, all turning slowly; the objects are the demo's five, under other names
@@ -26,19 +27,23 @@ from typing import Any
 import cv2
 import numpy as np
 
+from benchmarks.readers import readers
 from huepose.drawing.plots import line_plot
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.evaluation.result_files import origin
 from huepose.geometry import Camera, se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.mesh import Mesh
 from huepose.judge.silhouette import projected_box
 from huepose.model import load_models, save_model
 from huepose.model.io import model_path
 from huepose.model.types import ReferenceModel
+from huepose.onboarding import onboard_mesh
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
 from huepose.rendering.render import render
+from huepose.scenes.builtin import builtin_objects
 from huepose.support.files import write_picture
 from huepose.support.progress import progress
 from huepose.tracking import Tracker
@@ -49,6 +54,18 @@ CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
 COLUMNS, SPACING_M, AWAY_M, WALL_M = 5, 0.27, 1.5, 2.2
 KNOWN, VISIBLE = (1, 2, 5, 10, 20, 50, 100), (1, 2, 5, 10, 20)
 SIZES = ((320, 240), (480, 360), (640, 480), (960, 720), (1280, 960))
+HALVINGS, READERS = (0, 1, 2, 3, 4), (1, 2, 5, 10, 20, 50, 100)
+"""How often each edge of a mesh is halved, which makes four triangles of one."""
+
+STEPS: dict[str, Sequence[int]] = {
+    "known": KNOWN,
+    "memory": KNOWN,
+    "visible": VISIBLE,
+    "pixels": range(len(SIZES)),
+    "triangles": HALVINGS,
+    "onboarding": HALVINGS,
+    "readers": READERS,
+}
 IN_VIEW = 5
 WORKERS = ("tracker", "estimator", "detector")
 FRAMES, WARM = 24, 4
@@ -68,6 +85,9 @@ def main() -> None:
         "memory": ("objects known", "MiB of its own", memory),
         "visible": ("objects in view", "CPU ms a frame", visible),
         "pixels": ("pixels, thousands", "CPU ms a frame", pixels),
+        "triangles": ("triangles of each mesh, thousands", "CPU ms a frame", triangles),
+        "onboarding": ("triangles of the mesh, thousands", "CPU seconds, MiB", onboarding),
+        "readers": ("readers of poses", "sender's CPU ms a second", readers),
     }
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--only", nargs="+", choices=list(axes), default=list(axes))
@@ -78,7 +98,7 @@ def main() -> None:
     print("| | at | cost | exponent |\n|---|---|---|---|")
     for axis in arguments.only:
         x_label, y_label, measure = axes[axis]
-        steps = {"known": KNOWN, "memory": KNOWN, "visible": VISIBLE}.get(axis, range(len(SIZES)))
+        steps = STEPS[axis]
         curves = measure([steps[0], steps[-1]] if arguments.quick else steps)
         found[axis] = curves
         lines = {name: tuple(np.array(points).T) for name, points in curves.items()}
@@ -212,6 +232,55 @@ def pixels(which: Sequence[int]) -> Curves:
         curves["estimate"].append((thousands, estimated_ms(models, IN_VIEW, camera)))
         curves["detect two"].append((thousands, detected_ms(models, 2, 0, camera)))
     return curves
+
+
+def triangles(halvings: Sequence[int]) -> Curves:
+    """The triangles of the meshes, five objects of one mesh in view."""
+    curves: Curves = {"track": [], "estimate": [], "detect two": []}
+    for times in progress(halvings, "sizes of meshes"):
+        mesh = halved(_some_mesh(), times)
+        models = copies(IN_VIEW, {"object": onboard_mesh(mesh, "object")})
+        thousands = len(mesh.faces) / 1e3
+        curves["track"].append((thousands, tracked_ms(models, IN_VIEW)))
+        curves["estimate"].append((thousands, estimated_ms(models, IN_VIEW)))
+        curves["detect two"].append((thousands, detected_ms(models, 2, 0)))
+    return curves
+
+
+def onboarding(halvings: Sequence[int]) -> Curves:
+    """The triangles of a mesh: CPU seconds of making its reference model, and MiB of that one's file."""
+    curves: Curves = {"CPU seconds": [], "MiB": []}
+    with tempfile.TemporaryDirectory() as folder:
+        path = model_path(folder, "object")
+        for times in progress(halvings, "sizes of meshes"):
+            mesh = halved(_some_mesh(), times)
+            start = time.process_time()
+            model = onboard_mesh(mesh, "object")
+            thousands = len(mesh.faces) / 1e3
+            curves["CPU seconds"].append((thousands, time.process_time() - start))
+            save_model(model, path)
+            curves["MiB"].append((thousands, path.stat().st_size / 2**20))
+    return curves
+
+
+def halved(mesh: Mesh, times: int) -> Mesh:
+    """The same surface with every edge halved so many times."""
+    for _ in range(times):
+        corners = mesh.vertices[mesh.faces]
+        points, faces = np.unique(_quarters(corners).reshape(-1, 3), axis=0, return_inverse=True)
+        mesh = Mesh(points, faces.reshape(-1, 3).astype(np.int32), _quarters(mesh.uv), mesh.texture)
+    return mesh
+
+
+def _quarters(corners: Float32) -> Float32:
+    """The four parts of each triangle (F, 3, D), with its edges halved: (4 F, 3, D)."""
+    middle = (corners + np.roll(corners, -1, axis=1)) / 2
+    tips = [np.stack([corners[:, i], middle[:, i], middle[:, i - 1]], axis=1) for i in range(3)]
+    return np.concatenate([*tips, middle])
+
+
+def _some_mesh() -> Mesh:
+    return builtin_objects(0)["soup_can"]
 
 
 def memory(counts: Sequence[int]) -> Curves:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import tracemalloc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,7 +34,12 @@ AT_ONCE = 2
 
 @dataclass(frozen=True)
 class StageTime:
-    """Milliseconds of one stage: percentiles over repetitions; CPU time is that of the threads it ran in."""
+    """Milliseconds of one stage: percentiles over repetitions; CPU time is that of the threads it ran in.
+
+    first_wall_ms: of the first time in this process, which is not among the repetitions; allocated_mib: the most
+    that one repetition holds at once beside what there was before, what compiled kernels take not counted. Both
+    None where they are not measured.
+    """
 
     name: str
     wall_ms_p50: float
@@ -41,13 +47,21 @@ class StageTime:
     wall_ms_p99: float
     cpu_ms_p50: float
     cpu_ms_p99: float
+    first_wall_ms: float | None = None
+    allocated_mib: float | None = None
 
     @staticmethod
-    def of(name: str, spans: Sequence[tuple[float, float]]) -> StageTime:
-        """From (wall, cpu) seconds, one a repetition."""
+    def of(
+        name: str,
+        spans: Sequence[tuple[float, float]],
+        first_s: float | None = None,
+        allocated_mib: float | None = None,
+    ) -> StageTime:
+        """From (wall, cpu) seconds, one a repetition; the wall seconds of the first time."""
         wall, cpu = 1000.0 * np.array(spans, dtype=np.float64).reshape(-1, 2).T
         p50, p95, p99 = np.percentile(wall, [50, 95, 99])
-        return StageTime(name, *(float(x) for x in (p50, p95, p99, *np.percentile(cpu, [50, 99]))))
+        times = (float(x) for x in (p50, p95, p99, *np.percentile(cpu, [50, 99])))
+        return StageTime(name, *times, None if first_s is None else 1000.0 * first_s, allocated_mib)
 
 
 def bench_estimate(
@@ -58,6 +72,7 @@ def bench_estimate(
     estimator = Estimator(models, replace(config, threads=2))
     alone = Estimator(models, replace(config, threads=1))
     rows: dict[str, list[tuple[float, float]]] = {"estimate": []}
+    first_s = allocated = 0.0
     steps = np.linspace(0, len(scene), ESTIMATED + 1, endpoint=False).astype(int)
     for k, i in enumerate(progress(steps, f"estimating ({config.method})")):
         frame, queries = scene.frame(int(i)), []
@@ -69,11 +84,14 @@ def bench_estimate(
         whole = _timed(partial(estimator.estimate, frame, queries))
         with listening() as clock:
             alone.estimate(frame, queries)
-        if k == 0:
-            continue  # compiles, and prepares the models
+        if k == 0:  # prepares the models
+            first_s = whole[0]
+            continue
         rows["estimate"].append(whole)
         _collect(rows, "estimate", clock)
-    return [StageTime.of(name, spans) for name, spans in rows.items()]
+        if k == 1:
+            allocated = _allocated_mib(partial(estimator.estimate, frame, queries))
+    return _stages(rows, {"estimate": (first_s, allocated)})
 
 
 def bench_track(
@@ -88,15 +106,19 @@ def bench_track(
         if truth.object is not None and truth.T_cam_obj is not None:
             tracker.correct(Correction.first(truth.object, truth.T_cam_obj, first))
     rows: dict[str, list[tuple[float, float]]] = {"track": []}
+    first_s = 0.0
     for i in progress(range(TRACKED), "tracking"):
         frame = scene.frame(i)
         with listening() as clock:
             whole = _timed(partial(tracker.step, frame))
+        if i == 0:
+            first_s = whole[0]
         if i < 3:
             continue
         rows["track"].append(whole)
         _collect(rows, "track", clock)
-    return [StageTime.of(name, spans) for name, spans in rows.items()]
+    allocated = _allocated_mib(partial(tracker.step, scene.frame(TRACKED)))
+    return _stages(rows, {"track": (first_s, allocated)})
 
 
 def bench_perception(
@@ -115,6 +137,7 @@ def bench_perception(
     detector.warm_up()
     names = list(models)
     rows: dict[str, list[tuple[float, float]]] = {}
+    first_s = allocated = 0.0
     for k, i in enumerate(progress(np.linspace(0, len(scene), frames + 1, endpoint=False), "detecting")):
         frame, truths = scene.frame(int(i)), scene.truths(int(i))
         turn = names[k % len(names)]
@@ -132,11 +155,16 @@ def bench_perception(
             "detect still missing": _timed(partial(remembering.detect, _again(without, k), [turn])),
             "segment": _timed(partial(_segmented, segmenter, frame, boxes)),
         }
-        for name, span in spans.items() if k else ():  # the first compiles
+        if k == 0:  # prepares the models
+            first_s = whole[0]
+            continue
+        for name, span in spans.items():
             rows.setdefault(name, []).append(span)
+        if k == 1:
+            allocated = _allocated_mib(partial(detector.detect, frame, names, (turn,)))
     wholes = ["detect two", "detect missing", "detect still missing", "segment"]
     order = ["detect", *(name for name in rows if "/" in name), *wholes]
-    return [StageTime.of(name, rows[name]) for name in order]
+    return _stages({name: rows[name] for name in order}, {"detect": (first_s, allocated)})
 
 
 def _again(frame: RgbdFrame, seed: int) -> RgbdFrame:
@@ -164,6 +192,23 @@ def _timed(work: Callable[[], object]) -> tuple[float, float]:
     wall, cpu = time.perf_counter(), time.process_time()
     work()
     return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def _allocated_mib(work: Callable[[], object]) -> float:
+    """The most that Python and numpy hold at once while it runs, beside what there was before."""
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1] / 2**20
+    finally:
+        tracemalloc.stop()
+
+
+def _stages(
+    rows: Mapping[str, Sequence[tuple[float, float]]], wholes: Mapping[str, tuple[float, float]]
+) -> list[StageTime]:
+    """One for each row; of a whole also (first wall s, allocated MiB)."""
+    return [StageTime.of(name, spans, *wholes.get(name, ())) for name, spans in rows.items()]
 
 
 def _collect(rows: dict[str, list[tuple[float, float]]], prefix: str, clock: StageClock) -> None:

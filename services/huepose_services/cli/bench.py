@@ -64,8 +64,16 @@ def call(arguments: argparse.Namespace) -> int:
         summary["bus_frame_tcp_ms_p50"] = _p50(stages, "bus/tcp")
     summary["peak_memory_mib"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     columns = ("wall_ms_p50", "wall_ms_p95", "wall_ms_p99", "cpu_ms_p50", "cpu_ms_p99")
-    rows = [[s.name, *(f"{getattr(s, column):.2f}" for column in columns)] for s in stages]
-    text = table(("stage, ms", "wall p50", "p95", "p99", "CPU p50", "p99"), rows)
+    rows = [
+        [
+            s.name,
+            *(f"{getattr(s, column):.2f}" for column in columns),
+            "" if s.first_wall_ms is None else f"{s.first_wall_ms:.0f}",
+            "" if s.allocated_mib is None else f"{s.allocated_mib:.1f}",
+        ]
+        for s in stages
+    ]
+    text = table(("stage, ms", "wall p50", "p95", "p99", "CPU p50", "p99", "first", "MiB"), rows)
     text += f"\npeak memory {summary['peak_memory_mib']:.0f} MiB"
     answered(arguments, {"summary": summary, "stages": [asdict(s) for s in stages]}, text)
     if arguments.picture is not None:

@@ -23,7 +23,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-import onnxruntime as ort
 
 from huepose.evaluation.benches import ESTIMATED, TRACKED, bench_estimate, bench_perception, bench_track
 from huepose.evaluation.summary import table
@@ -80,7 +79,8 @@ def main() -> None:
     peak = operations_a_second()
     print(f"one core does {peak / 1e9:.0f} billion operations a second at most\n")
     detections = 12
-    # The estimates are made twice, the frames of perception four times, five at once the first: see `benches`.
+    # The bench estimates each frame twice and one more, and asks in each of its frames for all, for two, and
+    # three times for one that is absent.
     uses: dict[str, tuple[Callable[[], object], int]] = {
         "track": (lambda: bench_track(scene, models, live.tracker), TRACKED + 1),
         "estimate": (
@@ -128,8 +128,8 @@ def rows(kernels: dict[str, Use], frames: int, peak: float) -> list[dict[str, An
 
 
 def on_gpu_s(use: Use, peak: float, operations: float, bandwidth: float) -> float:
-    """Seconds at most on a GPU of so many operations and bytes a second, for what took a core that does `peak`
-    operations a second `use.cpu_s`.
+    """Seconds at most on a GPU of so many operations and bytes a second, for what took `use.cpu_s` on a core
+    that does `peak` operations a second.
 
     >>> on_gpu_s(Use(calls=10, cpu_s=1.0, handed_bytes=6_000_000), 1e9, 1e12, 1e10)
     0.0063
@@ -173,6 +173,7 @@ def _multiply_and_add(x: Float32, times: int) -> float:
 def watched() -> Iterator[dict[str, Use]]:
     """Count the calls of all compiled kernels that are made from Python, and of networks, meanwhile. Kernels
     that call one another are one."""
+    import onnxruntime as ort
     from numba.core.dispatcher import Dispatcher
 
     uses: dict[str, Use] = {}

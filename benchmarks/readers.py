@@ -1,10 +1,11 @@
-"""What the poses cost their sender, by the number of readers: five poses at 30 Hz over sockets, as the tracker
-sends them."""
+"""What the poses cost their sender, by the number of readers: five poses at 30 Hz over sockets, as the
+tracker sends them."""
 
 from __future__ import annotations
 
 import multiprocessing
 import tempfile
+import threading
 import time
 from collections.abc import Sequence
 
@@ -32,14 +33,14 @@ def readers(counts: Sequence[int]) -> dict[str, list[tuple[float, float]]]:
             spent = pool.apply_async(sent_ms, (there,))
             time.sleep(1.5)
             sessions = [zenoh.open(zenoh_config([], [there])) for _ in range(count)]
-            heard = [0] * count
-            for k, session in enumerate(sessions):
-                session.declare_subscriber(f"{_KEY}/*", lambda sample, k=k: _count(heard, k))
+            heard = [threading.Event() for _ in sessions]
+            for session, event in zip(sessions, heard, strict=True):
+                session.declare_subscriber(f"{_KEY}/*", lambda sample, event=event: event.set())
             curves["send five poses"].append((count, float(spent.get(120))))
             for session in sessions:
                 session.close()
-            if not all(heard):
-                raise RuntimeError(f"{heard.count(0)} of {count} readers heard nothing")
+            if not all(event.is_set() for event in heard):
+                raise RuntimeError(f"not all of {count} readers heard a pose")
     return curves
 
 
@@ -57,7 +58,3 @@ def sent_ms(there: str) -> float:
     spent = time.process_time() - before
     session.close()
     return 1e3 * spent / SECONDS
-
-
-def _count(heard: list[int], k: int) -> None:
-    heard[k] += 1

@@ -36,9 +36,9 @@ AT_ONCE = 2
 class StageTime:
     """Milliseconds of one stage: percentiles over repetitions; CPU time is that of the threads it ran in.
 
-    first_wall_ms: of the first time in this process, which is not among the repetitions; allocated_mib: the most
-    that one repetition holds at once beside what there was before, what compiled kernels take not counted. Both
-    None where they are not measured.
+    first_wall_ms: of the first time in this process, which is not among the repetitions; allocated_mib: the
+    most that one repetition holds at once beside what there was before, without what compiled kernels take.
+    Both None where they are not measured.
     """
 
     name: str
@@ -60,8 +60,10 @@ class StageTime:
         """From (wall, cpu) seconds, one a repetition; the wall seconds of the first time."""
         wall, cpu = 1000.0 * np.array(spans, dtype=np.float64).reshape(-1, 2).T
         p50, p95, p99 = np.percentile(wall, [50, 95, 99])
-        times = (float(x) for x in (p50, p95, p99, *np.percentile(cpu, [50, 99])))
-        return StageTime(name, *times, None if first_s is None else 1000.0 * first_s, allocated_mib)
+        cpu_p50, cpu_p99 = np.percentile(cpu, [50, 99])
+        first_ms = None if first_s is None else 1000.0 * first_s
+        times = float(p50), float(p95), float(p99), float(cpu_p50), float(cpu_p99)
+        return StageTime(name, *times, first_ms, allocated_mib)
 
 
 def bench_estimate(

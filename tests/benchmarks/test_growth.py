@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.growth import copies, exponent, picture, truth
+from benchmarks.growth import copies, exponent, halved, picture, truth
 from huepose.geometry import se3
 from huepose.model.types import ReferenceModel
 
@@ -29,3 +29,12 @@ def test_objects_stand_in_the_picture_where_the_truth_says(tea_box: ReferenceMod
         assert 0 < u < frame.camera.width
         assert 0 < v < frame.camera.height
         assert abs(frame.depth[v, u] - middle[0, 2]) < tea_box.diameter_m, "the object, not the wall"
+
+
+def test_halved_edges_make_four_triangles_of_one_on_the_same_surface(tea_box: ReferenceModel) -> None:
+    mesh, fine = tea_box.mesh, halved(tea_box.mesh, 2)
+    assert len(fine.faces) == 16 * len(mesh.faces)
+    (normals, areas), (fine_normals, fine_areas) = mesh.face_normals(), fine.face_normals()
+    assert fine_areas.sum() == pytest.approx(areas.sum(), rel=1e-5)
+    np.testing.assert_allclose(fine_areas @ fine_normals, areas @ normals, atol=1e-6)
+    np.testing.assert_array_equal(fine.bounds, mesh.bounds)

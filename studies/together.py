@@ -93,7 +93,7 @@ class Sights:
         return box if box is not None and box.w >= 1.0 and box.h >= 1.0 else None
 
     def _turn(self, names: Sequence[str]) -> list[str]:
-        turn = [name for name in names if name not in self._turns]
+        turn = [name for name in names if name not in self._turns][:2]
         turn = turn or [min(names, key=self._turns.index)]
         self._turns = [name for name in self._turns if name not in turn] + turn
         return turn

@@ -119,11 +119,11 @@ def candidates(
 
 NEW = 3
 """So 20 known objects have their first look in four requests instead of ten. All in one would keep those that
-are found first waiting for the others, a second long."""
+are found first waiting for the others, a second long (docs/detection.md)."""
 
 
 def choose(
-    now_ns: int, options: Sequence[Candidate], config: ReinitConfig, *, answers: bool = True
+    now_ns: int, options: Sequence[Candidate], config: ReinitConfig, *, answers: bool
 ) -> list[RequestedObject]:
     """Lost objects first, then doubtful ones, then those not looked at for longest; ties go to the longest
     wait.

@@ -34,6 +34,8 @@ _VISIBLE = 0.1
 # Where no prediction is fresh any more the last box grows, and at last it is the image.
 _FORGET_S, _GROWTH_PER_S = 3.0, 0.5
 _HINT_NS = 3 * SECOND
+# More would let those wait that a first look finds, which are most.
+_NEW_TURNS = 2
 
 
 Pixels = Callable[[], RgbdFrame]
@@ -118,7 +120,7 @@ class SearchedBoxes(BoxFinder):
     the others get the box of their prediction.
 
     One missing object at a time, by turns, is searched with all effort: a request costs the same however many
-    are missing. Those that never had a turn all have it at once."""
+    are missing. Of those that never had a turn two have it at once."""
 
     def __init__(self, outlines: Mapping[str, Outline], detector: ColorPairDetector) -> None:
         super().__init__(outlines)
@@ -164,9 +166,8 @@ class SearchedBoxes(BoxFinder):
         return order_of_channels(frame, self._searcher, self._turn(names)[:1], seen)
 
     def _turn(self, names: Sequence[str]) -> list[str]:
-        """The objects that never had a turn, which have it now; without any, that whose turn is longest
-        ago."""
-        turn = [name for name in names if name not in self._turns]
+        """Who has it now: objects that never had a turn, or that whose turn is longest ago."""
+        turn = [name for name in names if name not in self._turns][:_NEW_TURNS]
         turn = turn or [min(names, key=self._turns.index)]
         self._turns = [name for name in self._turns if name not in turn] + turn
         return turn

@@ -91,7 +91,7 @@ def draw_stages(path: Path, stages: list[tuple[str, float, float]]) -> None:
     rows = []
     for whole in dict.fromkeys(name.split("/")[0].split()[0] for name, _, _ in stages):
         own = [s for s in stages if s[0].split("/")[0].split()[0] == whole]
-        names = [name.split("/", 1)[-1] for name, _, _ in own]
+        names = [name.split("/", 1)[-1].removeprefix(f"{whole} ") for name, _, _ in own]
         times = {"median": [p50 for _, p50, _ in own], "99th percentile": [p99 for _, _, p99 in own]}
         if len(own) > 1:
             rows.append(bar_chart(names, times, whole, "CPU ms a frame", size=(1300, 320)))

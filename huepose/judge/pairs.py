@@ -9,7 +9,6 @@ the mask are judged by the dense score (`judge.terms`) with its colour term swit
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -20,7 +19,6 @@ from huepose.colorpair.opponents import opponents_of_bytes, opponents_of_lab
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import PLAIN
-from huepose.judge.implied_light import Light
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
 from huepose.judge.region import Crop, ModelArrays, Region, RegionArrays, model_arrays, region_arrays
 from huepose.judge.terms import DEFAULT_WEIGHTS, ScoreWeights
@@ -269,10 +267,8 @@ def pair_score_many(
     poses: Float,
     pairs: int,
     samples: int,
-    lights: Sequence[Light | None] | None = None,
 ) -> Float64:
-    """Judge poses (M, 4, 4) by at most `pairs` of the model's pairs and `samples` of its surface; the pairs
-    as they look in the light (M) of each pose, where it is given.
+    """Judge poses (M, 4, 4) by at most `pairs` of the model's pairs and `samples` of its surface.
 
     Returns (M, 5): total, comparable between poses on the same pixels; geometry, the dense score without
     colour; color and contrast, correlations in -1..1, lowered where there is little evidence; number of pairs
@@ -280,20 +276,8 @@ def pair_score_many(
     """
     out = np.zeros((len(poses), PAIR_TERMS))
     on = judged_on(model, region, picture, pairs, samples)
-    every, work = np.ascontiguousarray(poses, dtype=np.float64), scratch(samples)
-    if lights is None:
-        _score_all(every, on, work, out)
-        return out
-    for k, light in enumerate(lights):
-        lit = on if light is None else on._replace(pairs=_lit(on.pairs, light))
-        _score_all(every[k : k + 1], lit, work, out[k : k + 1])
+    _score_all(np.ascontiguousarray(poses, dtype=np.float64), on, scratch(samples), out)
     return out
-
-
-def _lit(pairs: PairArrays, light: Light) -> PairArrays:
-    """The pairs in a light, which falls on both sides alike."""
-    sides = light.falls_on(np.moveaxis(pairs.colors, 1, 0), pairs.normals)
-    return pairs._replace(colors=np.ascontiguousarray(np.moveaxis(sides, 0, 1)))
 
 
 def judged_on(

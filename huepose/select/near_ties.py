@@ -3,7 +3,7 @@
 Rotations of a can, the two faces of a box or the sides of a marker share shape and mean colours, and the
 dense score hardly separates them. Fine texture and, for thin objects, the outline do, but only at a pose that
 is exact to a pixel. So each of the few best poses is first refined on them with a rendered view
-(`judge.rendered_view`), then all are compared on the same pixels and by colour pairs.
+(`judge.rendered_view`), then all are compared on the same pixels.
 """
 
 from __future__ import annotations
@@ -18,13 +18,6 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M
 from huepose.judge.implied_light import Light, implied_lights
 from huepose.judge.outline import Rim, edge_tensor
-from huepose.judge.pairs import (
-    CLOSE_PAIR_SAMPLES,
-    CLOSE_PAIRS,
-    PAIR_WEIGHTS,
-    pair_picture,
-    pair_score_many,
-)
 from huepose.judge.region import OUTSIDE_WEIGHT, Region, model_arrays, region_arrays
 from huepose.judge.rendered_view import Likeness, Part, detail_colors, draw_rendered_view, likeness
 from huepose.judge.terms import ScoreWeights
@@ -34,9 +27,9 @@ from huepose.refine.coordinate_search import search_rendered_view
 from huepose.select.distinct import Ranked, different_answers
 from huepose.select.shade import in_their_light
 
-WEIGHTS = {"dense": 1.0, "detail": 1.5, "broad": 6.5, "pairs": 0.6}
+WEIGHTS = {"dense": 1.0, "detail": 1.5, "broad": 6.5}
 """Of the terms between poses in a near tie. dense: distance to the first in the dense score, at most 0;
-detail, broad: how well fine and broader texture explain the same pixels; pairs: agreement of colour pairs.
+detail, broad: how well fine and broader texture explain the same pixels.
 
 Fitted on drawn heaps, path-traced piles and real frames, some of them those of docs/accuracy.md, to the
 largest likelihood that the right pose wins (softmax of the weighted sums). Fitted on drawn frames alone they
@@ -128,7 +121,7 @@ def _window(model: ReferenceModel, region: Region, poses: Float64) -> tuple[slic
 
 @dataclass(frozen=True, eq=False)
 class Contest:
-    """Poses in a near tie: poses (K, 4, 4) after the close look, and terms (K, 4) in the order of TERMS."""
+    """Poses in a near tie: poses (K, 4, 4) after the close look, and terms (K, 3) in the order of TERMS."""
 
     poses: Float64
     terms: Float64
@@ -151,8 +144,7 @@ def contest(model: ReferenceModel, region: Region, found: Ranked, shaded: bool =
     look = close_look(model, region, poses, lights)
     if look is None:
         return None
-    alike, pairs = look.alike, pair_colors(model, region, poses, lights)
-    columns = [-found.behind[:rivals], alike.detail, alike.broad, pairs]
+    columns = [-found.behind[:rivals], look.alike.detail, look.alike.broad]
     return Contest(look.poses, np.stack(columns, axis=-1))
 
 
@@ -169,13 +161,3 @@ def decided(model: ReferenceModel, region: Region, found: Ranked) -> tuple[Ranke
     others = np.maximum(found.behind[rivals:], WITHIN)
     ranked = Ranked.of(poses, totals, np.concatenate([SHARE * (weighed - weighed.max()), -others]))
     return ranked.these(different_answers(model, ranked.poses)), held
-
-
-def pair_colors(
-    model: ReferenceModel, region: Region, poses: Float64, lights: Sequence[Light | None] | None = None
-) -> Float64:
-    """Colour-pair agreement (K,) at poses (K, 4, 4), in their lights (K) where they are given; 0 without
-    pairs."""
-    picture = pair_picture(model, region.crop, region.median_depth_m)
-    terms = pair_score_many(model, region, picture, poses, CLOSE_PAIRS, CLOSE_PAIR_SAMPLES, lights)
-    return np.asarray(PAIR_WEIGHTS.color * terms[:, 2] + PAIR_WEIGHTS.contrast * terms[:, 3])

@@ -13,7 +13,7 @@ from huepose.judge.terms import totals as judge
 from huepose.model.types import ReferenceModel
 from huepose.select import near_ties
 from huepose.select.distinct import NONE, Ranked
-from huepose.select.near_ties import SHARE, TERMS, WEIGHTS, WITHIN, contest, decided, pair_colors
+from huepose.select.near_ties import TERMS, WEIGHTS, WITHIN, contest, decided
 from tests.judge.regions import region_of
 
 UPSIDE_DOWN = se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
@@ -69,20 +69,6 @@ def test_who_does_not_contend_stays_behind(
     assert found.totals[k] == totals[2]
 
 
-def test_pairs_say_how_much_more(
-    region: Region, tea_box: ReferenceModel, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    poses = np.stack([standing, standing @ UPSIDE_DOWN])
-    right, wrong = pair_colors(tea_box, region, poses)
-    assert right > wrong + 0.3
-    near = Ranked.of(poses, np.array([1.95, 1.94]))
-    monkeypatch.setitem(near_ties.WEIGHTS, "pairs", 0.0)
-    without, _ = decided(tea_box, region, near)
-    monkeypatch.setitem(near_ties.WEIGHTS, "pairs", 2.0)
-    much, _ = decided(tea_box, region, near)
-    assert much.behind[1] - without.behind[1] == pytest.approx(SHARE * 2.0 * (right - wrong))
-
-
 def test_every_term_is_for_the_right_one(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
@@ -92,5 +78,5 @@ def test_every_term_is_for_the_right_one(
     wrong, right = held.terms
     better = dict(zip(TERMS, right - wrong, strict=True))
     assert better["dense"] == pytest.approx(-0.01)
-    assert min(better[name] for name in ("detail", "broad", "pairs")) > 0.1
+    assert min(better[name] for name in ("detail", "broad")) > 0.1
     assert held.weighed() == pytest.approx(held.terms @ list(WEIGHTS.values()))

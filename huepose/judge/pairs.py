@@ -1,10 +1,7 @@
-"""Judge a pose by colour pairs: do the model's pairs find their two colours where the pose projects them?
+"""Read a picture by colour pairs: the two colours of each pair of a model, where a pose projects them.
 
 The model's pairs that are visible at the pose are projected, and the picture is read on both sides of each
-edge, as opponents. Light is fitted at the pose itself, as the offset and gain per channel that fit all read
-colours best; so the first term is a correlation of colours. The second term is a correlation of the
-differences between the two sides, in which light and slow shading cancel. Depth, free space and coverage of
-the mask are judged by the dense score (`judge.terms`) with its colour term switched off.
+edge, as opponents.
 """
 
 from __future__ import annotations
@@ -16,21 +13,14 @@ import numpy as np
 
 from huepose.colorpair.lifting import MIN_FACING
 from huepose.colorpair.opponents import opponents_of_bytes, opponents_of_lab
-from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import PLAIN
-from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
-from huepose.judge.region import Crop, ModelArrays, Region, RegionArrays, model_arrays, region_arrays
-from huepose.judge.terms import DEFAULT_WEIGHTS, ScoreWeights
+from huepose.judge.region import Crop, RegionArrays
+from huepose.judge.terms import DEFAULT_WEIGHTS
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
 from huepose.support.kept import once_for_each
-
-PAIR_TERMS = 5
-"""Of a pose: total, geometry, color, contrast, and how many pairs are visible."""
-
-GEOMETRY = DEFAULT_WEIGHTS._replace(color=0.0, box=0.2)
-"""Weights of the dense score without colour, chosen for pairs."""
 
 
 class PairWeights(NamedTuple):
@@ -53,8 +43,10 @@ class PairWeights(NamedTuple):
 
 PAIR_WEIGHTS = PairWeights()
 
-CLOSE_PAIRS, CLOSE_PAIR_SAMPLES = 1500, 600
-"""Most colour pairs and surface samples with which the last few poses are judged."""
+
+CLOSE_PAIRS = 1500
+"""Most colour pairs with which the last few poses are judged."""
+
 
 REACH_PX = 2.0
 """Distance from the edge at which the colours of a pair were sampled, pixels of the reference views: the
@@ -79,60 +71,6 @@ class PairPicture(NamedTuple):
     colors: Float32
     su: float
     sv: float
-
-
-class Judged(NamedTuple):
-    """All inputs of the pair kernel. samples: most surface samples that are used; geometry, weights: of the
-    dense score's terms and of the pair terms."""
-
-    model: ModelArrays
-    region: RegionArrays
-    samples: int
-    geometry: ScoreWeights
-    pairs: PairArrays
-    picture: PairPicture
-    weights: PairWeights
-
-
-class PairScratch(NamedTuple):
-    """Scratch arrays of the pair kernel; out (5,): the terms of the last pose."""
-
-    moments: Float64
-    rows: Float64
-    terms: Float64
-    out: Float64
-
-
-def scratch(samples: int) -> PairScratch:
-    """Allocate the scratch arrays for at most `samples` surface samples."""
-    return PairScratch(
-        np.empty((6, 5)), np.empty((SCRATCH_ROWS, samples)), np.empty(TERMS), np.empty(PAIR_TERMS)
-    )
-
-
-@jit
-def pair_kernel(T: Float64, on: Judged, work: PairScratch, needed: float) -> float:
-    """Judge one pose T (4, 4). Returns the total and writes the terms to `work.out`.
-
-    If the total cannot exceed `needed`, the kernel may stop early. It then returns an upper bound of the
-    total that is not over `needed`, and `work.out` is undefined.
-    """
-    moments, out, weights = work.moments, work.out, on.weights
-    moments[:] = 0.0
-    visible = _read_pairs(T, on.region, on.pairs, on.picture, moments)
-    few = visible / (visible + weights.few)
-    color = few * _correlation(moments, 0, weights)
-    contrast = few * _correlation(moments, 3, weights)
-    colors = weights.color * color + weights.contrast * contrast
-    # What geometry has to give; the slack is more than rounding.
-    enough = needed - colors - 1e-9
-    geometry = score_kernel(T, on.model, on.region, on.samples, on.geometry, work.rows, work.terms, enough)
-    out[0] = geometry + colors
-    out[1] = geometry
-    out[2] = color
-    out[3] = contrast
-    out[4] = visible
-    return float(out[0])
 
 
 @jit
@@ -196,59 +134,6 @@ def read_pair(
     return float(facing)
 
 
-@jit
-def _read_pairs(
-    T: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, moments: Float64
-) -> int:
-    """Sums over the visible pairs into `moments` (6, 5): rows 0..2 of both sides' channels (weight, model,
-    image and so on as below), rows 3..5 of the differences between the sides. Returns how many were
-    visible."""
-    colors, read = pairs.colors, np.empty((2, 3))
-    visible = 0
-    for i in range(pairs.points.shape[0]):
-        facing = read_pair(T, i, region, pairs, picture, read)
-        if facing == 0.0:
-            continue
-        visible += 1
-        for c in range(3):
-            for side in range(2):
-                m, s = colors[i, side, c], read[side, c]
-                moments[c, 0] += facing * m
-                moments[c, 1] += facing * s
-                moments[c, 2] += facing * m * m
-                moments[c, 3] += facing * s * s
-                moments[c, 4] += facing * m * s
-            m, s = colors[i, 1, c] - colors[i, 0, c], read[1, c] - read[0, c]
-            moments[3 + c, 0] += facing  # the sum of weights: differences have no mean to take off
-            moments[3 + c, 2] += facing * m * m
-            moments[3 + c, 3] += facing * s * s
-            moments[3 + c, 4] += facing * m * s
-    return visible
-
-
-@jit
-def _correlation(moments: Float64, first: int, weights: PairWeights) -> float:
-    """Correlation over the three channels from row `first` on, each weighted by the variation of the model in
-    it."""
-    count = moments[3, 0]
-    if count <= 0.0:
-        return 0.0
-    readings = 2.0 * count if first == 0 else count
-    total, total_weight = 0.0, weights.even
-    for c in range(3):
-        q = first + c
-        mean_m, mean_s = 0.0, 0.0
-        if first == 0:
-            mean_m, mean_s = moments[q, 0] / readings, moments[q, 1] / readings
-        var_m = max(moments[q, 2] / readings - mean_m * mean_m, 0.0)
-        var_s = max(moments[q, 3] / readings - mean_s * mean_s, 0.0)
-        covariance = moments[q, 4] / readings - mean_m * mean_s
-        w = (weights.lightness if c == 0 else 1.0) * np.sqrt(var_m)
-        total += w * covariance / (np.sqrt(var_m * var_s) + weights.floor)
-        total_weight += w
-    return float(total / total_weight)
-
-
 def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPicture:
     """The crop's colours at the scale of the model's fine reference views, for an object at `depth_m`."""
     h, w = crop.depth.shape
@@ -258,45 +143,6 @@ def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPictu
         size = (max(round(w * scale), 2), max(round(h * scale), 2))
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
     return PairPicture(opponents_of_bytes(color), w / color.shape[1], h / color.shape[0])
-
-
-def pair_score_many(
-    model: ReferenceModel,
-    region: Region,
-    picture: PairPicture,
-    poses: Float,
-    pairs: int,
-    samples: int,
-) -> Float64:
-    """Judge poses (M, 4, 4) by at most `pairs` of the model's pairs and `samples` of its surface.
-
-    Returns (M, 5): total, comparable between poses on the same pixels; geometry, the dense score without
-    colour; color and contrast, correlations in -1..1, lowered where there is little evidence; number of pairs
-    compared.
-    """
-    out = np.zeros((len(poses), PAIR_TERMS))
-    on = judged_on(model, region, picture, pairs, samples)
-    _score_all(np.ascontiguousarray(poses, dtype=np.float64), on, scratch(samples), out)
-    return out
-
-
-def judged_on(
-    model: ReferenceModel,
-    region: Region,
-    picture: PairPicture,
-    pairs: int,
-    samples: int,
-) -> Judged:
-    """Bundle at most `pairs` of the model's pairs, its surface and the picture for the kernel."""
-    return Judged(
-        model_arrays(model),
-        region_arrays(region),
-        samples,
-        GEOMETRY,
-        pair_arrays(model.pairs, pairs),
-        picture,
-        PAIR_WEIGHTS,
-    )
 
 
 def pair_arrays(reference: PairReference, count: int) -> PairArrays:
@@ -317,10 +163,3 @@ def pair_arrays(reference: PairReference, count: int) -> PairArrays:
 def _fine_opponents(reference: PairReference) -> Float32:
     """Colours (N, 2, 3) of the fine pairs as opponents, made once for each model."""
     return opponents_of_lab(reference.colors[int(reference.parameters["coarse_pairs"]) :])
-
-
-@jit
-def _score_all(poses: Float64, on: Judged, work: PairScratch, out: Float64) -> None:
-    for i in range(poses.shape[0]):
-        pair_kernel(poses[i], on, work, -np.inf)
-        out[i] = work.out

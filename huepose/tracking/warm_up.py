@@ -15,6 +15,7 @@ from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import NOTHING
 from huepose.rendering.render import render
+from huepose.tracking.competition import Claim, losers
 from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
@@ -61,6 +62,7 @@ def warm_up(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
     for unseen_s in (0.0, 0.1):
         hard = Anchor((before,), frames[0], Usual(9.0, np.zeros(3)), unseen_s=unseen_s)
         advance(shown[0], hard, frames[1], tracker.config)
+    losers([Claim(shown[0].surface, T_start, total) for total in (1.0, 2.0)], frames[0].depth, _CAMERA)
 
 
 def _pose(subject: Subject, place: int, number: int) -> Float64:

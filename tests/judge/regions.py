@@ -6,9 +6,10 @@ import numpy as np
 
 from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.arrays import Bool
-from huepose.judge.pairs import PairPicture, pair_picture, pair_score_many
+from huepose.judge.pairs import PairPicture, pair_picture
 from huepose.judge.region import Region, prepare_believed, prepare_crop
 from huepose.model.types import ReferenceModel
+from huepose.paper.extended.pair_score import pair_score_many
 from huepose.rendering.render import render_depth
 
 

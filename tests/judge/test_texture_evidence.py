@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.judge.pairs import PairPicture, pair_score_many
+from huepose.judge.pairs import PairPicture
 from huepose.judge.region import Region
 from huepose.judge.texture_evidence import agreement_many, contrast_disagreement
 from huepose.model.types import ReferenceModel
+from huepose.paper.extended.pair_score import pair_score_many
 from huepose.scenes.shapes import demo_objects
 from tests.judge.regions import seen_by_pairs
 

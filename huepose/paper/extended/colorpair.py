@@ -16,11 +16,12 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.pairs import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, PairPicture, pair_picture, pair_score_many
+from huepose.judge.pairs import CLOSE_PAIRS, PairPicture, pair_picture
 from huepose.judge.region import Region
 from huepose.judge.texture_evidence import agreement_many
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.hypotheses import HypothesesConfig, hypotheses_of, read_scene
+from huepose.paper.extended.pair_score import CLOSE_PAIR_SAMPLES, pair_score_many
 from huepose.paper.extended.pair_search import search_pairs
 from huepose.paper.extended.shape import shape_hypotheses
 from huepose.paper.scene import extract_at_model_scale, warm_up_point_pairs
@@ -89,7 +90,7 @@ def estimate_by_pairs(
 ) -> Ranked:
     """Poses of one object, best first.
 
-    Every source mask proposes poses; the score is that of `judge.pairs` on the evidence's region.
+    Every source mask proposes poses; the score is that of `pair_score` on the evidence's region.
     Empty when nothing is to be seen: no depth, no pairs and no plausible start from shape.
     """
     region = evidence.region

@@ -8,16 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
-from huepose.judge.pairs import (
-    Judged,
-    PairPicture,
-    PairScratch,
-    judged_on,
-    pair_kernel,
-    scratch,
-)
+from huepose.judge.pairs import PairPicture
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
+from huepose.paper.extended.pair_score import Judged, PairScratch, judged_on, pair_kernel, scratch
 from huepose.refine.coordinate_search import SHIFT_PER_RADIAN, climber
 from huepose.support.jit import jit
 

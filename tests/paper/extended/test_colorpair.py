@@ -9,10 +9,11 @@ import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, RgbdFrame, se3
-from huepose.judge.pairs import CLOSE_PAIR_SAMPLES, CLOSE_PAIRS, pair_picture
+from huepose.judge.pairs import CLOSE_PAIRS, pair_picture
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.colorpair import ColorpairPathConfig, estimate_by_pairs
 from huepose.paper.extended.hypotheses import HypothesesConfig
+from huepose.paper.extended.pair_score import CLOSE_PAIR_SAMPLES
 from huepose.propose.evidence import Evidence, gather
 from huepose.rendering.render import render_depth
 from tests.boxes import box_of

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.judge.pairs import PairPicture, judged_on, pair_arrays, pair_kernel, pair_score_many, scratch
+from huepose.judge.pairs import PairPicture, pair_arrays
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
+from huepose.paper.extended.pair_score import judged_on, pair_kernel, pair_score_many, scratch
 from huepose.paper.extended.pair_search import search_pairs
 from tests.judge.regions import pair_score, seen_by_pairs
 

@@ -57,15 +57,6 @@ SIZES = ((320, 240), (480, 360), (640, 480), (960, 720), (1280, 960))
 HALVINGS, READERS = (0, 1, 2, 3, 4), (1, 2, 5, 10, 20, 50, 100)
 """How often each edge of a mesh is halved, which makes four triangles of one."""
 
-STEPS: dict[str, Sequence[int]] = {
-    "known": KNOWN,
-    "memory": KNOWN,
-    "visible": VISIBLE,
-    "pixels": range(len(SIZES)),
-    "triangles": HALVINGS,
-    "onboarding": HALVINGS,
-    "readers": READERS,
-}
 IN_VIEW = 5
 WORKERS = ("tracker", "estimator", "detector")
 FRAMES, WARM = 24, 4
@@ -80,14 +71,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    axes: dict[str, tuple[str, str, Callable[[Sequence[int]], Curves]]] = {
-        "known": ("objects known, five of them in view", "CPU ms a frame", known),
-        "memory": ("objects known", "MiB of its own", memory),
-        "visible": ("objects in view", "CPU ms a frame", visible),
-        "pixels": ("pixels, thousands", "CPU ms a frame", pixels),
-        "triangles": ("triangles of each mesh, thousands", "CPU ms a frame", triangles),
-        "onboarding": ("triangles of the mesh, thousands", "CPU seconds, MiB", onboarding),
-        "readers": ("readers of poses", "sender's CPU ms a second", readers),
+    axes: dict[str, tuple[str, str, Callable[[Sequence[int]], Curves], Sequence[int]]] = {
+        "known": ("objects known, five of them in view", "CPU ms a frame", known, KNOWN),
+        "memory": ("objects known", "MiB of its own", memory, KNOWN),
+        "visible": ("objects in view", "CPU ms a frame", visible, VISIBLE),
+        "pixels": ("pixels, thousands", "CPU ms a frame", pixels, range(len(SIZES))),
+        "triangles": ("triangles of each mesh, thousands", "CPU ms a frame", triangles, HALVINGS),
+        "onboarding": ("triangles of the mesh, thousands", "CPU seconds, MiB", onboarding, HALVINGS),
+        "readers": ("readers of poses", "sender's CPU ms a second", readers, READERS),
     }
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--only", nargs="+", choices=list(axes), default=list(axes))
@@ -97,8 +88,7 @@ def main() -> None:
     found: dict[str, Any] = {"origin": origin()}
     print("| | at | cost | exponent |\n|---|---|---|---|")
     for axis in arguments.only:
-        x_label, y_label, measure = axes[axis]
-        steps = STEPS[axis]
+        x_label, y_label, measure, steps = axes[axis]
         curves = measure([steps[0], steps[-1]] if arguments.quick else steps)
         found[axis] = curves
         lines = {name: tuple(np.array(points).T) for name, points in curves.items()}

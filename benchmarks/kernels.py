@@ -12,7 +12,6 @@ this machine could do in its time.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -25,6 +24,7 @@ import cv2
 import numpy as np
 
 from huepose.evaluation.benches import ESTIMATED, TRACKED, bench_estimate, bench_perception, bench_track
+from huepose.evaluation.result_files import write_json
 from huepose.evaluation.summary import table
 from huepose.geometry.arrays import Float32
 from huepose.model import load_models
@@ -102,7 +102,7 @@ def main() -> None:
         print(table(names, [[str(x) for x in row.values()] for row in found[name]]))
         print()
     if arguments.json is not None:
-        arguments.json.write_text(json.dumps(found, indent=1) + "\n")
+        write_json(arguments.json, found)
 
 
 def rows(kernels: dict[str, Use], frames: int, peak: float) -> list[dict[str, Any]]:

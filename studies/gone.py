@@ -76,6 +76,15 @@ class Row:
     wrong: int
 
 
+def query_of(asked: RequestedObject, frame: RgbdFrame) -> ObjectQuery:
+    """What an estimator worker asks for in that frame, without a box."""
+    known = asked.prior
+    prior = None if known is None else PosePrior(known.predicted(frame.stamp_ns), known.covariance)
+    instance = -1 if asked.instance is None else asked.instance
+    others = tuple(other.predicted(frame.stamp_ns) for other in asked.others)
+    return ObjectQuery(asked.object, prior=prior, instance=instance, searched=not asked.known, others=others)
+
+
 class Sight:
     """Perception of a live pipeline, asked for one object."""
 
@@ -89,14 +98,8 @@ class Sight:
         """Estimates of what was asked for, where a detector worker would look."""
         frame, queries = seen.frame, list[ObjectQuery]()
         for asked in request.objects:
-            known = asked.prior
-            prior = None if known is None else PosePrior(known.predicted(frame.stamp_ns), known.covariance)
-            instance = -1 if asked.instance is None else asked.instance
-            others = tuple(other.predicted(frame.stamp_ns) for other in asked.others)
-            query = ObjectQuery(
-                asked.object, prior=prior, instance=instance, searched=not asked.known, others=others
-            )
-            queries += [replace(query, box=box) for box in self._boxes(asked, frame, others)]
+            query = query_of(asked, frame)
+            queries += [replace(query, box=box) for box in self._boxes(asked, frame, query.others)]
         return self._estimator.estimate(frame, queries)
 
     def _boxes(self, asked: RequestedObject, frame: RgbdFrame, others: Sequence[Float64]) -> list[Box]:

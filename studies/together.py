@@ -10,13 +10,13 @@ in how many frames it has a pose, and in how many that is TRACKING.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from huepose.believe.state import State
 from huepose.datasets.bop import BopScene
-from huepose.estimation import Estimator, ObjectQuery, PoseEstimate, PosePrior
+from huepose.estimation import Estimator, PoseEstimate
 from huepose.evaluation import metrics
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Box, RgbdFrame
@@ -28,7 +28,7 @@ from huepose.profiles import profile
 from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import ObjectSlot, Request, RequestedObject
 from huepose.tracking import TrackedPose, Tracker
-from studies.gone import HZ, filmed, parser_of, shown
+from studies.gone import HZ, filmed, parser_of, query_of, shown
 from studies.still import NOWHERE, SOON_S
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
@@ -73,15 +73,10 @@ class Sights:
         found = self._detector.detect(frame, missing, self._turn(missing)) if missing else []
         taken, queries = [box for box in predicted if box is not None], []
         for asked, box in zip(request.objects, predicted, strict=True):
-            prior = None
-            if asked.prior is not None:
-                prior = PosePrior(asked.prior.predicted(frame.stamp_ns), asked.prior.covariance)
-            instance = -1 if asked.instance is None else asked.instance
-            query = ObjectQuery(asked.object, prior=prior, instance=instance, searched=not asked.known)
             free = [d.box for d in found if d.object == asked.object]
             free = [b for b in free if all(b.iou(other) < SAME_BOX for other in taken)]
             boxes = free[: asked.wanted] if box is None else [box]
-            queries += [ObjectQuery(**{**vars(query), "box": b}) for b in boxes]
+            queries += [replace(query_of(asked, frame), box=b) for b in boxes]
         return self._estimator.estimate(frame, queries)
 
     def _predicted(self, asked: RequestedObject, frame: RgbdFrame) -> Box | None:

@@ -11,6 +11,7 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import depth_noise_m
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.se3 import carrying
 from huepose.judge.borders import held
 from huepose.refine.photometric import RESIDUALS_PER_READING
 from huepose.refine.solver import solve_symmetric
@@ -49,17 +50,16 @@ def uncertainty(subject: Subject, h: Hypothesis, frame: RgbdFrame | None = None)
 
 
 def _uncertainty(subject: Subject, h: Hypothesis, by_outline: Float64) -> tuple[Float64, float]:
-    # Copies, since each kind of array would have the kernels compiled once more.
-    surface, T, information = subject.surface, np.array(h.T_cam_obj), np.array(h.information)
+    # A copy, since each kind of array would have the kernel compiled once more.
+    surface, T = subject.surface, np.array(h.T_cam_obj)
     centre = surface.centre_cam(T)
     # What is known without the picture, and its floors, are about the object, wherever its origin is.
-    lever, about_centre, about_origin = T[:3, 3] - centre, np.empty((6, 6)), np.empty((6, 6))
-    _carried(information, lever, True, about_centre)
-    known = covariance(about_centre, float(centre[2]), by_outline)
+    to_origin = carrying(T[:3, 3] - centre)
+    known = covariance(to_origin.T @ h.information @ to_origin, float(centre[2]), by_outline)
+    known = to_origin @ known @ to_origin.T
     # What readings have in common turns the object about the part that is in the picture.
     known /= max(1.0 - h.terms.outside, LEAST_INSIDE)
-    _carried(known, lever, False, about_origin)
-    return about_origin, spread_m(about_origin, T, subject.points[0]) / surface.diameter_m
+    return known, spread_m(known, T, subject.points[0]) / surface.diameter_m
 
 
 def covariance(information: Float64, distance_m: float, by_outline: Float64 = _NOTHING) -> Float64:
@@ -68,11 +68,6 @@ def covariance(information: Float64, distance_m: float, by_outline: Float64 = _N
     out = np.empty((6, 6))
     _covariance(information, by_outline, BIAS_SHARE * depth_noise_m(distance_m), out)
     return out
-
-
-def spread_m(covariance: Float64, T_cam_obj: Float64, points_obj: Float64) -> float:
-    """By how much the object's points (N, 3) lie off, RMS, if the pose errs as that covariance says."""
-    return float(_spread_m(covariance, T_cam_obj, points_obj))
 
 
 @jit
@@ -94,31 +89,9 @@ def _covariance(information: Float64, by_outline: Float64, bias_m: float, out: F
 
 
 @jit
-def _carried(matrix: Float64, lever: Float64, information: bool, out: Float64) -> None:
-    """Fill `out` with C M C^T for the C of `se3.carrying(lever)`, which takes a covariance M (6, 6) from one
-    point to another; or with C^T M C, which brings an information M back from there."""
-    C, half = np.eye(6), np.empty((6, 6))
-    x, y, z = lever[0], lever[1], lever[2]
-    C[0, 4], C[0, 5], C[1, 3] = z, -y, -z
-    C[1, 5], C[2, 3], C[2, 4] = x, y, -x
-    if information:
-        C = np.ascontiguousarray(C.T)
-    for i in range(6):
-        for j in range(6):
-            total = 0.0
-            for k in range(6):
-                total += C[i, k] * matrix[k, j]
-            half[i, j] = total
-    for i in range(6):
-        for j in range(6):
-            total = 0.0
-            for k in range(6):
-                total += half[i, k] * C[j, k]
-            out[i, j] = total
-
-
-@jit
-def _spread_m(covariance: Float64, T: Float64, points: Float64) -> float:
+def spread_m(covariance: Float64, T: Float64, points: Float64) -> float:
+    """By how much the object's points (N, 3) lie off at a pose T_cam_obj (4, 4), RMS, if it errs as that
+    covariance (6, 6) says."""
     square = 0.0
     for k in range(points.shape[0]):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]

@@ -11,7 +11,7 @@ found.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
@@ -23,18 +23,17 @@ from huepose.believe.state import State
 from huepose.datasets.bop import BopScene
 from huepose.datasets.boxes import truth_box
 from huepose.datasets.types import GroundTruth
-from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
-from huepose.estimation.types import PosePrior
+from huepose.estimation import Estimator, PoseEstimate
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.targets import Targets
 from huepose.geometry import RgbdFrame
-from huepose.geometry.arrays import Float64, Rng
-from huepose.geometry.box import Box
+from huepose.geometry.arrays import Rng
 from huepose.judge.open_region import PreparedSurface
 from huepose.model import ReferenceModel, load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
-from huepose.reinit.types import Request, RequestedObject
+from huepose.reinit.looking import Looks, query_of
+from huepose.reinit.types import Request
 from huepose.support.progress import progress
 from huepose.tracking import Tracker
 from studies.stress.films import Seen
@@ -76,41 +75,28 @@ class Row:
     wrong: int
 
 
-def query_of(asked: RequestedObject, frame: RgbdFrame) -> ObjectQuery:
-    """What an estimator worker asks for in that frame, without a box."""
-    known = asked.prior
-    prior = None if known is None else PosePrior(known.predicted(frame.stamp_ns), known.covariance)
-    instance = -1 if asked.instance is None else asked.instance
-    others = tuple(other.predicted(frame.stamp_ns) for other in asked.others)
-    return ObjectQuery(asked.object, prior=prior, instance=instance, searched=not asked.known, others=others)
-
-
 class Sight:
-    """Perception of a live pipeline, asked for one object."""
+    """Perception of a live pipeline before a camera that stands still, which knows these objects."""
 
-    def __init__(self, model: ReferenceModel) -> None:
-        live, models = profile("live"), {model.name: model}
-        self._detector = ColorPairDetector(models, replace(live.detector, remembering=True))
-        self._estimator = Estimator(models, live.estimator)
-        self._surface = PreparedSurface.of(model)
+    def __init__(self, *models: ReferenceModel) -> None:
+        live, known = profile("live"), {model.name: model for model in models}
+        surfaces = {name: PreparedSurface.of(model) for name, model in known.items()}
+        detector = ColorPairDetector(known, replace(live.detector, remembering=True))
+        self._looks = Looks(detector, lambda name, T, camera: surfaces[name].box(T, camera))
+        self._estimator = Estimator(known, live.estimator)
 
     def answer(self, request: Request, seen: Seen) -> list[PoseEstimate]:
         """Estimates of what was asked for, where a detector worker would look."""
-        frame, queries = seen.frame, list[ObjectQuery]()
-        for asked in request.objects:
-            query = query_of(asked, frame)
-            queries += [replace(query, box=box) for box in self._boxes(asked, frame, query.others)]
-        return self._estimator.estimate(frame, queries)
-
-    def _boxes(self, asked: RequestedObject, frame: RgbdFrame, others: Sequence[Float64]) -> list[Box]:
-        camera, box = frame.camera, None
-        if asked.prior is not None:
-            box = asked.prior.fresh_box(frame.stamp_ns, lambda T: self._surface.box(T, camera))
-        if box is not None:
-            box = box.clipped(camera.width, camera.height)
-            return [box] if box.w >= 1.0 and box.h >= 1.0 else []
-        found = self._detector.detect(frame, [asked.object], followed={asked.object: others})
-        return [d.box for d in found[: asked.wanted]]
+        frame = seen.frame
+        places = self._looks.places(frame, request.objects)
+        return self._estimator.estimate(
+            frame,
+            [
+                query_of(asked, place.box, frame.stamp_ns)
+                for asked, mine in zip(request.objects, places, strict=True)
+                for place in mine
+            ],
+        )
 
 
 def shown(frame: RgbdFrame, number: int, rng: Rng) -> RgbdFrame:

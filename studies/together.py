@@ -10,31 +10,24 @@ in how many frames it has a pose, and in how many that is TRACKING.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from huepose.believe.state import State
 from huepose.datasets.bop import BopScene
-from huepose.estimation import Estimator, PoseEstimate
 from huepose.evaluation import metrics
 from huepose.evaluation.targets import Targets
-from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.arrays import Float64
-from huepose.judge.open_region import PreparedSurface
 from huepose.model import ReferenceModel, load_models
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
 from huepose.reinit.loop import ReinitLoop
-from huepose.reinit.types import ObjectSlot, Request, RequestedObject
+from huepose.reinit.types import ObjectSlot
 from huepose.tracking import TrackedPose, Tracker
-from studies.gone import HZ, filmed, parser_of, query_of, shown
+from studies.gone import HZ, Sight, filmed, parser_of, shown
 from studies.still import NOWHERE, SOON_S
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
-
-SAME_BOX = 0.5
-"""Overlap of a found box with that of a tracked object from which it is that object's."""
 
 
 @dataclass(frozen=True)
@@ -54,46 +47,6 @@ class Row:
     posed: int
 
 
-class Sights:
-    """Perception of a live pipeline that knows many objects."""
-
-    def __init__(self, models: Mapping[str, ReferenceModel]) -> None:
-        live = profile("live")
-        self._detector = ColorPairDetector(models, live.detector)
-        self._estimator = Estimator(models, live.estimator)
-        self._surfaces = {name: PreparedSurface.of(model) for name, model in models.items()}
-        self._turns: list[str] = []
-
-    def answer(self, request: Request, seen: Seen) -> Sequence[PoseEstimate]:
-        """Estimates of what was asked for: in the boxes of predictions, else in those that the detector
-        finds."""
-        frame = seen.frame
-        predicted = [self._predicted(asked, frame) for asked in request.objects]
-        missing = [a.object for a, box in zip(request.objects, predicted, strict=True) if box is None]
-        found = self._detector.detect(frame, missing, self._turn(missing)) if missing else []
-        taken, queries = [box for box in predicted if box is not None], []
-        for asked, box in zip(request.objects, predicted, strict=True):
-            free = [d.box for d in found if d.object == asked.object]
-            free = [b for b in free if all(b.iou(other) < SAME_BOX for other in taken)]
-            boxes = free[: asked.wanted] if box is None else [box]
-            queries += [replace(query_of(asked, frame), box=b) for b in boxes]
-        return self._estimator.estimate(frame, queries)
-
-    def _predicted(self, asked: RequestedObject, frame: RgbdFrame) -> Box | None:
-        camera, surface = frame.camera, self._surfaces[asked.object]
-        if asked.prior is None:
-            return None
-        box = asked.prior.fresh_box(frame.stamp_ns, lambda T: surface.box(T, camera))
-        box = None if box is None else box.clipped(camera.width, camera.height)
-        return box if box is not None and box.w >= 1.0 and box.h >= 1.0 else None
-
-    def _turn(self, names: Sequence[str]) -> list[str]:
-        turn = [name for name in names if name not in self._turns][:2]
-        turn = turn or [min(names, key=self._turns.index)]
-        self._turns = [name for name in self._turns if name not in turn] + turn
-        return turn
-
-
 def rows(
     scene: BopScene, models: Mapping[str, ReferenceModel], images: int, seconds: int, seed: int
 ) -> Iterator[Row]:
@@ -110,7 +63,7 @@ def rows(
         tracker = Tracker(models, profile("live").tracker)
         loop = ReinitLoop(objects=[ObjectSlot.of(model) for model in models.values()])
         told: dict[str, list[TrackedPose | None]] = {name: [] for name in models}
-        for _, poses in followed(films, tracker, loop, Sights(models)):
+        for _, poses in followed(films, tracker, loop, Sight(*models.values())):
             of = {pose.object: pose for pose in poses if pose.T_cam_obj is not None}
             for name, row in told.items():
                 row.append(of.get(name))

@@ -23,7 +23,17 @@ from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import acquires, assign, judge_tracked, near, same_sight, usable
 from huepose.reinit.outbox import Outbox
 from huepose.reinit.published_history import PublishedHistory
-from huepose.reinit.schedule import NEVER, Elsewhere, Pace, Patience, candidates, choose, doubtful, missing
+from huepose.reinit.schedule import (
+    NEVER,
+    Elsewhere,
+    Pace,
+    Patience,
+    Unsettled,
+    candidates,
+    choose,
+    doubtful,
+    missing,
+)
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 
@@ -61,9 +71,10 @@ class ReinitLoop:
         self._past = PublishedHistory()
         self._outbox = Outbox()
         self._pace = Pace()
-        self._patience, self._elsewhere = Patience(), Elsewhere()
+        self._patience, self._elsewhere, self._unsettled = Patience(), Elsewhere(), Unsettled()
         self._answered = Answered()
         self._sightings: dict[str, list[_Sighting]] = {}
+        self._again: dict[str, int] = {}
         self._last_instance: dict[str, int] = {}
         self._over: dict[str, int] = {}
         self._judged_ns: dict[str, int] = {}
@@ -104,6 +115,7 @@ class ReinitLoop:
         self._last_instance[name] = self._over[name] = last
         self._outbox.forget(name)
         self._sightings.pop(name, None)
+        self._again.pop(name, None)
         self._judged_ns[name] = max(now_ns, self._judged_ns.get(name, 0))
         return None if self._epoch is None else (self._epoch, last + 1)
 
@@ -137,12 +149,17 @@ class ReinitLoop:
             return None
         elsewhere = self._elsewhere.names(now_ns, self._tracks, self._looked_ns, self.config)
         wanted = self._wanted(now_ns)
-        options = candidates(list(self._slots.values()), self._tracks, wanted, self._looked_ns, elsewhere)
+        unsettled = self._unsettled.keys(now_ns, self._tracks, self.config)
+        sighted = {name for name, request in self._again.items() if request == 0}
+        slots = list(self._slots.values())
+        options = candidates(slots, self._tracks, wanted, self._looked_ns, elsewhere, sighted, unsettled)
         chosen = choose(now_ns, options, self.config, answers=self.counters.answers > 0)
         if not chosen:
             return None
         for asked in chosen:
             self._looked_ns[asked.object, asked.instance] = now_ns
+            if asked.instance is None and asked.object in sighted:
+                self._again[asked.object] = self.counters.requests + 1
         period_ns = round(self.config.period_ms * 1e6)
         # Ticks come when they come: a request that is a little late does not make the next ones later.
         in_rhythm = now_ns - self._next_ns < period_ns
@@ -263,10 +280,14 @@ class ReinitLoop:
             first = self._confirming(slot, estimate, result.stamp_ns)
             if first is None:
                 self.counters.unconfirmed += 1
+                # It is looked for once more at once, and by its turns after that.
+                if self._again.pop(slot.object, 0) != result.request:
+                    self._again[slot.object] = 0
                 return None
             # Two looks from one place err alike: together they are no surer than the surer one.
             quality = max(quality, first.estimate.quality)
         self._sightings[slot.object] = []
+        self._again.pop(slot.object, None)
         self._last_instance[slot.object] = max(self._last_instance.get(slot.object, -1), key[1])
         self._count(Verdict.ACQUIRE)
         return self._correction(key, estimate, result, Verdict.ACQUIRE, quality)
@@ -354,6 +375,7 @@ class ReinitLoop:
             self._past.clear()
             self._outbox.clear()
             self._sightings.clear()
+            self._again.clear()
             # Numbers begin anew, but those that a search anew has ended are not used again.
             self._last_instance = dict(self._over)
             self._judged_ns.clear()

@@ -21,11 +21,12 @@ NEVER = -1
 @dataclass(frozen=True)
 class Candidate:
     """An object that could be requested. rank: 0 lost or never seen, 1 doubtful, 2 tracked; looked_ns: when
-    it was last requested, or first seen."""
+    it was last requested, or first seen; decides: another look at it is likely to say what it is."""
 
     rank: int
     looked_ns: int
     requested: RequestedObject
+    decides: bool = False
 
 
 def missing(slot: ObjectSlot, tracks: Mapping[Key, TrackedPose], arriving: Mapping[str, int]) -> int:
@@ -39,6 +40,20 @@ def missing(slot: ObjectSlot, tracks: Mapping[Key, TrackedPose], arriving: Mappi
 def doubtful(track: TrackedPose, config: ReinitConfig) -> bool:
     """Whether a pose is so unlikely that its object is looked for elsewhere, too."""
     return track.state is State.SUSPECT and track.quality < config.least_quality
+
+
+class Unsettled:
+    """Which instances are SUSPECT or lost for a short time: another look at these decides more than one at
+    what was looked for in vain, or at what is known."""
+
+    def __init__(self) -> None:
+        self._since: dict[Key, int] = {}
+
+    def keys(self, now_ns: int, tracks: Mapping[Key, TrackedPose], config: ReinitConfig) -> set[Key]:
+        """Those that are so for less than `eager_ms`."""
+        unsettled = [key for key, track in tracks.items() if track.state is not State.TRACKING]
+        self._since = {key: self._since.get(key, now_ns) for key in unsettled}
+        return {key for key, since_ns in self._since.items() if now_ns - since_ns < config.eager_ms * 1e6}
 
 
 class Elsewhere:
@@ -94,9 +109,14 @@ def candidates(
     wanted: Mapping[str, int],
     looked_ns: Mapping[tuple[str, int | None], int],
     elsewhere: Collection[str] = (),
+    sighted: Collection[str] = (),
+    unsettled: Collection[Key] = (),
 ) -> list[Candidate]:
     """All that could be asked for. wanted: how many missing instances of an object are looked for now;
-    elsewhere: objects with doubtful instances only, for which a better place is looked for now."""
+    elsewhere: objects with doubtful instances only, for which a better place is looked for now; sighted:
+    objects of which a first uncertain sighting waits for a second one; unsettled: see `Unsettled`."""
+    lost = {name for name, instance in unsettled if tracks[name, instance].T_cam_obj is None}
+    decide = {*sighted, *lost}
     out = []
     for slot in slots:
         followed = {
@@ -109,11 +129,13 @@ def candidates(
         if count > 0 or slot.object in elsewhere:
             asked = RequestedObject(slot.object, None, None, max(count, 1), others=others)
             rank = 0 if count > 0 else 1
-            out.append(Candidate(rank, looked_ns.get((slot.object, None), NEVER), asked))
+            looked = looked_ns.get((slot.object, None), NEVER)
+            out.append(Candidate(rank, looked, asked, count > 0 and slot.object in decide))
         for t, prior in followed.items():
             rank = 1 if t.state is State.SUSPECT else 2
             asked = RequestedObject(slot.object, t.instance, prior, known=t.state is State.TRACKING)
-            out.append(Candidate(rank, looked_ns.get((slot.object, t.instance), NEVER), asked))
+            looked = looked_ns.get(t.key, NEVER)
+            out.append(Candidate(rank, looked, asked, t.key in unsettled))
     return out
 
 
@@ -130,21 +152,25 @@ def choose(
 
     Of those that were never looked for a request takes NEW times as many, if perception `answers`, so that
     what is in the picture from the start is found soon. So that objects that cannot be found do not starve
-    the others, one that was not looked at for `stale_ms` gets the last place.
+    the others, one that was not looked at for `stale_ms` gets the last place; and those of which another look
+    decides come before all others, as many of them as of the others.
     """
     order = sorted(
         options, key=lambda c: (c.rank, c.looked_ns, c.requested.object, c.requested.instance or 0)
     )
     new = [c for c in order if c.looked_ns == NEVER] if answers else []
+    deciding = [c for c in order if c.decides][: config.objects_per_request]
     if len(new) > config.objects_per_request:
-        return [c.requested for c in new[: NEW * config.objects_per_request]]
-    chosen = order[: config.objects_per_request]
-    starving = [
-        c for c in order if c.rank > 0 and c not in chosen and now_ns - c.looked_ns >= config.stale_ms * 1e6
-    ]
-    if starving and chosen and chosen[-1].rank == 0 and len(chosen) > 1:
-        chosen[-1] = min(starving, key=lambda c: (c.looked_ns, c.rank))
-    return [c.requested for c in chosen]
+        return [c.requested for c in (*deciding, *new[: NEW * config.objects_per_request])]
+    others = [c for c in order if c not in deciding]
+    usual = others[: config.objects_per_request]
+    due = [c for c in others if c.rank > 0 and now_ns - c.looked_ns >= config.stale_ms * 1e6]
+    starving = [c for c in due if c not in usual]
+    if starving and usual and usual[-1].rank == 0 and len(usual) > 1:
+        usual[-1] = min(starving, key=lambda c: (c.looked_ns, c.rank))
+    room = config.objects_per_request - len(deciding)
+    usual = [c for k, c in enumerate(usual) if k < room or c.rank == 0 or c in due]
+    return [c.requested for c in (*deciding, *usual)]
 
 
 LONGEST_S = 10.0

@@ -15,6 +15,7 @@ from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.exchanged import Order, order_of_channels
 from huepose.perception.types import Detection, Detector
+from huepose.reinit.looking import SAME_BOX, Looks
 from huepose_protos.messages import (
     DetectedObject,
     FrameHeader,
@@ -24,19 +25,21 @@ from huepose_protos.messages import (
     TruthMessage,
     TruthObject,
 )
-from huepose_services.convert import box_to_wire, camera_from_wire, optional_pose_from_wire, prior_from_wire
+from huepose_services.convert import (
+    box_to_wire,
+    camera_from_wire,
+    optional_pose_from_wire,
+    prior_from_wire,
+    requested_from_wire,
+)
 from huepose_services.models import Outline, outline
 from huepose_services.runtime.clock import SECOND
 
 _TRUTHS_KEPT = 90
-_SAME_BOX = 0.5
 _VISIBLE = 0.1
 # Where no prediction is fresh any more the last box grows, and at last it is the image.
 _FORGET_S, _GROWTH_PER_S = 3.0, 0.5
 _HINT_NS = 3 * SECOND
-# More would let those wait that a first look finds, which are most.
-_NEW_TURNS = 2
-
 
 Pixels = Callable[[], RgbdFrame]
 """The frame that a request is about. Raises WireError where its header and payload do not fit."""
@@ -89,7 +92,7 @@ class BoxFinder:
         for wanted, prior in zip(request.objects, priors, strict=True):
             mine = [d for d in detections if d.object == wanted.object]
             if wanted.instance is None:
-                new = [d for d in mine if all(d.box.iou(other) < _SAME_BOX for other in tracked)]
+                new = [d for d in mine if all(d.box.iou(other) < SAME_BOX for other in tracked)]
                 found += [detected(wanted, d.box, d.score) for d in new[: wanted.wanted]]
             elif mine:
                 best = mine[0] if prior is None else max(mine, key=lambda d: (d.box.iou(prior), d.score))
@@ -116,16 +119,12 @@ class SeenBoxes(BoxFinder):
 
 
 class SearchedBoxes(BoxFinder):
-    """Boxes of the detector that needs no weights. It is asked only for objects without a fresh prediction;
-    the others get the box of their prediction.
-
-    One missing object at a time, by turns, is searched with all effort: a request costs the same however many
-    are missing. Of those that never had a turn two have it at once."""
+    """Boxes of the detector that needs no weights, and of predictions: see `Looks`."""
 
     def __init__(self, outlines: Mapping[str, Outline], detector: ColorPairDetector) -> None:
         super().__init__(outlines)
         self._searcher = detector
-        self._turns: list[str] = []
+        self._looks = Looks(detector, lambda name, T, camera: self._outlines[name].box(T, camera))
 
     def add(self, model: ReferenceModel) -> None:
         """Know one more object, or another model of it."""
@@ -139,44 +138,18 @@ class SearchedBoxes(BoxFinder):
 
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order."""
-        frame, camera = pixels(), camera_from_wire(header.intrinsics)
-        predicted = [self._predicted(wanted, header, camera) for wanted in request.objects]
-        missing = [w.object for w, box in zip(request.objects, predicted, strict=True) if box is None]
-        names = [name for name in dict.fromkeys(missing) if name in self._outlines]
-        followed = {
-            w.object: [prior_from_wire(other).predicted(header.capture_ns) for other in w.others]
-            for w in request.objects
-            if w.others
-        }
-        seen = self._searcher.detect(frame, names, self._turn(names), followed) if names else []
-        taken = [box for box in predicted if box is not None]
-        found: list[DetectedObject] = []
-        for wanted, box in zip(request.objects, predicted, strict=True):
-            if box is not None:
-                found.append(detected(wanted, box))
-                continue
-            mine = [d for d in seen if d.object == wanted.object]
-            free = [d for d in mine if all(d.box.iou(other) < _SAME_BOX for other in taken)]
-            found += [detected(wanted, d.box, d.score) for d in free[: wanted.wanted]]
-        return found
+        known = [wanted for wanted in request.objects if wanted.object in self._outlines]
+        places = self._looks.places(pixels(), [requested_from_wire(wanted) for wanted in known])
+        return [
+            detected(wanted, place.box, place.score)
+            for wanted, mine in zip(known, places, strict=True)
+            for place in mine
+        ]
 
     def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> Order:
         """What a frame says of the order of its channels, by one of the objects, by turns, as in `find`.
         seen: scores of those that were searched in it."""
-        return order_of_channels(frame, self._searcher, self._turn(names)[:1], seen)
-
-    def _turn(self, names: Sequence[str]) -> list[str]:
-        """Who has it now: objects that never had a turn, or that whose turn is longest ago."""
-        turn = [name for name in names if name not in self._turns][:_NEW_TURNS]
-        turn = turn or [min(names, key=self._turns.index)]
-        self._turns = [name for name in self._turns if name not in turn] + turn
-        return turn
-
-    def _predicted(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
-        """The box of a fresh prediction; None where there is none in the image."""
-        box = self.fresh_box(wanted, header, camera)
-        box = None if box is None else box.clipped(camera.width, camera.height)
-        return box if box is not None and box.w >= 1.0 and box.h >= 1.0 else None
+        return order_of_channels(frame, self._searcher, self._looks.turn(names)[:1], seen)
 
 
 class TruthBoxes(BoxFinder):

@@ -12,11 +12,12 @@ from msgspec import Struct
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64, UInt16
 from huepose.geometry.camera import whole_steps
-from huepose.reinit.types import Prior
+from huepose.reinit.types import Prior, RequestedObject
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos.buffers import frame_images, mask_of, runs_of
 from huepose_protos.messages import CorrectionMessage, FrameHeader, Intrinsics, PoseMessage
 from huepose_protos.messages import Prior as WirePrior
+from huepose_protos.messages import RequestedObject as WireRequested
 from huepose_protos.motion import rigid
 
 S = TypeVar("S", bound=Struct)
@@ -142,6 +143,12 @@ def from_wire(kind: type[V], message: Struct, **given: Any) -> V:
 def prior_from_wire(prior: WirePrior) -> Prior:
     """A tracked pose that can be predicted to another stamp."""
     return from_wire(Prior, prior)
+
+
+def requested_from_wire(asked: WireRequested) -> RequestedObject:
+    """What is asked of one object."""
+    prior = None if asked.prior is None else prior_from_wire(asked.prior)
+    return from_wire(RequestedObject, asked, prior=prior, others=tuple(map(prior_from_wire, asked.others)))
 
 
 def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:

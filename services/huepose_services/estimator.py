@@ -6,17 +6,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from huepose.estimation import Estimator, ObjectQuery
-from huepose.estimation.types import PoseEstimate, PosePrior
+from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.picture_faults import why_nothing_is_found
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
+from huepose.reinit.looking import query_of
 from huepose_protos import WireError
 from huepose_protos.buffers import mask_of
 from huepose_protos.messages import EstimatedObject, Estimates, MaskedObject, Masks
 from huepose_services import models
 from huepose_services.camera_doubts import WAY_OUT, CameraDoubts
-from huepose_services.convert import frame_from_wire, prior_from_wire, to_wire
+from huepose_services.convert import frame_from_wire, requested_from_wire, to_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
@@ -127,18 +128,6 @@ class EstimatorWork(Work):
         return text or ""
 
     def _query(self, item: MaskedObject, stamp_ns: int, size: tuple[int, int]) -> ObjectQuery:
-        request = item.detection.request
-        prior = None
-        if request.prior is not None:
-            tracked = prior_from_wire(request.prior)
-            prior = PosePrior(tracked.predicted(stamp_ns), tracked.covariance)
         masks = tuple(mask_of(runs, size) for runs in item.masks)
-        return ObjectQuery(
-            request.object,
-            box=Box(*item.detection.box),
-            masks=masks,
-            prior=prior,
-            instance=-1 if request.instance is None else request.instance,
-            searched=not request.known,
-            others=tuple(prior_from_wire(other).predicted(stamp_ns) for other in request.others),
-        )
+        asked = requested_from_wire(item.detection.request)
+        return query_of(asked, Box(*item.detection.box), stamp_ns, masks)

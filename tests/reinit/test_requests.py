@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -287,3 +288,48 @@ def test_all_new_objects_are_looked_for_soon_once_perception_answers() -> None:
     assert asked(third) == [(name, None) for name in names[6:]]
     loop.answer(1300 * MS, result(third, 1200))
     assert asked(loop.tick(1400 * MS, [])) == [("o00", None), ("o01", None)], "from here on by turns"
+
+
+ABSENT = [(f"absent_{k:02d}", 1) for k in range(8)]
+
+
+def _requests(
+    loop: ReinitLoop, start_ms: int, until_ms: int, seen: State | None = None, places: Iterable[float] = ()
+) -> list[list[str]]:
+    """Names of each request. The mug is published in that state, or its next uncertain sighting is at the
+    next place."""
+    out, sightings = [], iter(places)
+    for ms in range(start_ms, until_ms, 200):
+        tracks = [] if seen is None else [track("mug", state=seen, stamp_ms=ms)]
+        request = loop.tick(ms * MS, tracks)
+        names = [] if request is None else [name for name, _ in asked(request)]
+        out.append(names)
+        place = next(sightings, None) if "mug" in names else None
+        found = [] if place is None else [estimate("mug", T=pose(place), quality=0.5)]
+        if request is not None:
+            loop.answer((ms + 50) * MS, result(request, ms, *found))
+    return out
+
+
+def test_an_uncertain_sighting_is_looked_at_once_more_before_what_was_never_there() -> None:
+    loop = ReinitLoop(objects=[("mug", 1), *ABSENT])
+    requests = _requests(loop, 0, 6_000, places=np.arange(100.0))
+    looked = [k for k, names in enumerate(requests) if "mug" in names]
+    gaps = np.diff(looked)
+    first = int(gaps.argmin())
+    assert set(gaps[first::2]) == {1}, "twice in a row"
+    assert gaps[first + 1 :: 2].min() > 1, "then by turns, since nothing confirms it"
+    again = [requests[k] for k in looked[first + 1 :: 2]]
+    assert all(names[0] == "mug" and len(names) == 3 for names in again), "and none waits for it"
+
+
+@pytest.mark.parametrize("state", [State.SUSPECT, State.LOST])
+def test_what_has_just_become_uncertain_comes_before_what_was_never_there(state: State) -> None:
+    loop = ReinitLoop(objects=[("mug", 1), *ABSENT])
+    _requests(loop, 0, 3_000, State.TRACKING)
+    requests = _requests(loop, 3_000, 12_000, state)
+    soon, later = requests[:25], requests[25:]
+    assert all(names[:1] == ["mug"] for names in soon)
+    for name, _ in ABSENT:
+        assert sum(name in names for names in soon) >= 4, "which get their turns as before"
+    assert 0.1 < np.mean(["mug" in names for names in later]) < 0.5, "after five seconds by turns"

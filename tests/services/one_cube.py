@@ -37,7 +37,8 @@ def outlines(*names):
 
 def answer(finder, *objects):
     """What a finder of boxes answers to a request about a picture."""
-    frame = RgbdFrame(np.zeros((480, 640, 3), np.uint8), np.ones((480, 640), np.float32), CAMERA)
+    depth = np.ones((480, 640), np.float32)
+    frame = RgbdFrame(np.zeros((480, 640, 3), np.uint8), depth, CAMERA, 7, STAMP, 1)
     header = FrameHeader(
         publish_ns=STAMP,
         camera_epoch=1,

@@ -1,0 +1,105 @@
+"""How a request is answered: where in the frame its objects are looked at, and what an estimator is asked
+there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+from huepose.estimation.types import ObjectQuery, PosePrior
+from huepose.geometry import Box, Camera, RgbdFrame
+from huepose.geometry.arrays import Bool, Float64
+from huepose.perception.types import Detection
+from huepose.reinit.types import RequestedObject
+
+SAME_BOX = 0.5
+"""Overlap of a found box with that of a tracked object from which it is that object's."""
+
+NEW_TURNS = 2
+"""So many objects that never had a turn have it at once. More would let those wait that a first look finds,
+which are most (docs/detection.md)."""
+
+BoxOf = Callable[[str, Float64, Camera], Box | None]
+"""The box of an object, by its name, at a pose T_cam_obj (4, 4) in a camera's image; None outside of it."""
+
+
+class Searcher(Protocol):
+    """A detector that can spend more on some objects."""
+
+    def detect(
+        self,
+        frame: RgbdFrame,
+        names: Sequence[str],
+        thorough: Collection[str] | None = None,
+        followed: Mapping[str, Sequence[Float64]] | None = None,
+    ) -> list[Detection]:
+        """As `ColorPairDetector.detect`."""
+        ...
+
+
+class Place(NamedTuple):
+    """A box to look in, and how likely the object is there."""
+
+    box: Box
+    score: float = 1.0
+
+
+class Looks:
+    """Where to look: in the box of a fresh prediction, else in those that a detector finds.
+
+    One missing object at a time, by turns, is searched with all effort: a request costs the same however many
+    are missing. Of those that never had a turn NEW_TURNS have it at once."""
+
+    def __init__(self, searcher: Searcher, box_of: BoxOf) -> None:
+        self._searcher, self._box_of = searcher, box_of
+        self._turns: list[str] = []
+
+    def places(self, frame: RgbdFrame, objects: Sequence[RequestedObject]) -> list[list[Place]]:
+        """Of each object, best first."""
+        predicted = [self._predicted(asked, frame) for asked in objects]
+        missing = [a for a, box in zip(objects, predicted, strict=True) if box is None]
+        names = list(dict.fromkeys(asked.object for asked in missing))
+        followed = {
+            asked.object: [other.predicted(frame.stamp_ns) for other in asked.others]
+            for asked in objects
+            if asked.others
+        }
+        seen = self._searcher.detect(frame, names, self.turn(names), followed) if names else []
+        taken = [box for box in predicted if box is not None]
+        out = []
+        for asked, box in zip(objects, predicted, strict=True):
+            mine = [Place(d.box, d.score) for d in seen if d.object == asked.object]
+            free = [place for place in mine if all(place.box.iou(other) < SAME_BOX for other in taken)]
+            out.append(free[: asked.wanted] if box is None else [Place(box)])
+        return out
+
+    def turn(self, names: Sequence[str]) -> list[str]:
+        """Who has it now: objects that never had a turn, or that whose turn is longest ago."""
+        turn = [name for name in names if name not in self._turns][:NEW_TURNS]
+        turn = turn or [min(names, key=self._turns.index)]
+        self._turns = [name for name in self._turns if name not in turn] + turn
+        return turn
+
+    def _predicted(self, asked: RequestedObject, frame: RgbdFrame) -> Box | None:
+        """The box of a fresh prediction; None where there is none in the image."""
+        if asked.prior is None:
+            return None
+        camera = frame.camera
+        box = asked.prior.fresh_box(frame.stamp_ns, lambda T: self._box_of(asked.object, T, camera))
+        box = None if box is None else box.clipped(camera.width, camera.height)
+        return box if box is not None and box.w >= 1.0 and box.h >= 1.0 else None
+
+
+def query_of(asked: RequestedObject, box: Box, stamp_ns: int, masks: tuple[Bool, ...] = ()) -> ObjectQuery:
+    """What an estimator is asked of an object in a box, with candidate masks (H, W), of a frame of that
+    stamp."""
+    prior = asked.prior
+    return ObjectQuery(
+        asked.object,
+        box=box,
+        masks=masks,
+        prior=None if prior is None else PosePrior(prior.predicted(stamp_ns), prior.covariance),
+        instance=-1 if asked.instance is None else asked.instance,
+        searched=not asked.known,
+        others=tuple(other.predicted(stamp_ns) for other in asked.others),
+    )

@@ -154,13 +154,3 @@ def _plate(image: UInt8, text: str, at: tuple[float, float], scale: float) -> Bo
     x = int(np.clip(at[0], 0, max(0, image.shape[1] - width)))
     y = int(np.clip(at[1], height, max(height, image.shape[0])))
     return Box(x, y - height, width, height)
-
-
-def draw_color_pairs(image: UInt8, pixels: Float, colors: UInt8, radius: int = 3) -> UInt8:
-    """Colour pairs at pixels (N, 2): a disc each, one half in either of the two colours (N, 2, 3)."""
-    picture = image.copy()
-    for (u, v), (one, other) in zip(np.rint(pixels).astype(int).tolist(), colors.tolist(), strict=True):
-        cv2.circle(picture, (u, v), radius + 1, (255, 255, 255), -1, cv2.LINE_AA)
-        cv2.ellipse(picture, (u, v), (radius, radius), 0, 90, 270, one, -1, cv2.LINE_AA)
-        cv2.ellipse(picture, (u, v), (radius, radius), 0, -90, 90, other, -1, cv2.LINE_AA)
-    return picture

@@ -118,11 +118,3 @@ def test_label_stays_inside() -> None:
     for at in ((-50, -50), (500, 500), (300, 5)):
         labelled = changed(overlay.draw_label(IMAGE, "name 0.98", at, GREEN))
         assert labelled.sum() == changed(overlay.draw_label(IMAGE, "name 0.98", (50, 100), GREEN)).sum()
-
-
-def test_color_pairs_show_both_colours() -> None:
-    picture = overlay.draw_color_pairs(
-        IMAGE, np.array([[50.0, 60.0]]), np.array([[[255, 0, 0], [0, 0, 255]]], np.uint8), 4
-    )
-    assert picture[60, 48].tolist() == [255, 0, 0]
-    assert picture[60, 52].tolist() == [0, 0, 255]

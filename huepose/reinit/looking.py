@@ -48,13 +48,11 @@ class Looks:
     """Where to look: in the box of a fresh prediction, else in those that a detector finds.
 
     One missing object at a time, by turns, is searched with all effort: a request costs the same however many
-    are missing. Of those that never had a turn NEW_TURNS have it at once; and what was found so is searched
-    so once more, since a shorter look may not find what confirms it."""
+    are missing. Of those that never had a turn NEW_TURNS have it at once."""
 
     def __init__(self, searcher: Searcher, box_of: BoxOf) -> None:
         self._searcher, self._box_of = searcher, box_of
         self._turns: list[str] = []
-        self._found: set[str] = set()
 
     def places(self, frame: RgbdFrame, objects: Sequence[RequestedObject]) -> list[list[Place]]:
         """Of each object, best first."""
@@ -66,7 +64,7 @@ class Looks:
             for asked in objects
             if asked.others
         }
-        seen = self._searched(frame, names, followed) if names else []
+        seen = self._searcher.detect(frame, names, self.turn(names), followed) if names else []
         taken = [box for box in predicted if box is not None]
         out = []
         for asked, box in zip(objects, predicted, strict=True):
@@ -75,19 +73,10 @@ class Looks:
             out.append(free[: asked.wanted] if box is None else [Place(box)])
         return out
 
-    def _searched(
-        self, frame: RgbdFrame, names: Sequence[str], followed: Mapping[str, Sequence[Float64]]
-    ) -> list[Detection]:
-        again = [name for name in names if name in self._found]
-        turn = self.turn([name for name in names if name not in again])
-        seen = self._searcher.detect(frame, names, [*again, *turn], followed)
-        self._found = self._found.difference(again) | ({d.object for d in seen} & set(turn))
-        return seen
-
     def turn(self, names: Sequence[str]) -> list[str]:
         """Who has it now: objects that never had a turn, or that whose turn is longest ago."""
         turn = [name for name in names if name not in self._turns][:NEW_TURNS]
-        turn = turn or sorted(names, key=self._turns.index)[:1]
+        turn = turn or [min(names, key=self._turns.index)]
         self._turns = [name for name in self._turns if name not in turn] + turn
         return turn
 

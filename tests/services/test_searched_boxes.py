@@ -62,12 +62,3 @@ def test_two_new_ones_are_searched_with_all_effort_and_then_one_at_a_time_by_tur
     for missing in (("cube", "can", "bowl"),) * 4 + (("cube",), ("cube", "bowl")):
         answer(finder, *(new(name) for name in missing))
     assert detector.thorough == [["cube", "can"], ["bowl"], ["cube"], ["can"], ["cube"], ["bowl"]]
-
-
-def test_what_was_found_with_all_effort_is_searched_so_once_more():
-    detector = Seer(Detection("cube", LEFT, 0.9), Detection("can", RIGHT, 0.9))
-    finder = SearchedBoxes(outlines("cube", "can", "bowl"), detector)
-    answer(finder, new("cube"))
-    for _ in range(3):
-        answer(finder, new("cube"), new("can"), new("bowl"))
-    assert detector.thorough == [["cube"], ["cube", "can", "bowl"], ["can", "cube"], ["cube", "can"]]

@@ -37,19 +37,12 @@ LINEAR = np.where(
     ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4,
 ).astype(np.float32)
 _BETWEEN = (LINEAR[1:] + LINEAR[:-1]) / 2.0
-_BYTES = np.searchsorted(_BETWEEN, np.linspace(0.0, 1.0, 1024) ** 2).astype(np.uint8)
+BYTES = np.searchsorted(_BETWEEN, np.linspace(0.0, 1.0, 1024) ** 2).astype(np.uint8)
+"""The sRGB byte of a linear value, by its root in steps of 1/1023."""
+
 LOGARITHMS = (np.log(LINEAR + np.float32(DARKEST)) * np.float32(SCALE)).astype(np.float32)
 OPPONENTS = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0.5, 0.5, -1]], np.float32)
 """Lightness, red-green, yellow-blue of three logarithms."""
-
-
-def bytes_of(linear: Float) -> UInt8:
-    """sRGB bytes of linear values; those over 1 are saturated.
-
-    >>> bytes_of(LINEAR[[0, 1, 20, 200, 255]]).tolist(), bytes_of(np.array([-1.0, 2.0])).tolist()
-    ([0, 1, 20, 200, 255], [0, 255])
-    """
-    return _BYTES[(np.sqrt(np.clip(linear, 0.0, 1.0)) * 1023.0 + 0.5).astype(np.int64)]
 
 
 def opponents(linear: Float) -> Float32:

@@ -15,13 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.colorpair.opponents import DARKEST, OPPONENTS, SCALE, opponents
-from huepose.geometry.arrays import Float, Float32, Float64
+from huepose.colorpair.opponents import BYTES, DARKEST, LINEAR, OPPONENTS, SCALE, opponents
+from huepose.geometry.arrays import Float, Float32, Float64, UInt8
 from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import SHADING_RIDGE
 from huepose.judge.kernel import GRAZING
 from huepose.judge.region import ModelArrays, RegionArrays, shown_range
 from huepose.judge.terms import score_arrays
+from huepose.support.jit import jit
 
 SAMPLES = 400
 """Most surface samples to which the light is fitted, and by which colours are compared in it."""
@@ -55,6 +56,29 @@ class Light:
         lit = opponents(_linear(colors) * self.on(normals)[:, None])
         lit[..., 0] = colors[..., 0]
         return lit
+
+    def falls_on_picture(self, color: UInt8, normals_cam: Float32, R: Float64) -> UInt8:
+        """Bytes (h, w, 3) of a drawn texture as it looks in this light. normals_cam (h, w, 3): camera axes,
+        0 where nothing is; R (3, 3): rotation of the object."""
+        return _lit(color, normals_cam, np.ascontiguousarray(R.T, np.float32), self.slopes)
+
+
+@jit
+def _lit(color: UInt8, normals_cam: Float32, R_obj_cam: Float32, slopes: Float64) -> UInt8:
+    out = color.copy()
+    for v in range(color.shape[0]):
+        for u in range(color.shape[1]):
+            x, y, z = normals_cam[v, u, 0], normals_cam[v, u, 1], normals_cam[v, u, 2]
+            if x == 0.0 and y == 0.0 and z == 0.0:
+                continue
+            slope = slopes[0]
+            for k in range(3):
+                slope += slopes[k + 1] * (R_obj_cam[k, 0] * x + R_obj_cam[k, 1] * y + R_obj_cam[k, 2] * z)
+            strength = np.exp(slope)
+            for c in range(3):
+                linear = min(LINEAR[color[v, u, c]] * strength, 1.0)
+                out[v, u, c] = BYTES[int(np.sqrt(linear) * 1023.0 + 0.5)]
+    return out
 
 
 def implied_lights(model: ModelArrays, region: RegionArrays, poses: Float64) -> list[Light | None]:

@@ -5,22 +5,15 @@ The samples of a surface (`model.types.Surface`) carry the texture at two fixed 
 resolves. A rendered view is drawn for one pose and one camera: its samples are pixels, their colours the
 texture as this camera would see it, in the same frequency bands as the picture, and it has an outline. It is
 valid for small steps from its pose.
-
-The score of a single pose reads the picture where that pose fits, under the light that suits it. Competing
-poses are compared more strictly: on the same pixels, where texture that is seen but missing in the view
-counts against it, and with the same texture gain for all. Fine detail is compared exactly; broader texture
-may be displaced by a pixel or two.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from huepose.colorpair.opponents import LINEAR, bytes_of
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.judge.implied_light import Light
@@ -73,7 +66,7 @@ def draw_rendered_view(
     rim_rows, rim_columns, inward_px = _rim(shown)
     if len(rows) < 20 or not len(rim_rows):
         return None
-    picked = _colors(seen, T, light)[:, rows, columns]
+    picked = drawn_colors(seen, T, light)[:, rows, columns]
     R = T[:3, :3]
     metres = seen.depth[rim_rows, rim_columns][:, None] / np.array([window.fx, window.fy])
     inward = np.zeros((len(rim_rows), 3))
@@ -132,164 +125,13 @@ def _joined(base: Float32, more: Float) -> Float32:
     return np.ascontiguousarray(np.concatenate([base, more]), dtype=np.float32)
 
 
-BROAD_PX = 5.0
-"""Sigma, pixels: broader texture is the band between the blunt smoothing and this one; shading is broader
-still."""
-
-MAX_SHIFT = 1
-"""Largest displacement of a patch of texture, pixels at half resolution."""
-
-PATCH = 5
-"""Side of such a patch, pixels at half resolution."""
-
-NOISE = 1.0
-"""Noise of detail, opponent units: that of a picture without texture."""
-
-MIN_GAIN, MAX_GAIN = 0.3, 1.2
-"""Limits of the gain of the seen texture over the mesh's: veiled by gloss and blur, or sharper than it was
-scanned."""
-
-MIN_PIXELS = 20
-"""Least number of pixels on which poses are compared."""
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A part of a picture. camera: of the part; colors (2, h, w, 3): as `detail_colors` has them; depth
-    (h, w) metres; saturated (h, w); a pixel shows a pose when its depth is at most `tolerance_m` off, or
-    unknown."""
-
-    camera: Camera
-    colors: Float32
-    depth: Float32
-    saturated: Bool
-    tolerance_m: float
-
-
-@dataclass(frozen=True, eq=False)
-class Likeness:
-    """Of each pose (K,): `detail`, correlation of fine detail times the share of the pixels on which it could
-    be compared, in -1..1; `broad`, how much of the broader texture it explains, robustly, in -3..3."""
-
-    detail: Float64
-    broad: Float64
-
-
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """What a pose shows in the window: detail and blunt colours (2, h, w, 3), and where they may be
-    compared."""
-
-    colors: Float32
-    comparable: Bool
-
-
-def likeness(
-    model: ReferenceModel, part: Part, poses: Float64, lights: Sequence[Light | None]
-) -> Likeness | None:
-    """How well each of the poses (K, 4, 4), in its light (K), explains the pixels where any of them lies;
-    None where these are too few."""
-    seen = [_seen(model, part, T, light) for T, light in zip(poses, lights, strict=True)]
-    shared = np.any([one.comparable for one in seen], axis=0)
-    if int(shared.sum()) < MIN_PIXELS:
-        return None
-    return Likeness(_detail(part.colors, seen, shared), _broad(part.colors, seen, shared))
-
-
-def _seen(model: ReferenceModel, part: Part, T_cam_obj: Float64, light: Light | None) -> _Seen:
-    T = np.ascontiguousarray(T_cam_obj)
-    picture = render([(model.mesh, T)], part.camera, normals=light is not None)
-    shown = picture.depth > 0
-    fits = (part.depth == 0) | (np.abs(part.depth - picture.depth) < part.tolerance_m)
-    return _Seen(_colors(picture, T, light), shown & fits & ~part.saturated)
-
-
-def _colors(picture: Rendering, T_cam_obj: Float64, light: Light | None) -> Float32:
+def drawn_colors(picture: Rendering, T_cam_obj: Float64, light: Light | None) -> Float32:
     """Detail and blunt colours of a rendered pose (4, 4) in a light; lightness, which shading changes most,
     is left as it is."""
     shown = picture.depth > 0
     weight = np.maximum(shown, np.float32(1e-6))
     colors = detail_colors(picture.color, weight)
     if light is not None:
-        normals = picture.normals_cam[shown] @ T_cam_obj[:3, :3].astype(np.float32)
-        lit = picture.color.copy()
-        lit[shown] = bytes_of(LINEAR[lit[shown]] * light.on(normals)[:, None])
+        lit = light.falls_on_picture(picture.color, picture.normals_cam, T_cam_obj[:3, :3])
         colors[..., 1:] = detail_colors(lit, weight)[..., 1:]
     return colors
-
-
-def _detail(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
-    count = float(shared.sum())
-    everywhere = np.ascontiguousarray(colors[0] * shared[..., None])
-    out = []
-    for one in seen:
-        there = one.comparable[..., None]
-        correlation = _correlation(everywhere * there, one.colors[0] * there, count)
-        out.append(correlation * float(one.comparable.sum()) / count)
-    return np.array(out)
-
-
-def _correlation(picture: Float32, texture: Float32, count: float) -> float:
-    strength = float((picture * picture).sum()) * float((texture * texture).sum())
-    return float((picture * texture).sum()) / float(np.sqrt(strength + (count * NOISE**2) ** 2))
-
-
-def _broad(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
-    everywhere = _halved(shared.astype(np.float32))
-    picture = _band(_halved(colors[1] * shared[..., None]), everywhere)
-    weights = [_halved(one.comparable.astype(np.float32)) for one in seen]
-    textures = [
-        _band(_halved(one.colors[1] * one.comparable[..., None]), weight)
-        for one, weight in zip(seen, weights, strict=True)
-    ]
-    count = float(everywhere.sum())
-    energy = np.einsum("ijk,ijk->k", picture, picture)
-    spread = np.sqrt(energy / count) + NOISE
-    gain = _shared_gain(picture, textures, count)
-    unexplained = _patch_means(_saturating(picture / spread))
-    out = []
-    for texture, weight in zip(textures, weights, strict=True):
-        strong = texture * gain
-        left = np.full(weight.shape, np.inf, np.float32)
-        for dx in range(-MAX_SHIFT, MAX_SHIFT + 1):
-            for dy in range(-MAX_SHIFT, MAX_SHIFT + 1):
-                moved = np.roll(strong, (dy, dx), axis=(0, 1))
-                left = np.minimum(left, _patch_means(_saturating((picture - moved) / spread)))
-        out.append(float(((unexplained - left) * weight).sum()) / count)
-    return np.array(out)
-
-
-def _shared_gain(picture: Float32, textures: Sequence[Float32], count: float) -> Float32:
-    """Gain (3,) per channel of the picture's texture over that of the pose that fits best."""
-    gains = [
-        np.einsum("ijk,ijk->k", picture, texture)
-        / (np.einsum("ijk,ijk->k", texture, texture) + NOISE * np.sqrt(count))
-        for texture in textures
-    ]
-    return np.asarray(np.clip(np.max(gains, axis=0), MIN_GAIN, MAX_GAIN), dtype=np.float32)
-
-
-def _halved(picture: Float32) -> Float32:
-    height, width = picture.shape[:2]
-    size = (max(width // 2, 1), max(height // 2, 1))
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
-
-
-def _band(weighted: Float32, weight: Float32) -> Float32:
-    """Band-pass: weighted colours (h, w, 3) minus their local mean, 0 where the weight (h, w) is 0."""
-    sigma = 0.5 * BROAD_PX
-    mean = cv2.GaussianBlur(weighted, (0, 0), sigma) / (
-        cv2.GaussianBlur(weight, (0, 0), sigma)[..., None] + 1e-3
-    )
-    return np.asarray(weighted - mean * weight[..., None], dtype=np.float32)
-
-
-def _saturating(x: Float32) -> Float32:
-    square = x * x
-    return np.asarray(square / (1.0 + square), dtype=np.float32)
-
-
-def _patch_means(x: Float32) -> Float32:
-    """Sum over the channels, averaged over the patch around each pixel."""
-    total = x[..., 0] + x[..., 1] + x[..., 2]
-    return np.asarray(cv2.boxFilter(total, -1, (PATCH, PATCH)), dtype=np.float32)

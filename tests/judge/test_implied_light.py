@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.colorpair.opponents import LINEAR, bytes_of
+from huepose.colorpair.opponents import BYTES, LINEAR
 from huepose.geometry import Mesh, RgbdFrame
 from huepose.judge.implied_light import Light, implied_lights, shading_gains
 from huepose.judge.region import Region, model_arrays, region_arrays
@@ -39,7 +39,8 @@ def in_lamplight(frame: RgbdFrame, mesh: Mesh, T_cam_obj: np.ndarray, ambient: f
     """A frame in which the mesh at a pose (4, 4) is lit by the lamp, and by so much from everywhere."""
     seen = render([(mesh, T_cam_obj)], frame.camera, normals=True)
     strength = ambient + (1.0 - ambient) * np.clip(seen.normals_cam @ LAMP / np.linalg.norm(LAMP), 0.0, 1.0)
-    lit = bytes_of(LINEAR[seen.color] * strength[..., None])
+    linear = np.clip(LINEAR[seen.color] * strength[..., None], 0.0, 1.0)
+    lit = BYTES[(np.sqrt(linear) * 1023.0 + 0.5).astype(np.int64)]
     return replace(frame, color=np.where(seen.depth[..., None] > 0, lit, frame.color))
 
 
@@ -79,3 +80,13 @@ def test_where_nothing_is_seen_there_is_no_light(brick: ReferenceModel, take_pic
     region = region_of(take_picture([(brick.mesh, T)]), brick, T)
     blind = replace(region, crop=replace(region.crop, depth=np.zeros_like(region.crop.depth)))
     assert gain_and_light(brick, blind) == (0.0, None)
+
+
+def test_light_on_a_picture_is_strongest_where_the_surface_faces_the_lamp() -> None:
+    color = np.full((1, 4, 3), 100, np.uint8)
+    normals = np.array([[[0, 0, -1], [0, -1, 0], [0, 0, 0], [-1, 0, 0]]], np.float32)
+    turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # the object's x is the camera's y
+    assert np.array_equal(Light(np.zeros(4)).falls_on_picture(color, normals, turned), color)
+    lit = Light(np.array([np.log(0.5), -np.log(2.0), 0.0, 0.0])).falls_on_picture(color, normals, turned)
+    half = int(np.abs(LINEAR - 0.5 * LINEAR[100]).argmin())
+    np.testing.assert_allclose(lit[0, :, 0].astype(int), [half, 100, 100, half], atol=1)

@@ -37,7 +37,7 @@ from huepose.perception.types import Segmenter
 from huepose.propose.templates import table_of
 from huepose.rendering.render import render
 from huepose.select.distinct import Ranked
-from huepose.select.near_ties import decided
+from huepose.select.near_ties import contest, decided
 from huepose.support.errors import require
 from huepose.support.pool import Pool, Steps, finished
 from huepose.support.stages import stage
@@ -255,5 +255,7 @@ def warm_up(explain: Answering, model: ReferenceModel, full: bool) -> None:
     confirm(model, region, refined)
     pose = refined.poses[0]
     turned = se3.perturb(pose, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
-    decided(model, region, Ranked.of(np.stack([pose, turned]), np.array([2.0, 1.95])))
+    tie = Ranked.of(np.stack([pose, turned]), np.array([2.0, 1.95]))
+    decided(model, region, tie)
+    contest(model, region, tie, shaded=True)
     support(frame, model, pose, picture.depth > 0)

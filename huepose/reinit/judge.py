@@ -87,6 +87,13 @@ def acquires(estimate: PoseEstimate, config: ReinitConfig) -> bool:
     return estimate.found and estimate.quality >= config.acquire_quality
 
 
+def pose_of(estimate: PoseEstimate) -> Float64:
+    """The pose (4, 4) of an estimate that was found. Raises ValueError where there is none."""
+    if estimate.T_cam_obj is None:
+        raise ValueError(f"an estimate of {estimate.object} that was found has no pose")
+    return estimate.T_cam_obj
+
+
 def usable(estimate: PoseEstimate, config: ReinitConfig) -> bool:
     """Whether an estimate may be used at all."""
     return estimate.found and estimate.T_cam_obj is not None and estimate.quality >= config.least_quality

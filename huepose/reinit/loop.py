@@ -13,14 +13,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
-from huepose.geometry.arrays import Float64
 from huepose.reinit.answered import Answered, Frame, held
 from huepose.reinit.config import ReinitConfig
-from huepose.reinit.judge import acquires, assign, judge_tracked, near, same_sight, usable
+from huepose.reinit.judge import acquires, assign, judge_tracked, near, pose_of, usable
 from huepose.reinit.outbox import Outbox
 from huepose.reinit.published_history import PublishedHistory
 from huepose.reinit.schedule import (
@@ -34,6 +32,7 @@ from huepose.reinit.schedule import (
     doubtful,
     missing,
 )
+from huepose.reinit.sightings import Sightings
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 
@@ -44,18 +43,6 @@ it."""
 ADOPTED_BELOW = 2**20
 """Tracks with instance numbers below this are adopted from an earlier loop. Higher ones, from whatever
 source, are ignored, which leaves two thousand million numbers for new instances."""
-
-SIGHTING_S = 1.0
-"""A first uncertain sighting is kept this long for a second one, or until its object had another turn,
-seconds."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Sighting:
-    """An estimate that was not certain enough to acquire alone."""
-
-    estimate: PoseEstimate
-    stamp_ns: int
 
 
 class ReinitLoop:
@@ -73,8 +60,7 @@ class ReinitLoop:
         self._pace = Pace()
         self._patience, self._elsewhere, self._unsettled = Patience(), Elsewhere(), Unsettled()
         self._answered = Answered()
-        self._sightings: dict[str, list[_Sighting]] = {}
-        self._again: dict[str, int] = {}
+        self._sightings = Sightings()
         self._last_instance: dict[str, int] = {}
         self._over: dict[str, int] = {}
         self._judged_ns: dict[str, int] = {}
@@ -114,8 +100,7 @@ class ReinitLoop:
         last = max([self._last_instance.get(name, -1), *arriving])
         self._last_instance[name] = self._over[name] = last
         self._outbox.forget(name)
-        self._sightings.pop(name, None)
-        self._again.pop(name, None)
+        self._sightings.forget(name)
         self._judged_ns[name] = max(now_ns, self._judged_ns.get(name, 0))
         return None if self._epoch is None else (self._epoch, last + 1)
 
@@ -150,7 +135,7 @@ class ReinitLoop:
         elsewhere = self._elsewhere.names(now_ns, self._tracks, self._looked_ns, self.config)
         wanted = self._wanted(now_ns)
         unsettled = self._unsettled.keys(now_ns, self._tracks, self.config)
-        sighted = {name for name, request in self._again.items() if request == 0}
+        sighted = self._sightings.due()
         slots = list(self._slots.values())
         options = candidates(slots, self._tracks, wanted, self._looked_ns, elsewhere, sighted, unsettled)
         chosen = choose(now_ns, options, self.config, answers=self.counters.answers > 0)
@@ -158,8 +143,8 @@ class ReinitLoop:
             return None
         for asked in chosen:
             self._looked_ns[asked.object, asked.instance] = now_ns
-            if asked.instance is None and asked.object in sighted:
-                self._again[asked.object] = self.counters.requests + 1
+            if asked.instance is None:
+                self._sightings.asked(asked.object, self.counters.requests + 1)
         period_ns = round(self.config.period_ms * 1e6)
         # Ticks come when they come: a request that is a little late does not make the next ones later.
         in_rhythm = now_ns - self._next_ns < period_ns
@@ -182,8 +167,7 @@ class ReinitLoop:
             count = missing(slot, self._tracks, arriving)
             looked_ns = self._looked_ns.get((name, None), NEVER)
             rests = self._patience.rests(now_ns, name, count, looked_ns, self.config)
-            seen_ns = max((s.stamp_ns for s in self._sightings.get(name, [])), default=0)
-            out[name] = 0 if rests and now_ns - seen_ns > SIGHTING_S * 1e9 else count
+            out[name] = 0 if rests and not self._sightings.recent(name, now_ns) else count
         return out
 
     @property
@@ -238,7 +222,7 @@ class ReinitLoop:
         self.counters.rejected += len(estimates) - len(found)
         tracked = [t for t in self._tracks.values() if t.object == slot.object and t.T_cam_obj is not None]
         priors = [self._past.at(t, result.stamp_ns) for t in tracked]
-        poses = [_pose(e) for e in found]
+        poses = [pose_of(e) for e in found]
         sure = [t.state is State.TRACKING and slot.max_instances > 1 for t in tracked]
         assigned = assign(poses, priors, result.stamp_ns, slot, sure)
         out = []
@@ -252,7 +236,7 @@ class ReinitLoop:
                 if verdict is not Verdict.REJECT:
                     key = (slot.object, track.instance)
                     out.append(self._correction(key, estimate, result, verdict, estimate.quality))
-            elif any(near(_pose(estimate), p.predicted(result.stamp_ns), slot) for p in priors):
+            elif any(near(pose_of(estimate), p.predicted(result.stamp_ns), slot) for p in priors):
                 # A second estimate of an instance that already has one.
                 self._count(Verdict.REJECT)
             else:
@@ -266,7 +250,7 @@ class ReinitLoop:
     ) -> Correction | None:
         """An estimate of no tracked instance: of a lost one, or of one never seen; None while it is held
         back."""
-        T = _pose(estimate)
+        T = pose_of(estimate)
         taken = [c for c in before if c.verdict is Verdict.ACQUIRE]
         if any(near(T, c.T_cam_obj, slot) for c in taken):
             self._count(Verdict.REJECT)
@@ -277,17 +261,15 @@ class ReinitLoop:
             return None
         quality = estimate.quality
         if not acquires(estimate, self.config):
-            first = self._confirming(slot, estimate, result.stamp_ns)
+            turns = 2 + math.ceil(len(self._slots) / self.config.objects_per_request)
+            wait_s = turns * self._pace.between_s(1e-3 * self.config.period_ms)
+            first = self._sightings.confirming(slot, estimate, result.stamp_ns, result.request, wait_s)
             if first is None:
                 self.counters.unconfirmed += 1
-                # It is looked for once more at once, and by its turns after that.
-                if self._again.pop(slot.object, 0) != result.request:
-                    self._again[slot.object] = 0
                 return None
             # Two looks from one place err alike: together they are no surer than the surer one.
-            quality = max(quality, first.estimate.quality)
-        self._sightings[slot.object] = []
-        self._again.pop(slot.object, None)
+            quality = max(quality, first.quality)
+        self._sightings.forget(slot.object)
         self._last_instance[slot.object] = max(self._last_instance.get(slot.object, -1), key[1])
         self._count(Verdict.ACQUIRE)
         return self._correction(key, estimate, result, Verdict.ACQUIRE, quality)
@@ -317,27 +299,13 @@ class ReinitLoop:
         numbers = [k[1] for k in known] + [self._last_instance.get(slot.object, -1)]
         return (slot.object, max(numbers) + 1)
 
-    def _confirming(self, slot: ObjectSlot, estimate: PoseEstimate, stamp_ns: int) -> _Sighting | None:
-        """An earlier sighting that this one agrees with; without one it is kept as a sighting itself."""
-        turns = 2 + math.ceil(len(self._slots) / self.config.objects_per_request)
-        wait_s = max(SIGHTING_S, turns * self._pace.between_s(1e-3 * self.config.period_ms))
-        kept = [s for s in self._sightings.get(slot.object, []) if abs(stamp_ns - s.stamp_ns) <= wait_s * 1e9]
-        agreeing = [
-            s
-            for s in kept
-            if s.stamp_ns != stamp_ns
-            and same_sight(_pose(s.estimate), _pose(estimate), (stamp_ns - s.stamp_ns) * 1e-9, slot)
-        ]
-        self._sightings[slot.object] = [*kept, _Sighting(estimate, stamp_ns)]
-        return max(agreeing, key=lambda s: s.estimate.quality) if agreeing else None
-
     def _correction(
         self, key: Key, estimate: PoseEstimate, result: PerceptionResult, verdict: Verdict, quality: float
     ) -> Correction:
         seq = self._outbox.next_seq(key, self._now_ns)
         frame = (result.epoch, result.frame_id, result.stamp_ns)
         found = (estimate.mask, estimate.reason)
-        return Correction(*key, *frame, _pose(estimate), quality, verdict, seq, *found)
+        return Correction(*key, *frame, pose_of(estimate), quality, verdict, seq, *found)
 
     def _arriving(self) -> dict[str, int]:
         """How many instances of each object are acquired but have no published pose yet."""
@@ -375,7 +343,6 @@ class ReinitLoop:
             self._past.clear()
             self._outbox.clear()
             self._sightings.clear()
-            self._again.clear()
             # Numbers begin anew, but those that a search anew has ended are not used again.
             self._last_instance = dict(self._over)
             self._judged_ns.clear()
@@ -389,9 +356,3 @@ class ReinitLoop:
         c.corrected += verdict is Verdict.CORRECT
         c.acquired += verdict is Verdict.ACQUIRE
         c.rejected += verdict is Verdict.REJECT
-
-
-def _pose(estimate: PoseEstimate) -> Float64:
-    if estimate.T_cam_obj is None:
-        raise ValueError(f"an estimate of {estimate.object} that was found has no pose")
-    return estimate.T_cam_obj

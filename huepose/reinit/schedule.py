@@ -158,11 +158,11 @@ def choose(
     order = sorted(
         options, key=lambda c: (c.rank, c.looked_ns, c.requested.object, c.requested.instance or 0)
     )
-    new = [c for c in order if c.looked_ns == NEVER] if answers else []
     deciding = [c for c in order if c.decides][: config.objects_per_request]
+    others = [c for c in order if c not in deciding]
+    new = [c for c in others if c.looked_ns == NEVER] if answers else []
     if len(new) > config.objects_per_request:
         return [c.requested for c in (*deciding, *new[: NEW * config.objects_per_request])]
-    others = [c for c in order if c not in deciding]
     usual = others[: config.objects_per_request]
     due = [c for c in others if c.rank > 0 and now_ns - c.looked_ns >= config.stale_ms * 1e6]
     starving = [c for c in due if c not in usual]

@@ -303,6 +303,7 @@ def _requests(
         tracks = [] if seen is None else [track("mug", state=seen, stamp_ms=ms)]
         request = loop.tick(ms * MS, tracks)
         names = [] if request is None else [name for name, _ in asked(request)]
+        assert len(set(names)) == len(names)
         out.append(names)
         place = next(sightings, None) if "mug" in names else None
         found = [] if place is None else [estimate("mug", T=pose(place), quality=0.5)]
@@ -333,3 +334,10 @@ def test_what_has_just_become_uncertain_comes_before_what_was_never_there(state:
     for name, _ in ABSENT:
         assert sum(name in names for names in soon) >= 4, "which get their turns as before"
     assert 0.1 < np.mean(["mug" in names for names in later]) < 0.5, "after five seconds by turns"
+
+
+def test_a_loop_that_was_started_anew_looks_for_what_is_lost_beside_what_it_never_looked_for() -> None:
+    loop = ReinitLoop(objects=[("mug", 1), *ABSENT])
+    requests = _requests(loop, 0, 1_000, State.LOST)
+    assert all(names[0] == "mug" for names in requests)
+    assert requests[1] == ["mug", *(name for name, _ in ABSENT[2:8])]

@@ -41,7 +41,8 @@ from huepose_services.steering import ObjectList, answer_control
 _TICK_NS = SECOND // 30
 # Health warns when perception answers later than this.
 _SLOW_S = 1.5
-# A track is over when it was not published for so long while others were.
+# A track is over when it was not published for so long while others were, or while perception saw pictures: the
+# tracker may have died, and a new one follows nothing.
 _FORGET_NS = 2 * SECOND
 # From the first answer about a camera: until then a right one has had objects found.
 _IN_VAIN_NS = 10 * SECOND
@@ -104,6 +105,7 @@ class ReinitWork(Work):
         self._reasons: dict[str, str] = {}
         self._picture_blamed = False
         self._camera_says = ""
+        self._answered_ns = 0
         self._newest_frame: tuple[int, int] | None = None
         self._camera_doubt = ""
         # Epochs of the camera: that of the answers and since when, and the last in which a pose was TRACKING.
@@ -152,6 +154,7 @@ class ReinitWork(Work):
                 self._bus.health.count("answers_of_another_camera")
                 continue
             self._camera_doubt = answer.camera
+            self._answered_ns = max(self._answered_ns, min(answer.capture_ns, now_ns()))
             corrections = self._loop.answer(now_ns(), result_from_wire(answer))
             for correction in corrections:
                 self._send(correction)
@@ -221,6 +224,7 @@ class ReinitWork(Work):
 
     def _living(self) -> list[TrackedPose]:
         newest_ns = max((t.stamp_ns for t in self._tracks.values()), default=0)
+        newest_ns = max(newest_ns, self._answered_ns)
         over = [key for key, t in self._tracks.items() if newest_ns - t.stamp_ns >= _FORGET_NS]
         for key in over:
             del self._tracks[key]

@@ -187,6 +187,25 @@ def test_of_one_that_is_followed_no_more_no_older_reason_is_said(bus, objects, s
     assert (bus.mug().searching, bus.mug().reason) == (3, "")
 
 
+def test_what_no_tracker_follows_any_more_is_searched_for_while_perception_sees_pictures(bus, step):
+    """As after a restart of the tracker before things that stand still: what is seen agrees with what was
+    followed, and nothing else is published."""
+    last = msgspec.structs.replace(pose(0), capture_ns=now_ns() - 3 * SECOND)
+    bus.arriving[PoseMessage].append(last)
+    step()
+    assert bus.mug().searching == 0, "no picture came since, so it may be followed"
+    bus.arriving[Estimates].append(answer(bus, capture_ns=last.capture_ns + SECOND))
+    step()
+    assert bus.mug().searching == 0, "its pose may be on its way"
+    bus.arriving[Estimates].append(answer(bus, capture_ns=now_ns()))
+    step()
+    assert bus.mug().searching == 1
+    bus.arriving[Estimates].append(answer(bus, estimates=[found()]))
+    step()
+    (correction,) = [m for m in bus.said if isinstance(m, CorrectionMessage)]
+    assert (correction.instance, correction.verdict) == (1, "acquire")
+
+
 def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus, objects, step):
     step()
     objects.decide(ControlRequest(publish_ns=1, action="reset", object="mug"))

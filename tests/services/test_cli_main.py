@@ -339,6 +339,28 @@ def test_ctrl_c_while_a_module_is_imported_is_a_line_and_no_traceback(
     assert capsys.readouterr().err == "huepose: interrupted\n"
 
 
+def test_ctrl_c_that_meets_a_callback_of_compiled_code_ends_a_command_all_the_same() -> None:
+    """Python cannot let a callback raise: it says so, and goes on."""
+    program = f"""
+import ctypes, signal, sys, time
+from {entry.__name__} import main
+from {command_line.__name__} import __name__ as name
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+called_back = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
+
+def command():
+    called_back()
+    time.sleep(10.0)
+    return 0
+
+sys.modules[name].main = command
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60.0)
+    assert (done.returncode, done.stderr) == (130, "huepose: interrupted\n")
+
+
 def test_the_command_is_the_entry_that_catches_ctrl_c_in_imports() -> None:
     said = (Path(__file__).parents[2] / "pyproject.toml").read_text()
     assert f'huepose = "{entry.__name__}:main"' in said

@@ -3,8 +3,13 @@
 
 from __future__ import annotations
 
+import _thread
 import signal
 import sys
+import threading
+
+_AGAIN_S = 0.05
+"""After this time Ctrl-C is tried again where it met a callback of compiled code, which cannot end by it."""
 
 
 def main() -> int:
@@ -16,8 +21,17 @@ def main() -> int:
         pressed = True
         raise KeyboardInterrupt
 
+    def lost(what: sys.UnraisableHookArgs) -> None:
+        if not issubclass(what.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(what)
+            return
+        again = threading.Timer(_AGAIN_S, _thread.interrupt_main)
+        again.daemon = True
+        again.start()
+
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where a shell has it ignored
         signal.signal(signal.SIGINT, ctrl_c)
+        sys.unraisablehook = lost
     try:
         from huepose_services.cli.main import main as run
 

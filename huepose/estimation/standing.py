@@ -37,15 +37,19 @@ def chance(answer: PoseEstimate) -> float:
     return answer.quality if answer.present is None else answer.present
 
 
-def why_none_stands(name: str, answers: Sequence[PoseEstimate], doubts: Sequence[str] = ()) -> str:
+def why_none_stands(
+    name: str, answers: Sequence[PoseEstimate], doubts: Sequence[str] = (), advise: bool = True
+) -> str:
     """Why no pose of an object stands, in words: of the likeliest of its answers where it has any.
 
     answers: as for `standing_answers`, of all objects of the frame; doubts: of each answer, what speaks most
-    against its object (`estimation.present`)."""
+    against its object (`estimation.present`); advise: nothing else in the frame is sure, so what it says of
+    its camera may be wrong."""
     doubts = doubts or [""] * len(answers)
     mine = [x for x in zip(answers, doubts, strict=True) if x[0].object == name]
     if not mine:
-        return f"The detector found no place in the frame that looks like the object. {IF_IN_PLAIN_VIEW}"
+        advice = f" {IF_IN_PLAIN_VIEW}" if advise else ""
+        return f"The detector found no place in the frame that looks like the object.{advice}"
     best, doubt = max(mine, key=lambda item: chance(item[0]))
     if not best.found:
         return best.reason

@@ -17,6 +17,7 @@ from huepose.evaluation.pictures import draw_perception
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Box
+from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.perception.types import Detection
 from huepose.support.errors import InputError
 
@@ -153,7 +154,9 @@ def test_why_none_of_an_object_stands() -> None:
     def found(present: float) -> PoseEstimate:
         return replace(PoseEstimate("brick"), found=True, mask=mask_of(LEFT), present=present)
 
-    assert why_none_stands("box", [found(0.9)]).startswith("The detector found no place")
+    nowhere = "The detector found no place in the frame that looks like the object."
+    assert why_none_stands("box", [found(0.9)]) == f"{nowhere} {IF_IN_PLAIN_VIEW}"
+    assert why_none_stands("box", [found(0.9)], advise=False) == nowhere
     assert why_none_stands("brick", [found(0.2), found(0.31)]) == (
         "At the best of 2 places the object is there with a probability of 0.31, which is under 0.60."
     )

@@ -79,6 +79,28 @@ def test_so_many_instances_are_found_as_are_asked_for(
     np.testing.assert_allclose(x, [T[0, 3] for T in truths], atol=0.003)
 
 
+def test_each_instance_has_its_explanation_and_no_more_are_given_than_are_asked_for(
+    tmp_path: Path,
+    tea_box: ReferenceModel,
+    take_picture: Callable[..., RgbdFrame],
+    standing: np.ndarray,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    truths = [standing.copy() for _ in range(2)]
+    for x, T in zip((-0.1, 0.1), truths, strict=True):
+        T[:3, 3] += [x, 0.0, 0.0]
+    files = written(tmp_path, take_picture([(tea_box.mesh, T) for T in truths]), tea_box)
+    assert main([*files, "--json", "-"]) == 0
+    assert len(json.loads(capsys.readouterr().out)["poses"]) == 1
+    assert main([*files, "--instances", "2", "--json", "-", "--explain", str(tmp_path / "why")]) == 0
+    poses = json.loads(capsys.readouterr().out)["poses"]
+    records = [json.loads((tmp_path / "why" / f"tea_box{k}_scores.json").read_text()) for k in ("", "_2")]
+    assert [r["quality"] for r in records] == [p["quality"] for p in poses]
+    np.testing.assert_allclose(
+        [r["poses"][0]["T_cam_obj"] for r in records], [p["T_cam_obj"] for p in poses], atol=0.02
+    )
+
+
 @pytest.mark.parametrize(("number", "said"), [("0", "1 or more"), ("2", "one of the two")])
 def test_a_number_of_instances_that_means_nothing_is_refused(
     number: str, said: str, files: list[str], box: list[str], capsys: pytest.CaptureFixture[str]
@@ -228,6 +250,8 @@ def test_why_an_object_is_not_found_is_said_and_drawn(
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert not pose["found"]
     assert re.search(r"probability of 0\.\d\d, which is under 0\.60: [a-z ]+\.$", pose["reason"])
+    record = json.loads((tmp_path / "why" / "tea_box_scores.json").read_text())
+    assert (record["state"], record["reason"]) == ("LOST", pose["reason"]), "as it is answered"
     page = cv2.imread(str(tmp_path / "why" / "tea_box_places.png"))
     assert page.shape[0] > 480
     assert page.shape[1] == 640
@@ -257,11 +281,16 @@ def test_a_model_without_tables_says_what_adds_them(
 ) -> None:
     save_model(replace(tea_box, tables=None), tmp_path / "tea_box.huepose")
     arguments = [*files[:-1], str(tmp_path), *box]
-    assert main([*arguments, "--method", method]) == 2
-    said = capsys.readouterr().err
-    assert "reference model 'tea_box': found no tables of the paper's method" in said
-    assert "huepose onboard" in said
-    assert "--paper" in said
+    black = tmp_path / "black.png"
+    cv2.imwrite(str(black), np.zeros((480, 640, 3), np.uint8))
+    anywhere = [*files[:-1], str(tmp_path)]
+    anywhere[files.index("--color") + 1] = str(black)
+    for asked in (arguments, anywhere):
+        assert main([*asked, "--method", method]) == 2
+        said = capsys.readouterr().err
+        assert "reference model 'tea_box': found no tables of the paper's method" in said
+        assert "huepose onboard" in said
+        assert "--paper" in said
     assert main(arguments) == 0
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose.believe.state import State
@@ -25,8 +27,9 @@ from huepose_services.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
+    from huepose.estimation import ObjectQuery, PoseEstimate
     from huepose.estimation.config import Method
+    from huepose.estimation.estimator import Answered
     from huepose.geometry import RgbdFrame
     from huepose.geometry.arrays import Float64
     from huepose.model import ReferenceModel
@@ -102,6 +105,8 @@ def call(arguments: argparse.Namespace) -> int:
     estimator = Estimator(
         models, replace(settings.estimator, method=arguments.method, found_level=found_level)
     )
+    if arguments.method != "full":
+        estimator.prepare(names)  # a model that is unfit for it is told in any picture
     proposed: list[Detection] = []
     if box is not None:
         queries = [ObjectQuery(name, box) for name in names]
@@ -117,17 +122,22 @@ def call(arguments: argparse.Namespace) -> int:
     estimator.prepare([query.object for query in queries])
     estimator.estimate(frame, queries[:1])  # loads the kernels, so that `seconds` is the time of an answer
     prepared = time.monotonic()
-    answers = [_answer(arguments, frame, models, estimator, query) for query in queries]
+    led = [answered for query in queries for answered in estimator.explained(frame, [query])]
+    answers = [answer for answer, _ in led]
     if box is None:
         found = _several(answers, names, arguments.instances)
         while found:
             more = detector.detect(frame, list(found), followed=found)
             queries = _queries(more, least, found)
             proposed, before = [*proposed, *more], len(answers)
-            answers += [_answer(arguments, frame, models, estimator, query) for query in queries]
+            led += [answered for query in queries for answered in estimator.explained(frame, [query])]
+            answers = [answer for answer, _ in led]
             found = _several(answers, found, arguments.instances, before)
         answers = _standing(arguments, frame, models, names, answers, proposed)
-    answers = [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
+    doubted = [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
+    if arguments.explain:
+        _explain(arguments.explain, frame, models, answers, [a.reason for a in doubted], led)
+    answers = doubted
     loaded = "one model" if len(names) == 1 else f"{len(names)} models"
     say(
         f"{prepared - begun:.1f} s to load {loaded} and to find where objects may be, "
@@ -155,14 +165,14 @@ def call(arguments: argparse.Namespace) -> int:
 def _queries(
     places: Sequence[Detection], least: float, others: Mapping[str, Sequence[Float64]] | None = None
 ) -> list[ObjectQuery]:
-    """What is asked about places that are likely enough; the best one last: its explanation is the one that
-    is kept. others: poses of instances that were found before."""
+    """What is asked about places that are likely enough. others: poses of instances that were found
+    before."""
     from huepose.estimation import ObjectQuery
 
     known = others or {}
     return [
         ObjectQuery(place.object, place.box, searched=True, others=tuple(known.get(place.object, ())))
-        for place in places[::-1]
+        for place in places
         if place.score >= least
     ]
 
@@ -221,22 +231,33 @@ def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: lis
     return [text for text in out if text is not None]
 
 
-def _answer(
-    arguments: argparse.Namespace,
+def _explain(
+    folder: Path,
     frame: RgbdFrame,
     models: Mapping[str, ReferenceModel],
-    estimator: Estimator,
-    query: ObjectQuery,
-) -> PoseEstimate:
-    """The answer for one object in one box, explained where that is wanted."""
-    name = query.object
-    [(answer, explanation)] = estimator.explained(frame, [query])
-    if arguments.explain:
-        from huepose_services.cli.explain import write_explanation
+    answers: Sequence[PoseEstimate],
+    reasons: Sequence[str],
+    led: Sequence[Answered],
+) -> None:
+    """Write what led to each answer, and of an object that was not found what led to its likeliest pose.
+    reasons: why each answer is none, or is doubted."""
+    from huepose.estimation.standing import chance
+    from huepose_services.cli.explain import SURE, write_explanation
 
-        doubts = write_explanation(arguments.explain, frame, models[name], answer, explanation)
-        say(f"{name}: " + ("; ".join(doubts) or "nothing speaks against this answer"))
-    return answer
+    written: Counter[str] = Counter()
+    for answer, reason in zip(answers, reasons, strict=True):
+        of_it = [(a, why) for a, why in led if a is answer]
+        best = of_it or [(a, why) for a, why in led if a.object == answer.object]
+        if not best:
+            continue
+        written[answer.object] += 1
+        number = written[answer.object]
+        name = answer.object if number == 1 else f"{answer.object}_{number}"
+        likeliest = max(best, key=lambda one: chance(one[0]))
+        stands = bool(of_it) and answer.found
+        doubts = write_explanation(folder, name, frame, models[answer.object], *likeliest, stands, reason)
+        against = "; ".join(doubts) or reason or SURE
+        say(f"{name}: {against}" if stands else f"{name}, not found, at its likeliest place: {against}")
 
 
 def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, method: Method) -> PoseEstimate:
@@ -270,10 +291,11 @@ def _standing(
     from huepose.geometry.picture_faults import bad_picture
 
     poses = standing_answers(answers)
+    advise = not any(pose.state == "TRACKING" for pose in poses)
     presence = None
     out = []
     for name in names:
-        standing = [pose for pose in poses if pose.object == name]
+        standing = [pose for pose in poses if pose.object == name][: arguments.instances]
         if standing:
             out += standing
             continue
@@ -282,7 +304,7 @@ def _standing(
         placed = [(name, a.T_cam_obj) for a in mine if a.T_cam_obj is not None]
         doubts = iter([doubt for _, doubt in presence.places(placed)])
         said = ["" if a.T_cam_obj is None else next(doubts) for a in mine]
-        why = bad_picture(frame, models[name].diameter_m) or why_none_stands(name, mine, said)
+        why = bad_picture(frame, models[name].diameter_m) or why_none_stands(name, mine, said, advise)
         out.append(PoseEstimate(name, reason=why))
         if arguments.explain:
             from huepose_services.cli.explain import draw_places

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from huepose.believe.state import State
 from huepose.drawing.canvas import paragraph
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import STATE_COLOURS, Body, draw_poses
@@ -26,8 +27,11 @@ from huepose.rendering.render import render
 from huepose.select.near_ties import TERMS
 from huepose.support.files import write_picture, write_text
 
-COLORS = ((60, 220, 60), (255, 170, 30), (70, 160, 255), (255, 80, 160), (240, 240, 60))
-"""Of the places that were tried, likeliest first."""
+COLORS = ((70, 160, 255), (255, 80, 160), (60, 220, 220), (180, 110, 255), (240, 240, 240))
+"""Of the places that were tried, likeliest first; none that says how far a pose may be acted on."""
+
+REFUSED = (255, 90, 60)
+"""Of a pose that is not given out."""
 
 VIEWS = 12
 POSES = 3
@@ -68,12 +72,22 @@ def draw_places(
 
 
 def write_explanation(
-    folder: Path, frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, explanation: Explanation
+    folder: Path,
+    name: str,
+    frame: RgbdFrame,
+    model: ReferenceModel,
+    answer: PoseEstimate,
+    explanation: Explanation,
+    stands: bool,
+    reason: str,
 ) -> list[str]:
     """Write NAME_why.png, NAME_masks.png, NAME_views.png, NAME_pose.png and NAME_scores.json of one estimate;
-    returns what speaks against the answer."""
+    returns what speaks against the answer. stands: it is given out; reason: why it is not, or is doubted."""
     doubts = reasons(model, answer, explanation)
-    write_picture(folder / f"{model.name}_why.png", _page(frame, model, answer, explanation, doubts))
+    state = f"{answer.state}, quality {answer.quality:.2f}. " if stands else "not found. "
+    sure = SURE if stands and not reason and not doubts else ""
+    said = [f"{model.name}: {state}{reason}", *doubts, *([sure] if sure else []), LEGEND]
+    write_picture(folder / f"{name}_why.png", _page(frame, model, answer, explanation, said))
     masks = [_tinted(frame, mask) for mask in explanation.masks]
     labels = [f"mask {k + 1}: {int(m.sum())} px" for k, m in enumerate(explanation.masks)]
     if answer.mask is not None:
@@ -82,9 +96,9 @@ def write_explanation(
     rows, columns = explanation.box.grown(0.3, 10).slices(frame.camera.width, frame.camera.height)
     cut = [m[rows, columns] for m in masks if m[rows, columns].size]
     if cut:
-        write_picture(folder / f"{model.name}_masks.png", contact_sheet(cut, 4, labels[: len(cut)]))
-    _write_views(folder / f"{model.name}_views.png", model, explanation)
-    write_picture(folder / f"{model.name}_pose.png", draw_answers(frame, {model.name: model}, [answer]))
+        write_picture(folder / f"{name}_masks.png", contact_sheet(cut, 4, labels[: len(cut)]))
+    _write_views(folder / f"{name}_views.png", model, explanation)
+    write_picture(folder / f"{name}_pose.png", _drawn(frame, model, answer, stands))
     evidence, ranked = explanation.evidence, explanation.ranked
     poses = [
         {"T_cam_obj": T.tolist(), "behind": float(behind), "terms": asdict(score(model, evidence.region, T))}
@@ -92,14 +106,25 @@ def write_explanation(
         if evidence is not None
     ]
     record = {"quality": answer.quality, "state": answer.state, "doubts": doubts, "poses": poses}
+    if reason:
+        record["reason"] = reason
+    if not stands:
+        record["state"] = str(State.LOST)
     held = explanation.contest
     if held is not None:
         record["contest"] = [
             {"T_cam_obj": T.tolist(), **dict(zip(TERMS, terms.tolist(), strict=True)), "weighed": float(sum_)}
             for T, terms, sum_ in zip(held.poses, held.terms, held.weighed(), strict=True)
         ]
-    write_text(folder / f"{model.name}_scores.json", json.dumps(record, indent=2) + "\n")
+    write_text(folder / f"{name}_scores.json", json.dumps(record, indent=2) + "\n")
     return doubts
+
+
+def _drawn(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, stands: bool) -> UInt8:
+    if stands or answer.T_cam_obj is None:
+        return draw_answers(frame, {model.name: model}, [answer])
+    body = Body(model.mesh, answer.T_cam_obj, REFUSED, f"{model.name}: not found")
+    return draw_poses(frame.color, frame.camera, [body])
 
 
 def _page(
@@ -107,9 +132,9 @@ def _page(
     model: ReferenceModel,
     answer: PoseEstimate,
     explanation: Explanation,
-    doubts: Sequence[str],
+    said: Sequence[str],
 ) -> UInt8:
-    """What the estimator saw, and where its best poses agree with it: a page with the doubts in words."""
+    """What the estimator saw, and where its best poses agree with it: a page below what is `said`."""
     evidence, ranked = explanation.evidence, explanation.ranked
     poses = ranked.poses
     tolerance = 0.01 if evidence is None else evidence.region.tolerance_m
@@ -123,8 +148,7 @@ def _page(
         note = "the best" if k == 0 else displacement(model, T, poses[0])
         labels += [f"pose {k + 1}: {note}", f"pose {k + 1}: {total:.2f}"]
     sheet = contact_sheet(pictures, 3 if len(pictures) < 4 else 5, labels)
-    state = f"{model.name}: {answer.state}, quality {answer.quality:.2f}"
-    return np.vstack([paragraph("\n".join([state, *(doubts or [SURE]), LEGEND]), sheet.shape[1]), sheet])
+    return np.vstack([paragraph("\n".join(said), sheet.shape[1]), sheet])
 
 
 def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) -> None:
@@ -139,7 +163,8 @@ def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) ->
     rows, columns = around.slices(crop.camera.width, crop.camera.height)
     pictures = [crop.color[rows, columns]]
     pictures += [render([(model.mesh, T)], crop.camera).color[rows, columns] for T in views.poses]
-    labels = [f"{s:.2f}, mask {k + 1}" for s, k in zip(views.scores, views.masks, strict=True)]
+    of = [f"mask {k + 1}" if k < len(explanation.masks) else "the box" for k in views.masks]
+    labels = [f"{score:.2f}, {source}" for score, source in zip(views.scores, of, strict=True)]
     write_picture(path, contact_sheet(pictures, 5, ["seen", *labels]))
 
 

@@ -191,7 +191,7 @@ def test_status_says_the_sentence_of_the_camera_once(before: str) -> None:
     text = as_text(view)
     assert text.count("no picture for") == 1
     assert f"  camera: {why_none}\n" in text
-    assert text.endswith(f"\n  {before}See the camera above.")
+    assert text.endswith(f"\n  These 4: {before}See the camera above.")
     assert text.count("See the camera above.") == 1
 
 
@@ -235,7 +235,7 @@ def test_status_says_once_what_is_said_of_several_objects() -> None:
     ]
     view = View(Pipeline(base_port=17447), True, {}, frozenset(), (), entries, {})
     said = [text.split()[0] for text in as_text(view).splitlines()[3:]]
-    assert said == ["mug", "jar", "No", "can", "cup", "tin", "No"]
+    assert said == ["mug", "jar", "These", "can", "cup", "tin", "No"]
 
 
 def test_status_does_not_call_a_worker_gone_that_may_be_starting() -> None:

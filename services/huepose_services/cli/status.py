@@ -7,6 +7,7 @@ import shutil
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.options import add_choice, add_seconds, chosen, say, until_told
@@ -159,11 +160,11 @@ def as_text(view: View, width: int | None = None) -> str:
             continue
         known = camera.picture if camera is not None and entry.reason else ""
         rows.append((f"{entry.object:32s} {text}", known or entry.reason))
-    reasons = [_without(said, reason) for _, reason in rows]
-    for (row, _), reason, below in zip(rows, reasons, [*reasons, ""][1:], strict=True):
-        lines.append(row)
-        if reason and reason != below:  # said once, below the last of them
-            lines.append(f"  {reason}")
+    for reason, group in groupby(rows, key=lambda row: _without(said, row[1])):
+        together = [row for row, _ in group]
+        lines += together
+        if reason:
+            lines.append(f"  {reason}" if len(together) == 1 else f"  These {len(together)}: {reason}")
     return "\n".join(lines)
 
 

@@ -64,6 +64,12 @@ def model_path(bundles_dir: Path | str, name: str) -> Path:
     return Path(bundles_dir) / f"{name}{SUFFIX}"
 
 
+def model_names(bundles_dir: Path | str) -> list[str]:
+    """The names of the reference models of a folder in alphabetical order, by its files alone."""
+    files = Path(bundles_dir).glob(f"*{SUFFIX}")
+    return sorted(p.name[: -len(SUFFIX)] for p in files if not p.name.startswith("."))
+
+
 def save_model(model: ReferenceModel, path: Path | str) -> None:
     """Write a reference model; the file appears whole or not at all. Equal models give equal bytes."""
     path = Path(path)
@@ -146,7 +152,7 @@ def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> 
     Raises InputError for a folder without models, and for an unknown name, listing the known ones.
     """
     folder = Path(bundles_dir)
-    known = sorted(p.name[: -len(SUFFIX)] for p in folder.glob(f"*{SUFFIX}") if not p.name.startswith("."))
+    known = model_names(folder)
     if not known:
         raise _no_models(folder)
     wanted = known if names is None else list(dict.fromkeys(names))

@@ -55,14 +55,15 @@ def why_unreached(
 ) -> str:
     """What is in the way to the first of these, in words; may take seconds. context: what a reader shows to
     one with TLS; shown: the files that it is of, which are looked at by themselves as well."""
-    why = _why_not_reached(endpoints[0], context)
+    why = _why_not_reached(endpoints, context)
     fault = None if shown is None else fault_of(*shown)
     return why if shown is None or fault is None else f"{why}. Of {shown[1]} by itself: {fault}"
 
 
-def _why_not_reached(first: str, context: ssl.SSLContext | None) -> str:
+def _why_not_reached(endpoints: Sequence[str], context: ssl.SSLContext | None) -> str:
+    first = endpoints[0]
     if first.startswith(_LOCAL):
-        return f"waiting for a pipeline: {_why_none_runs(Path(first.removeprefix(_LOCAL)))}"
+        return f"waiting for a pipeline: {_why_none_runs(first, endpoints)}"
     try:
         host, port = address_of(first)
     except ValueError:
@@ -74,12 +75,15 @@ def _why_not_reached(first: str, context: ssl.SSLContext | None) -> str:
     return f"waiting for a gateway at {first}: {why or 'it does not answer as one'}"
 
 
-def _why_none_runs(socket_of: Path) -> str:
+def _why_none_runs(first: str, endpoints: Sequence[str]) -> str:
+    socket_of = Path(first.removeprefix(_LOCAL))
     port = int(socket_of.name) if socket_of.name.isdigit() else 0
     for base_port in (port, port - 1):  # where poses are read: at the camera, and at the tracker
         if (note := note_of(base_port, socket_of.parent)) is not None:
             return f"{note} is being started or stopped; its log says how far it is"
-    return f"none runs at {socket_of}; `huepose up` starts one"
+    camera = socket_of.with_name(str(port - 1))  # whose port is the one that people know
+    known = camera if f"{_LOCAL}{camera}" in endpoints else socket_of
+    return f"none runs at {known}; `huepose up` starts one"
 
 
 def why_unreachable(host: str, port: int, context: ssl.SSLContext | None) -> str | None:

@@ -41,8 +41,8 @@ from huepose_services.steering import ObjectList, answer_control
 _TICK_NS = SECOND // 30
 # Health warns when perception answers later than this.
 _SLOW_S = 1.5
-# A track is over when it was not published for so long while others were, or while perception saw pictures: the
-# tracker may have died, and a new one follows nothing.
+# A track is over when it was not published for so long while others were, or while perception saw pictures:
+# the tracker may have died, and a new one follows nothing.
 _FORGET_NS = 2 * SECOND
 # From the first answer about a camera: until then a right one has had objects found.
 _IN_VAIN_NS = 10 * SECOND

@@ -11,7 +11,7 @@ import pytest
 
 from huepose_protos import PoseClient
 from huepose_protos.client import open_session
-from huepose_protos.local import pose_endpoints
+from huepose_protos.local import endpoint, pose_endpoints
 from huepose_protos.reach import endpoint_of
 
 
@@ -72,7 +72,7 @@ def test_files_that_are_no_certificates_are_said(tmp_path):
 
 def test_a_pipeline_that_is_being_started_is_told_from_none(tmp_path):
     with PoseClient(pose_endpoints(folder=tmp_path)) as client:
-        none = f"waiting for a pipeline: none runs at {tmp_path}/17448; `huepose up` starts one"
+        none = f"waiting for a pipeline: none runs at {tmp_path}/17447; `huepose up` starts one"
         assert client.why_silent() == none
         note = {"site": "lab", "camera": "left", "file": "/etc/lab.yaml"}
         (tmp_path / f"{2**22 + 1}-17447.json").write_text(json.dumps(note))  # of a process that is gone
@@ -80,6 +80,11 @@ def test_a_pipeline_that_is_being_started_is_told_from_none(tmp_path):
         (tmp_path / f"{os.getpid()}-17447.json").write_text(json.dumps(note))
         started = "waiting for a pipeline: lab/left, from /etc/lab.yaml, is being started or stopped"
         assert client.why_silent() == f"{started}; its log says how far it is"
+
+
+def test_a_place_that_nobody_took_for_a_pipelines_second_port_is_named_itself(tmp_path):
+    with PoseClient([endpoint(17448, tmp_path)]) as client:
+        assert f"none runs at {tmp_path}/17448;" in client.why_silent()
 
 
 @pytest.mark.parametrize(

@@ -252,6 +252,16 @@ def test_so_many_seconds_are_more_than_none(
     assert f"found {seconds}, expected seconds, more than 0" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("option", ["--minutes", "--slow"])
+@pytest.mark.parametrize("number", ["-3", "0", "nan"])
+def test_what_chaos_is_told_is_more_than_none(
+    option: str, number: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("huepose_services.chaos.system.LivePipeline", lambda **_: pytest.fail("it began"))
+    assert main(["chaos", option, number]) == BAD_INPUT
+    assert capsys.readouterr().err == f"huepose chaos: {option}: found {number}; expected more than 0.\n"
+
+
 def test_a_shell_is_told_what_may_come_next(tmp_path: Path) -> None:
     def choices(line: str) -> set[str]:
         asked = {

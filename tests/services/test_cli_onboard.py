@@ -307,6 +307,16 @@ def test_a_folder_in_the_place_of_a_mesh_is_said_to_be_one(
     assert said.endswith(fix.format(folder / inside) + "\n")
 
 
+@pytest.mark.parametrize("processes", ["0", "-1"])
+def test_a_folder_is_onboarded_by_one_process_or_more(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], processes: str
+) -> None:
+    command = ["onboard-bop", str(tmp_path), "--out", str(tmp_path / "out"), "--processes", processes]
+    assert main(command) == 2
+    said = capsys.readouterr().err
+    assert said == f"huepose onboard-bop: --processes: found {processes}; expected 1 or more.\n"
+
+
 def test_a_folder_without_meshes_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["onboard-bop", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "no obj_NNNNNN.ply or .obj" in capsys.readouterr().err

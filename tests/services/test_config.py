@@ -1,5 +1,6 @@
 """pipeline.yaml: what is wrong is named by path, value and what is allowed."""
 
+import json
 import time
 from pathlib import Path
 
@@ -19,6 +20,12 @@ GOOD = "camera: {truth: true}\n"
         ("camera: {rte: 3}", ["camera.rte", "not known", "Did you mean 'rate'?"]),
         ("camera: {rate: fast}", ["camera.rate", "'fast'", "recorded, or a number"]),
         ("camera: {rate: 0}", ["camera.rate", "found 0", "a number over 0"]),
+        ("camera: {rate: 1e9}", ["'1e9'", "Write it as 1000000000: YAML takes 1e9 for text."]),
+        ("camera: {depth_scale_m: 1e-4}", ["Write it as 0.0001: YAML takes 1e-4 for text."]),
+        ("estimator: {threads: 1.50e1}", ["Write it as 15: YAML takes 1.50e1 for text."]),
+        ("estimator: {threads: 1e-1}", ["a whole number", "What each key means"]),
+        ("camera: {depth_scale_m: 1e-4m}", ["'1e-4m'", "What each key means"]),
+        ("camera: {truth: 1e0}", ["true or false", "What each key means"]),
         ("objects: [{nme: a}]", ["objects[0].nme", "name, max_instances"]),
         ("objects: [tea_box]", ["objects[0]", "'tea_box'", "Write {name: tea_box}."]),
         ("workers: [camera, traker]", ["workers[1]", "Did you mean 'tracker'?"]),
@@ -26,7 +33,14 @@ GOOD = "camera: {truth: true}\n"
         ("objects: [{name: A B}]", ["objects[0].name", "'A B'", "1 to 64 of a-z, 0-9, _ and -"]),
         ("objects: [{name: a}, {name: a}]", ["objects", "every name once"]),
         ("workers: [cam]", ["workers[0]", "'cam'", "camera, tracker"]),
-        ("workers: []", ["workers", "none"]),
+        (
+            "workers: []",
+            [
+                "workers: found none; expected one worker or more. Name one, or leave `workers` out: then "
+                "camera, tracker, reinit, detector, segmenter, estimator are started."
+            ],
+        ),
+        ("workers: [camera, camera]", ["found camera, camera; expected each worker at most once."]),
         ("camera: {source: webcam}", ["camera.source", "'webcam'", "synthetic, bop, fast_ycb"]),
         ("camera: {source: opencv}", ["camera.source", "A webcam has no depth", "docs/cameras.md"]),
         ("cameras: [{source: webcam}]", ["cameras[0].source", "A webcam has no depth"]),
@@ -216,6 +230,25 @@ def test_validate_notes_that_a_file_is_empty(tmp_path, capsys, text, noted):
     path.write_text(text + ("camera: {truth: true}\n" if text.startswith("site") else ""))
     assert main(["validate", str(path)]) == 0
     assert ("the file is empty: everything is as in the built-in scene" in capsys.readouterr().out) == noted
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [
+        (0, "all of {}"),
+        (1, "all of {}: cup0"),
+        (3, "all 3 of {}: cup0, cup1, cup2"),
+        (7, "all 7 of {}: cup0, cup1, cup2, cup3, cup4 and 2 more"),
+    ],
+)
+def test_validate_names_objects_of_a_folder(tmp_path, pipeline, capsys, count, said):
+    path, folder = pipeline(), tmp_path / "bundles"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"bundles": "bundles"}))
+    folder.mkdir()
+    for number in reversed(range(count)):
+        (folder / f"cup{number}.huepose").touch()  # names are all that is looked at
+    assert main(["validate", str(path)]) == 0
+    assert f"\n  objects  {said.format(folder)}\n" in capsys.readouterr().out
 
 
 def test_validate_says_which_extra_a_worker_needs(tmp_path, capsys, monkeypatch):

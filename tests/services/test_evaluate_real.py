@@ -151,6 +151,21 @@ def test_wrong_usage_is_named(
     assert named in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("--rotation", "kabsch"), ("--rotation-model", "turn.onnx"), ("--flow", "neuflow.onnx")],
+)
+def test_what_only_the_papers_tracker_has_is_refused_of_another(
+    tmp_path: Path, capsys, option: str, value: str
+) -> None:
+    command = f"eval track --fast-ycb nowhere --bundles nowhere --json {tmp_path / 'r'} {option} {value}"
+    assert main(command.split()) == 2
+    said = f"huepose eval: {option}: found it with --method full; expected --method paper.\n"
+    assert capsys.readouterr().err == said
+    assert main([*command.split(), "--method", "paper"]) == 2
+    assert option not in capsys.readouterr().err
+
+
 def test_a_sequence_without_reference_model_is_named(
     bundles: Path, sequence: Path, tmp_path: Path, capsys
 ) -> None:

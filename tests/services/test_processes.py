@@ -6,6 +6,7 @@ import os
 import signal
 import socket
 import time
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -219,6 +220,26 @@ def test_a_damaged_reference_model_is_named_once_before_a_worker_starts(
     said = capsys.readouterr().err
     assert said.startswith(f"huepose {verb}: {model}: found a damaged or foreign file")
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize("verb", ["up", "validate"])
+def test_a_method_whose_tables_the_reference_models_lack_is_refused_before_a_worker_starts(
+    tea_box, tmp_path, pipeline, capsys, verb
+):
+    path, bare = pipeline(), {"workers": ["camera", "estimator"], "bundles": "bundles"}
+    data = json.loads(path.read_text()) | bare
+    save_model(replace(tea_box, tables=None), tmp_path / "bundles" / "tea_box.huepose")
+    path.write_text(json.dumps(data | {"estimator": {"method": "colorpair"}}))
+    assert main([verb, str(path)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"huepose {verb}: estimator.method: found colorpair, and no tables of the paper's")
+    assert "in the reference models of tea_box; expected models with these tables. Make them again" in said
+    assert "--method" not in said
+    if verb == "validate":
+        path.write_text(json.dumps(data))
+        assert main([verb, str(path)]) == 0, "the method full needs none"
+        path.write_text(json.dumps(data | {"workers": ["camera"], "estimator": {"method": "colorpair"}}))
+        assert main([verb, str(path)]) == 0, "nobody here estimates"
 
 
 @pytest.mark.parametrize("verb", [("up",), ("run", "camera")])

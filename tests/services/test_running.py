@@ -203,6 +203,23 @@ def test_a_box_with_a_negative_side_is_explained_by_its_size(capsys):
     assert "name of" not in said
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            "reset tea_box/0",
+            "reset: found tea_box/0; expected a name of 1 to 64 characters of a-z, 0-9, _ and -. "
+            "Name the object without /0: tea_box.",
+        ),
+        ("add Mug", "add: found Mug; expected a name of 1 to 64 characters of a-z, 0-9, _ and -."),
+        ("add mug --max-instances 65", "--max-instances: found 65; expected 1 to 64."),
+    ],
+)
+def test_what_is_no_request_is_explained_by_what_is_wrong_with_it(words, said, capsys):
+    assert main(["objects", *words.split()]) == 2
+    assert capsys.readouterr().err == f"huepose objects: {said}\n"
+
+
 def test_a_recording_that_is_played_is_no_pipeline_that_starts(tmp_path, monkeypatch, capsys):
     def waits_for_an_answer(*_):
         pytest.fail("nobody steers a recording")

@@ -26,6 +26,9 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Strike one after the other; exit 1 when something did not hold."""
+    for option, number in (("--minutes", arguments.minutes), ("--slow", arguments.slow)):
+        if number is not None and not number > 0.0:
+            raise InputError(option, found=f"{number:g}", expected="more than 0")
     from huepose_services.chaos.faults import FAULTS
     from huepose_services.chaos.memory import growth
     from huepose_services.chaos.outcome import Outcome, cells, strike, table

@@ -41,6 +41,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Evaluate, print a table, write."""
     import cv2
 
+    _check_method(arguments)
     cv2.setNumThreads(1)  # as the tracker's worker does
     names = _source_names(arguments)
     scenes, models = open_scenes(arguments.fast_ycb, arguments.bop, arguments.bundles)
@@ -78,6 +79,18 @@ def call(arguments: argparse.Namespace) -> int:
     if pictures is not None:
         pictures.tracks(result)
     return 0
+
+
+def _check_method(arguments: argparse.Namespace) -> None:
+    """Raises InputError for what only the method paper has, where it is asked of another one."""
+    given = {
+        "--rotation": arguments.rotation != "direct",
+        "--rotation-model": arguments.rotation_model is not None,
+        "--flow": arguments.flow != "dis",
+    }
+    if arguments.method != "paper":
+        for option in (option for option, there in given.items() if there):
+            raise InputError(option, found=f"it with --method {arguments.method}", expected="--method paper")
 
 
 def _paper_step(arguments: argparse.Namespace) -> PaperStep:

@@ -65,11 +65,7 @@ def call(arguments: argparse.Namespace) -> int:
     try:
         request = msgspec.convert(message, ControlRequest)
     except msgspec.ValidationError as error:
-        raise InputError(
-            arguments.action,
-            found=f"{message['object']}, {message['max_instances']} of it",
-            expected="a name of 1 to 64 characters of a-z, 0-9, _ and -, and 1 to 16 instances",
-        ) from error
+        raise _not_asked(arguments, of_number="max_instances" in str(error)) from error
     pipeline = chosen(arguments)
     say_if_unknown(pipeline)
     reply = None if pipeline.played else ask(pipeline, request)
@@ -82,6 +78,19 @@ def call(arguments: argparse.Namespace) -> int:
     summary = _listed(reply) if arguments.action == "list" else reply.text
     answered(arguments, msgspec.to_builtins(reply.objects), summary)
     return 0
+
+
+def _not_asked(arguments: argparse.Namespace, of_number: bool) -> InputError:
+    """Why that is no request: by the number of instances, else by the name."""
+    if of_number:
+        return InputError("--max-instances", found=str(arguments.instances), expected="1 to 64")
+    name, slash, instance = arguments.name.partition("/")
+    return InputError(
+        arguments.action,
+        found=arguments.name,
+        expected="a name of 1 to 64 characters of a-z, 0-9, _ and -",
+        fix=f"Name the object without /{instance}: {name}." if slash and instance.isdigit() else "",
+    )
 
 
 def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:

@@ -179,6 +179,8 @@ def call_bop(arguments: argparse.Namespace) -> int:
     """Onboard a folder; an object that fails is reported and the others go on."""
     from huepose.onboarding.bop_folder import bop_models
 
+    if arguments.processes < 1:
+        raise InputError("--processes", found=str(arguments.processes), expected="1 or more")
     _check_folder(arguments.out)
     models = bop_models(arguments.models_dir, arguments.ids)
     failed = onboard_models(models, arguments.out, arguments.paper, arguments.processes)

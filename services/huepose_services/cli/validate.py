@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 _FAR_M = 20.0
 """No robot's camera is mounted farther off: such numbers are millimetres."""
+_NAMED = 5
+"""So many objects of a folder are named."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -70,10 +72,9 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
         "frames": _way_of_frames(config),
         "hosts": {host: list(workers) for host, workers in config.hosts.items()},
     }
-    every = "the built-in ones" if config.bundles is None else f"all of {config.bundles}"
     summary = f"""  workers  {", ".join(config.workers)}
   camera   {answer["camera"]}
-  objects  {", ".join(answer["objects"]) or every}
+  objects  {", ".join(answer["objects"]) or _every(config)}
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
@@ -91,6 +92,19 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
         there = f"{config.other_host}, which runs {', '.join(config.far)}"
         summary += f"\n  link     at {config.link.listen} for {there}, by TLS ({config.link.secure})"
     return answer, summary
+
+
+def _every(config: Config) -> str:
+    """Which objects are looked for where none is named."""
+    if config.bundles is None:
+        return "the built-in ones"
+    from huepose.model.io import model_names
+
+    names = model_names(config.bundles)
+    if len(names) < 2:
+        return ": ".join((f"all of {config.bundles}", *names))
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"all {len(names)} of {config.bundles}: {', '.join(names[:_NAMED])}{more}"
 
 
 def _limited(config: Config) -> list[str]:

@@ -315,8 +315,11 @@ def _check(config: Config, refuse: Refuse) -> None:
     camera, detector = config.camera, config.detector
     if len(set(names)) != len(names):
         refuse("objects", ", ".join(names), "every name once", "Use max_instances for several of a kind.")
-    if len(set(config.workers)) != len(config.workers) or not config.workers:
-        refuse("workers", ", ".join(config.workers) or "none", "each worker at most once", "Name each once.")
+    if not config.workers:
+        fix = f"Name one, or leave `workers` out: then {', '.join(CHAIN)} are started."
+        refuse("workers", "none", "one worker or more", fix)
+    if len(set(config.workers)) != len(config.workers):
+        refuse("workers", ", ".join(config.workers), "each worker at most once", "Name each once.")
     check_hosts(config, refuse)
     check_ports(config, refuse)
     check_camera(camera, config.workers, refuse)

@@ -8,6 +8,7 @@ import re
 import reprlib
 import types
 import typing
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,9 @@ _WORDS = (
     (r" < ([\d.]+?)(?:\.0)?$", r" under \1"),
 )
 
+# Such a number is a text to YAML 1.1, which wants a point and a sign: 1.0e-4.
+_SCIENTIFIC = re.compile(r"[-+]?([0-9]{1,17}\.?[0-9]{0,17}|\.[0-9]{1,17})[eE][-+]?[0-9]{1,2}")
+
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 80
 _SHORT.maxlist = _SHORT.maxdict = 8
@@ -118,6 +122,8 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
 
 def _mended(at: str, found: Any, kind: Any) -> str:
     """What to write instead, as far as it is known."""
+    if plain := _plain(found, kind):
+        return f"Write it as {plain}: YAML takes {found} for text."
     for section in _parts(kind):
         # `camera: bop`: the section's name with what is the value of one of its keys.
         keys = msgspec.structs.fields(section) if hasattr(section, "__struct_fields__") else ()
@@ -128,6 +134,16 @@ def _mended(at: str, found: Any, kind: Any) -> str:
     if at.endswith(".source"):
         return "A webcam has no depth, which HuePose needs in every pixel: see docs/cameras.md."
     return "What each key means: pipeline.yaml of the repository, docs/running.md."
+
+
+def _plain(found: Any, kind: Any) -> str:
+    """A number in scientific notation without it, where a number belongs and YAML read a text; else empty."""
+    if not isinstance(found, str) or not _SCIENTIFIC.fullmatch(found):
+        return ""
+    plain = f"{Decimal(found):f}"
+    if "." in plain:
+        plain = plain.rstrip("0").rstrip(".")
+    return plain if float in _parts(kind) or (int in _parts(kind) and "." not in plain) else ""
 
 
 def _allowed(text: str, kind: Any) -> str:

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 from huepose.support.errors import InputError
+from huepose.support.words import listed
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.run_folder import is_taken, make_folder
 from huepose_services.runtime.running import port_taken
 from huepose_services.runtime.threads import check_processors
+
+if TYPE_CHECKING:
+    from huepose.model import ReferenceModel
 
 _PACKAGES = {"ros2": "rosbags", "viewer": "rerun"}
 """What a worker imports that only its extra installs."""
@@ -49,7 +55,9 @@ def check(config: Config) -> None:
         _check_builtin(config)
     elif config.bundles is not None and (config.objects or config.uses_models):
         # Once: else each worker would find, and say, that one is missing or damaged.
-        load_models(config.bundles, [item.name for item in config.objects] or None)
+        models = load_models(config.bundles, [item.name for item in config.objects] or None)
+        if config.estimator.method != "full" and "estimator" in config.workers:
+            _check_tables(config.estimator.method, models.values())
     if config.camera.source != "synthetic" and "camera" in config.workers:
         from huepose_services.camera.sources import open_source
 
@@ -67,6 +75,18 @@ def check(config: Config) -> None:
         from huepose_services.link import check_link
 
         check_link(config)
+
+
+def _check_tables(method: str, models: Iterable[ReferenceModel]) -> None:
+    bare = [model.name for model in models if model.tables is None]
+    if bare:
+        raise InputError(
+            "estimator.method",
+            found=f"{method}, and no tables of the paper's method in the reference models of {listed(bare)}",
+            expected="models with these tables",
+            fix="Make them again with `huepose onboard` or `huepose onboard-bop` and --paper; the method "
+            "full needs no tables.",
+        )
 
 
 def _check_builtin(config: Config) -> None:

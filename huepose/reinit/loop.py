@@ -10,7 +10,6 @@ looks for is in `searching`.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
@@ -261,8 +260,8 @@ class ReinitLoop:
             return None
         quality = estimate.quality
         if not acquires(estimate, self.config):
-            turns = 2 + math.ceil(len(self._slots) / self.config.objects_per_request)
-            wait_s = turns * self._pace.between_s(1e-3 * self.config.period_ms)
+            # Perception searches for one object with all effort in each request, by turns.
+            wait_s = (2 + len(self._slots)) * self._pace.between_s(1e-3 * self.config.period_ms)
             first = self._sightings.confirming(slot, estimate, result.stamp_ns, result.request, wait_s)
             if first is None:
                 self.counters.unconfirmed += 1

@@ -154,7 +154,7 @@ class ReinitWork(Work):
                 self._bus.health.count("answers_of_another_camera")
                 continue
             self._camera_doubt = answer.camera
-            self._answered_ns = max(self._answered_ns, min(answer.capture_ns, now_ns()))
+            self._answered_ns = min(answer.capture_ns, now_ns())
             corrections = self._loop.answer(now_ns(), result_from_wire(answer))
             for correction in corrections:
                 self._send(correction)

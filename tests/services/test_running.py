@@ -13,7 +13,7 @@ from huepose_protos.local import run_folder
 from huepose_services.cli.main import main
 from huepose_services.cli.options import chosen, chosen_config
 from huepose_services.runtime.config import BusConfig, Config
-from huepose_services.runtime.running import Pipeline, noted, occupant, pick, running
+from huepose_services.runtime.running import Pipeline, namesake, noted, occupant, pick, running
 
 
 @pytest.fixture(autouse=True)
@@ -85,6 +85,19 @@ def test_of_two_pipelines_of_one_name_the_port_says_which(runtime_folder):
         with pytest.raises(InputError, match=r"Say which: --pipeline 18[12]00, or --config"):
             pick(which="lab/cam0")
         assert pick(which="18200").base_port == 18200
+
+
+def test_a_pipeline_is_told_of_another_one_of_its_name(runtime_folder):
+    with noted(HERE):
+        assert namesake(HERE) is None, "this one is meant"
+        other = {"base_port": 18200, "site": "lab", "camera": "cam0", "file": "hall.yaml"}
+        note = runtime_folder / f"{os.getppid()}.json"
+        note.write_text(json.dumps(other))
+        assert namesake(HERE) is None, "a recording that is played is none"
+        note.write_text(json.dumps(other | {"workers": ["camera"]}))
+        warning = namesake(HERE)
+        assert "lab/cam0 at port 18200 (hall.yaml) has the same name" in warning
+        assert "`site` or `camera.name`" in warning
 
 
 def test_a_configuration_names_its_pipeline_whether_it_runs_or_not(tmp_path):

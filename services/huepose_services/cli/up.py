@@ -28,7 +28,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.prepare import prepare
     from huepose_services.runtime.pulse import notify
     from huepose_services.runtime.reload import asked_again
-    from huepose_services.runtime.running import described, noted
+    from huepose_services.runtime.running import described, namesake, noted
     from huepose_services.runtime.supervisor import Supervisor
 
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
@@ -38,6 +38,8 @@ def call(arguments: argparse.Namespace) -> int:
             notes.enter_context(noted(described(config, arguments.config)))
         for config in configs:
             prepare(config)
+            if (warning := namesake(described(config, arguments.config))) is not None:
+                say(warning)
         stopping, again = until_told(), asked_again()
         supervisors = [
             Supervisor(config, arguments.config, of=config.camera.name if len(configs) > 1 else None)

@@ -127,6 +127,17 @@ def running(without_this: bool = False) -> list[Pipeline]:
     return list(found.values())
 
 
+def namesake(pipeline: Pipeline) -> str | None:
+    """The warning about another pipeline that runs here under the same name; None where there is none."""
+    others = [p for p in running(without_this=True) if p.name == pipeline.name and p.workers]
+    if not others:
+        return None
+    return (
+        f"{_listed(others[:1])} has the same name: give one of them another `site` or `camera.name`, so that "
+        "readers and --pipeline tell them apart"
+    )
+
+
 def occupant(config: Config, worker: str) -> str:
     """Who holds a worker's port that is taken: a pipeline that is noted, else some program."""
     others = (p for p in running(without_this=True) if p.base_port == config.bus.base_port)

@@ -43,10 +43,8 @@ class PairWeights(NamedTuple):
 
 PAIR_WEIGHTS = PairWeights()
 
-
 CLOSE_PAIRS = 1500
 """Most colour pairs with which the last few poses are judged."""
-
 
 REACH_PX = 2.0
 """Distance from the edge at which the colours of a pair were sampled, pixels of the reference views: the

@@ -3,14 +3,16 @@ there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import NamedTuple, Protocol
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 from huepose.estimation.types import ObjectQuery, PosePrior
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.geometry.arrays import Bool, Float64
-from huepose.perception.types import Detection
 from huepose.reinit.types import RequestedObject
+
+if TYPE_CHECKING:
+    from huepose.perception.colorpair_detector import ColorPairDetector
 
 SAME_BOX = 0.5
 """Overlap of a found box with that of a tracked object from which it is that object's."""
@@ -21,20 +23,6 @@ which are most (docs/detection.md)."""
 
 BoxOf = Callable[[str, Float64, Camera], Box | None]
 """The box of an object, by its name, at a pose T_cam_obj (4, 4) in a camera's image; None outside of it."""
-
-
-class Searcher(Protocol):
-    """A detector that can spend more on some objects."""
-
-    def detect(
-        self,
-        frame: RgbdFrame,
-        names: Sequence[str],
-        thorough: Collection[str] | None = None,
-        followed: Mapping[str, Sequence[Float64]] | None = None,
-    ) -> list[Detection]:
-        """As `ColorPairDetector.detect`."""
-        ...
 
 
 class Place(NamedTuple):
@@ -50,8 +38,8 @@ class Looks:
     One missing object at a time, by turns, is searched with all effort: a request costs the same however many
     are missing. Of those that never had a turn NEW_TURNS have it at once."""
 
-    def __init__(self, searcher: Searcher, box_of: BoxOf) -> None:
-        self._searcher, self._box_of = searcher, box_of
+    def __init__(self, detector: ColorPairDetector, box_of: BoxOf) -> None:
+        self._detector, self._box_of = detector, box_of
         self._turns: list[str] = []
 
     def places(self, frame: RgbdFrame, objects: Sequence[RequestedObject]) -> list[list[Place]]:
@@ -64,7 +52,7 @@ class Looks:
             for asked in objects
             if asked.others
         }
-        seen = self._searcher.detect(frame, names, self.turn(names), followed) if names else []
+        seen = self._detector.detect(frame, names, self.turn(names), followed) if names else []
         taken = [box for box in predicted if box is not None]
         out = []
         for asked, box in zip(objects, predicted, strict=True):

@@ -24,17 +24,26 @@ def known(value: float | None, form: str = ".1f", unit: str = "") -> str:
     return "-" if value is None else f"{value:{form}}{unit}"
 
 
+def first_of(names: Sequence[str], most: int) -> str:
+    """The first names with commas between them, and how many more there are.
+
+    >>> first_of(["box", "can", "mug"], 3), first_of(["box", "can", "mug"], 1)
+    ('box, can, mug', 'box and 2 more')
+    """
+    left = len(names) - most
+    return ", ".join(names[:most]) + (f" and {left} more" if left > 0 else "")
+
+
 def listed(names: Sequence[str], longest: int = 200) -> str:
     """Names with commas between them, as many as so many characters hold, and how many more there are.
 
     >>> listed(["box", "can", "mug"]), listed(["box", "tin can", "mug", "jug"], 14)
     ('box, can, mug', 'box, tin can and 2 more')
     """
-    shown = list(names)
-    while len(", ".join(shown)) > longest and len(shown) > 1:
-        shown.pop()
-    left = len(names) - len(shown)
-    return ", ".join(shown) + (f" and {left} more" if left else "")
+    most = len(names)
+    while len(", ".join(names[:most])) > longest and most > 1:
+        most -= 1
+    return first_of(names, most)
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:

@@ -71,14 +71,6 @@ class BoxFinder:
             return None
         return outline.box(prior_from_wire(prior).predicted(header.capture_ns), camera)
 
-    def fresh_box(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
-        """A little more than the box of a prediction that may still be trusted; None where there is none."""
-        outline = self._outlines.get(wanted.object)
-        if wanted.prior is None or outline is None:
-            return None
-        prior = prior_from_wire(wanted.prior)
-        return prior.fresh_box(header.capture_ns, lambda T_cam_obj: outline.box(T_cam_obj, camera))
-
     def given_out(
         self, detections: Sequence[Detection], header: FrameHeader, request: PerceptionRequest
     ) -> list[DetectedObject]:
@@ -217,7 +209,7 @@ class FirstBoxes(BoxFinder):
         name = wanted.object
         if wanted.prior is not None and name in self._outlines:
             self._acquired.add(name)
-        fresh = self.fresh_box(wanted, header, camera)
+        fresh = self._fresh_box(wanted, header, camera)
         if fresh is not None:
             self._last[name] = (fresh, header.capture_ns)
             return fresh
@@ -227,6 +219,14 @@ class FirstBoxes(BoxFinder):
         box, seen_ns = self._last.get(name, (image, 0))
         lost_s = (header.capture_ns - seen_ns) * 1e-9
         return image if lost_s > _FORGET_S else box.grown(_GROWTH_PER_S * max(lost_s, 0.0))
+
+    def _fresh_box(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
+        """A little more than the box of a prediction that may still be trusted; None where there is none."""
+        outline = self._outlines.get(wanted.object)
+        if wanted.prior is None or outline is None:
+            return None
+        prior = prior_from_wire(wanted.prior)
+        return prior.fresh_box(header.capture_ns, lambda T_cam_obj: outline.box(T_cam_obj, camera))
 
 
 class Hints:

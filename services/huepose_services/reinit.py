@@ -223,8 +223,7 @@ class ReinitWork(Work):
             self._publish_objects()
 
     def _living(self) -> list[TrackedPose]:
-        newest_ns = max((t.stamp_ns for t in self._tracks.values()), default=0)
-        newest_ns = max(newest_ns, self._answered_ns)
+        newest_ns = max([self._answered_ns, *(t.stamp_ns for t in self._tracks.values())])
         over = [key for key, t in self._tracks.items() if newest_ns - t.stamp_ns >= _FORGET_NS]
         for key in over:
             del self._tracks[key]

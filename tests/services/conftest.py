@@ -101,6 +101,20 @@ def recording(tmp_path_factory, tea_box):
     return folder, mesh, truths
 
 
+def patient_pipeline(bundles, scene):
+    """A pipeline that plays a scene again and again: slow and patient, since late on a busy machine is not
+    what its tests are about."""
+    return {
+        "bundles": str(bundles),
+        "objects": [{"name": NAME}],
+        "camera": {"source": "bop", "path": str(scene), "rate": 8},
+        "reinit": {"deadline_ms": 3000},
+        "tracker": {"max_age_ms": 2000},
+        "restarts": {"hung_after_s": 60},
+        "bus": {"base_port": free_port_range(10)},
+    }
+
+
 @contextmanager
 def processes():
     """A function that starts `huepose` processes; those that are left are ended."""

@@ -15,7 +15,7 @@ import pytest
 
 from huepose.believe.state import State
 from huepose.estimation import PoseEstimate
-from huepose.geometry import RgbdFrame
+from huepose.geometry import RgbdFrame, se3
 from huepose.model import ReferenceModel, save_model
 from huepose_services.cli.estimate import in_words
 from huepose_services.cli.main import main
@@ -54,6 +54,11 @@ def written(folder: Path, frame: RgbdFrame, *models: ReferenceModel) -> list[str
     return ["estimate", *(x for k, v in paths.items() for x in (f"--{k}", str(folder / v)))]
 
 
+def beside(T: np.ndarray, *shifts: list[float]) -> list[np.ndarray]:
+    """A pose (4, 4) with each of these shifts, metres."""
+    return [se3.make(T[:3, :3], T[:3, 3] + shift) for shift in shifts]
+
+
 @pytest.fixture(scope="module")
 def box(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> list[str]:
     frame = take_picture([(tea_box.mesh, standing)])
@@ -68,9 +73,7 @@ def test_so_many_instances_are_found_as_are_asked_for(
     standing: np.ndarray,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    truths = [standing.copy() for _ in range(4)]
-    for k, T in enumerate(truths):
-        T[:3, 3] += [0.13 * (k - 1.5), 0.0, 0.03 * k]
+    truths = beside(standing, *([0.13 * (k - 1.5), 0.0, 0.03 * k] for k in range(4)))
     files = written(tmp_path, take_picture([(tea_box.mesh, T) for T in truths]), tea_box)
     assert main([*files, "--instances", "6", "--json", "-"]) == 0
     poses = json.loads(capsys.readouterr().out)["poses"]
@@ -86,9 +89,7 @@ def test_each_instance_has_its_explanation_and_no_more_are_given_than_are_asked_
     standing: np.ndarray,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    truths = [standing.copy() for _ in range(2)]
-    for x, T in zip((-0.1, 0.1), truths, strict=True):
-        T[:3, 3] += [x, 0.0, 0.0]
+    truths = beside(standing, [-0.1, 0.0, 0.0], [0.1, 0.0, 0.0])
     files = written(tmp_path, take_picture([(tea_box.mesh, T) for T in truths]), tea_box)
     assert main([*files, "--json", "-"]) == 0
     assert len(json.loads(capsys.readouterr().out)["poses"]) == 1

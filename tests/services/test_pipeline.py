@@ -23,7 +23,7 @@ from huepose_services.convert import pose_from_wire
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.running import pick
 from huepose_services.watch import Watch
-from tests.services.conftest import NAME, PLAYED, free_port_range, processes
+from tests.services.conftest import NAME, PLAYED, patient_pipeline, processes
 
 pytestmark = [pytest.mark.live, pytest.mark.timeout(240)]
 
@@ -53,17 +53,7 @@ def running(recording, tmp_path_factory):
     """One for all tests here, in their order: it plays the recording again and again."""
     folder, _, _ = recording
     path = tmp_path_factory.mktemp("running") / "pipeline.yaml"
-    pipeline = {
-        "bundles": str(folder / "bundles"),
-        "objects": [{"name": NAME}],
-        # Slow and patient: late on a busy machine is not what this is about.
-        "camera": {"source": "bop", "path": str(folder / "scene"), "rate": 8},
-        "reinit": {"deadline_ms": 3000},
-        "tracker": {"max_age_ms": 2000},
-        "restarts": {"hung_after_s": 60},
-        "bus": {"base_port": free_port_range(10)},
-    }
-    path.write_text(json.dumps(pipeline))
+    path.write_text(json.dumps(patient_pipeline(folder / "bundles", folder / "scene")))
     with processes() as start, Watch(pick(path)) as watch:
         yield Running(path, watch, start, start("up", path))
 

@@ -9,7 +9,7 @@ import pytest
 
 from huepose_services.runtime.running import pick
 from huepose_services.watch import Watch
-from tests.services.conftest import NAME, free_port_range
+from tests.services.conftest import patient_pipeline
 
 pytestmark = [pytest.mark.live, pytest.mark.timeout(180)]
 
@@ -24,16 +24,7 @@ def test_what_stands_still_is_tracked_again_after_the_tracker_died(recording, tm
     cameras = json.loads((folder / "scene" / "scene_camera.json").read_text())
     (still / "scene_camera.json").write_text(json.dumps({"0": cameras["0"]}))
     path = tmp_path / "pipeline.yaml"
-    pipeline = {
-        "bundles": str(folder / "bundles"),
-        "objects": [{"name": NAME}],
-        "camera": {"source": "bop", "path": str(still), "rate": 8},
-        "reinit": {"deadline_ms": 3000},
-        "tracker": {"max_age_ms": 2000},
-        "restarts": {"hung_after_s": 60},
-        "bus": {"base_port": free_port_range(10)},
-    }
-    path.write_text(json.dumps(pipeline))
+    path.write_text(json.dumps(patient_pipeline(folder / "bundles", still)))
     huepose("up", path)
 
     def tracked_since(stamp_ns):

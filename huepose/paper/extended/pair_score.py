@@ -1,9 +1,9 @@
 """Judge a pose by colour pairs: do the model's pairs find their two colours where the pose projects them?
 
-Light is fitted at the pose itself, as the offset and gain per channel that fit all read
-colours best; so the first term is a correlation of colours. The second term is a correlation of the
-differences between the two sides, in which light and slow shading cancel. Depth, free space and coverage of
-the mask are judged by the dense score (`judge.terms`) with its colour term switched off.
+Light is fitted at the pose itself, as the offset and gain per channel that fit all read colours best; so the
+first term is a correlation of colours. The second term is a correlation of the differences between the two
+sides, in which light and slow shading cancel. Depth, free space and coverage of the mask are judged by the
+dense score (`judge.terms`) with its colour term switched off.
 """
 
 from __future__ import annotations
@@ -23,10 +23,8 @@ from huepose.support.jit import jit
 PAIR_TERMS = 5
 """Of a pose: total, geometry, color, contrast, and how many pairs are visible."""
 
-
 GEOMETRY = DEFAULT_WEIGHTS._replace(color=0.0, box=0.2)
 """Weights of the dense score without colour, chosen for pairs."""
-
 
 CLOSE_PAIR_SAMPLES = 600
 """Most surface samples with which the last few poses are judged."""

@@ -27,7 +27,7 @@ from huepose_services.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from huepose.estimation import ObjectQuery, PoseEstimate
+    from huepose.estimation import Estimator, ObjectQuery, PoseEstimate
     from huepose.estimation.config import Method
     from huepose.estimation.estimator import Answered
     from huepose.geometry import RgbdFrame
@@ -122,7 +122,7 @@ def call(arguments: argparse.Namespace) -> int:
     estimator.prepare([query.object for query in queries])
     estimator.estimate(frame, queries[:1])  # loads the kernels, so that `seconds` is the time of an answer
     prepared = time.monotonic()
-    led = [answered for query in queries for answered in estimator.explained(frame, [query])]
+    led = _each(estimator, frame, queries)
     answers = [answer for answer, _ in led]
     if box is None:
         found = _several(answers, names, arguments.instances)
@@ -130,7 +130,7 @@ def call(arguments: argparse.Namespace) -> int:
             more = detector.detect(frame, list(found), followed=found)
             queries = _queries(more, least, found)
             proposed, before = [*proposed, *more], len(answers)
-            led += [answered for query in queries for answered in estimator.explained(frame, [query])]
+            led += _each(estimator, frame, queries)
             answers = [answer for answer, _ in led]
             found = _several(answers, found, arguments.instances, before)
         answers = _standing(arguments, frame, models, names, answers, proposed)
@@ -160,6 +160,11 @@ def call(arguments: argparse.Namespace) -> int:
 
         write_picture(arguments.image, draw_answers(frame, models, answers))
     return 0
+
+
+def _each(estimator: Estimator, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[Answered]:
+    """What is answered to each query as if there were no other, and what led to it."""
+    return [estimator.explained(frame, [query])[0] for query in queries]
 
 
 def _queries(

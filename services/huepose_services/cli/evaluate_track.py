@@ -88,8 +88,8 @@ def _check_method(arguments: argparse.Namespace) -> None:
         "--rotation-model": arguments.rotation_model is not None,
         "--flow": arguments.flow != "dis",
     }
-    if arguments.method != "paper":
-        for option in (option for option, there in given.items() if there):
+    for option, there in given.items():
+        if there and arguments.method != "paper":
             raise InputError(option, found=f"it with --method {arguments.method}", expected="--method paper")
 
 

@@ -85,8 +85,9 @@ def write_explanation(
     returns what speaks against the answer. stands: it is given out; reason: why it is not, or is doubted."""
     doubts = reasons(model, answer, explanation)
     state = f"{answer.state}, quality {answer.quality:.2f}. " if stands else "not found. "
-    sure = SURE if stands and not reason and not doubts else ""
-    said = [f"{model.name}: {state}{reason}", *doubts, *([sure] if sure else []), LEGEND]
+    said = [f"{model.name}: {state}{reason}", *doubts, LEGEND]
+    if stands and not reason and not doubts:
+        said.insert(1, SURE)
     write_picture(folder / f"{name}_why.png", _page(frame, model, answer, explanation, said))
     masks = [_tinted(frame, mask) for mask in explanation.masks]
     labels = [f"mask {k + 1}: {int(m.sum())} px" for k, m in enumerate(explanation.masks)]
@@ -105,11 +106,10 @@ def write_explanation(
         for T, behind in zip(ranked.poses, ranked.behind, strict=True)
         if evidence is not None
     ]
-    record = {"quality": answer.quality, "state": answer.state, "doubts": doubts, "poses": poses}
+    given = answer.state if stands else State.LOST
+    record = {"quality": answer.quality, "state": given, "doubts": doubts, "poses": poses}
     if reason:
         record["reason"] = reason
-    if not stands:
-        record["state"] = str(State.LOST)
     held = explanation.contest
     if held is not None:
         record["contest"] = [

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from huepose.support.errors import InputError
 from huepose.support.lengths import LIKELY, METRES, NAMES, Unit, length
+from huepose.support.words import first_of
 from huepose_services.cli.options import say
 
 if TYPE_CHECKING:
@@ -67,9 +68,8 @@ def _with_unit(job: Job, sizes: dict[Unit, float]) -> Job:
 def _say_of_parts(parts: tuple[str, ...]) -> None:
     """Of a file with several meshes: they may be several objects."""
     if len(parts) > 1:
-        more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
         say(
-            f"note: the file holds {len(parts)} meshes: {', '.join(parts[:_NAMED])}{more}; they are taken as "
+            f"note: the file holds {len(parts)} meshes: {first_of(parts, _NAMED)}; they are taken as "
             "one object. Export several objects each by itself"
         )
 

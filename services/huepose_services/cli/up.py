@@ -34,11 +34,12 @@ def call(arguments: argparse.Namespace) -> int:
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
     with ExitStack() as notes:
         # Before it is prepared, which may take minutes: who looks for it is told that it comes.
-        for config in configs:
-            notes.enter_context(noted(described(config, arguments.config)))
-        for config in configs:
+        pipelines = [described(config, arguments.config) for config in configs]
+        for pipeline in pipelines:
+            notes.enter_context(noted(pipeline))
+        for config, pipeline in zip(configs, pipelines, strict=True):
             prepare(config)
-            if (warning := namesake(described(config, arguments.config))) is not None:
+            if (warning := namesake(pipeline)) is not None:
                 say(warning)
         stopping, again = until_told(), asked_again()
         supervisors = [

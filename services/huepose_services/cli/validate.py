@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from huepose.support.words import first_of
 from huepose_services.cli.options import add_host, add_json, add_pipeline, answered
 
 if TYPE_CHECKING:
@@ -103,8 +104,7 @@ def _every(config: Config) -> str:
     names = model_names(config.bundles)
     if len(names) < 2:
         return ": ".join((f"all of {config.bundles}", *names))
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"all {len(names)} of {config.bundles}: {', '.join(names[:_NAMED])}{more}"
+    return f"all {len(names)} of {config.bundles}: {first_of(names, _NAMED)}"
 
 
 def _limited(config: Config) -> list[str]:

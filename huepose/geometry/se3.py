@@ -205,8 +205,10 @@ def is_rigid(T: Float, tolerance: float = 1e-4) -> bool:
 
 def angles_to(rotations: Float, reference: Float) -> Float64:
     """Geodesic distances (N,) in radians of rotations (N, 3, 3) to one (3, 3)."""
-    trace = np.einsum("nij,ij->n", np.asarray(rotations, np.float64), np.asarray(reference, np.float64))
-    return np.asarray(np.arccos(np.clip((trace - 1.0) / 2.0, -1.0, 1.0)))
+    rotations, reference = np.asarray(rotations, np.float64), np.asarray(reference, np.float64)
+    sines = np.sqrt(((rotations - reference) ** 2).sum((1, 2)) / 8.0)
+    cosines = np.sqrt(np.maximum(0.0, 1.0 + np.einsum("nij,ij->n", rotations, reference)) / 4.0)
+    return np.asarray(2.0 * np.arctan2(sines, cosines))
 
 
 def carrying(lever: Float) -> Float64:

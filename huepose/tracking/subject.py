@@ -15,11 +15,10 @@ from huepose.judge.borders import Contours
 from huepose.judge.open_region import PreparedSurface
 from huepose.model.types import ReferenceModel
 from huepose.perception.window_table import WindowTable, window_table
-from huepose.select.distinct import FINAL_TURN_RAD, RIGHT, different_answers
+from huepose.select.distinct import FINAL_TURN_RAD, RIGHT
 
-SMALL_TURN = np.radians(45.0)
-"""Near-symmetric rotations up to this angle exist only about an axis of revolution."""
-
+SMALL_TURN = np.radians(45.1)
+"""Near-symmetric rotations up to 45 degrees, which may be rounded, exist only about an axis of revolution."""
 
 POINTS = 48
 """Surface points over which the distance of two poses, or the spread of one, is averaged."""
@@ -49,10 +48,8 @@ class Subject:
     def of(model: ReferenceModel) -> Subject:
         """Prepare a reference model for tracking."""
         turns = np.asarray(model.near_symmetries[1:], np.float64)
-        moved = np.array([_moved(model, turn) for turn in turns])
-        contours, wrong = Contours.of(model), turns[moved >= RIGHT]
-        small = [se3.rotation_angle(turn, np.eye(4)) <= SMALL_TURN for turn in wrong]
-        small_wrong = wrong[np.array(small, bool)]
+        wrong_by, contours = _wrong_by(model, turns), Contours.of(model)
+        wrong, right = turns[wrong_by >= RIGHT], turns[wrong_by < RIGHT]
         surface = contours.surface
         few = surface.arrays.points[:POINTS].astype(np.float64)
         points = np.stack([se3.apply(T, few) for T in model.equivalents])
@@ -61,9 +58,9 @@ class Subject:
             surface,
             turns,
             wrong,
-            small_wrong,
-            _slides(turns[moved > ALIKE]),
-            rolls(model),
+            wrong[_angles(wrong, np.eye(4)) <= SMALL_TURN],
+            _slides(turns[wrong_by > ALIKE]),
+            right[_angles(right, *model.equivalents) > FINAL_TURN_RAD],
             points,
             contours,
         )
@@ -101,8 +98,8 @@ SLIDES = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
 def _slides(turns: Float64) -> Float64:
     """Rotations (K, 4, 4) about the axis of revolution, in parts of the smallest of these turns (M, 4, 4);
     none where there is no such axis."""
-    angles = [se3.rotation_angle(turn, np.eye(4)) for turn in turns]
-    if not angles or min(angles) > SMALL_TURN:
+    angles = _angles(turns, np.eye(4))
+    if not len(turns) or angles.min() > SMALL_TURN:
         return np.zeros((0, 4, 4))
     step = se3.log(turns[int(np.argmin(angles))])
     return np.array([se3.exp(part * step) for part in SLIDES])
@@ -113,22 +110,17 @@ ALIKE = 0.01
 the same: these are given in steps."""
 
 
-def _moved(model: ReferenceModel, turn: Float64) -> float:
-    """How far a pose is from right after this rotation (4, 4), in diameters: 0 for a true symmetry."""
+def _wrong_by(model: ReferenceModel, turns: Float64) -> Float64:
+    """How far a pose is from right after each of these rotations (M, 4, 4): (M,) mean displacements of the
+    surface in diameters, 0 for a true symmetry."""
     points = model.eval_points.astype(np.float64)
-    apart = [
-        np.linalg.norm(se3.apply(turn, points) - se3.apply(T, points), axis=1).mean()
-        for T in model.equivalents
-    ]
-    return float(min(apart) / model.diameter_m)
+    apart = []
+    for T in model.equivalents:
+        shifts = points @ (turns - T)[:, :3, :3].transpose(0, 2, 1) + (turns - T)[:, None, :3, 3]
+        apart.append(np.linalg.norm(shifts, axis=2).mean(1))
+    return np.asarray(np.min(apart, axis=0) / model.diameter_m)
 
 
-def rolls(model: ReferenceModel) -> Float64:
-    """Its near-symmetric rotations (K, 4, 4) after which a pose counts as the same answer, though it looks
-    different."""
-    one = np.eye(4)
-    same = [T for T in model.near_symmetries[1:] if len(different_answers(model, np.stack([one, T]))) == 1]
-    apart = [min(se3.rotation_angle(T, equivalent) for equivalent in model.equivalents) for T in same]
-    return np.array([T for T, angle in zip(same, apart, strict=True) if angle > FINAL_TURN_RAD]).reshape(
-        -1, 4, 4
-    )
+def _angles(turns: Float64, *others: Float64) -> Float64:
+    """The angle (M,) of each of these rotations (M, 4, 4) to the nearest of others (4, 4), radians."""
+    return np.asarray(np.min([se3.angles_to(turns[:, :3, :3], T[:3, :3]) for T in others], axis=0))

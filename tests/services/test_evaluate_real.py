@@ -166,6 +166,12 @@ def test_what_only_the_papers_tracker_has_is_refused_of_another(
     assert option not in capsys.readouterr().err
 
 
+def test_a_network_is_refused_of_the_closed_form(tmp_path: Path, capsys) -> None:
+    command = f"eval track --fast-ycb nowhere --bundles nowhere --json {tmp_path / 'r'} --method paper"
+    assert main([*command.split(), "--rotation", "kabsch", "--rotation-model", "turn.onnx"]) == 2
+    assert "huepose eval: --rotation-model: found it with --rotation kabsch" in capsys.readouterr().err
+
+
 def test_a_sequence_without_reference_model_is_named(
     bundles: Path, sequence: Path, tmp_path: Path, capsys
 ) -> None:

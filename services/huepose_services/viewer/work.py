@@ -99,7 +99,7 @@ class ViewerWork(Work):
             self._take(pose)
         if self._hypotheses is not None:
             while (held := self._bus.take(self._hypotheses, HypothesesMessage)) is not None:
-                self._held[held.frame_id] = held
+                self._held[held.capture_ns] = held
         now = now_ns()
         if self._waiting is None and now >= self._next_picture_ns:
             # Absolute deadlines; after a stop no burst.
@@ -116,8 +116,8 @@ class ViewerWork(Work):
         started = now_ns()
         instance = (pose.object, pose.instance)
         kept = self._recent.setdefault(instance, {})
-        kept[pose.frame_id] = pose
-        for old in [i for i, p in kept.items() if pose.capture_ns - p.capture_ns > _KEPT_NS]:
+        kept[pose.capture_ns] = pose
+        for old in [t for t in kept if pose.capture_ns - t > _KEPT_NS]:
             del kept[old]
         if self._begun:
             self._show_pose(pose)
@@ -148,8 +148,8 @@ class ViewerWork(Work):
 
     def _has_poses(self, header: FrameHeader) -> bool:
         """Whether every instance that is tracked has said something of this frame, or of a later one."""
-        living = [kept for kept in self._recent.values() if _newest(kept) > header.frame_id - 30]
-        return bool(living) and all(_newest(kept) >= header.frame_id for kept in living)
+        living = [kept for kept in self._recent.values() if _newest(kept) > header.capture_ns - SECOND]
+        return bool(living) and all(_newest(kept) >= header.capture_ns for kept in living)
 
     def _picture(self, header: FrameHeader, payload: bytes) -> None:
         try:
@@ -159,11 +159,12 @@ class ViewerWork(Work):
             return
         self._show.at(header.capture_ns + header.clock.realtime_offset_ns, header.frame_id)
         self._show.frame(header, color, depth, with_cloud=self._pictures % _CLOUD_EVERY == 0)
-        poses = [kept[header.frame_id] for kept in self._recent.values() if header.frame_id in kept]
+        at_ns = header.capture_ns
+        poses = [kept[at_ns] for kept in self._recent.values() if at_ns in kept]
         self._show.beliefs(poses)
         if self._hypotheses is not None:
-            self._show.hypotheses(self._held.get(header.frame_id))
-            self._held = {i: held for i, held in self._held.items() if i > header.frame_id}
+            self._show.hypotheses(self._held.get(at_ns))
+            self._held = {t: held for t, held in self._held.items() if t > at_ns}
         self._begun = True
         if self._pairs is not None:
             self._show_pairs(self._pairs, frame_from_wire(header, payload), poses)

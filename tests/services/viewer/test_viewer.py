@@ -276,10 +276,12 @@ def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_p
     viewer = work.ViewerWork(bus, show, 1e6, begins_with_picture=begins_with_picture)
     viewer.step()
     assert show.pose.called is not begins_with_picture
-    headers.append(msgspec.structs.replace(EXAMPLES[FrameHeader], frame_id=EXAMPLES[PoseMessage].frame_id))
+    headers.append(
+        msgspec.structs.replace(EXAMPLES[FrameHeader], capture_ns=EXAMPLES[PoseMessage].capture_ns)
+    )
     viewer.step()
     assert show.frame.called
-    later = msgspec.structs.replace(EXAMPLES[PoseMessage], frame_id=EXAMPLES[PoseMessage].frame_id + 1)
+    later = msgspec.structs.replace(EXAMPLES[PoseMessage], capture_ns=EXAMPLES[PoseMessage].capture_ns + 1)
     poses.append(later)
     viewer.step()
     assert show.method_calls[0][0] == "at"

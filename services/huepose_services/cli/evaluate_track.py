@@ -92,8 +92,7 @@ def _check_method(arguments: argparse.Namespace) -> None:
         if there and arguments.method != "paper":
             raise InputError(option, found=f"it with --method {arguments.method}", expected="--method paper")
     if arguments.rotation_model is not None and arguments.rotation == "kabsch":
-        found = f"it with --method {arguments.method}"
-        raise InputError(option, found=found, expected="--method paper")
+        raise InputError("--rotation-model", found="it with --rotation kabsch", expected="a network to run")
 
 
 def _paper_step(arguments: argparse.Namespace) -> PaperStep:

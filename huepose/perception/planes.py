@@ -33,6 +33,10 @@ MIN_RING_SHARE, MIN_SHARE = 0.25, 0.06
 MOST = 5
 """Most large planes of a picture: a table, the floor, walls."""
 
+NOISIEST = 0.0062
+"""Largest noise of a plane. Readings that spread wider lie on several surfaces: evenly within the reach of a
+fit they have 0.0089."""
+
 NORMAL_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
@@ -173,7 +177,7 @@ def large_planes(depth: Float32, camera: Camera, larger_than_m2: float) -> list[
         if best[0] < MIN_SHARE * total:
             break
         plane, near = _refitted(points, Plane(best[1:4], best[4:7]))
-        if each * _area(points[near], plane) > larger_than_m2:
+        if plane.noise <= NOISIEST and each * _area(points[near], plane) > larger_than_m2:
             planes.append(plane)
         points = points[~near]
     return planes

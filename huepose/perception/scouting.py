@@ -125,23 +125,20 @@ def propose(
     object, keypoints; the search ends when a place is sure. What no window looks like is not looked for by
     keypoints. guessed: returns poses (K, 4, 4) from keypoints; efforts: those of the search by views."""
     by_views = by_keypoints = Found.nothing()
-    tried: list[Found] = []
     if efforts:
         with stage("windows"):
             order = promising(table, windows)
             order = order[view.free(windows.pixels[order])]
     for effort in efforts:
         by_views = _tried(model, table, view, windows, order[: effort.windows], effort)
-        tried.append(by_views)
         if guessed is not None and not by_views.sure and by_views.likeness >= UNLIKE:
             by_keypoints, guessed = _followed(model, view, guessed()), None
         if by_views.sure or by_keypoints.sure:
             break
     if guessed is not None and not by_views.sure and len(efforts) < len(EFFORTS):
         by_keypoints = _followed(model, view, guessed())
-    # More effort finds other pairs of windows and views: what was found with less stays.
-    poses = np.concatenate([found.poses for found in (by_keypoints, *tried)])
-    rated = np.concatenate([found.rated for found in (by_keypoints, *tried)])
+    poses = np.concatenate([by_keypoints.poses, by_views.poses])
+    rated = np.concatenate([by_keypoints.rated, by_views.rated])
     with stage("thin"):
         return _thinned(model, view, poses, rated, count)
 

@@ -33,9 +33,10 @@ MIN_RING_SHARE, MIN_SHARE = 0.25, 0.06
 MOST = 5
 """Most large planes of a picture: a table, the floor, walls."""
 
-NOISIEST = 0.0062
-"""Largest noise of a plane. Readings that spread wider lie on several surfaces: evenly within the reach of a
-fit they have 0.0089."""
+NOISIEST, NOISIER, QUIET = 0.0062, 3.0, 0.003
+"""A plane has at most the first noise, and at most so many times that of the least noisy one, or the last:
+noise is the camera's. Readings that spread wider lie on several surfaces: evenly within the reach of a fit
+they have 0.0089."""
 
 NORMAL_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
@@ -48,7 +49,7 @@ BEYOND = 2.0
 """Depth this near to a plane, and so much more per square metre of depth squared, lies on it; what is more
 than so many times as far off stands in front of it."""
 
-NOISE_SIGMAS = 2.5
+NOISE_SIGMAS = 2.0
 """Depth within so many standard deviations of a plane's own noise lies on it, too: far walls are noisy."""
 
 BESIDE_PX, BOUNDED = 3, 0.25
@@ -177,7 +178,9 @@ def large_planes(depth: Float32, camera: Camera, larger_than_m2: float) -> list[
         if best[0] < MIN_SHARE * total:
             break
         plane, near = _refitted(points, Plane(best[1:4], best[4:7]))
-        if plane.noise <= NOISIEST and each * _area(points[near], plane) > larger_than_m2:
+        least = min((p.noise for p in planes), default=NOISIEST)
+        even = plane.noise > min(NOISIEST, max(NOISIER * least, QUIET))
+        if not even and each * _area(points[near], plane) > larger_than_m2:
             planes.append(plane)
         points = points[~near]
     return planes

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32
-from huepose.perception.planes import Plane, standing_clear
+from huepose.perception.planes import Plane, large_planes, standing_clear
 
 CAMERA = Camera(200.0, 200.0, 99.5, 74.5, 200, 150)
 TABLE = Plane(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 1.0]))
@@ -49,3 +50,38 @@ def test_what_is_seen_of_the_table_between_things_is_the_tables() -> None:
     clear = standing_clear(depth, CAMERA, [TABLE], 0.1)
     assert not clear[60:80, 80:120].any()
     assert clear[40:60, 40:160].all()
+
+
+def seen_room(noise: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Depth of a table 0.4 m below the camera, up to 1.2 m away, before a wall at 3 m that leans to the left;
+    its noise grows with the square of depth. And the table's normal."""
+    up = np.array([0.0, -np.cos(0.5), -np.sin(0.5)])
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1)
+    table = -0.4 / np.minimum(rays @ up, -1e-6)
+    lean = np.array([0.6, 0.0, -0.8])
+    wall = -2.4 / (rays @ lean)
+    true = np.where(table < 1.2, table, wall)
+    return (true + noise * true**2 * rng.normal(size=true.shape)).astype(np.float32), up
+
+
+def test_a_far_wall_that_a_tables_plane_cuts_does_not_tilt_it_and_its_noise_is_the_walls():
+    depth, up = seen_room(0.004, np.random.default_rng(2))
+    planes = large_planes(depth, CAMERA, 0.05)
+    assert np.degrees(np.arccos(planes[0].normal @ up)) < 0.3
+    # The noise of depth is along the rays, which meet the wall at an angle.
+    assert planes[1].noise == pytest.approx(0.004, rel=0.25)
+    left = standing_clear(depth, CAMERA, planes, 0.05)
+    assert left.mean() < 0.08
+
+
+def test_what_is_much_noisier_than_the_quietest_plane_is_none():
+    rng = np.random.default_rng(4)
+    depth, _ = seen_room(0.001, rng)
+    rough = np.zeros(depth.shape, bool)
+    rough[:60] = True
+    # Of rubble there is no plane, as of a wall that is as rough.
+    depth[rough] += rng.uniform(-0.09, 0.09, int(rough.sum())).astype(np.float32)
+    planes = large_planes(depth, CAMERA, 0.05)
+    assert all(plane.noise < 0.003 for plane in planes)
+    assert standing_clear(depth, CAMERA, planes, 0.05)[rough].mean() > 0.8

@@ -215,11 +215,9 @@ def _sorted(
             z = depth[v, u]
             # The normal points to the camera: what is in front of the plane has more height.
             height = z * (right * np.float32(u) + first) - np.float32(offset)
-            usual, noisy = (
-                np.float32(BAND_M) + np.float32(BAND_PER_M) * z * z,
-                np.float32(noise_per_m) * z * z,
-            )
-            band = max(usual, noisy)
+            square = z * z
+            usual = np.float32(BAND_M) + np.float32(BAND_PER_M) * square
+            band = max(usual, np.float32(noise_per_m) * square)
             on[v, u] = clear[v, u] and abs(height) <= band
             if on[v, u] or not clear[v, u]:
                 front[v, u] = 1

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from huepose.estimation.depth_offset import DepthOffset
 from huepose.estimation.outlines import smoothed
-from huepose.geometry.arrays import Bool, Float32, Float64
+from huepose.geometry.arrays import NORMAL_MAD, Bool, Float32, Float64
 from huepose.geometry.frame import RgbdFrame
 
 Complex = NDArray[np.complexfloating]
@@ -54,7 +54,7 @@ def frame_offset(frame: RgbdFrame) -> DepthOffset | None:
         color = np.asarray(cv2.resize(color, at.shape[::-1], interpolation=cv2.INTER_AREA), np.uint8)
     fit = _correlated(_steps(at), _edges(smoothed(color)))
     middle = float(np.median(fit))
-    spread = 1.4826 * float(np.median(np.abs(fit - middle)))
+    spread = NORMAL_MAD * float(np.median(np.abs(fit - middle)))
     down, right = np.unravel_index(int(np.argmax(fit)), fit.shape)
     usual = slice(REACH_PX - FITS_PX, REACH_PX + FITS_PX + 1)
     lead = float(fit.max() - fit[usual, usual].max()) / max(spread, 1e-9)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, Float64, Int8, Int64, UInt8
+from huepose.geometry.arrays import NORMAL_MAD, Bool, Float32, Float64, Int8, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.perception.stretches import connected
@@ -37,9 +37,6 @@ NOISIEST, NOISIER, QUIET = 0.0062, 3.0, 0.003
 """A plane has at most the first noise, and at most so many times that of the least noisy one, or the last:
 noise is the camera's. Readings that spread wider lie on several surfaces: evenly within the reach of a fit
 they have 0.0089."""
-
-NORMAL_MAD = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
 
 REFITS = 3
 """Least-squares fits of a plane, each to the points near the one before."""

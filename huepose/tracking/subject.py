@@ -116,7 +116,8 @@ def _wrong_by(model: ReferenceModel, turns: Float64) -> Float64:
     points = model.eval_points.astype(np.float64)
     apart = []
     for T in model.equivalents:
-        shifts = points @ (turns - T)[:, :3, :3].transpose(0, 2, 1) + (turns - T)[:, None, :3, 3]
+        off = turns - T
+        shifts = points @ off[:, :3, :3].transpose(0, 2, 1) + off[:, None, :3, 3]
         apart.append(np.linalg.norm(shifts, axis=2).mean(1))
     return np.asarray(np.min(apart, axis=0) / model.diameter_m)
 

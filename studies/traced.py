@@ -3,17 +3,19 @@
     $(find .tools -name uv -type f | head -n 1) pip install --python .venv/bin/python mitsuba mujoco
     .venv/bin/python -m studies.traced --models MODELS_DIR --kind apart --frames 7 --seed 5000 --out OUT
     huepose eval perception --bop OUT --bundles bundles --json traced.json
+    .venv/bin/python -m studies.traced --models MODELS_DIR --film bumped --frames 45 --seed 6000 --out FILM
+    huepose eval track --bop FILM --bundles bundles --init estimate --json film.json
 
-Nothing of the library's own light, gloss, rooms, heaps or sensors is in them, so they show what is fitted to
-those. Nothing is fitted on such frames: they are for finding faults and for measuring. A frame takes half a
-minute of two processors.
+Nothing of the library's own light, gloss, rooms, heaps, motions or sensors is in them, so they show what is
+fitted to those. Nothing is fitted on such frames: they are for finding faults and for measuring. A frame
+takes half a minute of two processors; a third of it with --llvm, where LLVM's library is found.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,11 +40,23 @@ WIDTH, HEIGHT = 640, 480
 SPREAD_M = {"apart": 0.26, "heap": 0.17, "pile": 0.10}
 """Radius of the circle over which objects fall; in every second pile into an open box."""
 
-SAMPLES_A_PIXEL, BOUNCES = 40, 7
+SAMPLES, BOUNCES = {"independent": 40, "multijitter": 9}, 7
+"""Of a pixel, by Mitsuba's sampler: single frames by the first, films by the second, which needs fewer."""
+
 LEAST_LIGHT, LEAST_LABELS = 25, 3
 """Mean grey level, and labels, under which a frame is drawn anew: the camera stood in something."""
 
 STEP_S, STEPS = 0.002, 1600
+HZ, START_S = 30, 0.3
+"""Of a film; so long nothing is pushed in it."""
+
+PUSHED, PUSHES_A_SECOND, PUSH_M_S, PUSH_UP_M_S, PUSH_RAD_S = 0.6, 1.5, 0.4, 1.2, 5.0
+"""Share of the things that are pushed, and how often; standard deviations of the velocity along the ground
+and of the angular velocity, and the most upwards."""
+
+WALK_M_S, SWAY_M, SWAY_RAD = (0.15, 0.5), 0.006, 0.012
+"""A camera that is carried moves so fast about what it looks at, and so much off its way."""
+
 HULL_POINTS = 400
 """Points of a mesh whose convex hull falls."""
 
@@ -67,11 +81,45 @@ def surface(rng: Rng, pixels: int = 512) -> UInt8:
     return np.clip(out, 0, 255).astype(np.uint8)
 
 
-def fallen(rng: Rng, things: Sequence[Mesh], spread_m: float, bin_: Mesh | None) -> list[Float64]:
-    """Where things (4, 4) come to rest that fall one after the other on z = 0 or into a bin, by their convex
-    hulls."""
-    import mujoco
+class World:
+    """Things that fell on z = 0 or into a bin, by their convex hulls."""
 
+    def __init__(self, rng: Rng, things: Sequence[Mesh], spread_m: float, bin_: Mesh | None) -> None:
+        import mujoco
+
+        self._model = mujoco.MjModel.from_xml_string(_falling(rng, things, spread_m, bin_))
+        self._state = mujoco.MjData(self._model)
+        self._bodies = [self._model.body(f"b{k}").id for k in range(len(things))]
+        self._go(STEPS)
+
+    def poses(self) -> list[Float64]:
+        """Of all things (4, 4), now."""
+        at = self._state
+        return [se3.make(at.xmat[i].reshape(3, 3), at.xpos[i].copy()) for i in self._bodies]
+
+    def film(self, rng: Rng, frames: int) -> Iterator[list[Float64]]:
+        """The poses in each frame, while some things are pushed now and then."""
+        moving = np.flatnonzero(rng.uniform(size=len(self._bodies)) < PUSHED)
+        done = 0
+        for k in range(frames):
+            yield self.poses()
+            for j in moving:
+                if k >= START_S * HZ and rng.uniform() < PUSHES_A_SECOND / HZ:
+                    push = [*rng.normal(0, PUSH_M_S, 2), rng.uniform(0, PUSH_UP_M_S)]
+                    self._state.qvel[6 * j : 6 * j + 6] = [*push, *rng.normal(0, PUSH_RAD_S, 3)]
+            until = round((k + 1) / HZ / STEP_S)
+            self._go(until - done)
+            done = until
+
+    def _go(self, steps: int) -> None:
+        import mujoco
+
+        for _ in range(steps):
+            mujoco.mj_step(self._model, self._state)
+
+
+def _falling(rng: Rng, things: Sequence[Mesh], spread_m: float, bin_: Mesh | None) -> str:
+    """MuJoCo's description of things in the air, one above the other."""
     meshes, bodies, places = "", "", list[Float64]()
     for k, mesh in enumerate(things):
         v = mesh.vertices
@@ -102,16 +150,11 @@ def fallen(rng: Rng, things: Sequence[Mesh], spread_m: float, bin_: Mesh | None)
             ((x, 0.006), (0, -y)),
         ):
             walls += f'<geom type="box" size="{half[0]} {half[1]} {z}" pos="{at[0]} {at[1]} {z}"/>'
-    world = mujoco.MjModel.from_xml_string(
+    return (
         f'<mujoco><option timestep="{STEP_S}" integrator="implicitfast"/><asset>{meshes}</asset><worldbody>'
         f'<geom type="plane" size="2 2 0.1" friction="0.9 0.02 0.02" condim="6"/>{walls}{bodies}'
         "</worldbody></mujoco>"
     )
-    state = mujoco.MjData(world)
-    for _ in range(STEPS):
-        mujoco.mj_step(world, state)
-    ids = [world.body(f"b{k}").id for k in range(len(things))]
-    return [se3.make(state.xmat[i].reshape(3, 3), state.xpos[i]) for i in ids]
 
 
 def camera_at(rng: Rng, target: Float64) -> tuple[Camera, Float64]:
@@ -127,6 +170,20 @@ def camera_at(rng: Rng, target: Float64) -> tuple[Camera, Float64]:
     roll = se3.rotation_exp(np.array([0, 0, np.radians(rng.normal(0, 6))]))
     turn = np.stack([x, np.cross(z, x), z], 1) @ roll
     return Camera(focal, focal, float(cx), float(cy), WIDTH, HEIGHT), se3.make(turn, eye)
+
+
+def carried(rng: Rng, target: Float64, T_world_cam: Float64, frames: int) -> list[Float64]:
+    """The poses (4, 4) of a camera that is carried about what it looks at, with a hand that is not still."""
+    away = np.linalg.norm(T_world_cam[:3, 3] - target)
+    about = np.array([rng.normal(0, 0.3), rng.normal(0, 0.3), rng.choice([-1.0, 1.0])])
+    about *= rng.uniform(*WALK_M_S) / away / np.linalg.norm(about)
+    sway = [np.stack([clouds(rng, 4, frames, 20.0, 2)[0] - 0.5 for _ in range(3)], 1) for _ in range(2)]
+    out = []
+    for k in range(frames):
+        turn = se3.rotation_exp(about * (k / HZ))
+        place = target + turn @ (T_world_cam[:3, 3] - target) + SWAY_M * sway[0][k]
+        out.append(se3.make(turn @ T_world_cam[:3, :3] @ se3.rotation_exp(SWAY_RAD * sway[1][k]), place))
+    return out
 
 
 def room(rng: Rng) -> list[Placed]:
@@ -162,13 +219,17 @@ def kelvin(temperature: float) -> Float64:
 
 
 def traced(
-    rng: Rng, scene: Sequence[tuple[Mesh, Float64, float]], camera: Camera, T_world_cam: Float64
+    rng: Rng,
+    noise: Rng,
+    scene: Sequence[tuple[Mesh, Float64, float]],
+    camera: Camera,
+    T_world_cam: Float64,
+    sampler: str,
 ) -> Float32:
     """Linear light (H, W, 3) of meshes with poses (4, 4) and gloss, 0..1, under one to three lamps and an
     even sky, less most of the colour of the first lamp."""
     import mitsuba as mi
 
-    mi.set_variant("scalar_rgb")
     parts: dict[str, Any] = {}
     for k, (mesh, T, gloss) in enumerate(scene):
         parts[f"mesh{k}"] = _part(
@@ -200,6 +261,7 @@ def traced(
         "principal_point_offset_x": -(camera.cx - (camera.width - 1) / 2) / camera.width,
         "principal_point_offset_y": -(camera.cy - (camera.height - 1) / 2) / camera.height,
         "to_world": to(seen.tolist()),
+        "sampler": {"type": sampler},
         "film": {
             "type": "hdrfilm",
             "width": camera.width,
@@ -208,8 +270,8 @@ def traced(
         },
     }
     whole = mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": BOUNCES}, **parts})
-    seed: Any = int(rng.integers(1 << 30))
-    light = np.array(mi.render(whole, spp=SAMPLES_A_PIXEL, seed=seed))[..., :3]
+    seed: Any = int(noise.integers(1 << 30))
+    light = np.array(mi.render(whole, spp=SAMPLES[sampler], seed=seed))[..., :3]
     return np.asarray(
         np.minimum(light, 1.5 * np.quantile(light, 0.997)) / kelvin(first) ** rng.uniform(0.4, 1.0),
         np.float32,
@@ -244,7 +306,7 @@ def _part(mi: Any, mesh: Mesh, T: Float64, roughness: float, specular: float) ->
     return out
 
 
-def photographed(rng: Rng, light: Float32) -> UInt8:
+def photographed(rng: Rng, noise: Rng, light: Float32) -> UInt8:
     """A picture (H, W, 3) of light: exposure, white balance, saturation, contrast, blur, edges, noise."""
     level = np.quantile(light.mean(-1), rng.uniform(0.5, 0.8))
     out = light * (rng.uniform(0.28, 0.5) / max(float(level), 1e-6)) * np.exp(rng.normal(0, 0.06, 3))
@@ -256,11 +318,11 @@ def photographed(rng: Rng, light: Float32) -> UInt8:
     out = out + rng.uniform(0.0, 0.6) * out * (1 - out) * (2 * out - 1)
     out = cv2.GaussianBlur(out.astype(np.float32), (0, 0), rng.uniform(0.35, 0.9))
     out = out + rng.uniform(0.0, 0.9) * (out - cv2.GaussianBlur(out, (0, 0), 1.2))
-    out = out + rng.normal(size=out.shape) * rng.uniform(0.003, 0.014)
+    out = out + noise.normal(size=out.shape) * rng.uniform(0.003, 0.014)
     return np.asarray(np.clip(255.0 * out, 0, 255), np.uint8)
 
 
-def measured(rng: Rng, depth: Float32, focal: float) -> Float32:
+def measured(rng: Rng, noise: Rng, depth: Float32, focal: float) -> Float32:
     """What a stereo camera measures of depth (H, W): noise of disparity in patches, borders that are grown
     over, nothing where the other camera does not see, and holes."""
     baseline_m = rng.uniform(0.045, 0.08)
@@ -271,12 +333,12 @@ def measured(rng: Rng, depth: Float32, focal: float) -> Float32:
     nearest = np.zeros((height, width + 200), np.float32)
     np.maximum.at(nearest, (rows, other), disparity)
     lost = nearest[rows, other] > disparity + 1.0
-    noise = cv2.GaussianBlur(rng.normal(size=depth.shape).astype(np.float32), (0, 0), rng.uniform(0.8, 2.2))
+    error = cv2.GaussianBlur(noise.normal(size=depth.shape).astype(np.float32), (0, 0), rng.uniform(0.8, 2.2))
     grown = cv2.medianBlur(disparity, 5) if rng.uniform() < 0.6 else disparity
-    disparity = grown + noise / noise.std() * np.float32(rng.uniform(0.06, 0.2))
+    disparity = grown + error / error.std() * np.float32(rng.uniform(0.06, 0.2))
     edge = cv2.morphologyEx(disparity, cv2.MORPH_GRADIENT, np.ones((3, 3))) > 1.5
-    lost |= edge & (rng.uniform(size=depth.shape) < 0.4)
-    lost |= clouds(rng, height, width, 40.0, 4) > rng.uniform(0.85, 1.0)
+    lost |= edge & (noise.uniform(size=depth.shape) < 0.4)
+    lost |= clouds(noise, height, width, 40.0, 4) > rng.uniform(0.85, 1.0)
     out = np.where(
         (disparity > 0.5) & ~lost & (depth > 0), focal * baseline_m / np.maximum(disparity, 0.5), 0.0
     )
@@ -286,42 +348,106 @@ def measured(rng: Rng, depth: Float32, focal: float) -> Float32:
 Frame = tuple[UInt8, Float32, Camera, list[Label]]
 
 
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """Five to eight named objects and up to four other things, which fell where they lie, and what stands
+    about. numbers: of the objects and things in the world; target (3,): about where the objects are."""
+
+    names: list[str]
+    things: list[Mesh]
+    numbers: list[int]
+    world: World
+    about: list[Placed]
+    target: Float64
+
+    @classmethod
+    def of(cls, rng: Rng, kind: str, meshes: Mapping[str, Mesh]) -> Stage:
+        """One of that kind."""
+        some = rng.choice(sorted(meshes), min(int(rng.integers(5, 9)), len(meshes)), False)
+        names = [str(name) for name in some]
+        others = [clutter(rng) for _ in range(int(rng.integers(0, 5)))]
+        bin_ = (
+            open_box(rng.uniform(0.14, 0.22), rng.uniform(0.1, 0.25), rng)
+            if kind == "pile" and rng.uniform() < 0.5
+            else None
+        )
+        things = [*(meshes[name] for name in names), *others]
+        order = rng.permutation(len(things))
+        world = World(rng, [things[k] for k in order], SPREAD_M[kind], bin_)
+        numbers = np.argsort(order).tolist()
+        about = room(rng)
+        if bin_ is not None:
+            about.append((bin_, se3.make(np.eye(3), np.array([0, 0, -float(bin_.vertices[:, 2].min())]))))
+        lie = world.poses()
+        at = [lie[k][:3, 3] for k in numbers[: len(names)]]
+        near = [p for p in at if np.linalg.norm(p[:2]) < 0.5 and p[2] > -0.05]
+        return cls(names, things, numbers, world, about, np.mean(near, axis=0) if near else np.zeros(3))
+
+    def placed(self, poses: Sequence[Float64]) -> list[Placed]:
+        """All meshes, where the world has its things at these poses; the named objects first."""
+        return [(m, poses[k]) for m, k in zip(self.things, self.numbers, strict=True)] + self.about
+
+
 def frame(seed: int, kind: str, meshes: Mapping[str, Mesh], ids: Mapping[str, int]) -> Frame:
-    """Colour, depth in metres, camera and labels of a frame: five to eight of the objects, and up to four
-    other things."""
+    """Colour, depth in metres, camera and labels of a frame."""
     rng = np.random.default_rng(seed)
-    names = [
-        str(name) for name in rng.choice(sorted(meshes), min(int(rng.integers(5, 9)), len(meshes)), False)
-    ]
-    others = [clutter(rng) for _ in range(int(rng.integers(0, 5)))]
-    bin_ = (
-        open_box(rng.uniform(0.14, 0.22), rng.uniform(0.1, 0.25), rng)
-        if kind == "pile" and rng.uniform() < 0.5
-        else None
-    )
-    things = [*(meshes[name] for name in names), *others]
-    order = rng.permutation(len(things))
-    rest = dict(
-        zip(order.tolist(), fallen(rng, [things[k] for k in order], SPREAD_M[kind], bin_), strict=True)
-    )
-    placed: list[Placed] = [(thing, rest[k]) for k, thing in enumerate(things)] + room(rng)
-    if bin_ is not None:
-        placed.append((bin_, se3.make(np.eye(3), np.array([0, 0, -float(bin_.vertices[:, 2].min())]))))
-    near = [T[:3, 3] for _, T in placed[: len(names)] if np.linalg.norm(T[:2, 3]) < 0.5 and T[2, 3] > -0.05]
-    camera, T_world_cam = camera_at(rng, np.mean(near, axis=0) if near else np.zeros(3))
+    stage = Stage.of(rng, kind, meshes)
+    camera, T_world_cam = camera_at(rng, stage.target)
+    return _drawn(rng, rng, stage, stage.world.poses(), camera, T_world_cam, ids, "independent")
+
+
+def film(
+    seed: int,
+    kind: str,
+    moving: str,
+    frames: int,
+    meshes: Mapping[str, Mesh],
+    ids: Mapping[str, int],
+    done: Collection[int] = (),
+) -> Iterator[tuple[int, Frame]]:
+    """Frames at 30 Hz, but those that are done, with their numbers: some things are `bumped` and come to lie
+    elsewhere, or the camera is `carried`."""
+    rng = np.random.default_rng(seed)
+    stage = Stage.of(rng, kind, meshes)
+    camera, T_world_cam = camera_at(rng, stage.target)
+    eyes = [T_world_cam] * frames
+    poses = iter([stage.world.poses()] * frames)
+    if moving == "carried":
+        eyes = carried(rng, stage.target, T_world_cam, frames)
+    else:
+        poses = stage.world.film(rng, frames)
+    look = int(rng.integers(1 << 30))
+    for k, (eye, at) in enumerate(zip(eyes, poses, strict=True)):
+        if k not in done:
+            same, other = np.random.default_rng(look), np.random.default_rng([seed, k])
+            yield k, _drawn(same, other, stage, at, camera, eye, ids, "multijitter")
+
+
+def _drawn(
+    rng: Rng,
+    noise: Rng,
+    stage: Stage,
+    poses: Sequence[Float64],
+    camera: Camera,
+    T_world_cam: Float64,
+    ids: Mapping[str, int],
+    sampler: str,
+) -> Frame:
+    """A stage as a camera sees it. rng: of gloss, light and what the camera is; noise: of what varies from
+    frame to frame."""
+    placed = stage.placed(poses)
     T_cam_world = se3.inverse(T_world_cam)
     seen = [(mesh, T_cam_world @ T) for mesh, T in placed]
     geometry = render(seen, camera, color=False)
-    color = photographed(
-        rng, traced(rng, [(mesh, T, rng.uniform()) for mesh, T in placed], camera, T_world_cam)
-    )
+    shown = [(mesh, T, rng.uniform()) for mesh, T in placed]
+    color = photographed(rng, noise, traced(rng, noise, shown, camera, T_world_cam, sampler))
     labels = []
-    for k, name in enumerate(names):
-        count, box = silhouette(meshes[name], seen[k][1], camera)
+    for k, name in enumerate(stage.names):
+        count, box = silhouette(stage.things[k], seen[k][1], camera)
         mask = np.asarray(geometry.object_index == k)
         if mask.any():
             labels.append(Label(ids[name], se3.orthonormalised(seen[k][1]), mask, count, box))
-    return color, measured(rng, geometry.depth, camera.fx), camera, labels
+    return color, measured(rng, noise, geometry.depth, camera.fx), camera, labels
 
 
 def main() -> None:
@@ -331,20 +457,32 @@ def main() -> None:
     )
     parser.add_argument("--models", type=Path, required=True, metavar="DIR", help="BOP models folder")
     parser.add_argument("--kind", choices=list(SPREAD_M), default="apart")
+    parser.add_argument("--film", choices=["bumped", "carried"], help="one film instead of single frames")
     parser.add_argument("--frames", type=int, default=7)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--llvm", action="store_true", help="three times as fast, where LLVM is installed")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="scene folder")
     a = parser.parse_args()
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb" if a.llvm else "scalar_rgb")
     models = bop_models(a.models, None)
     meshes = {m.name: read_mesh(m.mesh_path, "mm") for m in progress(models, "reading meshes")}
     ids = {m.name: m.object_id for m in models}
-    writer = BopWriter(a.out, {"study": "traced", "kind": a.kind, "seed": a.seed})
+    facts = {"study": "traced", "kind": a.kind, "seed": a.seed, "film": a.film}
+    writer = BopWriter(a.out, facts)
+    if a.film is not None:
+        frames = film(a.seed, a.kind, a.film, a.frames, meshes, ids, writer.done)
+        for _ in progress(range(a.frames - len(writer.done)), f"drawing {a.out.name}"):
+            k, drawn = next(frames)
+            writer.add(k, *drawn)
+        return
     for k in progress([k for k in range(a.frames) if k not in writer.done], f"drawing {a.out.name}"):
         for again in range(10):
-            color, depth, camera, labels = frame(a.seed + k + 100_000 * again, a.kind, meshes, ids)
-            if color.mean() >= LEAST_LIGHT and len(labels) >= LEAST_LABELS:
+            drawn = frame(a.seed + k + 100_000 * again, a.kind, meshes, ids)
+            if drawn[0].mean() >= LEAST_LIGHT and len(drawn[3]) >= LEAST_LABELS:
                 break
-        writer.add(k, color, depth, camera, labels)
+        writer.add(k, *drawn)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from studies.traced import camera_at, kelvin, measured, photographed, room, surface
+from studies.traced import (
+    HZ,
+    SWAY_M,
+    WALK_M_S,
+    camera_at,
+    carried,
+    kelvin,
+    measured,
+    photographed,
+    room,
+    surface,
+)
 
 
 def test_lamps_are_red_below_and_blue_above_daylight():
@@ -24,10 +35,25 @@ def test_a_camera_sees_the_point_it_looks_at_near_its_middle():
         assert (np.abs(camera.project(at[None])[0] - [camera.cx, camera.cy]) < 0.25 * camera.fx).all()
 
 
+def test_a_carried_camera_goes_about_what_it_looks_at_at_a_walk():
+    target = np.array([0.1, -0.2, 0.05])
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        camera, T_world_cam = camera_at(rng, target)
+        way = carried(rng, target, T_world_cam, 30)
+        distances = [np.linalg.norm(T[:3, 3] - target) for T in way]
+        assert np.ptp(distances) < 4 * SWAY_M
+        away_m = np.linalg.norm(way[-1][:3, 3] - way[0][:3, 3])
+        assert away_m < 1.1 * WALK_M_S[1] * 29 / HZ + 2 * SWAY_M
+        seen = [camera.project((T[:3, :3].T @ (target - T[:3, 3]))[None])[0] for T in way]
+        assert np.linalg.norm(np.ptp(seen, axis=0)) < 0.1 * camera.fx
+
+
 def test_stereo_loses_what_the_other_camera_does_not_see_and_errs_with_the_square_of_depth():
     depth = np.full((240, 320), 2.0, np.float32)
     depth[60:180, 160:240] = 0.5
-    ours = measured(np.random.default_rng(1), depth, 600.0)
+    rng = np.random.default_rng(1)
+    ours = measured(rng, rng, depth, 600.0)
     shadow = ours[80:160, 120:156]
     assert (shadow == 0.0).mean() > 0.3
     near, far = ours[70:170, 170:230], ours[:40]
@@ -37,7 +63,9 @@ def test_stereo_loses_what_the_other_camera_does_not_see_and_errs_with_the_squar
 
 def test_a_picture_of_twice_the_light_is_exposed_alike():
     light = np.random.default_rng(0).uniform(0.1, 1.0, (48, 64, 3)).astype(np.float32)
-    once, twice = (photographed(np.random.default_rng(3), k * light) for k in (1.0, 2.0))
+    once, twice = (
+        photographed(np.random.default_rng(3), np.random.default_rng(4), k * light) for k in (1.0, 2.0)
+    )
     assert np.abs(once.astype(int) - twice).max() <= 1
 
 

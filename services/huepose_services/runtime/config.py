@@ -60,7 +60,7 @@ class ObjectConfig(Section, frozen=True, kw_only=True):
     """An object to look for, by the name of its reference model."""
 
     name: Name
-    max_instances: Annotated[int, Meta(ge=1, le=16)] = 1
+    max_instances: Annotated[int, Meta(ge=1, le=64)] = 1
 
 
 class EstimatorConfig(Section, frozen=True, kw_only=True):

@@ -96,9 +96,9 @@ class Orientation:
 
     def check(self, anchor: Anchor, first: Hypothesis, view: Float64, frame: RgbdFrame, hurry: bool) -> float:
         """Test a pose against its near-symmetric rotations. If the object can have turned to one of them
-        since it was seen last, the log-odds of its orientation drop to at most 0. Those are tested alone if
-        the orientation was settled before, else all are; in a hurry none is. Returns the number of costly
-        proposals used."""
+        since it was seen last, the log-odds of its orientation drop to at most 0; what rests has not turned.
+        Those are tested alone if the orientation was settled before, else all are; in a hurry none is.
+        Returns the number of costly proposals used."""
         # Poses while it was in doubt may have been wrong: rotation is measured from the last sure one.
         before, since_ns = anchor.first, anchor.frame.stamp_ns
         if self.sure is not None:
@@ -108,11 +108,14 @@ class Orientation:
         expected = predicted(self._subject.surface, T, velocity, gone_s)
         limit = most_turned(velocity, gone_s, self._config)
         jump = jump_odds(self._subject.surface, T, expected, first.T_cam_obj, gone_s, self._config)
+        seen_before = since_ns == anchor.frame.stamp_ns and gone_s <= REST_S
         looked_for = anchor.unseen_s > 0.0 and first.source in FOUND_AGAIN
         turned_too_far = se3.rotation_angle(first.T_cam_obj, expected) > limit
         if jump < 0.0 or looked_for or turned_too_far:
             # An implausible motion, or one that was not seen: any rotation is possible.
             limit, self.turned_ns = np.pi, frame.stamp_ns
+        elif seen_before and same_pose(self._subject, T, first.T_cam_obj, RESTS):
+            limit = 0.0
         new = reached(turns, first.T_cam_obj, expected, limit)
         facing = self.facing or Facing.of(0.5, view, len(turns))
         if new.any():
@@ -150,6 +153,11 @@ household and YCB objects; docs/tracking.md)."""
 
 SAME_VIEW = np.radians(8.0)
 """A viewpoint that differs by less than this gives the evidence that is known."""
+
+RESTS, REST_S = 0.02, 0.5
+"""What lies where it did in the last frame, by this share of its diameter, and that not longer ago, rests:
+nobody lifts a thing, turns it over and sets it back so exactly in that time. 99 % of the steps of resting
+objects are within 0.014 (path-traced clutter, 6 Hz)."""
 
 COARSELY, TRIES = 8, 3
 """Of the rotated poses the COARSELY best are refined coarsely; of those that do not return to the pose itself

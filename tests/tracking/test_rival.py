@@ -194,6 +194,24 @@ def test_an_object_half_covered_after_its_start_may_have_turned_since_the_start(
     assert doubts == [None, None, *(Doubt.TURN,) * 3], "while it is covered the pose does not fit at all"
 
 
+@pytest.mark.parametrize(("moved_m", "state"), [(0.0, State.TRACKING), (0.02, State.SUSPECT)])
+def test_what_rests_between_few_pictures_has_not_turned_unseen(
+    plain_box: ReferenceModel, moved_m: float, state: State
+) -> None:
+    """Two pictures a second: in half a second it can be turned the other way round, which no picture
+    from above shows; but what lies where it did was not touched."""
+    tracker, states = Tracker({"plain_box": plain_box}), []
+    for number in range(5):
+        T = lying(plain_box, moved_m * number)
+        seen = picture(plain_box.mesh, T, (90, 130, 160))
+        frame = replace(seen, frame_id=number, stamp_ns=number * 480_000_000, epoch=1)
+        if number == 0:
+            tracker.correct(Correction.first("plain_box", T, frame))
+        (pose,) = tracker.step(frame)
+        states.append(pose.state)
+    assert states == [State.TRACKING, *(state,) * 4]
+
+
 def test_what_turned_farther_than_things_turn_may_have_turned_otherwise(plain_box: ReferenceModel) -> None:
     """By 50 degrees more than its velocity says, in a sixth of a second, the limit being 38: what else it may
     have done no picture from above shows."""

@@ -111,12 +111,14 @@ class Orientation:
         seen_before = since_ns == anchor.frame.stamp_ns and gone_s <= REST_S
         looked_for = anchor.unseen_s > 0.0 and first.source in FOUND_AGAIN
         turned_too_far = se3.rotation_angle(first.T_cam_obj, expected) > limit
-        if jump < 0.0 or looked_for or turned_too_far:
+        sudden = jump < 0.0 or looked_for or turned_too_far
+        if sudden:
             # An implausible motion, or one that was not seen: any rotation is possible.
             limit, self.turned_ns = np.pi, frame.stamp_ns
-        elif seen_before and same_pose(self._subject, T, first.T_cam_obj, RESTS):
-            limit = 0.0
         new = reached(turns, first.T_cam_obj, expected, limit)
+        may_rest = new.any() and not sudden and seen_before
+        if may_rest and same_pose(self._subject, T, first.T_cam_obj, RESTS):
+            new = reached(turns, first.T_cam_obj, expected, 0.0)
         facing = self.facing or Facing.of(0.5, view, len(turns))
         if new.any():
             facing = facing.jumped(view, new)

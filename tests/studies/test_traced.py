@@ -5,18 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from studies.traced import (
-    HZ,
-    SWAY_M,
-    WALK_M_S,
-    camera_at,
-    carried,
-    kelvin,
-    measured,
-    photographed,
-    room,
-    surface,
-)
+from studies.traced.camera import SWAY_M, WALK_M_S, camera_at, carried, measured, photographed
+from studies.traced.light import kelvin
+from studies.traced.room import room, surface
+from studies.traced.world import HZ
 
 
 def test_lamps_are_red_below_and_blue_above_daylight():

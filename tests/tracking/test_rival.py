@@ -1,5 +1,6 @@
 """What tells a plain face from a floor, and which way round a plain object is."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -194,38 +195,39 @@ def test_an_object_half_covered_after_its_start_may_have_turned_since_the_start(
     assert doubts == [None, None, *(Doubt.TURN,) * 3], "while it is covered the pose does not fit at all"
 
 
+def states_of(model: ReferenceModel, poses: Sequence[np.ndarray], apart_s: float) -> list[State]:
+    """Of a tracker that is told the first of these poses, and sees the object in each, so far apart."""
+    tracker, states = Tracker({model.name: model}), []
+    for number, T in enumerate(poses):
+        seen = picture(model.mesh, T, (90, 130, 160))
+        frame = replace(seen, frame_id=number, stamp_ns=int(1e9 * apart_s * number), epoch=1)
+        if number == 0:
+            tracker.correct(Correction.first(model.name, T, frame))
+        (pose,) = tracker.step(frame)
+        states.append(pose.state)
+    return states
+
+
 @pytest.mark.parametrize(("moved_m", "state"), [(0.0, State.TRACKING), (0.02, State.SUSPECT)])
 def test_what_rests_between_few_pictures_has_not_turned_unseen(
     plain_box: ReferenceModel, moved_m: float, state: State
 ) -> None:
-    """Two pictures a second: in half a second it can be turned the other way round, which no picture
-    from above shows; but what lies where it did was not touched."""
-    tracker, states = Tracker({"plain_box": plain_box}), []
-    for number in range(5):
-        T = lying(plain_box, moved_m * number)
-        seen = picture(plain_box.mesh, T, (90, 130, 160))
-        frame = replace(seen, frame_id=number, stamp_ns=number * 480_000_000, epoch=1)
-        if number == 0:
-            tracker.correct(Correction.first("plain_box", T, frame))
-        (pose,) = tracker.step(frame)
-        states.append(pose.state)
+    """In half a second it can be turned the other way round, which no picture from above shows; but what lies
+    where it did was not touched."""
+    states = states_of(plain_box, [lying(plain_box, moved_m * number) for number in range(5)], 0.48)
     assert states == [State.TRACKING, *(state,) * 4]
 
 
 def test_what_turned_farther_than_things_turn_may_have_turned_otherwise(plain_box: ReferenceModel) -> None:
     """By 50 degrees more than its velocity says, in a sixth of a second, the limit being 38: what else it may
     have done no picture from above shows."""
-    tracker, states = Tracker({"plain_box": plain_box}), []
-    for number, degrees in enumerate((0.0, 10.0, 20.0, 80.0, 90.0, 100.0)):
+    poses = []
+    for degrees in (0.0, 10.0, 20.0, 80.0, 90.0, 100.0):
         spun = se3.rotation_exp(np.array([0.0, 0.0, np.radians(degrees)]))
         T = lying(plain_box)
         T[:3, :3] = spun @ T[:3, :3]
-        seen = picture(plain_box.mesh, T, (90, 130, 160))
-        frame = replace(seen, frame_id=number, stamp_ns=int(1e9 * number / 6), epoch=1)
-        if number == 0:
-            tracker.correct(Correction.first("plain_box", T, frame))
-        (pose,) = tracker.step(frame)
-        states.append(pose.state)
+        poses.append(T)
+    states = states_of(plain_box, poses, 1 / 6)
     assert states == [*(State.TRACKING,) * 3, *(State.SUSPECT,) * 3]
 
 

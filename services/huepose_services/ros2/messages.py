@@ -17,6 +17,7 @@ from huepose_protos import WireError
 from huepose_protos.messages import CameraMessage, Mount, PoseMessage
 from huepose_protos.motion import mount_of, rotation_matrix
 from huepose_services.runtime.clock import SECOND
+from huepose_services.runtime.config_parts import ros_token
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -58,17 +59,28 @@ def cdr(message: Any) -> bytes:
     return bytes(types().serialize_cdr(message, message.__msgtype__))
 
 
+def instance_of(pose: PoseMessage) -> str:
+    """Which object a pose is of, as OBJECT_INSTANCE."""
+    return f"{pose.object}_{pose.instance}"
+
+
+def pose_topic(pose: PoseMessage) -> str:
+    """The topic of the poses of an instance, within the namespace."""
+    return f"{ros_token(instance_of(pose), 'object')}/pose"
+
+
 def pose_stamped(pose: PoseMessage) -> Any:
     """geometry_msgs/PoseStamped of a pose that is there, in the camera's optical frame."""
     return types().types[POSE](_header(pose), _pose(pose))
 
 
-def transforms(poses: Sequence[PoseMessage], camera: CameraMessage | None) -> Any:
-    """tf2_msgs/TFMessage: each object in the camera's frame, called OBJECT_INSTANCE; and the camera in the
-    frame that it is mounted in, where that is known; of one that moves only by itself, at its own time."""
+def transforms(poses: Sequence[PoseMessage], camera: CameraMessage | None, prefix: str = "") -> Any:
+    """tf2_msgs/TFMessage: each object in the camera's frame, called OBJECT_INSTANCE after the prefix; and the
+    camera in the frame that it is mounted in, where that is known; of one that moves only by itself, at its
+    own time."""
     out, newest = [], None
     for newest in poses:
-        out.append(_transform(_header(newest), f"{newest.object}_{newest.instance}", newest))
+        out.append(_transform(_header(newest), prefix + instance_of(newest), newest))
     mount = None if camera is None else camera.mount
     if camera is not None and mount is not None and (newest is None or camera.mount_ns is None):
         stamp_ns = newest.capture_ns if newest else camera.mount_ns or camera.publish_ns
@@ -134,8 +146,7 @@ def detections(poses: Sequence[PoseMessage], bounds: Mapping[str, Float64]) -> A
         middle = np.array(pose.translation) + R_cam_obj @ (0.5 * (low + high))
         at = make["geometry_msgs/msg/Pose"](make["geometry_msgs/msg/Point"](*middle), where.orientation)
         box = make["vision_msgs/msg/BoundingBox3D"](at, _vector(high - low))
-        name = f"{pose.object}_{pose.instance}"
-        found.append(make["vision_msgs/msg/Detection3D"](_header(pose), [result], box, name))
+        found.append(make["vision_msgs/msg/Detection3D"](_header(pose), [result], box, instance_of(pose)))
     return make[DETECTIONS](_header(poses[0]), found)
 
 

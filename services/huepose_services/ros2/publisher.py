@@ -31,7 +31,7 @@ _NODE_ID = 0
 
 
 def topic_key(topic: str, type_name: str, domain: int, style: Style) -> str:
-    """The key of a topic, `/huepose/tea_box/0/pose` for example."""
+    """The key of a topic, `/huepose/tea_box_0/pose` for example."""
     name = topic.strip("/")
     if style == "bridge":
         return name

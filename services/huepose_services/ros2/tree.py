@@ -64,19 +64,19 @@ class Tree:
     def newest(self, now_ns: int) -> tuple[int, Mount] | None:
         """The newest stamp at which the whole chain is known, and the pose of `child` in `parent` at it. None
         if there is none newer than the last one returned. A chain of static transforms alone is known at
-        now_ns, in Unix time."""
+        now_ns, in Unix time, also when that clock was set back."""
         chain = self._chain()
         if chain is None:
             return None
         up, down = chain
         moving = [edge.transforms[-1][0] for edge in (*up, *down) if not edge.static]
         stamp_ns = min(moving, default=now_ns)
-        if stamp_ns <= self._returned_ns:
+        if moving and stamp_ns <= self._returned_ns:
             return None
         T_common_child, T_common_parent = _composed(up, stamp_ns), _composed(down, stamp_ns)
         if T_common_child is None or T_common_parent is None:
             return None
-        self._returned_ns = stamp_ns
+        self._returned_ns = stamp_ns if moving else 0
         return stamp_ns, composed(inverted(T_common_parent, self._parent), T_common_child)
 
     @property

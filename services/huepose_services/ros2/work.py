@@ -1,6 +1,6 @@
 """The worker `ros2`: poses as messages of ROS 2, and the camera's mount from the robot's transforms.
 
-It publishes `/NAMESPACE/OBJECT/INSTANCE/pose` (PoseStamped), `/tf`, `/NAMESPACE/camera_info` and
+It publishes `/NAMESPACE/OBJECT_INSTANCE/pose` (PoseStamped), `/tf`, `/NAMESPACE/camera_info` and
 `/NAMESPACE/detections` (Detection3DArray). Only poses that are `TRACKING` are published, because messages of
 ROS cannot say that a pose must not be acted on. With `camera.tf` it also reads `/tf` and `/tf_static`.
 """
@@ -178,7 +178,7 @@ class Ros2Work(Work):
     ) -> None:
         self._bus, self._router, self._bounds, self._mount = bus, router, bounds, mount
         self._no_router, self._look_ns = without_router(ros2), now_ns() + _LOOK_NS
-        self._root = f"/{ros2.namespace}"
+        self._root, self._prefix = f"/{ros2.namespace}", ros2.frame_prefix
         self._poses = bus.inbox.queue(bus.keys.poses)
         self._cameras = bus.inbox.queue(bus.keys.camera_info, wakes=False)
         self._connected: bool | None = None
@@ -226,16 +226,15 @@ class Ros2Work(Work):
         poses, self._frame = self._frame, []
         started = now_ns()
         for pose in poses:
-            self._say(f"{pose.object}/{pose.instance}/pose", messages.pose_stamped(pose))
+            self._say(messages.pose_topic(pose), messages.pose_stamped(pose))
         self._transform(poses)
         self._say("detections", messages.detections(poses, self._bounds))
         self._bus.health.count("poses", len(poses))
         self._bus.health.worked_on(started, poses[0])
 
     def _transform(self, poses: list[PoseMessage]) -> None:
-        self._router.publish(
-            "/tf", messages.TRANSFORMS, messages.cdr(messages.transforms(poses, self._camera))
-        )
+        told = messages.transforms(poses, self._camera, self._prefix)
+        self._router.publish("/tf", messages.TRANSFORMS, messages.cdr(told))
 
     def _say(self, name: str, message: Any) -> None:
         self._router.publish(f"{self._root}/{name}", message.__msgtype__, messages.cdr(message))

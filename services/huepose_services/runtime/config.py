@@ -13,7 +13,14 @@ from huepose_protos.fields import Name
 from huepose_protos.keys import Keys
 from huepose_protos.local import BASE_PORT, endpoint
 from huepose_services.runtime.config_errors import explain, read_yaml
-from huepose_services.runtime.config_parts import PERCEPTION, Hosts, check_hosts, check_ports, of_cameras
+from huepose_services.runtime.config_parts import (
+    PERCEPTION,
+    Hosts,
+    check_hosts,
+    check_ports,
+    check_ros2,
+    of_cameras,
+)
 from huepose_services.runtime.config_perception import (
     DRAWN_SOURCES,
     CameraConfig,
@@ -31,6 +38,8 @@ from huepose_services.runtime.config_perception import (
 
 DEFAULT_FILE = "pipeline.yaml"
 _MAX_BYTES = 1024 * 1024
+_ROS_PART = "[a-zA-Z_][a-zA-Z0-9_]*"
+"""A part of the name of a ROS 2 topic, between slashes."""
 _NO_FILE: dict[type[Exception], str] = {
     FileNotFoundError: "no such file",
     IsADirectoryError: "a folder",
@@ -122,12 +131,16 @@ class ViewerConfig(Section, frozen=True, kw_only=True):
 
 
 class Ros2Config(Section, frozen=True, kw_only=True):
-    """Where poses go as messages of ROS 2: router, domain, whose keys, namespace of the topics."""
+    """Where poses go as messages of ROS 2: router, domain, whose keys, namespace of the topics, and what
+    stands before the objects' names in /tf."""
 
-    connect: Annotated[str, Meta(pattern=r"^(tcp|udp|tls|quic|unixsock-stream)/\S+$")] = "tcp/localhost:7447"
+    connect: Annotated[str, Meta(pattern=r"^((tcp|udp|tls|quic)/\S+:\d{1,5}|unixsock-stream/\S+)$")] = (
+        "tcp/localhost:7447"
+    )
     domain: Annotated[int, Meta(ge=0, le=232)] = 0
     keys: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
-    namespace: Annotated[str, Meta(pattern=r"^[a-zA-Z_][a-zA-Z0-9_/]{0,63}$")] = "huepose"
+    namespace: Annotated[str, Meta(pattern=rf"^{_ROS_PART}(/{_ROS_PART})*$", max_length=128)] = "huepose"
+    frame_prefix: Annotated[str, Meta(pattern=r"^[a-zA-Z0-9_/-]{0,128}$")] = ""
 
 
 class LinkConfig(Section, frozen=True, kw_only=True):
@@ -322,6 +335,7 @@ def _check(config: Config, refuse: Refuse) -> None:
         refuse("workers", ", ".join(config.workers), "each worker at most once", "Name each once.")
     check_hosts(config, refuse)
     check_ports(config, refuse)
+    check_ros2(config, refuse)
     check_camera(camera, config.workers, refuse)
     if (
         camera.source not in DRAWN_SOURCES

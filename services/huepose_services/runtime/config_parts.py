@@ -51,11 +51,22 @@ def of_cameras(config: Config, has_camera: bool, refuse: Refuse) -> list[Config]
             viewer=replace(
                 config.viewer, web_port=config.viewer.web_port + k, grpc_port=config.viewer.grpc_port + k
             ),
-            ros2=replace(config.ros2, namespace=f"{config.ros2.namespace}/{camera.name.replace('-', '_')}"),
+            ros2=replace(
+                config.ros2,
+                namespace=f"{config.ros2.namespace}/{ros_token(camera.name, 'camera')}",
+                frame_prefix=f"{config.ros2.frame_prefix}{camera.name}/",
+            ),
             bus=replace(config.bus, base_port=config.bus.base_port + k * PORTS_OF_A_CAMERA),
         )
         for k, camera in enumerate(config.cameras)
     ]
+
+
+def ros_token(name: str, kind: str) -> str:
+    """A name of ours as part of a topic's name, where ROS 2 takes letters, digits and underscores, and no
+    digit first: `tea-box` is tea_box, and the object (kind) `003_box` is object_003_box."""
+    plain = name.replace("-", "_")
+    return f"{kind}_{plain}" if plain[0].isdigit() else plain
 
 
 def check_ports(config: Config, refuse: Refuse) -> None:
@@ -67,9 +78,9 @@ def check_ports(config: Config, refuse: Refuse) -> None:
         "link.connect": config.link.connect,
     }
     for key, address in addresses.items():
-        if address is not None and int(address.rpartition(":")[2]) > _LAST_PORT:
+        if address is not None and not 0 < int(address.rpartition(":")[2]) <= _LAST_PORT:
             fix = "Where there are several cameras, each gets the next port."
-            refuse(key, address, f"a port of {_LAST_PORT} or less", fix)
+            refuse(key, address, f"a port of 1 to {_LAST_PORT}", fix)
     router = config.ros2.connect.partition("/")[2]
     host, _, port = router.rpartition(":")
     here = host in ("localhost", "127.0.0.1", "[::1]")
@@ -80,6 +91,20 @@ def check_ports(config: Config, refuse: Refuse) -> None:
             f"another port than the router's of ROS 2 (ros2.connect: {config.ros2.connect})",
             "Give the gateway one of its own: {listen: 127.0.0.1:7457}, for example.",
         )
+
+
+def check_ros2(config: Config, refuse: Refuse) -> None:
+    """The router has a port, and ROS 2 can tell the objects apart."""
+    port = config.ros2.connect.rpartition(":")[2]
+    if port.isdigit() and not 0 < int(port) <= _LAST_PORT:
+        fix = "rmw_zenoh's router listens on 7447."
+        refuse("ros2.connect", config.ros2.connect, f"a port of 1 to {_LAST_PORT}", fix)
+    tokens: dict[str, str] = {}
+    for one in config.objects if "ros2" in config.workers else ():
+        other = tokens.setdefault(ros_token(one.name, "object"), one.name)
+        if other != one.name:
+            fix = "Their poses would be on one topic of ROS 2."
+            refuse("objects", f"{other} and {one.name}", "names that differ by more than - and _", fix)
 
 
 def check_hosts(config: Config, refuse: Refuse) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import time
 from collections.abc import Callable
@@ -27,6 +28,7 @@ from huepose_services.ros2.messages import (
     cdr,
     detections,
     pose_stamped,
+    pose_topic,
     transforms,
     type_hash,
     types,
@@ -34,7 +36,8 @@ from huepose_services.ros2.messages import (
 from huepose_services.ros2.publisher import attachment, endpoint_token, node_token, topic_key
 from huepose_services.ros2.work import Ros2Work, Router
 from huepose_services.runtime.bus import Bus
-from huepose_services.runtime.config import BusConfig, Config, Ros2Config
+from huepose_services.runtime.config import BusConfig, CameraConfig, Config, Ros2Config
+from huepose_services.runtime.config_parts import of_cameras
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.session import open_worker_session
@@ -50,6 +53,10 @@ STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f
 
 def pose(**changes: Any) -> PoseMessage:
     return msgspec.structs.replace(EXAMPLE, **{"state": "TRACKING", **changes})
+
+
+def unwanted(key: str, found: str, expected: str, fix: str) -> None:
+    raise AssertionError(key)
 
 
 def read(kind: str, payload: bytes) -> Any:
@@ -95,6 +102,26 @@ def test_the_tree_leads_from_the_robot_to_the_object() -> None:
     # A quarter turn about z, then the shift: x of the camera is y of the robot.
     x, y, z = EXAMPLE.translation
     assert np.allclose(mounted[:3, 3], [1.0 - y, 2.0 + x, 3.0 + z])
+
+
+def test_a_frame_has_one_parent_though_two_cameras_see_the_object() -> None:
+    cameras = [CameraConfig(name="left"), CameraConfig(name="right")]
+    children = [
+        read(TRANSFORMS, cdr(transforms([pose(object="tea-box")], None, each.ros2.frame_prefix)))
+        .transforms[0]
+        .child_frame_id
+        for each in of_cameras(Config(cameras=cameras), False, unwanted)
+    ]
+    assert children == [f"{name}/tea-box_{EXAMPLE.instance}" for name in ("left", "right")]
+
+
+@pytest.mark.parametrize("name", ["tea_box", "tea-box", "003_cracker_box", "0"])
+def test_topics_have_names_that_ros_2_takes(name: str) -> None:
+    (config,) = of_cameras(Config(cameras=[CameraConfig(name=name)]), False, unwanted)
+    topic = f"/{config.ros2.namespace}/{pose_topic(pose(object=name))}"
+    # rmw/validate_full_topic_name.h
+    assert re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", topic)
+    assert len(topic) <= 247
 
 
 def test_detections_and_the_camera() -> None:
@@ -180,13 +207,13 @@ def test_what_is_tracked_arrives_at_a_router_that_comes_later(base_port: int) ->
     bus.close()
     inner.close()
     tracker.close()
-    name = f"huepose/{shown.object}/{shown.instance}/pose"
+    name = f"huepose/{pose_topic(shown)}"
     sample = heard.of(name)[0]
     assert str(sample.key_expr) == f"0/{name}/geometry_msgs::msg::dds_::PoseStamped_/{type_hash(POSE)}"
     assert read(POSE, sample.payload.to_bytes()).pose.position.x == shown.translation[0]
     assert sample.attachment is not None
     assert struct.unpack("<q", sample.attachment.to_bytes()[:8]) == (1,)
-    assert not heard.of(f"/{doubted.object}/9/")
+    assert not heard.of(f"{doubted.object}_9/")
     assert heard.of("0/tf/")
     assert heard.of("/camera_info/")
     assert any("/MP/%/%/huepose/%tf/" in token for token in tokens)

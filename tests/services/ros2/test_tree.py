@@ -93,6 +93,15 @@ def test_what_is_late_changes_nothing_and_a_clock_that_is_set_back_begins_anew()
     assert found == (T0 - 5000 * MS, there)
 
 
+def test_what_never_moves_is_known_after_the_wall_clock_was_set_back() -> None:
+    tree = Tree("base", "tool")
+    tree.take([(0, "tool", mount("base", np.eye(4)))], static=True)
+    for now_ns in (T0, T0 + 1000 * MS, T0 - 3_600_000 * MS):
+        found = tree.newest(now_ns)
+        assert found is not None
+        assert found[0] == now_ns
+
+
 def test_a_ring_of_frames_ends() -> None:
     tree = Tree("base", "a")
     place = mount("b", np.eye(4))

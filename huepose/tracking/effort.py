@@ -6,12 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 ENOUGH, TRY_AGAIN_AFTER = 3, 15
-"""After ENOUGH rounds in vain a search begins only every TRY_AGAIN_AFTER frames."""
+"""After ENOUGH rounds in vain a search begins only TRY_AGAIN_AFTER frames after the last one."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """frames: those in a row in which the object was missed; rounds: how often all stages of a search were in
+    """frames: those since the object was searched for last; rounds: how often all stages of a search were in
     vain; begun: the stage to try next."""
 
     frames: int = 0
@@ -26,12 +26,14 @@ class Effort:
     @property
     def resting(self) -> bool:
         """Whether no search begins in this frame."""
-        return self.enough and self.frames % TRY_AGAIN_AFTER != 0
+        return self.enough and self.frames < TRY_AGAIN_AFTER
 
     def missed(self) -> Effort:
         """In the next frame, in which it is missed as well."""
         return replace(self, frames=self.frames + 1)
 
-    def reached(self, stage: int, stages: int) -> Effort:
-        """After a search of so many stages that is to go on with this one, after the last with the first."""
-        return replace(self, rounds=self.rounds + (stage == stages), begun=stage % stages)
+    def reached(self, stage: int, stages: int, searched: bool = True) -> Effort:
+        """After a search of so many stages that is to go on with this one, after the last with the first.
+        searched: whether there was time for any."""
+        frames = 0 if searched else self.frames
+        return Effort(frames, self.rounds + (stage == stages), stage % stages)

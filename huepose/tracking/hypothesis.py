@@ -30,7 +30,7 @@ HOPELESS = 4.0
 class Hypothesis:
     """T_cam_obj (4, 4); velocity (6,) or None, about the object's centre; what is seen of it; information
     (6, 6) of the refinement; source: which start led there ("still", "velocity", "search", "views", "turn",
-    "correction", "ends"); log_odds: that it is right, filtered over the frames; goes_on: share of its
+    "correction"); log_odds: that it is right, filtered over the frames; goes_on: share of its
     outline beyond which the surface goes on; jump: what the motion model said of it when it was found, 0 or
     less, and 0 if it was followed."""
 

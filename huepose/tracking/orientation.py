@@ -80,9 +80,10 @@ class Orientation:
         self.facing, self.sure = other.facing, other.sure
         self.sure_ns, self.turned_ns = other.sure_ns, other.turned_ns
 
-    def set_back(self, stamp_ns: int) -> None:
-        """Continue as if the last frame had this stamp."""
-        self.sure, self.turned_ns = None, min(self.turned_ns, stamp_ns)
+    def set_back(self, by_ns: int) -> None:
+        """Continue at rest, as if all that was before had been that much earlier."""
+        self.sure_ns, self.turned_ns = self.sure_ns - by_ns, self.turned_ns - by_ns
+        self.sure = None if self.sure is None else replace(self.sure, velocity=None)
 
     def see(self, first: Hypothesis, stamp_ns: int) -> None:
         """This pose is sure: rotation is measured from here."""

@@ -27,7 +27,7 @@ from huepose.tracking.refined import (
     unmoved,
 )
 from huepose.tracking.search import NORMAL_EFFORT, search
-from huepose.tracking.stages import NEARBY, RETURNING_SEEN, Task, convincing, in_full, propose
+from huepose.tracking.stages import NEARBY, RETURNING_SEEN, THERE, Task, convincing, in_full, propose
 from huepose.tracking.subject import Subject
 
 WHOLLY_HIDDEN = 0.9
@@ -89,8 +89,13 @@ def advance(
             # Still occluded: refinement would move it onto the occluder. It may be in view elsewhere.
             for_long = seconds + anchor.unseen_s > HIDDEN_LONG_S
             best = max([waiting, *others], key=lambda h: h.terms.total)
-            more = propose(replace(task, hidden=True), best, NEARBY, tries if for_long else 0.0)
-            return Advance((waiting, *others), more.proposed, more.tried, task.doubts(more.best))
+            stage = NEARBY if anchor.place is None else THERE
+            more = propose(replace(task, hidden=True), best, stage, tries if for_long else 0.0)
+            following = NEARBY if more.place is None else THERE
+            doubtful = task.doubts(more.best)
+            return Advance(
+                (waiting, *others), more.proposed, more.tried, doubtful, following, place=more.place
+            )
     found = [followed(surface, frame, first, expected, light, MORE_PASSES), *others]
     if long or not convincing(found[0], anchor.usual.baseline, config.doubt, config):
         start = first.T_cam_obj if found[0].source == "still" else expected

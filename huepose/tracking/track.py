@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from huepose.believe.state import State
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.se3 import grown
+from huepose.judge.silhouette import taken_by
 from huepose.judge.terms import NOTHING, Terms
 from huepose.select.distinct import RIGHT
 from huepose.tracking import evidence
@@ -58,6 +60,7 @@ class Track:
         self._orientation = Orientation(subject, config)
         self._spread, self._supported_ns, self._agreed_ns = 0.0, 0, -1
         self._known_at: tuple[Float64, int] | None = None
+        self._searched = Effort()
         self._begin()
 
     def _begin(self) -> None:
@@ -106,11 +109,12 @@ class Track:
         """The total of its pose plus the certainty of its orientation, in units of a total."""
         return self.terms.total + self._orientation.worth
 
-    def look(self, frame: RgbdFrame, tries: float = np.inf) -> float:
-        """Find the object in the next frame. Returns how many of at most `tries` costly proposals were
-        used."""
+    def look(self, frame: RgbdFrame, tries: float = np.inf, twins: Sequence[Float64] = ()) -> float:
+        """Find the object in the next frame. Returns how many of at most `tries` costly proposals were used.
+        twins: poses (4, 4) of other instances of the object; where they are, a lost one is not searched
+        for."""
         if self.frame is None or not self.hypotheses:
-            return self._look_everywhere(frame, tries)
+            return self._look_everywhere(frame, tries, twins)
         begun = self._effort.begun
         resting = begun == NEARBY and self._effort.resting
         seen = self.hypotheses, self.frame, self.usual
@@ -129,7 +133,7 @@ class Track:
             orientation.see(self.hypotheses[0], frame.stamp_ns)
         return tried
 
-    def _look_everywhere(self, frame: RgbdFrame, tries: float) -> float:
+    def _look_everywhere(self, frame: RgbdFrame, tries: float, twins: Sequence[Float64]) -> float:
         """Search for a lost object at the likeliest place of the picture, among other windows each time. What
         is found is `SUSPECT` until the next frames confirm it."""
         self._effort = effort = self._effort.missed()
@@ -137,8 +141,9 @@ class Track:
         if tries < 1.0 or sure_pose is None or effort.resting:
             return 0
         part, gone_s = 0 if effort.enough else effort.begun, (frame.stamp_ns - self._supported_ns) * 1e-9
-        self._effort = effort.reached(part + 1, PARTS)
-        place = likeliest_place(self.subject.model, self.subject.views, frame, part)
+        self._effort = self._searched = effort.reached(part + 1, PARTS)
+        free = frame.without(taken_by(self.subject.model, frame, twins)) if twins else frame
+        place = likeliest_place(self.subject.model, self.subject.views, free, part)
         if place is None:
             return 1
         usual = self.usual.remembered(gone_s)
@@ -188,7 +193,7 @@ class Track:
             seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
             self._coast(anchor.first, seconds)
             self._unseen_s += seconds
-        effort = self._effort.missed().reached(found.begun, END)
+        effort = self._effort.missed().reached(found.begun, END, found.tried > 0)
         self._effort = effort if found.doubtful else Effort(begun=effort.begun)
         self._place = found.place
 
@@ -231,8 +236,12 @@ class Track:
         found, searched = found_nearby(surface, T_cam_obj, frame, apart_s, light, self._config)
         tried = float(searched)
         first = weighed(self.subject, found, frame, self.usual, evidence.odds_of(quality))
-        self.hypotheses, self.frame, self.evidence = (first,), frame, probability(first.log_odds)
-        self.covariance, _ = uncertainty(self.subject, first, frame)
+        self.hypotheses, self.frame = (first,), frame
+        self.covariance, self._spread = uncertainty(self.subject, first, frame)
+        sure = probability(first.log_odds)
+        if evidence.one_sense(first.terms):
+            sure = min(sure, evidence.ONE_SENSE)
+        self.evidence = evidence.vouched(sure, self._spread)
         if self.evidence >= self._config.tracking_quality:
             self._orientation.see(first, frame.stamp_ns)
         if self.evidence >= self._config.lost_quality:
@@ -260,6 +269,7 @@ class Track:
         """Take over the pose that another track of the same object, made for a correction, found on
         `frame`."""
         self.hypotheses, self.covariance = verified.hypotheses[:1], verified.covariance
+        self._spread = verified._spread
         usual = verified.usual
         self.usual = replace(self.usual, baseline=usual.baseline, light=usual.light)
         self.evidence, self.frame = verified.evidence, frame
@@ -280,19 +290,30 @@ class Track:
             self._identity = self._identity.contradicted(quality)
 
     def lose(self) -> None:
-        """Give up its pose."""
+        """Give up its pose. Where it was TRACKING once, it is searched for."""
+        if self.hypotheses and self._known_at is not None and self._orientation.sure is None:
+            self._orientation.see(self.hypotheses[0], self._supported_ns)
         self._standing = Standing(State.LOST)
-        self.hypotheses, self.covariance, self.evidence, self.quality = (), None, 0.0, 0.0
+        self.hypotheses, self.covariance, self.frame = (), None, None
+        self.evidence = self.quality = 0.0
         self._begin()
 
-    def set_back(self, stamp_ns: int) -> None:
-        """Continue as if the last frame had this stamp (the camera's clock was set back), at rest."""
-        self.history, self._known_at = PoseHistory(), None
-        self._supported_ns = stamp_ns
-        self._orientation.set_back(stamp_ns)
-        if self.frame is not None and self.hypotheses:
-            self.frame = replace(self.frame, stamp_ns=stamp_ns)
-            self.hypotheses = tuple(replace(h, velocity=None) for h in self.hypotheses)
+    def give_back(self) -> None:
+        """Lose a pose that was found where another instance is: the search goes on from there."""
+        self.lose()
+        self._effort = self._searched
+
+    def set_back(self, by_ns: int) -> None:
+        """Continue at rest, as if all that was before had been that much earlier (the camera's clock was set
+        back)."""
+        self.history = PoseHistory()
+        self._supported_ns -= by_ns
+        self._orientation.set_back(by_ns)
+        if self._known_at is not None:
+            self._known_at = self._known_at[0], self._known_at[1] - by_ns
+        if self.frame is not None:
+            self.frame = replace(self.frame, stamp_ns=self.frame.stamp_ns - by_ns)
+        self.hypotheses = tuple(replace(h, velocity=None) for h in self.hypotheses)
 
     def remembered(self, stamp_ns: int) -> Usual:
         """What was usual before the object was lost; less is asked the longer ago that was."""

@@ -65,7 +65,7 @@ class Tracker:
         self._seen_seq: dict[Key, int] = {}
         self._waiting: list[Correction] = []
         self._frames = FrameHistory(self.config.history_frames, self.config.older_frames)
-        self._whose_turn, self._tries = 0, 1.0
+        self._whose_turn, self._tries, self._pursuit_waits = 0, 1.0, False
         for model in ReferenceModels(models).values():
             self.add_object(model)
 
@@ -77,14 +77,18 @@ class Tracker:
     def remove_object(self, name: str) -> None:
         """Remove an object and its instances; an unknown name is ignored."""
         self._subjects.pop(name, None)
+        self.remove_instances(name)
+
+    def remove_instances(self, name: str) -> None:
+        """Remove all instances of an object, also those that no frame has shown yet."""
         for key in [k for k in self._seen_seq if k[0] == name]:
             self.remove_instance(*key)
-        self._waiting = [c for c in self._waiting if c.object != name]
 
     def remove_instance(self, name: str, instance: int) -> None:
         """Remove one instance."""
         for known in (self._tracks, self._pursuits, self._seen_seq):
             known.pop((name, instance), None)
+        self._waiting = [c for c in self._waiting if c.key != (name, instance)]
 
     @property
     def objects(self) -> tuple[str, ...]:
@@ -147,10 +151,11 @@ class Tracker:
         newest = self._frames.newest
         if newest is not None and frame.epoch != newest.epoch:
             self._forget()
+            newest = None
         elif newest is not None and frame.stamp_ns <= newest.stamp_ns:
             if frame.frame_id <= newest.frame_id:
                 return []
-            self._set_back(frame.stamp_ns)
+            self._set_back(newest.stamp_ns - frame.stamp_ns + CLOCK_GAP_NS)
             newest = None
         self._earn(0.0 if newest is None else (frame.stamp_ns - newest.stamp_ns) * 1e-9)
         self._frames.append(frame)
@@ -167,17 +172,30 @@ class Tracker:
 
     def _look(self, frame: RgbdFrame) -> None:
         """Update every instance, beginning after the last one that used a costly proposal, so that all get
-        their share."""
+        their share. While a pursuit waits for one, nothing lost is searched for: perception says where to."""
         tracks = list(self._tracks.items())
         first = self._whose_turn % max(len(tracks), 1)
         for offset, (key, track) in enumerate(tracks[first:] + tracks[:first], 1):
-            was_lost = track.T_cam_obj is None
-            tried = track.look(frame, self._whole_tries)
-            if was_lost and self._held(key, track):
-                track.lose()
+            if track.T_cam_obj is None:
+                tried = self._search(key, track, frame)
+            else:
+                tried = track.look(frame, self._whole_tries)
             self._tries -= tried
             if tried:
                 self._whose_turn = first + offset - track.halfway
+
+    def _search(self, key: Key, track: Track, frame: RgbdFrame) -> float:
+        """Look for a lost instance where no other one is. Returns the number of costly proposals used."""
+        tries = 0.0 if self._pursuit_waits else self._whole_tries
+        twins = [
+            other.T_cam_obj
+            for (name, _), other in self._tracks.items()
+            if name == key[0] and other.T_cam_obj is not None and other.state is State.TRACKING
+        ]
+        tried = track.look(frame, tries, twins)
+        if self._held(key, track):
+            track.give_back()
+        return tried
 
     def _earn(self, seconds: float) -> None:
         """Add the costly proposals allowed for the time since the last frame; unused ones do not
@@ -237,6 +255,8 @@ class Tracker:
                 return Applied.REFUSED_OLD
             if correction.verdict is Verdict.AGREE:
                 track.agree(correction.quality, correction.stamp_ns)
+        elif track is None and key not in self._pursuits and correction.verdict is Verdict.CORRECT:
+            return Applied.REFUSED_OLD
         elif track is None or not self._same_surface(track, correction):
             self._pursuits[key] = Pursuit(correction, self._subjects[key[0]], self.config, track)
             newest = self._frames.newest
@@ -268,6 +288,7 @@ class Tracker:
 
     def _catch_up(self) -> None:
         """Advance each pursuit whose object has no pose, and the oldest one."""
+        self._pursuit_waits = False
         if not self._pursuits:
             return
         oldest = min(self._pursuits, key=lambda k: self._pursuits[k].correction.stamp_ns)
@@ -289,6 +310,7 @@ class Tracker:
         else:
             kept = self._frames.since(reached.stamp_ns)
         if self._whole_tries < 1.0 and pursuit.needs_search(kept):
+            self._pursuit_waits = True
             return
         self._tries -= pursuit.follow(kept, self._whole_tries)
         if pursuit.supported and not pursuit.arrived(newest):
@@ -343,14 +365,14 @@ class Tracker:
             claims.append(Claim(track.subject.surface, track.T_cam_obj, track.terms.total + standing))
         return {keys[i] for i in losers(claims, frame.depth, frame.camera)}
 
-    def _set_back(self, stamp_ns: int) -> None:
-        """Handle a camera clock that was set back: clear the frame history, and continue the tracks as if the
-        last frame had come just before that stamp."""
+    def _set_back(self, by_ns: int) -> None:
+        """Handle a camera clock that was set back by so much: clear the frame history, and continue the
+        tracks as if the last frame had come that much earlier."""
         self._frames.clear()
         self._pursuits.clear()
         self._waiting.clear()
         for track in self._tracks.values():
-            track.set_back(stamp_ns - CLOCK_GAP_NS)
+            track.set_back(by_ns)
 
     def _forget(self) -> None:
         """Clear everything at a new camera epoch: poses and frame numbers are not valid any more."""
@@ -359,6 +381,7 @@ class Tracker:
         self._pursuits.clear()
         self._seen_seq.clear()
         self._waiting.clear()
+        self._whose_turn, self._tries, self._pursuit_waits = 0, 1.0, False
 
 
 def _published(track: Track, frame: RgbdFrame) -> TrackedPose:

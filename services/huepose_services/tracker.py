@@ -259,9 +259,7 @@ class TrackerWork(Work):
             elif change.added is not None:
                 self._tracker.add_object(change.added)
             else:
-                for key in self._tracker.instances:
-                    if key[0] == name:
-                        self._tracker.remove_instance(*key)
+                self._tracker.remove_instances(name)
         self._told.flush()
 
     def _correct(self, message: CorrectionMessage) -> None:

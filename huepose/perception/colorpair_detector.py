@@ -9,9 +9,10 @@ visible there. An absent object gets places with low scores, too: the estimator 
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -50,6 +51,17 @@ HOLE_PX = 9
 """Pixels without depth this near to the clear part may belong to it: sheen leaves holes."""
 
 
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True)
+class _Of(Generic[Made]):
+    """What was made of a model."""
+
+    model: ReferenceModel
+    made: Made
+
+
 class ColorPairDetector:
     """Finds known objects in whole frames. Stateless, unless `DetectorConfig.remembering` says that all
     frames come from one camera. Thread-safe."""
@@ -57,9 +69,9 @@ class ColorPairDetector:
     def __init__(self, models: Mapping[str, ReferenceModel], config: DetectorConfig | None = None) -> None:
         self.config = config or DetectorConfig()
         self._models = ReferenceModels({})
-        self._tables: dict[str, WindowTable] = {}
+        self._tables: dict[str, _Of[WindowTable]] = {}
         self._features: FeatureSource = Sift()
-        self._keypoints: dict[str, ModelKeypoints] = {}
+        self._keypoints: dict[str, _Of[ModelKeypoints]] = {}
         self._lock = threading.Lock()
         self._memory: Memory | None = None
         self._pool = Pool(self.config.threads)
@@ -70,8 +82,6 @@ class ColorPairDetector:
         """Add an object, or replace its model."""
         with self._lock:
             self._models[model.name] = model
-            self._tables.pop(model.name, None)
-            self._keypoints.pop(model.name, None)
 
     def remove(self, name: str) -> None:
         """Remove an object; an unknown name is ignored."""
@@ -92,12 +102,13 @@ class ColorPairDetector:
         thorough: the objects that get the full search if a first one does not find them; default all. The
         others take a third of the time. followed: poses T_cam_obj (4, 4) of instances that are known already,
         by object: others of it are looked for beside them."""
-        for name in names:
-            self._models[name]
+        with self._lock:
+            models = {name: self._models[name] for name in names}
+            largest_m = max((model.diameter_m for model in self._models.values()), default=0.0)
         with stage("veil"):
             seen = unveiled(frame)
         with stage("clear view"):
-            view = clear_view(seen, max((m.diameter_m for m in list(self._models.values())), default=0.0))
+            view = clear_view(seen, largest_m)
         if view is None:
             return []
         proposals = self.config.proposals
@@ -109,16 +120,16 @@ class ColorPairDetector:
         features, windows = _FeaturesOnce(self._features, view, memory), WindowsBySize(view, memory)
 
         def places_of(name: str) -> list[Proposal]:
-            model, known = self._models[name], (followed or {}).get(name, ())
+            model, known = models[name], (followed or {}).get(name, ())
             free = view.without(taken_by(model, seen, known)) if known else view
             proposed = propose(
                 model,
-                self._table(name),
+                self._table(model),
                 free,
                 windows.of(model.diameter_m),
                 most,
                 self._efforts(name, thorough),
-                partial(self._guessed, name, free, features) if "keypoints" in self.config.sources else None,
+                partial(self._guessed, model, free, features) if "keypoints" in self.config.sources else None,
             )
             with stage("presence"):
                 return _rated(free, model, proposed)
@@ -136,9 +147,9 @@ class ColorPairDetector:
         ]
         return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
 
-    def _guessed(self, name: str, view: ClearView, features: _FeaturesOnce) -> Float64:
+    def _guessed(self, model: ReferenceModel, view: ClearView, features: _FeaturesOnce) -> Float64:
         """Poses (K, 4, 4) of an object from its keypoints in a view."""
-        seen, sought = features.spots(), self._keypoints_of(name)
+        seen, sought = features.spots(), self._keypoints_of(model)
         with stage("keypoints"):
             if view.taken is not None:
                 seen = PictureFeatures.of(seen.features[view.free(seen.features.pixels)])
@@ -146,11 +157,11 @@ class ColorPairDetector:
 
     def warm_up(self) -> None:
         """Load the views of all objects, and compile the kernels on a rendered frame of the first."""
-        for name, model in list(self._models.items()):
-            self._table(name)
+        for model in list(self._models.values()):
+            self._table(model)
             Contours.of(model)
             if "keypoints" in self.config.sources:
-                self._keypoints_of(name)
+                self._keypoints_of(model)
         for model in list(self._models.values())[:1]:
             camera = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
             distance = max(0.5, 3.0 * model.diameter_m)
@@ -159,19 +170,26 @@ class ColorPairDetector:
             depth = np.where(picture.depth > 0, picture.depth, np.float32(1.5 * distance))
             self.detect(RgbdFrame(picture.color, depth.astype(np.float32), camera), [model.name])
 
-    def _table(self, name: str) -> WindowTable:
-        with self._lock:
-            if name not in self._tables:
-                self._tables[name] = window_table(self._models[name])
-            return self._tables[name]
+    def _table(self, model: ReferenceModel) -> WindowTable:
+        return self._once(self._tables, model, window_table)
 
-    def _keypoints_of(self, name: str) -> ModelKeypoints:
+    def _keypoints_of(self, model: ReferenceModel) -> ModelKeypoints:
+        return self._once(
+            self._keypoints,
+            model,
+            lambda model: kept(ModelKeypoints, model.digest, partial(self._matching_keypoints, model)),
+        )
+
+    def _once(self, known: dict[str, _Of[Made]], model: ReferenceModel, make: Callable[..., Made]) -> Made:
+        """What is made of a model, kept as long as the object has this model."""
         with self._lock:
-            if name not in self._keypoints:
-                model = self._models[name]
-                make = partial(self._matching_keypoints, model)
-                self._keypoints[name] = kept(ModelKeypoints, model.digest, make)
-            return self._keypoints[name]
+            of = known.get(model.name)
+            if of is not None and of.model is model:
+                return of.made
+            made = make(model)
+            if self._models.get(model.name) is model:
+                known[model.name] = _Of(model, made)
+            return made
 
     def _matching_keypoints(self, model: ReferenceModel) -> ModelKeypoints:
         found = model.keypoints

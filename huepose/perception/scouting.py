@@ -122,8 +122,9 @@ def propose(
     """The poses of an object at its `count` best places in a view. windows: of the object's size.
 
     Views with the first effort, then with more; after the first of them in which a window looks like the
-    object, keypoints; the search ends when a place is sure. What no window looks like is not looked for by
-    keypoints. guessed: returns poses (K, 4, 4) from keypoints; efforts: those of the search by views."""
+    object, keypoints; the search ends when a place is sure. Without the last of EFFORTS, which looks at all
+    windows, what no window looked like is looked for by keypoints as well. guessed: returns poses (K, 4, 4)
+    from keypoints; efforts: those of the search by views."""
     by_views = by_keypoints = Found.nothing()
     if efforts:
         with stage("windows"):

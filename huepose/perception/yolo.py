@@ -145,8 +145,13 @@ def class_names(network: Network, count: int | None) -> tuple[str, ...]:
             names = ast.literal_eval(text)
         except (ValueError, SyntaxError):
             names = {}
-        if isinstance(names, dict) and names:
-            return tuple(str(names.get(i, i)) for i in range(max(names) + 1))
+        if isinstance(names, list | tuple):
+            names = dict(enumerate(names))
+        numbered = (
+            {int(k): v for k, v in names.items() if str(k).isdigit()} if isinstance(names, dict) else {}
+        )
+        if numbered:
+            return tuple(str(numbered.get(i, i)) for i in range(max(numbered) + 1))
     return COCO_CLASSES if count == len(COCO_CLASSES) else ()
 
 

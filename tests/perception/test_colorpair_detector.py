@@ -229,6 +229,27 @@ def test_on_several_threads_the_boxes_are_the_same(frame: RgbdFrame, tea_box: Re
     assert {d.object for d in found[0]} == set(models)
 
 
+def test_objects_may_come_and_go_while_it_looks(
+    frame: RgbdFrame, tea_box: ReferenceModel, soup_can: ReferenceModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It looks for the model that it was asked for, and afterwards for the one that took its place."""
+    detector = ColorPairDetector({"tea_box": tea_box})
+    expected = detector.detect(frame, ["tea_box"])
+    at_work = detector._pool.map
+
+    def meanwhile(work, parts):
+        detector.remove("tea_box")
+        detector.add(replace(soup_can, name="tea_box"))
+        return at_work(work, parts)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(detector._pool, "map", meanwhile)
+        found = detector.detect(frame, ["tea_box"])
+    assert [(d.box, d.score) for d in found] == [(d.box, d.score) for d in expected]
+    other = ColorPairDetector({"tea_box": replace(soup_can, name="tea_box")}).detect(frame, ["tea_box"])
+    assert [d.score for d in detector.detect(frame, ["tea_box"])] == [d.score for d in other]
+
+
 def test_a_pose_nearby_is_brought_onto_the_depth(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:

@@ -110,9 +110,16 @@ def test_boxes_in_shares_of_the_picture_are_refused(tmp_path, layout):
         detector.detect(_frame(), ["mug"])
 
 
-def test_classes_by_name_come_from_the_file(tmp_path):
-    names = {"names": "{0: 'box', 1: 'tin can', 2: 'mug'}"}
-    network = _network(tmp_path, OUTPUTS["v8"](), metadata=names)
+@pytest.mark.parametrize(
+    "names",
+    [
+        "{0: 'box', 1: 'tin can', 2: 'mug'}",
+        "{'0': 'box', '1': 'tin can', '2': 'mug'}",
+        "['box', 'tin can', 'mug']",
+    ],
+)
+def test_classes_by_name_come_from_the_file(tmp_path, names):
+    network = _network(tmp_path, OUTPUTS["v8"](), metadata={"names": names})
     detector = YoloDetector(network, {"soup": ["tin can"]})
     assert [d.score for d in detector.detect(_frame(), ["soup"])] == pytest.approx([0.7])
     with pytest.raises(InputError, match=r"class 'cup' of mug: found 3 classes \(box, tin can, mug\)"):

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import atexit
 import json
-import queue
 import re
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -45,6 +45,8 @@ _OPEN_WITHIN_MS = 2_000
 """For a new link of one that only reads. Where the other side is mute, as one that hangs or has no TLS, who
 ends a session waits for as long; zenoh's own are ten seconds."""
 _ROOM = 65_536  # samples that may wait for a busy program before the bus does
+_WAITING = 16_384
+"""Messages that a Reader keeps for a busy program: of five objects at 30 Hz two minutes, some 20 MB."""
 _KINDS: dict[str, type[Message]] = {
     "pose": PoseMessage,
     "health": HealthMessage,
@@ -200,7 +202,8 @@ class Reader(Client):
     there. The files are those of `open_session`.
 
     `seen`: a worker was there since the start; `live`: keys of the workers that are there now; `gone_since`:
-    when the last of them went (time.monotonic), None while one is there: a gateway shows none of this."""
+    when the last of them went (time.monotonic), None while one is there: a gateway shows none of this.
+    `missed`: messages that were dropped, the oldest first, because `next` was not called for too long."""
 
     def __init__(
         self,
@@ -213,8 +216,9 @@ class Reader(Client):
         self.seen = False
         self.live: set[str] = set()
         self.gone_since: float | None = None
-        # Unbounded, so that a slow printer never blocks the bus: messages are small.
-        self._messages: queue.SimpleQueue[tuple[str, bytes]] = queue.SimpleQueue()
+        self.missed = 0
+        self._messages: deque[tuple[str, bytes]] = deque(maxlen=_WAITING)
+        self._came = threading.Condition()
         self._keys, self._heard = keys, set[str]()
         super().__init__(endpoints, authority, certificate, key)
         tokens = self._session.liveliness().declare_subscriber
@@ -233,7 +237,10 @@ class Reader(Client):
     def _on_sample(self, sample: zenoh.Sample) -> None:
         if sample.attachment is None:  # messages with pixels have their header there
             self._heard.add(str(sample.key_expr))
-            self._messages.put((str(sample.key_expr), sample.payload.to_bytes()))
+            with self._came:
+                self.missed += len(self._messages) == _WAITING
+                self._messages.append((str(sample.key_expr), sample.payload.to_bytes()))
+                self._came.notify()
 
     def ask(self) -> None:
         """Ask a gateway for the latest message of every key that does not speak by itself meanwhile."""
@@ -248,14 +255,14 @@ class Reader(Client):
     @property
     def pending(self) -> int:
         """How many messages wait to be read."""
-        return self._messages.qsize()
+        return len(self._messages)
 
     def next(self, timeout_s: float | None = None) -> Message | None:
         """The next message that can be read, or None after the timeout; None waits for ever."""
         while True:
-            try:
-                key, data = self._messages.get(timeout_s != 0.0, timeout_s)
-            except queue.Empty:
-                return None
+            with self._came:
+                if not self._came.wait_for(lambda: self._messages, timeout_s):
+                    return None
+                key, data = self._messages.popleft()
             if (message := self._decoded(key, data)) is not None:
                 return message

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -16,13 +17,19 @@ from huepose_protos.codec import encode, to_json
 from huepose_protos.examples import messages
 
 
+def json_schema(kind: type) -> dict[str, Any]:
+    """The JSON Schema of a message. Its regular expressions are those of ECMA 262: there `$` is what `\\Z` is
+    to Python."""
+    text = json.dumps(msgspec.json.schema(kind)).replace(r"\\Z", "$")
+    return dict(json.loads(text))
+
+
 def files() -> dict[str, bytes]:
     """The content of every file by its path under the folder."""
     out: dict[str, bytes] = {}
     for message in messages():
         name = type(message).__name__
-        schema = json.dumps(msgspec.json.schema(type(message)), indent=2)
-        out[f"schemas/{name}.json"] = schema.encode() + b"\n"
+        out[f"schemas/{name}.json"] = json.dumps(json_schema(type(message)), indent=2).encode() + b"\n"
         out[f"huepose_protos/golden/{name}.bin"] = encode(message)
         out[f"huepose_protos/golden/{name}.json"] = to_json(message).encode() + b"\n"
     return out

@@ -17,10 +17,10 @@ from msgspec import Meta
 MAJOR, MINOR = 1, 0
 VERSION = f"{MAJOR}.{MINOR}"
 
-_NAME = r"^[a-z0-9_-]{1,64}$"
+_NAME = r"^[a-z0-9_-]{1,64}\Z"  # `$` of Python is also before a newline at the end
 _UNIT_TOLERANCE = 1e-3
 
-Version = Annotated[str, Meta(pattern=r"^\d{1,4}\.\d{1,4}$", description="major.minor of the wire contract")]
+Version = Annotated[str, Meta(pattern=r"^\d{1,4}\.\d{1,4}\Z", description="major.minor of the wire contract")]
 Name = Annotated[str, Meta(pattern=_NAME, description="[a-z0-9_-]{1,64}")]
 Text = Annotated[str, Meta(max_length=2000)]
 Stamp = Annotated[int, Meta(ge=0, le=2**63 - 1, description="nanoseconds, CLOCK_MONOTONIC of clock_id")]
@@ -50,7 +50,7 @@ VerdictName = Literal["agree", "correct", "acquire", "reject"]
 
 def is_name(text: str) -> bool:
     """Whether a site, camera, object or worker may be called so."""
-    return re.match(_NAME, text) is not None
+    return re.fullmatch(_NAME, text) is not None
 
 
 def check_finite(**groups: float | Iterable[float] | None) -> None:

@@ -123,6 +123,15 @@ def camera_of(key: str) -> str:
     return key.split("/")[2]
 
 
+def site_and_camera_of(key: str) -> str:
+    """Which camera of which site a key is about.
+
+    >>> site_and_camera_of("huepose/lab/cam0/remote/pose/mustard/1")
+    'lab/cam0'
+    """
+    return "/".join(key.split("/")[1:3])
+
+
 def last(key: str) -> str:
     """The last chunk of a key: the worker of a health or live key, the instance of a pose."""
     return key.rsplit("/", 1)[-1]

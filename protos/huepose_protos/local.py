@@ -16,6 +16,9 @@ from pathlib import Path
 FOLDER = "HUEPOSE_RUN"
 BASE_PORT = 17447
 """The first port where `bus.base_port` says nothing else."""
+_START_TIME = 19
+"""Of the fields after a process's name in /proc/PID/stat: `starttime` (proc(5), number 22), in clock ticks
+since the boot."""
 
 
 def run_folder() -> Path:
@@ -45,12 +48,25 @@ def pose_endpoints(base_port: int = BASE_PORT, folder: Path | str | None = None)
     return [endpoint(base_port + 1, folder), endpoint(base_port, folder)]
 
 
+def born_of(number: int) -> str:
+    """Which of all processes that ever have this number has it now: `BOOT/TICKS`, when it was started. Empty
+    where none has it, or nobody says."""
+    try:
+        said = Path(f"/proc/{number}/stat").read_text(errors="replace")
+    except OSError:
+        return ""
+    return f"{boot_id()}/{said.rpartition(')')[2].split()[_START_TIME]}"
+
+
 def writer_runs(note: Path) -> bool:
     """Whether the process that noted which pipeline it runs is there: the note's name begins with its
-    number."""
+    number. `born` in it says which process of that number; where it is missing, any counts."""
     number = note.stem.partition("-")[0]
     if not number.isdigit():
         return False
+    with suppress(OSError, ValueError, AttributeError):
+        if born := json.loads(note.read_bytes()).get("born"):
+            return bool(born == born_of(int(number)))
     try:
         os.kill(int(number), 0)
     except ProcessLookupError:

@@ -318,7 +318,15 @@ class HealthMessage(Message, frozen=True, kw_only=True):
     picture: Text = ""
 
     def __post_init__(self) -> None:
-        check_finite(work_ms=self.work_ms, age_ms=self.age_ms)
+        check_finite(
+            uptime_s=self.uptime_s,
+            rate_hz=self.rate_hz,
+            cpu_percent=self.cpu_percent,
+            memory_mib=self.memory_mib,
+            locked_mib=self.locked_mib,
+            work_ms=self.work_ms,
+            age_ms=self.age_ms,
+        )
 
 
 class TruthMessage(Message, frozen=True, kw_only=True):

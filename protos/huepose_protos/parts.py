@@ -76,7 +76,7 @@ def check_masks(masks: Iterable[MaskRuns | None], most_pixels: int) -> None:
 class BufferSpec(Struct, frozen=True, kw_only=True):
     """One array of the payload, row by row, little-endian, at a byte offset."""
 
-    name: Annotated[str, Meta(pattern=r"^[a-z_]{1,32}$")]
+    name: Annotated[str, Meta(pattern=r"^[a-z_]{1,32}\Z")]
     dtype: Literal["uint8", "uint16", "int32", "float32"]
     shape: Annotated[list[Annotated[int, Meta(ge=0, le=2**24)]], Meta(min_length=1, max_length=4)]
     offset: Count

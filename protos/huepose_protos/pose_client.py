@@ -15,13 +15,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import zenoh
 
 from huepose_protos.client import Client
-from huepose_protos.keys import Keys
+from huepose_protos.keys import Keys, site_and_camera_of
 from huepose_protos.local import boot_id
 from huepose_protos.messages import CameraMessage, Message, Mount, ObjectsMessage, PoseMessage
 from huepose_protos.motion import PoseAt, carried, mount_at, pose_at
@@ -36,7 +36,17 @@ _SETTLES_S = 1.0
 """A new client has its link, and the latest poses, after a fraction of this."""
 
 Instance = tuple[str, str, int]
-"""The camera's frame, the object, the instance."""
+"""SITE/CAMERA, the object, the instance."""
+
+
+@dataclass
+class _Place:
+    """Where a camera is while it is open: fixed, or, as it was told, at stamps of its clock. heard: when it
+    last said so, time.monotonic()."""
+
+    fixed: Mount | None = None
+    told: deque[tuple[int, Mount]] = field(default_factory=lambda: deque(maxlen=_TOLD))
+    heard: float = 0.0
 
 
 class PoseClient(Client):
@@ -47,7 +57,8 @@ class PoseClient(Client):
     asks for the latest poses. Where none come, `why_silent()` says what is in the way. Left open,
     it is closed at the program's end.
     camera: the only one whose poses are read, else all, each for itself: `pose.frame` says which camera's a
-    pose is. object: the only one that is of interest, else all. Can be used from several threads.
+    pose is; where two sites have a camera of one name, make a client for each site. object: the only one that
+    is of interest, else all. Can be used from several threads.
     Raises ValueError for endpoints or files that cannot be used, FileNotFoundError for a missing file.
 
     `missed`: poses that were dropped because the iterator was not read for too long (`latest` and `at` always
@@ -70,8 +81,7 @@ class PoseClient(Client):
         self._history: dict[Instance, deque[PoseMessage]] = {}
         self._arrived: dict[Instance, float] = {}
         self._camera_said: CameraMessage | None = None
-        self._fixed: dict[str, Mount | None] = {}
-        self._moving: dict[str, deque[tuple[int, Mount]]] = {}
+        self._places: dict[int, _Place] = {}  # by camera epoch: names and stamps may come again
         self._made = time.monotonic()
         self._closed = threading.Event()
         self._asker = threading.Thread(target=self._ask_whoever_is_new, daemon=True)
@@ -108,7 +118,7 @@ class PoseClient(Client):
     def _on_sample(self, sample: zenoh.Sample) -> None:
         message = self._read(sample)
         if isinstance(message, PoseMessage):
-            self._add(message)
+            self._add(site_and_camera_of(str(sample.key_expr)), message)
         elif isinstance(message, CameraMessage):
             self._add_camera(message)
 
@@ -116,21 +126,24 @@ class PoseClient(Client):
         with self._changed:
             self._camera_said = camera
             self._changed.notify_all()
+            if camera.camera_epoch not in self._places:
+                self._forget_old()
+            place = self._places.setdefault(camera.camera_epoch, _Place())
+            place.heard = time.monotonic()
             if camera.mount is None or camera.mount_ns is None:
-                self._fixed[camera.frame] = camera.mount
-                return
-            told = self._moving.setdefault(camera.frame, deque(maxlen=_TOLD))
-            if not told or camera.mount_ns > told[-1][0]:
-                told.append((camera.mount_ns, camera.mount))
+                place.fixed = camera.mount
+            elif not place.told or camera.mount_ns > place.told[-1][0]:
+                place.told.append((camera.mount_ns, camera.mount))
 
-    def _mount(self, frame: str, stamp_ns: int) -> Mount | None:
-        """Where a camera is at a time of its own clock."""
+    def _mount(self, camera_epoch: int, stamp_ns: int) -> tuple[Mount | None, bool]:
+        """Where a camera is at a time of its own clock, and whether it is fixed there."""
         with self._changed:
-            fixed, told = self._fixed.get(frame), list(self._moving.get(frame, ()))
-        return fixed or mount_at(told, stamp_ns)
+            place = self._places.get(camera_epoch, _Place())
+            fixed, told = place.fixed, list(place.told)
+        return fixed or mount_at(told, stamp_ns), fixed is not None
 
-    def _add(self, pose: PoseMessage) -> None:
-        instance = (pose.frame, pose.object, pose.instance)
+    def _add(self, camera: str, pose: PoseMessage) -> None:
+        instance = (camera, pose.object, pose.instance)
         with self._changed:
             if instance not in self._history:
                 self._forget_old()
@@ -150,10 +163,12 @@ class PoseClient(Client):
             self._changed.notify_all()
 
     def _forget_old(self) -> None:
-        """Instances come and go; those that are long gone are not kept for ever."""
-        now = time.monotonic()
-        for old in [i for i, arrived in self._arrived.items() if now - arrived > _FORGET_S]:
+        """Instances and cameras come and go; those that are long gone are not kept for ever."""
+        long_ago = time.monotonic() - _FORGET_S
+        for old in [instance for instance, arrived in self._arrived.items() if arrived < long_ago]:
             del self._arrived[old], self._history[old]
+        for closed in [epoch for epoch, place in self._places.items() if place.heard < long_ago]:
+            del self._places[closed]
 
     def why_silent(self) -> str:
         """Why no pose comes, in a sentence, as far as this can be found out here; may take seconds. Of a
@@ -209,14 +224,12 @@ class PoseClient(Client):
 
     def mount(self, pose: PoseMessage) -> Mount | None:
         """Where the camera was when it took the picture of a pose; None where that was not told."""
-        return self._mount(pose.frame, pose.capture_ns)
+        return self._mount(pose.camera_epoch, pose.capture_ns)[0]
 
     def on_robot(self, pose: PoseMessage) -> PoseMessage | None:
         """The same message in the frame that its camera is mounted in (`motion.carried`); None where that was
         not told."""
-        mount = self.mount(pose)
-        with self._changed:
-            still = self._fixed.get(pose.frame) is not None
+        mount, still = self._mount(pose.camera_epoch, pose.capture_ns)
         return None if mount is None else carried(pose, mount, still)
 
     def __iter__(self) -> Iterator[PoseMessage]:
@@ -260,8 +273,8 @@ class PoseClient(Client):
             return None
         unix_ns = time.time_ns() if unix_ns is None else unix_ns
         stamp_ns = unix_ns - _offset_ns(poses[-1])
-        found = pose_at(poses, stamp_ns)
-        return None if found is None else replace(found, mount=self._mount(poses[-1].frame, stamp_ns))
+        found, (mount, _) = pose_at(poses, stamp_ns), self._mount(poses[-1].camera_epoch, stamp_ns)
+        return None if found is None else replace(found, mount=mount)
 
     def _which(self, object: str | None, instance: int | None) -> Instance | None:
         known = [key for key in self._history if object in (None, key[1]) and instance in (None, key[2])]

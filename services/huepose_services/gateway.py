@@ -2,7 +2,8 @@
 
 What is published inside under `huepose/SITE/CAMERA/KEY` appears outside under `.../remote/KEY`, at most so
 often a second; a change of an object's state is never held back. Whoever comes late asks (a zenoh `get`) and
-has the latest value of each key at once. The two sides are two sessions; only checked messages go across.
+has the latest value of each key at once, a TRACKING pose that nobody says any more as SUSPECT. The two sides
+are two sessions; only checked messages go across.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 
+import msgspec
 import zenoh
 
 from huepose_protos import encode
@@ -83,6 +85,7 @@ class Holdback:
 
 # A pose that was not said again for so long is that of a track that is gone.
 _FORGET_NS = 10 * SECOND
+_SILENT = "Nothing was said of it for a while: the tracker has ended, or hangs."
 
 
 def make(bus: Bus, config: Config) -> GatewayWork:
@@ -91,7 +94,7 @@ def make(bus: Bus, config: Config) -> GatewayWork:
     bus.health.warn_while("open", warning)
     if warning is not None:
         bus.log.warn(warning)
-    return GatewayWork(bus, outside, door, config.gateway.max_rate_hz)
+    return GatewayWork(bus, outside, door, config)
 
 
 @dataclass(frozen=True)
@@ -99,21 +102,35 @@ class _Said:
     """The latest value of a key outside."""
 
     payload: bytes
-    state: str | None
+    pose: PoseMessage | None
     at_ns: int
+
+    @property
+    def state(self) -> str | None:
+        """Of a pose."""
+        return None if self.pose is None else self.pose.state
+
+
+def answer_of(said: _Said, now_ns: int, max_age_ns: int) -> bytes:
+    """What is true of it now: a tracker that runs says a TRACKING pose again before that age, or that it
+    doubts it."""
+    if said.pose is None or said.state != "TRACKING" or now_ns - said.at_ns <= max_age_ns:
+        return said.payload
+    return encode(msgspec.structs.replace(said.pose, state="SUSPECT", publish_ns=now_ns, reason=_SILENT))
 
 
 class GatewayWork(Work):
     """Passes on what arrives, and answers who asks."""
 
-    def __init__(self, bus: Bus, outside: zenoh.Session, door: Door, max_rate_hz: float) -> None:
+    def __init__(self, bus: Bus, outside: zenoh.Session, door: Door, config: Config) -> None:
         self._bus, self._outside, self._door = bus, outside, door
         keys, inbox = bus.keys, bus.inbox
         self._poses = inbox.queue(keys.poses)
         self._objects = inbox.queue(keys.objects, wakes=False)
         self._camera = inbox.queue(keys.camera_info, wakes=False)
         self._health = inbox.queue(keys.health(), wakes=False)
-        self._limit = Holdback(max_rate_hz)
+        self._limit = Holdback(config.gateway.max_rate_hz)
+        self._max_age_ns = int(config.tracker.max_age_ms * 1e6)
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._latest: dict[str, _Said] = {}
         self._lock = threading.Lock()
@@ -125,6 +142,7 @@ class GatewayWork(Work):
     def reload(self, config: Config) -> list[str]:
         """How often a key is said, and who may read how much."""
         self._limit.at_rate(config.gateway.max_rate_hz)
+        self._max_age_ns = int(config.tracker.max_age_ms * 1e6)
         self._door.reload(config.gateway)
         return []
 
@@ -138,7 +156,7 @@ class GatewayWork(Work):
         keys = self._bus.keys
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
             started = now_ns()
-            self._tell(keys.pose(pose.object, pose.instance), pose, pose.state)
+            self._tell(keys.pose(pose.object, pose.instance), pose)
             self._bus.health.worked_on(started, pose)
         while (objects := self._bus.take(self._objects, ObjectsMessage)) is not None:
             self._tell(keys.objects, objects)
@@ -154,12 +172,13 @@ class GatewayWork(Work):
             self._forget_old(now)
             self._count()
 
-    def _tell(self, inside: str, message: Message, state: str | None = None) -> None:
+    def _tell(self, inside: str, message: Message) -> None:
         key, payload, now = self._bus.keys.outside(inside), encode(message), now_ns()
+        said = _Said(payload, message if isinstance(message, PoseMessage) else None, now)
         with self._lock:
             before = self._latest.get(key)
-            self._latest[key] = _Said(payload, state, now)
-        new = before is None or before.state != state
+            self._latest[key] = said
+        new = before is None or before.state != said.state
         if self._limit.offer(key, payload, now, urgent=new) is not None:
             self._put(key, payload)
 
@@ -205,9 +224,9 @@ class GatewayWork(Work):
         with self._lock:
             self._asked += 1
             said = [
-                (key, value.payload)
+                (key, value)
                 for key, value in self._latest.items()
                 if query.key_expr.intersects(zenoh.KeyExpr(key))
             ]
-        for key, payload in said:
-            query.reply(key, payload)
+        for key, value in said:
+            query.reply(key, answer_of(value, now_ns(), self._max_age_ns))

@@ -28,6 +28,7 @@ from huepose_services.runtime.config import GatewayConfig
 from huepose_services.runtime.config_perception import TLS_FILES
 
 HANDSHAKE_S = 3.0
+"""So long a connection may take until it has shown whose it is, and then until it has opened its session."""
 PENDING, PENDING_OF_ONE = 32, 8
 """Of those who have not shown yet who they are: altogether, and from one address."""
 RATE_BYTES_S, BURST_BYTES = 16 * 1024, 64 * 1024

@@ -13,7 +13,7 @@ import zenoh
 
 from huepose.support.errors import InputError
 from huepose_protos.client import peer
-from huepose_services.gateway_door import RATE_BYTES_S, Door
+from huepose_services.gateway_door import HANDSHAKE_S, RATE_BYTES_S, Door
 from huepose_services.runtime.config import GatewayConfig
 from huepose_services.runtime.run_folder import make_folder
 
@@ -68,7 +68,9 @@ def outside_settings(gateway: GatewayConfig) -> dict[str, object]:
     return {
         "transport/link/rx/max_message_size": _MAX_MESSAGE,
         "transport/unicast/max_sessions": gateway.max_sessions,
-        "transport/unicast/accept_pending": 8,
+        # The door counts sessions: one that says nothing is its reader's as well, and is closed after this.
+        "transport/unicast/accept_pending": gateway.max_sessions,
+        "transport/unicast/accept_timeout": int(1000.0 * HANDSHAKE_S),
         "access_control": allowed(
             ("ask", "ingress", READABLE, "declare_subscriber", "query"),
             ("hear", "egress", READABLE, "put", "delete", "reply", "declare_queryable"),

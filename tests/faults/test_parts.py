@@ -58,9 +58,10 @@ def test_23_a_subscriber_whose_clock_is_wrong_gets_no_old_pose_for_a_new_one(ske
         for back in (3, 2, 1):
             stamp = now - back * SECOND // 100
             client._add(
+                "lab/cam0",
                 msgspec.structs.replace(
                     POSE, clock_id="another", realtime_offset_ns=offset_ns, capture_ns=stamp, publish_ns=stamp
-                )
+                ),
             )
         assert client.latest(max_age_s=5.0) is not None
         assert client.silent_s() < 5.0

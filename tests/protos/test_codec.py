@@ -90,6 +90,7 @@ def test_perception_of_many_of_many_kinds_fits_its_messages():
         ({"quality": 1.5}, "$.quality"),
         ({"quality": math.nan}, "quality"),
         ({"object": "Mustard Bottle"}, "$.object"),
+        ({"object": "mustard\n"}, "$.object"),
         ({"frame_id": -1}, "$.frame_id"),
         ({"capture_ns": 2**63}, "$.capture_ns"),
         ({"version": "2.0"}, "foreign version 2.0"),
@@ -103,11 +104,12 @@ def test_a_bad_pose_is_refused_with_its_reason(changes, reason):
     assert reason in error.value.reason
 
 
-def test_nan_is_refused_everywhere():
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_a_number_that_is_not_finite_is_refused_everywhere(number):
     def poisoned(value):
-        """Every way to replace one float inside by NaN."""
+        """Every way to replace one float inside by that number."""
         if isinstance(value, float):
-            yield math.nan
+            yield number
         elif isinstance(value, dict):
             for key, inner in value.items():
                 for bad in poisoned(inner):
@@ -145,7 +147,7 @@ def test_a_message_over_its_cap_is_refused_both_ways():
         encode(msgspec.structs.replace(EXAMPLES[FrameHeader], buffers=[], frame="x" * 70_000))
 
 
-@pytest.mark.parametrize("site", ["", "a/b", "**", "Lab", "x" * 65])
+@pytest.mark.parametrize("site", ["", "a/b", "**", "Lab", "lab\n", "x" * 65])
 def test_a_key_is_made_of_names(site):
     with pytest.raises(WireError):
         Keys(site, "cam0")

@@ -8,6 +8,9 @@ import msgspec
 import pytest
 
 from huepose.support.errors import InputError
+from huepose_protos import decode, encode
+from huepose_protos.examples import example
+from huepose_protos.messages import FrameHeader
 from huepose_services.cli.main import main
 from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all, parse
 
@@ -31,6 +34,7 @@ GOOD = "camera: {truth: true}\n"
         ("workers: [camera, traker]", ["workers[1]", "Did you mean 'tracker'?"]),
         ("objects: [{}]", ["objects[0].name", "found nothing"]),
         ("objects: [{name: A B}]", ["objects[0].name", "'A B'", "1 to 64 of a-z, 0-9, _ and -"]),
+        (f"camera: {{name: {51 * 'c'}}}", ["camera.name", "at most 50 characters", "_color_optical"]),
         ("objects: [{name: a}, {name: a}]", ["objects", "every name once"]),
         ("workers: [cam]", ["workers[0]", "'cam'", "camera, tracker"]),
         (
@@ -326,3 +330,9 @@ def test_a_worker_that_does_not_run_here_is_not_asked_about(tmp_path):
     path = tmp_path / "pipeline.yaml"
     path.write_text("workers: [camera]\ncpus: {tracker: [1022]}\ngateway: {listen: '192.0.2.1:7447'}\n")
     assert main(["validate", str(path)]) == 0
+
+
+def test_the_longest_name_of_a_camera_is_one_whose_frames_are_taken():
+    camera = parse(f"camera: {{name: {50 * 'c'}}}", Path("p.yaml")).camera
+    header = msgspec.structs.replace(example(FrameHeader), frame=camera.frame)
+    assert decode(encode(header), FrameHeader).frame == camera.frame

@@ -6,6 +6,7 @@ import os
 import re
 import signal
 
+import msgspec
 import pytest
 
 from huepose.support.errors import InputError
@@ -37,12 +38,26 @@ def test_a_pipeline_is_found_while_it_runs():
     assert running() == []
 
 
+def test_a_pipeline_in_a_folder_that_is_no_utf8_is_found():
+    with noted(msgspec.structs.replace(HERE, file="/caf\udce9/lab.yaml")):
+        assert running() == [msgspec.structs.replace(HERE, file=r"/caf\udce9/lab.yaml")]
+
+
 def test_the_note_of_a_dead_process_is_removed(runtime_folder):
     with noted(HERE):
         dead = runtime_folder / f"{2**22 + 1}.json"
         dead.write_text('{"base_port": 18000}')
         assert running() == [HERE]
         assert not dead.exists()
+
+
+def test_the_note_of_a_killed_process_is_removed_though_another_one_has_its_number(runtime_folder):
+    with noted(HERE):
+        own = json.loads(next(runtime_folder.glob("*.json")).read_text())
+        later = runtime_folder / f"{os.getppid()}-18000.json"
+        later.write_text(json.dumps(own | {"base_port": 18000, "born": "another boot/1"}))
+        assert running() == [HERE]
+        assert not later.exists()
 
 
 def test_a_folder_that_others_may_write_is_not_believed(runtime_folder):

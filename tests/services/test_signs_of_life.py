@@ -1,16 +1,22 @@
 """What a worker says of itself to those who started it: the pulse, systemd's datagrams, the log."""
 
+import errno
+import io
 import json
 import os
 import socket
+import sys
+import threading
 import time
+import weakref
 
 import numba
 import pytest
 from numba.core import event
 
+from huepose_protos import decode, encode
 from huepose_protos.examples import example
-from huepose_protos.messages import FrameHeader
+from huepose_protos.messages import FrameHeader, HealthMessage
 from huepose_services.cli.status import as_text
 from huepose_services.runtime.clock import SECOND
 from huepose_services.runtime.compiling import LateCompiling
@@ -184,3 +190,67 @@ def test_health_and_status_say_how_often_a_worker_was_started_again(monkeypatch)
     head, row = as_text(view).splitlines()[1:3]
     assert head.split()[-1] == "restarts"
     assert row.split()[-1] == "3"
+
+
+def test_text_that_is_no_utf8_is_said_all_the_same(manager):
+    """As the name of a file of another time, in an error."""
+    health, text = Health("camera"), "no such file: caf\udce9.png"
+    health.failed(text)
+    health.warn_while("file", text)
+    health.picture = text
+    message = decode(encode(health.message()), HealthMessage)
+    written = r"no such file: caf\udce9.png"
+    assert (message.last_error, message.warnings, message.picture) == (written, [written], written)
+    assert notify(f"STATUS={text}")
+    assert manager.recv(100) == f"STATUS={written}".encode()
+
+
+class FullDisk(io.StringIO):
+    def write(self, text):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_a_log_that_cannot_be_written_ends_nothing():
+    log = Log("tracker", FullDisk())
+    log.error("it broke")
+    for _ in range(2):
+        log.seldom("kind", "again", every_s=0.01)
+    time.sleep(0.02)
+    log.flush()
+
+
+class Line(str):
+    """One whose memory is watched."""
+
+    __slots__ = ("__weakref__",)
+
+
+def test_lines_that_are_each_another_one_are_forgotten():
+    log, kept = Log("tracker", io.StringIO()), []
+    for k in range(1000):
+        line = Line(f"line {k}")
+        kept.append(weakref.ref(line))
+        log.seldom(line, "text")
+    assert sum(line() is not None for line in kept) <= 257
+
+
+def test_threads_may_log_while_another_writes_what_was_held_back():
+    log, stop = Log("gateway", io.StringIO()), threading.Event()
+
+    def say():
+        k = 0
+        while not stop.is_set():
+            k += 1
+            log.seldom(f"line {k}", "text")
+
+    other, interval_s = threading.Thread(target=say), sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    other.start()
+    try:
+        until = time.monotonic() + 0.5
+        while time.monotonic() < until:
+            log.flush()
+    finally:
+        sys.setswitchinterval(interval_s)
+        stop.set()
+        other.join()

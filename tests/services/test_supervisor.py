@@ -1,8 +1,14 @@
 """When a worker is taken for hung or late. That it is then ended and started again: test_processes."""
 
+import errno
+import io
+import os
+import subprocess
+import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -96,3 +102,104 @@ def test_a_time_in_which_others_had_the_processor_does_not_count(supervisor):
     child._starved = Waited(60.0)
     child.forgive_starving()
     assert child.heard <= time.monotonic(), "no patience is saved up"
+
+
+def test_the_log_of_a_worker_is_read_on_where_it_cannot_be_written(supervisor):
+    """Who reads a pipe no more stops the one who writes into it."""
+
+    class FullDisk(io.StringIO):
+        def write(self, text):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    lines = iter(
+        [b"12:00:00.000 info  camera    ready\n", b"of a library\n", b"12:00:01.000 info  the last\n"]
+    )
+    child = object.__new__(Child)
+    child._says, child._out = "camera", FullDisk()
+    child.process = SimpleNamespace(stdout=lines)
+    child._copy_log()
+    assert next(lines, None) is None
+
+
+@pytest.fixture
+def alone():
+    """A supervisor of one worker, and its log."""
+    out = io.StringIO()
+    config = Config(workers=("tracker",), restarts=LIMITS)
+    return Supervisor(config, Path("pipeline.yaml"), out), out
+
+
+def test_a_worker_that_cannot_be_started_now_is_started_later(alone, monkeypatch):
+    supervisor, out = alone
+
+    def no_room(*_, **__):
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+    monkeypatch.setattr(subprocess, "Popen", no_room)
+    before = os.listdir("/proc/self/fd")
+    supervisor.start()
+    assert os.listdir("/proc/self/fd") == before
+    said = f"tracker could not be started ([Errno {errno.ENOMEM}] Cannot allocate memory): starting it again"
+    assert f"{said} in 0.25 s" in out.getvalue()
+    time.sleep(0.26)
+    supervisor.poll(0.0)
+    assert f"{said} in 0.5 s" in out.getvalue()
+    assert supervisor.exit_code is None
+
+
+def test_a_worker_whose_log_nobody_can_read_is_not_left_to_run(alone, monkeypatch):
+    supervisor, out = alone
+    started, popen = [], subprocess.Popen
+
+    def sleeper(_, **settings):
+        started.append(popen(["sleep", "60"], **settings))
+        return started[-1]
+
+    def no_room(_):
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.setattr(subprocess, "Popen", sleeper)
+    monkeypatch.setattr(threading.Thread, "start", no_room)
+    supervisor.start()
+    assert started[0].returncode is not None
+    assert "tracker could not be started (can't start new thread)" in out.getvalue()
+    started[0].stdout.close()
+
+
+class Held:
+    """A process that the kernel does not end when it is killed, until `code` is set."""
+
+    pid, code, kills = 2**22 + 1, None, 0
+
+    def poll(self):
+        return self.code
+
+    def wait(self, timeout=None):
+        assert timeout is not None, "it would be waited for without an end"
+        raise subprocess.TimeoutExpired("worker", timeout)
+
+    def send_signal(self, number):
+        pass
+
+    def kill(self):
+        self.kills += 1
+
+
+def test_a_killed_worker_that_does_not_end_is_started_again_when_it_has(alone):
+    supervisor, out = alone
+    child = object.__new__(Child)
+    child.worker, child.process, child.pipe, child._starved = "tracker", Held(), None, None
+    child.ready, child.runs, child.compiling, child.killed = True, True, False, False
+    child.started = child.heard = time.monotonic() - 9.0
+    child._reader = threading.Thread()
+    child._reader.start()
+    supervisor._children["tracker"] = child
+    for _ in range(3):
+        supervisor.poll(0.0)
+    assert child.process.kills == out.getvalue().count("does not end: the kernel holds it") == 1
+    assert supervisor.not_ready == {"tracker"}
+    assert supervisor._records["tracker"].restart_at is None
+    child.process.code = -9
+    supervisor.poll(0.0)
+    assert supervisor._records["tracker"].restart_at is not None
+    assert "tracker was killed: starting it again in 0.25 s" in out.getvalue()

@@ -60,7 +60,7 @@ class Condition:
         self._camera: Camera | None = None
         self._last: Shot | None = None
         self._moved = False
-        self._change: tuple[int, str] | None = None
+        self._changes: dict[str, tuple[int, str]] = {}
 
     def look(self, shot: Shot, now_ns: int, clock_is_host: bool = False) -> bool:
         """Take in a picture of the open camera; whether it may be used: colour and depth are of one time.
@@ -84,7 +84,7 @@ class Condition:
                 self._since[kind] = (self._since.get(kind, (now_ns, ""))[0], text)
         before, self._camera, self._last = self._camera, shot.camera, shot
         if before is not None and before != shot.camera:
-            self._change = (now_ns, _changed(before, shot.camera))
+            self._changes["change"] = (now_ns, _changed(before, shot.camera))
         return apart is None
 
     def count(self, pictures: int, now_ns: int) -> None:
@@ -112,8 +112,17 @@ class Condition:
         """What was said was of another opening of the camera."""
         self._since.clear()
         self._counts.clear()
-        self._camera = self._last = self._change = None
+        self._changes.clear()
+        self._camera = self._last = None
         self._moved = False
+
+    def went_back(self, by_ns: int, now_ns: int) -> None:
+        """The stamp of its newest picture is so much older than that of one before."""
+        self._changes["back"] = (
+            now_ns,
+            f"its time stamps went back by {rounded(by_ns / SECOND)} s while it was open: all objects are "
+            "searched for anew. A film that begins again needs stamps that go on",
+        )
 
     def complaints(self, now_ns: int) -> dict[str, str]:
         """What lasts, by kind."""
@@ -122,9 +131,8 @@ class Condition:
             for kind, (since, text) in self._since.items()
             if now_ns - since >= _LASTS_NS.get(kind, LASTS_NS)
         }
-        if self._change is not None and now_ns - self._change[0] < CHANGE_SAID_NS:
-            lasting["change"] = self._change[1]
-        return lasting
+        recent = {kind: text for kind, (at, text) in self._changes.items() if now_ns - at < CHANGE_SAID_NS}
+        return lasting | recent
 
     def _stands(self, shot: Shot) -> bool:
         """Whether it is the picture before, to the last bit, with a stamp of its own."""
@@ -206,6 +214,13 @@ def _no_depth(shot: Shot, farthest_m: float) -> str | None:
 
 def _changed(a: Camera, b: Camera) -> str:
     return (
-        f"its picture changed from {a.width} x {a.height}, fx {a.fx:.1f} to {b.width} x {b.height}, fx "
-        f"{b.fx:.1f} while it was open: all objects are searched for anew"
+        f"its picture changed from {_told(a, b)} to {_told(b, a)} while it was open: all objects are "
+        "searched for anew"
     )
+
+
+def _told(camera: Camera, other: Camera) -> str:
+    """Its size, and what of its matrix is not as in the other, with all digits: they may differ by little."""
+    values = {name: float(getattr(camera, name)) for name in ("fx", "fy", "cx", "cy")}
+    matrix = "".join(f", {name} {x!r}" for name, x in values.items() if x != getattr(other, name))
+    return f"{camera.width} x {camera.height}{matrix}"

@@ -2,9 +2,9 @@
 
 A picture goes out once, the newest first. While there is none, health says `waiting` and why: what was looked
 for, what was found, what to do; it also says what is wrong with pictures that do come. Each opening of the
-camera, and each change of its intrinsics, begins a new camera epoch, so nothing that was believed about the
-old pictures is applied to new ones. What is played once is opened when the other workers are there, and ends
-the pipeline.
+camera, each change of its intrinsics, and each return of its stamps to what is over, begins a new camera
+epoch, so nothing that was believed about the old pictures is applied to new ones. What is played once is
+opened when the other workers are there, and ends the pipeline.
 """
 
 from __future__ import annotations
@@ -18,18 +18,22 @@ from huepose_services.camera.condition import STOPPED, Condition
 from huepose_services.camera.device_clock import DeviceClock
 from huepose_services.camera.live import LiveSource
 from huepose_services.camera.publish import FramePublisher, packed
-from huepose_services.camera.reader import Reader, Taken
+from huepose_services.camera.reader import PATIENCE_PICTURES, Reader, Taken
 from huepose_services.convert import LARGEST_STEP
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
+from huepose_services.runtime.one_camera import SHORTEST_NS
 from huepose_services.runtime.pulse import notify
 from huepose_services.runtime.work import Work
 
 _LONGEST_STEP_S = 0.05
 _SAY_AGAIN_NS = 30 * SECOND
-_SILENT_S, _SILENT_PICTURES = 1.0, 3.0
-"""After so long, and after the time of so many pictures, it is said that none comes."""
+_SILENT_S = 1.0
+"""After so long, and after the time of some pictures, it is said that none comes."""
+_BACK_NS = SHORTEST_NS
+"""A stamp that is older than the newest by more begins a new epoch. Readers leave older frames out until
+the stamps have caught up; the change to another epoch takes them so long, too."""
 _NOTHING_IS_SEEN = ("depth", "dark", "grey")
 """The complaints about pictures in which no object can be told."""
 # A thread that the SDK does not give back cannot be ended: a new process can open the camera again.
@@ -46,18 +50,18 @@ class LiveIngest(Work):
         self._bus, self._config = bus, config
         self._publisher = FramePublisher(bus, config)
         self._audience = Audience(bus, config) if config.camera.once else None
-        self._reader = Reader(source, starts=self._audience is None)
+        settings = config.camera
+        self._reader = Reader(source, float(settings.rate), starts=self._audience is None)
         self._made_ns, self._ended_ns = now_ns(), 0
         self._name = source.name
         self._clock = DeviceClock()
-        settings = config.camera
         self._condition = Condition(
             float(settings.rate), LARGEST_STEP * settings.depth_scale_m, settings.check
         )
         self._complaints: dict[str, str] = {}
         self._opening = -1
         self._camera: Camera | None = None
-        self._epoch, self._frame_id = 0, 0
+        self._epoch, self._frame_id, self._newest_ns = 0, 0, 0
         self._told: str | None = None
         self._none_comes = False
         self._say_ns = 0
@@ -127,7 +131,7 @@ class LiveIngest(Work):
     def _silence(self) -> str | None:
         """That no picture has come for a while, before it is known what keeps them away."""
         silent_s, usual_s = self._reader.silent_s(), 1.0 / float(self._config.camera.rate)
-        if silent_s is None or silent_s < max(_SILENT_S, _SILENT_PICTURES * usual_s):
+        if silent_s is None or silent_s < max(_SILENT_S, PATIENCE_PICTURES * usual_s):
             return None
         return f"{self._name}: no picture for {silent_s:.0f} s"
 
@@ -140,7 +144,7 @@ class LiveIngest(Work):
     def _take(self, taken: Taken) -> None:
         """Look at a picture, and publish it where colour and depth belong together."""
         if taken.opening != self._opening:
-            self._condition.reopened()
+            self._begin_opening(taken.opening)
         if self._condition.look(taken.shot, now_ns(), taken.device_clock_is_host):
             self._publish(taken)
         else:
@@ -149,10 +153,10 @@ class LiveIngest(Work):
     def _complain(self, open_: bool) -> bool:
         """Warn of what is wrong with the pictures that come; whether that has changed."""
         health, now = self._bus.health, now_ns()
-        if open_ and self._frame_id:
-            self._condition.count(self._reader.pictures, now)
-        else:
+        if not open_:
             self._condition.reopened()
+        elif self._frame_id:
+            self._condition.count(self._reader.pictures, now)
         complaints = self._lasting(now)
         for kind in {*complaints, *self._complaints}:
             health.warn_while(kind, complaints.get(kind))
@@ -177,14 +181,13 @@ class LiveIngest(Work):
         return {kind: f"{self._name}: {text}" for kind, text in self._condition.complaints(now).items()}
 
     def _publish(self, taken: Taken) -> None:
-        shot = taken.shot
-        if taken.opening != self._opening or shot.camera != self._camera:
-            self._begin_epoch(taken.opening, shot.camera)
-        if taken.device_clock_is_host:
-            capture_ns = min(shot.device_ns, shot.arrived_ns)
-        else:
-            capture_ns = self._clock.capture_ns(shot.device_ns, shot.arrived_ns)
-            self._bus.health.counters["clock_restarts"] = self._clock.restarts
+        shot, capture_ns = taken.shot, self._captured_ns(taken)
+        back_ns = self._newest_ns - capture_ns
+        if back_ns > _BACK_NS:
+            self._condition.went_back(back_ns, now_ns())
+        if shot.camera != self._camera or back_ns > _BACK_NS:
+            self._begin_epoch(shot.camera)
+        self._newest_ns = max(self._newest_ns, capture_ns)
         frame, settings = RgbdFrame(shot.color, shot.depth, shot.camera), self._config.camera
         truths = shot.truths if settings.truth else None
         picture = packed(frame, settings.depth_scale_m, truths, self._name, shot.number)
@@ -199,14 +202,29 @@ class LiveIngest(Work):
         self._frame_id += 1
         self.ready = True
 
-    def _begin_epoch(self, opening: int, camera: Camera) -> None:
-        if opening != self._opening:
-            self._clock = DeviceClock()
-        self._opening, self._camera = opening, camera
-        self._epoch, self._frame_id = secrets.randbits(62), 0
-        self._bus.log.say(
-            f"{self._name}: {camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}"
-        )
+    def _captured_ns(self, taken: Taken) -> int:
+        """When a picture was captured, CLOCK_MONOTONIC; not after its arrival."""
+        shot = taken.shot
+        if taken.device_clock_is_host:
+            return min(shot.device_ns, shot.arrived_ns)
+        capture_ns = self._clock.capture_ns(shot.device_ns, shot.arrived_ns)
+        self._bus.health.counters["clock_restarts"] = self._clock.restarts
+        return capture_ns
+
+    def _begin_opening(self, opening: int) -> None:
+        """Its first picture came: what is known of the one before says nothing of it."""
+        self._opening, self._camera, self._newest_ns = opening, None, 0
+        self._clock = DeviceClock()
+        self._condition.reopened()
+
+    def _begin_epoch(self, camera: Camera) -> None:
+        """The log has it for each opening; what changes while it is open is a complaint."""
+        if self._camera is None:
+            self._bus.log.say(
+                f"{self._name}: {camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}"
+            )
+        self._camera = camera
+        self._epoch, self._frame_id, self._newest_ns = secrets.randbits(62), 0, 0
 
 
 def _nothing_is_seen(complaints: dict[str, str]) -> str:

@@ -25,6 +25,7 @@ from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.inbox import Place
+from huepose_services.runtime.text import encodable
 
 _LATE_NS = SECOND // 2
 _NOT_TOLD = (
@@ -57,7 +58,7 @@ def packed(
     depth = depth_to_wire(frame.depth, depth_scale_m)
     buffers, payload = pack({"color": frame.color, "depth": depth})
     intrinsics = intrinsics_to_wire(frame.camera, depth_scale_m)
-    return Packed(intrinsics, buffers, payload, truths, scene, image)
+    return Packed(intrinsics, buffers, payload, truths, encodable(scene), image)
 
 
 class FramePublisher:
@@ -65,7 +66,7 @@ class FramePublisher:
 
     def __init__(self, bus: Bus, config: Config) -> None:
         self._bus, self._keys = bus, config.keys
-        self._frame_name = f"{config.camera.name}_color_optical"
+        self._frame_name = config.camera.frame
         self._mount = config.camera.mount
         self._told_mounts = bus.inbox.queue(self._keys.mount, wakes=False) if config.camera.told else None
         self._placed_ns = now_ns()

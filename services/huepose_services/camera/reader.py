@@ -13,14 +13,18 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
+from huepose.support.words import rounded
 from huepose_services.camera.live import CameraError, FilmOver, LiveCamera, LiveSource, Shot
 from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.text import encodable
 
 T = TypeVar("T")
 
 _READ_S, _RETRY_S = 0.25, 0.5
 _SILENT_NS = 2 * SECOND
 _SLOW_NS = int(1.5 * SECOND)
+PATIENCE_PICTURES = 3
+"""No camera is slow or silent before the time of so many pictures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,10 +38,12 @@ class Taken:
 
 class Reader:
     """Starts at once, or by `start`. `take` gives each picture once, the newest; `trouble` says why there is
-    none."""
+    none. rate_hz: how many should come."""
 
-    def __init__(self, source: LiveSource, starts: bool = True) -> None:
+    def __init__(self, source: LiveSource, rate_hz: float, starts: bool = True) -> None:
         self._source = source
+        patience_ns = int(PATIENCE_PICTURES * SECOND / rate_hz)
+        self._slow_ns, self._silent_ns = max(_SLOW_NS, patience_ns), max(_SILENT_NS, patience_ns)
         self._ready = threading.Condition()
         self._taken: Taken | None = None
         self._trouble: str | None = None
@@ -73,11 +79,9 @@ class Reader:
     def trouble(self) -> str | None:
         """What keeps the pictures away now, and what to do; None when nothing does."""
         call = self._call
-        if call is not None and now_ns() - call[1] > _SLOW_NS:
-            return (
-                f"{self._source.name}: {call[0]} it takes longer than {_SLOW_NS / SECOND:g} s. "
-                f"{self._source.if_silent}"
-            )
+        if call is not None and now_ns() - call[1] > self._slow_ns:
+            slow = f"{call[0]} it takes longer than {rounded(self._slow_ns / SECOND)} s."
+            return f"{self._source.name}: {slow} {self._source.if_silent}"
         return self._trouble
 
     def silent_s(self) -> float | None:
@@ -97,10 +101,11 @@ class Reader:
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            # An SDK raises what it likes, and this thread must live as long as the worker.
+            # An SDK raises what it likes, also what is no Exception (asyncio's CancelledError, a panic of
+            # Rust), and this thread must live as long as the worker.
             try:
                 camera = self._timed("opening", self._source.open)
-            except Exception as error:
+            except BaseException as error:
                 self._fail(error)
             else:
                 self.openings += 1
@@ -109,13 +114,13 @@ class Reader:
                     self._read_on(camera)
                 except FilmOver:
                     self._end()
-                except Exception as error:
+                except BaseException as error:
                     self._fail(error)
-                with suppress(Exception):  # what was unplugged cannot be closed well
+                with suppress(BaseException):  # what was unplugged cannot be closed well
                     self._timed("closing", camera.close)
             self._stopping.wait(_RETRY_S)
 
-    def _fail(self, error: Exception) -> None:
+    def _fail(self, error: BaseException) -> None:
         self._trouble = _said(self._source.name, error)
         if self._source.once:
             self._end()
@@ -146,10 +151,10 @@ class Reader:
                 self.pictures += 1
                 self._trouble = None
                 self._leave(Taken(shot, self.openings, camera.device_clock_is_host))
-            if now_ns() - news_ns > _SILENT_NS:
+            if now_ns() - news_ns > self._silent_ns:
                 raise CameraError(
-                    f"no new picture for {_SILENT_NS / SECOND:g} s. It is opened again; if that does not "
-                    "help, use another cable or port (USB 3)."
+                    f"no new picture for {rounded(self._silent_ns / SECOND)} s. It is opened again; if that "
+                    "does not help, use another cable or port (USB 3)."
                 )
 
     def _leave(self, taken: Taken) -> None:
@@ -165,6 +170,6 @@ def _is_repeated(shot: Shot, last: Shot, camera: LiveCamera) -> bool:
     return camera.is_sensor and shot.shows_the_same(last)
 
 
-def _said(name: str, error: Exception) -> str:
+def _said(name: str, error: BaseException) -> str:
     text = " ".join(str(error).split()) or type(error).__name__
-    return f"{name}: {text}"
+    return encodable(f"{name}: {text}")

@@ -65,7 +65,7 @@ _UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>.*)`")
 _MISSING = re.compile(r"Object missing required field `(?P<key>.*)`")
 # msgspec's words, and ours.
 _WORDS = (
-    (r"^str matching regex '\^\[a-z0-9_-\]\{1,64\}\$'$", "1 to 64 of a-z, 0-9, _ and -"),
+    (r"^str matching regex '\^\[a-z0-9_-\]\{1,64\}\\+Z'$", "1 to 64 of a-z, 0-9, _ and -"),
     (r"^quaternion is not of unit length$", "a quaternion of unit length, x y z w"),
     (r"^str matching regex '\^\[\^/.*:.*\$'$", "ADDRESS:PORT"),
     (r"\bint\b", "a whole number"),

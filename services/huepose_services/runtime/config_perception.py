@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar, get_args, get_type_hints
 
 import msgspec
 from msgspec import Meta, Struct
 
 from huepose_protos.fields import Name
+from huepose_protos.messages import FrameHeader
 from huepose_protos.parts import Mount
 
 Rate = Annotated[float, Meta(gt=0.0, le=240.0)]
@@ -80,6 +81,11 @@ class CameraConfig(Section, frozen=True, kw_only=True):
     mount: Mount | None = None
     moving: bool = False
     tf: TfConfig | None = None
+
+    @property
+    def frame(self) -> str:
+        """The name of the coordinate frame that poses are in."""
+        return f"{self.name}_color_optical"
 
     @property
     def told(self) -> bool:
@@ -159,9 +165,16 @@ _PATH_IS = {
 }
 
 
+_LONGEST_FRAME: int = get_args(get_type_hints(FrameHeader, include_extras=True)["frame"])[1].max_length
+"""Characters that the wire allows for the name of a coordinate frame."""
+
+
 def check_camera(camera: CameraConfig, workers: Collection[str], refuse: Refuse) -> None:
     """Raises by `refuse` what the keys of the camera's section cannot be together, or with those workers."""
     source, live = camera.source, camera.source in LIVE_SOURCES
+    if (over := len(camera.frame) - _LONGEST_FRAME) > 0:
+        most = len(camera.name) - over
+        refuse("camera.name", camera.name, f"at most {most} characters", f"Poses are in {camera.frame}.")
     if camera.tf is not None:
         _check_tf(camera, camera.tf, workers, refuse)
     if source in ("synthetic", "oak") and camera.path is not None:

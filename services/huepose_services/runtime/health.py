@@ -13,6 +13,7 @@ import numpy as np
 from huepose_protos.messages import Estimates, FrameHeader, HealthMessage, PoseMessage
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.session import restarts
+from huepose_services.runtime.text import encodable
 
 HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
 _WINDOW_S = 5.0
@@ -51,14 +52,14 @@ class Health:
     def failed(self, text: str) -> None:
         """An exception in the work, or a message that was refused."""
         self.errors += 1
-        self.last_error = text[:_LONGEST_TEXT]
+        self.last_error = encodable(text)[:_LONGEST_TEXT]
 
     def warn_while(self, what: str, text: str | None) -> None:
         """A warning that holds until this is called with None, or with another text."""
         if text is None:
             self._warnings.pop(what, None)
         else:
-            self._warnings[what] = text[:_LONGEST_TEXT]
+            self._warnings[what] = encodable(text)[:_LONGEST_TEXT]
 
     def worked_on(self, started_ns: int, what: FrameHeader | PoseMessage | Estimates) -> None:
         """A piece of work that began at started_ns is done, on a frame or on what was computed from it. The
@@ -106,7 +107,7 @@ class Health:
             errors=self.errors,
             last_error=self.last_error,
             restarts=restarts(),
-            picture=self.picture[:_LONGEST_TEXT],
+            picture=encodable(self.picture)[:_LONGEST_TEXT],
         )
 
 

@@ -10,10 +10,12 @@ import json
 import os
 import re
 import sys
+import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal, TextIO
+from typing import Literal, TextIO, get_args
 
 _FACTOR, _LONGEST_S, _QUIET_S = 4.0, 300.0, 60.0
 _MOST_KINDS = 256
@@ -81,19 +83,27 @@ _JOURNAL = {"info": "<6>", "warn": "<4>", "error": "<3>"}
 _OWN_LINE = re.compile(r'\d\d:\d\d:\d\d\.\d{3} (info |warn |error) |\{"time": ')
 
 
+def write(out: TextIO, text: str) -> None:
+    """Write a line at once. Where it cannot be written (a full disk, a reader that is gone) it is lost, and
+    the work goes on."""
+    with suppress(OSError):
+        out.write(text)
+        out.flush()
+
+
 class Log:
-    """The log of one worker. The time is a label for people; nothing is computed from it."""
+    """The log of one worker, for all of its threads. The time is a label for people; nothing is computed from
+    it."""
 
     def __init__(self, worker: str, out: TextIO | None = None) -> None:
         self._worker, self._out = worker, out
-        self._repeats = Repeats()
-        self._levels: dict[str, Level] = {}
+        self._repeats: dict[Level, Repeats] = {level: Repeats() for level in get_args(Level)}
+        self._lock = threading.Lock()
 
     def say(self, text: str, level: Level = "info") -> None:
         """Write a line; each line of a longer text gets the same beginning."""
-        out = self._out or sys.stderr
-        out.write("".join(_formatted(line, level, self._worker) for line in text.splitlines()))
-        out.flush()
+        lines = "".join(_formatted(line, level, self._worker) for line in text.splitlines())
+        write(self._out or sys.stderr, lines)
 
     def warn(self, text: str) -> None:
         """Write a line about something that is not as it should be, while the work goes on."""
@@ -106,17 +116,18 @@ class Log:
     def seldom(self, kind: str, text: str, every_s: float = 1.0, level: Level = "warn") -> None:
         """Write a line of a kind, the more seldom the more often it comes, with how many were held back;
         every_s: from the first line to the second at least."""
-        self._levels[kind] = level
-        self._write(kind, self._repeats.offer(kind, text, time.monotonic(), every_s))
+        with self._lock:
+            said = self._repeats[level].offer(kind, text, time.monotonic(), every_s)
+        if said is not None:
+            self.say(said, level)
 
     def flush(self) -> None:
         """Write the number of lines that are held back and have waited long enough; to be called often."""
-        for kind, text in self._repeats.due(time.monotonic()):
-            self._write(kind, text)
-
-    def _write(self, kind: str, text: str | None) -> None:
-        if text is not None:
-            self.say(text, self._levels[kind])
+        with self._lock:
+            due = [(level, repeats.due(time.monotonic())) for level, repeats in self._repeats.items()]
+        for level, lines in due:
+            for _, text in lines:
+                self.say(text, level)
 
 
 class StateChanges:

@@ -13,6 +13,7 @@ import socket
 from contextlib import suppress
 
 from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.text import encodable
 
 
 def notify(*assignments: str) -> bool:
@@ -27,7 +28,7 @@ def notify(*assignments: str) -> bool:
         address = "\0" + address[1:]
     with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
         sender.setblocking(False)
-        sender.sendto("\n".join(assignments).encode(), address)
+        sender.sendto(encodable("\n".join(assignments)).encode(), address)
         return True
     return False
 

@@ -15,9 +15,10 @@ import msgspec
 
 from huepose.support.errors import InputError
 from huepose.support.files import whole
-from huepose_protos.local import endpoint, run_folder, writer_runs
+from huepose_protos.local import born_of, endpoint, run_folder, writer_runs
 from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load_all
 from huepose_services.runtime.run_folder import is_private, known_folders, make_folder
+from huepose_services.runtime.text import encodable
 
 
 class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
@@ -102,8 +103,9 @@ def noted(pipeline: Pipeline) -> Iterator[None]:
     with suppress(OSError, InputError):
         make_folder()
         with whole(note) as part:
-            there = msgspec.structs.replace(pipeline, folder=str(folder.absolute()))
-            part.write_bytes(msgspec.json.encode(there))
+            here = {"folder": str(folder.absolute()), "file": encodable(pipeline.file)}
+            said = msgspec.structs.asdict(pipeline) | here | {"born": born_of(os.getpid())}
+            part.write_bytes(msgspec.json.encode(said))
     try:
         yield
     finally:

@@ -23,7 +23,7 @@ from typing import TextIO
 import msgspec
 
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.log import Log, is_log_line
+from huepose_services.runtime.log import Log, is_log_line, write
 from huepose_services.runtime.pulse import COMPILING, READY_FD
 from huepose_services.runtime.reload import Reload
 from huepose_services.runtime.session import RESTARTS
@@ -35,6 +35,8 @@ from huepose_services.runtime.worker import TELL_WHERE
 # What systemd told the supervisor is not meant for its workers.
 _NOT_FOR_WORKERS = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
 _TIME_TO_TELL_S = 0.15
+_GONE_WITHIN_S = 0.5
+"""A killed process has ended by then, unless the kernel has it wait for a device."""
 _DRAIN_S = 1.5
 _STOP_WITHIN_S = 1.8
 _HEAD_START_S = 0.1
@@ -42,18 +44,22 @@ _HEAD_START_S = 0.1
 _BACKOFF_S, _BACKOFF_MAX_S = 0.25, 8.0
 _STANDSTILL_S = 0.5
 _FAILED, _BAD_INPUT = 1, 2
+_HELD = (
+    "does not end: the kernel holds it, as for a device that does not answer. It is started again after that"
+)
 _SILENT_S = 0.5
 """A worker of which nothing was heard for so long is asked what it waits for."""
 
 
 class Child:
     """A worker's process. `ready`: it said so; `runs`: its loop gave a sign of life; `heard`: when it was
-    started or last gave one; `compiling`: that it waits for the compiler is the last that it said."""
+    started or last gave one; `compiling`: that it waits for the compiler is the last that it said; `killed`:
+    from here. Raises OSError or RuntimeError where the computer has no room for another process."""
 
     def __init__(self, worker: str, path: Path, out: TextIO, restarts: int, camera: str | None) -> None:
         self.worker, self._out = worker, out
         self._says = f"{camera}/{worker}" if camera else worker
-        self.ready = self.runs = self.compiling = False
+        self.ready = self.runs = self.compiling = self.killed = False
         self.started = self.heard = time.monotonic()
         read_end, write_end = os.pipe()
         environment = {
@@ -64,22 +70,32 @@ class Child:
             RESTARTS: str(restarts),
         }
         which = f"{camera}.{worker}" if camera else worker
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "huepose_services.cli.main", "run", which, str(path)],
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            pass_fds=(write_end,),
-            # A Ctrl-C at the terminal reaches the supervisor alone, which then stops all in its order.
-            start_new_session=True,
-        )
-        os.close(write_end)
-        os.set_blocking(read_end, False)
         self.pipe: int | None = read_end
+        try:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "huepose_services.cli.main", "run", which, str(path)],
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                pass_fds=(write_end,),
+                # A Ctrl-C at the terminal reaches the supervisor alone, which then stops all in its order.
+                start_new_session=True,
+            )
+        except OSError:
+            self._close_pipe()
+            raise
+        finally:
+            os.close(write_end)
+        os.set_blocking(read_end, False)
         self._starved: Starved | None = None
         self._reader = threading.Thread(target=self._copy_log, daemon=True)
-        self._reader.start()
+        try:
+            self._reader.start()
+        except RuntimeError:
+            self.kill()
+            self._close_pipe()
+            raise
 
     def _copy_log(self) -> None:
         """Its log lines as they are; what libraries print as lines of the worker, repeats held back."""
@@ -88,8 +104,7 @@ class Child:
         for raw in self.process.stdout:
             line = raw.decode(errors="replace")
             if is_log_line(line):
-                self._out.write(line)
-                self._out.flush()
+                write(self._out, line)
             elif line.strip():
                 foreign.seldom(line, line.rstrip())
 
@@ -126,13 +141,15 @@ class Child:
             return True
         return False
 
-    def kill(self, ask_where: bool = False) -> None:
-        """End it at once; `ask_where`: first let it write to the log what it is doing."""
+    def kill(self, ask_where: bool = False) -> bool:
+        """End it at once, and whether it has ended; `ask_where`: first let it write to the log what it is
+        doing."""
+        self.killed, self.ready = True, False
         if ask_where:
             self.process.send_signal(TELL_WHERE)
             self.ended_within(_TIME_TO_TELL_S)
         self.process.kill()
-        self.process.wait()
+        return self.ended_within(_GONE_WITHIN_S)
 
     def bury(self, patience_s: float) -> None:
         """After its end: let go of its pipe and read the rest of its log."""
@@ -195,7 +212,10 @@ class Supervisor:
     def _spawn(self, worker: str) -> None:
         record = self._records[worker]
         record.restart_at = None
-        self._children[worker] = Child(worker, self._path, self._out, record.restarts, self._of)
+        try:
+            self._children[worker] = Child(worker, self._path, self._out, record.restarts, self._of)
+        except (OSError, RuntimeError) as error:
+            self._put_off(worker, f"could not be started ({error})")
 
     def reload(self) -> None:
         """Read the configuration again, and have every worker do so, at last when it is ready."""
@@ -218,11 +238,13 @@ class Supervisor:
                 child.process.send_signal(signal.SIGHUP)
             code = child.process.poll()
             if code is not None:
-                self._bury(child, code)
-            elif (fault := self._fault(child)) is not None:
+                self._bury(child, None if child.killed else code)
+            elif not child.killed and (fault := self._fault(child)) is not None:
                 self._log.error(f"{child.worker} {fault}: killed")
-                child.kill(ask_where=True)
-                self._bury(child, None)
+                if child.kill(ask_where=True):
+                    self._bury(child, None)
+                else:
+                    self._log.error(f"{child.worker} {_HELD}")
         if self.ready and not self._was_ready:
             self._log.say("all workers are ready")
         self._was_ready = self.ready
@@ -285,16 +307,21 @@ class Supervisor:
         how = "was killed" if code is None else f"ended with code {code}"
         if code is not None and code < 0:
             how = f"killed by signal {-code}"
+        self._put_off(child.worker, how)
+
+    def _put_off(self, worker: str, how: str) -> None:
+        """A worker has died, or could not be started: start it again later, unless that was too often."""
+        now, record = time.monotonic(), self._records[worker]
         window, limit = self._config.restarts.window_s, self._config.restarts.limit
         record.deaths.append(now)
         while now - record.deaths[0] > window:
             record.deaths.popleft()
         if len(record.deaths) > limit:
-            self._log.error(f"{child.worker} {how}: given up after {limit} restarts in {window:g} s")
+            self._log.error(f"{worker} {how}: given up after {limit} restarts in {window:g} s")
             return
         wait_s = min(_BACKOFF_S * 2 ** (len(record.deaths) - 1), _BACKOFF_MAX_S)
         record.restart_at = now + wait_s
-        self._log.warn(f"{child.worker} {how}: starting it again in {wait_s:g} s")
+        self._log.warn(f"{worker} {how}: starting it again in {wait_s:g} s")
 
     def stop(self) -> None:
         """Stop every worker within two seconds, those that read before those that they read from."""

@@ -113,17 +113,19 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None) -> int:
     try:
         bus.say_health()
         work = _made(worker, bus, config)
-        # All that is loaded by now stays. To look through it for rubbish now and then would hold the work up,
-        # the estimator's by a sixth of a second.
-        gc.collect()
-        gc.freeze()
-        if "numba" in sys.modules:
-            import_module("huepose_services.runtime.compiling").tell_of_late_compiling(pulse, health, log)
-        token = session.liveliness().declare_token(config.keys.live(worker))
-        reload = Reload(worker, path, config, log, health)
-        _loop(bus, work, stop, pulse, lambda: again() and reload.take_over(work.reload))
-        pulse.stopping()
-        work.close()
+        try:
+            # All that is loaded by now stays. To look through it for rubbish now and then would hold the work
+            # up, the estimator's by a sixth of a second.
+            gc.collect()
+            gc.freeze()
+            if "numba" in sys.modules:
+                import_module("huepose_services.runtime.compiling").tell_of_late_compiling(pulse, health, log)
+            token = session.liveliness().declare_token(config.keys.live(worker))
+            reload = Reload(worker, path, config, log, health)
+            _loop(bus, work, stop, pulse, lambda: again() and reload.take_over(work.reload))
+        finally:
+            pulse.stopping()
+            _let_go(work, log)
         health.state = "ended" if work.finished else "stopping"
         bus.say_health()
         token.undeclare()
@@ -134,6 +136,14 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None) -> int:
     if work.fault is not None:
         raise work.fault
     return 0
+
+
+def _let_go(work: Work, log: Log) -> None:
+    """Close it, however its loop has ended: what goes wrong with that does not hide why it has."""
+    try:
+        work.close()
+    except Exception:
+        log.error(f"error in closing:\n{traceback.format_exc()}")
 
 
 def _made(worker: str, bus: Bus, config: Config) -> Work:

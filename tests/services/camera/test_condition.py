@@ -158,6 +158,9 @@ def test_another_size_or_focal_length_is_said_for_a_while():
     condition.look(shot(2 * SECOND, camera=replace(CAMERA, fx=90.0)), 2 * SECOND)
     assert "from 64 x 48, fx 60.0 to 64 x 48, fx 90.0" in condition.complaints(2 * SECOND)["change"]
     assert condition.complaints(2 * SECOND + CHANGE_SAID_NS) == {}
+    condition.look(shot(3 * SECOND, camera=replace(CAMERA, cx=31.500001)), 3 * SECOND)
+    text = condition.complaints(3 * SECOND)["change"]
+    assert "from 64 x 48, fx 90.0, cx 31.5 to 64 x 48, fx 60.0, cx 31.500001" in text
     condition.reopened()
     condition.look(shot(3 * SECOND), 3 * SECOND)
     assert condition.complaints(3 * SECOND) == {}

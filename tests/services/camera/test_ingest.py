@@ -14,6 +14,7 @@ from huepose.scenes.shapes import demo_objects
 from huepose_protos.examples import messages
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.camera.ingest import Busy, Ingest, Schedule, make
+from huepose_services.camera.publish import packed
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND
 from huepose_services.runtime.config import BusConfig, Config, ObjectConfig
@@ -167,3 +168,8 @@ def test_it_waits_for_poses_and_for_its_last_reader(scene, base_port, wait_until
         bus.close()
     for session in sessions.values():
         session.close()
+
+
+def test_the_truth_of_a_scene_in_a_folder_that_is_no_utf8_can_be_told(scene):
+    frame = BopScene(scene).frame(3)
+    assert packed(frame, 1e-4, (), "caf\udce9").scene == r"caf\udce9"

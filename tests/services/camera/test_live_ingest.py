@@ -1,13 +1,19 @@
 """What the camera worker says of pictures in which nothing can be found."""
 
+import re
 import time
+from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from huepose.geometry import Camera
+from huepose_services.camera.live import CameraError, LiveSource, Shot
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.python import open_source
-from huepose_services.runtime.config import load
+from huepose_services.runtime.config import Config, load
+from huepose_services.runtime.config_perception import CameraConfig
 from tests.services.fake_bus import FakeBus
 
 
@@ -159,3 +165,80 @@ def test_health_says_at_once_what_is_wrong_with_the_pictures_and_that_it_is_over
     wrong, over = (said.picture for said in bus.healths)
     assert wrong.startswith("cam.py: depth looks like millimetres")
     assert over == ""
+
+
+class Paired:
+    """Colour and depth of 64 x 48 pixels at 50 Hz; apart: whether depth is 100 ms older. Unplugged after so
+    many pictures."""
+
+    device_clock_is_host = is_sensor = False
+
+    def __init__(self, apart, pictures):
+        self._apart, self._pictures, self._number = apart, pictures, 0
+
+    def read(self, timeout_s):
+        if self._number == self._pictures:
+            raise CameraError("unplugged")
+        time.sleep(0.02)
+        self._number += 1
+        color = np.random.default_rng(self._number).integers(60, 200, (48, 64, 3), np.uint8)
+        now = time.monotonic_ns()
+        depth_ns = now - 100_000_000 * self._apart
+        camera = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
+        return Shot(color, np.ones((48, 64), np.float32), camera, self._number, now, now, depth_ns)
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize("good_before", [0, 10])
+def test_where_every_picture_of_an_opening_is_left_out_it_is_said(good_before):
+    """From the first one on, also where an opening before it was good."""
+    openings = iter([Paired(apart=False, pictures=good_before)] * bool(good_before))
+    source = LiveSource("sensors", "", lambda: next(openings, Paired(apart=True, pictures=1000)))
+    config = Config(camera=CameraConfig(source="python", path="x"))
+    bus = FakeBus("camera", config.keys)
+    ingest = LiveIngest(bus, config, source)
+    try:
+        until = time.monotonic() + 5.0
+        while "100 ms older" not in bus.health.picture and time.monotonic() < until:
+            ingest.step()
+    finally:
+        ingest.close()
+    health = bus.health.message()
+    assert health.picture.startswith("No picture comes, and perception waits for the next. sensors: depth is")
+    assert any("such pictures are left out" in warning for warning in health.warnings)
+    assert (health.state, len(bus.headers)) == ("waiting", good_before)
+    assert ingest.ready == (good_before > 0)
+
+
+@pytest.mark.parametrize(("back_s", "epochs"), [(3.0, 2), (0.2, 1)])
+def test_stamps_that_go_back_begin_an_epoch_where_readers_would_wait_for_long(ingest_of, back_s, epochs):
+    ingest, bus = ingest_of(
+        "began = locals().get('began', time.monotonic())\n"
+        f"        back_s = {back_s} if time.monotonic() - began > 0.5 else 0.0\n"
+        "        stamp_ns = time.monotonic_ns() - int(back_s * 1e9)"
+    )
+    until = time.monotonic() + 1.0
+    while time.monotonic() < until:
+        ingest.step()
+    assert len({header.camera_epoch for header in bus.headers}) == epochs
+    warnings = [text for text in bus.health.message().warnings if "time stamps went back by 3 s" in text]
+    assert len(warnings) == len(bus.logged["pictures: back"]) == epochs - 1
+    if epochs == 2:
+        of_one = [(a, b) for a, b in pairwise(bus.headers) if a.camera_epoch == b.camera_epoch]
+        assert all(a.capture_ns < b.capture_ns for a, b in of_one)
+
+
+def test_a_matrix_that_is_another_in_each_picture_is_logged_once_with_digits_that_differ(ingest_of):
+    ingest, bus = ingest_of("focal += 0.01")
+    lines = []
+    bus.log.say = lines.append
+    until = time.monotonic() + 0.5
+    while time.monotonic() < until:
+        ingest.step()
+    assert len({header.camera_epoch for header in bus.headers}) > 5
+    assert len(lines) == 1
+    (said,) = bus.logged["pictures: change"]
+    before, after = re.findall(r"64 x 48, fx ([\d.]+), fy", said)
+    assert 60.0 < float(before) < float(after)

@@ -1,5 +1,6 @@
 """The thread around a camera: whatever the camera does, `take` keeps its time and `trouble` says why."""
 
+import asyncio
 import threading
 import time
 
@@ -55,8 +56,8 @@ def _paced(device, timeout_s):
 def reader_of():
     started = []
 
-    def start(device):
-        started.append((Reader(device), device))
+    def start(device, rate_hz=30.0):
+        started.append((Reader(device, rate_hz), device))
         return started[-1][0]
 
     yield start
@@ -147,3 +148,44 @@ def test_the_last_picture_with_new_stamps_is_no_news_of_a_sensor(
     else:
         wait_until(lambda: reader.take(0.1).shot.number > 50)
         assert (reader.repeated, device.closed) == (0, 0)
+
+
+@pytest.mark.parametrize("error", [asyncio.CancelledError, SystemExit, GeneratorExit])
+def test_what_is_raised_and_is_no_exception_ends_no_reading(reader_of, wait_until, error):
+    def behave(device, timeout_s):
+        if device.reads == 3:
+            raise error("of its own")
+        return _paced(device, timeout_s)
+
+    device = Device(behave)
+    reader = reader_of(device)
+    wait_until(lambda: reader.trouble is not None)
+    assert reader.trouble == "test camera: of its own"
+    wait_until(lambda: (taken := reader.take(0.1)) and taken.opening == 2)
+    assert device.closed == 1
+
+
+@pytest.mark.parametrize("blocks", [True, False])
+def test_a_camera_is_as_slow_as_its_rate_without_trouble(reader_of, wait_until, monkeypatch, blocks):
+    """Whether it waits for its picture in one call, or says again and again that none is there."""
+    for limit in ("_SLOW_NS", "_SILENT_NS"):
+        monkeypatch.setattr(f"huepose_services.camera.reader.{limit}", 20_000_000)
+
+    def behave(device, timeout_s):
+        time.sleep(0.1 if blocks else 0.01)
+        return _shot(device.reads) if blocks or device.reads % 10 == 0 else None
+
+    device = Device(behave)
+    reader, troubles = reader_of(device, rate_hz=10.0), set()
+    wait_until(lambda: troubles.add(reader.trouble) or reader.pictures == 4)
+    assert troubles == {None}
+    assert (reader.openings, device.closed) == (1, 0)
+
+
+def test_an_error_that_names_a_file_in_another_encoding_can_be_told(reader_of, wait_until):
+    def behave(device, timeout_s):
+        raise OSError("no caf\udce9.png")
+
+    reader = reader_of(Device(behave))
+    wait_until(lambda: reader.trouble is not None)
+    assert reader.trouble.encode() == rb"test camera: no caf\udce9.png"

@@ -9,7 +9,7 @@ import zenoh
 
 from huepose_protos import PoseClient
 from huepose_protos.client import open_session
-from huepose_services.gateway_door import BURST_BYTES, RATE_BYTES_S, _Reader
+from huepose_services.gateway_door import BURST_BYTES, HANDSHAKE_S, RATE_BYTES_S, _Reader
 
 from .conftest import credentials, tls
 
@@ -38,6 +38,16 @@ def test_who_does_not_say_who_he_is_takes_no_place_for_long(start, authority):
     with PoseClient(f"tls/localhost:{one.port}", **credentials(authority, "robot1")) as reader:
         one.say_until(lambda: reader.latest() is not None, 15.0)
     for link in silent:
+        link.close()
+
+
+def test_who_opens_no_session_takes_only_places_of_his_own_and_not_for_long(start, wait_until):
+    one = start(host="0.0.0.0", sessions_per_reader=8)
+    silent = [socket.create_connection(("127.0.0.1", one.port), 10.0, ("127.0.0.2", 0)) for _ in range(8)]
+    with PoseClient(f"tcp/127.0.0.1:{one.port}") as reader:
+        wait_until(lambda: reader.connected, 0.5 * HANDSHAKE_S)
+    for link in silent:
+        assert link.recv(1) == b"", "it is closed"
         link.close()
 
 

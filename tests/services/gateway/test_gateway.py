@@ -20,6 +20,7 @@ from huepose_protos.messages import (
     ObjectsMessage,
     PoseMessage,
 )
+from huepose_services.gateway import _Said, answer_of
 
 from .conftest import EXAMPLES, Running, credentials, tls
 
@@ -57,6 +58,35 @@ def test_poses_objects_camera_and_health_are_seen_outside_and_at_once_by_who_com
     assert decode(replies[keys.outside(keys.health("tracker"))], HealthMessage) == EXAMPLES[HealthMessage]
     with PoseClient(f"tcp/127.0.0.1:{one.port}", object=pose.object) as late:
         assert late.next(5.0) == pose
+
+
+def test_who_asks_after_the_tracker_died_is_not_told_that_its_last_pose_may_be_acted_on(start):
+    one = start()
+    address = f"tcp/127.0.0.1:{one.port}"
+    with PoseClient(address) as before:
+        last = one.say_until(lambda: before.latest() is not None)
+    time.sleep(1.5e-3 * one.config.tracker.max_age_ms)
+    with PoseClient(address) as late:
+        told = late.next(5.0)
+        assert told.publish_ns > last.publish_ns
+        said = {
+            "state": "SUSPECT",
+            "reason": "Nothing was said of it for a while: the tracker has ended, or hangs.",
+        }
+        assert told == msgspec.structs.replace(last, publish_ns=told.publish_ns, **said)
+        assert one.say(9000, state="TRACKING") == late.next(5.0)
+
+
+def test_a_pose_is_answered_as_it_was_said_until_it_is_too_old():
+    for state, age_ns, answered in (
+        ("TRACKING", 5, "TRACKING"),
+        ("TRACKING", 6, "SUSPECT"),
+        ("LOST", 6, "LOST"),
+    ):
+        nowhere = dict.fromkeys(("translation", "quaternion")) if state == "LOST" else {}
+        pose = msgspec.structs.replace(EXAMPLES[PoseMessage], state=state, **nowhere)
+        said = _Said(encode(pose), pose, 1000)
+        assert decode(answer_of(said, 1000 + age_ns, 5), PoseMessage).state == answered
 
 
 def test_a_fast_source_is_cut_to_the_rate_but_a_change_of_state_passes_at_once(start):
@@ -98,7 +128,7 @@ def test_the_newest_word_about_a_frame_is_what_a_subscriber_knows_of_it(start):
         while (pose := client.next(2.0)) != last:
             assert pose is not None
             heard.append(pose)
-        kept = [p for p in client._history[last.frame, last.object, last.instance] if p.frame_id >= 5000]
+        kept = [p for (poses,) in [client._history.values()] for p in poses if p.frame_id >= 5000]
         between = client.at(sure.capture_ns + sure.realtime_offset_ns)
     assert heard[-4:] == [before, sure, doubted, corrected]
     assert kept == [before, corrected, last]

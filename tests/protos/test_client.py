@@ -1,0 +1,92 @@
+"""What the clients keep of what they hear, and of whom they take it to be."""
+
+from types import SimpleNamespace
+
+import msgspec
+import pytest
+
+from huepose_protos import PoseClient, encode
+from huepose_protos.client import Reader
+from huepose_protos.examples import messages
+from huepose_protos.messages import CameraMessage, Clock, Mount, PoseMessage
+
+EXAMPLES = {type(m): m for m in messages()}
+NOBODY = "tcp/127.0.0.1:1"
+SECOND = 10**9
+
+
+def sample(key, message):
+    """As zenoh hands it over."""
+    data = encode(message)
+    return SimpleNamespace(key_expr=key, attachment=None, payload=SimpleNamespace(to_bytes=lambda: data))
+
+
+def pose(site, epoch, capture_ns, x=0.0, **changes):
+    told = {"object": "mug", "instance": 0, "state": "TRACKING", "frame": "cam0_color_optical"}
+    told |= {"camera_epoch": epoch, "capture_ns": capture_ns, "publish_ns": capture_ns}
+    told |= {"translation": (x, 0.0, 0.5), "realtime_offset_ns": 0, "clock_id": "of another machine"}
+    message = msgspec.structs.replace(EXAMPLES[PoseMessage], **(told | changes))
+    return sample(f"huepose/{site}/cam0/pose/mug/0", message)
+
+
+def camera(site, epoch, x, mount_ns=None, boot="of another machine"):
+    message = msgspec.structs.replace(
+        EXAMPLES[CameraMessage],
+        camera_epoch=epoch,
+        clock=Clock(clock_id=boot, realtime_offset_ns=0),
+        frame="cam0_color_optical",
+        mount=Mount(parent="base", translation=(x, 0.0, 0.0)),
+        mount_ns=mount_ns,
+    )
+    return sample(f"huepose/{site}/cam0/camera", message)
+
+
+@pytest.fixture
+def client():
+    with PoseClient(NOBODY) as client:
+        yield client
+
+
+@pytest.mark.parametrize("uptime_s", [50, 200, 201, 300])
+def test_a_camera_that_moves_is_where_it_was_told_since_its_computer_started_anew(client, uptime_s):
+    """However the new uptime compares with the old one."""
+    for boot, epoch, began_s, x in (("first", 1, 200, 1.0), ("second", 2, uptime_s, 5.0)):
+        for tenth in range(30):
+            client._on_sample(camera("lab", epoch, x, began_s * SECOND + tenth * SECOND // 10, boot))
+        client._on_sample(pose("lab", epoch, (began_s + 1) * SECOND, clock_id=boot))
+        assert client.mount(client.latest()).translation == (x, 0.0, 0.0)
+
+
+def test_of_two_sites_with_a_camera_of_one_name_each_has_its_poses_and_its_mount(client):
+    sites = {"robot_a": (11, 100 * SECOND, 1.0), "robot_b": (22, 7000 * SECOND, 9.0)}
+    for site, (epoch, _, x) in sites.items():
+        client._on_sample(camera(site, epoch, x))
+    for tenth in range(3):
+        for site, (epoch, began_ns, x) in sites.items():
+            client._on_sample(pose(site, epoch, began_ns + tenth * SECOND // 10, x / 10.0))
+    client._on_sample(pose("robot_a", 11, 100 * SECOND + 3 * SECOND // 10, 0.1))
+    between = client.at(100 * SECOND + SECOND // 20)
+    assert (between.ahead_s, between.T_parent_obj[0, 3]) == (0.0, pytest.approx(1.1))
+    on_robot = {one.camera_epoch: one.translation[0] for one in map(client.on_robot, heard(client))}
+    assert on_robot == pytest.approx({11: 1.1, 22: 9.9})
+
+
+def heard(client):
+    return iter(lambda: client.next(0.0), None)
+
+
+def test_cameras_that_are_long_gone_are_not_kept_for_ever(client, monkeypatch):
+    for epoch in range(3):
+        client._on_sample(camera("lab", epoch, 1.0))
+    monkeypatch.setattr("huepose_protos.pose_client._FORGET_S", -1.0)
+    client._on_sample(camera("lab", 3, 1.0))
+    assert list(client._places) == [3]
+
+
+def test_a_reader_that_is_not_read_keeps_the_newest_messages_and_counts_the_others(monkeypatch):
+    monkeypatch.setattr("huepose_protos.client._WAITING", 3)
+    with Reader([NOBODY], "huepose/**") as reader:
+        for number in range(5):
+            reader._on_sample(pose("lab", 1, SECOND, frame_id=number))
+        assert (reader.pending, reader.missed) == (3, 2)
+        assert [message.frame_id for message in heard(reader)] == [2, 3, 4]

@@ -1,0 +1,56 @@
+"""How a worker's process ends."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CLOSED = """
+import sys
+from pathlib import Path
+from huepose_services.runtime import worker
+from huepose_services.runtime.config import parse
+from huepose_services.runtime.work import Work
+
+
+class Broken(Work):
+    def due_ns(self):
+        return 0
+
+    def step(self):
+        {step}
+
+    def close(self):
+        print("let go")
+        {close}
+
+
+worker._made = lambda *_: Broken()
+path = Path("pipeline.yaml")
+sys.exit(worker.run_worker("camera", parse("workers: [camera]", path), path, None))
+"""
+
+
+@pytest.mark.parametrize(
+    ("step", "close", "code"),
+    [
+        ("raise ValueError('in its work')", "pass", 1),
+        ("raise ValueError('in its work')", "raise KeyError('in closing')", 1),
+        ("self.finished = True", "raise KeyError('in closing')", 0),
+    ],
+)
+def test_the_camera_is_let_go_however_its_work_ends(tmp_path: Path, step: str, close: str, code: int) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", CLOSED.format(step=step, close=close)],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "HUEPOSE_RUN": str(tmp_path)},
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout) == (code, "let go\n"), done.stderr
+    assert ("ValueError: in its work" in done.stderr.splitlines()[-1]) == (code == 1)
+    assert ("error in closing" in done.stderr) == ("KeyError" in close)

@@ -12,12 +12,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.reinit.answered import Answered, Frame, held
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import acquires, assign, judge_tracked, near, pose_of, usable
+from huepose.reinit.newest_frame import Began, NewestFrame
 from huepose.reinit.outbox import Outbox
 from huepose.reinit.published_history import PublishedHistory
 from huepose.reinit.schedule import (
@@ -66,8 +68,7 @@ class ReinitLoop:
         self._looked_ns: dict[tuple[str, int | None], int] = {}
         self._in_flight: Request | None = None
         self._now_ns = self._next_ns = self._asked_ns = 0
-        self._epoch: int | None = None
-        self._epoch_ns = 0
+        self._newest = NewestFrame()
         for slot in objects:
             self.add(slot if isinstance(slot, ObjectSlot) else ObjectSlot(*slot))
 
@@ -101,7 +102,8 @@ class ReinitLoop:
         self._outbox.forget(name)
         self._sightings.forget(name)
         self._judged_ns[name] = max(now_ns, self._judged_ns.get(name, 0))
-        return None if self._epoch is None else (self._epoch, last + 1)
+        epoch = self._newest.epoch
+        return None if epoch is None else (epoch, last + 1)
 
     def searching(self) -> list[Searching]:
         """Objects of which instances were never seen in this epoch."""
@@ -137,7 +139,8 @@ class ReinitLoop:
         sighted = self._sightings.due()
         slots = list(self._slots.values())
         options = candidates(slots, self._tracks, wanted, self._looked_ns, elsewhere, sighted, unsettled)
-        chosen = choose(now_ns, options, self.config, answers=self.counters.answers > 0)
+        counted = self.counters
+        chosen = choose(now_ns, options, self.config, counted.requests, answers=counted.answers > 0)
         if not chosen:
             return None
         for asked in chosen:
@@ -155,7 +158,9 @@ class ReinitLoop:
         deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms, more) * 1e9)
         # One of the missing objects of a request is searched for everywhere, by turns; one turn is to spare.
         seen = self._answered.seen(chosen, self.config.objects_per_request + 1)
-        self._in_flight = Request(self.counters.requests, self._epoch, deadline_ns, tuple(chosen), seen)
+        self._in_flight = Request(
+            self.counters.requests, self._newest.epoch, deadline_ns, tuple(chosen), seen
+        )
         return self._in_flight
 
     def _wanted(self, now_ns: int) -> dict[str, int]:
@@ -187,7 +192,8 @@ class ReinitLoop:
 
     def answer(self, now_ns: int, result: PerceptionResult) -> list[Correction]:
         """Judge an answer; the corrections to send now. An answer to an expired request is still used if
-        nothing newer was judged meanwhile; one of another epoch is not."""
+        nothing newer was judged meanwhile; one of another epoch, or from before the clock was set back, is
+        not."""
         self._now_ns = now_ns
         self.counters.answers += 1
         self._pace.answered(result.request, now_ns, result.stamp_ns)
@@ -196,8 +202,9 @@ class ReinitLoop:
             self._in_flight = None
         else:
             self.counters.late += 1
-        self._observe_epoch(result.epoch, result.stamp_ns)
-        if result.epoch != self._epoch:
+        frame = (result.epoch, result.frame_id, result.stamp_ns)
+        self._observe_frame(*frame)
+        if not self._newest.is_of(*frame):
             self.counters.wrong_epoch += 1
             return []
         out = []
@@ -228,8 +235,11 @@ class ReinitLoop:
         for estimate, which in zip(found, assigned, strict=True):
             if which is not None:
                 track = tracked[which]
+                compared = estimate
+                if estimate.instance != track.instance:  # what it was scored against is no pose of this one
+                    compared = replace(estimate, prior_score=None, prior_T_cam_obj=None)
                 verdict = judge_tracked(
-                    estimate, priors[which], result.stamp_ns, track.state, slot, self.config
+                    compared, priors[which], result.stamp_ns, track.state, slot, self.config
                 )
                 self._count(verdict)
                 if verdict is not Verdict.REJECT:
@@ -318,9 +328,8 @@ class ReinitLoop:
     def _observe(self, now_ns: int, tracks: Sequence[TrackedPose]) -> None:
         """Take over the published poses of the newest epoch; what is no longer published is no longer
         tracked."""
-        if tracks:
-            newest = max(tracks, key=lambda t: t.stamp_ns)
-            self._observe_epoch(newest.epoch, newest.stamp_ns)
+        for track in sorted(tracks, key=lambda t: t.stamp_ns):
+            self._observe_frame(track.epoch, track.frame_id, track.stamp_ns)
         self._tracks = {t.key: t for t in tracks if self._may_be_tracked(t)}
         for track in self._tracks.values():
             self._past.note(track)
@@ -330,24 +339,27 @@ class ReinitLoop:
             self._last_instance[name] = max(self._last_instance.get(name, -1), instance)
 
     def _may_be_tracked(self, track: TrackedPose) -> bool:
-        """Whether it is of this epoch, and of an instance that a loop may have made."""
+        """Whether it is of this epoch and clock, and of an instance that a loop may have made."""
         mine = track.instance <= self._last_instance.get(track.object, -1)
-        return track.epoch == self._epoch and (mine or track.instance < ADOPTED_BELOW)
+        counts = self._newest.is_of(track.epoch, track.frame_id, track.stamp_ns)
+        return counts and (mine or track.instance < ADOPTED_BELOW)
 
-    def _observe_epoch(self, epoch: int, stamp_ns: int) -> None:
-        """A newer epoch makes everything void that was about the older one."""
-        if epoch != self._epoch and (self._epoch is None or stamp_ns > self._epoch_ns):
-            self._epoch = epoch
+    def _observe_frame(self, epoch: int, frame_id: int, stamp_ns: int) -> None:
+        """A newer epoch makes everything void that was about the older one; a clock that was set back, what
+        was said of stamps before."""
+        began = self._newest.note(epoch, frame_id, stamp_ns)
+        if began is Began.NOTHING:
+            return
+        self._past.clear()
+        self._outbox.clear()
+        self._sightings.clear()
+        self._judged_ns.clear()
+        if began is Began.EPOCH:
             self._tracks.clear()
-            self._past.clear()
-            self._outbox.clear()
-            self._sightings.clear()
             # Numbers begin anew, but those that a search anew has ended are not used again.
             self._last_instance = dict(self._over)
-            self._judged_ns.clear()
             self._looked_ns.clear()
-        if epoch == self._epoch:
-            self._epoch_ns = max(self._epoch_ns, stamp_ns)
+            self._patience, self._elsewhere, self._unsettled = Patience(), Elsewhere(), Unsettled()
 
     def _count(self, verdict: Verdict) -> None:
         c = self.counters

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from collections import deque
 
-import numpy as np
-
 from huepose.geometry import se3
 from huepose.geometry.se3 import grown
 from huepose.reinit.schedule import LONGEST_S
@@ -18,17 +16,17 @@ from huepose.tracking.types import TrackedPose
 
 
 class PublishedHistory:
-    """The newest published poses of every instance."""
+    """The newest published poses of every instance, and when it had none."""
 
     def __init__(self) -> None:
-        self._poses: dict[Key, deque[Prior]] = {}
+        self._poses: dict[Key, deque[tuple[int, Prior | None]]] = {}
 
     def note(self, track: TrackedPose) -> None:
-        """Remember a published pose, if it is one and newer than the last."""
+        """Remember a published pose, or that there is none, if it is newer than the last."""
         past = self._poses.setdefault(track.key, deque())
-        if track.T_cam_obj is not None and (not past or past[-1].stamp_ns < track.stamp_ns):
-            past.append(_prior(track))
-            while past[-1].stamp_ns - past[0].stamp_ns > LONGEST_S * 1e9:
+        if not past or past[-1][0] < track.stamp_ns:
+            past.append((track.stamp_ns, None if track.T_cam_obj is None else _prior(track)))
+            while past[-1][0] - past[0][0] > LONGEST_S * 1e9:
                 past.popleft()
 
     def forget(self, name: str) -> None:
@@ -41,18 +39,22 @@ class PublishedHistory:
         self._poses.clear()
 
     def at(self, track: TrackedPose, stamp_ns: int) -> Prior:
-        """The published pose of a track at a stamp, or nearest to it. Between two poses it is interpolated;
-        its covariance is that of the nearer one, grown over the time in between. Raises ValueError for a
-        track without a pose."""
-        known: list[Prior] = [*self._poses.get(track.key, ()), _prior(track)]
-        nearest = known[int(np.argmin([abs(p.stamp_ns - stamp_ns) for p in known]))]
-        before = [p for p in known if p.stamp_ns < stamp_ns]
-        after = [p for p in known if p.stamp_ns > stamp_ns]
-        if nearest.stamp_ns == stamp_ns or not before or not after:
-            return nearest
-        a, b = max(before, key=lambda p: p.stamp_ns), min(after, key=lambda p: p.stamp_ns)
+        """The published pose of a track at a stamp. Between two poses it is interpolated; its covariance is
+        that of the nearer one, grown over the time in between. While there was none it is the next one;
+        before the first it is the first, after the last the last. Raises ValueError for a track without a
+        pose."""
+        newest = _prior(track)
+        known: list[tuple[int, Prior | None]] = [*self._poses.get(track.key, ()), (track.stamp_ns, newest)]
+        before = [pose for at_ns, pose in known if at_ns <= stamp_ns]
+        after = [pose for at_ns, pose in known if at_ns > stamp_ns]
+        a, b = before[-1] if before else None, after[0] if after else None
+        if a is None:
+            return next((pose for pose in after if pose is not None), newest)
+        if b is None or a.stamp_ns == stamp_ns:
+            return a
         share = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
         T = se3.interpolate(a.T_cam_obj, b.T_cam_obj, share)
+        nearest = a if share <= 0.5 else b
         covariance = nearest.covariance
         if covariance is not None:
             covariance = grown(covariance, abs(nearest.stamp_ns - stamp_ns) * 1e-9)

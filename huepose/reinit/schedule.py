@@ -145,15 +145,16 @@ are found first waiting for the others, a second long (docs/detection.md)."""
 
 
 def choose(
-    now_ns: int, options: Sequence[Candidate], config: ReinitConfig, *, answers: bool
+    now_ns: int, options: Sequence[Candidate], config: ReinitConfig, before: int, *, answers: bool
 ) -> list[RequestedObject]:
     """Lost objects first, then doubtful ones, then those not looked at for longest; ties go to the longest
     wait.
 
     Of those that were never looked for a request takes NEW times as many, if perception `answers`, so that
     what is in the picture from the start is found soon. So that objects that cannot be found do not starve
-    the others, one that was not looked at for `stale_ms` gets the last place; and those of which another look
-    decides come before all others, as many of them as of the others.
+    the others, one that was not looked at for `stale_ms` gets the last place, and the only one in every other
+    request; before: how many requests there were. Those of which another look decides come before all others,
+    as many of them as of the others.
     """
     order = sorted(
         options, key=lambda c: (c.rank, c.looked_ns, c.requested.object, c.requested.instance or 0)
@@ -166,7 +167,8 @@ def choose(
     usual = others[: config.objects_per_request]
     due = [c for c in others if c.rank > 0 and now_ns - c.looked_ns >= config.stale_ms * 1e6]
     starving = [c for c in due if c not in usual]
-    if starving and usual and usual[-1].rank == 0 and len(usual) > 1:
+    its_turn = len(usual) > 1 or before % 2 == 1
+    if starving and usual and usual[-1].rank == 0 and its_turn:
         usual[-1] = min(starving, key=lambda c: (c.looked_ns, c.rank))
     room = config.objects_per_request - len(deciding)
     usual = [c for k, c in enumerate(usual) if k < room or c.rank == 0 or c in due]

@@ -25,7 +25,7 @@ class Sightings:
     def __init__(self) -> None:
         self._kept: dict[str, list[_Sighting]] = {}
         self._looks: dict[str, int] = {}
-        """The request that looks again, 0 until there is one."""
+        """The last request that looked again, 0 while one is to."""
 
     def due(self) -> set[str]:
         """Objects that are to be looked at again at once: one time, and by their turns after that."""
@@ -57,7 +57,7 @@ class Sightings:
         if agreeing:
             return max(agreeing, key=lambda e: e.quality)
         self._kept[slot.object] = [*kept, _Sighting(estimate, stamp_ns)]
-        if self._looks.pop(slot.object, 0) != request:
+        if self._looks.get(slot.object) != request:
             self._looks[slot.object] = 0
         return None
 

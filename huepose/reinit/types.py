@@ -154,6 +154,7 @@ class Counters:
     late: int = 0
     """Answers to a request that had expired or was never made."""
     wrong_epoch: int = 0
+    """Answers on frames of another epoch, or from before the camera's clock was set back."""
     agreed: int = 0
     corrected: int = 0
     acquired: int = 0

@@ -34,7 +34,7 @@ def warm_up() -> None:
 def _estimate(T_cam_obj: np.ndarray, number: int) -> PoseEstimate:
     return PoseEstimate(
         object="warm_up",
-        instance=-1,
+        instance=0 if number else -1,
         found=True,
         T_cam_obj=T_cam_obj,
         quality=0.99,

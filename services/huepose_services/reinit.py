@@ -12,7 +12,10 @@ from huepose.estimation.types import PoseEstimate
 from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.model import ReferenceModel
 from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
+from huepose.reinit.newest_frame import Began, NewestFrame
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
+from huepose.support.errors import InputError
+from huepose.support.words import listed
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.messages import (
@@ -36,7 +39,7 @@ from huepose_services.runtime.clock import SECOND, check_number, now_ns
 from huepose_services.runtime.config import Config, ObjectConfig
 from huepose_services.runtime.one_camera import OneCamera
 from huepose_services.runtime.work import Work
-from huepose_services.steering import ObjectList, answer_control
+from huepose_services.steering import MOST_OBJECTS, ObjectList, answer_control
 
 _TICK_NS = SECOND // 30
 # Health warns when perception answers later than this.
@@ -46,6 +49,8 @@ _SLOW_S = 1.5
 _FORGET_NS = 2 * SECOND
 # From the first answer about a camera: until then a right one has had objects found.
 _IN_VAIN_NS = 10 * SECOND
+# Bytes of an entry without its reason, and of the rest of a ControlReply, which has the list too: at most.
+_ENTRY_BYTES, _REST_BYTES = 200, 8192
 _UNCONFIRMED = "Something was found, but the tracker has not confirmed it."
 
 
@@ -58,11 +63,16 @@ def make(bus: Bus, config: Config) -> ReinitWork:
     entries = recall(bus)
     if entries:
         slots = [load(entry.object, entry.max_instances) for entry in entries]
+        if told := unlike_file(entries, config.objects):
+            bus.log.say(told)
     else:
+        require_carried(config.objects)
         known = models.load(config)
+        items = config.objects or [ObjectConfig(name=name) for name in known]
+        require_carried(items)
         entries = [
             ObjectEntry(object=item.name, max_instances=item.max_instances, searching=item.max_instances)
-            for item in config.objects or [ObjectConfig(name=name) for name in known]
+            for item in items
         ]
         slots = [_slot(e.object, e.max_instances, known[e.object]) for e in entries]
     warm_up()
@@ -75,6 +85,28 @@ def make(bus: Bus, config: Config) -> ReinitWork:
 
 def _slot(name: str, count: int, model: ReferenceModel) -> ObjectSlot:
     return replace(ObjectSlot.of(model, count), object=name)  # the file may have been renamed
+
+
+def require_carried(objects: Sequence[ObjectConfig]) -> None:
+    """Raises InputError for more objects than the list of them can have."""
+    if len(objects) > MOST_OBJECTS:
+        raise InputError(
+            "objects",
+            found=f"{len(objects)} that are looked for",
+            expected=f"{MOST_OBJECTS} or fewer",
+            fix="Name some of them in `objects`.",
+        )
+
+
+def unlike_file(entries: Sequence[ObjectEntry], configured: Sequence[ObjectConfig]) -> str:
+    """How the list that another worker remembers differs from the file's, in one sentence: it may have been
+    changed by command, or the file since. Empty where it does not, and where the file names no object."""
+    known, named = {entry.object for entry in entries}, {item.name for item in configured}
+    unlike = (("not in the file", known - named), ("only in the file", named - known))
+    parts = [f"{what}: {listed(sorted(names))}" for what, names in unlike if names]
+    if not named or not parts:
+        return ""
+    return f"objects are looked for as before the restart; {'; '.join(parts)} (huepose objects add, remove)"
 
 
 def _settings(config: Config) -> ReinitConfig:
@@ -91,7 +123,10 @@ class ReinitWork(Work):
     def __init__(
         self, bus: Bus, loop: ReinitLoop, objects: ObjectList, configured: Sequence[ObjectConfig] = ()
     ) -> None:
-        self._configured = configured
+        # What of the file is looked for: a list from before may have other names than the file.
+        counts = {entry.object: entry.max_instances for entry in objects.entries()}
+        self._names_objects = bool(configured)
+        self._of_file = {item.name: counts[item.name] for item in configured if item.name in counts}
         self._bus, self._loop, self._objects = bus, loop, objects
         answer_control(bus, objects)
         self._retired = Retired(objects.entries())
@@ -100,6 +135,7 @@ class ReinitWork(Work):
         self._cameras = bus.inbox.ring(bus.keys.camera_info, wakes=False)
         self._camera_health = bus.inbox.ring(bus.keys.health("camera"), wakes=False)
         self._camera = OneCamera()
+        self._newest = NewestFrame()
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
         self._sought: dict[int, tuple[str, ...]] = {}
         self._reasons: dict[str, str] = {}
@@ -117,11 +153,10 @@ class ReinitWork(Work):
         """Take over the section `reinit`, and the objects that were added to or removed from the file.
         Objects that were added by command stay."""
         self._loop.config = _settings(config)
-        before = {item.name: item.max_instances for item in self._configured}
-        after = {item.name: item.max_instances for item in config.objects}
-        if bool(before) != bool(after):
+        before, after = self._of_file, {item.name: item.max_instances for item in config.objects}
+        if self._names_objects != bool(after):
             return ["a change that waits for the next start: objects (from all models to some, or back)"]
-        self._configured = config.objects
+        self._of_file = after
         now = {entry.object: entry.max_instances for entry in self._objects.entries()}
         orders = [_order("remove", name) for name in before if name not in after and name in now]
         orders += [
@@ -154,7 +189,8 @@ class ReinitWork(Work):
                 self._bus.health.count("answers_of_another_camera")
                 continue
             self._camera_doubt = answer.camera
-            self._answered_ns = min(answer.capture_ns, now_ns())
+            if self._counts(answer):
+                self._answered_ns = min(answer.capture_ns, now_ns())
             corrections = self._loop.answer(now_ns(), result_from_wire(answer))
             for correction in corrections:
                 self._send(correction)
@@ -200,9 +236,20 @@ class ReinitWork(Work):
             return
         if not self._camera.accepts(pose.camera_epoch, now_ns()):
             self._bus.health.count("poses_of_another_camera")
-        elif not self._retired.includes(pose.object, pose.camera_epoch, pose.instance):
+        elif self._counts(pose) and not self._retired.includes(pose.object, pose.camera_epoch, pose.instance):
             self._tracks[pose.object, pose.instance] = track = track_from_wire(pose)
             self._sure_in = pose.camera_epoch if track.state is State.TRACKING else self._sure_in
+
+    def _counts(self, message: PoseMessage | Estimates) -> bool:
+        """Whether it is about the camera's epoch and clock that count now. Where one of them begins with it,
+        what was followed is over."""
+        frame = (message.camera_epoch, message.frame_id, message.capture_ns)
+        if self._newest.note(*frame) is not Began.NOTHING:
+            self._answered_ns = 0
+            for name, _ in self._tracks:
+                self._reasons.pop(name, None)
+            self._tracks.clear()
+        return self._newest.is_of(*frame)
 
     def _apply_orders(self) -> None:
         """Tell the loop about objects that were added, removed or reset."""
@@ -242,14 +289,15 @@ class ReinitWork(Work):
         self._bus.health.counters |= asdict(self._loop.counters)
         missing, before = self._missing(), self._told_missing
         self._told_missing = missing
-        for entry in self._objects.entries():
+        entries = self._objects.entries()
+        for entry in entries:
             name = entry.object
             count = missing.get(name, 0)
             if count < before.get(name, 0) and self._reasons.get(name) == _UNCONFIRMED:
                 del self._reasons[name]  # it is confirmed, and another one is looked for
             # The camera knows best why its pictures show nothing.
             reason = self._camera_says or (self._reasons.get(name, "") if count else "")
-            self._objects.tell(name, count, self._retired.below.get(name), reason)
+            self._objects.tell(name, count, self._retired.below.get(name), shortened(reason, len(entries)))
         self._bus.put(
             self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=self._objects.entries())
         )
@@ -257,6 +305,17 @@ class ReinitWork(Work):
 
 def _order(action: Literal["add", "remove"], name: str, count: int = 1) -> ControlRequest:
     return ControlRequest(publish_ns=now_ns(), action=action, object=name, max_instances=count)
+
+
+def shortened(reason: str, objects: int) -> str:
+    """A reason that so many entries may have, and their list is no larger than its message may be.
+
+    >>> len(shortened("x" * 2000, 64)), shortened("Too dark.", 64)
+    (696, 'Too dark.')
+    """
+    room = (ObjectsMessage.max_bytes - _REST_BYTES) // max(objects, 1) - _ENTRY_BYTES
+    data = reason.encode()
+    return reason if len(data) <= room else f"{data[: room - 3].decode(errors='ignore')}..."
 
 
 def slow_text(age_s: float, took_s: float) -> str | None:

@@ -21,7 +21,8 @@ from huepose_protos.messages import ControlReply, ControlRequest, ObjectEntry
 from huepose_services.runtime.bus import Bus, bytes_of
 from huepose_services.runtime.clock import now_ns
 
-MOST_OBJECTS = 64
+MOST_OBJECTS = 256
+"""As many as the list of them may have on the wire (ObjectsMessage)."""
 # Followers only compare the number of resets with the last one: it may wrap around.
 _RESETS = 2**31
 

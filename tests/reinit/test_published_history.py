@@ -44,3 +44,12 @@ def test_what_is_no_pose_or_old_is_not_remembered() -> None:
     assert past.at(published(300, 0.4), 9).stamp_ns == 300
     with pytest.raises(ValueError, match="no pose"):
         past.at(published(300, None), 9)
+
+
+def test_across_a_loss_nothing_is_interpolated() -> None:
+    past = PublishedHistory()
+    for stamp_ns, x in ((0, 0.0), (100, 0.1), (200, None), (300, None), (400, 0.8)):
+        past.note(published(stamp_ns, x))
+    newest = published(500, 0.9)
+    places = [past.at(newest, stamp_ns).T_cam_obj[0, 3] for stamp_ns in (50, 150, 250, 399, 450)]
+    assert places == pytest.approx([0.05, 0.1, 0.8, 0.8, 0.85])

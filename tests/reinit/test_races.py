@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from huepose.believe.state import State
 from huepose.reinit import ObjectSlot, ReinitLoop
 from huepose.reinit.loop import ADOPTED_BELOW
+from huepose.reinit.newest_frame import MOST_ENDED, Began, NewestFrame
 from huepose.tracking.types import Verdict
 
 from .conftest import EPOCH, MS, asked, estimate, pose, result, track
@@ -171,3 +175,77 @@ def test_an_acquisition_that_the_tracker_cannot_use_is_not_waited_for() -> None:
     assert newer.instance == sent.instance, "the same one: it never was there"
     assert newer.seq > sent.seq
     assert [c.seq for c in loop.repeats(900 * MS)] == [newer.seq]
+
+
+@pytest.mark.parametrize("age_ms", [40, 250])
+def test_what_the_tracker_found_again_elsewhere_is_no_second_one(age_ms: float) -> None:
+    """The answer is on a frame from while it was lost, so no pose is known there."""
+    loop = ReinitLoop(objects=[("mug", 2)])
+    for ms in range(0, 1_000, 50):
+        loop.tick(ms * MS, [track(stamp_ms=ms)])
+    for ms in range(1_000, 2_000, 50):
+        loop.tick(ms * MS, [track(state=State.LOST, stamp_ms=ms)])
+    loop.tick(2_000 * MS, [track(T=pose(0.8), stamp_ms=2_000)])
+    found = loop.answer(2_010 * MS, result(loop.counters.requests, 2_000 - age_ms, estimate(T=pose(0.8))))
+    assert [(c.instance, c.verdict) for c in found] == [(0, Verdict.AGREE)]
+
+
+def test_a_camera_clock_that_is_set_back_stops_nothing() -> None:
+    """Frames are counted on, and their stamps are 60 s earlier from one to the next."""
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
+    before = replace(track(stamp_ms=100_000), frame_id=10)
+    request = loop.tick(100_000 * MS, [before])
+    agreed = replace(result(request, 100_000, estimate(instance=0)), frame_id=10)
+    assert [c.verdict for c in loop.answer(100_050 * MS, agreed)] == [Verdict.AGREE]
+    after = replace(track(T=pose(0.3), stamp_ms=40_000), frame_id=12)
+    request = loop.tick(100_200 * MS, [after])
+    assert loop.repeats(101_000 * MS) == [], "about a frame of the clock before"
+    late = replace(result(request, 99_970, estimate(instance=0)), frame_id=9)
+    assert loop.answer(100_220 * MS, late) == [], "of the clock before"
+    assert (loop.counters.wrong_epoch, loop.counters.rejected) == (1, 0)
+    loop.tick(100_900 * MS, [replace(track(T=pose(0.4), stamp_ms=40_700), frame_id=14)])
+    now = replace(result(2, 40_350, estimate(T=pose(0.35))), frame_id=13)
+    assert [c.verdict for c in loop.answer(100_950 * MS, now)] == [Verdict.AGREE], "between two new poses"
+
+
+def test_a_new_epoch_counts_whatever_its_stamps() -> None:
+    """A camera that is opened anew may have another clock; a pose of the epoch before is still shown."""
+    loop, new = ReinitLoop(objects=[ObjectSlot("mug", 2)]), EPOCH + 1
+    old = track(instance=1, stamp_ms=100_000)
+    loop.answer(100_050 * MS, result(loop.tick(100_000 * MS, [old]), 100_000))
+    for k in range(4):
+        fresh = track(stamp_ms=40_000 + 200 * k, epoch=new)
+        request = loop.tick((100_200 + 200 * k) * MS, [old, fresh])
+        assert request is not None
+        assert request.epoch == new
+        assert [s.missing for s in loop.searching()] == [1]
+        found = loop.answer(
+            (100_250 + 200 * k) * MS,
+            result(request, 40_000 + 200 * k, estimate(instance=0), epoch=new),
+        )
+        assert [(c.epoch, c.verdict) for c in found] == [(new, Verdict.AGREE)]
+    assert loop.counters.wrong_epoch == 0
+
+
+def test_an_epoch_that_has_ended_begins_again_with_a_later_frame_alone() -> None:
+    frame = NewestFrame()
+    assert [frame.note(*it) for it in ((1, 5, 100), (1, 6, 133), (2, 0, 40))] == [
+        Began.EPOCH, Began.NOTHING, Began.EPOCH
+    ]  # fmt: skip
+    assert [frame.note(1, 6, 133), frame.note(1, 4, 67)] == [Began.NOTHING] * 2
+    assert frame.note(1, 7, 166) is Began.EPOCH
+    for epoch in range(3, 3 + 2 * MOST_ENDED):
+        assert frame.note(epoch, 0, 0) is Began.EPOCH
+    assert len(frame._ended) == MOST_ENDED
+
+
+def test_no_number_of_a_frame_stops_what_comes_after_it() -> None:
+    """The highest number that a message can have, on a frame of now and on one of a while ago."""
+    frame = NewestFrame()
+    for stamp_ns, began in ((200, Began.NOTHING), (150, Began.CLOCK)):
+        frame.note(1, 5, 199)
+        assert frame.note(1, 2**63 - 1, stamp_ns) is began
+        for k in range(3):
+            assert frame.note(1, 6 + k, 233 + k) is Began.NOTHING
+            assert frame.is_of(1, 6 + k, 233 + k)
+        frame = NewestFrame()

@@ -341,3 +341,45 @@ def test_a_loop_that_was_started_anew_looks_for_what_is_lost_beside_what_it_neve
     requests = _requests(loop, 0, 1_000, State.LOST)
     assert all(names[0] == "mug" for names in requests)
     assert requests[1] == ["mug", *(name for name, _ in ABSENT[2:8])]
+
+
+@pytest.mark.parametrize("tracked", [1, 8])
+def test_with_one_place_what_is_nowhere_does_not_starve_the_others(tracked: int) -> None:
+    loop = ReinitLoop(
+        ReinitConfig(objects_per_request=1), [(f"here_{k}", 1) for k in range(tracked)] + ABSENT
+    )
+    looks: list[str] = []
+    for ms in range(0, 30_000, 200):
+        request = loop.tick(ms * MS, [track(f"here_{k}", stamp_ms=ms) for k in range(tracked)])
+        looks += [name for name, _ in asked(request)]
+        loop.answer((ms + 50) * MS, result(request, ms))
+    last = looks[len(looks) // 2 :]
+    here = [k for k, name in enumerate(last) if name.startswith("here")]
+    assert set(last) == {*(f"here_{k}" for k in range(tracked)), *(name for name, _ in ABSENT)}
+    assert set(np.diff(here)) == ({2} if tracked == 8 else {6}), "in turns, and no sooner than after a second"
+
+
+def test_two_uncertain_sightings_in_one_answer_are_looked_at_once_more_too() -> None:
+    loop, places = ReinitLoop(objects=[("mug", 2), *ABSENT]), iter(np.arange(100.0))
+    looked = []
+    for k in range(30):
+        request = loop.tick(k * 200 * MS, [])
+        again = ("mug", None) in asked(request)
+        looked.append(again)
+        found = [estimate("mug", T=pose(next(places)), quality=0.5) for _ in range(2 * again)]
+        loop.answer((k * 200 + 50) * MS, result(request, k * 200, *found))
+    out = "".join("m" if again else "." for again in looked)
+    assert {len(run) for run in out.strip("m.").split(".") if run} <= {2}, out
+    assert "mmm" not in out
+    assert "mm" in out
+
+
+def test_what_was_long_missing_is_looked_for_at_once_in_a_new_epoch() -> None:
+    loop = ReinitLoop(objects=[("gone", 1), ("here", 1)])
+    assert np.diff(_looks_for_gone(loop, 9_000, State.LOST))[-1] == 1_000, "it rests"
+    looks = []
+    for ms in range(9_000, 11_000, 200):
+        request = loop.tick(ms * MS, [track("here", stamp_ms=ms, epoch=EPOCH + 1)])
+        looks.append(("gone", None) in asked(request))
+        loop.answer((ms + 50) * MS, result(request, ms, epoch=EPOCH + 1))
+    assert all(looks)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from huepose.believe.state import State
 from huepose.geometry import se3
@@ -95,3 +96,14 @@ def test_between_two_published_poses_the_track_is_interpolated() -> None:
     loop.tick(200 * MS, [track(T=pose(0.06), stamp_ms=200, velocity=np.array([-0.4, 0, 0, 0, 0, 0]))])
     found = loop.answer(210 * MS, result(request, 100, estimate(T=pose(0.03), instance=0, prior_score=2.0)))
     assert [c.verdict for c in found] == [Verdict.AGREE]
+
+
+@pytest.mark.parametrize("refined", [None, pose(0.12, 60.0)])
+def test_a_comparison_with_another_instances_pose_is_none(refined: np.ndarray | None) -> None:
+    """Instance 0 was taken away; in its box lies instance 1, badly turned: it explains more than nothing."""
+    off = estimate(T=pose(0.12, 60.0), quality=0.4, score=1.0, prior_score=0.1)
+    for instance, verdicts in ((0, []), (1, [(1, Verdict.CORRECT)])):
+        loop = ReinitLoop(objects=[ObjectSlot("mug", 2, 0.15)])
+        request = loop.tick(0, [track(), track(instance=1, T=pose(0.12))])
+        found = loop.answer(MS, result(request, 0, replace(off, instance=instance, prior_T_cam_obj=refined)))
+        assert [(c.instance, c.verdict) for c in found] == verdicts

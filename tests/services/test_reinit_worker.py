@@ -8,9 +8,12 @@ import pytest
 from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.reinit import ReinitConfig, ReinitLoop
 from huepose.reinit.types import ObjectSlot
+from huepose.support.errors import InputError
+from huepose_protos import decode, encode
 from huepose_protos.examples import example
 from huepose_protos.messages import (
     CameraMessage,
+    ControlReply,
     ControlRequest,
     CorrectionMessage,
     Estimates,
@@ -20,8 +23,10 @@ from huepose_protos.messages import (
     PerceptionRequest,
     PoseMessage,
 )
-from huepose_services.reinit import ReinitWork, slow_text
+from huepose_services.reinit import ReinitWork, make, slow_text
 from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.config import Config, ObjectConfig
+from huepose_services.runtime.one_camera import OneCamera
 from huepose_services.steering import ObjectList
 from tests.services.fake_bus import FakeBus
 
@@ -47,7 +52,7 @@ def objects():
 @pytest.fixture
 def step(bus, objects, monkeypatch):
     """Step the worker, a tick later each time."""
-    work = ReinitWork(bus, ReinitLoop(ReinitConfig(), [ObjectSlot("mug", 1, 0.1)]), objects)
+    bus.work = work = ReinitWork(bus, ReinitLoop(ReinitConfig(), [ObjectSlot("mug", 1, 0.1)]), objects)
 
     def once():
         work._next_tick_ns = 0
@@ -301,3 +306,78 @@ def test_that_no_picture_comes_is_said_of_an_object_that_was_found_before(bus, s
 def test_perception_is_called_slow_only_where_it_took_long_itself(age_s, took_s, warns):
     """Not where a camera that has stopped leaves an old picture to look at."""
     assert bool(slow_text(age_s, took_s)) == warns
+
+
+@pytest.mark.parametrize("changes", [{"camera_epoch": EPOCH + 1}, {"frame_id": 2**40}])
+def test_a_camera_whose_stamps_begin_anew_is_followed_at_once(bus, step, changes):
+    """Opened anew, or its clock set back, by a minute: what is older by its stamp is not over for that."""
+    now = now_ns()
+    step()
+    bus.arriving[PoseMessage] += [pose(0), msgspec.structs.replace(pose(7), object="can")]
+    bus.arriving[Estimates].append(answer(bus, capture_ns=now))
+    step()
+    bus.arriving[PoseMessage].append(
+        msgspec.structs.replace(pose(0), capture_ns=now - 60 * SECOND, **changes)
+    )
+    if "camera_epoch" in changes:
+        bus.work._camera = OneCamera()  # the camera before has been silent
+    step()
+    assert bus.mug().searching == 0
+    assert list(bus.work._tracks) == [("mug", 0)]
+
+
+def test_a_list_of_objects_fits_its_message_whatever_the_reason(bus):
+    """As many objects as it can have, with all that an entry may say, in the largest bytes of UTF-8."""
+    entries = [
+        ObjectEntry(
+            object=f"{k:064d}",
+            max_instances=64,
+            searching=2**63 - 1,
+            resets=2**31 - 1,
+            retired=(2**63 - 1, 2**31 - 1),
+            box=(0.1, 0.2, 0.3, 0.4),
+        )
+        for k in range(256)
+    ]
+    work = ReinitWork(bus, ReinitLoop(), ObjectList(entries, ObjectSlot))
+    work._camera_says = "\N{CAMERA}" * 2000
+    work.step()
+    message = [m for m in bus.said if isinstance(m, ObjectsMessage)][-1]
+    assert all(entry.reason.endswith("\N{CAMERA}...") for entry in message.objects)
+    assert decode(encode(message), ObjectsMessage) == message
+    reply = ControlReply(publish_ns=1, done=False, text="\N{CAMERA}" * 2000, objects=message.objects)
+    assert decode(encode(reply), ControlReply) == reply
+
+
+def test_more_objects_than_a_list_can_have_are_refused(bus, monkeypatch):
+    monkeypatch.setattr("huepose_services.reinit.recall", lambda bus: [])
+    monkeypatch.setattr("huepose_services.models.load", lambda config: dict.fromkeys(names))
+    names = [f"o{k}" for k in range(257)]
+    for objects in ([ObjectConfig(name=name) for name in names], []):
+        with pytest.raises(InputError, match="found 257 that are looked for; expected 256 or fewer"):
+            make(bus, Config(objects=objects))
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["mug"], []),
+        (["jar", "lid"], ["not in the file: mug; only in the file: jar, lid"]),
+        (["mug", "lid"], ["only in the file: lid"]),
+        ([], []),
+    ],
+)
+def test_a_worker_that_is_started_anew_says_how_its_objects_differ_from_the_file(
+    bus, monkeypatch, names, said
+):
+    entries = [ObjectEntry(object="mug", max_instances=1, searching=1)]
+    told = []
+    monkeypatch.setattr("huepose_services.reinit.recall", lambda bus: entries)
+    monkeypatch.setattr("huepose_services.reinit._slot", lambda name, count, model: ObjectSlot(name, count))
+    monkeypatch.setattr("huepose_services.models.load_one", lambda config, name: None)
+    monkeypatch.setattr(bus.log, "say", told.append)
+    work = make(bus, Config(objects=[ObjectConfig(name=name) for name in names]))
+    assert [entry.object for entry in work._objects.entries()] == ["mug"]
+    assert [text.split("; ", 1)[1] for text in told] == [
+        f"{one} (huepose objects add, remove)" for one in said
+    ]

@@ -21,6 +21,7 @@ from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.reload import LIVE, Reload, changed
 from huepose_services.steering import ObjectList
+from tests.services.fake_bus import FakeBus
 
 
 @pytest.fixture
@@ -56,6 +57,19 @@ def test_what_can_be_is_taken_over_and_the_rest_waits_in_words(worker):
     config, said, warnings = write({"tracker": {"max_age_ms": 250}})
     assert config.tracker.max_age_ms == 250.0
     assert warnings == []
+
+
+def test_the_gateway_takes_over_how_old_a_pose_may_be(worker):
+    config, said, warnings = worker("gateway")({"tracker": {"max_age_ms": 200}})
+    assert config.tracker.max_age_ms == 200.0
+    assert "was read again: tracker.max_age_ms (300.0 > 200.0)" in said
+    assert warnings == []
+
+
+def test_a_worker_that_lacks_what_the_file_has_hears_of_it_though_the_file_is_as_before(worker):
+    config, said, warnings = worker("reinit")({})
+    assert config is not None
+    assert (said, warnings) == ("", [])
 
 
 def test_what_is_another_workers_is_not_told(worker):
@@ -111,6 +125,18 @@ def test_objects_come_and_go_with_the_file_and_those_added_by_hand_stay():
     assert {e.object: e.max_instances for e in objects.entries()} == {"mug": 3, "lid": 1, "by hand": 1}
     assert loop.config.period_ms == 250.0
     assert "objects" in work.reload(Config())[0]
+
+
+def test_what_the_file_has_and_a_worker_started_anew_does_not_know_comes_when_it_is_read_again():
+    """The list is of before the file was changed; what is not in it may be added by hand, and stays."""
+    entries = [ObjectEntry(object=name, max_instances=1, searching=0) for name in ("mug", "jar")]
+    objects = ObjectList(entries, ObjectSlot)
+    config = msgspec.convert({"objects": [{"name": "mug", "max_instances": 2}, {"name": "lid"}]}, Config)
+    work = ReinitWork(FakeBus("reinit"), SimpleNamespace(config=None), objects, config.objects)
+    assert work.reload(config) == []
+    assert {e.object: e.max_instances for e in objects.entries()} == {"mug": 2, "jar": 1, "lid": 1}
+    work = ReinitWork(FakeBus("reinit"), work._loop, ObjectList(entries[1:], ObjectSlot), config.objects)
+    assert work.reload(config) == [], "also where it knows none of the file's"
 
 
 def test_a_terminal_that_is_closed_ends_it():

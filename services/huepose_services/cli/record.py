@@ -103,7 +103,8 @@ def _recorded(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> in
                 break
     except InputError:  # several run now
         parts.close()
-        parts.path.unlink(missing_ok=True)
+        if recorder.span.first_ns is None:
+            parts.path.unlink(missing_ok=True)
         raise
     except OSError as error:
         say(f"\nhuepose record: {error.strerror or error}; what was written stays")

@@ -103,7 +103,10 @@ class Taken:
 
     def _from_before(self, what: FrameKey | int) -> bool:
         """Whether it is a frame from before the recording began, which the tracker still remembers."""
-        return self._first is not None and isinstance(what, tuple) and what < self._first
+        first = self._first
+        if first is None or not isinstance(what, tuple):
+            return False
+        return what[0] == first[0] and what[1] < first[1]  # epochs are random numbers
 
     def passed_over(self, key: FrameKey) -> bool:
         """Whether the tracker took a later frame, and not this one."""

@@ -15,11 +15,11 @@ import shutil
 import time
 from collections import deque
 from dataclasses import dataclass
+from glob import escape
 from pathlib import Path
 from typing import Any
 
 import cv2
-import msgspec
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -34,6 +34,7 @@ from mcap_protobuf.schema import register_schema
 from huepose.support.errors import InputError
 from huepose_protos import to_json
 from huepose_protos.buffers import Array
+from huepose_protos.export import json_schema
 from huepose_protos.keys import camera_of
 from huepose_protos.messages import FrameHeader, Message, PoseMessage
 
@@ -65,29 +66,41 @@ class Parts:
     """Takes frames and messages; `commit` makes them last when it is time. `name.mcap` first, then
     `name_0001.mcap` and so on. offset_ns: from stamps to Unix time; about: what is noted in each file.
 
-    Raises InputError for a file that is there already or cannot be made. All of it raises OSError where the
-    disk does not take it."""
+    Raises InputError where the first file cannot be made, or it or a later one is there already. All of it
+    raises OSError where the disk does not take it."""
 
     def __init__(self, path: Path, limits: Limits, offset_ns: int, about: dict[str, str], jpeg: bool) -> None:
         self.path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
+        self._path = self.path
         self._limits, self._offset_ns, self._jpeg = limits, offset_ns, jpeg
         self._about = about | {"color": "jpeg" if jpeg else "exact"}
         self._notes: dict[str, dict[str, str]] = {}
         self._done: deque[tuple[Path, int]] = deque()
         self._number = self.frames = self._bytes_done = 0
         self._look_at = 0.0
+        later = f"{escape(self.path.stem)}_[0-9][0-9][0-9][0-9]{SUFFIX}"
+        if left := sorted(self.path.parent.glob(later)):
+            raise InputError(
+                left[0],
+                found="a part of another recording",
+                expected="none: this one would go on in that file",
+                fix="Move it away, or record under another name.",
+            )
         self._begin()
 
     def _begin(self) -> None:
         """The next file."""
         number = f"_{self._number:04d}" if self._number else ""
-        self._path = self.path.with_name(f"{self.path.stem}{number}{SUFFIX}")
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[type, int] = {}
-        self._pending, self._due = 0, time.monotonic() + _CHUNK_S
-        self._closed_at = 0
+        path = self.path.with_name(f"{self.path.stem}{number}{SUFFIX}")
         try:
-            self._file = self._path.open("xb")
+            file = path.open("xb")
+            if self._number:  # the file before is whole
+                self._done.append((self._path, self._size))
+                self._bytes_done += self._size
+            self._path, self._file, self._closed_at = path, file, 0
+            self._channels: dict[str, int] = {}
+            self._schemas: dict[type, int] = {}
+            self._pending, self._due = 0, time.monotonic() + _CHUNK_S
             # LZ4 takes a third of zstd's time, and images are most of it.
             self._writer = Writer(self._file, chunk_size=2**40, compression=CompressionType.LZ4)
             self._writer.start(library="huepose")
@@ -95,13 +108,12 @@ class Parts:
             for name, values in notes.items():
                 self._writer.add_metadata(name, values)
             self._writer.flush()  # from the beginning on it says what it is
-        except FileExistsError:
-            raise InputError(self._path, found="a file of that name", expected="a new one") from None
         except OSError as error:
             if self._number:
                 raise
-            found = error.strerror or str(error)
-            raise InputError(self._path, found=found, expected="a new file") from None
+            there = isinstance(error, FileExistsError)
+            found = "a file of that name" if there else error.strerror or str(error)
+            raise InputError(path, found=found, expected="a new file") from None
 
     @property
     def _size(self) -> int:
@@ -181,7 +193,7 @@ class Parts:
         if topic in self._channels:
             return
         if kind not in self._schemas and encoding == "json":
-            schema = json.dumps({"type": "object"} | msgspec.json.schema(kind)).encode()
+            schema = json.dumps({"type": "object"} | json_schema(kind)).encode()
             self._schemas[kind] = self._writer.register_schema(kind.__name__, "jsonschema", schema)
         elif kind not in self._schemas:
             self._schemas[kind] = register_schema(self._writer, kind)
@@ -216,8 +228,6 @@ class Parts:
                 )
         if self._size >= self._limits.part:
             self.close()
-            self._done.append((self._path, self._size))
-            self._bytes_done += self._size
             self._number += 1
             self._begin()
         kept = sum(size for _, size in self._done) + self._size
@@ -227,7 +237,9 @@ class Parts:
             kept -= size
 
     def close(self) -> None:
-        """Write the index, and all that is left."""
+        """Write the index, and all that is left; nothing where that is done."""
+        if self._file.closed:
+            return
         try:
             self._writer.finish()
             self._file.flush()

@@ -14,7 +14,14 @@ from typing import Any
 import msgspec
 
 from huepose_protos.keys import tail_of
-from huepose_protos.messages import FrameHeader, IntakeMessage, MemoryMessage, Message
+from huepose_protos.messages import (
+    FrameHeader,
+    IntakeMessage,
+    MemoryMessage,
+    Message,
+    ObjectEntry,
+    ObjectsMessage,
+)
 from huepose_services.recording.parts import GIVEN
 from huepose_services.recording.read import Event
 from huepose_services.runtime.bus import Bus
@@ -85,16 +92,29 @@ class Player:
     def _now(self, message: Message) -> Message:
         """The message with its stamps moved, on this machine's clock and of this pass's camera."""
         changes: dict[str, Any] = {"publish_ns": self._moved(message.publish_ns)}
-        capture_ns = getattr(message, "capture_ns", None)
-        if capture_ns is not None:
-            # The age is kept, at any speed.
-            changes["capture_ns"] = changes["publish_ns"] - (message.publish_ns - capture_ns)
+        for name in ("capture_ns", "mount_ns"):
+            stamp_ns = getattr(message, name, None)
+            if stamp_ns is not None:
+                # The age is kept, at any speed.
+                changes[name] = changes["publish_ns"] - (message.publish_ns - stamp_ns)
         epoch = getattr(message, "camera_epoch", None)
         if epoch is not None:
-            changes["camera_epoch"] = self._epochs.setdefault(epoch, secrets.randbits(62))
+            changes["camera_epoch"] = self._epoch(epoch)
+        if isinstance(message, ObjectsMessage):
+            changes["objects"] = [self._entry(entry) for entry in message.objects]
         clock = this_clock()
         if hasattr(message, "clock"):
             changes["clock"] = clock
         if hasattr(message, "clock_id"):
             changes |= {"clock_id": clock.clock_id, "realtime_offset_ns": clock.realtime_offset_ns}
         return msgspec.structs.replace(message, **changes)
+
+    def _epoch(self, recorded: int) -> int:
+        """The epoch of this pass that stands for a recorded one."""
+        return self._epochs.setdefault(recorded, secrets.randbits(62))
+
+    def _entry(self, entry: ObjectEntry) -> ObjectEntry:
+        if entry.retired is None:
+            return entry
+        epoch, number = entry.retired
+        return msgspec.structs.replace(entry, retired=(self._epoch(epoch), number))

@@ -22,14 +22,16 @@ from huepose_services.runtime.log import Log
 LIVE: dict[str, frozenset[str]] = {
     "tracker": frozenset({"tracker.max_age_ms"}),
     "reinit": frozenset({"objects", "reinit.rate_hz", "reinit.objects_per_tick", "reinit.deadline_ms"}),
-    "gateway": frozenset({"gateway.max_rate_hz", "gateway.sessions_per_reader", "gateway.tls.readers"}),
+    "gateway": frozenset(
+        {"gateway.max_rate_hz", "gateway.sessions_per_reader", "gateway.tls.readers", "tracker.max_age_ms"}
+    ),
 }
 """What a worker takes over while it runs; other workers are told by it, where they have to know."""
 
 _OF_ALL = ("site", "bundles", "profile", "networks", "bus", "cpus", "camera.name", "hosts", "link")
 
 TakeOver = Callable[[Config], list[str]]
-"""Called with a configuration of which what is live has changed: sentences on what of it cannot be done."""
+"""Called with a configuration that was read again: sentences on what of it cannot be done."""
 
 
 def asked_again() -> Callable[[], bool]:
@@ -94,7 +96,8 @@ class Reload:
         live = {key: text for key, text in changed(self._now, new) if self._is_live(key)}
         waits = [text for key, text in changed(self._started, new) if self._waits(key)]
         self._now = new
-        refused = take_over(new) if live else []
+        # Also where nothing has changed: a worker that was started anew may lack what the file has.
+        refused = take_over(new) if self._worker in LIVE else []
         if live:
             self._log.say(f"{self._path} was read again: {', '.join(live.values())}")
         later = f"changes that wait for the next start: {', '.join(waits)}" if waits else ""

@@ -17,13 +17,21 @@ from huepose.model.io import model_path, save_model
 from huepose.support.errors import InputError
 from huepose_protos.client import Reader
 from huepose_protos.local import endpoint
-from huepose_protos.messages import PoseMessage, TruthMessage
+from huepose_protos.messages import (
+    CameraMessage,
+    Mount,
+    ObjectEntry,
+    ObjectsMessage,
+    PoseMessage,
+    TruthMessage,
+)
+from huepose_protos.motion import mount_at
 from huepose_services.camera.recording import RecordedScene
 from huepose_services.chaos.system import LivePipeline
 from huepose_services.cli.main import main
 from huepose_services.recording.export import export_bop
 from huepose_services.recording.play import Player, in_order
-from huepose_services.recording.read import Recording
+from huepose_services.recording.read import Event, Recording
 from huepose_services.runtime.bus import Bus
 from tests.disk import full_disk
 from tests.services.conftest import free_port_range
@@ -193,6 +201,25 @@ def test_it_is_played_in_order_with_its_ages_at_any_speed(tmp_path):
     # One camera, which is not the recorded one.
     assert len({m.camera_epoch for _, m in out}) == 1
     assert out[0][1].camera_epoch != events[0].message.camera_epoch
+
+
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_the_mounts_and_epochs_that_it_tells_are_of_the_time_at_which_it_is_played(speed):
+    second, moves = 10**9, Mount(parent="base", translation=(1.0, 0.0, 0.0))
+    pose = msgspec.structs.replace(POSE, publish_ns=101 * second, capture_ns=101 * second - 10**7)
+    entry = ObjectEntry(object="mug", max_instances=1, searching=0)
+    over = msgspec.structs.replace(entry, object="jar", retired=(pose.camera_epoch, 3))
+    stamps = range(100 * second, 102 * second, second // 20)
+    camera = msgspec.structs.replace(EXAMPLES[CameraMessage], mount=moves)
+    objects = ObjectsMessage(publish_ns=101 * second, objects=[entry, over])
+    messages = [msgspec.structs.replace(camera, publish_ns=at + 10**6, mount_ns=at) for at in stamps]
+    out, _ = _played([Event(KEY + "x", m) for m in (*messages, pose, objects)], speed=speed)
+    played = {kind: [m for _, m in out if isinstance(m, kind)] for kind in map(type, (camera, pose, objects))}
+    told = [(m.mount_ns, m.mount) for m in played[CameraMessage]]
+    (pose,) = played[PoseMessage]
+    assert mount_at(told, pose.capture_ns) == moves
+    (objects,) = played[ObjectsMessage]
+    assert [e.retired for e in objects.objects] == [None, (pose.camera_epoch, 3)]
 
 
 def test_it_can_be_stopped_before_it_plays(tmp_path, monkeypatch, capsys):

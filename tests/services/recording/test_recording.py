@@ -1,8 +1,12 @@
 """What is recorded is read back exactly, by others too; however it ends, what was written stays."""
 
+import errno
 import json
 import struct
 import tracemalloc
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import msgspec
 import numpy as np
@@ -16,6 +20,7 @@ from huepose_services.cli.main import main
 from huepose_services.recording.parts import DiskFullError, Limits
 from huepose_services.recording.read import Recording
 from huepose_services.recording.record import Span
+from huepose_services.runtime.config import Config
 
 from .conftest import EXAMPLES, KEY, UNIX_NS, chunks_of, frames, mcap_of, parts, tiny_frame, written
 
@@ -174,6 +179,82 @@ def test_a_file_that_is_there_is_left_alone(tmp_path):
     with pytest.raises(InputError, match="a file of that name"):
         parts(tmp_path / "out")
     assert (tmp_path / "out.mcap").read_text() == "mine"
+
+
+@pytest.mark.parametrize(("left", "taken"), [("out_0003.mcap", True), ("out_20260101.mcap", False)])
+def test_a_part_that_is_left_of_another_recording_is_said_at_the_start(tmp_path, left, taken):
+    (tmp_path / left).write_text("mine")
+    if taken:
+        with pytest.raises(InputError, match=r"out_0003\.mcap: found a part of another recording"):
+            parts(tmp_path / "out")
+    else:
+        parts(tmp_path / "out").close()
+    assert (tmp_path / left).read_text() == "mine"
+    assert (tmp_path / "out.mcap").exists() != taken
+
+
+def _goes_on(out):
+    """Frames until its next file is due."""
+    for number in range(400):
+        out.frame(*tiny_frame(number), KEY + "frame")
+        out._due = 0.0
+        out.commit()
+
+
+@pytest.mark.parametrize("refusal", [None, errno.ENOSPC])
+def test_where_the_next_file_cannot_be_made_what_was_written_stays(tmp_path, monkeypatch, refusal):
+    """Another program has made a file of that name, or the disk has no room for one."""
+    out = parts(tmp_path / "out", Limits(part=30_000, keep=None, free=0))
+    (tmp_path / "out_0001.mcap").write_text("mine")
+
+    def refused(*_):
+        raise OSError(refusal, "refused")
+
+    if refusal is not None:
+        monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(OSError, match="File exists" if refusal is None else "refused"):
+        _goes_on(out)
+    monkeypatch.undo()
+    out.close()
+    assert out.paths == [tmp_path / "out.mcap"]
+    assert out.size == out.path.stat().st_size
+    assert len(frames(Recording(out.path).events())) == out.frames
+    assert (tmp_path / "out_0001.mcap").read_text() == "mine"
+
+
+@pytest.mark.parametrize("ends_by", [FileExistsError, InputError])
+def test_what_was_recorded_is_never_deleted(tmp_path, monkeypatch, capsys, ends_by):
+    class Recorder:
+        finished, missed, lost = "", 0, 0
+
+        def __init__(self, bus, out, with_frames):
+            self.out, self.span = out, Span()
+
+        def step(self, timeout_s):
+            self.out.frame(*tiny_frame(0), KEY + "frame")
+            self.span.saw(1, 1)
+            if ends_by is InputError:
+                raise InputError("the pipeline", found="two")
+            (tmp_path / "out_0001.mcap").write_text("mine")
+            self.out._limits = Limits(1, None, 0)
+            self.out._due = 0.0
+            self.out.commit()
+
+        def close(self):
+            pass
+
+    place = SimpleNamespace(place=1, absence="")
+    monkeypatch.setattr("huepose_services.recording.record.Recorder", Recorder)
+    monkeypatch.setattr("huepose_services.runtime.session.open_recorder_session", lambda config: MagicMock())
+    monkeypatch.setattr("huepose_services.runtime.worker.come_first", lambda name: None)
+    monkeypatch.setattr("huepose_services.cli.record.until_told", lambda: lambda: False)
+    monkeypatch.setattr("huepose_services.cli.record.chosen_config", lambda arguments: Config())
+    monkeypatch.setattr("huepose_services.cli.record.chosen", lambda arguments, tell: place)
+    code = main(["record", str(tmp_path / "out"), "--free", "0"])
+    assert code == (1 if ends_by is FileExistsError else 2)
+    said = capsys.readouterr().err
+    assert ("File exists; what was written stays" if code == 1 else "found two") in said
+    assert len(frames(Recording(tmp_path / "out.mcap").events())) == 1
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import time
 
 import msgspec
+import pytest
 
 from huepose_protos import encode
 from huepose_protos.examples import messages
@@ -76,6 +77,18 @@ def test_frames_from_before_the_recording_began_are_asked_for_and_not_missed():
     asked = [taken.wanted(LATER * (n + 1))[0] for n in range(5)]
     assert asked == [[(EPOCH, 3), (EPOCH, 4), (EPOCH, 6)]] * 4 + [[]]
     assert taken.lost == 1
+
+
+@pytest.mark.parametrize("later", [EPOCH + 1, EPOCH - 1])
+def test_a_frame_that_is_lost_after_the_camera_was_opened_anew_is_missed(later):
+    """Epochs are random numbers."""
+    taken = Taken()
+    taken.frame(_frame(5))
+    memory = msgspec.structs.replace(EXAMPLES[MemoryMessage], frames=[(EPOCH, 4), (later, 9), (later, 2)])
+    taken.message("huepose/a/cam0/tracker/memory", encode(memory))
+    for n in range(5):
+        taken.wanted(LATER * (n + 1))
+    assert taken.lost == 2
 
 
 def test_a_slow_recorder_lets_go_of_frames_that_the_tracker_passed_over():

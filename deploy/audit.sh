@@ -3,7 +3,7 @@
 # It needs the network, and what it finds changes from day to day: it is no part of the tests.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-UV=$(echo .tools/uv-*/bin/uv)
+UV=.tools/uv-$(sed -n 's/^uv==\([0-9.]*\).*/\1/p' deploy/uv.txt)/bin/uv
 mkdir -p build
 for extra in edge edge-gpu; do
     "$UV" export --frozen --quiet --no-dev --no-emit-project --extra "$extra" \

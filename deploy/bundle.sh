@@ -6,7 +6,7 @@
 #   EXTRAS="edge" deploy/bundle.sh  leaves out what is not needed (default: edge viewer realsense oak ros2 secure)
 set -euo pipefail
 cd "$(dirname "$0")/.."
-UV=$PWD/$(echo .tools/uv-*/bin/uv)
+UV=$PWD/.tools/uv-$(sed -n 's/^uv==\([0-9.]*\).*/\1/p' deploy/uv.txt)/bin/uv
 PYTHON=$PWD/.venv/bin/python
 # The Python that the environment was made from has pip, as `make setup` needs it.
 PIP=("$("$PYTHON" -c 'import sys; print(sys._base_executable)')" -m pip)

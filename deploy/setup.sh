@@ -22,7 +22,8 @@ find_python() {
 # Shared libraries that the wheels expect from the system.
 system_libraries() {
     local missing=() row known
-    known=$(ldconfig -p)
+    # Debian has ldconfig in a folder that is not on an ordinary user's path.
+    known=$(PATH=$PATH:/usr/sbin:/sbin ldconfig -p)
     for row in libusb-1.0.so.0:libusb-1.0-0 libudev.so.1:libudev1 libGL.so.1:libgl1 libEGL.so.1:libegl1 \
                libX11.so.6:libx11-6 libidn2.so.0:libidn2-0 libgomp.so.1:libgomp1; do
         [[ $known == *"${row%%:*}"* ]] || missing+=("${row##*:}")

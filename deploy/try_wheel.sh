@@ -3,7 +3,7 @@
 # with the base installation, the parts of the demo with the extra `edge`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-UV=$PWD/$(echo .tools/uv-*/bin/uv)
+UV=$PWD/.tools/uv-$(sed -n 's/^uv==\([0-9.]*\).*/\1/p' deploy/uv.txt)/bin/uv
 PYTHON=$PWD/.venv/bin/python
 unset PYTHONPATH
 

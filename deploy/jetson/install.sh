@@ -105,15 +105,20 @@ install_programs() {
         --no-dev --no-editable --project "$repo" --python "$python" "${flags[@]}"
 }
 
-# Units and the way to the programs, of a release. Nothing of the units of another one stays.
+# Units and the way to the programs, of a release. Nothing of the units of another one stays, and nothing of it goes
+# before its own are there.
 use() {
+    run rm -rf "$1/units"
+    run "$1/.venv/bin/huepose" units "$home/pipeline.yaml" --out "$1/units" --user "$user"
     remove_units
     run rm -rf "$prefix/.venv"
     run ln -s "$1/.venv" "$prefix/.venv"
-    run "$1/.venv/bin/huepose" units "$home/pipeline.yaml" --out "$units" --user "$user"
+    run cp -r "$1/units/." "$units"
     if systemd_runs; then
         run systemctl daemon-reload
         [ "$start" = 0 ] || {
+            # A restart of the target would start again all that run, also those that it does not name any more.
+            run systemctl stop 'huepose@*.service' || true
             run systemctl reset-failed 'huepose@*' || true
             run systemctl enable huepose.target
             run systemctl restart --no-block huepose.target
@@ -202,6 +207,8 @@ rollback)
         if [ -d "$old" ] && [ "$old" != "$now" ]; then before=$old; fi
     done
     [ -n "$before" ] || fail "there is no version before"
+    run "$before/.venv/bin/huepose" validate "$home/pipeline.yaml" \
+        || fail "the version before does not take $home/pipeline.yaml; what is installed runs on"
     use "$before"
     all_ready || fail "see journalctl -u 'huepose@*'"
     echo "back to $before" ;;

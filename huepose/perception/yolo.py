@@ -71,7 +71,9 @@ class YoloDetector:
         grey = np.full((1, 3, *self._input_size), 114.0 / 255.0, np.float32)
         output = network.run({network.inputs[0].name: grey})[network.outputs[0].name]
         self.layout = _layout(network, output, self._input_size, layout)
-        self._classes = self._numbers(classes, classes_in(self.layout, output.shape))
+        count = classes_in(self.layout, output.shape)
+        _check_it_only_detects(network, count)
+        self._classes = self._numbers(classes, count)
 
     def without_class(self, names: Iterable[str]) -> list[str]:
         """Those of these objects that no class means: they get no box, whatever is in the picture."""
@@ -153,6 +155,21 @@ def class_names(network: Network, count: int | None) -> tuple[str, ...]:
         if numbered:
             return tuple(str(numbered.get(i, i)) for i in range(max(numbered) + 1))
     return COCO_CLASSES if count == len(COCO_CLASSES) else ()
+
+
+def _check_it_only_detects(network: Network, count: int | None) -> None:
+    """Raises InputError where the file says that the network is for another task, or that it has other
+    classes than its output: masks and keypoints are columns beside the scores."""
+    task, names = network.metadata.get("task", "detect"), class_names(network, None)
+    if task == "detect" and (not names or count in (None, len(names))):
+        return
+    found = f"task {task}" if task != "detect" else f"{len(names)} names of classes for {count} columns"
+    raise InputError(
+        network.path,
+        found=found,
+        expected="a network for boxes alone (task detect), whose output has a column for each class",
+        fix="Export a detector: one for masks, keypoints or turned boxes does not do.",
+    )
 
 
 def _input_size(network: Network) -> tuple[int, int]:

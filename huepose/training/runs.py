@@ -81,7 +81,15 @@ class Training:
         nets: Mapping[str, nn.Module],
         resume: bool,
     ) -> Training:
-        """Anew, or from the checkpoint in `out`. Raises InputError where none of this kind is there."""
+        """Anew, or from the checkpoint in `out`. Raises InputError where none of this kind is there, and anew
+        where there is one, which would be replaced."""
+        if not resume and (file := out / CHECKPOINT).exists():
+            raise InputError(
+                f"checkpoint {file}",
+                found="one of an earlier training",
+                expected="none, where a training starts",
+                fix="Go on from it with --resume, name another folder with --out, or delete it.",
+            )
         parts = {"optimiser": optimiser, **nets}
         course = load_checkpoint(out, kind, parts) if resume else Course()
         return Training(out, kind, settings, optimiser, nets, course)
@@ -90,7 +98,8 @@ class Training:
         self, batches: Iterable[Batch], step: Callable[[Batch], None], validate: Callable[[Course], None]
     ) -> None:
         """Learn from batches until the time is over, or until interrupted. validate: notes what is reached on
-        the course's curve; at times, and at the end."""
+        the course's curve; at times, and at the end. Raises InputError, and writes nothing, where it ends
+        before its first step."""
         course, settings = self.course, self.settings
         course.rounds += 1
         before_h, begun = course.hours, time.monotonic()
@@ -107,6 +116,13 @@ class Training:
                     self._note(validate)
         except KeyboardInterrupt:
             pass
+        if course.steps == 0:
+            raise InputError(
+                f"training {self.kind}",
+                found="its end before its first step",
+                expected="a step at least",
+                fix=f"Nothing was written to {self.out}. Give it more --hours.",
+            )
         self._note(validate)
 
     def _note(self, validate: Callable[[Course], None]) -> None:

@@ -60,6 +60,9 @@ class BoxFinder:
         """Forget an object; nothing happens when it is not known."""
         self._outlines.pop(name, None)
 
+    def forget_where(self, name: str) -> None:
+        """Search an object anew, whatever is kept of where it was."""
+
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order. pixels: called by those who look at the frame."""
         raise NotImplementedError
@@ -194,6 +197,16 @@ class FirstBoxes(BoxFinder):
         self._given = dict(boxes)
         self._acquired: set[str] = set()
         self._last: dict[str, tuple[Box, int]] = {}
+
+    def remove(self, name: str) -> None:
+        """Forget an object; nothing happens when it is not known."""
+        super().remove(name)
+        self.forget_where(name)
+
+    def forget_where(self, name: str) -> None:
+        """Begin with the given box again."""
+        self._acquired.discard(name)
+        self._last.pop(name, None)
 
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order."""

@@ -95,6 +95,8 @@ class DetectorWork(Work):
                 self._finder.remove(entry.object)
             elif change.added is not None:
                 self._finder.add(change.added)
+            else:
+                self._finder.forget_where(entry.object)
             if entry.box is not None:
                 self._hints.point(entry.object, Box(*entry.box), now_ns())
             self._tell_what_it_lacks()

@@ -77,7 +77,9 @@ class EstimatorWork(Work):
             self._estimated(answer, item.detection.request.instance)
             for answer, item in zip(answers, objects, strict=True)
         ]
-        picture, camera = self._fault(frame, answers), message.camera or self._doubted()
+        # What looks say is told in health, whatever the detector says of the camera.
+        doubted = self._doubted()
+        picture, camera = self._fault(frame, answers), message.camera or doubted
         if self._doubts is not None and not any(answer.found for answer in answers):
             picture = picture or self._doubts.offset
         self._bus.put_control(

@@ -104,7 +104,8 @@ def never_boxed(detector: YoloDetector, names: Iterable[str]) -> str:
 
 
 def _by_name(network: Network, wanted: list[str]) -> dict[str, list[int | str]]:
-    """Classes that are called as the objects are. Raises InputError where one has no such class."""
+    """Each class for the object of its name, also for one that is added later. Raises InputError where one
+    that is wanted has no such class."""
     names = class_names(network, None)
     missing = [name for name in wanted if name not in names]
     if missing or not names:
@@ -119,7 +120,7 @@ def _by_name(network: Network, wanted: list[str]) -> dict[str, list[int | str]]:
             fix="Say in detector.classes what the network calls it, for example "
             f"{{{one}: {meant[0] if meant else 0}}}.",
         )
-    return {name: [name] for name in wanted or names}
+    return {name: [name] for name in names}
 
 
 def sam(config: Config) -> tuple[SamSegmenter, Network]:

@@ -107,6 +107,9 @@ class ObjectList:
         if known is not None and known.max_instances == count:
             fix = f"; to search it anew: huepose objects reset {name}"
             return False, f"{name} is looked for already (up to {count} of it){fix}"
+        if known is not None and request.box is not None:
+            fix = f"huepose objects reset {name} --box X Y W H"
+            return False, f"{name} is looked for already: add takes no box then; to search it there: {fix}"
         if known is None and len(self._entries) >= MOST_OBJECTS:
             return (False, f"{MOST_OBJECTS} objects are looked for, which is the most: remove one first")
         try:

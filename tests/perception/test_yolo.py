@@ -128,6 +128,23 @@ def test_classes_by_name_come_from_the_file(tmp_path, names):
         YoloDetector(network, {"mug": [3]})
 
 
+@pytest.mark.parametrize(
+    ("metadata", "found"),
+    [
+        # As exports for masks and keypoints have it: columns beside the scores would be classes.
+        ({"names": "{0: 'box', 1: 'mug'}"}, "2 names of classes for 3 columns"),
+        ({"names": "{0: 'box', 1: 'tin can', 2: 'mug'}", "task": "segment"}, "task segment"),
+        ({"task": "pose"}, "task pose"),
+    ],
+)
+def test_a_network_for_more_than_boxes_is_refused(tmp_path, metadata, found):
+    network = _network(tmp_path, OUTPUTS["v8"](), metadata=metadata)
+    with pytest.raises(InputError, match=rf"found {found}; expected a network for boxes alone"):
+        YoloDetector(network, {"mug": [1]})
+    named = {"names": "{0: 'box', 1: 'tin can', 2: 'mug'}", "task": "detect"}
+    assert YoloDetector(_network(tmp_path, OUTPUTS["v8"](), metadata=named), {"mug": [1]}).layout == "v8"
+
+
 def test_an_object_that_no_class_means_is_told(tmp_path):
     detector = YoloDetector(_network(tmp_path, OUTPUTS["v8"]()), {"mug": [2], "can": []})
     assert detector.without_class(["mug", "can", "pan"]) == ["can", "pan"]

@@ -141,6 +141,16 @@ class TestFirstBox:
         assert areas == sorted(areas)
         assert areas[-1] == 640 * 480
 
+    @pytest.mark.parametrize("what", ["remove", "forget_where"])
+    def test_a_search_anew_begins_with_the_given_box(self, what):
+        finder = self._finder()
+        known = RequestedObject(object="cube", instance=1, prior=_prior(T_LEFT))
+        finder.find(_header(), _request(known), None)
+        getattr(finder, what)("cube")
+        assert finder.find(_header(), _request(NEW), None)[0].box == tuple(self.GIVEN)
+        if what == "forget_where":
+            assert finder.find(_header(), _request(known), None)[0].box != tuple(self.GIVEN)
+
     def test_an_object_without_a_box_is_left_out(self):
         finder = FirstBoxes(OUTLINES, {})
         assert finder.find(_header(), _request(NEW), None) == []

@@ -114,13 +114,14 @@ def warned_after(monkeypatch):
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
     work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
 
-    def warned(seconds):
+    def warned(seconds, camera=""):
         now[0] += int(seconds * 1e9)
-        bus.arriving[Masks] = [masks(1.0, *(["cup"] * len(estimator.answers)))]
+        message, payload = masks(1.0, *(["cup"] * len(estimator.answers)))
+        bus.arriving[Masks] = [(replace(message, camera=camera), payload)]
         work.step()
         said = [text for text in bus.health.message().warnings if "camera.check" in text]
         (text,) = [text for text in said if not text.startswith("cup/")] or [""]
-        assert bus.said[-1].camera == text.partition(" No pose is")[0]
+        assert bus.said[-1].camera == (camera or text.partition(" No pose is")[0])
         return bus.said[-1].camera
 
     def asked(*instances):
@@ -156,6 +157,16 @@ def test_a_wrong_camera_matrix_is_said_after_some_looks(warned_after):
     assert said.startswith("The picture shows objects 10 % larger"), "the first three looks follow each other"
     warned_after.estimator.larger = 0.0
     assert [warned_after(EVERY_S) for _ in range(3)][-1] == ""
+
+
+def test_a_warning_does_not_outlive_its_cause_while_the_detector_doubts_the_colours(warned_after):
+    warned_after.estimator.answers = (cup("TRACKING"),)
+    warned_after.estimator.larger = 0.1
+    assert [warned_after(0.2) for _ in range(3)][-1] != ""
+    assert len(warned_after.warnings()) == 1
+    warned_after.estimator.larger = 0.0
+    assert [warned_after(EVERY_S, "Blue for red.") for _ in range(3)] == ["Blue for red."] * 3
+    assert warned_after.warnings() == []
 
 
 def test_doubtful_poses_are_asked_about_sizes_only_where_there_is_no_sure_one(warned_after):

@@ -235,7 +235,9 @@ def test_without_classes_they_are_called_as_the_objects_are(tmp_path):
     networks.constant_output(tmp_path / "named.onnx", np.zeros((1, 30, 6)), metadata=names)
     networks.constant_output(tmp_path / "nameless.onnx", np.zeros((1, 30, 6)))
     text = "detector: {{kind: yolo, model: {}.onnx}}\nobjects: [{}]"
-    deployed.check(parse(text.format("named", "{name: jug}"), tmp_path / "p.yaml"))
+    detector, _ = deployed.yolo(parse(text.format("named", "{name: jug}"), tmp_path / "p.yaml"))
+    assert deployed.never_boxed(detector, ["jug", "mug"]) == "", "one that is added later has its class, too"
+    assert "no class for pan, so" in deployed.never_boxed(detector, ["jug", "pan"])
     deployed.check(parse(text.format("named", ""), tmp_path / "p.yaml"))
     with pytest.raises(InputError, match=r"found none called muug, pan, but mug, jug;.* example {muug: mug}"):
         deployed.check(parse(text.format("named", "{name: muug}, {name: pan}"), tmp_path / "p.yaml"))

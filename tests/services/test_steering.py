@@ -84,6 +84,7 @@ def test_what_may_be_done_is_done(objects):
     [
         (order("add", "ghost"), "no such reference model"),
         (order("add", "mug"), "already"),
+        (order("add", "mug", max_instances=2, box=(1.0, 2.0, 3.0, 4.0)), "huepose objects reset mug --box"),
         (order("remove", "jar"), "jar is not looked for; what is: mug"),
         (order("reset", "jar"), "jar is not looked for"),
     ],

@@ -148,6 +148,18 @@ def test_restarts_and_watchdog_are_those_of_the_file():
     assert _value(template, "ExecReload") == "/bin/kill -HUP $MAINPID"
 
 
+@pytest.mark.parametrize(
+    ("source", "devices", "network"),
+    [("realsense", True, False), ("oak", True, True), ("python", True, True), ("synthetic", False, False)],
+)
+def test_a_camera_has_the_rights_of_its_source(source, devices, network):
+    """What a file in Python opens may be on USB, a video device or in the network."""
+    path = "/etc/huepose/cam.py" if source == "python" else None
+    own = _units(Config(camera=CameraConfig(source=source, path=path)))["huepose@camera.service.d/needs.conf"]
+    assert ("char-usb_device" in own and "char-video4linux" in own) == devices
+    assert ("IPAddressDeny=\n" in own) == network
+
+
 def test_only_those_that_need_them_see_devices_and_the_network():
     config = Config(
         workers=(*CHAIN, "gateway"),
@@ -204,7 +216,8 @@ def test_a_dry_run_says_what_it_would_do_and_does_nothing():
     done = _install("--dry-run")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    assert any("huepose units /etc/huepose/pipeline.yaml --out /etc/systemd/system" in line for line in lines)
+    (made,) = (line.split("--out ")[1].split()[0] for line in lines if "huepose units /etc/huepose/" in line)
+    assert f"  cp -r {made}/. /etc/systemd/system" in lines
     assert any(line.strip() == "systemctl restart --no-block huepose.target" for line in lines)
     assert not Path("/etc/systemd/system/huepose.target").exists()
     assert not Path("/opt/huepose").exists()
@@ -241,6 +254,71 @@ def test_there_is_nothing_to_go_back_to_before_an_upgrade():
     done = _install("--dry-run", "--rollback")
     assert done.returncode == 2
     assert "no version before" in done.stderr
+
+
+@pytest.fixture
+def two_versions(tmp_path):
+    """A folder with two versions, the second in use with its units, and an installer for it that needs no
+    root and whose systemctl only notes what it is told. The programs are scripts."""
+    places = " ".join(f"{name}={tmp_path / name}" for name in ("units", "rules", "home"))
+    text = re.sub(r"^units=/etc.*$", places, INSTALL.read_text(), flags=re.MULTILINE)
+    text = text.replace("/tmp/*) fail", "/nowhere/*) fail").replace("/run/systemd/system", str(tmp_path))
+    (tmp_path / "install.sh").write_text(text)
+    scripts = {"bin/id": "echo 0", "bin/systemctl": f'echo "$*" >> {tmp_path}/told'}
+    for number in (1, 2):
+        # `huepose units FILE --out DIR --user NAME` writes a target; anything else succeeds.
+        units = f'[ "$1" = units ] || exit 0\nmkdir -p "$4"\necho "of {number}" > "$4/huepose.target"'
+        scripts[f"opt/releases/{number}/.venv/bin/huepose"] = units
+    for name, lines in scripts.items():
+        _script(tmp_path / name, lines)
+    (tmp_path / "opt" / ".venv").symlink_to(tmp_path / "opt/releases/2/.venv")
+    (tmp_path / "units" / "huepose@viewer.service.d").mkdir(parents=True)
+    for name in ("huepose.target", "huepose@.service", "huepose@viewer.service.d/needs.conf"):
+        (tmp_path / "units" / name).write_text("of 2\n")
+    return tmp_path
+
+
+def _script(path, lines):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"#!/bin/sh\n{lines}\n")
+    path.chmod(0o755)
+
+
+def _roll_back(folder):
+    command = ["bash", str(folder / "install.sh"), "--rollback", "--prefix", str(folder / "opt")]
+    path = f"{folder / 'bin'}:{os.environ['PATH']}"
+    return subprocess.run(
+        command, env={**os.environ, "PATH": path}, capture_output=True, text=True, timeout=60
+    )
+
+
+def _files(folder):
+    return {str(p.relative_to(folder)): p.read_text() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("refuses", ["validate", "units"])
+def test_where_the_version_before_refuses_the_configuration_the_one_in_use_stays(two_versions, refuses):
+    before = _files(two_versions / "units")
+    old = two_versions / "opt/releases/1/.venv/bin/huepose"
+    _script(old, f'[ "$1" != {refuses} ] || {{ echo "newkey: unknown" >&2; exit 2; }}')
+    done = _roll_back(two_versions)
+    assert done.returncode == 2
+    assert "newkey: unknown" in done.stderr
+    assert ("what is installed runs on" in done.stderr) == (refuses == "validate")
+    assert _files(two_versions / "units") == before
+    assert (two_versions / "opt/.venv").readlink() == two_versions / "opt/releases/2/.venv"
+    assert not (two_versions / "told").exists()
+
+
+def test_with_another_version_come_its_units_and_only_its_workers_go_on(two_versions):
+    """A restart of the target starts all that run again: also a worker that it does not name any more."""
+    done = _roll_back(two_versions)
+    assert done.returncode == 0, done.stderr
+    assert _files(two_versions / "units") == {"huepose.target": "of 1\n"}
+    assert (two_versions / "opt/.venv").readlink() == two_versions / "opt/releases/1/.venv"
+    told = (two_versions / "told").read_text().splitlines()
+    order = ["daemon-reload", "stop huepose@*.service", "restart --no-block huepose.target"]
+    assert [line for line in told if line in order] == order
 
 
 def test_uninstalling_leaves_the_configuration():

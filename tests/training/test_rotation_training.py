@@ -10,6 +10,7 @@ from huepose.paper.rotation_network import WEIGHTS, OnnxRotation
 from huepose.support.errors import InputError
 from huepose.training.network import AttentionDgcnn, EdgeConvolution, geodesic, neighbours, rotation_of_six
 from huepose.training.rotation import RotationTraining, export, train
+from huepose.training.runs import Settings, Training
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -82,3 +83,24 @@ def test_training_leaves_networks_and_goes_on_where_it_stopped(tmp_path):
     assert again["direct"]["steps"] == 5
     with pytest.raises(InputError, match=r"kind residual\+direct"):
         train(RotationTraining(kinds=("direct",)), tmp_path, True)
+    kept = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    with pytest.raises(InputError, match=r"found one of an earlier training; .* with --resume"):
+        train(short, tmp_path)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == kept
+
+
+def test_a_training_that_ends_before_its_first_step_writes_nothing(tmp_path):
+    net = torch.nn.Linear(1, 1)
+
+    def interrupted():
+        raise KeyboardInterrupt
+        yield
+
+    for batches, hours in ((interrupted(), 1.0), (iter([1]), 1e-12)):
+        settings = Settings(hours=hours)
+        training = Training.begun(
+            tmp_path, "line", settings, torch.optim.SGD(net.parameters()), {"line": net}, False
+        )
+        with pytest.raises(InputError, match="its end before its first step"):
+            training.run(batches, lambda batch: None, lambda course: None)
+        assert list(tmp_path.iterdir()) == []

@@ -7,6 +7,7 @@ of itself is read in its log and its health. Its camera does wrong what it is or
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -15,6 +16,7 @@ import tempfile
 import threading
 import time
 from collections import deque
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,6 +48,15 @@ from huepose_services.runtime.run_folder import free_ports, free_tcp_port
 from huepose_services.runtime.running import Pipeline, pick
 
 _OLD_CORRECTIONS = 400
+
+_TIED_UP = """
+import sys
+from huepose_services.runtime.tied import end_with
+end_with(int(sys.argv[1]), ask_first=True)
+from huepose_services.cli.main import main
+sys.exit(main(["up", sys.argv[2]]))
+"""
+"""`huepose up` that ends with the process that started it, however that one ended."""
 
 
 @dataclass(frozen=True)
@@ -113,23 +124,26 @@ class LivePipeline:
         self._stopping = False
 
     def __enter__(self) -> LivePipeline:
-        self._log = (self._folder / "log").open("w+")
-        command = [sys.executable, "-m", "huepose_services.cli.main", "up", str(self.path)]
-        self._process = subprocess.Popen(command, stderr=self._log, stdout=self._log)
-        keys = ("pose/**", "truth", "health/*", "perception/estimates", "correction")
-        self.reader = Reader(self.endpoints, *(f"huepose/*/*/{key}" for key in keys))
-        self._listener = threading.Thread(target=self._listen, daemon=True)
-        self._listener.start()
+        with ExitStack() as opened:
+            opened.callback(shutil.rmtree, self._folder, ignore_errors=True)
+            log = opened.enter_context((self._folder / "log").open("w+"))
+            command = [sys.executable, "-c", _TIED_UP, str(os.getpid()), str(self.path)]
+            process = subprocess.Popen(command, stderr=log, stdout=log)
+            opened.callback(process.wait, 10.0)
+            opened.callback(process.send_signal, signal.SIGTERM)
+            keys = ("pose/**", "truth", "health/*", "perception/estimates", "correction")
+            self.reader = Reader(self.endpoints, *(f"huepose/*/*/{key}" for key in keys))
+            opened.callback(self.reader.close)
+            listener = threading.Thread(target=self._listen, daemon=True)
+            listener.start()
+            opened.callback(listener.join, 2.0)
+            # What was opened is closed by __exit__ from here on, and by this block where it is left before.
+            self._opened = opened.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.send_signal(signal.SIGTERM)
-        self._process.wait(10.0)
         self._stopping = True
-        self._listener.join(2.0)
-        self.reader.close()
-        self._log.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._opened.close()
 
     @property
     def endpoints(self) -> list[str]:

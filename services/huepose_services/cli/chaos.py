@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import time
 from dataclasses import asdict
 from typing import Any
@@ -41,6 +42,8 @@ def call(arguments: argparse.Namespace) -> int:
             "--only", found=" ".join(words), expected="numbers or words of faults (docs/reliability.md)"
         )
     outcomes: list[Outcome] = []
+    # As Ctrl-C: what was started ends with it.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     with LivePipeline(live=True, slow=arguments.slow) as system:
         if not system.wait_until_steady(3, 300.0):
             say(f"huepose chaos: the pipeline does not become steady:\n{system.log()[-3000:]}")

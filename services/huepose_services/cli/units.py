@@ -233,9 +233,9 @@ def _extra(config: Config, worker: str) -> str:
     if worker in _FIRST:
         service += "# Frames and tracking come first where the cores do not suffice for all.\nNice=-5\n"
         service += f"WatchdogSec={config.restarts.patience_s(worker):g}\n"
-    if worker == "camera" and config.camera.source in ("realsense", "oak"):
+    if worker == "camera" and config.camera.source in ("realsense", "oak", "python"):
         service += _CAMERA
-        service += _NETWORK if config.camera.source == "oak" else ""
+        service += _NETWORK if config.camera.source != "realsense" else ""
     if worker in ("gateway", "viewer", "ros2", "uplink", "downlink"):
         service += _NETWORK
     if _uses_gpu(config, worker):

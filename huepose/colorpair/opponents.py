@@ -86,7 +86,7 @@ def unveiled(frame: RgbdFrame) -> RgbdFrame:
     """The frame without the light that `veil` measures; itself where that is no more than colours take for
     noise (`DARKEST`)."""
     light = veil(frame.color)
-    if light <= DARKEST:
+    if light <= DARKEST or light >= 1.0:  # all white
         return frame
     linear = np.maximum(LINEAR - np.float32(light), 0.0) / np.float32(1.0 - light)
     table = np.searchsorted(_BETWEEN, linear).astype(np.uint8)

@@ -13,7 +13,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.support.errors import InputError
-from huepose.support.picture_size import MAX_PIXELS, picture_size
+from huepose.support.picture_size import require_room
 
 _COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 _FRAME_NS = 1e9 / 30.0
@@ -97,11 +97,7 @@ def rigid(R: Float64, t_m: Float64, where: object) -> Float64:
 
 def _decode(path: Path, flags: int) -> np.ndarray:
     content = read_bytes(path)
-    width, height = picture_size(content) or (0, 0)
-    if width * height > MAX_PIXELS:
-        raise InputError(
-            path, found=f"{width} x {height} pixels", expected=f"{MAX_PIXELS} at most", fix="Make it smaller."
-        )
+    require_room(content, path)
     data = np.frombuffer(content, dtype=np.uint8)
     try:
         image = cv2.imdecode(data, flags) if data.size else None

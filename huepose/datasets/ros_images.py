@@ -15,6 +15,7 @@ from huepose.datasets.rectify import Rectifier, checked_coefficients
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.geometry.camera import Camera
 from huepose.support.errors import InputError
+from huepose.support.picture_size import require_room
 
 # Which channel is red, green and blue, and how many there are.
 _CHANNELS = {
@@ -142,6 +143,7 @@ def _pixels(message: Any, dtype: str, channels: int, where: object) -> Any:
 def _decoded(data: Any, axes: int, dtype: type, where: object) -> Any:
     """A compressed picture, which has to have so many axes and that type."""
     data = np.asarray(data, np.uint8)
+    require_room(data.tobytes(), where)
     try:
         image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if len(data) else None
     except cv2.error:

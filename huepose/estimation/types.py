@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from huepose.believe.quality import QualityTerms
 from huepose.believe.state import State
 from huepose.geometry.arrays import Bool, Float64
@@ -28,7 +30,7 @@ class ObjectQuery:
     """One object to look for: in a box, or in given candidate masks (H, W), with an optional prior.
 
     With neither box nor masks the prior's outline is used; with nothing at all InputError is raised, as
-    for a box of another type or with numbers that are not finite.
+    for a box of another type, a pose of another shape, or numbers that are not finite.
     `instance` is handed through. searched: the place is a proposal, and the object may not be there: then the
     answer says how likely it is there (`present`), and no pose of it is surer than that. others: poses
     T_cam_obj (4, 4) of other instances of the object, where this one is not.
@@ -48,6 +50,11 @@ class ObjectQuery:
             require(self.box, Box, what, "a Box", fix)
             if not all(map(math.isfinite, self.box)):
                 raise InputError(what, found=str(self.box), expected="finite numbers", fix=fix)
+        poses = [("prior", self.prior.T_cam_obj)] if self.prior is not None else []
+        for name, T in [*poses, *(("others", T) for T in self.others)]:
+            if np.shape(T) != (4, 4) or not np.isfinite(T).all():
+                found = f"{np.shape(T)} numbers" if np.shape(T) != (4, 4) else "numbers that are not finite"
+                raise InputError(f"{name} of '{self.object}'", found=found, expected="poses (4, 4)")
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,14 +10,17 @@ from huepose.geometry.arrays import Bool, Float32, UInt8
 from huepose.geometry.camera import Camera
 from huepose.support.errors import InputError, require
 
+LEAST_SIDE = 2
+"""Pixels between which the rays of a picture can be told."""
+
 
 @dataclass(frozen=True, eq=False)
 class RgbdFrame:
     """One rectified colour image with depth in its pixels.
 
-    color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 where there is no reading;
-    frame_id counts within a camera epoch; stamp_ns is the capture time, monotonic clock.
-    Raises InputError when sizes or types differ.
+    color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 where there is no reading (also where NaN or an
+    infinite number is given); frame_id counts within a camera epoch; stamp_ns is the capture time, monotonic
+    clock. Raises InputError when sizes or types differ.
     """
 
     color: UInt8
@@ -46,7 +49,7 @@ class RgbdFrame:
                 expected=f"{(*size, 3)} uint8, the size in the intrinsics",
                 fix=fix,
             )
-        if self.depth.shape != size or self.depth.dtype.name != "float32":
+        if self.depth.shape != size or self.depth.dtype != np.float32:
             fix = "Align depth to colour in the camera driver, or check the file."
             if self.depth.shape == size:
                 whole = np.issubdtype(self.depth.dtype, np.integer)
@@ -58,6 +61,13 @@ class RgbdFrame:
                 expected=f"{size} float32 metres, aligned to the colour image",
                 fix=fix,
             )
+        if min(size) < LEAST_SIDE:
+            raise InputError("picture", found=str(size), expected=f"sides of {LEAST_SIDE} pixels or more")
+        with np.errstate(invalid="ignore", over="ignore"):
+            all_numbers = np.isfinite(self.depth.sum())  # tells without an array of its own
+        if not all_numbers:
+            known = np.where(np.isfinite(self.depth), self.depth, np.float32(0.0))
+            object.__setattr__(self, "depth", known)
 
     def without(self, pixels: Bool) -> RgbdFrame:
         """The same frame without the depth of some pixels (H, W)."""

@@ -54,8 +54,11 @@ def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
 
     A camera on the hand that looks at an object which stands still: A = T_base_hand, B = T_cam_obj; X is
     T_hand_cam, Y is T_base_obj. A camera that is fixed and looks at an object in the hand: A = T_hand_base;
-    X is T_base_cam, Y is T_hand_obj. Raises InputError for too few measurements, or moves about one axis."""
+    X is T_base_cam, Y is T_hand_obj. Raises InputError for too few measurements, numbers that are
+    not finite, or moves about one axis."""
     A, B = np.asarray(A, np.float64), np.asarray(B, np.float64)
+    if not (np.isfinite(A).all() and np.isfinite(B).all()):
+        raise InputError("hand-eye calibration", found="numbers that are not finite", expected="poses (4, 4)")
     if len(A) < FEWEST:
         raise InputError(
             "hand-eye calibration",

@@ -81,8 +81,6 @@ def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float
     x0, y0, w, h = cut
     color = np.ascontiguousarray(frame.color[y0 : y0 + h, x0 : x0 + w])
     depth = np.ascontiguousarray(frame.depth[y0 : y0 + h, x0 : x0 + w])
-    if not np.isfinite(depth).all():
-        depth = np.nan_to_num(depth, nan=0.0, posinf=0.0, neginf=0.0)
     px_per_m = (frame.camera.fx + frame.camera.fy) / 2.0 / max(distance_m, NEAR_M)
     camera = frame.camera.cropped(x0, y0, w, h)
     # Whole numbers would have every kernel compiled once more.

@@ -58,8 +58,11 @@ def build_templates(
         rendering = render([(mesh, T_cam_obj)], camera)
         covered = rendering.depth > 0
         rows, columns = np.nonzero(covered)
-        centroid = np.array([columns.mean(), rows.mean()])
-        median = float(np.median(rendering.depth[covered]))
+        if len(rows):
+            centroid = np.array([columns.mean(), rows.mean()])
+            median = float(np.median(rendering.depth[covered]))
+        else:  # thinner than a pixel from here
+            centroid, median = np.array([camera.cx, camera.cy]), distance
         origins[v] = T_cam_obj[:3, 3] - camera.backproject(centroid, np.array(median))
         picture = np.zeros((*covered.shape, 5), np.float32)
         lab = cv2.cvtColor(rendering.color.astype(np.float32) / 255.0, cv2.COLOR_RGB2Lab)

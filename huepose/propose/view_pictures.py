@@ -81,8 +81,10 @@ def clean_view(mesh: Mesh, diameter_m: float, R_cam_obj: Float64, side: int = SI
     seen = render([(mesh, se3.make(R_cam_obj, [0.0, 0.0, distance] - R_cam_obj @ mesh.centre))], camera)
     shown = seen.depth > 0
     rows, columns = np.divmod(np.flatnonzero(shown), wide)
-    middle = np.array([columns.mean(), rows.mean()])
-    median_m = median(seen.depth[shown])
+    if len(rows):
+        middle, median_m = np.array([columns.mean(), rows.mean()]), median(seen.depth[shown])
+    else:  # thinner than a pixel from here
+        middle, median_m = np.array([camera.cx, camera.cy]), distance
     step = np.array([_OVERSAMPLING * distance / median_m])
     (to_picture,) = _lattices_to_picture(middle[None], step, side)
     blurred = np.asarray(cv2.GaussianBlur(seen.color, (0, 0), _BLUR_PX), np.uint8)

@@ -128,15 +128,19 @@ def _mapped(path: Path) -> dict[str, np.ndarray] | None:
     first = -(-(8 + length) // ALIGNMENT) * ALIGNMENT
     if len(content) < first:
         return None
-    header = json.loads(content[8 : 8 + length])
-    if len(content) != first + header["bytes"]:
+    try:
+        header = json.loads(content[8 : 8 + length])
+        if len(content) != first + header["bytes"]:
+            return None
+        arrays = {
+            name: np.ndarray(shape, dtype, content, first + offset)
+            for name, (dtype, shape, offset) in header["arrays"].items()
+        }
+    except (ValueError, KeyError, TypeError, AttributeError):  # the header is damaged
         return None
     with suppress(OSError):
         os.utime(path.parent)
-    return {
-        name: np.ndarray(shape, dtype, content, first + offset)
-        for name, (dtype, shape, offset) in header["arrays"].items()
-    }
+    return arrays
 
 
 @contextmanager

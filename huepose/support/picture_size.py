@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import struct
 
+from huepose.support.errors import InputError
+
 MAX_PIXELS = 2**26
 """Of a camera's picture or a texture: 8192 x 8192."""
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -19,6 +21,14 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
     if data.startswith(_PNG):
         return struct.unpack_from(">II", data, 16) if len(data) >= 24 else None
     return _jpeg_size(data) if data.startswith(b"\xff\xd8") else None
+
+
+def require_room(data: bytes, where: object) -> None:
+    """Raises InputError for a PNG or a JPEG of more than MAX_PIXELS."""
+    width, height = picture_size(data) or (0, 0)
+    if width * height > MAX_PIXELS:
+        found, fix = f"{width} x {height} pixels", "Make it smaller."
+        raise InputError(where, found=found, expected=f"{MAX_PIXELS} at most", fix=fix)
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:

@@ -72,10 +72,8 @@ def _turns(poses: Float64) -> tuple[Float64, ...]:
 
 
 def _smaller(frame: RgbdFrame) -> RgbdFrame:
-    """A frame halved until it has few enough pixels, with depth 0 where that is no number."""
+    """A frame halved until it has few enough pixels."""
     camera = frame.camera
-    if not np.isfinite(frame.depth).all():
-        frame = replace(frame, depth=np.nan_to_num(frame.depth, nan=0.0, posinf=0.0, neginf=0.0))
     while camera.width * camera.height > MOST_PIXELS:
         camera = camera.scaled(0.5)
     if camera is frame.camera:

@@ -36,6 +36,11 @@ def test_a_picture_with_something_dark_stays_what_it_is(frame) -> None:
     assert veil(veiled(frame).color) == pytest.approx(LIGHT, abs=0.004)
 
 
+def test_an_all_white_picture_stays_what_it_is(frame) -> None:
+    white = replace(frame, color=np.full_like(frame.color, 255))
+    assert unveiled(white) is white
+
+
 def test_without_its_veil_a_picture_has_its_colours_again(frame) -> None:
     again = unveiled(veiled(frame))
     assert veil(again.color) < 0.002

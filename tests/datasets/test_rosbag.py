@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -215,6 +216,18 @@ def test_of_several_pairs_one_is_named(tmp_path: Path) -> None:
     assert RosbagScene(path, Topics(color=COLOR)).topics.depth == DEPTH
     assert "no pictures of that name" in refusal(path, Topics(color="/nothing"))
     assert "camera.info_topic /x: found no CameraInfo" in refusal(path, Topics(color=COLOR, info="/x"))
+
+
+def test_a_compressed_picture_that_no_memory_holds_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+    ros = Ros("a")
+    large = bytearray(cv2.imencode(".png", COLORS[0])[1].tobytes())
+    large[16:24] = struct.pack(">II", 100_000, 100_000)
+    path = ros.write(
+        tmp_path / "a",
+        [*desk(ros), (f"{COLOR}/compressed", START_NS, ros.compressed(bytes(large), "png", START_NS))],
+    )
+    with pytest.raises(InputError, match="found 100000 x 100000 pixels"):
+        RosbagScene(path, Topics(color=f"{COLOR}/compressed")).frame(0)
 
 
 def test_of_a_picture_that_is_there_compressed_too_the_other_is_taken(tmp_path: Path) -> None:

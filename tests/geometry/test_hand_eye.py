@@ -70,6 +70,13 @@ def test_moves_that_cannot_tell_are_refused() -> None:
         hand_eye.solve(*measured(1))
 
 
+def test_what_is_no_pose_is_refused() -> None:
+    A, B = np.tile(np.eye(4), (2, 12, 1, 1))
+    B[3, 0, 3] = np.nan
+    with pytest.raises(InputError, match="numbers that are not finite"):
+        hand_eye.solve(A, B)
+
+
 def test_the_error_that_is_told_is_that_of_many_tries() -> None:
     shifts, told = [], []
     for seed in range(40):

@@ -7,7 +7,9 @@ import pytest
 from huepose.geometry import Camera, icosphere, se3
 from huepose.model.types import ReferenceModel, ViewTemplates
 from huepose.propose.templates import build_templates
+from huepose.propose.view_pictures import unturned_views
 from huepose.rendering.render import render
+from tests.onboarding import solids
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +67,20 @@ def test_templates_are_normal(shifted: ViewTemplates) -> None:
         assert np.abs((weights * axis).sum((2, 3))).max() < 0.15
     full = shifted.planes[:, :, 4].astype(np.float32).sum((2, 3))
     assert (np.ptp(full, axis=1) / full.mean(1)).max() < 0.05  # rolls show the same area
+
+
+def test_a_sheet_that_is_seen_from_its_edge_has_an_empty_template() -> None:
+    """Thinner than a pixel: no ray meets it."""
+    sheet = solids.box((0.21, 0.297, 0.0001))
+    made = build_templates(sheet, 0.36, level=1, rolls=2)
+    covered = made.planes[:, :, 4].astype(np.float32).sum((1, 2, 3))
+    assert covered.min() == 0.0
+    assert covered.max() > 100.0
+    assert np.isfinite(made.origins).all()
+    assert np.isfinite(made.planes).all()
+    colors, reliefs = unturned_views(sheet, 0.36)
+    assert np.isnan(reliefs).all((1, 2)).any()
+    assert (colors[np.isnan(reliefs).all((1, 2))] == 0).all()
 
 
 def test_quarter_rolls_are_turned_pictures(shifted: ViewTemplates) -> None:

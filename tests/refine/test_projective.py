@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from huepose.refine.projective import (
     ImageEdges,
     add_depth_samples,
     depth_image,
+    depth_samples,
     image_edges,
     model_edges,
 )
@@ -125,3 +127,13 @@ def test_samples_off_the_image_or_without_depth_add_nothing() -> None:
         assert add_depth_samples(T, DepthSamples(points, normals, 1.0), image, body, 0.01, equations) == 0.0
     assert not equations.A.any()
     assert not equations.b.any()
+
+
+def test_samples_are_those_that_the_camera_sees_wherever_the_origin_is(tea_box: ReferenceModel) -> None:
+    surface, T = tea_box.surface, se3.make(se3.rotation_exp(np.array([1.9, 0.3, 0.4])), [0.05, 0.0, 0.6])
+    away = np.array([0.3, 0.2, -0.4])
+    moved = replace(surface, points=(surface.points + away).astype(np.float32))
+    here = depth_samples(surface, T, 500, 1.0)
+    there = depth_samples(moved, T @ se3.make(np.eye(3), -away), 500, 1.0)
+    np.testing.assert_allclose(there.points - away, here.points, atol=1e-6)
+    np.testing.assert_array_equal(there.normals, here.normals)

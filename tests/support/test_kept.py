@@ -111,6 +111,19 @@ def test_a_file_that_is_not_whole_is_made_anew(home: Path, size: int) -> None:
     assert make.calls == 1
 
 
+@pytest.mark.parametrize("damage", [b"\xff\xfe", b"[]", b'{"bytes": 1}'])
+def test_a_file_with_a_damaged_header_is_made_anew(home: Path, damage: bytes) -> None:
+    kept(Outer, "tea", Maker())
+    (path,) = (p for p in home.rglob("tests*") if p.is_file())
+    whole = path.read_bytes()
+    length = int.from_bytes(whole[:8], "little")
+    path.write_bytes(whole[:8] + damage.ljust(length) + whole[8 + length :])
+    make = Maker()
+    for _ in range(2):
+        assert_same(kept(Outer, "tea", make), Maker()())
+    assert make.calls == 1
+
+
 def test_another_version_of_the_code_makes_it_anew_and_only_the_newest_are_left(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,0 +1,40 @@
+"""A frame takes pictures as they come from cameras and files, and refuses what is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from huepose.geometry import Camera, RgbdFrame
+from huepose.support.errors import InputError
+
+CAMERA = Camera(300.0, 300.0, 3.5, 2.5, 8, 6)
+COLOR = np.zeros((6, 8, 3), np.uint8)
+
+
+@pytest.mark.parametrize("nothing", [np.nan, np.inf, -np.inf])
+def test_depth_that_is_no_number_is_no_reading(nothing: float) -> None:
+    given = np.full((6, 8), 0.7, np.float32)
+    given[2, 3:5] = nothing
+    given[4, 1] = -nothing
+    expected = np.where(np.isfinite(given), given, 0.0)
+    kept = given.copy()
+    np.testing.assert_array_equal(RgbdFrame(COLOR, given, CAMERA).depth, expected)
+    np.testing.assert_array_equal(given, kept)
+
+
+def test_depth_of_numbers_is_taken_as_it_is() -> None:
+    given = np.full((6, 8), 0.7, np.float32)
+    assert RgbdFrame(COLOR, given, CAMERA).depth is given
+
+
+def test_depth_of_another_byte_order_is_refused() -> None:
+    with pytest.raises(InputError, match=r"found \(6, 8\) >f4; expected \(6, 8\) float32"):
+        RgbdFrame(COLOR, np.ones((6, 8), ">f4"), CAMERA)
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 6), (8, 1)])
+def test_a_picture_without_an_area_is_refused(width: int, height: int) -> None:
+    camera = Camera(300.0, 300.0, 0.0, 0.0, width, height)
+    with pytest.raises(InputError, match="sides of 2 pixels or more"):
+        RgbdFrame(np.zeros((height, width, 3), np.uint8), np.ones((height, width), np.float32), camera)

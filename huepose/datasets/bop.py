@@ -73,6 +73,10 @@ class BopScene:
         """The scene has ground truth."""
         return bool(self._labels)
 
+    def has_labels(self, image: int) -> bool:
+        """The labels say what an image shows, which may be nothing."""
+        return str(image) in self._labels
+
     def _camera_record(self, image: int) -> tuple[dict[str, Any], str]:
         path = self.path / "scene_camera.json"
         record, where = files.field(self._cameras, str(image), path), f"{path}, image {image}"

@@ -17,7 +17,7 @@ from huepose.estimation.standing import standing_answers, why_none_stands
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
 from huepose.evaluation.bop_errors import BopErrors, BopObject, BopScore, bop_errors, matched_recalls
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
-from huepose.evaluation.instances import Label, assigned, labels_of, localised
+from huepose.evaluation.instances import Label, assigned, check_names, has_labels, labels_of, localised
 from huepose.evaluation.targets import Key, Targets, object_number
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
@@ -82,7 +82,7 @@ class EstimateSetup:
         rows: list[EstimateRow] = []
         false: list[FalsePose] = []
         sample = None
-        if labels or self.options.boxes == "detect":
+        if labels or (self.options.boxes == "detect" and has_labels(scene, image)):
             sample = Sample(scene.frame(image), truths, scene.name, image)
             for seed in self.options.seeds:
                 run = _FrameRun(sample, labels, self, seed)
@@ -115,7 +115,9 @@ def evaluate_estimates(
     """Run the estimator over all labelled images of the scenes. `on_frame` sees each frame with its rows;
     `more`: the other fields of EstimateSetup.
 
-    Raises InputError when nothing is labelled, or `boxes` is `detect` without a detector."""
+    Raises InputError when nothing is labelled, `boxes` is `detect` without a detector, or two scenes have one
+    name."""
+    check_names(scenes)
     setup = EstimateSetup(targets, estimator, options, **more)
     rows: list[EstimateRow] = []
     false: list[FalsePose] = []

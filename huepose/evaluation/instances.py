@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -21,6 +22,7 @@ from huepose.evaluation.targets import Targets
 from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box
 from huepose.model.types import ReferenceModel
+from huepose.support.errors import InputError
 
 _FAR_M = 10.0
 
@@ -115,6 +117,32 @@ class Place:
     model: ReferenceModel
     ordinal: int
     truth: GroundTruth | None
+
+
+@runtime_checkable
+class PartlyLabelled(Protocol):
+    """A scene of which some images may have no labels: nothing is known of what these show."""
+
+    def has_labels(self, image: int) -> bool:
+        """The labels say what an image shows, which may be nothing."""
+        ...
+
+
+def has_labels(scene: Scene, image: int) -> bool:
+    """It is known what an image shows: where an object has no label there, it is not there."""
+    return not isinstance(scene, PartlyLabelled) or scene.has_labels(image)
+
+
+def check_names(scenes: Sequence[Scene]) -> None:
+    """Raises InputError for two scenes of one name, by which results are listed."""
+    names = [scene.name for scene in scenes]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(
+                f"scene '{name}'",
+                found="two folders of this name",
+                fix="Evaluate them one at a time: results are listed by the folder's name.",
+            )
 
 
 def instance_counts(scene: Scene, images: Iterable[int], targets: Targets) -> dict[str, int]:

@@ -8,11 +8,12 @@ says no more of it than that its tracker is run by ROFT's protocol.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from huepose.believe.state import State
-from huepose.geometry.arrays import Bool, Float64
+from huepose.geometry.arrays import Bool
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.paper.tracking import PaperStep
@@ -51,11 +52,15 @@ class PaperTracker:
             self._waiting.append(correction)
             return Applied.CATCHING_UP
         followed = self._followed.get(correction.key)
+        since = [frame for frame in self._frames if frame.stamp_ns >= correction.stamp_ns]
         if followed is None or not _replayable(followed.history, correction.stamp_ns):
-            return Applied.REFUSED_OLD
+            if correction.verdict is not Verdict.ACQUIRE or since[0].stamp_ns != correction.stamp_ns:
+                return Applied.REFUSED_OLD
+            self._start(correction, since)
+            return Applied.APPLIED
         if correction.verdict in (Verdict.ACQUIRE, Verdict.CORRECT):
             followed.history.replay(correction.stamp_ns, correction.T_cam_obj)
-            followed.mask = self._carried(correction, followed.history)
+            followed.mask = self._carried(correction, followed.history, since)
         followed.applied_seq = max(followed.applied_seq, correction.seq)
         return Applied.APPLIED
 
@@ -63,27 +68,28 @@ class PaperTracker:
         """Follow everything to a new frame."""
         with stage("follow"):
             for key, followed in self._followed.items():
-                followed.history.append(frame.frame_id, frame.stamp_ns, self._moved(key, followed, frame))
+                self._follow(key, followed, self._frames[-1], frame)
                 followed.history.forget_before(frame.stamp_ns - HISTORY_NS)
-                followed.mask = None
         self._frames.append(frame)
         while self._frames[0].stamp_ns < frame.stamp_ns - HISTORY_NS:
             self._frames.popleft()
         due = [c for c in self._waiting if c.stamp_ns <= frame.stamp_ns]
         self._waiting = [c for c in self._waiting if c.stamp_ns > frame.stamp_ns]
         for correction in due:
-            self._start(correction, frame)
+            self._start(correction, [frame])
         return [self._published(key, f, frame) for key, f in sorted(self._followed.items())]
 
-    def _moved(self, key: Key, followed: _Followed, frame: RgbdFrame) -> Float64 | None:
-        newest = followed.history.newest
-        if newest is None or newest.T_cam_obj is None or not self._frames:
-            return None
-        return self._step(self._models[key[0]], newest.T_cam_obj, self._frames[-1], frame, followed.mask)
+    def _follow(self, key: Key, followed: _Followed, before: RgbdFrame, after: RgbdFrame) -> None:
+        newest, T_cam_obj = followed.history.newest, None
+        if newest is not None and newest.T_cam_obj is not None:
+            T_cam_obj = self._step(self._models[key[0]], newest.T_cam_obj, before, after, followed.mask)
+        followed.history.append(after.frame_id, after.stamp_ns, T_cam_obj)
+        followed.mask = None
 
-    def _carried(self, correction: Correction, history: PoseHistory) -> Bool | None:
-        """The mask of a late result in the newest frame."""
-        since = [frame for frame in self._frames if frame.stamp_ns >= correction.stamp_ns]
+    def _carried(
+        self, correction: Correction, history: PoseHistory, since: Sequence[RgbdFrame]
+    ) -> Bool | None:
+        """The mask of a late result in the newest of the frames since then."""
         if correction.mask is None or since[0].stamp_ns != correction.stamp_ns:
             return None
         poses = [history.at(frame.stamp_ns) for frame in since[:-1]]
@@ -91,10 +97,12 @@ class PaperTracker:
         model = self._models[correction.object]
         return self._step.carried(model, correction.mask, known, since) if len(known) == len(poses) else None
 
-    def _start(self, correction: Correction, frame: RgbdFrame) -> None:
-        """An instance begins, or begins anew, at this frame."""
+    def _start(self, correction: Correction, frames: Sequence[RgbdFrame]) -> None:
+        """An instance begins, or begins anew, at the first of these frames, and is followed to the last."""
         followed = _Followed(mask=correction.mask, applied_seq=correction.seq)
-        followed.history.append(frame.frame_id, frame.stamp_ns, correction.T_cam_obj)
+        followed.history.append(frames[0].frame_id, frames[0].stamp_ns, correction.T_cam_obj)
+        for before, after in pairwise(frames):
+            self._follow(correction.key, followed, before, after)
         self._followed[correction.key] = followed
 
     def _published(self, key: Key, followed: _Followed, frame: RgbdFrame) -> TrackedPose:

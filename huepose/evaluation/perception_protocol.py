@@ -15,6 +15,7 @@ from huepose.estimation.reasons import overlap
 from huepose.estimation.standing import standing_answers
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.evaluation.estimate_protocol import PoseEstimator
+from huepose.evaluation.instances import check_names, has_labels
 from huepose.evaluation.perception_rows import FalseBox, FrameFigures, PerceptionResult, PerceptionRow
 from huepose.evaluation.targets import Targets, object_number
 from huepose.geometry.box import Box
@@ -54,22 +55,21 @@ def evaluate_perception(
     *,
     on_frame: Callable[[Sample, FrameFigures], None] | None = None,
 ) -> PerceptionResult:
-    """Ask for all objects of `targets` in all labelled images. `on_frame` sees each frame with its figures.
+    """Ask for all objects of `targets` in all labelled images, whether they show one of them or not.
+    `on_frame` sees each frame with its figures.
 
-    Raises InputError when nothing is labelled."""
+    Raises InputError when nothing is labelled, or two scenes have one name."""
+    check_names(scenes)
     frames = []
     names = [model.name for model in targets.models]
-    images = [(scene, image) for scene in scenes for image in scene.image_ids]
+    images = [(scene, image) for scene in scenes for image in scene.image_ids if has_labels(scene, image)]
     for scene, image in progress(images, "frames"):
-        truths = scene.truths(image)
-        sample = Sample(scene.frame(image), truths, scene.name, image)
-        labels = _labels(sample, targets)
-        if labels:
-            run = _FrameRun(sample, labels, targets, detector, segmenter, estimator, options)
-            figures = run.figures(names)
-            frames.append(figures)
-            if on_frame is not None:
-                on_frame(sample, figures)
+        sample = Sample.of(scene, image)
+        run = _FrameRun(sample, _labels(sample, targets), targets, detector, segmenter, estimator, options)
+        figures = run.figures(names)
+        frames.append(figures)
+        if on_frame is not None:
+            on_frame(sample, figures)
     if not any(frame.rows for frame in frames):
         raise InputError(
             "scenes " + ", ".join(scene.name for scene in scenes),
@@ -192,5 +192,5 @@ def first_of_each(detections: Sequence[Detection], most: int) -> list[Detection]
 
 def _shown(labels: Sequence[_Label], box: Box) -> str | None:
     """The labelled object that a box overlaps most, None where it overlaps none by a third."""
-    best = max(labels, key=lambda x: x.box.iou(box))
-    return best.model.name if best.box.iou(box) >= 1 / 3 else None
+    best = max(labels, key=lambda x: x.box.iou(box), default=None)
+    return best.model.name if best is not None and best.box.iou(box) >= 1 / 3 else None

@@ -18,7 +18,7 @@ import numpy as np
 from huepose.believe.state import State
 from huepose.datasets import files
 from huepose.datasets.types import Scene
-from huepose.evaluation.instances import PublishedPose, instance_counts, places
+from huepose.evaluation.instances import PublishedPose, has_labels, instance_counts, places
 from huepose.evaluation.summary import grouped
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_rows import TrackResult, TrackRow, rows_of_frame
@@ -126,7 +126,8 @@ def _until_it_begins_again(messages: Sequence[LivePose], last_image: int) -> lis
 
 
 def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets) -> TrackResult:
-    """Score published poses like those of a tracker; an image without a message has no pose.
+    """Score published poses like those of a tracker; an image without a message has no pose, and one of
+    which nothing is known has no row.
 
     Raises InputError when no message is about the scene, or the scene has no label of an onboarded object."""
     counts = instance_counts(scene, scene.image_ids, targets)
@@ -144,6 +145,8 @@ def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets)
     rows: list[TrackRow] = []
     phantoms = 0
     for image in scene.image_ids:
+        if not has_labels(scene, image):
+            continue
         here = places(scene.truths(image), targets, counts)
         published = [m.pose for m in by_image.get(image, []) if m.pose.object in targets.models_by_name]
         new, spare = rows_of_frame(scene.name, image, scene.stamp_ns(image), here, published, targets)

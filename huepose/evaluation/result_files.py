@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from huepose.support.errors import InputError
 from huepose.support.extras import installed_version
 from huepose.support.files import write_text
 
@@ -38,6 +39,26 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def result_names(paths: Sequence[Path]) -> list[str]:
+    """What result files are called: by their names, a `results.json` by its folder's; where some are called
+    alike, with as many folders before it as tell all apart. Raises InputError where nothing does.
+
+    >>> result_names([Path("a/track.json"), Path("b/results.json")])
+    ['track', 'b']
+    >>> result_names([Path("a/track.json"), Path("b/track.json")])
+    ['a-track', 'b-track']
+    """
+    whole = [path.absolute() for path in paths]
+    parts = [(path.parent if path.name == "results.json" else path.with_suffix("")).parts for path in whole]
+    for length in range(1, max(map(len, parts), default=0) + 1):
+        names = ["-".join(part[-length:]) for part in parts]
+        if len(set(names)) == len(names):
+            return names
+    raise InputError(
+        ", ".join(map(str, paths)), found="result files of the same name", expected="each file once"
+    )
 
 
 def write_json(path: Path | str, value: Any) -> None:

@@ -15,7 +15,14 @@ from typing import Literal, NamedTuple, Protocol
 
 from huepose.datasets.types import Sample, Scene
 from huepose.estimation.types import PosePrior
-from huepose.evaluation.instances import Place, PublishedPose, instance_counts, places
+from huepose.evaluation.instances import (
+    Place,
+    PublishedPose,
+    check_names,
+    has_labels,
+    instance_counts,
+    places,
+)
 from huepose.evaluation.sources import FileSource, PoseSource, SourcedPose
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_rows import TrackResult, TrackRow, rows_of_frame
@@ -127,7 +134,7 @@ def evaluate_tracking(
 
     sources_for: (sequence, seed) to sources; judge: decides what a late pose means (default: it corrects).
     Raises InputError for sequences without labels of onboarded objects, or of the same name."""
-    _check_names(scenes)
+    check_names(scenes)
     rows: list[TrackRow] = []
     phantoms: dict[tuple[str, int], int] = {}
     for seed in options.seeds:
@@ -140,17 +147,6 @@ def evaluate_tracking(
                     on_frame(sample, new)
     settings = {"protocol": options.protocol, "every": options.every, **asdict(names)}
     return TrackResult(rows, phantoms, settings)
-
-
-def _check_names(scenes: Sequence[Scene]) -> None:
-    names = [scene.name for scene in scenes]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(
-                f"sequence '{name}'",
-                found="two folders of this name",
-                fix="Evaluate them one at a time: results are listed by the folder's name.",
-            )
 
 
 class _Run:
@@ -189,7 +185,8 @@ class _Run:
         self.correction_counts: dict[tuple[str, int], int] = {}
 
     def frames(self) -> Iterator[tuple[Sample, list[TrackRow], int]]:
-        """Each fed frame with its rows and its number of phantom poses as TRACKING."""
+        """Each fed frame with its rows and its number of phantom poses as TRACKING; none of either where
+        nothing is known of what the frame shows."""
         roft = self.options.protocol == "roft"
         by_looked_at = {d.looked_at: d for d in late_deliveries(self.stamps_ns)} if roft else {}
         due: dict[int, list[Correction]] = {}
@@ -206,6 +203,9 @@ class _Run:
             seconds = time.perf_counter() - start
             if i in by_looked_at:
                 self._look(by_looked_at[i], sample, here, tracked, due)
+            if not has_labels(self.scene, sample.image):
+                yield sample, [], 0
+                continue
             published = [
                 PublishedPose(t.object, t.instance, t.T_cam_obj, t.state, t.quality, t.velocity)
                 for t in tracked

@@ -52,6 +52,14 @@ def test_labels_are_in_metres_with_their_masks(bop_scene: Path) -> None:
         assert not truth.gone
 
 
+def test_an_image_without_an_entry_is_not_one_that_shows_nothing(bop_scene: Path) -> None:
+    edit(bop_scene / "scene_gt.json", lambda r: (r.pop("2"), r.update({"10": []})))
+    (bop_scene / "scene_gt_info.json").unlink()
+    scene = BopScene(bop_scene)
+    assert [scene.truths(image) for image in (2, 10)] == [(), ()]
+    assert [scene.has_labels(image) for image in scene.image_ids] == [False, True, True]
+
+
 def test_time_stamps_are_the_scenes_own_else_30_hz(bop_scene: Path) -> None:
     assert BopScene(bop_scene).stamp_ns(2) == round(2e9 / 30)
     stamp = 1581120424148532296  # more digits than a double holds

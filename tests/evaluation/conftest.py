@@ -91,6 +91,13 @@ class MemoryScene:
         return self.labels[image]
 
 
+class PartlyLabelled(MemoryScene):
+    """Nothing is known of what images without a label show."""
+
+    def has_labels(self, image: int) -> bool:
+        return bool(self.labels[image])
+
+
 def estimate_of(
     query: ObjectQuery, T: np.ndarray | None, quality: float = 0.9, score: float = 0.8
 ) -> PoseEstimate:

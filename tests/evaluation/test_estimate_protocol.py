@@ -10,6 +10,7 @@ import pytest
 from huepose.datasets.bop_detections import BopDetection, BopDetections
 from huepose.datasets.boxes import disturbed, truth_box
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
+from huepose.evaluation.estimate_rows import summary_of
 from huepose.evaluation.instances import assigned
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.targets import Targets
@@ -238,6 +239,21 @@ def test_nothing_to_assign() -> None:
 def test_without_any_label_of_an_onboarded_object_it_says_so(models, scene, objects) -> None:
     with pytest.raises(InputError, match="Onboard"):
         evaluate_estimates([scene], Targets(models, objects), answering(scene), EstimateOptions())
+
+
+def test_two_scenes_of_one_name_are_refused(models, scene) -> None:
+    with pytest.raises(InputError, match="scene '000001': found two folders"):
+        evaluate_estimates([scene, scene], Targets(models), answering(scene), EstimateOptions())
+
+
+def test_ar_is_given_where_all_rows_were_measured(models, scene) -> None:
+    rows = evaluate_estimates([scene], Targets(models), answering(scene), EstimateOptions()).as_json()["rows"]
+    score = {"bop": {"recalls": [1.0, 1.0, 0.4]}}
+    whole = summary_of([row | score for row in rows])
+    assert whole["ar"] == pytest.approx(80.0)
+    part = summary_of([row | score if row["object"] == 5 else row for row in rows])
+    assert part["per_object"][5]["ar"] == pytest.approx(80.0)
+    assert part.get("ar") is part["per_object"][7].get("ar") is None
 
 
 def test_contradicting_options_are_refused() -> None:

@@ -21,7 +21,7 @@ from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.perception.types import Detection
 from huepose.support.errors import InputError
 
-from .conftest import MemoryScene, ScriptedEstimator, estimate_of, pose_at, truth
+from .conftest import MemoryScene, PartlyLabelled, ScriptedEstimator, estimate_of, pose_at, truth
 
 LEFT, RIGHT, NOWHERE = Box(10, 20, 40, 50), Box(100, 30, 40, 60), Box(60, 80, 20, 20)
 
@@ -133,6 +133,25 @@ def test_the_picture_shows_found_missed_and_false(models, scene) -> None:
     assert tuple(picture[69, 30]) == pictures.RIGHT
     assert tuple(picture[89, 120]) == pictures.MISSED
     assert tuple(picture[24, 70]) == pictures.WRONG
+
+
+def test_false_boxes_count_in_all_labelled_frames(models, scene) -> None:
+    """Frame 4 shows another object; of frame 5 nothing is known."""
+    other = truth(0, 7, pose_at(0.1), 0.8, RIGHT, mask_loader=lambda: mask_of(RIGHT))
+    three = PartlyLabelled("s", {3: scene.labels[3], 4: (other,), 5: ()})
+    found = Detection("box", NOWHERE, 0.9)
+    options = PerceptionOptions()
+    result = evaluate_perception([three], Targets(models, [5]), Boxes(found), UpperHalf(), seen({}), options)
+    record = result.as_json()
+    assert [(f["image"], f["shown"]) for f in record["false"]] == [(3, None), (4, None)]
+    assert (record["summary"]["frames"], record["summary"]["instances"]) == (2, 1)
+
+
+def test_two_scenes_of_one_name_are_refused(models, scene) -> None:
+    with pytest.raises(InputError, match="scene '000001': found two folders"):
+        evaluate_perception(
+            [scene, scene], Targets(models), Boxes(), UpperHalf(), seen({}), PerceptionOptions()
+        )
 
 
 def test_nothing_labelled_is_an_error(models) -> None:

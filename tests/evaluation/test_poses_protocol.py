@@ -13,7 +13,7 @@ from huepose.evaluation.targets import Targets
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 
-from .conftest import MemoryScene, pose_at, truth
+from .conftest import MemoryScene, PartlyLabelled, pose_at, truth
 
 
 def motion(i: int) -> np.ndarray:
@@ -58,6 +58,14 @@ def test_a_run_is_scored_by_frame_number(models, tmp_path: Path) -> None:
     assert summary["latency_ms_p50"] == pytest.approx(20.0)
     assert summary["fps"] == pytest.approx(6 / 7 * 30)  # one of eight frames is missing
     assert summary["frames"] == 10
+
+
+def test_an_image_of_which_nothing_is_known_has_no_row(models, tmp_path: Path) -> None:
+    sparse = PartlyLabelled("s", {i: SCENE.labels[i] if i in (0, 9) else () for i in SCENE.image_ids})
+    messages = read_messages(written(tmp_path, *(message(i, motion(i)) for i in range(10))))
+    result = evaluate_poses(messages, sparse, Targets(models))
+    assert [row.frame for row in result.rows] == [0, 9]
+    assert result.summary()["false_tracking_frames"] == 0
 
 
 def test_only_the_first_pass_counts(models, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from huepose.datasets.files import read_json
-from huepose.evaluation.result_files import origin
+from huepose.evaluation.result_files import origin, result_names
 from huepose.evaluation.results_page import BEGIN, END, results_page, with_cut
 from huepose.evaluation.tables.table import Head, Table
 from huepose.support.errors import InputError
@@ -23,6 +23,14 @@ def test_the_origin_names_the_command_without_folders() -> None:
     assert facts["command"] == "huepose eval tables --ycbv ycbv --boxes=b.json --note 'two words'"
     assert "cores" in facts["machine"]
     assert "numpy " in facts["versions"]
+
+
+def test_results_of_one_name_are_told_apart_by_their_folders() -> None:
+    paths = [Path("a/x/results.json"), Path("b/x/results.json"), Path("a/y.json")]
+    assert result_names(paths[::2]) == ["x", "y"]
+    assert result_names(paths) == ["a-x", "b-x", "a-y"]
+    with pytest.raises(InputError, match="same name"):
+        result_names([paths[0], paths[0]])
 
 
 def test_results_of_all_kinds_are_shown_with_their_origin() -> None:

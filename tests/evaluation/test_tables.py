@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from huepose.evaluation.result_files import plain
 from huepose.evaluation.tables import assemble
 from huepose.evaluation.tables.assemble_tracks import tracking_tables
 from huepose.evaluation.tables.figures import Unseen, rows_of
-from huepose.evaluation.tables.journal import Journal, run_images, run_tracks
+from huepose.evaluation.tables.journal import Journal, models_digest, run_images, run_tracks
 from huepose.evaluation.tables.published import published
 from huepose.evaluation.tables.report import page
 from huepose.evaluation.tables.table import Head, Table
@@ -178,7 +179,9 @@ def test_table_two_averages_sequences_and_all_frames(models, tmp_path: Path) -> 
         ),
         "tea_box": track_of(models["tea_box"], "tea_box", [0.01, None]),
     }
-    entries = run_tracks(Journal(tmp_path / "t.jsonl", {}), scenes, 1, lambda scene: tracks[scene.name])
+    inputs = dict.fromkeys(tracks, "")
+    journal = Journal(tmp_path / "t.jsonl", {})
+    entries = run_tracks(journal, scenes, 1, lambda scene: tracks[scene.name], inputs)
     table, everything = tracking_tables({("full", 1): entries, ("full", 5): entries}, [])
     rows = rows_by_name(table)
     # Four equal errors: the toolbox takes the accuracy of the first, then 80 mm at that height.
@@ -204,6 +207,45 @@ def test_table_two_averages_sequences_and_all_frames(models, tmp_path: Path) -> 
     assert rows["Average of unseen, little texture"]["full", "AUC ADD"] == pytest.approx(second)
     assert rows["Average of unseen, textured"]["full", "AUC ADD"] is None
     assert rows["All frames of unseen objects"]["", "frames"] == 2
+
+
+def test_two_sequences_of_an_object_both_count(models, tmp_path: Path) -> None:
+    scenes = [MemoryScene(name, {0: ()}) for name in ("tea_box", "tea_box_real")]
+    errors = {"tea_box": [0.01] * 3, "tea_box_real": [None] * 2}
+    entries = run_tracks(
+        Journal(tmp_path / "t.jsonl", {}),
+        scenes,
+        1,
+        lambda scene: track_of(models["tea_box"], scene.name, errors[scene.name]),
+        dict.fromkeys(errors, ""),
+    )
+    table, everything = tracking_tables({("full", 1): entries}, [])
+    row = rows_by_name(table)["tea_box"]
+    assert row["", "frames"] == 5
+    assert row["full", "AUC ADD"] == pytest.approx(100 / 0.1 * (0.01 / 3 + 0.09) / 2)
+    assert rows_by_name(everything)["full, average"]["", "n"] == 2
+
+
+def test_with_other_inputs_a_sequence_is_tracked_again(models, tmp_path: Path) -> None:
+    tracked = []
+
+    def track(scene) -> TrackResult:
+        tracked.append(scene.name)
+        return track_of(models["tea_box"], scene.name, [0.01])
+
+    scenes = [MemoryScene(name, {0: ()}) for name in ("tea_box", "008_pudding_box")]
+    for inputs in ("ab", "ab", "ac"):  # of each sequence
+        own = dict(zip(("tea_box", "008_pudding_box"), inputs, strict=True))
+        run_tracks(Journal(tmp_path / "t.jsonl", {}), scenes, 1, track, own)
+    assert tracked == ["tea_box", "008_pudding_box", "008_pudding_box"]
+
+
+def test_reference_models_of_other_files_have_another_digest(models) -> None:
+    first, *others = models.values()
+    again = models_digest([*others, first])
+    assert models_digest([first, *others]) == again
+    assert models_digest([replace(first, digest="another"), *others]) != again
+    assert models_digest(others) != again
 
 
 def test_what_cannot_be_read_is_kept_with_its_reason_and_tried_again(models, scene, tmp_path: Path) -> None:
@@ -240,6 +282,9 @@ def test_a_journal_survives_being_cut_off_and_refuses_other_settings(tmp_path: P
     assert Journal(path, {"boxes": "paper"}).entries["c"]["x"] == 2
     with pytest.raises(InputError, match=r"another place \(--out"):
         Journal(path, {"boxes": "gt"})
+    found = r'found results with the settings \{\}; expected the settings \{"models": "0a"\}'
+    with pytest.raises(InputError, match=found):
+        Journal(path, {"boxes": "paper", "models": "0a"})
 
 
 TABLE = Table(

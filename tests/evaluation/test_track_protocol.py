@@ -22,7 +22,7 @@ from huepose.geometry import se3
 from huepose.support.errors import InputError
 from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
 
-from .conftest import MemoryScene, ScriptedEstimator, estimate_of, pose_at, truth
+from .conftest import MemoryScene, PartlyLabelled, ScriptedEstimator, estimate_of, pose_at, truth
 
 
 def motion(i: int, turn: float = 0.05) -> np.ndarray:
@@ -191,6 +191,20 @@ def test_an_object_that_appears_later_is_started_when_it_does(run) -> None:
     assert [c.frame_id for _, c in tracker.taken] == [3]
     assert len(scene.labels) == len(result.rows)
     assert result.summary()["instances"] == 3  # gone frames are left out of recall and AUC
+
+
+def test_a_frame_of_which_nothing_is_known_is_fed_and_has_no_row(models) -> None:
+    whole = sequence(31)
+    sparse = PartlyLabelled("s", {i: whole.labels[i] if i % 10 == 0 else () for i in whole.image_ids})
+    tracker = IncrementTracker(whole, {"box": 0})
+    result = evaluate_tracking(
+        [sparse], Targets(models), lambda known: tracker, lambda s, seed: TRUTH, TrackOptions(),
+        SourceNames("gt"),
+    )  # fmt: skip
+    assert len(tracker.frames) == 31
+    assert [row.frame for row in result.rows] == [0, 10, 20, 30]
+    summary = result.summary()
+    assert (summary["recall_add"], summary["false_tracking_frames"]) == (100.0, 0)
 
 
 def test_several_objects_of_one_scene(run) -> None:

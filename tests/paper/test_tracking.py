@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -61,6 +62,22 @@ def test_it_follows_and_takes_late_poses(tea_box: ReferenceModel, film: Take, st
     assert np.linalg.norm(moved) == pytest.approx(0.1, abs=0.01)
     too_old = Correction("tea_box", 0, 1, -9, -9 * PERIOD_NS, off, 1.0, Verdict.CORRECT, 3)
     assert tracker.correct(too_old) is Applied.REFUSED_OLD
+
+
+def test_an_object_that_is_found_late_is_followed_to_now(
+    tea_box: ReferenceModel, film: Take, standing: np.ndarray
+) -> None:
+    tracker = PaperTracker({"tea_box": tea_box})
+    for number in range(4):
+        assert tracker.step(film(number)) == []
+    late = Correction("tea_box", 0, 1, 1, PERIOD_NS, pose_at(standing, 1), 1.0, Verdict.ACQUIRE, 1)
+    unheard = replace(late, stamp_ns=PERIOD_NS + 1)
+    assert tracker.correct(unheard) is Applied.REFUSED_OLD
+    assert tracker.correct(late) is Applied.APPLIED
+    (pose,) = tracker.step(film(4))
+    assert pose.state is State.TRACKING
+    assert pose.applied_correction_seq == 1
+    assert right(pose.T_cam_obj, pose_at(standing, 4))
 
 
 def test_a_late_mask_is_carried_to_now(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:

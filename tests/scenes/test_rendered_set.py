@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,11 @@ def test_an_interrupted_set_goes_on_and_another_is_refused(folder: Path, tmp_pat
         assert (path / part).read_bytes() == (folder / part).read_bytes()
     with pytest.raises(InputError, match="other settings"):
         write_rendered_set(path, MESHES, IDS, 2, 8, RANGES)
+    alike = {name: demo_objects(4)[name] for name in MESHES}
+    larger = {name: replace(mesh, vertices=1.1 * mesh.vertices) for name, mesh in MESHES.items()}
+    for meshes in (alike, larger):
+        with pytest.raises(InputError, match="other settings"):
+            write_rendered_set(path, meshes, IDS, 2, 7, RANGES)
     with pytest.raises(InputError, match="other files"):
         write_rendered_set(tmp_path, MESHES, IDS, 2, 7, RANGES)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,10 +14,14 @@ import cv2
 import numpy as np
 import pytest
 
+from huepose.estimation import EstimatorConfig
 from huepose.geometry import Mesh, se3
 from huepose.model import save_model
 from huepose.model.types import DistanceGrid, PairReference, ReferenceModel, Surface, ViewTemplates
+from huepose.support.errors import InputError
+from huepose_services.cli.evaluate_scenes import open_bop
 from huepose_services.cli.main import main
+from huepose_services.cli.pose_tables import PoseSources
 
 T_CAM_OBJ = se3.make(se3.rotation_exp([0.3, 0.2, 0.1]), [0.02, 0.01, 0.6])
 
@@ -110,6 +116,33 @@ def test_it_says_where_only_the_first_pass_of_several_counts(
     assert said in capsys.readouterr().out
 
 
+def test_a_scene_that_shows_nothing_of_its_objects_is_scored(
+    scoring: list[str], scene: Path, tmp_path: Path, capsys
+) -> None:
+    hidden = [{"visib_fract": 0.05, "bbox_visib": [0, 0, 2, 2]}]
+    (scene / "scene_gt_info.json").write_text(json.dumps({0: hidden, 1: hidden}))
+    assert main(scoring) == 0
+    assert "poses for - of frames" in capsys.readouterr().out
+    assert json.loads((tmp_path / "result.json").read_text())["summary"]["poses_for_frames"] is None
+
+
+def test_poses_are_taken_from_all_places_that_are_listed(tmp_path: Path) -> None:
+    sources, name = PoseSources({}, EstimatorConfig()), "006_mustard_bottle"
+    with pytest.raises(InputError) as error:
+        sources.of(str(tmp_path), name, 0)
+    places = re.findall(rf"{name}\S*\.(?:csv|txt)", str(error.value))
+    assert len(places) == 4
+    for place in places:
+        folder = tmp_path / place.replace("/", "_")
+        (folder / place).parent.mkdir(parents=True)
+        (folder / place).write_text("nonsense\n")
+        with pytest.raises(InputError, match="line 1"):
+            sources.of(str(folder), name, 0)
+    (tmp_path / f"{name}.txt").write_text("0 0 1 0 0 1 0\n")
+    with pytest.raises(InputError, match="no poses of sequence"):
+        sources.of(str(tmp_path), name, 0)
+
+
 @pytest.mark.parametrize("closed", [["stdout"], ["stderr"], ["stdout", "stderr"]])
 def test_results_are_written_where_nobody_reads_what_is_printed(
     scoring: list[str], tmp_path: Path, closed: list[str]
@@ -144,3 +177,26 @@ def test_a_scene_without_labels_is_named(bundles: Path, scene: Path, tmp_path: P
     command = f"eval estimate --bop {scene} --bundles {bundles} --json {tmp_path / 'r'}".split()
     assert main(command) == 2
     assert "scene_gt.json" in capsys.readouterr().err
+
+
+def test_scenes_of_several_sets_may_have_one_name(scene: Path, bundles: Path, tmp_path: Path, capsys) -> None:
+    """Each result says which is which; declared equivalents name scenes of one set, so they are refused."""
+    other = shutil.copytree(scene, tmp_path / "other" / scene.name)
+    assert [one.name for one in open_bop([scene, other])] == [f"{tmp_path.name}-000009", "other-000009"]
+    given = tmp_path / "given.json"
+    given.write_text(json.dumps({"000009/0/0": {"object": 5, "why": "", "T_obj_obj": [np.eye(4).tolist()]}}))
+    words = [
+        "eval",
+        "estimate",
+        "--bundles",
+        bundles,
+        "--equivalent",
+        given,
+        "--json",
+        given,
+        "--bop",
+        scene,
+        other,
+    ]
+    assert main([str(word) for word in words]) == 2
+    assert "scenes of several sets with one name" in capsys.readouterr().err

@@ -17,6 +17,7 @@ from huepose.scenes.unseen.objects import unseen_objects
 from huepose.support.errors import InputError
 from huepose_services.cli import evaluate_scenes
 from huepose_services.cli.main import main
+from huepose_services.cli.table_tracks import TrackSource
 from tests.scenes.stand_ins import stand_in_objects, write_stand_ins
 
 
@@ -90,6 +91,16 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
     assert "theirs: 1 lines hold no pose" in notes
     assert "theirs: 1 poses are of objects without a reference model" in notes
     assert (out / "runs" / "ycbv-full.jsonl").read_bytes() == before
+    assert not (out / "huepose-theirs_ycbv-test.csv").exists()
+
+    # Names of two columns, and results that were measured with other inputs, are refused.
+    for names in (["full"], ["theirs", "theirs"]):
+        assert main([*command, "--submission", *(f"{name}={copy}" for name in names)]) == 2
+        assert "a name of two columns" in capsys.readouterr().err
+    equivalent = tmp_path / "equivalent.json"
+    equivalent.write_text(json.dumps({"000048/0/0": {"T_obj_obj": [np.eye(4).tolist()]}}))
+    assert main([*command, "--methods", "full", "--equivalent", str(equivalent)]) == 2
+    assert 'results with the settings {"equivalent": null}' in capsys.readouterr().err
 
 
 @pytest.mark.timeout(600)
@@ -133,6 +144,28 @@ def test_a_sequence_that_cannot_be_opened_is_named_and_the_others_stay(
     shutil.rmtree(both / whole.name)
     with pytest.raises(InputError, match="no sequence that can be read"):
         evaluate_scenes.open_fast_ycb([both], tmp_path, [])
+
+
+def test_only_sequences_of_the_objects_that_are_asked_for_are_opened(
+    data: Path, tmp_path: Path, monkeypatch
+) -> None:
+    (whole,) = (data / "fast").iterdir()
+    fast = tmp_path / "fast"
+    for name in ("003_cracker_box", "006_mustard_bottle"):
+        shutil.copytree(whole, fast / name)
+    loaded = []
+
+    def load(folder: Path, names: list[str]) -> dict[str, SimpleNamespace]:
+        loaded.append(names)
+        return {name: SimpleNamespace(name=name, frame_offset_m=np.zeros(3)) for name in names}
+
+    monkeypatch.setattr(evaluate_scenes, "load_models", load)
+    for objects in (("5",), ("006_mustard_bottle", "8")):
+        scenes, _ = TrackSource(fast, "fast", (), objects=objects).opened(tmp_path, [])
+        assert [scene.name for scene in scenes] == ["006_mustard_bottle"]
+    assert loaded == [["006_mustard_bottle"]] * 2  # the others need none
+    with pytest.raises(InputError, match="Leave --fast-ycb out"):
+        TrackSource(fast, "fast", (), objects=("8",)).opened(tmp_path, [])
 
 
 def test_without_data_or_meshes_it_says_what_is_needed(data: Path, tmp_path: Path, capsys) -> None:

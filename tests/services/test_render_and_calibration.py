@@ -72,6 +72,21 @@ def test_true_quality_errs_by_chance_alone_and_overstated_quality_by_what_it_ove
     assert (tmp_path / "reliability_true.png").stat().st_size > 0
 
 
+def test_results_of_one_name_are_told_apart_by_their_folders(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    paths = [tmp_path / folder / "heaps.json" for folder in ("before", "after")]
+    for seed, path in enumerate(paths):
+        path.parent.mkdir()
+        _results(path, 50, seed)
+    command = ["eval", "calibration", *map(str, paths), "--plots", str(tmp_path)]
+    assert main(command) == DONE
+    said = capsys.readouterr().out
+    for name in ("before-heaps", "after-heaps"):
+        assert name in said
+        assert (tmp_path / f"reliability_{name}.png").exists()
+
+
 def test_results_without_terms_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "old.json"
     row = {"scene": "s", "image": 0, "found": True, "right": True, "quality": 0.5}

@@ -34,25 +34,25 @@ _ALL = {
 
 @dataclass(frozen=True, eq=False)
 class _Tracks:
-    """by_run: of each run the entries that could be read, by name of the object."""
+    """by_run: of each run the entries that could be read, each with the name of its object."""
 
-    by_run: Mapping[Run, Mapping[str, Entry]]
+    by_run: Mapping[Run, Sequence[tuple[str, Entry]]]
 
     @staticmethod
     def of(runs: Mapping[Run, Sequence[Entry]]) -> _Tracks:
         return _Tracks(
             {
-                run: {object_of(entry["sequence"]): entry for entry in entries if "rows" in entry}
+                run: [(object_of(entry["sequence"]), entry) for entry in entries if "rows" in entry]
                 for run, entries in runs.items()
             }
         )
 
     @property
     def names(self) -> list[str]:
-        return sorted({name for own in self.by_run.values() for name in own})
+        return sorted({name for own in self.by_run.values() for name, _ in own})
 
     def rows(self, run: Run, names: Collection[str]) -> list[Row]:
-        return scored(rows_of([entry for name, entry in self.by_run[run].items() if name in names]))
+        return scored(rows_of([entry for name, entry in self.by_run[run] if name in names]))
 
     def frames(self, names: Collection[str]) -> int:
         """Of the first run."""
@@ -61,7 +61,7 @@ class _Tracks:
     def averages(self, names: Collection[str]) -> list[float | None]:
         """AUC of each run, the mean over the sequences of these objects."""
         return [
-            mean_of([e["summary"]["auc_voc_add"] for name, e in own.items() if name in names])
+            mean_of([e["summary"]["auc_voc_add"] for name, e in own if name in names])
             for own in self.by_run.values()
         ]
 
@@ -73,7 +73,7 @@ class _Tracks:
         """All figures: averages over parts of the objects; of all, each frame alike, with intervals."""
         own, lines = self.by_run[run], list[Line]()
         for label, names in parts.items():
-            chosen = [entry["summary"] for name, entry in own.items() if name in names]
+            chosen = [entry["summary"] for name, entry in own if name in names]
             mean = mean_figures({key: summary.get(key) for key in _ALL} for summary in chosen)
             lines.append((f"{_run(run)}, {label}", (len(chosen), *(mean.get(key) for key in _ALL))))
         rows = self.rows(run, self.names)

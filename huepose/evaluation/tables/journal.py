@@ -4,8 +4,9 @@ Images go to the estimators, sequences to the trackers, and what came of them in
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from huepose.datasets.types import Scene
 from huepose.evaluation.estimate_protocol import EstimateSetup
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.track_rows import TrackResult
+from huepose.model.types import ReferenceModel
 from huepose.support.errors import InputError
 from huepose.support.files import write_text, writing
 from huepose.support.progress import progress
@@ -42,8 +44,8 @@ class Journal:
         if settings != wanted:
             raise InputError(
                 path,
-                found=f"results with the settings {lines[0].strip()[:200]}",
-                expected=json.dumps(wanted)[:200],
+                found=f"results with {_other(settings, wanted)}",
+                expected=_other(wanted, settings),
                 fix="Choose another place (--out, --json), or remove that file.",
             )
         write_text(path, "".join(lines) if lines else json.dumps(wanted) + "\n")
@@ -58,6 +60,19 @@ class Journal:
         self.entries[key] = whole
         with writing(self.path), self.path.open("a") as file:
             file.write(json.dumps(whole, allow_nan=False) + "\n")
+
+
+def _other(settings: Any, than: Any) -> str:
+    """The settings that are others, or are not there, in some other ones."""
+    if isinstance(settings, Mapping) and isinstance(than, Mapping):
+        settings = {key: value for key, value in settings.items() if (key, value) not in than.items()}
+    return f"the settings {json.dumps(settings)[:200]}"
+
+
+def models_digest(models: Iterable[ReferenceModel]) -> str:
+    """Another one for other reference models."""
+    files = sorted((model.name, str(model.digest)) for model in models)
+    return hashlib.sha256(repr(files).encode()).hexdigest()[:16]
 
 
 def run_images(journal: Journal, scenes: Sequence[Scene], setup: EstimateSetup, label: str) -> list[Entry]:
@@ -82,13 +97,18 @@ def _key(scene: Scene, image: int) -> str:
 
 
 def run_tracks(
-    journal: Journal, scenes: Sequence[Scene], every: int, track: Callable[[Scene], TrackResult]
+    journal: Journal,
+    scenes: Sequence[Scene],
+    every: int,
+    track: Callable[[Scene], TrackResult],
+    inputs: Mapping[str, str],
 ) -> list[Entry]:
     """Track all sequences that the journal does not have yet; one that cannot be read is kept with the
-    reason. Returns the entries of these sequences."""
+    reason. inputs: of each sequence a digest of what it is tracked with: with others it is tracked again.
+    Returns the entries of these sequences."""
     keys = []
     for scene in scenes:
-        key = f"{scene.name}/every {every}/{len(scene.image_ids)} frames"
+        key = f"{scene.name}/every {every}/{len(scene.image_ids)} frames/{inputs[scene.name]}"
         keys.append(key)
         if journal.done(key):
             continue

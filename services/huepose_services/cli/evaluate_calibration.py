@@ -9,6 +9,7 @@ from typing import Any
 from huepose.believe.quality import quality_fits
 from huepose.drawing.plots import reliability_plot
 from huepose.evaluation.calibration import Judged, Worth, read_judged, worth
+from huepose.evaluation.result_files import result_names
 from huepose.evaluation.summary import table
 from huepose.support.files import write_picture
 from huepose.support.words import known
@@ -21,11 +22,11 @@ def call(arguments: argparse.Namespace) -> int:
     """Read, compare, draw, print a table."""
     fit = quality_fits()[arguments.method]
     rows: list[list[Any]] = []
-    for path in arguments.results:
+    for name, path in zip(result_names(arguments.results), arguments.results, strict=True):
         judged = read_judged(path)
-        rows.append(worth_row(path.stem, worth(judged.stated, judged, fit.level)))
+        rows.append(worth_row(name, worth(judged.stated, judged, fit.level)))
         if arguments.plots is not None:
-            _draw(arguments.plots, path.stem, judged)
+            _draw(arguments.plots, name, judged)
     print(f"{arguments.method}: level {fit.level:.3f}, found {fit.found:.3f}")
     print(table(HEADING, rows))
     return 0

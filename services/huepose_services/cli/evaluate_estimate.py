@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from huepose.datasets import files
 from huepose.datasets.bop_detections import BopDetections, read_detections
 from huepose.estimation import Estimator
 from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estimates
@@ -20,13 +21,15 @@ from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import load_models
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
-from huepose.support.words import known
+from huepose.support.errors import InputError
+from huepose.support.words import known, listed
 from huepose_services.cli.evaluate_scenes import (
     bop_objects,
     figure_table,
     intervals_line,
     open_bop,
     open_ycbv_folder,
+    scene_names,
     shown,
 )
 
@@ -38,6 +41,14 @@ def call(arguments: argparse.Namespace) -> int:
     models = load_models(arguments.bundles)
     scenes = open_ycbv_folder(arguments.ycbv).scenes if arguments.ycbv else open_bop(arguments.bop)
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
+    paths = arguments.bop if equivalents and not arguments.ycbv else []
+    if alike := sorted({*scene_names(paths)} - {*map(files.folder_name, paths)}):
+        raise InputError(
+            "--equivalent",
+            found=f"scenes of several sets with one name ({listed(alike)})",
+            expected="scenes with names of their own, as the file names them",
+            fix="Evaluate one set at a time.",
+        )
     boxes, given = box_source(arguments.boxes)
     options = EstimateOptions(boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))
     targets = Targets(models, arguments.objects)
@@ -107,8 +118,11 @@ def _report(summary: dict[str, Any]) -> str:
     lines = [figure_table("object", blocks, {"instances": "n"})]
     if summary["interval95"]:
         lines.append(intervals_line(summary, "frames"))
+    without = [str(name) for name, block in summary["per_object"].items() if block.get("ar") is None]
     if summary.get("ar") is not None:
         lines.append("BOP: " + ", ".join(f"{k.upper()} {summary[k.lower()]:.1f}" for k in _BOP))
+    elif len(without) < len(summary["per_object"]):
+        lines.append(f"BOP: no AR of all, because models_info.json has no diameter of {', '.join(without)}")
     if summary["recall_add_official"] != summary["recall_add"]:
         official = f"{summary['recall_add_official']:.1f}, AUC {summary['auc_add_official']:.1f}"
         lines.append(f"against the labels as they are: ADD {official}")

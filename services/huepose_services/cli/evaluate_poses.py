@@ -32,7 +32,8 @@ def _report(summary: dict[str, Any]) -> str:
             *([left_out] if counted < given else []),
             figure_table("scene", summary["sequences"], {"instances": "n"}),
             states_line(summary),
-            f"poses for {summary['poses_for_frames']:.1f} % of frames, {known(summary['fps'])} frames/s, "
+            f"poses for {known(summary['poses_for_frames'], unit=' %')} of frames, "
+            f"{known(summary['fps'])} frames/s, "
             f"capture to pose {summary['latency_ms_p50']:.1f} ms (p99 {summary['latency_ms_p99']:.1f} ms)",
         ]
     )

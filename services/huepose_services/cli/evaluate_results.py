@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from huepose.datasets.files import read_json
+from huepose.evaluation.result_files import result_names
 from huepose.evaluation.results_page import results_page, with_cut
 from huepose.support.files import write_text
 from huepose.support.words import counted
@@ -12,10 +13,8 @@ from huepose.support.words import counted
 
 def call(arguments: argparse.Namespace) -> int:
     """Read, write."""
-    records = {
-        path.parent.name if path.name == "results.json" else path.stem: read_json(path)
-        for path in arguments.results
-    }
+    paths = arguments.results
+    records = {name: read_json(path) for name, path in zip(result_names(paths), paths, strict=True)}
     write_text(arguments.out, results_page(records))
     if arguments.readme is not None:
         write_text(arguments.readme, with_cut(arguments.readme.read_text(), records))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,16 +27,35 @@ FIGURES = {"recall_add": "ADD", "recall_adds": "ADD-S", "auc_add": "AUC ADD", "a
 
 
 def open_bop(paths: Sequence[Path]) -> list[Scene]:
-    """BOP scenes; each must have labels. Raises InputError."""
+    """BOP scenes, named by their folders; each must have labels. Raises InputError."""
     scenes: list[Scene] = []
-    for path in paths:
+    for path, name in zip(paths, scene_names(paths), strict=True):
         scene = BopScene(path)
+        scene.name = name
         if not scene.labelled:
             raise InputError(
                 path / "scene_gt.json", found="no labels", expected="ground truth to measure against"
             )
         scenes.append(scene)
     return scenes
+
+
+def scene_names(paths: Sequence[Path]) -> list[str]:
+    """Names of scenes: the folder's; where folders of several sets are called alike, with as many of the
+    folders above as tell them apart.
+
+    >>> scene_names([Path("a/000001"), Path("b/000001"), Path("b/000002")])
+    ['a-000001', 'b-000001', '000002']
+    """
+    parts = [Path(os.path.abspath(path)).parts for path in paths]
+    names = [part[-1] for part in parts]
+    for length in range(2, max(map(len, parts), default=0)):
+        alike = {name for name, count in Counter(names).items() if count > 1}
+        names = [
+            "-".join(part[-length:]) if name in alike else name
+            for part, name in zip(parts, names, strict=True)
+        ]
+    return names
 
 
 def open_ycbv_folder(path: Path) -> YcbvFolder:

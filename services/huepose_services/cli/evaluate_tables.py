@@ -26,7 +26,7 @@ from huepose.support.errors import InputError
 from huepose.support.files import write_text
 from huepose_services.cli.evaluate_estimate import bop_results
 from huepose_services.cli.onboard import onboard_models
-from huepose_services.cli.table_images import ImageSource, images
+from huepose_services.cli.table_images import METHODS, ImageSource, images
 from huepose_services.cli.table_tracks import TrackSource, ablation, tracks
 
 
@@ -74,7 +74,9 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.ycbv or unseen:
         tables += single_frame_tables(of_images, names, expected, notes, unseen)
     if arguments.fast_ycb:
-        of_sequences = TrackSource(arguments.fast_ycb, "fast", published("table2").rows)
+        of_sequences = TrackSource(
+            arguments.fast_ycb, "fast", published("table2").rows, objects=arguments.objects or ()
+        )
         of_tracks, notes = tracks(arguments, of_sequences, bundles)
         flow = ablation(arguments, of_sequences, bundles)
         coverage += [f"Fast-YCB: {note}" for note in notes]
@@ -138,7 +140,7 @@ def _onboarded(arguments: argparse.Namespace) -> Path:
     chosen = [m for m in models if {m.name, str(m.object_id)} & asked]
     if not chosen:  # other objects than the paper's: all of them
         chosen = list(models)
-    elif arguments.fast_ycb:
+    elif arguments.fast_ycb and not arguments.objects:
         shown = {object_of(path) for path in labelled_sequences(arguments.fast_ycb)[0]}
         chosen += [m for m in models if m.name in shown and m not in chosen]
     _onboard(chosen, out, meshes)
@@ -181,8 +183,9 @@ def _write(
     for table in tables:
         write_text(out / f"{table.key}.csv", table.csv())
     image_rows = {method: rows_of(entries) for method, entries in images.items()}
-    for method, rows in image_rows.items():
-        write_bop_csv(out / f"huepose-{method}_ycbv-test.csv", bop_results(rows))
+    for method in METHODS:
+        if method in image_rows:
+            write_bop_csv(out / f"huepose-{method}_ycbv-test.csv", bop_results(image_rows[method]))
     track_rows = {run: rows_of(entries) for run, entries in tracks.items()}
     write_text(
         out / "report.html", page(tables, facts, coverage, image_rows, track_rows, names, unseen, flow)

@@ -85,7 +85,6 @@ class PoseSources:
             return given
         places = [
             given / f"{sequence}.csv",
-            given / f"{sequence}.txt",
             given / sequence / "poses.txt",
             given / sequence / "dope" / "poses_ycb.txt",
             given / sequence / "dope" / "poses.txt",

@@ -7,17 +7,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from huepose import __version__
 from huepose.datasets.ycb_objects import ycb_objects
 from huepose.datasets.ycbv_folder import spread
 from huepose.estimation import Estimator
 from huepose.evaluation.estimate_protocol import EstimateOptions, EstimateSetup
-from huepose.evaluation.tables.journal import Entry, Journal, run_images
+from huepose.evaluation.tables.journal import Entry, Journal, models_digest, run_images
 from huepose.evaluation.tables.submission import AsGiven, read_submission
 from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import ReferenceModel
+from huepose.perception.sessions import digest
 from huepose.profiles import profile
+from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_estimate import box_source
 from huepose_services.cli.evaluate_scenes import bop_objects, open_ycbv_folder
+
+METHODS = ("paper", "colorpair", "full")
+"""Of this program; each has a column of that name."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +52,15 @@ def images(
     options = EstimateOptions(boxes, "auto", 0.0 if listed else 0.1, (arguments.seed,))
     equivalents = read_equivalents(source.equivalent) if source.equivalent else {}
     measured_on = bop_objects(folder.info, models) if folder.info is not None else {}
+    submissions = [read_submission(named, set(ids)) for named in source.submissions]
+    _check_names([submission.name for submission in submissions])
     # What results depend on: a journal of other settings is not gone on with.
-    common = {key: getattr(arguments, key) for key in ("profile", "boxes", "seed", "objects")}
+    common = {key: getattr(arguments, key) for key in ("profile", "boxes", "seed", "objects")} | {
+        "version": __version__,
+        "models": models_digest(targets.models),
+        "boxes_file": digest(Path(arguments.boxes)) if given is not None else None,
+        "equivalent": digest(source.equivalent) if source.equivalent else None,
+    }
     entries = {}
     for method in arguments.methods:
         config = replace(profile(arguments.profile).estimator, method=method, threads=arguments.threads)
@@ -58,7 +71,6 @@ def images(
             arguments.out / "runs" / f"{source.key}-{method}.jsonl", {**common, "method": method}
         )
         entries[method] = run_images(journal, scenes, setup, f"{source.title}, {method}")
-    submissions = [read_submission(named, set(ids)) for named in source.submissions]
     for submission in submissions:
         setup = EstimateSetup(
             targets,
@@ -91,6 +103,17 @@ def images(
     expected = {all_names.get(i, f"obj_{i:06d}"): n for i, n in folder.coverage.targets.items()}
     wanted = {m.name for m in targets.models}
     return entries, notes, {name: n for name, n in expected.items() if name in wanted}
+
+
+def _check_names(submissions: Sequence[str]) -> None:
+    """Raises InputError for results of others that are called as a method is, or as others are."""
+    for name in submissions:
+        if name in METHODS or submissions.count(name) > 1:
+            raise InputError(
+                f"--submission {name}=FILE",
+                found="a name of two columns",
+                expected=f"one of its own, other than {', '.join(METHODS)}",
+            )
 
 
 def left_out(entries: Sequence[Entry]) -> list[str]:

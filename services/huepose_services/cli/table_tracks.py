@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from huepose import __version__
 from huepose.datasets import files
 from huepose.datasets.fast_ycb import labelled_sequences, object_of
 from huepose.datasets.types import Scene, SomeImages
+from huepose.datasets.ycb_objects import ycb_named
 from huepose.evaluation.ablation import evaluate_ablation, with_networks
 from huepose.evaluation.ablation_rows import GAP, AblationResult, AblationRow
 from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.evaluation.sources import LoopJudge
-from huepose.evaluation.tables.journal import Entry, Journal, run_tracks
+from huepose.evaluation.tables.journal import Entry, Journal, models_digest, run_tracks
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
 from huepose.evaluation.track_rows import TrackResult
+from huepose.model import ReferenceModel
+from huepose.perception.sessions import digest
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_scenes import open_fast_ycb
@@ -28,12 +33,32 @@ from huepose_services.cli.table_images import left_out
 @dataclass(frozen=True)
 class TrackSource:
     """path: in Fast-YCB's layout; key: of its files in OUT/runs; expected: names of the objects that the
-    whole set has sequences of; start: first poses, None for DOPE's where the set has them."""
+    whole set has sequences of; start: first poses, None for DOPE's where the set has them; objects: names or
+    ids that are asked for, none for all."""
 
     path: Path
     key: str
     expected: tuple[str, ...]
     start: str | None = None
+    objects: Sequence[str] = ()
+
+    def asks(self, name: str) -> bool:
+        """Sequences of an object of that name are asked for."""
+        known = ycb_named(name)
+        names = {name} if known is None else {name, str(known.object_id)}
+        return not self.objects or not names.isdisjoint(self.objects)
+
+    def opened(self, bundles: Path, broken: list[str]) -> tuple[list[Scene], dict[str, ReferenceModel]]:
+        """The sequences that are asked for, with the reference models of their objects; those that cannot be
+        opened are named in `broken`. Raises InputError where none is left."""
+        found = [path for path in labelled_sequences(self.path)[0] if self.asks(object_of(path))]
+        if not found:
+            raise InputError(
+                "--objects",
+                found=f"{', '.join(self.objects)}, of which {self.path} has no sequence",
+                fix="Leave --fast-ycb out, or ask for other objects.",
+            )
+        return open_fast_ycb(found, bundles, broken)
 
 
 def tracks(
@@ -45,8 +70,9 @@ def tracks(
     cv2.setNumThreads(1)  # as the tracker's worker does
     found, notes = labelled_sequences(source.path)
     broken: list[str] = []
-    scenes, models = open_fast_ycb([source.path], bundles, broken)
-    absent = [name for name in source.expected if name not in {object_of(p) for p in found}]
+    scenes, models = source.opened(bundles, broken)
+    there = {object_of(path) for path in found}
+    absent = [name for name in source.expected if source.asks(name) and name not in there]
     if absent:
         notes.append(f"missing sequences: {', '.join(absent)}")
     if arguments.quick is not None:
@@ -62,7 +88,9 @@ def tracks(
         own = ", ".join(name for name, start in starts.items() if start == kind)
         notes.append(f"first pose {kind}: {own if len(kinds) > 1 else 'all'}")
     notes.append(f"protocol {arguments.protocol}, profile {arguments.profile}")
-    common = {key: getattr(arguments, key) for key in ("profile", "protocol", "seed")} | {"start": asked}
+    common = {key: getattr(arguments, key) for key in ("profile", "protocol", "seed")}
+    common |= {"start": asked, "version": __version__}
+    inputs = {name: _inputs(path, starts[name], models) for name, path in paths.items()}
     named, roft = PoseSources(models, profile(arguments.profile).estimator), arguments.protocol == "roft"
     ours = partial(warm_tracker, config=profile(arguments.profile).tracker)
 
@@ -90,7 +118,7 @@ def tracks(
         )
         for every in arguments.every:
             entries[method, every] = run_tracks(
-                journal, scenes, every, partial(track, method=method, every=every)
+                journal, scenes, every, partial(track, method=method, every=every), inputs
             )
     notes += left_out(next(iter(entries.values()), []))
     return entries, notes
@@ -99,15 +127,18 @@ def tracks(
 def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) -> AblationResult | None:
     """The paper's ablation by our closed form (`robust`) and a network as the paper's (`direct`); None where
     no frames lie far enough apart."""
-    scenes, models = open_fast_ycb([source.path], bundles, [])
+    scenes, models = source.opened(bundles, [])
     if arguments.quick is not None:
         scenes = [SomeImages(scene, scene.image_ids[: arguments.quick]) for scene in scenes]
-    journal = Journal(arguments.out / "runs" / f"{source.key}-ablation.jsonl", {"gap": GAP})
+    journal = Journal(
+        arguments.out / "runs" / f"{source.key}-ablation.jsonl", {"gap": GAP, "version": __version__}
+    )
     estimators = {name: with_networks()[name] for name in ("robust", "direct")}
     rows: list[AblationRow] = []
     pairs = left_out = 0
     for scene in scenes:
-        key = f"{scene.name}/{len(scene.image_ids)} frames"
+        used = models_digest([models[object_of(scene.name)]])
+        key = f"{scene.name}/{len(scene.image_ids)} frames/{used}"
         if not journal.done(key):
             try:
                 found = evaluate_ablation([scene], Targets(models), estimators)
@@ -123,5 +154,16 @@ def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) 
 
 
 def _usual_start(path: Path) -> str:
-    there = any((path / "dope" / name).exists() for name in ("poses_ycb.txt", "poses.txt"))
-    return "dope" if there else "gt"
+    return "dope" if _dope_poses(path) else "gt"
+
+
+def _dope_poses(path: Path) -> list[Path]:
+    """The files of DOPE's poses that a sequence has."""
+    places = (path / "dope" / name for name in ("poses_ycb.txt", "poses.txt"))
+    return [place for place in places if place.exists()]
+
+
+def _inputs(path: Path, start: str, models: Mapping[str, ReferenceModel]) -> str:
+    """A digest of what a sequence is tracked with: its object's reference model, and DOPE's poses."""
+    poses = _dope_poses(path) if start == "dope" else []
+    return "-".join([models_digest([models[object_of(path)]]), *(digest(file)[:16] for file in poses)])

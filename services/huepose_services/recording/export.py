@@ -51,7 +51,8 @@ class Exported:
 
 def export_bop(events: Iterable[Event], folder: Path) -> Exported:
     """Write them to a new or empty folder. Frames keep their numbers; those of a camera that was opened anew
-    go on counting. Labels name their objects; those without a BOP number get free ones.
+    go on counting, and all poses name the first epoch. Labels name their objects; those without a BOP number
+    get free ones.
 
     Interrupted it leaves the folder empty, or none where it made it. Raises InputError for one that has
     something in it, or cannot be made."""
@@ -96,7 +97,9 @@ def _exported(events: Iterable[Event], folder: Path) -> Exported:
                     _write_images(folder, number, message, event.payload)
                     cameras[str(number)] = _camera(message)
             elif isinstance(message, PoseMessage):
-                poses.write(to_json(msgspec.structs.replace(message, frame_id=number)) + "\n")
+                epoch = next(iter(begins))
+                pose = msgspec.structs.replace(message, camera_epoch=epoch, frame_id=number)
+                poses.write(to_json(pose) + "\n")
             elif all(_is_label(o) for o in message.objects):
                 truths[str(number)], details[str(number)] = _labels(message)
             else:

@@ -68,7 +68,8 @@ def test_it_is_exported_as_a_bop_scene(tmp_path):
             truth.objects[0].object_id,
             truth.objects[0].visib_fract,
         )
-    assert json.loads((folder / "poses.jsonl").read_text())["frame_id"] == 12
+    pose = json.loads((folder / "poses.jsonl").read_text())
+    assert (pose["camera_epoch"], pose["frame_id"]) == (1, 12)
     with pytest.raises(InputError, match="a new or empty folder"):
         export_bop([], folder)
     with pytest.raises(InputError, match=r"/proc/scene: found .*; expected a place that can be written"):

@@ -1,6 +1,7 @@
 """glTF 2.0, as one binary file (GLB) or as .gltf with its parts: all meshes of the scene, merged.
 
-Read: POSITION, TEXCOORD, COLOR_0, indices, the base colour's factor and texture, the nodes' transforms.
+Read: POSITION, TEXCOORD, COLOR_0, indices, factor and texture of the base (or diffuse) colour, how it
+wraps, the nodes' transforms.
 Lengths are metres and y is up by the standard; axes are kept as they are in the file.
 """
 
@@ -18,7 +19,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64, Int64, UInt8
 from huepose.onboarding.mesh_files import MeshFiles
-from huepose.onboarding.raw_mesh import RE_EXPORT, Material, RawMesh, check_count, check_faces
+from huepose.onboarding.raw_mesh import RE_EXPORT, Material, RawMesh, Wrap, check_count, check_faces
 from huepose.support.errors import InputError
 
 _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -119,13 +120,16 @@ def _data_uri(uri: str) -> bytes:
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives that have faces
 _MOST_NODES = 10_000  # of one object
-_TRANSFORM = "KHR_texture_transform"
+_TRANSFORM, _GLOSSY = "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"
+_WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
+_NEARLY_WHITE = 0.98  # of COLOR_0, which is linear: two levels of 255 less than white
 _UNDERSTOOD = {
     "KHR_materials_unlit",
     "KHR_mesh_quantization",
     "KHR_materials_specular",
     "KHR_materials_ior",
     _TRANSFORM,
+    _GLOSSY,
 }
 
 
@@ -174,6 +178,14 @@ def _merged(asset: Asset) -> RawMesh:
                 path,
                 found="a textured material on a mesh without texture coordinates",
                 fix="Export again with texture coordinates (UVs) switched on.",
+            )
+        tinted = p[3] is not None and p[3][..., :3].min() < _NEARLY_WHITE
+        if tinted and materials[used.index(p[4])].texture is not None:
+            raise InputError(
+                path,
+                found="a texture and colours at vertices (COLOR_0), which multiply each other",
+                expected="one of them on each part of the mesh",
+                fix="Export again without vertex colours, or bake both into one texture.",
             )
     if all(p[3] is None for p in parts) and all(i < 0 for i in used):
         raise InputError(
@@ -291,39 +303,48 @@ def _transformed(uv: Float64, transform: dict[str, Any]) -> Float64:
     return np.asarray(turned + np.array(transform.get("offset", [0.0, 0.0])))
 
 
+def _base(material: dict[str, Any]) -> tuple[dict[str, Any], list[float]]:
+    """Texture and factor of a material's base colour; where it has none, of its diffuse colour."""
+    base = material.get("pbrMetallicRoughness", {})
+    diffuse = material.get("extensions", {}).get(_GLOSSY, {})
+    if "baseColorTexture" not in base and ("diffuseTexture" in diffuse or "baseColorFactor" not in base):
+        texture, factor = diffuse.get("diffuseTexture", {}), diffuse.get("diffuseFactor", [1, 1, 1, 1])
+    else:
+        texture, factor = base.get("baseColorTexture", {}), base.get("baseColorFactor", [1, 1, 1, 1])
+    return dict(texture), factor
+
+
 def _texture_entry(tree: dict[str, Any], material: int) -> dict[str, Any]:
-    if material < 0:
-        return {}
-    entry = tree["materials"][material].get("pbrMetallicRoughness", {}).get("baseColorTexture", {})
-    return dict(entry)
+    return _base(tree["materials"][material])[0] if material >= 0 else {}
 
 
 def _material(asset: Asset, index: int) -> Material:
     if index < 0:
         return Material("", (255, 255, 255))
     entry = asset.tree["materials"][index]
-    whole = entry.get("pbrMetallicRoughness", {}).get("baseColorFactor", [1, 1, 1, 1])
+    reference, whole = _base(entry)
     factor, opaque = np.array(whole[:3], float), entry.get("alphaMode", "OPAQUE") == "OPAQUE"
     r, g, b = (int(x) for x in _srgb(factor))
-    texture = None
-    reference = _texture_entry(asset.tree, index)
+    texture, sampler = None, dict[str, Any]()
     if reference:
-        source = asset.tree["textures"][reference["index"]].get("source")
-        if source is None:
+        said = asset.tree["textures"][reference["index"]]
+        if said.get("source") is None:
             raise InputError(
                 asset.files.mesh,
                 found="a texture without PNG or JPEG image",
                 expected="a plain image",
                 fix="Export again with PNG or JPEG textures (not KTX2 or WebP).",
             )
-        texture = asset.image(source)
+        texture = asset.image(said["source"])
+        sampler = asset.tree["samplers"][said["sampler"]] if "sampler" in said else sampler
         if not asset.files.textured and opaque:
             texture = np.zeros((1, 1, 3), np.uint8)  # nothing of it shows through
         if (factor != 1.0).any():
             tables = _srgb(_linear(np.arange(256, dtype=np.uint8))[:, None] * factor)
             texture = np.stack([tables[texture[..., c], c] for c in range(3)], -1)
     clear = not opaque and float(whole[3]) < 0.5
-    return Material(entry.get("name", f"material {index}"), (r, g, b), texture, clear)
+    u, v = (_WRAPS.get(sampler.get(axis, 0), "repeat") for axis in ("wrapS", "wrapT"))
+    return Material(entry.get("name", f"material {index}"), (r, g, b), texture, clear, (u, v))
 
 
 def _corner_colors(colors: Float64 | None, count: int, material: Material) -> UInt8:

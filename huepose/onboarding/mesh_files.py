@@ -55,6 +55,14 @@ class MeshFiles:
         path = self._find(name, role, named_in)
         return path, self._read(path, role, named_in)
 
+    def has(self, name: str, role: str, named_in: Path) -> bool:
+        """Whether a file that `named_in` names is where `read` looks for it."""
+        try:
+            self._find(name, role, named_in)
+        except InputError:
+            return False
+        return True
+
     def texture(self, name: str, named_in: Path) -> UInt8:
         """Picture (H, W, 3) uint8 RGB of an image file that `named_in` names. Raises InputError."""
         path = self._find(name, "texture", named_in)

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Float64, Int32
+from huepose.geometry.arrays import Float32, Float64, Int32
 from huepose.geometry.mesh import Mesh
 from huepose.onboarding.gltf import read_gltf
 from huepose.onboarding.kinds import check_kind
@@ -25,6 +25,7 @@ from huepose.support.lengths import LIKELY, METRES, Unit, length, number
 
 SMALLEST_M, LARGEST_M = 0.01, 2.0
 """Bounds of the largest side of an object, by which the unit of a mesh is guessed."""
+_MAX_ROUNDING = 1e-3  # of the largest side: a tenth of a millimetre of 10 cm
 # What code raises that reads a damaged file, beside the errors that it foresees.
 _DAMAGE = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, cv2.error)
 _READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
@@ -132,10 +133,25 @@ def _read(path: Path, unit: Unit | None) -> Mesh:
     vertices, faces = _referenced(raw)
     scale = _metres_per_unit(vertices, unit or unit_of_format(path), unit is not None, path)
     metric = (vertices * scale).astype(np.float32)
+    _check_rounding(metric, path)
     uv, texture = single_texture(raw, path)
     if outward_sign(metric, faces) < 0:
         faces, uv = faces[:, ::-1], uv[:, ::-1]
     return Mesh(metric, np.ascontiguousarray(faces), np.ascontiguousarray(uv), texture)
+
+
+def _check_rounding(metric: Float32, path: Path) -> None:
+    """Raises InputError for vertices (V, 3), metres, so far from their origin that 32 bits change its
+    shape."""
+    step = float(np.spacing(np.abs(metric).max()))
+    if not step <= _MAX_ROUNDING * _extent(metric.astype(np.float64)):  # also for infinity
+        away = float(np.linalg.norm((metric.min(0) + metric.max(0)) / 2.0))
+        raise InputError(
+            path,
+            found=f"a mesh {length(away)} from its origin, where 32 bits round places to {length(step)}",
+            expected="an origin in or near the object, not that of a map",
+            fix="Move the mesh to its origin in the modelling program, and export again.",
+        )
 
 
 def _referenced(raw: RawMesh) -> tuple[Float64, Int32]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -109,12 +110,8 @@ def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> 
     """Near-symmetric rotations of a surface, at most `MAX_ROTATIONS`; about an axis of revolution one every
     15 degrees."""
     sided = SidedSurface.of(surface.points, surface.normals, diameter_m)
-    points = surface.points[:_POINTS].astype(np.float64)
-    normals = surface.normals[:_POINTS].astype(np.float64)
-
-    def error(T: Float64) -> float:
-        return float(sided.offsets(T, points, normals)[0].mean())
-
+    points, normals = _measured_on(surface)
+    error = partial(_error, sided, points, normals)
     centre = (surface.points.min(0) + surface.points.max(0)) / 2.0
     starts = np.stack([se3.make(R, centre - R @ centre) for R in even_rotations(_STARTS)])
     fits, rough = fitted(starts, surface, grid, diameter_m)
@@ -138,6 +135,23 @@ def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> 
     return NearSymmetries(
         all_transforms, np.array([error(T) for T in all_transforms]), direction, offset, flip
     )
+
+
+def _measured_on(surface: Surface) -> tuple[Float64, Float64]:
+    """The points and normals (N, 3) by which errors are measured."""
+    return surface.points[:_POINTS].astype(np.float64), surface.normals[:_POINTS].astype(np.float64)
+
+
+def _error(sided: SidedSurface, points: Float64, normals: Float64, T: Float64) -> float:
+    """Mean distance of transformed points from the surface, over the diameter."""
+    return float(sided.offsets(T, points, normals)[0].mean())
+
+
+def revolves(surface: Surface, diameter_m: float, direction: Float, offset: Float) -> bool:
+    """Whether every rotation about a line through `offset` is a near-symmetry."""
+    sided = SidedSurface.of(surface.points, surface.normals, diameter_m)
+    error = partial(_error, sided, *_measured_on(surface))
+    return all(error(T) < MAX_ERROR_ABOUT_AXIS for T in rotations_about(direction, offset, STEP_RAD))
 
 
 def _sorted_by_error(transforms: Float64, error: Callable[[Float64], float]) -> tuple[Float64, Float64]:

@@ -1,7 +1,7 @@
 """Wavefront OBJ: all forms of faces, negative indices, polygons; materials with the colour `Kd` and the
 texture `map_Kd`.
 
-Colours come from the materials, else from six-number vertices (x y z r g b).
+Colours come from the textures; without texture from six-number vertices (x y z r g b), else from `Kd`.
 
 Vertices and texture coordinates keep their own numbers, as in the file: one number for both would repeat the
 vertices along every seam of the texture, and the error of a pose is measured over vertices.
@@ -17,15 +17,16 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.geometry.arrays import Float64, Int64
+from huepose.geometry.arrays import Float64, Int64, UInt8
 from huepose.onboarding import polygons
 from huepose.onboarding.mesh_files import MeshFiles, decoded
-from huepose.onboarding.raw_mesh import RE_EXPORT, Material, RawMesh, check_count, check_faces
+from huepose.onboarding.raw_mesh import RE_EXPORT, Material, RawMesh, Wrap, check_count, check_faces
 from huepose.support.errors import InputError
 
 _MAP_OPTION_ARGUMENTS = {"-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1}
 _MAP_OPTION_ARGUMENTS |= {"-imfchan": 1, "-mm": 2, "-texres": 1, "-type": 1}
 _GREY = (200, 200, 200)
+_LIBRARY = "material file"
 
 
 def read_materials(
@@ -39,8 +40,8 @@ def read_materials(
     colors: dict[str, tuple[int, int, int]] = {}
     maps: dict[str, tuple[Path, str]] = {}
     opacities: dict[str, float] = {}
-    for library in libraries:
-        path, data = files.read(library, "material file", files.mesh)
+    for library in (name for line in libraries for name in _libraries(files, line)):
+        path, data = files.read(library, _LIBRARY, files.mesh)
         in_library, maps_in_library, opacities_in_library = _parsed(path, decoded(data))
         for name, color in in_library.items():
             colors[name] = color
@@ -51,12 +52,22 @@ def read_materials(
     materials = {}
     for name, color in colors.items():
         if name in wanted or len(colors) == 1:
-            texture = None
+            texture: UInt8 | None = None
+            wrap: Wrap = "repeat"
             if name in maps:
                 path, line = maps[name]
-                texture = files.texture(_map_file(path, line), path)
-            materials[name] = Material(name, color, texture, clear=opacities.get(name, 1.0) < 0.5)
+                file, wrap = _map_file(path, line)
+                texture = files.texture(file, path)
+            clear = opacities.get(name, 1.0) < 0.5
+            materials[name] = Material(name, color, texture, clear, (wrap, wrap))
     return materials, list(colors)
+
+
+def _libraries(files: MeshFiles, line: str) -> list[str]:
+    """The material files that `mtllib` names: one, whose name may have spaces, else several."""
+    words = line.split()
+    several = not files.has(line, _LIBRARY, files.mesh) and files.has(words[0], _LIBRARY, files.mesh)
+    return words if several else [line]
 
 
 def _parsed(mtl: Path, text: str) -> tuple[dict[str, tuple[int, int, int]], dict[str, str], dict[str, float]]:
@@ -89,8 +100,10 @@ def _parsed(mtl: Path, text: str) -> tuple[dict[str, tuple[int, int, int]], dict
     return colors, maps, opacities
 
 
-def _map_file(mtl: Path, line: str) -> str:
-    """File name of a `map_Kd` line: options are skipped, spaces in the name are kept."""
+def _map_file(mtl: Path, line: str) -> tuple[str, Wrap]:
+    """File name of a `map_Kd` line, and what the texture shows outside of 0..1: other options are skipped,
+    spaces in the name are kept."""
+    wrap: Wrap = "repeat"
     rest = line.split(None, 1)[1].strip()
     while rest.startswith("-"):
         words = rest.split()
@@ -110,8 +123,10 @@ def _map_file(mtl: Path, line: str) -> str:
             raise InputError(
                 mtl, found=line.strip()[:60], expected="the name of a texture after map_Kd", fix=RE_EXPORT
             )
+        if option == "-clamp":
+            wrap = "clamp" if words[1] == "on" else "repeat"
         rest = rest.split(None, 1 + count)[-1]
-    return rest
+    return rest, wrap
 
 
 def _is_number(word: str) -> bool:

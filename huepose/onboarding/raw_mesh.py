@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -14,17 +15,20 @@ RE_EXPORT = "Export the mesh again as OBJ, PLY or GLB with its texture."
 SIMPLIFY = "Simplify the mesh (Blender: Decimate; MeshLab: Quadric Edge Collapse Decimation)"
 LARGEST_FACES = 5_000_000
 """Triangles of a mesh: a scan of a hand-sized object at a tenth of a millimetre has fewer."""
+Wrap = Literal["repeat", "mirror", "clamp"]
+"""What a texture shows outside of 0..1: itself again, itself mirrored, its outermost texels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
     """texture (H, W, 3) uint8 RGB, or None where only `color` (RGB, 0..255) is known; clear: it is more
-    transparent than not, whatever its texture."""
+    transparent than not, whatever its texture; wrap: of the texture, along u and along v."""
 
     name: str
     color: tuple[int, int, int] = (200, 200, 200)
     texture: UInt8 | None = None
     clear: bool = False
+    wrap: tuple[Wrap, Wrap] = ("repeat", "repeat")
 
 
 @dataclass(frozen=True, eq=False)

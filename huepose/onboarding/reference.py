@@ -74,7 +74,7 @@ def reference_model(
     if symmetric is None:
         equivalents = equivalent_rotations(surface, cloud, near, diameter)
     elif isinstance(symmetric, str):
-        equivalents = rotations_about_own(near, symmetric)
+        equivalents = rotations_about_own(surface, near, diameter, symmetric)
     else:
         equivalents = sampled(symmetric, _STEP_RAD)
     declared = info or symmetric or {}

@@ -13,7 +13,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float64
 from huepose.model.types import COLOR_SCALES_M, Surface
 from huepose.onboarding.cloud import Cloud, averaged_lab
-from huepose.onboarding.near_symmetries import NearSymmetries, SidedSurface, rotations_about
+from huepose.onboarding.near_symmetries import NearSymmetries, SidedSurface, revolves, rotations_about
 from huepose.support.errors import InputError
 
 EQUIVALENT_STEP_RAD = np.radians(5.0)  # between rotations about an axis of revolution that count as one
@@ -50,15 +50,19 @@ def equivalent_rotations(surface: Surface, cloud: Cloud, near: NearSymmetries, d
     return np.concatenate([about, near.flip @ about])
 
 
-def rotations_about_own(near: NearSymmetries, axis: str) -> Float64:
+def rotations_about_own(surface: Surface, near: NearSymmetries, diameter_m: float, axis: str) -> Float64:
     """Rotations (E, 4, 4), identity first, about an axis of the object ("x", "y" or "z") after which its
     shape is nearly the same, whatever its texture: about an axis of revolution one every 5 degrees.
 
     Raises InputError where the shape has none.
     """
     along = np.eye(3)[AXES.index(axis)]
-    if near.axis is not None and near.offset is not None and abs(along @ near.axis) > ALONG:
-        return rotations_about(near.axis, near.offset, EQUIVALENT_STEP_RAD)
+    if near.axis is not None and near.offset is not None:
+        across = np.cross(near.axis, np.eye(3)[np.argmin(np.abs(near.axis))])
+        if revolves(surface, diameter_m, across / np.linalg.norm(across), near.offset):  # a ball
+            return rotations_about(along, near.offset, EQUIVALENT_STEP_RAD)
+        if abs(along @ near.axis) > ALONG:
+            return rotations_about(near.axis, near.offset, EQUIVALENT_STEP_RAD)
     turns = np.array([se3.rotation_log(T[:3, :3]) for T in near.transforms])
     axes = turns / np.maximum(np.linalg.norm(turns, axis=1, keepdims=True), 1e-9)
     nearest = axes[np.argmax(np.abs(axes @ along))]

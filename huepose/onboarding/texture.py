@@ -1,8 +1,8 @@
 """Make one texture of at most 1024 x 1024 texels from whatever colours a mesh file has.
 
 Vertex colours are baked into a small patch of texels for every triangle, several materials are packed into an
-atlas, and repeating textures are unrolled. Used texels are dilated over the seams, so that no background
-bleeds in; large pictures are reduced with an area filter.
+atlas, and textures of which more than 0..1 is shown are unrolled. Used texels are dilated over the seams, so
+that no background bleeds in; large pictures are reduced with an area filter.
 """
 
 from __future__ import annotations
@@ -12,15 +12,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
+from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8
 from huepose.geometry.shelves import on_shelves
 from huepose.onboarding.mesh_files import LARGEST_TEXTURE
 from huepose.onboarding.patches import LARGEST, equal_patches
-from huepose.onboarding.raw_mesh import SIMPLIFY, RawMesh
+from huepose.onboarding.raw_mesh import SIMPLIFY, Material, RawMesh, Wrap
 from huepose.rendering.textures import mark_specks, triangle_areas
 from huepose.support.errors import InputError
 
-_MAX_REPEATS = 8  # tiles of a repeating texture along an axis
+_MAX_REPEATS = 8  # tiles of an unrolled texture along an axis
+_MAX_SLACK = 0.01  # by which texture coordinates may lie outside of 0..1, or of a tile, and mean its border
 _PATCH = 16  # side of the patch of a material without texture, texels
 # Texture coordinates of its triangles in the patch: over some texels, since uncovered texels have no colour.
 _IN_PATCH = np.array([[0.4, 0.4], [0.6, 0.4], [0.5, 0.6]], np.float32)
@@ -41,18 +42,22 @@ def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
         )
     textured = any(m.texture is not None for m in raw.materials)
     if raw.colors is not None and not textured:
-        return _baked(raw, raw.colors, path)
+        return _baked(raw.vertices, raw.faces, raw.colors, path)[:2]
     uv = np.zeros((len(raw.faces), 3, 2), np.float32) if raw.uv is None else raw.uv.copy()
     if not np.isfinite(uv).all():
         raise InputError(path, found="texture coordinates that are not numbers", fix="Export the mesh again.")
     pictures: list[UInt8] = []
     for i, material in enumerate(raw.materials):
         mine = raw.face_materials == i
+        if material.texture is None and raw.colors is not None and _tell_more(raw.colors[mine], material):
+            uv[mine], picture, baked = _baked(raw.vertices, raw.faces[mine], raw.colors[mine], path)
+            pictures.append(reduced(picture, baked))
+            continue
         if material.texture is None:
             pictures.append(np.full((_PATCH, _PATCH, 3), material.color, np.uint8))
             uv[mine] = _IN_PATCH
             continue
-        uv[mine], picture = _unrolled(uv[mine], material.texture, path)
+        uv[mine], picture = _unrolled(uv[mine], material.texture, material.wrap, path)
         pictures.append(reduced(picture, used_texels(uv[mine], *picture.shape[:2])))
     if len(pictures) == 1:
         return uv, pictures[0]
@@ -107,43 +112,76 @@ def _filled(premultiplied: Float64, weight: Float64) -> Float64:
     return np.where(known[..., None], own, smooth[:height, :width])
 
 
-def _baked(raw: RawMesh, colors: UInt8, path: Path) -> tuple[Float32, UInt8]:
-    """Corner colours (F, 3, 3) as patches of texels."""
-    layout = equal_patches(raw.vertices, raw.faces)
+def _tell_more(colors: UInt8, material: Material) -> bool:
+    """Whether the colours (F, 3, 3) at corners say more than the material: white ones are what exporters
+    write where there are none."""
+    return bool((colors != material.color).any() and (colors != 255).any())
+
+
+def _baked(vertices: Float64, faces: Int32, colors: UInt8, path: Path) -> tuple[Float32, UInt8, UInt8]:
+    """Colours (F, 3, 3) at corners as patches of texels: texture coordinates, texture, and the mask (H, W) of
+    the texels that have a colour."""
+    layout = equal_patches(vertices, faces)
     if layout is None:
         raise InputError(
             path,
-            found=f"{len(raw.faces)} coloured triangles",
+            found=f"{len(faces)} coloured triangles",
             expected=f"at most {LARGEST**2}",
             fix=f"{SIMPLIFY}, or give it a texture in place of colours at its vertices.",
         )
     corners = colors.astype(np.float64)
-    return layout.uv, layout.baked(lambda faces, w: np.einsum("fk,fkc->fc", w, corners[faces]))
+    texture = layout.baked(lambda faces, w: np.einsum("fk,fkc->fc", w, corners[faces]))
+    return layout.uv, texture, layout.baked(lambda faces, _: np.ones((len(faces), 3)))[..., 0]
 
 
-def _unrolled(uv: Float32, texture: UInt8, path: Path) -> tuple[Float32, UInt8]:
-    """uv within 0..1: triangles outside are moved by whole tiles, those that cross tiles get more tiles."""
-    slack = 1.0 / min(texture.shape[:2])
+def _unrolled(uv: Float32, texture: UInt8, wrap: tuple[Wrap, Wrap], path: Path) -> tuple[Float32, UInt8]:
+    """uv within 0..1: triangles outside are moved by whole tiles where the texture repeats, those that cross
+    tiles get more tiles."""
+    height, width = texture.shape[:2]
+    slack = np.minimum(_MAX_SLACK, [1.0 / width, 1.0 / height])
     outside = ((uv < -slack) | (uv > 1 + slack)).any((1, 2))
     if not outside.any():
         return np.clip(uv, 0.0, 1.0), texture
     uv = uv.copy()
-    uv[outside] -= np.floor(uv[outside].min(1, keepdims=True) + slack)
-    repeats = np.maximum(1, np.ceil(uv.max((0, 1)) - slack))
+    for axis, kind in enumerate(wrap):
+        uv[outside, :, axis] = _nearer(uv[outside, :, axis], kind, slack[axis])
+    low = np.minimum(0, np.floor(uv.min((0, 1)) + slack))
+    repeats = np.maximum(1, np.ceil(uv.max((0, 1)) - slack)) - low
     if repeats.max() > _MAX_REPEATS:
         raise InputError(
             path,
-            found=f"a texture that repeats {repeats.max():.0f} times across one triangle",
+            found=f"texture coordinates that span {repeats.max():.0f} times their texture",
             expected=f"at most {_MAX_REPEATS}",
             fix="Bake the texture in the modelling program and export again.",
         )
-    tiles = repeats.astype(int)
-    texels = texture.shape[0] * texture.shape[1] * int(tiles.prod())
+    first, tiles = low.astype(int), repeats.astype(int)
+    texels = height * width * int(tiles.prod())
     if texels > LARGEST_TEXTURE:
         scale = float(np.sqrt(LARGEST_TEXTURE / texels))
-        size = (max(1, int(texture.shape[1] * scale)), max(1, int(texture.shape[0] * scale)))
+        size = (max(1, int(width * scale)), max(1, int(height * scale)))
         texture = np.asarray(cv2.resize(texture, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return np.clip(uv / tiles, 0.0, 1.0).astype(np.float32), np.tile(texture, (tiles[1], tiles[0], 1))
+    columns, rows = (_wrapped(*along) for along in zip(first, tiles, texture.shape[1::-1], wrap, strict=True))
+    return np.clip((uv - first) / tiles, 0.0, 1.0).astype(np.float32), texture[rows[:, None], columns]
+
+
+def _nearer(along: Float32, wrap: Wrap, slack: float) -> Float32:
+    """Coordinates (F, 3) along an axis, moved as near to 0..1 as they show the same."""
+    low, high = along.min(1, keepdims=True), along.max(1, keepdims=True)
+    if wrap == "clamp":
+        beyond = (low >= 1) | (high <= 0)
+        return np.where(beyond, np.clip(along, 0.0, 1.0), along)
+    period = 2.0 if wrap == "mirror" else 1.0
+    tile = np.floor(low + np.minimum(slack, (high - low) / 2))  # a small triangle is where its middle is
+    return np.asarray(along - period * np.floor(tile / period), np.float32)
+
+
+def _wrapped(first: int, tiles: int, size: int, wrap: Wrap) -> Int64:
+    """Which of `size` texels each texel of so many tiles shows."""
+    at = np.arange(first * size, (first + tiles) * size)
+    if wrap == "clamp":
+        return np.clip(at, 0, size - 1)
+    mirrored = (wrap == "mirror") & (at // size % 2 == 1)
+    return np.where(mirrored, size - 1 - at % size, at % size)
 
 
 def _atlas(uv: Float32, face_materials: Int32, pictures: list[UInt8]) -> tuple[Float32, UInt8]:

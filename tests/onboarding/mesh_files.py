@@ -139,8 +139,15 @@ class GlbWriter:
         path.write_bytes(glb(tree, self.chunk))
 
 
-def write_glb(path: Path, mesh: Mesh, node: dict | None = None) -> None:
-    """A textured mesh in metres, under one node."""
+def write_glb(
+    path: Path,
+    mesh: Mesh,
+    node: dict | None = None,
+    sampler: dict | None = None,
+    material: dict | None = None,
+) -> None:
+    """A textured mesh in metres, under one node; its texture's sampler, and another material than with that
+    texture as base colour."""
     w = GlbWriter()
     attributes = {
         "POSITION": w.accessor(mesh.vertices[mesh.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
@@ -148,4 +155,9 @@ def write_glb(path: Path, mesh: Mesh, node: dict | None = None) -> None:
     }
     indices = w.accessor(np.arange(3 * len(mesh.faces)).astype("<u2"), "SCALAR")
     index = w.mesh(attributes, indices=indices, material=w.textured_material(mesh.texture))
+    if sampler is not None:
+        w.tree["samplers"] = [sampler]
+        w.tree["textures"][0]["sampler"] = 0
+    if material is not None:
+        w.tree["materials"] = [material]
     w.write(path, [{"mesh": index, **(node or {})}], [0])

@@ -103,6 +103,35 @@ def test_a_mesh_without_any_colour_is_refused(tmp_path: Path) -> None:
         read_mesh(tmp_path / "m.obj")
 
 
+def test_a_texture_under_colours_of_a_gltf_is_refused(tmp_path: Path, printed_box: Mesh) -> None:
+    w = files.GlbWriter()
+    attributes = {
+        "POSITION": w.accessor(printed_box.vertices[printed_box.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
+        "TEXCOORD_0": w.accessor(printed_box.uv.reshape(-1, 2).astype("<f4"), "VEC2"),
+        "COLOR_0": w.accessor(np.tile(np.array([[0, 1, 0]], "<f4"), (36, 1)), "VEC3"),
+    }
+    index = w.mesh(attributes, material=w.textured_material(printed_box.texture))
+    w.write(tmp_path / "m.glb", [{"mesh": index}], [0])
+    with pytest.raises(InputError, match=r"a texture and colours at vertices.*bake both into one texture"):
+        read_mesh(tmp_path / "m.glb")
+
+
+@pytest.mark.parametrize("away_mm", [5e5, 5e6])
+def test_a_mesh_in_the_coordinates_of_a_map_is_refused(
+    tmp_path: Path, printed_box: Mesh, away_mm: float
+) -> None:
+    """80 mm at half a kilometre are rounded by 0.03 mm, at 5 km by half a millimetre."""
+    files.write_obj(tmp_path / "m.obj", printed_box)
+    lines = (tmp_path / "m.obj").read_text().splitlines()
+    moved = [f"v {float(x.split()[1]) + away_mm} {' '.join(x.split()[2:])}" for x in lines if x[:2] == "v "]
+    (tmp_path / "m.obj").write_text("\n".join([*moved, *(x for x in lines if x[:2] != "v ")]))
+    if away_mm == 5e5:
+        np.testing.assert_allclose(np.ptp(read_mesh(tmp_path / "m.obj").vertices, axis=0)[0], 0.08, atol=8e-5)
+        return
+    with pytest.raises(InputError, match=r"found a mesh 5000 m from its origin.*0.4883 mm.*Move the mesh"):
+        read_mesh(tmp_path / "m.obj")
+
+
 def test_draco_is_refused_by_name(tmp_path: Path) -> None:
     tree = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_compression"]}
     (tmp_path / "m.glb").write_bytes(files.glb(tree, b""))

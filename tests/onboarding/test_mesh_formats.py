@@ -60,6 +60,38 @@ def test_the_words_of_a_material_may_be_of_large_letters(tmp_path: Path, printed
     assert_same(read_mesh(tmp_path / "m.obj"), plain)
 
 
+def test_one_line_of_an_obj_may_name_several_material_files(tmp_path: Path, printed_box: Mesh) -> None:
+    files.write_obj(tmp_path / "m.obj", printed_box)
+    text = (tmp_path / "m.obj").read_text()
+    (tmp_path / "m.obj").write_text(text.replace("m.mtl", "other.mtl m.mtl"))
+    (tmp_path / "other.mtl").write_text("newmtl other\nKd 1 0 0\n")
+    assert_same(read_mesh(tmp_path / "m.obj"), printed_box)
+    (tmp_path / "m.mtl").rename(tmp_path / "other.mtl m.mtl")  # a name with a space is one name
+    assert_same(read_mesh(tmp_path / "m.obj"), printed_box)
+    (tmp_path / "other.mtl m.mtl").unlink()
+    with pytest.raises(
+        InputError, match=r"m.mtl: found no such file; expected the material file, which m.ob"
+    ):
+        read_mesh(tmp_path / "m.obj")
+
+
+@pytest.mark.parametrize("base", [{}, {"metallicFactor": 0.0}, {"baseColorFactor": [1.0, 0.0, 0.0, 1.0]}])
+def test_a_gltf_may_have_a_diffuse_texture(tmp_path: Path, printed_box: Mesh, base: dict) -> None:
+    """KHR_materials_pbrSpecularGlossiness; a base colour without texture beside it is for other programs."""
+    files.write_glb(tmp_path / "m.glb", printed_box)
+    plain = read_mesh(tmp_path / "m.glb")
+    material = {"pbrMetallicRoughness": base}
+    diffuse = {"diffuseTexture": {"index": 0}}
+    material["extensions"] = {"KHR_materials_pbrSpecularGlossiness": diffuse}
+    files.write_glb(tmp_path / "m.glb", printed_box, material=material)
+    assert_same(read_mesh(tmp_path / "m.glb"), plain)
+    del diffuse["diffuseTexture"]
+    diffuse["diffuseFactor"] = [0.0, 0.0, 1.0, 1.0]
+    files.write_glb(tmp_path / "m.glb", printed_box, material=material)
+    color = (255, 0, 0) if "baseColorFactor" in base else (0, 0, 255)
+    assert (read_mesh(tmp_path / "m.glb").texture == color).all()
+
+
 def test_polygons_of_a_ply_become_fans(tmp_path: Path) -> None:
     square = np.array([[0, 0, 0], [40, 0, 0], [40, 40, 0], [0, 40, 0], [0, 0, 40]], float)
     files.write_colored_ply(tmp_path / "m.ply", square, np.full((5, 3), 90), [[0, 1, 2, 3], [0, 1, 4]])

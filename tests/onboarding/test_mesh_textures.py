@@ -103,3 +103,89 @@ def test_textures_that_repeat_are_unrolled(tmp_path: Path) -> None:
     assert_well_formed(read)
     for u, value in ((0.1, 200), (0.4, 0), (0.6, 200), (0.9, 0)):
         np.testing.assert_allclose(colors_at(read, (1 - u, u, 0))[0], value, atol=1)
+
+
+@pytest.mark.parametrize("width", [16, 100])
+@pytest.mark.parametrize("tile", [0, 1, -2])
+def test_a_palette_is_read_in_every_tile(tmp_path: Path, width: int, tile: int) -> None:
+    palette = np.random.default_rng(width).integers(0, 256, (1, width, 3)).astype(np.uint8)
+    texels = np.linspace(1, width - 1, 12).astype(int)
+    uv = np.full((12, 3, 2), 0.5, np.float32)
+    uv[..., 0] = ((texels + 0.5) / width + tile)[:, None]
+    mesh = solids.box((0.08, 0.06, 0.04))
+    files.write_obj(tmp_path / "m.obj", Mesh(mesh.vertices, mesh.faces, uv, palette))
+    np.testing.assert_allclose(colors_at(read_mesh(tmp_path / "m.obj")), palette[0, texels], atol=1)
+
+
+def shown(wrap: int | None, u: float) -> float:
+    """The place in a texture that is shown at `u`."""
+    if wrap == 33071:
+        return min(max(u, 0.0), 1.0)
+    return abs((u + 1) % 2 - 1) if wrap == 33648 else u % 1
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("wrap", [None, 10497, 33648, 33071])
+def test_textures_of_a_gltf_wrap_as_their_sampler_says(tmp_path: Path, wrap: int | None, axis: int) -> None:
+    ramp = np.repeat(np.arange(0, 256, 4, dtype=np.uint8)[None, :, None], 64, axis=0).repeat(3, axis=2)
+    mesh = solids.box((0.08, 0.06, 0.04))
+    uv = np.tile(np.array([[-1, 0.2], [2, 0.2], [2, 0.8]], np.float32), (12, 1, 1))
+    uv[6:, :, 0] = [1.2, 1.4, 1.4]  # wholly outside
+    if axis == 1:
+        ramp, uv = ramp.transpose(1, 0, 2), uv[..., ::-1]
+    sampler = {} if wrap is None else {"wrapS" if axis == 0 else "wrapT": wrap}
+    files.write_glb(tmp_path / "m.glb", Mesh(mesh.vertices, mesh.faces, uv, ramp), sampler=sampler)
+    read = read_mesh(tmp_path / "m.glb")
+    assert_well_formed(read)
+    for u in (-0.7, -0.3, 0.4, 1.3, 1.8):
+        expected = np.clip(256 * shown(wrap, u) - 2, 0, 252)
+        t = (u + 1) / 3
+        np.testing.assert_allclose(colors_at(read, (1 - t, t, 0))[0], expected, atol=1.5)
+    expected = np.clip(256 * shown(wrap, 1.3) - 2, 0, 252)
+    np.testing.assert_allclose(colors_at(read, (0.5, 0.5, 0))[6], expected, atol=1.5)
+
+
+@pytest.mark.parametrize(("option", "value"), [("", 0), ("-clamp off", 0), ("-clamp on", 200)])
+def test_a_texture_of_an_obj_may_be_clamped(tmp_path: Path, option: str, value: int) -> None:
+    picture = np.zeros((16, 16, 3), np.uint8)
+    picture[:, 8:] = 200
+    mesh = solids.box((0.08, 0.06, 0.04))
+    uv = np.tile(np.array([[1.1, 0.5], [1.4, 0.5], [1.4, 0.6]], np.float32), (12, 1, 1))
+    files.write_obj(tmp_path / "m.obj", Mesh(mesh.vertices, mesh.faces, uv, picture))
+    (tmp_path / "m.mtl").write_text(f"newmtl print\nmap_Kd {option} m.png\n")
+    np.testing.assert_allclose(colors_at(read_mesh(tmp_path / "m.obj")), value, atol=1)
+
+
+@pytest.mark.parametrize("whites", [False, True])
+def test_colors_of_vertices_beside_a_texture(tmp_path: Path, whites: bool) -> None:
+    """White ones beside a texture leave the colour of the material."""
+    ends = ["1 1 1"] * 4 if whites else ["1 0 0", "0 1 0", "0 0 1", "1 0 1"]
+    places = ("0 0 0", "60 0 0", "0 60 0", "0 0 60")
+    text = "mtllib m.mtl\n" + "".join(f"v {v} {c}\n" for v, c in zip(places, ends, strict=True))
+    text += "vt 0 0\nvt 1 0\nvt 0 1\nusemtl print\nf 1/1 2/2 3/3\nusemtl plain\nf 1 4 2\nf 1 3 4\n"
+    (tmp_path / "m.obj").write_text(text)
+    (tmp_path / "m.mtl").write_text("newmtl print\nmap_Kd m.png\nnewmtl plain\nKd 0.2 0.4 0.6\n")
+    files.write_png(tmp_path / "m.png", np.full((64, 64, 3), (200, 10, 10), np.uint8))
+    mesh = read_mesh(tmp_path / "m.obj")
+    assert_well_formed(mesh)
+    expected = np.array([[200, 10, 10], [204, 51, 76.5], [178.5, 0, 127.5]])
+    if whites:
+        expected[1:] = [51, 102, 153]
+    np.testing.assert_allclose(colors_at(mesh, (0.5, 0.3, 0.2)), expected, atol=2)
+
+
+def test_a_colored_part_of_a_gltf_beside_a_texture(tmp_path: Path) -> None:
+    box = solids.box((0.08, 0.06, 0.04))
+    w = files.GlbWriter()
+    at = w.accessor(box.vertices[box.faces].reshape(-1, 3).astype("<f4"), "VEC3")
+    uv = w.accessor(box.uv.reshape(-1, 2).astype("<f4"), "VEC2")
+    green = w.accessor(np.tile(np.array([[0, 1, 0]], "<f4"), (36, 1)), "VEC3")
+    white = w.accessor(np.ones((36, 3), "<f4"), "VEC3")
+    printed = w.textured_material(np.full((64, 64, 3), (200, 10, 10), np.uint8))
+    w.tree["materials"].append({})
+    a = w.mesh({"POSITION": at, "TEXCOORD_0": uv, "COLOR_0": white}, material=printed)
+    b = w.mesh({"POSITION": at, "COLOR_0": green}, material=1)
+    w.write(tmp_path / "m.glb", [{"mesh": a}, {"mesh": b, "translation": [0.1, 0, 0]}], [0, 1])
+    colors = colors_at(read_mesh(tmp_path / "m.glb"))
+    np.testing.assert_allclose(colors[:12], np.tile([200, 10, 10], (12, 1)), atol=1)
+    np.testing.assert_array_equal(colors[12:], np.tile([0, 255, 0], (12, 1)))

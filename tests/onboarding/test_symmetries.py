@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 import pytest
 
 from huepose.geometry import Mesh, se3
-from huepose.onboarding.cloud import visible_cloud
+from huepose.model.types import Surface
+from huepose.onboarding.cloud import Cloud, visible_cloud
 from huepose.onboarding.near_symmetries import NearSymmetries, even_rotations, near_symmetries
 from huepose.onboarding.reference import diameter_of
 from huepose.onboarding.surface import build_grid, build_surface
@@ -13,14 +17,23 @@ from huepose.onboarding.visibility import depth_views
 from huepose.support.errors import InputError
 from tests.onboarding import solids
 
+Analysed = tuple[NearSymmetries, np.ndarray, Callable[[str], np.ndarray]]
 
-def analysed(mesh: Mesh) -> tuple[NearSymmetries, np.ndarray]:
+
+def surface_of(mesh: Mesh) -> tuple[float, Cloud, Surface]:
+    """Diameter, cloud and surface of a mesh."""
     diameter = diameter_of(mesh)
     views = depth_views(mesh, diameter, level=2)
     cloud = visible_cloud(mesh, views)
-    surface = build_surface(cloud, views)
+    return diameter, cloud, build_surface(cloud, views)
+
+
+def analysed(mesh: Mesh) -> Analysed:
+    """Near-symmetries and equivalent rotations of a mesh, and its rotations about a named axis."""
+    diameter, cloud, surface = surface_of(mesh)
     near = near_symmetries(surface, build_grid(surface.points, diameter), diameter)
-    return near, equivalent_rotations(surface, cloud, near, diameter)
+    equivalents = equivalent_rotations(surface, cloud, near, diameter)
+    return near, equivalents, partial(rotations_about_own, surface, near, diameter)
 
 
 def angles_to(turns: np.ndarray, R: np.ndarray) -> np.ndarray:
@@ -32,7 +45,7 @@ def half_turn(axis: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def bricks() -> tuple[tuple[NearSymmetries, np.ndarray], tuple[NearSymmetries, np.ndarray]]:
+def bricks() -> tuple[Analysed, Analysed]:
     """A box off its origin, with a texture on every side, and the same box in one colour."""
     rng = np.random.default_rng(4)
     blots = {
@@ -45,7 +58,7 @@ def bricks() -> tuple[tuple[NearSymmetries, np.ndarray], tuple[NearSymmetries, n
 
 
 def test_a_printed_box_has_flips_of_its_shape_only(bricks) -> None:
-    near, equivalents = bricks[0]
+    near, equivalents, _ = bricks[0]
     np.testing.assert_array_equal(near.transforms[0], np.eye(4))
     for axis in range(3):
         k = angles_to(near.transforms, half_turn(axis)).argmin()
@@ -58,8 +71,7 @@ def test_a_printed_box_has_flips_of_its_shape_only(bricks) -> None:
 
 
 def test_how_a_box_is_turned_about_an_axis_need_not_matter(bricks) -> None:
-    near, _ = bricks[0]
-    turns = rotations_about_own(near, "y")
+    turns = bricks[0][2]("y")
     assert len(turns) == 2
     np.testing.assert_array_equal(turns[0], np.eye(4))
     assert angles_to(turns[1:], half_turn(1))[0] < 1.5
@@ -68,7 +80,7 @@ def test_how_a_box_is_turned_about_an_axis_need_not_matter(bricks) -> None:
 def test_a_shape_that_has_no_such_rotation_says_so() -> None:
     near = NearSymmetries(np.eye(4)[None], np.zeros(1))
     with pytest.raises(InputError, match=r"no rotation about the object's z axis .* a file can declare"):
-        rotations_about_own(near, "z")
+        rotations_about_own(None, near, 0.1, "z")
 
 
 def test_a_blank_box_has_equivalent_flips(bricks) -> None:
@@ -83,7 +95,7 @@ def test_turns_do_not_depend_on_the_texture(bricks) -> None:
 
 
 def test_a_cube_has_its_24_turns() -> None:
-    near, equivalents = analysed(solids.box((0.07, 0.07, 0.07)))
+    near, equivalents, _ = analysed(solids.box((0.07, 0.07, 0.07)))
     assert len(near.transforms) == 24
     assert len(equivalents) == 24
     rounded = np.round(near.transforms[:, :3, :3])
@@ -92,7 +104,7 @@ def test_a_cube_has_its_24_turns() -> None:
 
 
 def test_a_plain_cylinder_turns_about_its_axis_and_flips() -> None:
-    near, equivalents = analysed(solids.moved(solids.cylinder(0.03, 0.1), (0.0, 0.04, 0.0)))
+    near, equivalents, _ = analysed(solids.moved(solids.cylinder(0.03, 0.1), (0.0, 0.04, 0.0)))
     assert near.axis is not None
     assert near.offset is not None
     assert abs(near.axis[2]) > np.cos(np.radians(0.5))
@@ -116,17 +128,33 @@ def label(repeats: int) -> np.ndarray:
 
 
 def test_a_printed_can_is_unlike_itself_turned() -> None:
-    near, equivalents = analysed(solids.cylinder(0.03, 0.1, label(1)))
+    near, equivalents, about = analysed(solids.cylinder(0.03, 0.1, label(1)))
     assert len(near.transforms) == 48
     assert len(equivalents) == 1
-    about_its_axis = rotations_about_own(near, "z")
+    about_its_axis = about("z")
     assert len(about_its_axis) == 72
     assert (about_its_axis[:, 2, 2] > 0.999).all()
-    assert len(rotations_about_own(near, "x")) == 2
+    assert len(about("x")) == 2
+
+
+def test_a_ball_turns_about_every_axis() -> None:
+    angles = np.linspace(-np.pi / 2, np.pi / 2, 33)
+    profile = [(0.03 * max(np.cos(a), 0.0), 0.03 * np.sin(a)) for a in angles]
+    profile[0], profile[-1] = (0.0, -0.03), (0.0, 0.03)
+    ball = solids.lathe(profile, np.full((8, 8, 3), (220, 120, 20), np.uint8))
+    diameter, _, surface = surface_of(solids.moved(ball, (0.0, 0.05, 0.0)))
+    some_axis = NearSymmetries(
+        np.eye(4)[None], np.zeros(1), np.array([0.28, 0, 0.96]), np.array([0, 0.05, 0])
+    )
+    for k, axis in enumerate("xyz"):
+        turns = rotations_about_own(surface, some_axis, diameter, axis)
+        assert len(turns) == 72
+        np.testing.assert_allclose(turns[:, k, k], 1.0, atol=1e-9)
+        np.testing.assert_allclose(se3.apply(turns[18], [0.0, 0.05, 0.0]), [0.0, 0.05, 0.0], atol=1e-3)
 
 
 def test_a_wrapper_that_repeats_thrice_looks_the_same_thrice() -> None:
-    _, equivalents = analysed(solids.cylinder(0.03, 0.1, label(3)))
+    _, equivalents, _ = analysed(solids.cylinder(0.03, 0.1, label(3)))
     assert len(equivalents) == 3
     turns = np.sort(np.degrees(np.arctan2(equivalents[:, 1, 0], equivalents[:, 0, 0])) % 360)
     np.testing.assert_allclose(turns, [0, 120, 240], atol=0.5)
@@ -135,7 +163,7 @@ def test_a_wrapper_that_repeats_thrice_looks_the_same_thrice() -> None:
 def test_a_handle_breaks_the_sameness_of_a_plain_mug() -> None:
     body = solids.cylinder(0.035, 0.09)
     handle = solids.moved(solids.box((0.03, 0.012, 0.05)), (0.05, 0.0, 0.0))
-    _, equivalents = analysed(solids.joined(body, handle))
+    _, equivalents, _ = analysed(solids.joined(body, handle))
     about_z = np.abs(equivalents[:, 2, 2]) > 0.99
     turned = np.degrees(np.arctan2(equivalents[about_z, 1, 0], equivalents[about_z, 0, 0]))
     upright = equivalents[about_z][:, 2, 2] > 0

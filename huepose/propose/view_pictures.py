@@ -144,7 +144,8 @@ def window_pictures(
     to_picture = _lattices_to_picture(pixels, step, side)
     halvings = np.maximum(0, np.ceil(np.log2(step / MAX_STEP))).astype(int)
     to_smaller = to_picture / 2.0 ** halvings[:, None, None]
-    # Pixel centres of a halved picture lie between.
+    # As if the pixels of a halved picture lay between those of the larger one. Those of pyrDown lie on every
+    # second; the network has learned with this (docs/tried.md, "Windows without a displacement").
     to_smaller[:, :, 2] += 0.5 * (0.5 ** halvings[:, None] - 1.0)
     colors = np.empty((len(pixels), side, side, 3), np.uint8)
     for k, halving in enumerate(halvings):

@@ -43,7 +43,7 @@ RETURNING_SEEN = 0.2
 @dataclass(frozen=True, eq=False)
 class Task:
     """What more poses are proposed for: the object of `anchor` in a later frame. near, far: where it is
-    likely, and where it can be; long: it is many seconds later; uneasy: its pose may be wrong though it
+    likely, and where it can be; long: more than `long_step_s` later; uneasy: its pose may be wrong though it
     explains enough; back: it is in full view again, so it need not be searched for nearby; hidden: something
     hides it where it is expected, so only the likeliest place of the picture is searched."""
 

@@ -63,9 +63,8 @@ class RgbdFrame:
             )
         if min(size) < LEAST_SIDE:
             raise InputError("picture", found=str(size), expected=f"sides of {LEAST_SIDE} pixels or more")
-        with np.errstate(invalid="ignore", over="ignore"):
-            all_numbers = np.isfinite(self.depth.sum())  # tells without an array of its own
-        if not all_numbers:
+        # Tells it of all of them without an array of its own.
+        if not (np.isfinite(self.depth.min()) and np.isfinite(self.depth.max())):
             known = np.where(np.isfinite(self.depth), self.depth, np.float32(0.0))
             object.__setattr__(self, "depth", known)
 

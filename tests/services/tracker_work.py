@@ -62,6 +62,9 @@ class TrackerStandIn:
         opinion = Hypothesis(self.T_cam_obj, NOTHING, np.eye(6), "flow", log_odds=np.log(3.0))
         return opinion, Hypothesis(turned, NOTHING, np.eye(6), "turn", log_odds=0.0)
 
+    def remove_instances(self, name):
+        self.instances = tuple(key for key in self.instances if key[0] != name)
+
     def correct(self, correction):
         self.corrections.append(correction.instance)
         return self.answer

@@ -22,8 +22,7 @@ def onboarded(mesh: Mesh, name: str, **how: Any) -> ReferenceModel:
     if shelf is None:
         return onboard_mesh(mesh, name, **how)
     digest = hashlib.sha256(repr(sorted(how.items())).encode())
-    for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.texture):
-        digest.update(array.tobytes())
+    digest.update(mesh.content())
     path = model_path(shelf / digest.hexdigest()[:16], name)
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.with_suffix(".lock").open("w") as lock:

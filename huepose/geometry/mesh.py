@@ -33,6 +33,10 @@ class Mesh:
         """Centre of the bounding box (3,), which everyone shares: not to be written to."""
         return np.asarray((self.vertices.min(0) + self.vertices.max(0)) / 2.0, dtype=np.float64)
 
+    def content(self) -> bytes:
+        """All that is drawn of it, of which digests are made."""
+        return b"".join(array.tobytes() for array in (self.vertices, self.faces, self.uv, self.texture))
+
     def face_normals(self) -> tuple[Float64, Float64]:
         """Unit normals (F, 3) by the right-hand rule, and areas (F,) in square metres."""
         v = self.vertices.astype(np.float64)

@@ -156,9 +156,7 @@ class SyntheticScene:
         sensor = None if self._depth_sensor is None else asdict(self._depth_sensor)
         digest.update(json.dumps([VERSION, self.seed, self._n_frames, asdict(self.camera), sensor]).encode())
         for name, mesh in self.meshes.items():
-            digest.update(name.encode())
-            for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.texture):
-                digest.update(np.ascontiguousarray(array).tobytes())
+            digest.update(name.encode() + mesh.content())
         return digest.hexdigest()[:12]
 
     def _computed(self) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:

@@ -9,10 +9,10 @@ is denser, farther away and in worse light, half of them in an open box, with de
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -246,7 +246,7 @@ def write_rendered_set(
         "seed": seed,
         "objects": {name: object_ids[name] for name in sorted(meshes)},
         "ranges": asdict(ranges),
-        "meshes": {name: _digest(meshes[name]) for name in sorted(meshes)},
+        "meshes": {name: sha256(meshes[name].content()).hexdigest()[:16] for name in sorted(meshes)},
     }
     writer = BopWriter(folder, facts, color_suffix)
     missing = [number for number in range(frames) if number not in writer.done]
@@ -255,14 +255,6 @@ def write_rendered_set(
         writer.add(
             number, drawn.shot.color, drawn.shot.depth, drawn.camera, _labels(drawn, meshes, object_ids)
         )
-
-
-def _digest(mesh: Mesh) -> str:
-    """Another one for another shape or texture."""
-    digest = hashlib.sha256()
-    for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.texture):
-        digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()[:16]
 
 
 def _labels(drawn: Drawn, meshes: Mapping[str, Mesh], object_ids: Mapping[str, int]) -> list[Label]:

@@ -87,9 +87,7 @@ def _missing(folder: Path, meshes: dict[str, Mesh]) -> list[str]:
 def _digest(meshes: dict[str, Mesh]) -> str:
     digest = hashlib.sha256()
     for name, mesh in meshes.items():
-        digest.update(name.encode())
-        for array in (mesh.vertices, mesh.faces, mesh.uv, mesh.texture):
-            digest.update(array.tobytes())
+        digest.update(name.encode() + mesh.content())
     home = Path(huepose.__file__).parent
     for maker in _MAKERS:
         place = home / maker

@@ -23,6 +23,9 @@ SIGMAS_APART, NEVER_SAME = 4.1, 0.25
 """Poses are also the same within this Mahalanobis distance of both covariances (99 % at six degrees of
 freedom), but never beyond this share of the diameter."""
 
+TURN_LEVER = 0.25
+"""Mean distance of a surface from an axis through its middle, over the diameter."""
+
 SAME_REFINED = 0.04
 """An estimate nearer to the refined prior than this share of the diameter is the same answer."""
 
@@ -82,6 +85,16 @@ def _apart(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
     return displacement_m(T_a, T_b, slot) / slot.diameter_m
 
 
+def denies_turn(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSlot) -> bool:
+    """Whether an estimate has the object at the place of the tracked pose, turned another way. Both must have
+    been scored on the same pixels."""
+    T, expected = estimate.T_cam_obj, tracked.predicted(stamp_ns)
+    if T is None or estimate.prior_score is None:
+        return False
+    there = _shift_m(T, expected, slot) < NEVER_SAME * slot.diameter_m
+    return there and TURN_LEVER * _turn_rad(T, expected, slot) > SAME_POSE
+
+
 def acquires(estimate: PoseEstimate, config: ReinitConfig) -> bool:
     """Whether one estimate is enough to acquire an object that has no pose."""
     return estimate.found and estimate.quality >= config.acquire_quality
@@ -137,7 +150,12 @@ def displacement_m(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
 
 
 def _displacement(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
-    return _shift_m(T_a, T_b, slot) + 0.25 * slot.diameter_m * se3.rotation_angle(T_a, T_b)
+    return _shift_m(T_a, T_b, slot) + TURN_LEVER * slot.diameter_m * se3.rotation_angle(T_a, T_b)
+
+
+def _turn_rad(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
+    """Angle between two poses T_cam_obj (4, 4), the least over the object's symmetries."""
+    return min(se3.rotation_angle(T_a @ turn, T_b) for turn in slot.equivalents or (np.eye(4),))
 
 
 def _shift_m(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
@@ -171,7 +189,7 @@ def assign(
         expected, gate = prior.predicted(stamp_ns), _gate_m(prior, stamp_ns, slot)
         for i, T in enumerate(estimates):
             shift = _shift_m(T, expected, slot)
-            turn = min(se3.rotation_angle(T @ turn, expected) for turn in slot.equivalents or (np.eye(4),))
+            turn = _turn_rad(T, expected, slot)
             outside = shift > gate or (sure[j] and not near(T, expected, slot))
             cost[i, j] = 1e3 if outside else shift + TURN_SHARE * slot.diameter_m * turn
     for i, j in zip(*linear_sum_assignment(cost), strict=True):

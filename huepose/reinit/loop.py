@@ -18,7 +18,7 @@ from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.reinit.answered import Answered, Frame, held
 from huepose.reinit.config import ReinitConfig
-from huepose.reinit.judge import acquires, assign, judge_tracked, near, pose_of, usable
+from huepose.reinit.judge import acquires, assign, denies_turn, judge_tracked, near, pose_of, usable
 from huepose.reinit.newest_frame import Began, NewestFrame
 from huepose.reinit.outbox import Outbox
 from huepose.reinit.published_history import PublishedHistory
@@ -242,7 +242,9 @@ class ReinitLoop:
                     compared, priors[which], result.stamp_ns, track.state, slot, self.config
                 )
                 self._count(verdict)
-                if verdict is not Verdict.REJECT:
+                if verdict is not Verdict.REJECT or denies_turn(
+                    compared, priors[which], result.stamp_ns, slot
+                ):
                     key = (slot.object, track.instance)
                     out.append(self._correction(key, estimate, result, verdict, estimate.quality))
             elif any(near(pose_of(estimate), p.predicted(result.stamp_ns), slot) for p in priors):

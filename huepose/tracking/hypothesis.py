@@ -48,7 +48,8 @@ class Hypothesis:
 class Anchor:
     """The object in the last frame. hypotheses: best first; usual: how it looks when its pose is right;
     unseen_s: for how long its pose had only been predicted; place: where the last frame looked most like it,
-    if no search was made there yet; known: whether it is sure that it is this object."""
+    if no search was made there yet; known: whether it is sure that it is this object; turn_odds: log-odds of
+    its turn."""
 
     hypotheses: tuple[Hypothesis, ...]
     frame: RgbdFrame
@@ -56,6 +57,7 @@ class Anchor:
     unseen_s: float = 0.0
     place: Reach | None = None
     known: bool = False
+    turn_odds: float = 0.0
 
     @property
     def first(self) -> Hypothesis:

@@ -34,11 +34,11 @@ def opinions(
     found: Advance,
     frame: RgbdFrame,
     config: TrackerConfig,
-    impossible: Callable[[Hypothesis, Hypothesis, float], bool],
+    impossible: Callable[[Hypothesis, Hypothesis, float, float], bool],
 ) -> list[Hypothesis]:
     """All that a step found, with log-odds and velocity, the followed ones first, in the order of the
-    anchor's. impossible: whether a proposal cannot be, beside the first followed hypothesis and after so many
-    seconds."""
+    anchor's. impossible: whether a proposal cannot be, beside the first followed hypothesis, after so many
+    seconds, and where another turn must lead by that much."""
     before = anchor.first
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     gone_s = seconds + anchor.unseen_s
@@ -51,7 +51,7 @@ def opinions(
         out.append(_moved(subject, anchor, at_its_ends, before, seconds, frame))
     expected = predicted(subject.surface, before.T_cam_obj, before.velocity, seconds)
     for h in found.proposed:
-        if impossible(h, found.followed[0], gone_s):
+        if impossible(h, found.followed[0], gone_s, found.least_lead):
             continue
         h = replace(h, T_cam_obj=subject.like(h.T_cam_obj, expected))
         jump = jump_odds(subject.surface, before.T_cam_obj, expected, h.T_cam_obj, gone_s, config)

@@ -35,8 +35,8 @@ that were followed and then turned."""
 CLAIMED = 0.8
 """The most that a claim of perception under `confirmed_identity` counts for the orientation.
 
-To be confirmed, the pose then needs a lead of 0.034 of a total over its best near-symmetric rotation. Leads
-under 0.025 are chance on drawn films of the split `fit`."""
+To be confirmed, the pose then needs a lead of 0.034 of a total over its best near-symmetric rotation, more
+than CHANCE."""
 
 
 class Orientation:
@@ -75,6 +75,11 @@ class Orientation:
         if self.facing is not None:
             self.facing = self.facing.assured(quality)
 
+    def deny(self, quality: float) -> None:
+        """Perception found it turned another way, with that quality."""
+        if self.facing is not None:
+            self.facing = self.facing.denied(quality)
+
     def take_over(self, other: Orientation) -> None:
         """Continue with the belief of another track of the same object."""
         self.facing, self.sure = other.facing, other.sure
@@ -91,8 +96,11 @@ class Orientation:
 
     def slide(self, margin: float, view: Float64) -> None:
         """Doubt all rotations where the object may have slid about its axis, unnoticed. margin: how far the
-        total after the best small rotation is behind."""
-        if self.facing is not None and probability(SHARPNESS * margin) < self._config.tracking_quality:
+        total after the best small rotation is behind. One that was as near when they were judged last says
+        nothing of a slide."""
+        if self.facing is None or self.facing.knows(margin, view):
+            return
+        if probability(SHARPNESS * margin) < self._config.tracking_quality:
             self.facing = self.facing.jumped(view, np.ones(len(self._subject.other_turns), bool))
 
     def check(self, anchor: Anchor, first: Hypothesis, view: Float64, frame: RgbdFrame, hurry: bool) -> float:
@@ -125,34 +133,55 @@ class Orientation:
             facing = facing.jumped(view, new)
             self.see(first, frame.stamp_ns)  # This doubt is known from here on.
         self.facing = facing
-        return 0.0 if hurry else self.ask(first, view, frame, anchor.usual.light)
+        return 0.0 if hurry else self.ask(first, view, frame, anchor.usual.light, settled=False)
 
-    def ask(self, first: Hypothesis, view: Float64, frame: RgbdFrame, light: Float64 | None) -> float:
-        """Compare a pose with the best of the doubted near-symmetric rotations, if one may be right. Returns
-        the number of costly proposals used."""
-        if self.facing is None or not self.facing.open(view):
+    def ask(
+        self, first: Hypothesis, view: Float64, frame: RgbdFrame, light: Float64 | None, *, settled: bool
+    ) -> float:
+        """Compare a pose with the best of the doubted near-symmetric rotations, if one may be right. settled:
+        also where the orientation is settled. Returns the number of costly proposals used."""
+        if self.facing is None:
             return 0.0
         turns = self._subject.other_turns[self.facing.doubted]
+        if not self.facing.open(view) and not (settled and len(turns)):
+            return 0.0
         rival = best_rival(self._subject, first, turns, frame, light)
         margin = np.inf if rival is None else lead(self._subject.surface, first, rival, frame)
         self.facing = self.facing.told(margin, view)
         return COSTS if len(turns) else 0.0
 
-    def turned_too_fast(self, found: Hypothesis, followed: Hypothesis, gone_s: float) -> bool:
-        """Whether a proposal is about the followed pose after a near-symmetric rotation that is larger than
-        the object can make in `gone_s`, while its orientation was settled. Such a proposal is dropped."""
+    def impossible(self, found: Hypothesis, followed: Hypothesis, gone_s: float, least_lead: float) -> bool:
+        """Whether a proposal is about the followed pose after a near-symmetric rotation that it cannot have
+        made: one larger than the object can make in `gone_s` while its orientation was settled, or of what
+        rests, where its total leads by no more than `least_lead` (see `lead_to_turn`)."""
+        too_small = least_lead > 0.0 and found.terms.total - followed.terms.total <= least_lead
+        if not (too_small or self._too_fast(found, followed, gone_s)):
+            return False
+        return bool(alike(self._subject.other_turns, followed.T_cam_obj, found.T_cam_obj).any())
+
+    def _too_fast(self, found: Hypothesis, followed: Hypothesis, gone_s: float) -> bool:
         if self.facing is None or not self.facing.settled:
             return False
         turned = se3.rotation_angle(found.T_cam_obj, followed.T_cam_obj)
-        if turned < most_turned(None, gone_s, self._config):
-            return False
-        return bool(alike(self._subject.other_turns, followed.T_cam_obj, found.T_cam_obj).any())
+        return turned >= most_turned(None, gone_s, self._config)
+
+
+def lead_to_turn(subject: Subject, anchor: Anchor, T_cam_obj: Float64, seconds: float) -> float:
+    """By how much of a total a near-symmetric rotation must lead the followed pose to be taken. What rests
+    has not turned: only what outweighs the belief in its turn says that it was wrong. 0 for what moves."""
+    if seconds > REST_S or anchor.unseen_s > 0.0:
+        return 0.0
+    rests = same_pose(subject, anchor.first.T_cam_obj, T_cam_obj, RESTS)
+    return max(anchor.turn_odds, 0.0) / SHARPNESS if rests else 0.0
 
 
 SHARPNESS = 24.0
 """Log-odds per unit of total between the right pose and its best near-symmetric rotation; largest likelihood
 of which one is right in 1,608 comparisons on drawn films of the split `fit` (`studies.stress`: hard,
 household and YCB objects; docs/tracking.md)."""
+
+CHANCE = 0.025
+"""Differences of totals under this are chance on drawn films of the split `fit`."""
 
 SAME_VIEW = np.radians(8.0)
 """A viewpoint that differs by less than this gives the evidence that is known."""
@@ -177,13 +206,17 @@ SETTLED, MOST = odds_of(0.99), 6.0
 class Facing:
     """The belief that the orientation is right. value: its log-odds; base: the log-odds before the evidence
     from around `view` (3,), a direction to the camera in object axes; doubted (M,): near-symmetric rotations
-    that its motion does not rule out; asked (3,): the view that was judged last."""
+    that its motion does not rule out; asked (3,): the view that was judged last; lead: of its total over the
+    best other turn then; denied_by: log-odds of perception's surest answer from around `view` that has it
+    turned another way."""
 
     value: float
     base: float
     view: Float64
     doubted: Bool
     asked: Float64 | None = None
+    lead: float = 0.0
+    denied_by: float = 0.0
 
     @staticmethod
     def of(quality: float, view: Float64, turns: int) -> Facing:
@@ -210,22 +243,36 @@ class Facing:
         """The belief after a step in which the object can have made any of the rotations `reached` (M,). Its
         log-odds drop to at most 0. Rotations ruled out before stay so."""
         doubted = reached if self.settled else reached | self.doubted
-        return Facing(min(self.value, 0.0), min(self.value, 0.0), view, doubted)
+        denied_by = self.denied_by if float(view @ self.view) >= np.cos(NEW_VIEW) else 0.0
+        value = min(self.value, 0.0)
+        return Facing(value, value, view, doubted, denied_by=denied_by)
 
     def assured(self, quality: float) -> Facing:
         """The belief after perception found the same pose independently, with that quality."""
-        base = max(self.base, odds_of(quality))
+        base = max(self.base, odds_of(quality) - self.denied_by)
         return replace(self, base=base, value=max(self.value, base))
+
+    def denied(self, quality: float) -> Facing:
+        """The belief after perception found another turn, with that quality. From one view its surest answer
+        for the turn and its surest against it count: they err alike, so neither is worth more than once."""
+        denied_by = max(odds_of(quality), self.denied_by)
+        less = denied_by - self.denied_by
+        return replace(self, base=self.base - less, value=self.value - less, denied_by=denied_by)
+
+    def knows(self, margin: float, view: Float64) -> bool:
+        """Whether the best other turn was as near when it was judged last, from about this view."""
+        seen = self.asked is not None and float(view @ self.asked) > np.cos(SAME_VIEW)
+        return seen and margin > self.lead - CHANCE
 
     def told(self, margin: float, view: Float64) -> Facing:
         """The belief after the pose's total was found to exceed its best rival's by `margin`. Of the evidence
         from similar views only the strongest counts: a label that leaves the view stays true."""
-        base, about, said = self.base, self.view, self.value - self.base
+        base, about, said, denied_by = self.base, self.view, self.value - self.base, self.denied_by
         if float(view @ about) < np.cos(NEW_VIEW):
-            base, about, said = self.value, view, 0.0
+            base, about, said, denied_by = self.value, view, 0.0, 0.0
         says = SHARPNESS * margin
         value = float(np.clip(base + (says if abs(says) > abs(said) else said), -MOST, MOST))
-        return Facing(value, base, about, self.doubted, view)
+        return Facing(value, base, about, self.doubted, view, margin, denied_by)
 
 
 def best_rival(
@@ -237,7 +284,7 @@ def best_rival(
     region = region_of(surface, frame, first.T_cam_obj, light) if len(turns) else None
     if region is None:
         return None
-    poses = ranked(surface, region, first.T_cam_obj @ turns)[0][:COARSELY]
+    poses = ranked(surface, region, first.T_cam_obj @ subject.closer(turns))[0][:COARSELY]
     near = refine_all(surface, region, poses, COARSE, float(surface.centre_cam(first.T_cam_obj)[2]))
     apart = [T for T in near if not same_pose(subject, T, first.T_cam_obj, RIGHT)]
     for T in ranked(surface, region, np.array(apart))[0][:TRIES] if apart else ():

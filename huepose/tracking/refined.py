@@ -13,7 +13,7 @@ from huepose.judge.open_region import SAMPLES, OpenRegion, PreparedSurface, look
 from huepose.judge.terms import NOTHING, score_arrays
 from huepose.refine.photometric import FINE, FULL, NEAR, Schedule, refine
 from huepose.tracking.hypothesis import Hypothesis
-from huepose.tracking.subject import Subject
+from huepose.tracking.subject import FAR_SLIDES, Subject
 
 START_SAMPLES = 150
 """Surface samples by which the best of several starts is chosen."""
@@ -111,17 +111,24 @@ def unmoved(
 
 
 def about_its_axis(
-    subject: Subject, frame: RgbdFrame, followed: Hypothesis, light: Float64 | None, known: bool
+    subject: Subject,
+    frame: RgbdFrame,
+    followed: Hypothesis,
+    light: Float64 | None,
+    known: bool,
+    least_lead: float = 0.0,
 ) -> tuple[Hypothesis, float, tuple[Hypothesis, ...]]:
     """Rotate a pose about its axis of revolution: refinement does not see further than a letter of the label
     is wide. Returns the pose, or if the object is `known` what it becomes from a rotation that explains more;
-    its total less that after the best small rotation; and that rotation as a proposal if it is better."""
+    its total less that after the best small rotation; and that rotation as a proposal if it is better.
+    least_lead: of the total, by which a rotation of more than half a step must be better."""
     surface, total = subject.surface, followed.terms.total
     rolls = subject.rolls if followed.terms.hidden < OPEN else subject.rolls[:0]
     turns = np.concatenate([subject.slides, rolls]) if known else subject.small_turns
     region = region_of(surface, frame, followed.T_cam_obj, light) if len(turns) else None
     if known and region is not None:
-        gain = np.repeat([ROLLED_BACK, ROLLED_OVER], [len(subject.slides), len(rolls)])
+        back = np.where(FAR_SLIDES, max(ROLLED_BACK, least_lead), ROLLED_BACK)[: len(subject.slides)]
+        gain = np.append(back, np.full(len(rolls), ROLLED_OVER))
         poses = followed.T_cam_obj @ turns
         rated = score_arrays(surface.arrays, region.arrays, poses, SAMPLES)[:, 0]
         k = int(np.argmax(rated - gain))
@@ -134,7 +141,7 @@ def about_its_axis(
         return followed, np.inf, ()
     poses, rated = ranked(surface, region, followed.T_cam_obj @ subject.small_turns)
     margin = total - float(rated[0])
-    better = (best_of(surface, frame, [(poses[0], "turn")], light, 0),) if margin < 0.0 else ()
+    better = (best_of(surface, frame, [(poses[0], "turn")], light, 0),) if margin < -least_lead else ()
     return followed, margin, better
 
 

@@ -17,6 +17,7 @@ from huepose.refine.photometric import FULL
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.motion import Reach, predicted, reaches
+from huepose.tracking.orientation import lead_to_turn
 from huepose.tracking.refined import (
     MORE_PASSES,
     about_its_axis,
@@ -43,7 +44,8 @@ class Advance:
     """The result of a step. followed: one per hypothesis of the anchor, in order; proposed: further ones from
     searches and near-symmetric rotations; tried: number of costly proposals; doubtful: the best total is
     below what is expected; begun: the stage to try next, END if all were tried; margin: total of the first
-    followed one less that after the best small rotation; place: as in the anchor of the next step."""
+    followed one less that after the best small rotation; place: as in the anchor of the next step;
+    least_lead: by how much a near-symmetric rotation must be better (see `lead_to_turn`)."""
 
     followed: tuple[Hypothesis, ...]
     proposed: tuple[Hypothesis, ...] = ()
@@ -52,6 +54,7 @@ class Advance:
     begun: int = NEARBY
     margin: float = np.inf
     place: Reach | None = None
+    least_lead: float = 0.0
 
 
 def advance(
@@ -103,7 +106,8 @@ def advance(
     if not far.holds(surface.centre_cam(found[0].T_cam_obj)):
         # Faster than anything moves: the pose has followed an occluder.
         found[0] = unmoved(surface, frame, expected, light)
-    found[0], margin, rolled = about_its_axis(subject, frame, found[0], light, anchor.known)
+    least_lead = lead_to_turn(subject, anchor, found[0].T_cam_obj, seconds)
+    found[0], margin, rolled = about_its_axis(subject, frame, found[0], light, anchor.known, least_lead)
     best = max([*found, *rolled], key=lambda h: h.terms.total)
     returning = anchor.unseen_s > 0.0 and best.terms.seen >= RETURNING_SEEN
     surprising = long and moved_m(surface, best.T_cam_obj, expected) > config.surprising_m
@@ -113,9 +117,9 @@ def advance(
     task = replace(task, uneasy=uneasy, back=back)
     doubtful = task.doubts(best)
     if not (doubtful or uneasy):
-        return Advance(tuple(found), rolled, margin=margin)
+        return Advance(tuple(found), rolled, margin=margin, least_lead=least_lead)
     if doubtful and (resting or best.terms.hidden > config.hidden) and not (long or returning):
-        return Advance(tuple(found), rolled, doubtful=True, margin=margin)
+        return Advance(tuple(found), rolled, doubtful=True, margin=margin, least_lead=least_lead)
     # A sudden loss of total starts again with the cheap stages.
     missed = best.terms.total < first.terms.total - task.doubt
     more = propose(task, best, NEARBY if missed else begun, tries)
@@ -127,6 +131,7 @@ def advance(
         more.begun,
         margin,
         more.place,
+        least_lead,
     )
 
 

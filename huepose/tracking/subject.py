@@ -76,6 +76,11 @@ class Subject:
         alike = eye / max(float(np.linalg.norm(eye)), 1e-9) @ self.model.equivalents[:, :3, :3]
         return np.asarray(alike[np.argmax(alike @ near)])
 
+    def closer(self, turns: Float64) -> Float64:
+        """Rotations (M, 4, 4) and, of an object of revolution, those half a step further about its axis
+        (2M, 4, 4): between stripes of a print a refinement does not get from one step to the next."""
+        return turns if not len(self.slides) else np.concatenate([turns, turns @ self.slides[HALF_STEP]])
+
     @property
     def mesh(self) -> Mesh:
         """The model's mesh."""
@@ -93,6 +98,10 @@ class Subject:
 
 SLIDES = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
 """Of the step between two near-symmetric rotations about an axis of revolution."""
+
+HALF_STEP = SLIDES.index(0.5)
+FAR_SLIDES = np.abs(SLIDES) > 0.5
+"""Which of them are more than half a step: those change what is believed of the turn."""
 
 
 def _slides(turns: Float64) -> Float64:

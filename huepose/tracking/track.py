@@ -118,7 +118,8 @@ class Track:
         begun = self._effort.begun
         resting = begun == NEARBY and self._effort.resting
         seen = self.hypotheses, self.frame, self.usual
-        anchor = Anchor(*seen, self._unseen_s, self._place, self._known)
+        turn_odds = 0.0 if self._orientation.facing is None else self._orientation.facing.value
+        anchor = Anchor(*seen, self._unseen_s, self._place, self._known, turn_odds)
         found = advance(self.subject, anchor, frame, self._config, resting, begun, tries)
         orientation, facing = self._orientation, self._orientation.facing
         orientation.slide(found.margin, self._view())
@@ -163,7 +164,7 @@ class Track:
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
         """Give each hypothesis its log-odds, from the image, its past and the motion it implies, and keep the
         best different ones."""
-        impossible = self._orientation.turned_too_fast
+        impossible = self._orientation.impossible
         seen = opinions(self.subject, anchor, found, frame, self._config, impossible)
         corrected = self._corrected_from
         self._corrected_from = None
@@ -247,7 +248,7 @@ class Track:
         if self.evidence >= self._config.lost_quality:
             view = self._view()
             self._orientation.begin(quality, view)
-            tried += self._orientation.ask(first, view, frame, light)
+            tried += self._orientation.ask(first, view, frame, light, settled=True)
         known = self.usual.baseline
         self.learn()
         if known is None and self.usual.baseline is not None:
@@ -351,6 +352,12 @@ class Track:
                     # It is the frame of now that says what is usual, not the one that perception saw.
                     self.usual = replace(self.usual, baseline=self.terms.total)
                 self._orientation.assure(quality)
+
+    def disagree(self, quality: float, stamp_ns: int) -> None:
+        """Perception found the object there, but turned another way, in the frame of that stamp."""
+        again, self._agreed_ns = stamp_ns == self._agreed_ns, stamp_ns
+        if self.hypotheses and not again and not self.can_have_turned_since(stamp_ns):
+            self._orientation.deny(self._of_its_color(quality))
 
     def can_have_turned_since(self, stamp_ns: int) -> bool:
         """Whether it may have rotated by a near symmetry since, unseen: its pose then fixes no turn now."""

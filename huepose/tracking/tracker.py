@@ -255,6 +255,8 @@ class Tracker:
                 return Applied.REFUSED_OLD
             if correction.verdict is Verdict.AGREE:
                 track.agree(correction.quality, correction.stamp_ns)
+            else:
+                track.disagree(correction.quality, correction.stamp_ns)
         elif track is None and key not in self._pursuits and correction.verdict is Verdict.CORRECT:
             return Applied.REFUSED_OLD
         elif track is None or not self._same_surface(track, correction):

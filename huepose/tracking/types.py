@@ -30,7 +30,8 @@ class Doubt(str, Enum):
 
 
 class Verdict(str, Enum):
-    """What the judge of the re-initialisation loop made of an estimate."""
+    """What the judge of the re-initialisation loop made of an estimate. REJECT is sent where the estimate has
+    the object at its place, turned another way."""
 
     AGREE = "agree"
     CORRECT = "correct"

@@ -25,6 +25,10 @@ def test_agreement_and_disagreement() -> None:
         (pose(0.03), None, State.TRACKING, None),
         (pose(0.03), None, State.SUSPECT, Verdict.CORRECT),
         (pose(0.0, 40.0), 1.5, State.TRACKING, Verdict.CORRECT),
+        (pose(0.0, 40.0), 1.95, State.TRACKING, Verdict.REJECT),
+        (pose(0.0, 40.0), None, State.TRACKING, None),
+        (pose(0.03, 40.0), 1.95, State.TRACKING, Verdict.REJECT),
+        (pose(0.05, 40.0), 1.95, State.TRACKING, None),
     ):
         loop = ReinitLoop(objects=[slot])
         request = loop.tick(0, [track(state=state)])
@@ -76,7 +80,8 @@ def test_no_uncertainty_makes_a_flip_agree() -> None:
     flipped = estimate(T=pose(0.0, 180.0), instance=0, prior_score=1.95)
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
     request = loop.tick(0, [track()])
-    assert loop.answer(MS, result(request, 0, replace(flipped, covariance=uncertain(0.02, 3.0)))) == []
+    (denied,) = loop.answer(MS, result(request, 0, replace(flipped, covariance=uncertain(0.02, 3.0))))
+    assert denied.verdict is Verdict.REJECT, "the tracker is told that its turn is denied"
     assert loop.counters.rejected == 1
 
 

@@ -19,7 +19,7 @@ from huepose.select.distinct import RIGHT
 from huepose.tracking import Correction, Tracker
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import is_loose
-from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.orientation import (
     NEW_VIEW,
     SETTLED,
@@ -29,11 +29,12 @@ from huepose.tracking.orientation import (
     alike,
     another_opinion,
     best_rival,
+    lead_to_turn,
     reached,
 )
 from huepose.tracking.refined import best_of
 from huepose.tracking.subject import Subject
-from huepose.tracking.types import Doubt
+from huepose.tracking.types import Doubt, Verdict
 from huepose.tracking.uncertainty import uncertainty
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
@@ -271,3 +272,80 @@ def test_a_view_is_new_where_the_object_moved_and_not_where_the_opinion_changed(
     assert not another_opinion(subject, found(T), found(oblique)), "a motion"
     assert another_opinion(subject, found(T), found(oblique, jump=-1.0)), "no motion leads there"
     assert another_opinion(subject, found(T), found(over)), "it looks nearly the same this way round"
+
+
+class TestDenied:
+    """Perception says that the object is turned another way."""
+
+    def test_its_surest_answers_for_and_against_weigh_the_same(self) -> None:
+        facing = Facing.of(0.99, VIEW, 2)
+        assert facing.denied(0.99).probability == pytest.approx(0.5)
+        assert facing.denied(0.9).probability == pytest.approx(0.917, abs=0.001)
+        again = facing.denied(0.99).denied(0.95).denied(0.99)
+        assert again.probability == pytest.approx(0.5), "it errs alike in every look from there"
+
+    def test_a_later_agreement_does_not_undo_it(self) -> None:
+        assert Facing.of(0.9, VIEW, 2).denied(0.99).assured(0.99).probability == pytest.approx(0.5)
+
+    def test_it_says_nothing_of_another_view(self) -> None:
+        denied = Facing.of(0.9, VIEW, 2).denied(0.99)
+        aside = se3.rotation_exp(np.array([1.01 * NEW_VIEW, 0.0, 0.0])) @ VIEW
+        seen = denied.told(0.3, aside).assured(0.99)
+        assert seen.probability > 0.98
+
+    def test_a_track_is_suspect_then(self, soup_can: ReferenceModel) -> None:
+        T = se3.make(se3.rotation_exp(np.array([1.3, 0.2, 0.1])), np.array([0.0, 0.0, 0.5]))
+        tracker = Tracker({soup_can.name: soup_can})
+        frames = [
+            replace(picture(soup_can.mesh, T, (90, 130, 160)), frame_id=k, stamp_ns=k * 10**8)
+            for k in range(4)
+        ]
+        tracker.correct(Correction.first(soup_can.name, T, frames[0], 0.99))
+        states = [tracker.step(frame)[0].state for frame in frames[:3]]
+        assert states[-1] is State.TRACKING
+        first = Correction.first(soup_can.name, T, frames[2], 0.999)
+        tracker.correct(replace(first, verdict=Verdict.REJECT, seq=2))
+        (pose,) = tracker.step(frames[3])
+        assert pose.state is State.SUSPECT
+        assert tracker.doubt(soup_can.name, 0) is Doubt.TURN
+
+
+def test_between_the_turns_of_a_round_object_others_are_tried(soup_can: ReferenceModel) -> None:
+    subject = Subject.of(soup_can)
+    closer = subject.closer(subject.small_turns)
+    assert len(closer) == 2 * len(subject.small_turns)
+    half = [
+        se3.rotation_angle(T, other)
+        for T, other in zip(subject.small_turns, closer[len(subject.small_turns) :], strict=True)
+    ]
+    assert np.degrees(half) == pytest.approx(7.5, abs=0.1)
+
+
+def test_what_rests_is_turned_only_by_what_outweighs_the_belief_in_its_turn(soup_can: ReferenceModel) -> None:
+    subject = Subject.of(soup_can)
+    T = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]))
+    first = Hypothesis(T, replace(NOTHING, total=1.0), np.zeros((6, 6)), "still")
+    anchor = Anchor((first,), picture(soup_can.mesh, T, (90, 130, 160)), turn_odds=4.8)
+    least = lead_to_turn(subject, anchor, T, 0.1)
+    assert least == pytest.approx(4.8 / SHARPNESS)
+    moved = T.copy()
+    moved[0, 3] += 0.1 * soup_can.diameter_m
+    assert lead_to_turn(subject, anchor, moved, 0.1) == 0.0
+    assert lead_to_turn(subject, anchor, T, 1.0) == 0.0
+    assert lead_to_turn(subject, replace(anchor, turn_odds=-1.0), T, 0.1) == 0.0
+    orientation = Orientation(subject, TrackerConfig())
+    orientation.begin(0.9, VIEW)
+    for gain, cannot in ((0.19, True), (0.21, False)):
+        turned = replace(
+            first, T_cam_obj=T @ subject.other_turns[3], terms=replace(NOTHING, total=1.0 + gain)
+        )
+        assert orientation.impossible(turned, first, 0.1, least) is cannot
+        assert not orientation.impossible(turned, first, 0.1, 0.0)
+
+
+def test_a_rival_that_was_as_near_before_is_no_new_doubt() -> None:
+    facing = Facing.of(0.99, VIEW, 2).told(-0.03, VIEW)
+    assert facing.knows(-0.05, VIEW)
+    assert not facing.knows(-0.06, VIEW)
+    assert not facing.knows(-0.03, se3.rotation_exp(np.array([0.2, 0.0, 0.0])) @ VIEW)
+    assert not Facing.of(0.99, VIEW, 2).knows(0.0, VIEW), "it was not judged yet"

@@ -13,11 +13,11 @@ from huepose.support.errors import InputError
 from huepose.support.progress import Status
 from huepose.support.words import counted
 from huepose_services.cli.options import (
+    Waiting,
     add_choice,
     add_json,
     add_number,
     add_seconds,
-    chosen,
     chosen_config,
     say,
     until_told,
@@ -26,8 +26,6 @@ from huepose_services.cli.options import (
 if TYPE_CHECKING:
     from huepose_services.recording.parts import Parts
     from huepose_services.recording.record import Recorder
-
-_NOTHING_HEARD_AFTER_S = 2.0
 
 
 def add_parser(subparsers: Any) -> None:
@@ -78,7 +76,7 @@ def _recorded(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> in
 
     part, keep, free = arguments.part, arguments.keep, arguments.free
     config = chosen_config(arguments)
-    place = chosen(arguments, tell=False).place
+    waiting = Waiting(arguments)
     limits = Limits(part << 20, None if keep is None else keep << 20, free << 20)
     about = about_this_machine() | {"site": config.site, "camera": config.camera.name}
     parts = Parts(arguments.out, limits, this_clock().realtime_offset_ns, about, arguments.jpeg)
@@ -86,17 +84,12 @@ def _recorded(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> in
     bus = Bus(session, config.keys, "record")
     recorder = Recorder(bus, parts, with_frames=not arguments.no_frames)
     status = Status()
-    code, say_at, end_at = 0, time.monotonic() + _NOTHING_HEARD_AFTER_S, float("inf")
-    another = False
+    code, end_at, another = 0, float("inf"), False
     try:
         while not (stopping() or recorder.finished or another):
             recorder.step(0.1)
-            another = recorder.span.first_ns is None and chosen(arguments, tell=False).place != place
+            another = recorder.span.first_ns is None and waiting.for_another()
             status.show(_how_far(recorder, parts))
-            if time.monotonic() > say_at and recorder.span.first_ns is None:
-                say_at = float("inf")
-                text = f"waiting for a pipeline: {chosen(arguments, tell=False).absence}"
-                say(text)
             if arguments.seconds is not None and recorder.span.first_ns is not None:
                 end_at = min(end_at, time.monotonic() + arguments.seconds)
             if time.monotonic() >= end_at:

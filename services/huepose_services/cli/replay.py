@@ -35,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "files", type=Path, nargs="+", metavar="FILE", help="in their order, where there are several"
     )
-    add_path(parser, "--config", "PIPELINE", "for names and ports")
+    add_path(parser, "--config", "PIPELINE", "for names and ports, and the models that `huepose view` draws")
     parser.add_argument(
         "--camera",
         metavar="NAME",

@@ -7,11 +7,13 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose_services.cli.options import (
+    Waiting,
     add_choice,
     add_path,
     add_seconds,
@@ -23,9 +25,10 @@ from huepose_services.cli.options import (
 from huepose_services.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
+    from huepose_services.met import Met
     from huepose_services.runtime.config import Config
+    from huepose_services.viewer.shapes import Body
 
-_NONE_SEEN_AFTER_S = 3.0
 _LONGEST_WAIT_NS = 100_000_000
 _LOOK_EVERY_S, _STOPPED_AFTER_S, _FLUSH_EVERY_S = 0.1, 0.7, 1.0
 
@@ -128,18 +131,11 @@ def _waited(stopping: Callable[[], bool], end: float, arguments: argparse.Namesp
     take time to load, are anyone's. Whether it waited."""
     from huepose_protos.client import Reader
 
-    pipeline = chosen(arguments, tell=False)
+    waiting, pipeline = Waiting(arguments), chosen(arguments, tell=False)
     if pipeline.file:
         return False
-    say_at = time.monotonic() + _NONE_SEEN_AFTER_S
     with Reader(pipeline.endpoints, pipeline.key("health/*")) as reader:
-        while not (stopping() or reader.seen or chosen(arguments, tell=False).file):
-            now = time.monotonic()
-            if now > end:
-                break
-            if now > say_at:
-                say_at = float("inf")
-                say(f"waiting for a pipeline: {pipeline.absence}")
+        while not (stopping() or reader.seen or time.monotonic() > end or waiting.for_another()):
             time.sleep(_LOOK_EVERY_S)
     return True
 
@@ -149,40 +145,33 @@ def _run(
 ) -> tuple[int, str] | None:
     """Show until told to stop, or the disk is full: how many pictures came, and why a file is not whole. None
     where another pipeline is meant before a picture came: it was started meanwhile."""
-    from huepose_services import models
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.session import open_reader_session
     from huepose_services.viewer.shapes import warm_up
     from huepose_services.viewer.show import Show
-    from huepose_services.viewer.work import ViewerWork, bodies
+    from huepose_services.viewer.work import ViewerWork
 
     session = open_reader_session([config.endpoint(worker) for worker in config.workers])
     bus = Bus(session, config.keys, "view")
-    known = models.load(config)
-    drawn = bodies(known)
-    warm_up(drawn)
+    drawn = _drawn(config, arguments)
+    warm_up()
     work = ViewerWork(
         bus,
         Show(recording, drawn),
         config.viewer.image_rate_hz,
         arguments.hypotheses,
-        known if arguments.pairs else None,
+        drawn if arguments.pairs else None,
         begins_with_picture=arguments.save is not None,
     )
-    say_at, flush_at, spoilt = time.monotonic() + _NONE_SEEN_AFTER_S, time.monotonic(), ""
-    place, another = chosen(arguments, tell=False).place, False
+    waiting, another = Waiting(arguments), False
+    flush_at, spoilt = time.monotonic(), ""
     while not (stopping() or spoilt or another) and time.monotonic() < end:
         due_ns = work.due_ns()
         wait_ns = _LONGEST_WAIT_NS if due_ns is None else min(due_ns - now_ns(), _LONGEST_WAIT_NS)
         bus.inbox.wait(wait_ns / SECOND)
         work.step()
-        waits = not bus.health.counters.get("pictures")
-        another = waits and chosen(arguments, tell=False).place != place
-        if time.monotonic() > say_at and waits:
-            say_at = float("inf")
-            text = f"waiting for a pipeline: {chosen(arguments, tell=False).absence}"
-            say(text)
+        another = not bus.health.counters.get("pictures") and waiting.for_another()
         if arguments.save is not None and time.monotonic() > flush_at:
             flush_at, spoilt = time.monotonic() + _FLUSH_EVERY_S, _flushed(recording)
     bus.close()
@@ -190,6 +179,20 @@ def _run(
     if another:
         return None
     return bus.health.counters.get("pictures", 0), spoilt or _flushed(recording)
+
+
+def _drawn(config: Config, arguments: argparse.Namespace) -> Met[Body]:
+    """What is drawn: all objects of a pipeline whose file is known. Of another one, as of a recording that is
+    played, nobody says which it has: those that are met in poses."""
+    from huepose_services import models
+    from huepose_services.recording.its_models import ItsModels
+    from huepose_services.viewer.work import bodies
+
+    pipeline = chosen(arguments, tell=False)
+    if pipeline.recorded:
+        return bodies({}, ItsModels(Path(pipeline.file)).load_one, say, arguments.pairs)
+    known = models.load(config) if pipeline.file else {}
+    return bodies(known, partial(models.load_one, config), say, arguments.pairs)
 
 
 def _flushed(recording: Any) -> str:

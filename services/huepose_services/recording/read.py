@@ -18,7 +18,7 @@ from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
-from mcap.records import Channel, Chunk, Footer, Metadata
+from mcap.records import Channel, Chunk, Footer, Header, Metadata
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
@@ -42,6 +42,16 @@ class Event:
     key: str
     message: Message
     payload: bytes = b""
+
+
+def is_of_ros(path: Path) -> bool:
+    """Whether an MCAP file says of itself that it is of a bag of ROS 2. No file, or a broken one, is none."""
+    try:
+        with path.open("rb") as file:
+            first = next(iter(StreamReader(file, record_size_limit=_MAX_RECORD).records), None)
+    except (OSError, McapError, struct.error, ValueError, OverflowError, MemoryError):
+        return False
+    return isinstance(first, Header) and first.profile == "ros2"
 
 
 class Recording:

@@ -31,7 +31,7 @@ class Report:
     def text(self) -> str:
         """The result in words."""
         lines = [
-            f"{self.steps} steps of the tracker computed again, from {self.from_s:.2f} s to "
+            f"{counted(self.steps, 'step')} of the tracker computed again, from {self.from_s:.2f} s to "
             f"{self.until_s:.2f} s of the recording{self._without}: {self._compared}, the same bit by bit"
             if self.steps
             else self._nothing
@@ -48,7 +48,8 @@ class Report:
             )
         if later := self.skipped - self.skipped_first:
             lines.append(
-                f"not checked: {later} steps after a gap, until the tracker's state is recorded again"
+                f"not checked: {counted(later, 'step')} after a gap, until the tracker's state is recorded "
+                "again"
             )
         lines += [f"a gap: {gap}" for gap in self.gaps]
         if self.unrecorded:

@@ -106,11 +106,13 @@ class Node:
         )
 
     def listen(self, inbox: Inbox, topic: str, type_name: str, kept: bool) -> Place:
-        """Subscribe to a topic; kept: also to the last messages that its publishers keep."""
+        """Subscribe to what others say on a topic; kept: also to the last messages that they keep."""
         key = heard_key(topic, type_name, self._domain, self._style)
         if self._style == "rmw_zenoh":
             self._announce(self._token("MS", topic, type_name, kept))
-        return inbox.history(key, self._session) if kept else inbox.queue(key, session=self._session)
+        return (
+            inbox.history(key, self._session) if kept else inbox.queue(key, session=self._session, own=False)
+        )
 
     def publish(self, topic: str, type_name: str, payload: bytes) -> None:
         """A message in CDR on a topic, `/tf` for example."""

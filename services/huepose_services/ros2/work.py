@@ -21,8 +21,10 @@ from huepose.support.errors import InputError
 from huepose_protos.client import configured
 from huepose_protos.messages import CameraMessage, MountMessage, PoseMessage
 from huepose_services import models
+from huepose_services.met import Met
 from huepose_services.ros2 import messages
 from huepose_services.ros2.publisher import Node
+from huepose_services.ros2.together import Together
 from huepose_services.ros2.tree import Tree
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
@@ -41,11 +43,17 @@ _MOST_NAMES = 12
 
 def make(bus: Bus, config: Config) -> Ros2Work:
     """The ros2 worker's work, with all message types loaded."""
-    bounds = {name: model.mesh.bounds.copy() for name, model in models.load(config).items()}
+    begins = {name: model.mesh.bounds.copy() for name, model in models.load(config).items()}
+    bounds = Met(begins, partial(_bounds, config), bus.log.warn, "has an empty box in the detections")
     for kind in (messages.POSE, messages.TRANSFORMS, messages.DETECTIONS, messages.CAMERA):
         messages.type_hash(kind)
     mount = None if config.camera.tf is None else MountFromTf(bus, config.camera.tf)
     return Ros2Work(bus, Router(config.ros2), config.ros2, bounds, mount)
+
+
+def _bounds(config: Config, name: str) -> Float64:
+    """Of an object, its least and greatest coordinates (2, 3), metres."""
+    return models.load_one(config, name).mesh.bounds.copy()
 
 
 def open_ros_session(ros2: Ros2Config, quiet: bool = False) -> zenoh.Session:
@@ -115,6 +123,10 @@ class MountFromTf:
         self._published_ns = now_ns()
         self._due_ns = 0
 
+    def is_of(self, frame: str) -> bool:
+        """Whether the robot itself says where a frame is: nobody else may, since a frame has one parent."""
+        return frame == self._tf.child
+
     def listen(self, node: Node) -> None:
         """Subscribe, on the first call."""
         if not self._topics:
@@ -166,7 +178,8 @@ def _late(seconds: float) -> str:
 
 
 class Ros2Work(Work):
-    """Publishes the poses of each frame together. mount: of the camera; None without `camera.tf`."""
+    """Publishes each pose at once, and what is said of a frame in one message when all its poses are there.
+    mount: of the camera; None without `camera.tf`."""
 
     def __init__(
         self,
@@ -183,21 +196,16 @@ class Ros2Work(Work):
         self._cameras = bus.inbox.queue(bus.keys.camera_info, wakes=False)
         self._connected: bool | None = None
         self._camera: CameraMessage | None = None
-        self._frame: list[PoseMessage] = []
+        self._together = Together()
 
     def due_ns(self) -> int:
         """When to look for the router, to publish the mount, or to publish the collected poses, even if no
         other frame comes."""
         mount_ns = None if self._mount is None else self._mount.due_ns
-        out_ns = self._out_ns if self._frame else None
-        return min(ns for ns in (self._look_ns, mount_ns, out_ns) if ns is not None)
-
-    @property
-    def _out_ns(self) -> int:
-        return self._frame[0].publish_ns + SECOND // 100
+        return min(ns for ns in (self._look_ns, mount_ns, self._together.due_ns) if ns is not None)
 
     def step(self) -> None:
-        """Publish the poses of each frame, and the camera; warn while there is no router."""
+        """Publish the poses, and the camera; warn while there is no router."""
         if now_ns() >= self._look_ns:
             self._look_ns = now_ns() + _LOOK_NS
             connected = self._router.connected
@@ -215,26 +223,35 @@ class Ros2Work(Work):
             if camera.mount is not None:
                 self._transform([])
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
-            if self._frame and pose.frame_id != self._frame[0].frame_id:
-                self._publish()
-            if pose.state == "TRACKING":
-                self._frame.append(pose)
-        if self._frame and now_ns() >= self._out_ns:
+            self._take(pose)
+        out_ns = self._together.due_ns
+        if out_ns is not None and now_ns() >= out_ns:
+            self._publish()
+
+    def _take(self, pose: PoseMessage) -> None:
+        if self._together.ends_with(pose):
+            self._publish()
+        if pose.state == "TRACKING":
+            self._say(messages.pose_topic(pose), messages.pose_stamped(pose))
+            self._bus.health.count("poses")
+        self._bounds.get(pose.object)  # loaded while it is not TRACKING yet
+        self._together.add(pose, now_ns())
+        if self._together.complete:
             self._publish()
 
     def _publish(self) -> None:
-        poses, self._frame = self._frame, []
-        started = now_ns()
-        for pose in poses:
-            self._say(messages.pose_topic(pose), messages.pose_stamped(pose))
+        started, poses = now_ns(), self._together.tell()
         self._transform(poses)
         self._say("detections", messages.detections(poses, self._bounds))
-        self._bus.health.count("poses", len(poses))
         self._bus.health.worked_on(started, poses[0])
 
     def _transform(self, poses: list[PoseMessage]) -> None:
-        told = messages.transforms(poses, self._camera, self._prefix)
-        self._router.publish("/tf", messages.TRANSFORMS, messages.cdr(told))
+        camera = self._camera
+        if camera is not None and self._mount is not None and self._mount.is_of(camera.frame):
+            camera = None
+        if poses or camera is not None:
+            told = messages.transforms(poses, camera, self._prefix)
+            self._router.publish("/tf", messages.TRANSFORMS, messages.cdr(told))
 
     def _say(self, name: str, message: Any) -> None:
         self._router.publish(f"{self._root}/{name}", message.__msgtype__, messages.cdr(message))

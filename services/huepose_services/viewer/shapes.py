@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -11,6 +11,7 @@ import numpy as np
 from huepose.geometry import Camera, se3
 from huepose.geometry.arrays import Bool, Float, Float32, UInt8, UInt16
 from huepose.geometry.mesh import Mesh
+from huepose.model import ReferenceModel
 from huepose.rendering.render import render_depth
 
 _MAX_TEXTURE = 512
@@ -32,11 +33,13 @@ def outlines(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> list[Float32]:
     return lines
 
 
-def warm_up(bodies: Mapping[str, Body]) -> None:
+def warm_up() -> None:
     """Draw one outline, so that the kernels are compiled before the first picture waits for them."""
-    for body in list(bodies.values())[:1]:
-        far = se3.make(np.eye(3), np.array([0.0, 0.0, 5.0 * body.diameter_m]))
-        outlines(body.mesh, far, Camera(300.0, 300.0, 159.5, 119.5, 320, 240))
+    corners = np.array([[-0.1, -0.1, 0.0], [0.1, -0.1, 0.0], [0.0, 0.1, 0.0]], np.float32)
+    texture = np.zeros((1, 1, 3), np.uint8)
+    triangle = Mesh(corners, np.array([[0, 1, 2]], np.int32), np.zeros((1, 3, 2), np.float32), texture)
+    far = se3.make(np.eye(3), np.array([0.0, 0.0, 1.0]))
+    outlines(triangle, far, Camera(300.0, 300.0, 159.5, 119.5, 320, 240))
 
 
 def axes(T_cam_obj: Float, camera: Camera, length_m: float, centre_obj: Float) -> list[Float32] | None:
@@ -61,10 +64,11 @@ def cloud(
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What a viewer needs of a reference model."""
+    """What a viewer needs of a reference model; whole: all of it, where its colour pairs are shown."""
 
     mesh: Mesh
     diameter_m: float
+    whole: ReferenceModel | None = None
 
 
 def drawable(mesh: Mesh) -> dict[str, np.ndarray]:

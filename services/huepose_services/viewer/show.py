@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -66,6 +66,7 @@ class Show:
         self._recording = recording
         self._bodies = bodies
         self._drawn: set[Instance] = set()
+        self._in_space: set[Instance] = set()
         self._colours: dict[Instance, Colour] = {}
         self._trails: dict[Instance, deque[Float]] = {}
         self._camera: Camera | None = None
@@ -187,38 +188,45 @@ class Show:
     def pose(self, pose: PoseMessage) -> None:
         """Where the model stands in space, its trail, its quality; gone from space while it has no pose."""
         instance = (pose.object, pose.instance)
-        path = f"{place.OBJECTS}/{pose.object}_{pose.instance}"
+        path = _path(place.OBJECTS, instance)
         self._draw_once(instance, path)
-        trail = self._trails.setdefault(instance, deque(maxlen=_TRAIL))
         T_cam_obj = pose_of(pose)
         if T_cam_obj is None:
-            trail.clear()
-            self._log(path, rr.Transform3D(scale=0.0))
+            self.gone(instance)
         else:
             body = self._bodies.get(pose.object)
+            trail = self._trails.setdefault(instance, deque(maxlen=_TRAIL))
             trail.append(se3.apply(T_cam_obj, np.zeros(3) if body is None else body.mesh.centre))
             rotation = rr.Quaternion(xyzw=pose.quaternion)
             self._log(path, rr.Transform3D(translation=pose.translation, rotation=rotation, scale=1.0))
+            self._trail(instance, trail)
+        self._log(_path(place.QUALITY, instance), rr.Scalars(pose.quality))
+
+    def gone(self, instance: Instance) -> None:
+        """Take an instance and its trail from space, until it has a pose again."""
+        self._trails.pop(instance, None)
+        self._log(_path(place.OBJECTS, instance), rr.Transform3D(scale=0.0))
+        self._trail(instance, ())
+
+    def _trail(self, instance: Instance, trail: Collection[Float]) -> None:
         self._log(
-            f"{place.TRAILS}/{pose.object}_{pose.instance}",
+            _path(place.TRAILS, instance),
             rr.LineStrips3D(
                 [list(trail)] if len(trail) > 1 else [],
                 colors=[self.colour_of(instance)],
                 radii=rr.Radius.ui_points(1.5),
             ),
         )
-        self._log(f"{place.QUALITY}/{pose.object}_{pose.instance}", rr.Scalars(pose.quality))
 
     def _draw_once(self, instance: Instance, path: str) -> None:
-        if instance in self._drawn:
-            return
-        self._drawn.add(instance)
-        line = rr.SeriesLines(
-            colors=[self.colour_of(instance)], widths=[1.5], names=[f"{instance[0]} {instance[1]}"]
-        )
-        self._log(f"{place.QUALITY}/{instance[0]}_{instance[1]}", line, static=True)
-        body = self._bodies.get(instance[0])
-        if body is not None:
+        if instance not in self._drawn:
+            self._drawn.add(instance)
+            name = f"{instance[0]} {instance[1]}"
+            line = rr.SeriesLines(colors=[self.colour_of(instance)], widths=[1.5], names=[name])
+            self._log(_path(place.QUALITY, instance), line, static=True)
+        # A model may come later than the first pose.
+        if instance not in self._in_space and (body := self._bodies.get(instance[0])) is not None:
+            self._in_space.add(instance)
             self._log(f"{path}/mesh", rr.Mesh3D(**drawable(body.mesh)), static=True)
 
     def latency(self, milliseconds: float) -> None:
@@ -228,3 +236,8 @@ class Show:
     def event(self, text: str, state: StateName) -> None:
         """A line in the log of the page."""
         self._log(place.EVENTS, rr.TextLog(text, level=_LEVELS[state], color=STATE_COLOURS[state]))
+
+
+def _path(of: str, instance: Instance) -> str:
+    """Where something of an instance is logged."""
+    return f"{of}/{instance[0]}_{instance[1]}"

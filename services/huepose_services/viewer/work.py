@@ -7,7 +7,8 @@ shown on the frame that they are of: a frame waits for its poses for a moment.
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,6 +24,7 @@ from huepose_protos.keys import last
 from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
 from huepose_services import models
 from huepose_services.convert import frame_from_wire, pose_of
+from huepose_services.met import Met
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 
 # So long a frame waits for the poses that are of it.
 _PATIENCE_NS = SECOND // 8
-_KEPT_NS = SECOND
+_KEPT_NS = _SILENT_NS = SECOND
 _CLOUD_EVERY = 2
 
 
@@ -43,22 +45,33 @@ def make(bus: Bus, config: Config) -> ViewerWork:
     from huepose_services.viewer.show import Show
     from huepose_services.viewer.sinks import served
 
-    known = bodies(models.load(config))
-    warm_up(known)
+    known = bodies(models.load(config), partial(models.load_one, config), bus.log.warn)
+    warm_up()
     recording, address = served(config.viewer)
     bus.log.say(f"the page is {address}")
     return ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz)
 
 
-def bodies(known: Mapping[str, ReferenceModel]) -> dict[str, Body]:
-    """What is drawn of each object; the rest of a model can be let go."""
-    return {name: Body(model.mesh, model.diameter_m) for name, model in known.items()}
+def bodies(
+    known: Mapping[str, ReferenceModel],
+    load: Callable[[str], ReferenceModel],
+    tell: Callable[[str], None],
+    whole: bool = False,
+) -> Met[Body]:
+    """What is drawn of each object; load, tell: of those that are first met in a pose, as for `Met`. whole:
+    keeps whole models; else the rest of them is let go."""
+
+    def body(model: ReferenceModel) -> Body:
+        return Body(model.mesh, model.diameter_m, model if whole else None)
+
+    begins = {name: body(model) for name, model in known.items()}
+    return Met(begins, lambda name: body(load(name)), tell, "is not drawn")
 
 
 class ViewerWork(Work):
     """Pairs frames with their poses and shows both; tells what changes. hypotheses: shows all that the
-    tracker holds possible; it says so only while somebody listens. pairs: the reference models whose colour
-    pairs are shown. begins_with_picture: shows nothing before the first picture, as a file must, whose
+    tracker holds possible; it says so only while somebody listens. pairs: the whole reference models whose
+    colour pairs are shown. begins_with_picture: shows nothing before the first picture, as a file must, whose
     beginning is looked at."""
 
     def __init__(
@@ -67,7 +80,7 @@ class ViewerWork(Work):
         show: Show,
         image_rate_hz: float,
         hypotheses: bool = False,
-        pairs: Mapping[str, ReferenceModel] | None = None,
+        pairs: Mapping[str, Body] | None = None,
         begins_with_picture: bool = False,
     ) -> None:
         self._begun = not begins_with_picture
@@ -85,6 +98,9 @@ class ViewerWork(Work):
         self._waiting: tuple[FrameHeader, bytes] | None = None
         self._waiting_until_ns = 0
         self._recent: dict[tuple[str, int], dict[int, PoseMessage]] = {}
+        # The stamp of the newest picture when an instance was last heard of, or of that pose, if it is newer.
+        self._heard_ns: dict[tuple[str, int], int] = {}
+        self._pictured_ns = 0
         self._states: dict[tuple[str, int], str] = {}
         self._pictures = 0
         self._frame_id = -1
@@ -119,6 +135,7 @@ class ViewerWork(Work):
         kept[pose.capture_ns] = pose
         for old in [t for t in kept if pose.capture_ns - t > _KEPT_NS]:
             del kept[old]
+        self._heard_ns[instance] = max(pose.capture_ns, self._pictured_ns)
         if self._begun:
             self._show_pose(pose)
         self._bus.health.worked_on(started, pose)
@@ -160,6 +177,7 @@ class ViewerWork(Work):
         self._show.at(header.capture_ns + header.clock.realtime_offset_ns, header.frame_id)
         self._show.frame(header, color, depth, with_cloud=self._pictures % _CLOUD_EVERY == 0)
         at_ns = header.capture_ns
+        self._forget_silent(at_ns)
         poses = [kept[at_ns] for kept in self._recent.values() if at_ns in kept]
         self._show.beliefs(poses)
         if self._hypotheses is not None:
@@ -171,14 +189,24 @@ class ViewerWork(Work):
         self._pictures += 1
         self._bus.health.count("pictures")
 
-    def _show_pairs(
-        self, known: Mapping[str, ReferenceModel], frame: RgbdFrame, poses: Sequence[PoseMessage]
-    ) -> None:
+    def _forget_silent(self, at_ns: int) -> None:
+        """Take away what nobody spoke of for a second of pictures: an object that is no longer looked for, an
+        instance of a tracker that died."""
+        self._pictured_ns = at_ns
+        for instance in [one for one, heard_ns in self._heard_ns.items() if at_ns - heard_ns > _SILENT_NS]:
+            del self._heard_ns[instance], self._recent[instance]
+            if self._states.pop(instance, None) is not None:
+                self._show.gone(instance)
+                self._tell(f"{instance[0]}/{instance[1]}  is no longer looked for or followed", "SEARCHING")
+
+    def _show_pairs(self, known: Mapping[str, Body], frame: RgbdFrame, poses: Sequence[PoseMessage]) -> None:
         """The colour pairs of all poses of a frame."""
         seen = [
-            pairs_seen(frame, known[pose.object], T_cam_obj)
+            pairs_seen(frame, body.whole, T_cam_obj)
             for pose in poses
-            if pose.object in known and (T_cam_obj := pose_of(pose)) is not None
+            if (T_cam_obj := pose_of(pose)) is not None
+            and (body := known.get(pose.object)) is not None
+            and body.whole is not None
         ]
         pixels = np.concatenate([np.zeros((0, 2)), *(pixels for pixels, _ in seen)])
         self._show.pairs(pixels, np.concatenate([np.zeros(0, bool), *(other for _, other in seen)]))

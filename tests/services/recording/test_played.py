@@ -309,7 +309,7 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
         assert again.depth == pytest.approx(first.depth, abs=1e-4)
     assert taken.truths(taken.image_ids[len(taken.image_ids) // 2])
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     with Reader([endpoint(base_port)], "huepose/*/*/health/*") as reader:
         assert main(["replay", str(out), "--config", str(path), "--speed", "20"]) == 0
         assert reader.next(5.0).worker == "camera"

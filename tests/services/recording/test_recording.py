@@ -243,13 +243,13 @@ def test_what_was_recorded_is_never_deleted(tmp_path, monkeypatch, capsys, ends_
         def close(self):
             pass
 
-    place = SimpleNamespace(place=1, absence="")
+    waiting = SimpleNamespace(for_another=lambda: False)
     monkeypatch.setattr("huepose_services.recording.record.Recorder", Recorder)
     monkeypatch.setattr("huepose_services.runtime.session.open_recorder_session", lambda config: MagicMock())
     monkeypatch.setattr("huepose_services.runtime.worker.come_first", lambda name: None)
     monkeypatch.setattr("huepose_services.cli.record.until_told", lambda: lambda: False)
     monkeypatch.setattr("huepose_services.cli.record.chosen_config", lambda arguments: Config())
-    monkeypatch.setattr("huepose_services.cli.record.chosen", lambda arguments, tell: place)
+    monkeypatch.setattr("huepose_services.cli.record.Waiting", lambda arguments: waiting)
     code = main(["record", str(tmp_path / "out"), "--free", "0"])
     assert code == (1 if ends_by is FileExistsError else 2)
     said = capsys.readouterr().err

@@ -40,6 +40,9 @@ def test_all_of_it_is_the_same_bit_by_bit(followed):
     ) in report.text
     few = replace(report, memories=0, poses=1, without_pose=0).text
     assert "of the recording: 1 pose compared, the same bit by bit\n" in few
+    one = replace(report, steps=1, skipped=2, skipped_first=1).text
+    assert one.startswith("1 step of the tracker computed again, from")
+    assert "not checked: 1 step after a gap, until" in one
     # The last of it was taken back when nothing newer came.
     assert [pose.state for pose in said[-2:]] == ["TRACKING", "SUSPECT"]
     assert said[-1].frame_id == said[-2].frame_id

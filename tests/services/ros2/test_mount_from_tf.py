@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,8 +17,8 @@ from zenoh import ext
 from huepose_protos import WireError, decode
 from huepose_protos.messages import Mount, MountMessage
 from huepose_services.ros2.messages import TRANSFORMS, transforms_in, types
-from huepose_services.ros2.publisher import topic_key
-from huepose_services.ros2.work import MountFromTf, Ros2Work, Router
+from huepose_services.ros2.publisher import Node, topic_key
+from huepose_services.ros2.work import MountFromTf, Ros2Work, Router, open_ros_session
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, Ros2Config
 from huepose_services.runtime.config_perception import TfConfig
@@ -103,6 +104,32 @@ def _step_until(work: Ros2Work, done: Callable[[], Any]) -> None:
         assert time.monotonic() < until
         time.sleep(0.02)
         work.step()
+
+
+@pytest.mark.live
+def test_the_worker_does_not_hear_itself(base_port: int) -> None:
+    connect = f"tcp/127.0.0.1:{base_port + 9}"
+    config = Config(bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=connect))
+    inner, _ = open_worker_session(config, "ros2")
+    bus = Bus(inner, config.keys, "ros2", Log("ros2"), Health("ros2"))
+    mount = MountFromTf(bus, TfConfig(parent="base_link", child="camera"))
+    with zenoh.open(_router(base_port + 9)) as robot, open_ros_session(config.ros2) as session:
+        node = Node(session, "huepose", 0, "rmw_zenoh")
+        mount.listen(node)
+        key = topic_key("/tf", TRANSFORMS, 0, "rmw_zenoh")
+        until = time.monotonic() + 20.0
+        while "tool0" not in mount._tree.frames:
+            assert time.monotonic() < until
+            for parent, child, say in (
+                ("camera", "box_0", partial(node.publish, "/tf", TRANSFORMS)),
+                ("base_link", "tool0", partial(robot.put, key)),
+            ):
+                say(written((time.time_ns(), parent, child, (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))))
+            time.sleep(0.05)
+            mount.step()
+        assert mount._tree.frames == ("base_link", "tool0")
+        bus.close()
+    inner.close()
 
 
 @pytest.mark.live

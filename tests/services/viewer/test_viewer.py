@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+import time
 
 import cv2
 import msgspec
@@ -289,3 +290,134 @@ def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_p
     assert shown == (
         ["frame", "event", "pose"] if begins_with_picture else ["event", "pose", "frame", "pose"]
     )
+
+
+def _rows(path, entity, column):
+    """What of a column was logged at an entity, by its times."""
+    from rerun.chunk import RrdReader
+
+    out = []
+    for chunk in RrdReader(path).stream():
+        if str(chunk.entity_path) == entity:
+            batch = chunk.to_record_batch()
+            times = [at.value for at in batch.column("time")] if "time" in batch.schema.names else [0]
+            for name in batch.schema.names:
+                if column in name:
+                    out += zip(times, batch.column(name).to_pylist(), strict=True)
+    return [value for _, value in sorted(out, key=lambda one: one[0])]
+
+
+def test_what_comes_later_than_its_first_pose_is_drawn(tmp_path):
+    pytest.importorskip("rerun")
+    from huepose_services.viewer.show import Show
+    from huepose_services.viewer.sinks import saved
+
+    recording = saved(tmp_path / "out.rrd")
+    bodies = {}
+    show, pose = Show(recording, bodies), EXAMPLES[PoseMessage]
+    show.at(10**18, 1)
+    show.pose(pose)
+    bodies[pose.object] = Body(_box(), 0.2)
+    for frame in (2, 3):
+        show.at(10**18 + frame, frame)
+        show.pose(pose)
+    recording.flush()
+    recording.disconnect()
+    mesh = f"/world/objects/{pose.object}_{pose.instance}/mesh"
+    assert len(_rows(tmp_path / "out.rrd", mesh, "vertex_positions")) == 1
+
+
+def _viewer(show, monkeypatch):
+    """A viewer, and what it is shown a picture and poses with, at a time in seconds."""
+    from unittest.mock import MagicMock
+
+    from huepose_services.viewer import work
+
+    monkeypatch.setattr(work, "frame_images", lambda header, payload: tuple(images().values()))
+    size = msgspec.structs.replace(EXAMPLES[FrameHeader].intrinsics, width=4, height=2)
+    header = msgspec.structs.replace(EXAMPLES[FrameHeader], intrinsics=size)
+    arrived = {PoseMessage: [], FrameHeader: []}
+    bus = MagicMock()
+    bus.take = lambda source, kind: arrived[kind].pop(0) if arrived.get(kind) else None
+    bus.take_with_payload = lambda source, kind: (arrived[kind].pop(), b"") if arrived[kind] else None
+    bus.inbox.liveliness.return_value.take = lambda: None
+    viewer = work.ViewerWork(bus, show, 1e9)
+
+    def step(at_s, *poses, picture=True):
+        at_ns = round(at_s * 1e9)
+        arrived[PoseMessage] += [msgspec.structs.replace(pose, capture_ns=at_ns) for pose in poses]
+        viewer.step()
+        if picture:
+            arrived[FrameHeader].append(msgspec.structs.replace(header, capture_ns=at_ns))
+            while arrived[FrameHeader] or viewer._waiting is not None:
+                viewer.step()
+
+    return step
+
+
+def test_who_is_silent_for_a_second_of_pictures_leaves_no_ghost(tmp_path, monkeypatch):
+    pytest.importorskip("rerun")
+    from huepose_services.viewer.show import Show
+    from huepose_services.viewer.sinks import saved
+
+    monkeypatch.setattr("huepose_services.viewer.work._PATIENCE_NS", 0)
+    recording = saved(tmp_path / "out.rrd")
+    step = _viewer(Show(recording, {}), monkeypatch)
+    stays = EXAMPLES[PoseMessage]
+    goes = msgspec.structs.replace(stays, object="can", instance=0)
+    for k in range(30):
+        step(10.0 + 0.1 * k, *([stays, goes] if k < 10 else [stays]))
+    step(13.0, stays, goes)
+    recording.flush()
+    recording.disconnect()
+    path = tmp_path / "out.rrd"
+    scales = _rows(path, "/world/objects/can_0", "scale")
+    assert scales == [[[1.0] * 3]] * 10 + [[[0.0] * 3]] + [[[1.0] * 3]]
+    trails = _rows(path, "/world/trails/can_0", "strips")
+    assert [len(rows[0]) if rows else 0 for rows in trails[8:]] == [9, 10, 0, 0]
+    name = f"{stays.object}_{stays.instance}"
+    assert _rows(path, f"/world/objects/{name}", "scale") == [[[1.0] * 3]] * 31
+    said = [text for (text,) in _rows(path, "/events", "text")]
+    assert sum("can/0  is no longer" in text for text in said) == 1
+
+
+def test_whose_poses_come_late_is_no_ghost(monkeypatch):
+    """Over a second after their pictures, as of a tracker on a computer that is much too slow."""
+    from unittest.mock import MagicMock
+
+    monkeypatch.setattr("huepose_services.viewer.work._PATIENCE_NS", 0)
+    show = MagicMock()
+    step = _viewer(show, monkeypatch)
+    for k in range(40):
+        step(10.0 + 0.1 * k)
+        if k >= 15:
+            step(8.5 + 0.1 * k, EXAMPLES[PoseMessage], picture=False)
+    assert not show.gone.called
+    for k in range(40, 55):
+        step(10.0 + 0.1 * k)
+    assert show.gone.call_args_list == [((("006_mustard_bottle", 3),),)]
+
+
+def test_an_object_that_is_added_later_is_drawn_with_its_colour_pairs(tea_box, tmp_path, monkeypatch):
+    from argparse import Namespace
+
+    from huepose.model.io import model_path, save_model
+    from huepose_services.cli.view import _drawn
+    from huepose_services.runtime.config import Config, ObjectConfig
+    from huepose_services.runtime.running import Pipeline, noted
+
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    for name in ("can", "tea_box"):
+        save_model(tea_box, model_path(tmp_path / "bundles", name))
+    config = Config(bundles=str(tmp_path / "bundles"), objects=[ObjectConfig(name="can")])
+    arguments = Namespace(config=None, pipeline=None, pairs=True)
+    with noted(Pipeline(base_port=29347, file=str(tmp_path / "pipeline.yaml"), workers=("camera",))):
+        drawn = _drawn(config, arguments)
+    assert list(drawn) == ["can"]
+    deadline = time.monotonic() + 10.0
+    while (body := drawn.get("tea_box")) is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert body.whole is not None
+    assert (body.mesh.vertices == tea_box.mesh.vertices).all()

@@ -1,0 +1,78 @@
+"""What is drawn of a recording that is played: the objects of its own pipeline, and no others."""
+
+import argparse
+import json
+import time
+
+import msgspec
+import pytest
+
+from huepose.support.errors import InputError
+from huepose_protos.messages import MemoryMessage
+from huepose_services import builtin
+from huepose_services.cli.view import _drawn
+from huepose_services.recording.its_models import ItsModels
+from huepose_services.runtime.config import Config
+from huepose_services.runtime.running import Pipeline, noted
+
+from .conftest import EXAMPLES, KEY, NAME, parts
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_learnt(monkeypatch):
+    def learnt(*_):
+        pytest.fail("built-in objects are learnt")
+
+    monkeypatch.setattr(builtin, "builtin_bundles", learnt)
+
+
+def _recorded(path, **config):
+    """A recording of a pipeline of that configuration."""
+    out = parts(path)
+    told = json.loads(msgspec.json.encode(Config())) | config
+    out.message(
+        KEY + "tracker/memory", msgspec.structs.replace(EXAMPLES[MemoryMessage], config=json.dumps(told))
+    )
+    out.close()
+    return out.path
+
+
+def test_its_own_models_are_found_where_its_pipeline_had_them(followed):
+    assert ItsModels(followed.path).load_one(NAME).name == NAME
+
+
+def test_so_are_those_of_a_version_that_had_other_keys(followed, tmp_path):
+    path = _recorded(tmp_path / "old", bundles=str(followed.bundles), colour={"of": "old"})
+    assert ItsModels(path).load_one(NAME).name == NAME
+
+
+def test_of_models_that_moved_it_is_said_how_to_name_their_folder(tmp_path):
+    path = _recorded(tmp_path / "moved", bundles=str(tmp_path / "gone"))
+    with pytest.raises(
+        InputError, match=r"gone: found no such folder.*replay \S*/moved.mcap --config PIPELINE"
+    ):
+        ItsModels(path).load_one(NAME)
+
+
+def test_for_a_name_that_no_built_in_object_has_none_is_learnt(tmp_path):
+    out = parts(tmp_path / "poses")
+    out.close()
+    with pytest.raises(InputError, match=r"'my_box': found no such built-in .*--config PIPELINE.yaml"):
+        ItsModels(out.path).load_one("my_box")
+
+
+def test_what_is_met_in_a_recording_that_is_played_is_drawn(followed, tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    arguments = argparse.Namespace(config=None, pipeline=None, pairs=False)
+    with noted(Pipeline(base_port=29347, site="lab", camera="cam0", file=str(followed.path))):
+        drawn = _drawn(Config(), arguments)
+        assert list(drawn) == []
+        deadline = time.monotonic() + 10.0
+        while drawn.get(NAME) is None or drawn.get("my_box") is not None:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        while not (said := capsys.readouterr().err):
+            assert time.monotonic() < deadline
+    assert said.startswith("my_box is not drawn: object 'my_box': found no such reference model")
+    assert said.endswith(f"huepose replay {followed.path} --config PIPELINE.yaml.\n")

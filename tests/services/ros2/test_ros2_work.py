@@ -1,0 +1,115 @@
+"""What the worker tells ROS 2 of the poses that it hears, on a bus and with a router that are none."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import msgspec
+import pytest
+
+from huepose.model import ReferenceModel
+from huepose.model.io import model_path, save_model
+from huepose_protos.messages import CameraMessage, PoseMessage
+from huepose_services.ros2 import work as ros2_work
+from huepose_services.ros2.messages import DETECTIONS, POSE, TRANSFORMS, types
+from huepose_services.ros2.work import MountFromTf, Ros2Work, Router
+from huepose_services.runtime.bus import Bus
+from huepose_services.runtime.clock import now_ns
+from huepose_services.runtime.config import Config, ObjectConfig, Ros2Config
+from huepose_services.runtime.config_perception import TfConfig
+from tests.services.fake_bus import FakeBus
+from tests.services.ros2.test_ros2 import CAMERA_SEEN, pose
+
+
+class _Router:
+    """Keeps what is published, read back, by its type."""
+
+    connected, node = True, None
+
+    def __init__(self) -> None:
+        self.told: dict[str, list[Any]] = defaultdict(list)
+
+    def publish(self, topic: str, kind: str, payload: bytes) -> None:
+        self.told[kind].append(types().deserialize_cdr(payload, kind))
+
+    def edges(self) -> set[tuple[str, str]]:
+        """Parent and child of all transforms."""
+        return {(t.header.frame_id, t.child_frame_id) for m in self.told[TRANSFORMS] for t in m.transforms}
+
+
+def _work(**more: Any) -> tuple[Ros2Work, FakeBus, _Router]:
+    bus, router = FakeBus("ros2"), _Router()
+    return Ros2Work(cast(Bus, bus), cast(Router, router), Ros2Config(), {}, **more), bus, router
+
+
+def _now(name: str, frame_id: int, **changes: Any) -> PoseMessage:
+    return pose(object=name, frame_id=frame_id, publish_ns=now_ns(), **changes)
+
+
+def test_poses_of_one_frame_that_come_far_apart_are_one_array() -> None:
+    work, bus, router = _work()
+    for frame in (1, 2, 3):
+        for name in ("box", "can"):
+            bus.arriving[PoseMessage].append(_now(name, frame))
+            work.step()
+            time.sleep(0.015)
+            work.step()
+    assert [len(told.detections) for told in router.told[DETECTIONS]] == [2, 2, 2]
+    # Nobody waits for the others who wants the pose of one.
+    bus.arriving[PoseMessage].append(_now("box", 4))
+    work.step()
+    assert (len(router.told[POSE]), len(router.told[DETECTIONS])) == (7, 3)
+    assert 0 < work.due_ns() - now_ns() <= 25_000_000
+
+
+@pytest.mark.parametrize("theirs", [True, False])
+def test_a_frame_that_the_robot_places_itself_gets_no_second_parent(theirs: bool) -> None:
+    child = CAMERA_SEEN.frame if theirs else "tool0"
+    mount = MountFromTf(cast(Bus, FakeBus("ros2")), TfConfig(parent="base_link", child=child))
+    work, bus, router = _work(mount=mount)
+    moving = msgspec.structs.replace(CAMERA_SEEN, mount_ns=now_ns())
+    bus.arriving[CameraMessage] += [moving, moving]
+    work.step()
+    for frame in (1, 2):
+        bus.arriving[PoseMessage].append(_now("box", frame))
+        work.step()
+    assert (CAMERA_SEEN.frame, f"box_{pose().instance}") in router.edges()
+    assert (("base_link", CAMERA_SEEN.frame) in router.edges()) is not theirs
+    assert all(message.transforms for message in router.told[TRANSFORMS])
+
+
+def test_an_object_that_is_added_later_has_its_box(
+    tea_box: ReferenceModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("can", "tea_box"):
+        save_model(tea_box, model_path(tmp_path, name))
+    monkeypatch.setattr(ros2_work, "Router", lambda ros2: _Router())
+    bus = FakeBus("ros2")
+    said: list[str] = []
+    bus.log = SimpleNamespace(say=lambda text: None, warn=said.append)
+    work = ros2_work.make(cast(Bus, bus), Config(bundles=str(tmp_path), objects=[ObjectConfig(name="can")]))
+    router = cast(_Router, work._router)
+    low, high = tea_box.mesh.bounds
+    until, frame = time.monotonic() + 10.0, 0
+
+    def boxes() -> dict[str, tuple[float, float, float]]:
+        found = {}
+        for one in router.told[DETECTIONS][-1].detections:
+            size = one.bbox.size
+            found[one.results[0].hypothesis.class_id] = (size.x, size.y, size.z)
+        return found
+
+    while not router.told[DETECTIONS] or not boxes().get("tea_box", (0.0,))[0]:
+        assert time.monotonic() < until
+        frame += 1
+        bus.arriving[PoseMessage] += [_now(name, frame) for name in ("can", "tea_box", "ghost")]
+        work.step()
+        time.sleep(0.03)
+    assert boxes()["can"] == boxes()["tea_box"] == pytest.approx(tuple(high - low))
+    assert boxes()["ghost"] == (0.0, 0.0, 0.0)
+    (text,) = said
+    assert text.startswith("ghost has an empty box in the detections: object 'ghost': found no such")

@@ -26,7 +26,7 @@ class TriangleConfig:
     """bin: of the sides, in diameters; min_height: smallest height of a triangle, in bins; area,
     eccentricity: weights of the two terms of quality; candidates: drawn offline; rows: kept;
     scene_triangles: drawn online; per_key: entries taken from one key; tolerance: on the sides, in bins;
-    facing: smallest mean cosine between matched normals."""
+    facing: smallest mean cosine between matched normals; -1 for any, as in the paper."""
 
     bin: float = 0.035
     min_height: float = 3.0
@@ -37,7 +37,7 @@ class TriangleConfig:
     scene_triangles: int = 1800
     per_key: int = 3
     tolerance: float = 1.0
-    facing: float = 0.8
+    facing: float = -1.0
 
 
 def build_triangles(cloud: ClassifiedCloud, diameter_m: float, config: TriangleConfig) -> tuple[Int64, Int32]:

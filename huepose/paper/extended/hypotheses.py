@@ -39,13 +39,14 @@ from huepose.propose.types import Hypothesis, Votes
 @dataclass(frozen=True)
 class HypothesesConfig:
     """scene_pairs: most that are used; light: None to take the scene's colours as they are; each source of
-    votes can be switched off with None (`ppf`, the fallback, for legal reasons: see its module)."""
+    votes can be switched off with None (`ppf`, the fallback, for legal reasons: see its module). Triangles
+    have to agree with the surface's normals; the paper's need not."""
 
     scene_pairs: int = 220
     light: LightConfig | None = field(default_factory=LightConfig)
     classes: ClassConfig = field(default_factory=ClassConfig)
     frames: FrameConfig | None = field(default_factory=FrameConfig)
-    triangles: TriangleConfig | None = field(default_factory=TriangleConfig)
+    triangles: TriangleConfig | None = field(default_factory=lambda: TriangleConfig(facing=0.8))
     ppf: PpfConfig | None = field(default_factory=PpfConfig)
     voting: VotingConfig = field(default_factory=VotingConfig)
 

@@ -8,7 +8,6 @@ with point-to-plane ICP on the model's surface samples.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -20,6 +19,7 @@ from scipy.spatial import cKDTree
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.icosphere import directions, look_at
+from huepose.geometry.suppression import first_different
 from huepose.model import ReferenceModel
 
 registration = o3d.pipelines.registration
@@ -174,7 +174,10 @@ class ManyStarts:
             tried.append((-result.fitness, result.inlier_rmse, result.transformation))
         tried.sort(key=lambda t: t[:2])
         starts = [T for _, _, T in tried]
-        starts = different(starts, FINISHED_BY_COLOR) if self._by_color else starts[:FINISHED]
+        if self._by_color:
+            starts = [starts[k] for k in first_different(np.array(starts), APART_RAD, FINISHED_BY_COLOR)]
+        else:
+            starts = starts[:FINISHED]
         finished = [settle(scene, whole, T, (0.02, 0.008)) for T in starts]
         if self._by_color:
             best = max(finished, key=lambda r: r.fitness + self._correlation(model, scene, r.transformation))
@@ -194,12 +197,3 @@ class ManyStarts:
         a, b = np.asarray(scene.colors)[on], colors[nearest[on]]
         a, b = a - a.mean(0), b - b.mean(0)
         return float((a * b).sum() / np.sqrt((a * a).sum() * (b * b).sum() + 1e-12))
-
-
-def different(transforms: Sequence[Float64], most: int) -> list[Float64]:
-    """The first of transforms (4, 4) that are turned by APART_RAD against all before, at most so many."""
-    kept: list[Float64] = []
-    for T in transforms:
-        if len(kept) < most and all(se3.rotation_angle(T, other) > APART_RAD for other in kept):
-            kept.append(T)
-    return kept

@@ -141,13 +141,21 @@ def _depth_scale_m(record: dict[str, Any], where: str) -> float | None:
     return next(iter(said.values()), None)
 
 
-def read_frame(color: Path | str, depth: Path | str, camera: Path | str) -> RgbdFrame:
-    """The frame of three files, rectified. frame_id is the number in the colour file's name, else 0.
+def read_frame(
+    color: Path | str,
+    depth: Path | str,
+    camera: Path | str,
+    *,
+    frame_id: int | None = None,
+    stamp_ns: int | None = None,
+) -> RgbdFrame:
+    """The frame of three files, rectified.
 
-    depth: 16 bit picture, or Fast-YCB's `.float`. Raises InputError, naming the file and what to do."""
+    depth: 16 bit picture, or Fast-YCB's `.float`. frame_id, stamp_ns: its number and its time of capture,
+    which grow from one frame to the next; without them the number at the end of the colour file's name, 0
+    without one, and the time of that frame at 30 Hz. Raises InputError, naming the file and what to do."""
     color_path, depth_path = Path(color), Path(depth)
-    digits = "".join(ch for ch in color_path.stem if ch.isdigit())
-    number = int(digits) if digits and digits == color_path.stem else 0
+    number = _number(color_path)
     intrinsics = read_camera(camera, number)
     image = files.read_color(color_path)
     if depth_path.suffix == ".float":
@@ -165,7 +173,15 @@ def read_frame(color: Path | str, depth: Path | str, camera: Path | str) -> Rgbd
     _check_units(depth_m, depth_path, intrinsics.path)
     pinhole = intrinsics.camera(image.shape[1], image.shape[0], color_path)
     rectifier = Rectifier.of(pinhole, intrinsics.distortion)
-    return RgbdFrame(rectifier.color(image), rectifier.depth(depth_m), pinhole, frame_id=number)
+    frame_id = number if frame_id is None else frame_id
+    stamp_ns = files.stamp_at_30_hz(frame_id) if stamp_ns is None else stamp_ns
+    return RgbdFrame(rectifier.color(image), rectifier.depth(depth_m), pinhole, frame_id, stamp_ns)
+
+
+def _number(path: Path) -> int:
+    """The number at the end of a file's name, 0 without one."""
+    digits = path.stem[len(path.stem.rstrip("0123456789")) :]
+    return int(digits or 0)
 
 
 def _check_units(depth_m: Float32, path: Path, camera: Path) -> None:

@@ -21,22 +21,25 @@ COEFFICIENTS = {"none": (0,), "brown_conrady": (4, 5), "rational": (8,)}
 _OF_ROS = {"plumb_bob": "brown_conrady", "rational_polynomial": "rational", "": "none"}
 """Names of ROS for the models of OpenCV."""
 
+_PINHOLES = frozenset({"inverse_brown_conrady", "modified_brown_conrady"})
+"""Models of librealsense that are read where all coefficients are zero, as its cameras often say: that is a
+pinhole. It is not so of every model: a fisheye's pictures are bent with zeros, too."""
 
-def checked_coefficients(model: str, coefficients: Sequence[float], where: object) -> Float64:
-    """The coefficients (N,) in OpenCV's order; empty for no distortion. Raises InputError, naming `where`."""
-    model = _OF_ROS.get(model, model) if isinstance(model, str) else f"{model!r:.60}"
+
+def checked_coefficients(model: str | None, coefficients: Sequence[float] | None, where: object) -> Float64:
+    """The coefficients (N,) in OpenCV's order; empty for no distortion, as None says, too. Raises InputError,
+    naming `where`."""
+    model, values = _named(model), _values(coefficients)
+    if model in _PINHOLES and not values.any():
+        return np.empty(0)
     if model not in COEFFICIENTS:
         raise InputError(
             where,
             found=f"distortion_model '{model}'",
             expected="one of " + ", ".join([*COEFFICIENTS, *filter(None, _OF_ROS)]),
-            fix="Rectify the pictures of another lens first (OpenCV's cv2.fisheye), and give the intrinsics "
-            "of the rectified ones.",
+            fix="Rectify the pictures of another lens first (OpenCV: cv2.fisheye; librealsense: "
+            "rs2_project_point_to_pixel), and give the intrinsics of the rectified ones.",
         )
-    try:
-        values = np.asarray(coefficients, dtype=np.float64).ravel()
-    except (TypeError, ValueError, OverflowError):
-        values = np.array([np.nan])
     if model == "none" and not values.any():
         return np.empty(0)
     if model == "none":
@@ -51,6 +54,24 @@ def checked_coefficients(model: str, coefficients: Sequence[float], where: objec
             where, found=f"distortion {coefficients!r:.60}", expected=f"{counts} numbers for '{model}'"
         )
     return values if values.any() else np.empty(0)
+
+
+def _named(model: object) -> str:
+    """Our name of a model; librealsense calls one `distortion.brown_conrady`, or Brown Conrady."""
+    if model is None:
+        return "none"
+    if not isinstance(model, str):
+        return f"{model!r:.60}"
+    name = model.removeprefix("distortion.").replace(" ", "_").lower()
+    return _OF_ROS.get(name, name)
+
+
+def _values(coefficients: object) -> Float64:
+    """Coefficients (N,), none where None says so; one that is no number where they are not numbers."""
+    try:
+        return np.asarray([] if coefficients is None else coefficients, dtype=np.float64).ravel()
+    except (TypeError, ValueError, OverflowError):
+        return np.array([np.nan])
 
 
 class Rectifier:

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.bilinear import bilinear
 from huepose.judge.color_correlation import PLAIN
 from huepose.judge.pairs import (
     CLOSE_PAIRS,
@@ -130,19 +131,8 @@ def _seen_texture(
     outside = DEFAULT_WEIGHTS.outside
     weight = facing[fits] * (outside + (1.0 - outside) * r.belief[row[fits], column[fits]])
     texture_colors = np.concatenate([m.colors[0][index[fits]], m.colors[1][index[fits]]], axis=1)
-    picture = np.concatenate([_between_pixels(colors, u[fits], v[fits]) for colors in r.colors], axis=1)
+    picture = np.concatenate([bilinear(colors, u[fits], v[fits]) for colors in r.colors], axis=1)
     return weight, texture_colors.astype(np.float64), picture
-
-
-def _between_pixels(colors: Float, u: Float64, v: Float64) -> Float64:
-    """Bilinear values (N, C) of an image (h, w, C) at subpixel positions."""
-    height, width = colors.shape[:2]
-    u0 = np.clip(u.astype(np.int64), 0, width - 2)
-    v0 = np.clip(v.astype(np.int64), 0, height - 2)
-    a, b = np.clip(u - u0, 0.0, 1.0)[:, None], np.clip(v - v0, 0.0, 1.0)[:, None]
-    upper = (1.0 - a) * colors[v0, u0] + a * colors[v0, u0 + 1]
-    lower = (1.0 - a) * colors[v0 + 1, u0] + a * colors[v0 + 1, u0 + 1]
-    return np.asarray((1.0 - b) * upper + b * lower, dtype=np.float64)
 
 
 CONTRAST_LIGHTNESS = 0.2

@@ -87,7 +87,7 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
         "template_span": model.templates.span,
         "pair_parameters": model.pairs.parameters,
         "table_parameters": None if model.tables is None else model.tables.parameters,
-        "keypoint_source": None if model.keypoints is None else model.keypoints.source,
+        "keypoint_source": model.keypoints.source,
     }
     arrays: dict[str, Any] = {
         "mesh.vertices": model.mesh.vertices,
@@ -196,7 +196,6 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any], digest: str) -> R
 
     tables = header["table_parameters"]
     texture = kept(_Texture, digest, lambda: _Texture(picture(arrays["mesh.texture_png"])))
-    source = header["keypoint_source"]
     return ReferenceModel(
         name=check_name(header["name"]),
         object_id=header["object_id"],
@@ -211,7 +210,7 @@ def _assembled(header: dict[str, Any], arrays: dict[str, Any], digest: str) -> R
         grid=DistanceGrid(arrays["grid.origin"], header["grid_step"], arrays["grid.nearest"]),
         templates=ViewTemplates(**part("templates", ViewTemplates), span=header["template_span"]),
         pairs=PairReference(**part("pairs", PairReference), parameters=header["pair_parameters"]),
+        keypoints=Keypoints(**part("keypoints", Keypoints), source=header["keypoint_source"]),
         tables=None if tables is None else PaperTables(**part("tables", PaperTables), parameters=tables),
-        keypoints=None if source is None else Keypoints(**part("keypoints", Keypoints), source=str(source)),
         digest=digest,
     )

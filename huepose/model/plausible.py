@@ -13,6 +13,7 @@ Indices = tuple[str, np.ndarray, int]
 def check_model(model: ReferenceModel) -> None:
     """Raises ValueError that names what does not fit: a shape, a number that is not finite, an index."""
     mesh, surface, pairs, templates = model.mesh, model.surface, model.pairs, model.templates
+    keypoints = model.keypoints
     samples, views = len(surface.points), len(surface.directions)
     shapes: list[Shaped] = [
         ("mesh.vertices", mesh.vertices, (None, 3)),
@@ -38,6 +39,9 @@ def check_model(model: ReferenceModel) -> None:
         ("pairs.tangents", pairs.tangents, pairs.points.shape),
         ("pairs.colors", pairs.colors, (len(pairs.points), 2, 3)),
         ("pairs.views", pairs.views, (len(pairs.points),)),
+        ("keypoints.points", keypoints.points, (None, 3)),
+        ("keypoints.normals", keypoints.normals, keypoints.points.shape),
+        ("keypoints.descriptors", keypoints.descriptors, (len(keypoints.points), None)),
     ]
     indices: list[Indices] = [
         ("mesh.faces", mesh.faces, len(mesh.vertices)),
@@ -47,12 +51,6 @@ def check_model(model: ReferenceModel) -> None:
     ]
     if model.tables is not None:
         _add_tables(model.tables, shapes, indices)
-    if model.keypoints is not None:
-        shapes += [
-            ("keypoints.points", model.keypoints.points, (None, 3)),
-            ("keypoints.normals", model.keypoints.normals, model.keypoints.points.shape),
-            ("keypoints.descriptors", model.keypoints.descriptors, (len(model.keypoints.points), None)),
-        ]
     for name, array, shape in shapes:
         if array.ndim != len(shape) or any(
             b not in (None, a) for a, b in zip(array.shape, shape, strict=True)

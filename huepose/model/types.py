@@ -135,7 +135,6 @@ class ReferenceModel:
     T = T_cam_obj @ turn is another pose in each case.
     frame_offset_m: translation that takes a point of the PoseCNN/YCB-Video frame to this one, or None.
     tables: what the methods `paper` and `colorpair` need besides, None unless onboarding was asked for it.
-    keypoints: None where none were made; the detector then makes them at its start.
     digest: of the file that it is from, by which what is derived from it is kept (`support.kept`), or None.
     """
 
@@ -152,8 +151,8 @@ class ReferenceModel:
     grid: DistanceGrid
     templates: ViewTemplates
     pairs: PairReference
+    keypoints: Keypoints
     tables: PaperTables | None = None
-    keypoints: Keypoints | None = None
     digest: str | None = None
 
 

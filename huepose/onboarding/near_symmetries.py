@@ -17,6 +17,7 @@ import numpy as np
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int64
+from huepose.geometry.suppression import first_different
 from huepose.geometry.symmetry import rotation_about
 from huepose.model.types import DistanceGrid, Surface
 from huepose.refine.point_to_plane import SurfaceArrays, surface_arrays
@@ -117,14 +118,14 @@ def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> 
     fits, rough = fitted(starts, surface, grid, diameter_m)
     order = np.argsort(rough, kind="stable")
     order = order[rough[order] < _MAX_ROUGH_ERROR]
-    order = order[distinct(fits[order], np.radians(8.0), 4 * MAX_ROTATIONS)]
+    order = order[_distinct(fits[order], np.radians(8.0), 4 * MAX_ROTATIONS)]
     transforms, errors = _sorted_by_error(fits[order], error)
     axis = axis_of_revolution(transforms, centre, error)
     if axis is None:
-        kept = transforms[distinct(transforms, DISTINCT_RAD, MAX_ROTATIONS - 1)]
+        kept = transforms[_distinct(transforms, DISTINCT_RAD, MAX_ROTATIONS - 1)]
         polished = np.array([sided.polished(T, points, normals) for T in kept])
         transforms, errors = _sorted_by_error(polished, error)
-        last = distinct(transforms, DISTINCT_RAD, MAX_ROTATIONS - 1)
+        last = _distinct(transforms, DISTINCT_RAD, MAX_ROTATIONS - 1)
         with_identity = np.concatenate([np.eye(4)[None], transforms[last]])
         return NearSymmetries(with_identity, np.concatenate([[0.0], errors[last]]))
     direction, offset = axis
@@ -169,19 +170,11 @@ def rotations_about(axis: Float, offset: Float, step_rad: float) -> Float64:
     return np.stack([rotation_about(axis, 2 * np.pi * k / count, offset) for k in range(count)])
 
 
-def distinct(transforms: Float64, apart_rad: float, most: int) -> list[int]:
-    """Greedy suppression: indices of at most `most` transforms that differ by `apart_rad` from the identity
-    and from all chosen before."""
-    kept: list[int] = []
-    rotations = [np.eye(3)]
-    for i, T in enumerate(transforms):
-        traces = np.einsum("kij,ij->k", np.stack(rotations), T[:3, :3])
-        if (traces < 1 + 2 * np.cos(apart_rad)).all():
-            kept.append(i)
-            rotations.append(T[:3, :3])
-        if len(kept) == most:
-            break
-    return kept
+def _distinct(transforms: Float64, apart_rad: float, most: int) -> Int64:
+    """Indices of at most `most` transforms that differ by `apart_rad` from the identity and from all chosen
+    before."""
+    with_identity = np.concatenate([np.eye(4)[None], transforms])
+    return np.asarray(first_different(with_identity, apart_rad, most + 1)[1:] - 1)
 
 
 def axis_of_revolution(

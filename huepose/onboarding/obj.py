@@ -1,7 +1,9 @@
 """Wavefront OBJ: all forms of faces, negative indices, polygons; materials with the colour `Kd` and the
 texture `map_Kd`.
 
-Colours come from the textures; without texture from six-number vertices (x y z r g b), else from `Kd`.
+Colours come from the textures; without texture from six-number vertices (x y z r g b), else from `Kd`. It is
+`Kd`, too, where all vertices have one grey and the materials have colours: exporters write such a grey, or
+white, where there are no colours at the vertices.
 
 Vertices and texture coordinates keep their own numbers, as in the file: one number for both would repeat the
 vertices along every seam of the texture, and the error of a pose is measured over vertices.
@@ -193,6 +195,8 @@ def read_obj(files: MeshFiles) -> RawMesh:
                 expected="faces as v/vt or v/vt/vn",
                 fix="Export again with texture coordinates (UVs) switched on.",
             )
+    if colors is not None and _one_grey(colors) and _have_colors(materials):
+        colors = None
     if colors is None and all(m.name == "" for m in materials):
         raise InputError(
             path,
@@ -202,6 +206,17 @@ def read_obj(files: MeshFiles) -> RawMesh:
         )
     renumbered = np.searchsorted(used, face_materials).astype(np.int32)
     return RawMesh(np.ascontiguousarray(v[:, :3]), faces, uv, colors, renumbered, materials)
+
+
+def _one_grey(colors: UInt8) -> bool:
+    """Whether the colours (F, 3, 3) of corners are all the same grey, or white."""
+    return bool((colors == colors.flat[0]).all())
+
+
+def _have_colors(materials: Sequence[Material]) -> bool:
+    """Whether those without a texture say more than one grey does."""
+    told = {material.color for material in materials if material.texture is None}
+    return len(told) > 1 or any(len(set(color)) > 1 for color in told)
 
 
 def _statements(path: Path, text: str) -> _Statements:

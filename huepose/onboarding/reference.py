@@ -98,8 +98,8 @@ def reference_model(
         grid=grid,
         templates=templates,
         pairs=pair_reference(coarse, fine, diameter),
-        tables=_tables(coarse, diameter) if paper else None,
         keypoints=keypoints,
+        tables=_tables(coarse, diameter) if paper else None,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64, Int32, Int64
+from huepose.geometry.bilinear import bilinear
 from huepose.geometry.mesh import Mesh
 from huepose.onboarding.patches import fitting_patches
 from huepose.onboarding.winding import welded
@@ -107,16 +108,5 @@ class _Original:
             weights[~met] = near["primitive_uvs"].numpy()
         b, c = weights[:, 0], weights[:, 1]
         uv = np.einsum("nk,nkd->nd", np.stack([1 - b - c, b, c], 1), self._mesh.uv[face].astype(np.float64))
-        return _bilinear(self._mesh.texture.astype(np.float32), uv)
-
-
-def _bilinear(picture: Float32, uv: Float64) -> Float64:
-    height, width = picture.shape[:2]
-    x = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
-    y = np.clip(uv[:, 1] * height - 0.5, 0, height - 1)
-    x0, y0 = x.astype(int), y.astype(int)
-    x1, y1 = np.minimum(x0 + 1, width - 1), np.minimum(y0 + 1, height - 1)
-    fx, fy = (x - x0)[:, None], (y - y0)[:, None]
-    above = picture[y0, x0] * (1 - fx) + picture[y0, x1] * fx
-    below = picture[y1, x0] * (1 - fx) + picture[y1, x1] * fx
-    return np.asarray(above * (1 - fy) + below * fy, np.float64)
+        height, width = self._mesh.texture.shape[:2]
+        return bilinear(self._mesh.texture, uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5)

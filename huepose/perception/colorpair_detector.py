@@ -193,7 +193,7 @@ class ColorPairDetector:
 
     def _matching_keypoints(self, model: ReferenceModel) -> ModelKeypoints:
         found = model.keypoints
-        if found is None or found.source != self._features.name:
+        if found.source != self._features.name:
             found = build_keypoints(model.mesh, model.diameter_m, self._features)
         return ModelKeypoints.of(found)
 

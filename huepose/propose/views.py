@@ -21,6 +21,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, median
 from huepose.geometry.camera import Camera
+from huepose.geometry.suppression import first_different
 from huepose.judge.region import Crop
 from huepose.judge.terms import DEFAULT_WEIGHTS
 from huepose.propose.quick_look import known_cells, masked_cells, nearest, quick_look, sampled
@@ -133,38 +134,9 @@ def retrieve(
         np.concatenate([f.depth_m for f in found])[order],
         crop.camera,
     )
-    chosen = distinct(poses, views, APART_RAD)
+    chosen = first_different(poses, APART_RAD, views)
     origin = np.repeat([k for k, _ in seen], [len(f.scores) for f in found])
     return Retrieved(poses[chosen], scores[order[chosen]], origin[order[chosen]])
-
-
-def distinct(poses: Float64, count: int, apart_rad: float) -> list[int]:
-    """Greedy suppression: indices of the first `count` poses (N, 4, 4) whose rotations differ by at least
-    `apart_rad` from all chosen before."""
-    flat = poses[:, :3, :3].reshape(len(poses), 9)
-    limit = 1.0 + 2.0 * np.cos(apart_rad)
-    return [int(i) for i in _distinct(np.ascontiguousarray(flat), limit, count)]
-
-
-@jit_dividing
-def _distinct(flat: Float64, limit: float, count: int) -> Int64:
-    chosen = np.empty(min(count, len(flat)), np.int64)
-    n = 0
-    for i in range(len(flat)):
-        if n == len(chosen):
-            break
-        is_new = True
-        for k in range(n):
-            trace = 0.0
-            for c in range(9):
-                trace += flat[chosen[k], c] * flat[i, c]
-            if trace >= limit:
-                is_new = False
-                break
-        if is_new:
-            chosen[n] = i
-            n += 1
-    return chosen[:n]
 
 
 def _place(table: TemplateTable, crop: Crop, mask: Bool) -> _Place:

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float, Float64, Int64
+from huepose.geometry.suppression import first_different
 from huepose.model.types import ReferenceModel
-from huepose.support.jit import jit
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,49 +73,8 @@ def different_poses(
     """Indices (K,) of at most `count` poses (N, 4, 4), best total first, that differ from all better ones by
     `turn_rad` or by `shift` diameters at the object's centre."""
     order = np.argsort(-totals, kind="stable")
-    first = first_different(poses[order], model.mesh.centre, turn_rad, shift * model.diameter_m, count)
+    first = first_different(poses[order], turn_rad, count, shift * model.diameter_m, model.mesh.centre)
     return np.asarray(order[first])
-
-
-def first_different(
-    poses: Float64, centre: Float64, turn_rad: float, shift_m: float, count: int
-) -> np.ndarray:
-    """Indices (K,) of at most `count` poses (N, 4, 4), best first, that differ from all better ones by
-    `turn_rad` or by `shift_m` at `centre` (3,) of the object."""
-    least_trace = 1.0 + 2.0 * float(np.cos(turn_rad))
-    return np.asarray(_different(poses, np.asarray(centre, np.float64), least_trace, shift_m, count))
-
-
-@jit
-def _different(
-    poses: Float64, centre: Float64, least_trace: float, min_shift: float, count: int
-) -> np.ndarray:
-    chosen = np.empty(count, np.int64)
-    places = np.empty((count, 3))
-    n = 0
-    here = np.empty(3)
-    for i in range(poses.shape[0]):
-        if n == count:
-            break
-        T = poses[i]
-        for r in range(3):
-            here[r] = T[r, 0] * centre[0] + T[r, 1] * centre[1] + T[r, 2] * centre[2] + T[r, 3]
-        is_new = True
-        for k in range(n):
-            S = poses[chosen[k]]
-            trace, shift2 = 0.0, 0.0
-            for r in range(3):
-                shift2 += (here[r] - places[k, r]) ** 2
-                for c in range(3):
-                    trace += T[r, c] * S[r, c]
-            if trace >= least_trace and shift2 <= min_shift * min_shift:
-                is_new = False
-                break
-        if is_new:
-            chosen[n] = i
-            places[n] = here
-            n += 1
-    return chosen[:n]
 
 
 def different_answers(model: ReferenceModel, poses: Float64) -> Int64:

@@ -11,9 +11,8 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from huepose.geometry import se3
-from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.suppression import first_different
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.window_table import WindowTable, compared, look, promising
@@ -59,16 +58,8 @@ def likeliest_place(
     centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
     here = np.linalg.norm(centres - centres[0], axis=1) < SAME_PLACE * model.diameter_m
     middle = np.asarray(np.median(centres[here], axis=0), np.float64)
-    return Reach(middle, _turns(poses[here]), NEAR * model.diameter_m, NEAR_TURN)
-
-
-def _turns(poses: Float64) -> tuple[Float64, ...]:
-    """The first different rotations of poses (N, 4, 4)."""
-    out: list[Float64] = []
-    for T in poses:
-        if all(se3.rotation_angle(T, other) > APART for other in out):
-            out.append(T)
-    return tuple(T[:3, :3] for T in out[:TURNS])
+    turns = poses[here][first_different(poses[here], APART, TURNS), :3, :3]
+    return Reach(middle, tuple(turns), NEAR * model.diameter_m, NEAR_TURN)
 
 
 def _smaller(frame: RgbdFrame) -> RgbdFrame:

@@ -20,12 +20,12 @@ from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
+from huepose.geometry.suppression import first_different
 from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, totals
 from huepose.judge.region import RegionArrays
 from huepose.judge.terms import score_arrays
 from huepose.propose.hue_map import averaged, hue_map
 from huepose.refine.photometric import COARSE, FINE, QUICK, refine, refine_all
-from huepose.select.distinct import first_different
 from huepose.tracking.motion import Reach
 
 POSITION_SAMPLES, ROTATION_SAMPLES, POSE_SAMPLES = 60, 100, 250
@@ -45,8 +45,6 @@ axis one is taken."""
 ROTATION_STEP, WIDE_STEP = np.radians(18.0), np.radians(25.0)
 WIDE = np.radians(80.0)
 """Spacing of the tried rotations; the wider one if more than WIDE is within reach."""
-
-ORIGIN = np.zeros(3)
 
 DIFFERENT_TURN = np.radians(10.0)
 """Candidates nearer than this, and than 0.05 diameters, are one."""
@@ -127,7 +125,7 @@ def search(
     arrays = region.arrays
     rated = score_arrays(surface.arrays, arrays, fine, FINAL_SAMPLES)[:, 0]
     order = np.argsort(-rated, kind="stable")
-    kept = first_different(fine[order], ORIGIN, APART_TURN, APART * surface.diameter_m, FOUND)
+    kept = first_different(fine[order], APART_TURN, FOUND, APART * surface.diameter_m)
     return list(fine[order][kept])
 
 
@@ -243,7 +241,7 @@ def _best(
 ) -> Float64:
     """The `count` best poses that differ by the turn, or by a twentieth of the diameter."""
     order = np.argsort(-totals(surface, region, poses, samples, tolerance_m), kind="stable")
-    kept = first_different(poses[order], ORIGIN, turn_rad, 0.05 * surface.diameter_m, count)
+    kept = first_different(poses[order], turn_rad, count, 0.05 * surface.diameter_m)
     return np.ascontiguousarray(poses[order][kept])
 
 
@@ -256,7 +254,7 @@ def _turned(rotations: tuple[Float64, ...], step_rad: float, limit_rad: float) -
     turned[:, :3, :3] = np.concatenate([ball @ R for R in rotations])
     if len(rotations) == 1:
         return list(turned[:, :3, :3])
-    return list(turned[first_different(turned, ORIGIN, 0.5 * step_rad, 1.0, len(turned)), :3, :3])
+    return list(turned[first_different(turned, 0.5 * step_rad, len(turned)), :3, :3])
 
 
 @lru_cache(maxsize=32)

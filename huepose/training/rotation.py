@@ -26,7 +26,16 @@ from huepose.paper.canonical import FEATURES
 from huepose.paper.rotation_network import POINTS, Kind
 from huepose.support.files import write_picture
 from huepose.training.network import AttentionDgcnn, geodesic
-from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
+from huepose.training.runs import (
+    VALIDATION_ROUND,
+    Course,
+    Settings,
+    Training,
+    check_device,
+    checkpoint,
+    endless_loader,
+    export_onnx,
+)
 from huepose.training.turns import RotationSample, endless
 
 CHUNK = 32
@@ -131,8 +140,12 @@ def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[Kin
     """Train until `config.hours` are over, or until interrupted; leave `KIND.onnx`, `KIND.json` and
     `KIND.png`, its curve, in `out`, and `checkpoint.pt`. Returns what each KIND.json says.
 
-    Raises InputError where `resume` finds no checkpoint, or one of other kinds.
+    Raises InputError where `resume` finds no checkpoint, or one of other kinds, and where torch does not know
+    the device.
     """
+    check_device(config.device)
+    kinds = "+".join(config.kinds)
+    saved = checkpoint(out, kinds, resume)
     out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
     nets = [AttentionDgcnn(FEATURES, REACH[kind]).to(config.device) for kind in config.kinds]
@@ -140,7 +153,7 @@ def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[Kin
         [p for net in nets for p in net.parameters()], config.rate, weight_decay=1e-4
     )
     by_kind = dict(zip(config.kinds, nets, strict=True))
-    training = Training.begun(out, "+".join(config.kinds), config, optimiser, by_kind, resume)
+    training = Training.begun(out, kinds, config, optimiser, by_kind, saved)
     draw = partial(chunks, config.kinds)
     held_out = _held_out(endless_loader(draw, config, VALIDATION_ROUND), config.validation)
     fresh = endless_loader(draw, config, training.course.rounds)

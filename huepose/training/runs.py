@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, TypeVar
 
 import cv2
@@ -79,19 +80,11 @@ class Training:
         settings: Settings,
         optimiser: torch.optim.Optimizer,
         nets: Mapping[str, nn.Module],
-        resume: bool,
+        saved: Mapping[str, Any] | None,
     ) -> Training:
-        """Anew, or from the checkpoint in `out`. Raises InputError where none of this kind is there, and anew
-        where there is one, which would be replaced."""
-        if not resume and (file := out / CHECKPOINT).exists():
-            raise InputError(
-                f"checkpoint {file}",
-                found="one of an earlier training",
-                expected="none, where a training starts",
-                fix="Go on from it with --resume, name another folder with --out, or delete it.",
-            )
+        """Anew, or from what `checkpoint` read. Raises InputError where that is of other networks."""
         parts = {"optimiser": optimiser, **nets}
-        course = load_checkpoint(out, kind, parts) if resume else Course()
+        course = Course() if saved is None else restored(saved, out, parts)
         return Training(out, kind, settings, optimiser, nets, course)
 
     def run(
@@ -188,17 +181,65 @@ def save_checkpoint(out: Path, kind: str, course: Course, parts: Mapping[str, An
         torch.save({"kind": kind, "course": asdict(course), **states}, file)
 
 
-def load_checkpoint(out: Path, kind: str, parts: Mapping[str, Any]) -> Course:
-    """Read one into its parts. Raises InputError where there is none, or one of another kind."""
+def checkpoint(out: Path, kind: str, resume: bool) -> dict[str, Any] | None:
+    """What a training of this kind goes on from, on the processor; None where it starts anew. Raises
+    InputError where there is no such checkpoint, or it cannot be read; and anew where there is one, which
+    would be replaced."""
     file = out / CHECKPOINT
+    if not resume:
+        if file.exists():
+            raise InputError(
+                f"checkpoint {file}",
+                found="one of an earlier training",
+                expected="none, where a training starts",
+                fix="Go on from it with --resume, name another folder with --out, or delete it.",
+            )
+        return None
     if not file.is_file():
-        raise InputError(f"checkpoint {file}", found="no such file", fix="train without --resume first")
-    saved = torch.load(file, weights_only=True)
-    if saved["kind"] != kind:
-        raise InputError(f"checkpoint {file}", found=f"kind {saved['kind']}", expected=kind)
-    for name, part in parts.items():
-        part.load_state_dict(saved[name])
-    return Course(**saved["course"])
+        raise InputError(f"checkpoint {file}", found="no such file", fix="Train without --resume first.")
+    try:
+        saved: dict[str, Any] = torch.load(file, map_location="cpu", weights_only=True)
+        found = saved["kind"]
+    except Exception as error:  # whatever its parsers trip over
+        why = error.strerror if isinstance(error, OSError) else None
+        raise _unfit(file, why or "a damaged file") from error
+    if found != kind:
+        raise InputError(f"checkpoint {file}", found=f"kind {found}", expected=kind)
+    return saved
+
+
+def restored(saved: Mapping[str, Any], out: Path, parts: Mapping[str, Any]) -> Course:
+    """Give a checkpoint's states to the parts they are of, wherever these are. Raises InputError where they
+    do not fit."""
+    try:
+        for name, part in parts.items():
+            part.load_state_dict(saved[name])
+        return Course(**saved["course"])
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise _unfit(out / CHECKPOINT, "networks of another shape") from error
+
+
+def _unfit(file: Path, found: str) -> InputError:
+    return InputError(
+        f"checkpoint {file}",
+        found=found,
+        expected="a whole one, written by this version",
+        fix="Copy it again, or delete it and train without --resume.",
+    )
+
+
+def check_device(name: str) -> None:
+    """Raises InputError where torch cannot compute there: asked before the work."""
+    try:
+        torch.zeros(1, device=name).cpu()
+    except (RuntimeError, AssertionError, NotImplementedError) as error:  # as torch was built
+        reason = shorten(str(error).partition(". ")[0], 80, placeholder=" ...")
+        raise InputError(
+            f"device {name}",
+            found=f"none that torch can use here ({reason})",
+            expected="cpu, or cuda where there is a GPU and its driver",
+            fix="Leave --device out to train on the processor.",
+        ) from error
 
 
 def export_onnx(

@@ -36,7 +36,16 @@ from huepose.training.network import (
     window_codes,
 )
 from huepose.training.object_buffer import ObjectBuffer
-from huepose.training.runs import VALIDATION_ROUND, Course, Settings, Training, endless_loader, export_onnx
+from huepose.training.runs import (
+    VALIDATION_ROUND,
+    Course,
+    Settings,
+    Training,
+    check_device,
+    checkpoint,
+    endless_loader,
+    export_onnx,
+)
 from huepose.training.sensing import REPRINTED, SHINY, network_input, recolored, reprinted, sensed, shone_on
 from huepose.training.verification import Shown, pairs, verification_loss
 from huepose.training.windows import WINDOWS, endless
@@ -114,7 +123,10 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
     """Train until `config.hours` are over, or until interrupted; leave `views.onnx`, `verification.onnx`,
     `views.json`, `views.png`, its curve, and `checkpoint.pt` in `out`. Returns what views.json says.
 
-    Raises InputError where `resume` finds no checkpoint, or one of another kind."""
+    Raises InputError, before anything is drawn, where `resume` finds no checkpoint, or one of another kind,
+    and where torch does not know the device."""
+    check_device(config.device)
+    saved = checkpoint(out, NAME, resume)
     out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
     held_out = ObjectBuffer(config.validation, config.device)
@@ -125,7 +137,7 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
     nets = Networks(ViewCodeNetwork().to(config.device), VerificationNetwork().to(config.device))
     optimiser = torch.optim.AdamW(nets.parameters(), config.rate, weight_decay=1e-2)
     by_name = {NAME: nets.coding, VERIFICATION: nets.verifying}
-    training = Training.begun(out, NAME, config, optimiser, by_name, resume)
+    training = Training.begun(out, NAME, config, optimiser, by_name, saved)
     fresh = endless_loader(endless, config, training.course.rounds)
     training.run(
         _buffers(fresh, config),

@@ -266,7 +266,7 @@ class PoseMessage(Message, frozen=True, kw_only=True):
     covariance: Covariance | None
     applied_correction_seq: Count
     reason: Text = ""
-    centre: Vector3 | None = None
+    centre: Vector3
 
     def __post_init__(self) -> None:
         check_pose(self.translation, self.quaternion)

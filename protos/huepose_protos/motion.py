@@ -205,8 +205,8 @@ def _between(before: PoseMessage, after: PoseMessage, share: float) -> PoseAt:
 
 
 def _to_centre(pose: PoseMessage, quaternion: Array) -> Array:
-    """From the object's origin to its centre (3,), turned so; nowhere where an older sender does not say."""
-    return np.zeros(3) if pose.centre is None else rotation_matrix(quaternion) @ np.array(pose.centre)
+    """From the object's origin to its centre (3,), turned so."""
+    return np.asarray(rotation_matrix(quaternion) @ np.array(pose.centre))
 
 
 def _way_between(

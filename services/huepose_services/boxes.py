@@ -1,15 +1,13 @@
-"""Boxes of requested objects: from a detector, from the truth, or from the prediction of a track.
+"""Boxes of requested objects: from a detector, or from the prediction of a track.
 
-A class for each `detector.kind`: SeenBoxes (yolo), SearchedBoxes (colorpair), TruthBoxes (truth: the true box
-with the errors of a good detector), FirstBoxes (first_box: one given box, then the tracker's prediction).
+A class for each `detector.kind`: SeenBoxes (yolo), SearchedBoxes (colorpair), FirstBoxes (first_box: one
+given box, then the tracker's prediction).
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 
-from huepose.datasets.boxes import disturbed
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
@@ -22,21 +20,16 @@ from huepose_protos.messages import (
     PerceptionRequest,
     Prior,
     RequestedObject,
-    TruthMessage,
-    TruthObject,
 )
 from huepose_services.convert import (
     box_to_wire,
     camera_from_wire,
-    optional_pose_from_wire,
     prior_from_wire,
     requested_from_wire,
 )
 from huepose_services.models import Outline, outline
 from huepose_services.runtime.clock import SECOND
 
-_TRUTHS_KEPT = 90
-_VISIBLE = 0.1
 # Where no prediction is fresh any more the last box grows, and at last it is the image.
 _FORGET_S, _GROWTH_PER_S = 3.0, 0.5
 _HINT_NS = 3 * SECOND
@@ -145,48 +138,6 @@ class SearchedBoxes(BoxFinder):
         """What a frame says of the order of its channels, by one of the objects, by turns, as in `find`.
         seen: scores of those that were searched in it."""
         return order_of_channels(frame, self._searcher, self._looks.turn(names)[:1], seen)
-
-
-class TruthBoxes(BoxFinder):
-    """Boxes of the true objects, shifted by up to 10 % of their size and scaled by up to 10 %."""
-
-    def __init__(self, outlines: Mapping[str, Outline], seed: int) -> None:
-        super().__init__(outlines)
-        self._seed = seed
-        self._truths: deque[TruthMessage] = deque(maxlen=_TRUTHS_KEPT)
-
-    def learn(self, truth: TruthMessage) -> None:
-        """Remember the truth of a frame."""
-        self._truths.append(truth)
-
-    def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
-        """Boxes, in the request's order."""
-        frame = (header.camera_epoch, header.frame_id)
-        truth = next((t for t in reversed(self._truths) if (t.camera_epoch, t.frame_id) == frame), None)
-        if truth is None:
-            return []
-        camera = camera_from_wire(header.intrinsics)
-        boxes = [(self._name(t), self._box(t, truth, camera)) for t in truth.objects]
-        seen = [Detection(name, box, 1.0) for name, box in boxes if name is not None and box is not None]
-        return self.given_out(seen, header, request)
-
-    def _name(self, truth: TruthObject) -> str | None:
-        if truth.object is not None:
-            return truth.object
-        known = (o.name for o in self._outlines.values() if o.object_id == truth.object_id)
-        return next(known, None) if truth.object_id is not None else None
-
-    def _box(self, truth: TruthObject, message: TruthMessage, camera: Camera) -> Box | None:
-        if truth.visib_fract is not None and truth.visib_fract < _VISIBLE:
-            return None
-        box = None if truth.box is None else Box(*truth.box)
-        T_cam_obj = optional_pose_from_wire(truth.translation, truth.quaternion)
-        outline = self._outlines.get(self._name(truth) or "")
-        if box is None and T_cam_obj is not None and outline is not None:
-            box = outline.box(T_cam_obj, camera)
-        if box is None:
-            return None
-        return disturbed(box, "perturbed", self._seed, message.scene, message.image, truth.instance, camera)
 
 
 class FirstBoxes(BoxFinder):

@@ -35,6 +35,11 @@ _MAKERS = (
 _LOCK = ".lock"
 
 
+def builtin_names(seed: int) -> list[str]:
+    """The names of the objects of the built-in scene."""
+    return list(builtin_objects(seed))
+
+
 def bundles_are_kept(seed: int) -> bool:
     """Whether the reference models of the built-in scene were made before."""
     meshes = builtin_objects(seed)

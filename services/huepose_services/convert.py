@@ -173,7 +173,7 @@ def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None 
 
 
 def tracked_to_wire(
-    pose: TrackedPose, header: FrameHeader, publish_ns: int, reason: str = "", centre: Float64 | None = None
+    pose: TrackedPose, header: FrameHeader, publish_ns: int, centre: Float64, reason: str = ""
 ) -> PoseMessage:
     """The message of a tracked pose; the header names the camera's frame and clock. centre (3,): of the
     object, in its own frame."""
@@ -185,5 +185,5 @@ def tracked_to_wire(
         clock_id=header.clock.clock_id,
         realtime_offset_ns=header.clock.realtime_offset_ns,
         reason=reason,
-        centre=None if centre is None else tuple(centre.tolist()),
+        centre=tuple(centre.tolist()),
     )

@@ -11,9 +11,9 @@ from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.profiles import profile
 from huepose_protos import WireError
-from huepose_protos.messages import DetectedObject, Detections, FrameHeader, PerceptionRequest, TruthMessage
+from huepose_protos.messages import DetectedObject, Detections, FrameHeader, PerceptionRequest
 from huepose_services import models, networks
-from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, Pixels, SearchedBoxes, SeenBoxes, TruthBoxes
+from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, Pixels, SearchedBoxes, SeenBoxes
 from huepose_services.convert import frame_from_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
@@ -34,8 +34,6 @@ def make(bus: Bus, config: Config) -> DetectorWork:
     known = models.load(config)
     outlines = {name: models.outline(model) for name, model in known.items()}
     follower = Follower(bus, lambda name: models.load_one(config, name), outlines)
-    if config.detector.kind == "truth":
-        return DetectorWork(bus, TruthBoxes(outlines, config.detector.seed), follower)
     if config.detector.kind == "yolo":
         detector, network = networks.yolo(config)
         bus.log.say(f"YOLO of layout {detector.layout} on {network.provider}: {network.path.name}")
@@ -68,7 +66,6 @@ class DetectorWork(Work):
         self._lacks = lacks
         self._tell_what_it_lacks()
         self._requests = Requests(bus, looks=True)
-        self._truths = bus.inbox.queue(bus.keys.truth) if isinstance(finder, TruthBoxes) else None
         self._check_camera, self._colours = check_camera, ""
         self._ask_ns = now_ns() + ASK_EVERY_NS
         # Of an epoch of the camera: how often the order of its colours was asked, and whether it is known.
@@ -81,9 +78,6 @@ class DetectorWork(Work):
     def step(self) -> None:
         """Answer the newest request."""
         self._follow()
-        if self._truths is not None and isinstance(self._finder, TruthBoxes):
-            while (truth := self._bus.take(self._truths, TruthMessage)) is not None:
-                self._finder.learn(truth)
         if (asked := self._requests.take()) is not None:
             self._answer(*asked)
 

@@ -16,7 +16,9 @@ from huepose.geometry import Box, Camera, se3
 from huepose.geometry.arrays import Float, Float32
 from huepose.model import ReferenceModel, load_models
 from huepose.model.io import model_path
+from huepose.support.errors import InputError
 from huepose.support.files import write_text
+from huepose.support.words import did_you_mean
 from huepose_services.runtime.config import Config
 
 _OUTLINE_POINTS = 1500
@@ -26,8 +28,6 @@ _OUTLINE_POINTS = 1500
 class Outline:
     """What detector and segmenter know of an object: points (N, 3) float32 of its surface, its diameter."""
 
-    name: str
-    object_id: int | None
     points_obj: Float32
     diameter_m: float
 
@@ -55,7 +55,18 @@ def load(config: Config) -> dict[str, ReferenceModel]:
 
 
 def load_one(config: Config, name: str) -> ReferenceModel:
-    """The model of one object, configured or not. Raises InputError that says which there are."""
+    """The model of one object, configured or not. Raises InputError that says which there are; nothing is
+    learnt for a name that no built-in object has."""
+    if config.bundles is None:
+        from huepose_services.builtin import builtin_names
+
+        if name not in (known := builtin_names(config.camera.seed)):
+            raise InputError(
+                f"object '{name}'",
+                found="no such built-in object, and no `bundles`",
+                expected=f"one of {', '.join(known)}",
+                fix=did_you_mean(name, known) or "Name the folder of its reference model: `bundles`.",
+            )
     return load_models(bundles_folder(config), [name])[name]
 
 
@@ -67,8 +78,7 @@ def digests(config: Config, names: Iterable[str]) -> dict[str, str]:
 
 def outline(model: ReferenceModel) -> Outline:
     """The outline of a model; the rest of it is let go."""
-    points = model.surface.points[:_OUTLINE_POINTS].copy()
-    return Outline(model.name, model.object_id, points, model.diameter_m)
+    return Outline(model.surface.points[:_OUTLINE_POINTS].copy(), model.diameter_m)
 
 
 def outlines(config: Config) -> dict[str, Outline]:

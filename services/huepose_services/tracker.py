@@ -374,7 +374,7 @@ class TrackerWork(Work):
     def _put(self, pose: TrackedPose, header: FrameHeader, now: int, reason: str) -> None:
         try:
             centre = self._tracker.surface(pose.object).arrays.centre
-            message = tracked_to_wire(pose, header, now, reason, centre)
+            message = tracked_to_wire(pose, header, now, centre, reason)
         except ValueError as error:
             # Not finite, or not a rotation: it is not published, and the other objects go on.
             self._bus.health.count("poses_refused")

@@ -24,14 +24,14 @@ import numpy as np
 from huepose.believe.logistic import fitted, write_fit
 from huepose.datasets.bop import BopScene
 from huepose.drawing.plots import beside, reliability_plot
-from huepose.evaluation.calibration import Judged, read_judged, worth
+from huepose.evaluation.calibration import Judged, Worth, read_judged, worth
 from huepose.evaluation.summary import table
 from huepose.geometry.arrays import Bool
 from huepose.geometry.mesh import Mesh
 from huepose.scenes.rendered import write_rendered_set
 from huepose.scenes.shapes import demo_objects
 from huepose.support.files import write_picture
-from huepose_services.cli.evaluate_calibration import worth_row
+from huepose.support.words import known
 from huepose_services.cli.main import main as run_huepose
 from studies.absent import read_absent
 from studies.quality.estimates import Part, estimate
@@ -131,6 +131,15 @@ def _print(method: str, fitted: Fitted, labels: Judged, others: Judged, alike: J
     print(f"{method}: level {level:.3f}, found {found:.3f}")
     print(table(HEADING, rows))
     print(_near_ties(fitted, labels))
+
+
+def worth_row(name: str, worth: Worth) -> list[Any]:
+    """A row under HEADING."""
+    chance = "-" if worth.chance is None else "{:.3f} to {:.3f}".format(*worth.chance)
+    precision = None if worth.precision is None else 100.0 * worth.precision
+    right = 100.0 * worth.right / max(1, worth.poses)
+    ece, found, over = known(worth.ece, ".3f"), 100.0 * worth.found, 100.0 * worth.coverage
+    return [name, worth.poses, right, ece, chance, found, over, precision]
 
 
 def by_object(labels: Judged, paths: Sequence[Path]) -> Judged:

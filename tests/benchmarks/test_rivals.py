@@ -13,7 +13,7 @@ from huepose.rendering import render_depth
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 
-from open3d_rivals import Features, ManyStarts, different
+from open3d_rivals import Features, ManyStarts
 from rival import Seen, seen_under
 from track_rivals import LastPoseTracker, careful_icp, color_icp, flow_pairs
 
@@ -76,12 +76,3 @@ def test_by_colour_the_box_is_not_upside_down(tea_box, take_picture, standing) -
     found = rival.pose(tea_box, _whole(tea_box, standing, take_picture))
     assert found is not None
     assert metrics.add(tea_box.eval_points, found[0], standing) < 0.1 * tea_box.diameter_m
-
-
-def test_different_transforms_are_turned_against_each_other() -> None:
-    turns = [
-        se3.make(se3.rotation_exp(np.array([0.0, 0.0, a])), np.zeros(3)) for a in (0, 0.2, 0.5, 0.6, 1.5)
-    ]
-    kept = different(turns, 3)
-    assert [k is t for k, t in zip(kept, (turns[0], turns[2], turns[4]), strict=True)] == [True] * 3
-    assert len(different(turns, 2)) == 2

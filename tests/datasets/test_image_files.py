@@ -47,6 +47,12 @@ def files(tmp_path: Path) -> tuple[Path, Path, Path]:
         MATRIX,
         {"3": {}, "4": MATRIX},
         {**OWN, "distortion_model": "none"},
+        {**OWN, "distortion_model": None, "distortion": None},
+        {**OWN, "distortion": None},
+        {**OWN, "distortion_model": "inverse_brown_conrady", "distortion": [0.0] * 5},
+        {**OWN, "distortion_model": "distortion.inverse_brown_conrady", "distortion": [0] * 5},
+        {**OWN, "distortion_model": "Modified Brown Conrady", "distortion": [0.0] * 5},
+        {**OWN, "distortion_model": "distortion.brown_conrady", "distortion": [0.0] * 5},
         {**OWN, "depth_scale": 0.1},
         {"K": [[20.0, 0, 7.5], [0, 21.0, 5.5], [0, 0, 1]], "depth_scale_m": 0.0001},
         {"intrinsic_matrix": [20.0, 0, 0, 0, 21.0, 0, 7.5, 5.5, 1], "depth_scale_m": 0.0001},
@@ -72,6 +78,12 @@ def test_every_form_of_intrinsics_gives_the_same_frame(files, form: dict) -> Non
         ({**OWN, "fx": "wide"}, "fx"),
         ({**OWN, "fx": -1.0}, "fx"),
         ({**OWN, "distortion_model": "fisheye", "distortion": [1]}, "fisheye"),
+        ({**OWN, "distortion_model": "fisheye", "distortion": [0.0] * 4}, "fisheye"),  # bent all the same
+        (
+            {**OWN, "distortion_model": "inverse_brown_conrady", "distortion": [0.1, 0, 0, 0, 0]},
+            "'inverse_brown_conrady'.*librealsense: rs2_project_point_to_pixel",
+        ),
+        ({**OWN, "distortion_model": "inverse_brown_conrady", "distortion": "none"}, "inverse_brown_conrady"),
         ({**OWN, "distortion_model": "rational", "distortion": [0.1] * 5}, "8 numbers"),
         ({**OWN, "distortion_model": "none", "distortion": [0.1]}, "none"),
         ({"9": MATRIX}, "image 4"),
@@ -233,6 +245,25 @@ def test_a_picture_of_too_many_pixels_is_refused_before_it_is_unpacked(tmp_path,
     (tmp_path / "large.png").write_bytes(data)
     with pytest.raises(InputError, match="16384 x 16384 pixels"):
         read_color(tmp_path / "large.png")
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "frame_id", "stamp_ns"),
+    [
+        ("000003.png", {}, 3, 100_000_000),
+        ("color_000003.png", {}, 3, 100_000_000),
+        ("run2_color.png", {}, 0, 0),
+        ("color.png", {"frame_id": 3}, 3, 100_000_000),
+        ("color_1.png", {"stamp_ns": 77}, 1, 77),
+        ("color_1.png", {"frame_id": 0, "stamp_ns": 0}, 0, 0),
+    ],
+)
+def test_a_frame_has_the_number_of_its_name_and_its_time_at_30_hz_unless_they_are_said(
+    files, name: str, said: dict[str, int], frame_id: int, stamp_ns: int
+) -> None:
+    color, depth, camera = files
+    frame = read_frame(color.rename(color.with_name(name)), depth, camera, **said)
+    assert (frame.frame_id, frame.stamp_ns) == (frame_id, stamp_ns)
 
 
 def test_a_missing_camera_file_is_not_taken_for_broken_json(tmp_path: Path) -> None:

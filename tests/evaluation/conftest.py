@@ -11,7 +11,7 @@ import pytest
 from huepose.datasets.types import GroundTruth
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
-from huepose.model.types import DistanceGrid, PairReference, ReferenceModel, Surface, ViewTemplates
+from huepose.model.types import DistanceGrid, Keypoints, PairReference, ReferenceModel, Surface, ViewTemplates
 
 CAMERA = Camera(120.0, 120.0, 79.5, 59.5, 160, 120)
 HALF_TURN = se3.make(se3.rotation_exp([0, 0, np.pi]), [0, 0, 0])
@@ -60,6 +60,7 @@ def reference_model(
         grid=DistanceGrid(np.zeros(3), 0.01, z((1, 1, 1), np.int16)),
         templates=ViewTemplates(none3, z((0, 1, 5, 1, 1), np.float16), none3, 1.2),
         pairs=PairReference(none3, none3, none3, z((0, 2, 3), np.float32), none_i),
+        keypoints=Keypoints(none3, none3, z((0, 128), np.uint8), "sift"),
     )
 
 

@@ -32,6 +32,19 @@ def test_what_calibration_error_is_by_chance_depends_on_how_many_instances_there
     assert by_chance(np.zeros(0), []) is None
 
 
+def test_true_quality_errs_by_chance_alone_and_overstated_quality_by_what_it_overstates() -> None:
+    rng = np.random.default_rng(0)
+    stated = rng.uniform(0.3, 1.0, 3000)
+    true, bold = (
+        judged([PLAIN] * 3000, -(rng.random(3000) >= stated - more).astype(int)) for more in (0.0, 0.2)
+    )
+    shown = worth(stated, true, 0.9)
+    assert shown.ece is not None
+    assert shown.chance is not None
+    assert shown.ece < 1.5 * shown.chance[1]
+    assert worth(stated, bold, 0.9).ece == pytest.approx(0.2, abs=0.02)
+
+
 def test_the_margin_is_that_to_the_best_other_answer() -> None:
     assert replace(PLAIN, gaps=()).margin == MOST_MARGIN
     assert replace(PLAIN, gaps=(0.05, 0.2)).margin == 0.05

@@ -23,7 +23,7 @@ from huepose.tracking import Tracker
 from huepose_protos.examples import messages
 from huepose_protos.keys import Keys
 from huepose_protos.messages import FrameHeader, ObjectEntry
-from huepose_services.boxes import TruthBoxes
+from huepose_services.boxes import FirstBoxes
 from huepose_services.camera.publish import packed
 from huepose_services.chaos.intruder import bad_bytes
 from huepose_services.detector import DetectorWork
@@ -115,7 +115,7 @@ def _work(worker: str, bus: Bus, model: Any) -> Any:
     if worker == "segmenter":
         return SegmenterWork(bus, DepthSegmenter(), outlines, follower)
     if worker == "detector":
-        return DetectorWork(bus, TruthBoxes(outlines, 0), follower)
+        return DetectorWork(bus, FirstBoxes(outlines, {}), follower)
     entry = ObjectEntry(object=model.name, max_instances=2, searching=2)
 
     def slot(name: str, count: int) -> ObjectSlot:

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
+from importlib import import_module
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
-from huepose.geometry.arrays import Float64
+from huepose.geometry.arrays import Float64, UInt8
 from huepose.geometry.camera import depth_noise_m
 from huepose.onboarding.from_video import Learned, Selection, learn
 from huepose.onboarding.from_video.registration import Edge, relaxed
 from huepose.onboarding.from_video.selection import first_mask
 from huepose.onboarding.from_video.views import View, votes
+from huepose.propose import flow
 from huepose.rendering import render
 from huepose.scenes.motion import UP_ROOM, upright
 from huepose.scenes.room import sheet, table_top
@@ -21,6 +27,7 @@ from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 
 pytest.importorskip("open3d")
+LEARN = import_module("huepose.onboarding.from_video.learn")  # the function of that name hides it
 pytestmark = pytest.mark.timeout(400)  # the first that asks makes the mesh, for all
 
 CAMERA = Camera(330.0, 330.0, 159.5, 119.5, 320, 240)
@@ -156,6 +163,107 @@ def test_an_object_that_leaves_is_refused_with_the_reason() -> None:
     frames = [drawn(pose(0.0), 0), *(drawn(gone, k) for k in range(1, 5))]
     with pytest.raises(InputError, match=r"followed in 1 of 5 frames only; .*Turn it more slowly"):
         learn(frames, box_of(pose(0.0)))
+
+
+def turning(count: int, step_deg: float = 6.0) -> list[RgbdFrame]:
+    return [drawn(pose(np.radians(step_deg * k)), k) for k in range(count)]
+
+
+def scaled(frame: RgbdFrame, factor: float) -> RgbdFrame:
+    """A frame as a camera of another resolution gives it."""
+    camera = frame.camera.scaled(factor)
+    size = (camera.width, camera.height)
+    color = np.asarray(cv2.resize(frame.color, size, interpolation=cv2.INTER_AREA), np.uint8)
+    depth = np.asarray(cv2.resize(frame.depth, size, interpolation=cv2.INTER_NEAREST), np.float32)
+    return RgbdFrame(color, depth, camera, frame.frame_id, frame.stamp_ns)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_pictures_whose_size_changes_are_followed_and_no_flow_is_sought_between_two_sizes(
+    factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames, pairs = turning(4), []
+
+    def compute(a: UInt8, b: UInt8, box: Box) -> flow.Flow | None:
+        pairs.append((a.shape, b.shape))
+        return flow.compute(a, b, box)
+
+    monkeypatch.setattr("huepose.onboarding.from_video.registration.flow", SimpleNamespace(compute=compute))
+    track = LEARN._Track.begun(frames[0], box_of(pose(0.0)))
+    begun = track.T_cam_obj
+    assert all(track.follow(frame) for frame in [frames[1], *(scaled(f, factor) for f in frames[2:])])
+    assert len(pairs) == 2
+    assert all(a == b for a, b in pairs)
+    turned = se3.rotation_angle(begun[:3, :3], track.T_cam_obj[:3, :3])
+    assert np.degrees(turned) == pytest.approx(18.0, abs=1.0)
+
+
+def test_an_object_that_is_all_rim_is_refused_and_how_to_record_it_is_said() -> None:
+    across = np.array([0.14, 0.004, 0.004]) / np.ptp(BOX.vertices, axis=0)
+    pencil = replace(BOX, vertices=(BOX.vertices * across).astype(np.float32))
+    T = se3.make(upright(0.0), MIDDLE_CAM)
+    ground = se3.make(upright(0.0), MIDDLE_CAM - 0.02 * UP_ROOM)
+    seen = render([(pencil, T), (table(), ground)], CAMERA)
+    box = Box.of_mask(render([(pencil, T)], CAMERA, color=False).depth > 0)
+    assert box is not None
+    frame = RgbdFrame(seen.color, seen.depth, CAMERA)
+    with pytest.raises(InputError, match=r"4 pixels thick at most.*Record it from nearer"):
+        learn([frame, frame], Selection(box.grown(0.08)))
+
+
+def test_a_view_of_the_rim_alone_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    view_at = LEARN.view_at
+
+    def narrow(frame: RgbdFrame, *about: object) -> View:
+        view = view_at(frame, *about)
+        stripes = np.arange(len(view.mask))[:, None] % 4 > 0
+        return replace(view, mask=view.mask & stripes) if frame.frame_id == 1 else view
+
+    monkeypatch.setattr(LEARN, "view_at", narrow)
+    made = learn(turning(3), box_of(pose(0.0)))
+    assert (made.views, len(made.T_cam_obj)) == (2, 3)
+
+
+def test_the_poses_of_frames_move_with_their_views_when_a_loop_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As there, views of before move when a later one comes; the mesh is made of them where they are then."""
+    views: list[View] = []
+
+    def closed(track: LEARN._Track) -> bool:
+        if len(track.views) < 3:
+            return False
+        moves = [se3.make(upright_z(0.01 * k), np.zeros(3)) for k in range(len(track.views))]
+        track.views = [view.at(view.T_cam_obj @ T) for view, T in zip(track.views, moves, strict=True)]
+        return True
+
+    def as_they_are(kept: Sequence[View], *_: object) -> list[View]:
+        views.extend(kept)
+        return views
+
+    monkeypatch.setattr(LEARN._Track, "_close", closed)
+    monkeypatch.setattr(LEARN, "_polished", as_they_are)
+    made = learn(turning(3), box_of(pose(0.0)))
+    T_old_new = se3.inverse(views[2].T_cam_obj) @ made.T_cam_obj[2]
+    for number, view in enumerate(views):
+        np.testing.assert_allclose(made.T_cam_obj[number], view.T_cam_obj @ T_old_new, atol=1e-9)
+
+
+def test_a_view_that_shows_nothing_after_all_leaves_the_poses_of_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    masks = LEARN.object_mask
+
+    def emptied(part: RgbdFrame, *about: object) -> tuple[np.ndarray, np.ndarray]:
+        mask, denied = masks(part, *about)
+        return mask & (part.frame_id != 1), denied
+
+    monkeypatch.setattr(LEARN, "object_mask", emptied)
+    monkeypatch.setattr(LEARN, "POLISHES", 1)
+    made = learn(turning(3), box_of(pose(0.0)))
+    assert made.views == 2
+    turned = [se3.rotation_angle(made.T_cam_obj[0][:3, :3], T[:3, :3]) for T in made.T_cam_obj.values()]
+    assert np.allclose(np.degrees(turned), [0.0, 6.0, 12.0], atol=1.0)
 
 
 def test_what_holds_the_object_elsewhere_later_is_seen_through() -> None:

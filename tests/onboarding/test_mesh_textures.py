@@ -174,6 +174,33 @@ def test_colors_of_vertices_beside_a_texture(tmp_path: Path, whites: bool) -> No
     np.testing.assert_allclose(colors_at(mesh, (0.5, 0.3, 0.2)), expected, atol=2)
 
 
+_WHITE, _MESHLAB, _RED = "1 1 1", "0.752941 0.752941 0.752941", "1 0 0"
+
+
+@pytest.mark.parametrize(
+    ("ends", "kinds", "shown"),
+    [
+        (_WHITE, ("Kd 1 0 0", "Kd 0 0 1"), [(255, 0, 0), (0, 0, 255)]),
+        (_MESHLAB, ("Kd 1 0 0", "Kd 0 0 1"), [(255, 0, 0), (0, 0, 255)]),
+        (_MESHLAB, ("Kd 0.2 0.2 0.2", "Kd 0.8 0.8 0.8"), [(51, 51, 51), (204, 204, 204)]),
+        (_WHITE, ("Kd 1 0 0", "Kd 1 0 0"), [(255, 0, 0), (255, 0, 0)]),
+        (_MESHLAB, ("Kd 0.8 0.8 0.8", "Kd 0.8 0.8 0.8"), [(192, 192, 192), (192, 192, 192)]),
+        (_WHITE, ("illum 2", "illum 2"), [(255, 255, 255), (255, 255, 255)]),
+        (_RED, ("Kd 0 1 0", "Kd 0 0 1"), [(255, 0, 0), (255, 0, 0)]),
+    ],
+)
+def test_one_grey_at_all_vertices_leaves_the_materials_their_colours(
+    ends: str, kinds: tuple[str, str], shown: list[tuple[int, int, int]], tmp_path: Path
+) -> None:
+    """It is what exporters write where there are no colours; another colour is one."""
+    places = ("0 0 0", "60 0 0", "0 60 0", "0 0 60")
+    text = "mtllib m.mtl\n" + "".join(f"v {v} {ends}\n" for v in places)
+    (tmp_path / "m.obj").write_text(text + "usemtl a\nf 1 2 3\nusemtl b\nf 1 4 2\n")
+    (tmp_path / "m.mtl").write_text("newmtl a\n{}\nnewmtl b\n{}\n".format(*kinds))
+    colors = colors_at(read_mesh(tmp_path / "m.obj"), (0.5, 0.3, 0.2))
+    np.testing.assert_allclose(colors, shown, atol=1)
+
+
 def test_a_colored_part_of_a_gltf_beside_a_texture(tmp_path: Path) -> None:
     box = solids.box((0.08, 0.06, 0.04))
     w = files.GlbWriter()

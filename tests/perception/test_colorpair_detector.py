@@ -126,19 +126,6 @@ def test_keypoints_alone_propose_nothing_where_there_is_no_print(
     assert detector.detect(take_picture([(grey, standing)]), ["tea_box"]) == []
 
 
-def test_a_model_without_keypoints_gets_them(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
-) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    config = DetectorConfig(sources=("keypoints",))
-    now, before = (
-        ColorPairDetector({"tea_box": model}, config).detect(frame, ["tea_box"])
-        for model in (tea_box, replace(tea_box, keypoints=None))
-    )
-    assert now
-    assert [(d.box, d.score) for d in now] == [(d.box, d.score) for d in before]
-
-
 def test_a_source_that_there_is_not_is_refused() -> None:
     with pytest.raises(InputError, match="keypoints, views"):
         DetectorConfig(sources=())

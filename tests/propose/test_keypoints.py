@@ -21,7 +21,6 @@ CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
 
 @pytest.fixture(scope="module")
 def keypoints(tea_box: ReferenceModel) -> Keypoints:
-    assert tea_box.keypoints is not None
     return tea_box.keypoints
 
 

@@ -41,7 +41,7 @@ def _message(ms, **changes):
         "quaternion": tuple(quaternion.tolist()),
         "velocity_linear": tuple(LINEAR.tolist()),
         "velocity_angular": tuple(ANGULAR.tolist()),
-        "centre": None,
+        "centre": (0.0, 0.0, 0.0),
     }
     return msgspec.structs.replace(POSE, **(given | changes))
 

@@ -252,6 +252,33 @@ def test_so_many_seconds_are_more_than_none(
     assert f"found {seconds}, expected seconds, more than 0" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("given", ["-1", "0.5", "some"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "demo --seed",
+        "bench --seed",
+        "render-scenes --models builtin --out no_scene --seed",
+        "render-scenes --models builtin --out no_scene --textures",
+        "train rotation --out no_folder --seed",
+        "train views --out no_folder --seed",
+        "eval estimate --bop no_scene --bundles no_bundles --seed",
+        "eval perception --bop no_scene --bundles no_bundles --seed",
+        "eval track --bop no_scene --bundles no_bundles --seed",
+        "eval tables --ycbv no_set --out no_folder --seed",
+    ],
+)
+def test_a_seed_is_a_whole_number_that_is_not_negative(
+    line: str, given: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([*line.split(), given])
+    assert ended.value.code == BAD_INPUT
+    option = line.split()[-1]
+    said = f"argument {option}: found {given}, expected a whole number, 0 or more\n"
+    assert capsys.readouterr().err.endswith(said)
+
+
 @pytest.mark.parametrize("option", ["--minutes", "--slow"])
 @pytest.mark.parametrize("number", ["-3", "0", "nan"])
 def test_what_chaos_is_told_is_more_than_none(

@@ -48,6 +48,15 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.Cap
     assert (tmp_path / "pipeline.yaml").read_text() == "site: mine\n"
 
 
+def test_a_file_of_the_name_of_the_folder_is_found_before_anything_is_learnt(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("box").touch()
+    assert main(["new", "box", "no_mesh.obj"]) == 2
+    assert capsys.readouterr().err == "huepose new: box: found a file; expected a folder, which may be new.\n"
+
+
 def test_what_is_too_large_to_be_drawn_is_not_learnt_first(
     tea_box: ReferenceModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

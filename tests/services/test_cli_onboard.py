@@ -78,6 +78,33 @@ def test_a_model_that_replaces_another_of_its_name_says_so(
     assert said.count("replaced") == 1
 
 
+def test_a_folder_of_models_says_what_it_replaces_and_forgets_what_was_said_of_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
+    files.write_obj(tmp_path / "obj_000001.obj", solids.box((0.05, 0.04, 0.03), pictures))
+    out = tmp_path / "bundles"
+    one = [str(tmp_path / "obj_000001.obj"), "--name", "obj_000001", "--id", "1", "--unit", "mm"]
+    assert main(["onboard", "--no-test", *one, "--symmetric", "z", "--out", str(out)]) == 0
+    said_of_it = [out / "obj_000001.verdict.json", out / "obj_000001.png"]
+    for path in said_of_it:
+        path.write_text("of the model before")
+    capsys.readouterr()
+    many = ["onboard-bop", str(tmp_path), "--out", str(out), "--processes", "1"]
+    assert main(many) == 0
+    said = capsys.readouterr().err
+    assert f"note: {out / 'obj_000001.huepose'} replaced another reference model named obj_000001" in said
+    assert "To have both, onboard these into another folder, --out\n" in said
+    assert said.count("replaced") == 1
+    assert not any(path.exists() for path in said_of_it)
+    for path in said_of_it:
+        path.write_text("of this model")
+    assert main(many) == 0
+    assert "replaced" not in capsys.readouterr().err, "the same models again"
+    assert all(path.exists() for path in said_of_it)
+
+
 def test_validate_repeats_the_verdict_on_an_object_that_suits_with_limits_or_not_at_all(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -46,7 +46,7 @@ def recorded(path: Path, frames: list[RgbdFrame], jpeg: bool = False) -> None:
 
 
 def bag(path: Path, frames: list[RgbdFrame]) -> None:
-    """Frames as a bag of ROS."""
+    """Frames as a bag of ROS; one of ROS 2 is a folder."""
     from tests.datasets.test_rosbag import COLOR, DEPTH, INFO, Ros
 
     ros, at = Ros(path.name), 1_700_000_000_000_000_000
@@ -59,6 +59,13 @@ def bag(path: Path, frames: list[RgbdFrame]) -> None:
             (DEPTH, now, ros.image(frame.depth, "32FC1", now)),
         ]
     ros.write(path, messages)
+
+
+def file_of_bag(path: Path, frames: list[RgbdFrame]) -> None:
+    """The file of a bag of ROS 2 without its folder."""
+    folder = path.with_name(f"bag_{path.suffix[1:]}")
+    bag(folder, frames)
+    (folder / folder.name).with_suffix(path.suffix).rename(path)
 
 
 def turned() -> list[RgbdFrame]:
@@ -83,6 +90,9 @@ def given_for(recording: Path, out: Path) -> list[str]:
         ("turned.mcap", recorded, 0, 0.00006),
         ("small.mcap", partial(recorded, jpeg=True), 3, 0.00006),
         ("turned.bag", bag, 0, 0),
+        ("bag_mcap", bag, 0, 0),
+        ("turned.db3", file_of_bag, 0, 0),
+        ("of_ros.mcap", file_of_bag, 0, 0),
     ],
 )
 def test_of_every_kind_of_recording_each_frame_is_learnt_from(
@@ -142,6 +152,22 @@ def test_a_recording_takes_the_place_of_a_mesh(tmp_path: Path, monkeypatch: pyte
     mesh = read_mesh(out / "tea_mesh" / "tea.obj", "m")
     # The sides were not seen over 12 degrees; the height was.
     assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(np.ptp(BOX.vertices[:, 2]), abs=0.006)
+
+
+@pytest.mark.parametrize(
+    ("file", "said"),
+    [
+        ("bundles", "bundles: found a file; expected a folder, which may be new."),
+        ("bundles/tea_mesh", "bundles/tea_mesh is no folder; expected a place that can be written."),
+    ],
+)
+def test_a_file_in_the_place_of_a_folder_is_found_before_the_recording_is_read(
+    file: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).touch()
+    assert main(given_for(tmp_path / "no_recording.mcap", tmp_path / "bundles")) == 2
+    assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("surface", "code"), [(0.59, 1), (0.6, 0)])

@@ -60,7 +60,6 @@ GOOD = "camera: {truth: true}\n"
         ("link: {connect: 7448}", ["link.connect", "found 7448", "expected ADDRESS:PORT"]),
         ("camera: bop", ["camera", "found 'bop'", "Write {source: bop} there"]),
         ("cameras: [realsense]", ["cameras[0]", "Write {source: realsense} there"]),
-        ("detector: {kind: truth}", ["detector.kind", "camera.truth: true"]),
         ("detector: {kind: first_box}", ["detector.boxes", "none"]),
         ("detector: {kind: first_box, boxes: {a: [1, 2, 3]}}", ["detector.boxes", "length 4"]),
         ("detector: {kind: first_box, boxes: {a: [1, 2, 3, 4]}}", ["detector.boxes", "found a"]),
@@ -84,6 +83,11 @@ GOOD = "camera: {truth: true}\n"
             "workers: [camera, ros2]\ncamera: {tf: {parent: a, child: b}, "
             "mount: {parent: c, translation: [0, 0, 1]}}",
             ["camera.mount.parent", "found c", "expected b"],
+        ),
+        (
+            "workers: [camera, ros2]\ncamera: {tf: {parent: a, child: cam0_color_optical}, "
+            "mount: {parent: cam0_color_optical, translation: [0, 0, 1]}}",
+            ["camera.mount", "own frame, cam0_color_optical", "Take it out"],
         ),
         ("bus: {base_port: 80}", ["bus.base_port", "found 80", "a whole number of 1024 or more"]),
         ("gateway: {listen: 'localhost:99999'}", ["gateway.listen", "localhost:99999", "1 to 65535"]),
@@ -195,7 +199,7 @@ def test_the_default_file_shows_every_key_with_its_default():
         value = getattr(default, section)
         if isinstance(value, Section):
             assert list(shown[section]) == list(value.__struct_fields__)
-    # It is the built-in scene, which publishes its truth for the detector.
+    # It is the built-in scene, which publishes its truth.
     camera = msgspec.structs.replace(default.camera, truth=True)
     link = msgspec.structs.replace(default.link, secure=str(path.parent / "secure"))
     assert config == msgspec.structs.replace(default, camera=camera, link=link)

@@ -61,7 +61,7 @@ def test_any_pose_comes_back(rotation, translation):
 
 def test_a_tracked_pose_comes_back():
     pose = TrackedPose("thing", 2, 5, 9, 123, State.SUSPECT, T, VELOCITY, 0.5, COVARIANCE, 7)
-    message = _through(tracked_to_wire(pose, HEADER, 456))
+    message = _through(tracked_to_wire(pose, HEADER, 456, np.zeros(3)))
     assert isinstance(message, PoseMessage)
     assert message.publish_ns == 456
     back = track_from_wire(message)
@@ -77,7 +77,7 @@ def test_a_tracked_pose_comes_back():
 @pytest.mark.parametrize("state", [State.LOST, State.SEARCHING])
 def test_without_a_pose_everything_of_it_is_null(state):
     pose = TrackedPose("thing", 2, 5, 9, 123, state, None, None, 0.0, None, 0)
-    message = _through(tracked_to_wire(pose, HEADER, 456))
+    message = _through(tracked_to_wire(pose, HEADER, 456, np.zeros(3)))
     assert message.translation is message.quaternion is message.covariance is None
     assert track_from_wire(message).T_cam_obj is None
 
@@ -87,7 +87,7 @@ def test_a_pose_that_is_not_one_never_reaches_the_wire():
     broken[0, 3] = np.nan
     pose = TrackedPose("thing", 2, 5, 9, 123, State.TRACKING, broken, None, 0.9, None, 0)
     with pytest.raises(ValueError, match="not finite"):
-        tracked_to_wire(pose, HEADER, 456)
+        tracked_to_wire(pose, HEADER, 456, np.zeros(3))
 
 
 def test_a_correction_comes_back_with_its_mask():

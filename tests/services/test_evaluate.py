@@ -17,7 +17,7 @@ import pytest
 from huepose.estimation import EstimatorConfig
 from huepose.geometry import Mesh, se3
 from huepose.model import save_model
-from huepose.model.types import DistanceGrid, PairReference, ReferenceModel, Surface, ViewTemplates
+from huepose.model.types import DistanceGrid, Keypoints, PairReference, ReferenceModel, Surface, ViewTemplates
 from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_scenes import open_bop
 from huepose_services.cli.main import main
@@ -47,6 +47,7 @@ def small_model(name: str, object_id: int) -> ReferenceModel:
         DistanceGrid(z(3), 0.01, z((1, 1, 1), np.int16)),
         ViewTemplates(none3, z((0, 1, 5, 1, 1), np.float16), none3, 1.2),
         PairReference(none3, none3, none3, z((0, 2, 3), np.float32), none_i),
+        Keypoints(none3, none3, z((0, 128), np.uint8), "sift"),
     )
 
 

@@ -72,11 +72,6 @@ def test_each_computer_has_its_part():
             r"link.connect: found \[fd00::2\]:7448; expected a name",
         ),
         ("workers: [camera, uplink]", "workers: found uplink"),
-        (
-            "{hosts: {desk: [detector, segmenter, estimator]}, link: {connect: 'a:1'}, "
-            "detector: {kind: truth}}",
-            "detector.kind: found truth",
-        ),
     ],
 )
 def test_what_cannot_be_is_said(tmp_path, text, part):

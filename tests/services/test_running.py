@@ -5,6 +5,8 @@ import json
 import os
 import re
 import signal
+import subprocess
+import sys
 
 import msgspec
 import pytest
@@ -190,7 +192,7 @@ def test_top_ends_at_ctrl_c_wherever_that_comes(monkeypatch):
         def __del__(self):
             signal.raise_signal(signal.SIGINT)
 
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     looks = []
 
     def look(watch, seconds, stopping=lambda: False):
@@ -205,6 +207,18 @@ def test_top_ends_at_ctrl_c_wherever_that_comes(monkeypatch):
         for number, handler in handlers.items():
             signal.signal(number, handler)
     assert len(looks) == 1
+
+
+@pytest.mark.parametrize(
+    ("first", "said"), [("", "True\n"), ("signal.signal(signal.SIGHUP, signal.SIG_IGN); ", "False\n")]
+)
+def test_a_terminal_that_is_closed_ends_it_in_order_unless_nohup_is_before_it(first, said):
+    code = (
+        f"import signal; {first}from huepose_services.cli.options import until_told\n"
+        "told = until_told(); signal.raise_signal(signal.SIGHUP); print(told())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0)
+    assert (done.returncode, done.stdout) == (0, said)
 
 
 @pytest.mark.parametrize("words", [["objects", "list"], ["graph"]])

@@ -12,7 +12,6 @@ from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, 
 from huepose.judge.terms import NOTHING, Terms, score_arrays
 from huepose.model.types import ReferenceModel
 from huepose.refine.photometric import FULL, NEAR, QUICK, refine, refine_all
-from huepose.select.distinct import first_different
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.motion import Reach
@@ -216,15 +215,6 @@ def test_search_finds_nothing_where_there_is_no_depth(tea_box, shoot, path) -> N
     assert search(surface, blind, reach) == []
     behind = Reach(np.array([0.0, 0.0, -0.3]), (np.eye(3),), 0.1, 0.5)
     assert search(surface, frame, behind) == []
-
-
-def test_different_poses_are_kept_in_order() -> None:
-    def at(x: float, angle: float) -> np.ndarray:
-        return se3.make(se3.rotation_exp(np.array([0.0, 0.0, angle])), np.array([x, 0.0, 1.0]))
-
-    poses = np.array([at(0, 0), at(0.001, 0.01), at(0.0, 0.5), at(0.1, 0.0), at(0.1, 0.45), at(0.0, 0.49)])
-    assert first_different(poses, np.zeros(3), 0.1, 0.01, 10).tolist() == [0, 2, 3, 4]
-    assert first_different(poses, np.zeros(3), 0.1, 0.01, 2).tolist() == [0, 2]
 
 
 def test_a_velocity_is_believed_only_if_the_image_agrees(tea_box, shoot, path) -> None:

@@ -10,7 +10,9 @@ from huepose.paper.rotation_network import WEIGHTS, OnnxRotation
 from huepose.support.errors import InputError
 from huepose.training.network import AttentionDgcnn, EdgeConvolution, geodesic, neighbours, rotation_of_six
 from huepose.training.rotation import RotationTraining, export, train
-from huepose.training.runs import Settings, Training
+from huepose.training.runs import Course, Settings, Training, check_device, checkpoint, save_checkpoint
+from huepose.training.view_codes import ViewCodeTraining
+from huepose.training.view_codes import train as train_views
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -99,8 +101,73 @@ def test_a_training_that_ends_before_its_first_step_writes_nothing(tmp_path):
     for batches, hours in ((interrupted(), 1.0), (iter([1]), 1e-12)):
         settings = Settings(hours=hours)
         training = Training.begun(
-            tmp_path, "line", settings, torch.optim.SGD(net.parameters()), {"line": net}, False
+            tmp_path, "line", settings, torch.optim.SGD(net.parameters()), {"line": net}, None
         )
         with pytest.raises(InputError, match="its end before its first step"):
             training.run(batches, lambda batch: None, lambda course: None)
         assert list(tmp_path.iterdir()) == []
+
+
+class TestCheckpoint:
+    """What a training goes on from."""
+
+    def test_one_of_a_gpu_is_read_where_there_is_none(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(torch.serialization, "location_tag", lambda storage: "cuda:7")
+        parts = begun(net := torch.nn.Linear(1, 1))
+        save_checkpoint(tmp_path, "line", Course(steps=5), parts)
+        monkeypatch.undo()
+        saved = checkpoint(tmp_path, "line", resume=True)
+        assert saved["line"]["weight"].device.type == "cpu"
+        other = torch.nn.Linear(1, 1)
+        settings = (Settings(), begun(other)["optimiser"], {"line": other})
+        assert Training.begun(tmp_path, "line", *settings, saved).course.steps == 5
+        assert torch.equal(other.weight, net.weight)
+
+    @pytest.mark.parametrize("content", ["garbage", "", "cut", "a list"])
+    def test_a_damaged_one_is_refused_with_what_to_do(self, tmp_path, content):
+        file = tmp_path / "checkpoint.pt"
+        save_checkpoint(tmp_path, "line", Course(), begun(torch.nn.Linear(1, 1)))
+        if content == "a list":
+            torch.save([1, 2], file)
+        else:
+            file.write_bytes(file.read_bytes()[:1000] if content == "cut" else content.encode())
+        with pytest.raises(InputError, match=r"checkpoint\.pt: found a damaged file.*train without --resume"):
+            checkpoint(tmp_path, "line", resume=True)
+
+    def test_one_of_other_networks_is_refused_with_what_to_do(self, tmp_path):
+        save_checkpoint(tmp_path, "line", Course(), begun(torch.nn.Linear(1, 1)))
+        saved, wider = checkpoint(tmp_path, "line", resume=True), torch.nn.Linear(2, 1)
+        settings = (Settings(), begun(wider)["optimiser"], {"line": wider})
+        with pytest.raises(
+            InputError, match=r"checkpoint\.pt: found networks of another shape; .*without --resume"
+        ):
+            Training.begun(tmp_path, "line", *settings, saved)
+
+
+def begun(net):
+    """The parts of a training of one layer."""
+    return {"optimiser": torch.optim.AdamW(net.parameters()), "line": net}
+
+
+@pytest.mark.parametrize("training", [train, train_views])
+def test_a_training_that_cannot_begin_says_so_before_anything_is_drawn(training, tmp_path, monkeypatch):
+    def drawn(*_):
+        raise AssertionError
+
+    for module in ("rotation", "view_codes"):
+        monkeypatch.setattr(f"huepose.training.{module}.endless_loader", drawn)
+    settings = RotationTraining if training is train else ViewCodeTraining
+    out = tmp_path / "out"
+    with pytest.raises(InputError, match=r"no such file\. Train without --resume first"):
+        training(settings(), out, resume=True)
+    with pytest.raises(
+        InputError, match=r"device gpu: found none .*; expected cpu, or cuda where there is a GPU"
+    ):
+        training(settings(device="gpu"), out)
+    assert not out.exists()
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_gpu_that_is_not_there_is_no_device():
+    with pytest.raises(InputError, match=r"device cuda: found none .*Leave --device out"):
+        check_device("cuda")

@@ -15,6 +15,7 @@ from huepose.training.object_buffer import ObjectBuffer
 from huepose.training.sensing import network_input
 from huepose.training.view_codes import ViewCodeTraining, train
 from huepose.training.windows import Drawn, endless
+from huepose_services.cli.main import main
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -74,6 +75,17 @@ def test_the_loss_is_small_where_each_window_finds_its_view_and_large_where_anot
     # A view whose window is also claimed by one beside the object costs, though each window is right.
     beside = torch.tensor([[20.0, 0.0], [0.0, 20.0], [20.0, 20.0]])
     assert info_nce(beside, angles, targets, valid).item() == pytest.approx(math.log(2.0), abs=1e-3)
+
+
+def test_the_room_of_a_training_takes_the_memory_that_its_help_says(capsys):
+    kept = [part for part in vars(ObjectBuffer(1, "cpu")).values() if isinstance(part, torch.Tensor)]
+    bytes_each = sum(part.nbytes for part in kept)
+    with pytest.raises(SystemExit):
+        main(["train", "views", "--help"])
+    said = " ".join(capsys.readouterr().out.split())
+    room = ViewCodeTraining().room
+    assert f"{bytes_each / 1e6:.0f} MB each: {room} take {room * bytes_each / 1e9:.0f} GB of memory" in said
+    assert f"({room})" in said
 
 
 def test_a_training_leaves_a_network_that_runs(tmp_path):

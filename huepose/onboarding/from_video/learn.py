@@ -26,7 +26,7 @@ from huepose.onboarding.from_video.registration import (
     turned_about,
 )
 from huepose.onboarding.from_video.selection import Selection, first_mask
-from huepose.onboarding.from_video.views import View, eroded
+from huepose.onboarding.from_video.views import RIM_PX, View, eroded
 from huepose.onboarding.reference import Report, silent
 from huepose.support.errors import InputError
 
@@ -89,7 +89,7 @@ def learn(frames: Iterable[RgbdFrame], selection: Selection, report: Report = si
             track = _Track.begun(frame, selection)
         elif not track.follow(frame):
             continue
-        where[count - 1] = (track.T_cam_obj, len(track.views) - 1)
+        where[count - 1] = track.since_view()
     if track is None:
         raise InputError("the recording", found="no frame")
     if len(where) < FEWEST_FOLLOWED * count:
@@ -99,23 +99,21 @@ def learn(frames: Iterable[RgbdFrame], selection: Selection, report: Report = si
             + track.why_not,
             fix="Turn it more slowly, about 45 degrees a second, in full view of the camera.",
         )
-    before = track.views
     if len(track.views) == 1:
         raise InputError(
             "the recording",
             found=f"an object that turned by less than {np.degrees(VIEW_STEP):.0f} degrees",
             expected="one that is turned before the camera, best all round",
         )
-    views = _polished(track.views, track.radius_m, report)
+    polished = _polished(track.views, track.radius_m, report)
+    views = _showing(polished)
     report("fusing them and closing the surface")
     shape = fused(views, closed=True)
     report("painting it")
     T_old_new = _frame_of(shape, views[0], track.ground)
     mesh = painted(_moved(shape, se3.inverse(T_old_new)), [v.at(v.T_cam_obj @ T_old_new) for v in views])
-    # Frames between views moved with the view before them.
     poses = {
-        number: T @ se3.inverse(before[k].T_cam_obj) @ views[k].T_cam_obj @ T_old_new
-        for number, (T, k) in where.items()
+        number: T_now_then @ polished[k].T_cam_obj @ T_old_new for number, (k, T_now_then) in where.items()
     }
     return Learned(
         mesh,
@@ -154,6 +152,13 @@ class _Track:
         """From the first frame."""
         mask, near, ground = first_mask(frame, selection)
         rows, columns = np.nonzero(eroded(mask))
+        if not len(rows):
+            raise InputError(
+                "the first frame",
+                found=f"an object that is {2 * RIM_PX} pixels thick at most, which is all rim",
+                expected="one that is thicker in the picture",
+                fix="Record it from nearer.",
+            )
         points = frame.camera.backproject(np.stack([columns, rows], 1), frame.depth[rows, columns])
         T = se3.make(np.eye(3), np.median(points, axis=0))
         radius = float(np.percentile(np.linalg.norm(points - T[:3, 3], axis=1), 99))
@@ -172,6 +177,11 @@ class _Track:
         if surface is None:
             raise InputError("the first frame", found="no surface", fix="Record it from nearer.")
         return _Track(ground, radius, [view], frame, mask, T, shape, surface, T)
+
+    def since_view(self) -> tuple[int, Float64]:
+        """The number of the newest view, and how the object has moved since then: T_now_then (4, 4), camera
+        axes. A loop that is closed later moves both poses alike."""
+        return len(self.views) - 1, self.T_cam_obj @ se3.inverse(self.views[-1].T_cam_obj)
 
     @property
     def why_not(self) -> str:
@@ -200,7 +210,7 @@ class _Track:
         assert window is not None
         self.mask[window] = view.mask
         turned = [se3.rotation_angle(v.T_cam_obj[:3, :3], T[:3, :3]) for v in self.local()]
-        if min(turned) > VIEW_STEP:
+        if min(turned) > VIEW_STEP and view.inner.any():  # of what is all rim nothing new is seen
             self._keep(view)
         if se3.rotation_angle(self.surface_T[:3, :3], T[:3, :3]) > VIEW_STEP:
             self._look_from(self.T_cam_obj)
@@ -276,23 +286,35 @@ def _doubt(found: Registered | None) -> str:
 
 
 def _polished(views: Sequence[View], radius_m: float, report: Report) -> list[View]:
-    """Views at poses and with masks that fit all others."""
+    """Views at poses and with masks that fit all others; empty is the mask of one that shows nothing, after
+    all, and takes no further part."""
     out = list(views)
     for number in range(1, POLISHES + 1):
-        report(f"registering {len(out)} views with each other, {number} of {POLISHES}")
-        shape = fused(out)
-        moved = []
-        for view in out:
-            surface = surface_of(shape, out, view.T_cam_obj)
-            found = None if surface is None else registered(surface, view.frame, [view.T_cam_obj])
-            moved.append(view if found is None or _doubt(found) else view.at(found.T_cam_obj))
-        masks = [object_mask(view.frame, view.T_cam_obj, moved, view.ground, radius_m) for view in moved]
-        out = [
-            replace(view, mask=mask, denied=denied)
-            for view, (mask, denied) in zip(moved, masks, strict=True)
-            if mask.any()
-        ]
+        showing = _showing(out)
+        report(f"registering {len(showing)} views with each other, {number} of {POLISHES}")
+        shape = fused(showing)
+        moved = [_moved_to_fit(view, shape, showing) if view.mask.any() else view for view in out]
+        others = _showing(moved)
+        out = [_masked_by(view, others, radius_m) if view.mask.any() else view for view in moved]
     return out
+
+
+def _showing(views: Sequence[View]) -> list[View]:
+    """Those that show the object."""
+    return [view for view in views if view.mask.any()]
+
+
+def _moved_to_fit(view: View, shape: Fused, views: Sequence[View]) -> View:
+    """A view registered with the fused surface of all; as it is where that is in doubt."""
+    surface = surface_of(shape, views, view.T_cam_obj)
+    found = None if surface is None else registered(surface, view.frame, [view.T_cam_obj])
+    return view if found is None or _doubt(found) else view.at(found.T_cam_obj)
+
+
+def _masked_by(view: View, views: Sequence[View], radius_m: float) -> View:
+    """A view with the mask that all of them agree on."""
+    mask, denied = object_mask(view.frame, view.T_cam_obj, views, view.ground, radius_m)
+    return replace(view, mask=mask, denied=denied)
 
 
 def _frame_of(shape: Fused, first: View, ground: Float64 | None) -> Float64:

@@ -130,9 +130,10 @@ def turned_about(T_cam_obj: Float64) -> list[Float64]:
 
 
 def followed(last: RgbdFrame, mask: Bool, T_cam_obj: Float64, frame: RgbdFrame) -> Float64 | None:
-    """The pose in a frame by the flow of a mask (H, W) since the last one; None where flow says nothing."""
+    """The pose in a frame by the flow of a mask (H, W) since the last one; None where flow says nothing, and
+    where the pictures differ in size: their pixels are not those of one camera."""
     rows, columns = np.nonzero(mask)
-    if not len(rows):
+    if not len(rows) or last.color.shape != frame.color.shape:
         return None
     box = Box.of_mask(mask)
     assert box is not None

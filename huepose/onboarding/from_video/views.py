@@ -27,7 +27,7 @@ FACET_M = 0.006
 
 _OF_THE_PICTURE = ("inner", "outer", "nearest", "normals_cam", "points_cam")
 
-_RIM_PX = 2
+RIM_PX = 2
 """At the border of a mask depth and colour are mixed: what is there is not known."""
 
 
@@ -141,7 +141,7 @@ def tolerance_m(distance_m: Float | float) -> Float64:
 
 def eroded(mask: Bool) -> Bool:
     """A mask less its rim; the picture's border is none."""
-    kernel = np.ones((2 * _RIM_PX + 1,) * 2, np.uint8)
+    kernel = np.ones((2 * RIM_PX + 1,) * 2, np.uint8)
     return np.asarray(cv2.erode(mask.astype(np.uint8), kernel) > 0)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from huepose.support.files import write_picture
-from huepose_services.cli.options import add_json, add_number, add_path, add_profile, answered
+from huepose_services.cli.options import add_from_zero, add_json, add_path, add_profile, answered
 from huepose_services.runtime.threads import single_threaded
 
 _WHAT = ("estimate", "track", "detect", "bus", "all")
@@ -18,7 +18,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("what", nargs="?", choices=_WHAT, default="all", help="default: all")
     add_json(parser, to_file=True)
     add_path(parser, "--picture", "FILE.png", "draw the stages' shares as bars")
-    add_number(parser, "--seed", 0, "which built-in scene (0)")
+    add_from_zero(parser, "--seed", "which built-in scene (0)")
     add_profile(parser)
     parser.set_defaults(call=call)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from huepose.support.errors import InputError
 from huepose_services.cli.options import (
+    add_from_zero,
     add_json,
     add_number,
     add_one_of,
@@ -21,7 +22,7 @@ from huepose_services.cli.options import (
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("demo", help="the whole pipeline on a built-in scene, with its accuracy")
     add_number(parser, "--seconds", 25.0, "how long (default: 25)", "S")
-    add_number(parser, "--seed", 0, "which scene (default: 0)")
+    add_from_zero(parser, "--seed", "which scene (default: 0)")
     add_path(
         parser,
         "--bundles",
@@ -52,12 +53,8 @@ def call(arguments: argparse.Namespace) -> int:
     """Run, judge, print."""
     import os
 
-    if arguments.seconds < 5.0 or arguments.seed < 0:
-        raise InputError(
-            "--seconds, --seed",
-            found=f"{arguments.seconds:g}, {arguments.seed}",
-            expected="5 seconds or more and a seed of 0 or more",
-        )
+    if not arguments.seconds >= 5.0:
+        raise InputError("--seconds", found=f"{arguments.seconds:g}", expected="5 or more")
     if arguments.sam is not None and arguments.segmenter != "sam":
         raise InputError("--sam", found=f"--segmenter {arguments.segmenter}", expected="--segmenter sam")
     from huepose_services.demo.run import DemoError, pipeline, run_demo

@@ -9,12 +9,14 @@ from typing import Any
 
 from huepose_services.cli.options import (
     add_bundles,
+    add_from_zero,
     add_number,
     add_one_of,
     add_path,
     add_profile,
     add_several,
     add_some_of,
+    from_zero,
 )
 
 
@@ -25,7 +27,6 @@ def add_parser(subparsers: Any) -> None:
     _add_perception(verbs)
     _add_track(verbs)
     _add_poses(verbs)
-    _add_calibration(verbs)
     _add_ablation(verbs)
     _add_compare(verbs)
     _add_tables(verbs)
@@ -46,7 +47,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
 
 
 def _seeds(parser: argparse.ArgumentParser) -> None:
-    add_several(parser, "--seed", "N", "of the perturbed boxes; results average", [0], kind=int)
+    add_several(parser, "--seed", "N", "of the perturbed boxes; results average", [0], kind=from_zero)
 
 
 def _objects(parser: argparse.ArgumentParser) -> None:
@@ -94,7 +95,7 @@ def _add_perception(verbs: Any) -> None:
     _objects(parser)
     add_profile(parser)
     add_some_of(parser, "--sources", ("views", "keypoints"), "what proposes places (both)")
-    add_number(parser, "--seed", 0, "of the perturbed boxes of masks")
+    add_from_zero(parser, "--seed", "of the perturbed boxes of masks")
     add_number(parser, "--threads", 2, "objects at the same time (2)")
     add_path(parser, "--plots", "DIR", "pictures of every frame")
 
@@ -161,18 +162,6 @@ def _add_ablation(verbs: Any) -> None:
     add_path(parser, "--plots", "DIR", "where ablation.png goes")
 
 
-def _add_calibration(verbs: Any) -> None:
-    parser = verbs.add_parser(
-        "calibration",
-        help="whether stated quality is true",
-        description="What the quality of results of `huepose eval estimate` is worth: how far it is from the "
-        "share that is right, and how many of the poses over the level are right.",
-    )
-    parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json", help="result files")
-    add_one_of(parser, "--method", ("full", "colorpair"), "whose results they are (full)")
-    add_path(parser, "--plots", "DIR", "reliability pictures")
-
-
 def _add_compare(verbs: Any) -> None:
     parser = verbs.add_parser(
         "compare",
@@ -234,7 +223,7 @@ def _add_tables(verbs: Any) -> None:
     )
     _objects(parser)
     add_profile(parser)
-    add_number(parser, "--seed", 0, "of the moved boxes (0)")
+    add_from_zero(parser, "--seed", "of the moved boxes (0)")
     add_number(parser, "--threads", 2, "objects at the same time (2)")
 
 

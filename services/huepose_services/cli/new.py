@@ -54,10 +54,11 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.scenes.builtin import first_shot
     from huepose.scenes.camera import CAMERA
     from huepose_services.cli.mesh_unit import with_unit
-    from huepose_services.cli.onboard import in_words, onboard_one, self_test
+    from huepose_services.cli.onboard import check_folder, in_words, onboard_one, self_test
 
     out: Path = arguments.out or Path(arguments.name)
     check_place(out)
+    check_folder(out)
     path = out / "pipeline.yaml"
     if path.exists():
         raise InputError(

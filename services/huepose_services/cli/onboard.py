@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,6 +93,7 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.onboarding.batch import Job
     from huepose.onboarding.declared import symmetries_of
 
+    check_folder(arguments.out)
     symmetric = symmetries_of(arguments.symmetric)
     made = mesh_from_video(arguments)
     mesh, unit = arguments.mesh, arguments.unit
@@ -147,10 +149,9 @@ def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
     from huepose.model.io import check_name, model_path
     from huepose.onboarding import batch
     from huepose.onboarding.reference import STAGES
-    from huepose_services.models import forget_verdict
 
     check_name(job.name)
-    _check_folder(out)
+    check_folder(out)
     if not job.mesh_path.exists():
         raise InputError(job.mesh_path, found="no such file", expected="the mesh", fix="Check the path.")
     job = job if settled else with_unit(job)
@@ -158,21 +159,41 @@ def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
     with closing(progress(range(len(STAGES) + 1), f"onboarding {job.name}")) as steps:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps), Status().line)
         deque(steps, maxlen=0)
-    if before is not None and before[0] != result.path.read_bytes():
-        forget_verdict(out, job.name)
-        say(
-            f"note: {result.path} replaced another reference model named {job.name}, made on {before[1]}. "
-            "To have both, onboard that one again under another --name"
-        )
+    _settle(result, before, "onboard that one again under another --name")
     return result
 
 
-def _model_there(path: Path) -> tuple[bytes, str] | None:
-    """What a file holds and when it was written, None where there is none."""
+@dataclass(frozen=True)
+class _Before:
+    """digest: of the file of a model; written: when that was, in words."""
+
+    digest: str
+    written: str
+
+
+def _model_there(path: Path) -> _Before | None:
+    """What a file was before onboarding, None where there is none."""
     if not path.is_file():
         return None
     written = datetime.fromtimestamp(path.stat().st_mtime)
-    return path.read_bytes(), f"{written:%Y-%m-%d at %H:%M}"
+    return _Before(_digest(path), f"{written:%Y-%m-%d at %H:%M}")
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _settle(result: Onboarded, before: _Before | None, to_have_both: str) -> None:
+    """Where a model replaced another, say so, and forget what was said of that one."""
+    from huepose_services.models import forget_verdict
+
+    if before is None or before.digest == _digest(result.path):
+        return
+    forget_verdict(result.path.parent, result.name)
+    Status().line(
+        f"note: {result.path} replaced another reference model named {result.name}, made on "
+        f"{before.written}. To have both, {to_have_both}"
+    )
 
 
 def call_bop(arguments: argparse.Namespace) -> int:
@@ -181,7 +202,7 @@ def call_bop(arguments: argparse.Namespace) -> int:
 
     if arguments.processes < 1:
         raise InputError("--processes", found=str(arguments.processes), expected="1 or more")
-    _check_folder(arguments.out)
+    check_folder(arguments.out)
     models = bop_models(arguments.models_dir, arguments.ids)
     failed = onboard_models(models, arguments.out, arguments.paper, arguments.processes)
     if failed:
@@ -193,9 +214,11 @@ def call_bop(arguments: argparse.Namespace) -> int:
 
 def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes: int) -> list[str]:
     """Onboard them, say what became of each, and return the names of those that failed."""
+    from huepose.model.io import model_path
     from huepose.onboarding.batch import Job, Onboarded, StageBegun, onboard_many
     from huepose.onboarding.reference import STAGES
 
+    before = {m.name: _model_there(model_path(out, m.name)) for m in models}
     jobs = [
         Job(m.mesh_path, m.name, m.object_id, "mm", info=m.info, frame_offset_m=m.frame_offset_m, paper=paper)
         for m in models
@@ -208,6 +231,7 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
         for event in events:
             if isinstance(event, Onboarded):
                 _say(in_words(event))
+                _settle(event, before[event.name], "onboard these into another folder, --out")
             elif not isinstance(event, StageBegun):
                 failures.append(event.name)
                 _say(f"{event.name:28s} failed: {event.reason}")
@@ -216,9 +240,10 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
     return failures
 
 
-def _check_folder(out: Path) -> None:
+def check_folder(out: Path) -> None:
+    """Raises InputError where results cannot go there because it is a file: asked before the work."""
     if out.exists() and not out.is_dir():
-        raise InputError(f"--out {out}", found="a file", expected="a folder, which may be new")
+        raise InputError(out, found="a file", expected="a folder, which may be new")
 
 
 def _advance(steps: Iterator[int]) -> None:

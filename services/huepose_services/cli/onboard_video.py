@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
+from huepose.support.files import check_place
 from huepose.support.progress import progress
 from huepose_services.cli.options import add_box, add_path
 
@@ -44,8 +45,9 @@ def add_video(parser: argparse.ArgumentParser) -> None:
         parser,
         "--from-video",
         "RECORDING",
-        "without a mesh: a recording of `huepose record` (.mcap), a bag of ROS (a .bag, or its folder) or a "
-        "BOP scene's folder, in which the object is turned by hand or on a turntable; with --box or --click",
+        "without a mesh: a recording of `huepose record` (.mcap), a bag of ROS (a .bag, .db3 or .mcap, or "
+        "its folder) or a BOP scene's folder, in which the object is turned by hand or on a turntable; with "
+        "--box or --click",
     )
     add_box(parser, "the object in the recording's first frame, pixels")
     parser.add_argument(
@@ -88,11 +90,11 @@ def mesh_from_video(arguments: argparse.Namespace) -> FromVideo | None:
     from huepose.onboarding.from_video import Selection
 
     check_name(arguments.name)
+    path = Path(arguments.out) / f"{arguments.name}_mesh" / f"{arguments.name}.obj"
+    check_place(path)
     selection = Selection(Box(*arguments.box)) if arguments.box else Selection(click=tuple(arguments.click))
     made = _learned(_scene(video), selection, arguments.name)
-    folder = Path(arguments.out) / f"{arguments.name}_mesh"
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{arguments.name}.obj"
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_obj(path, made.mesh)
     facts = {
         "mesh": str(path),
@@ -108,24 +110,33 @@ def mesh_from_video(arguments: argparse.Namespace) -> FromVideo | None:
 
 
 def _scene(path: Path) -> Scene:
+    if _is_bag(path):
+        from huepose.datasets.rosbag import RosbagScene
+
+        return RosbagScene(path)
     if path.suffix == ".mcap":
         from huepose_services.camera.recording import RecordedScene
 
         return RecordedScene(path)
-    if path.suffix in (".bag", ".db3") or (path / "metadata.yaml").is_file():
-        from huepose.datasets.rosbag import RosbagScene
-
-        return RosbagScene(path)
     if path.is_file():
         raise InputError(
             path,
             found="another kind of file",
-            expected="a recording of `huepose record` (.mcap), a bag of ROS (a .bag, or its folder) or the "
-            "folder of a BOP scene",
+            expected="a recording of `huepose record` (.mcap), a bag of ROS (a .bag, .db3 or .mcap, or its "
+            "folder) or the folder of a BOP scene",
         )
     from huepose.datasets.bop import BopScene
 
     return BopScene(path)
+
+
+def _is_bag(path: Path) -> bool:
+    """Whether it is a bag of ROS: a file or a folder of one."""
+    if path.suffix == ".mcap":
+        from huepose_services.recording.read import is_of_ros
+
+        return is_of_ros(path)
+    return path.suffix in (".bag", ".db3") or (path / "metadata.yaml").is_file()
 
 
 def _learned(scene: Scene, selection: Selection, name: str) -> Learned:

@@ -7,6 +7,7 @@ import json
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
@@ -18,6 +19,9 @@ from huepose.support.lengths import METRES
 if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
     from huepose_services.runtime.running import Pipeline
+
+
+_SAY_WAITING_AFTER_S = 3.0
 
 
 def _file_or_output(name: str) -> Path | bool:
@@ -105,6 +109,22 @@ def add_number(
     parser.add_argument(option, type=type(default), default=default, metavar=unit, help=text)
 
 
+def add_from_zero(parser: argparse.ArgumentParser, option: str, text: str) -> None:
+    """Add an option that is a whole number, 0 or more, and 0 by default: a seed, for example."""
+    parser.add_argument(option, type=from_zero, default=0, metavar="N", help=text)
+
+
+def from_zero(text: str) -> int:
+    """A word as a whole number, 0 or more. Raises argparse's error."""
+    try:
+        number = int(text)
+    except ValueError:
+        number = -1
+    if number < 0:
+        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 0 or more")
+    return number
+
+
 def add_seconds(parser: argparse.ArgumentParser, text: str) -> None:
     """Add `--seconds`: after how many to end, more than 0; None where it is not given."""
     parser.add_argument("--seconds", type=_seconds, metavar="S", help=text)
@@ -155,7 +175,8 @@ def add_unit(parser: argparse.ArgumentParser) -> None:
 
 
 def until_told() -> Callable[[], bool]:
-    """From now on Ctrl-C and SIGTERM end nothing by themselves: the answer is whether one of them came."""
+    """From now on Ctrl-C, SIGTERM and the end of the terminal (SIGHUP, unless nohup has it ignored) end
+    nothing by themselves: the answer is whether one of them came."""
     told = False
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -164,6 +185,8 @@ def until_told() -> Callable[[], bool]:
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, stop)
     return lambda: told
 
 
@@ -199,6 +222,24 @@ def say_if_unknown(pipeline: Pipeline) -> None:
     """Say what is waited for where nobody has noted that the pipeline runs: it may all the same."""
     if not pipeline.noted:
         say(f"looking for a pipeline at port {pipeline.base_port} ...")
+
+
+class Waiting:
+    """Of who waits to hear the pipeline that is meant."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self._arguments = arguments
+        self._place = chosen(arguments, tell=False).place
+        self._say_at = time.monotonic() + _SAY_WAITING_AFTER_S
+
+    def for_another(self) -> bool:
+        """Whether another pipeline is meant now than at first: it was started meanwhile. Asked again and
+        again, it says once what is waited for."""
+        pipeline = chosen(self._arguments, tell=False)
+        if time.monotonic() > self._say_at:
+            self._say_at = float("inf")
+            say(f"waiting for a pipeline: {pipeline.absence}")
+        return pipeline.place != self._place
 
 
 def chosen_config(arguments: argparse.Namespace) -> Config:

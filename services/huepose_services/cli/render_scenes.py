@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 from huepose.support.words import counted
-from huepose_services.cli.options import add_number, add_one_of, add_path, add_several
+from huepose_services.cli.options import add_from_zero, add_number, add_one_of, add_path, add_several
 
 if TYPE_CHECKING:
     from huepose.geometry import Mesh
@@ -31,7 +31,7 @@ def add_parser(subparsers: Any) -> None:
         help="BOP models folder; builtin: those of the demo, whose meshes are written to OUT/models",
     )
     other = "with builtin: the same shapes in other textures, look-alikes of the demo's (0: the demo's own)"
-    add_number(parser, "--textures", 0, other)
+    add_from_zero(parser, "--textures", other)
     add_one_of(
         parser,
         "--kind",
@@ -40,7 +40,7 @@ def add_parser(subparsers: Any) -> None:
     )
     add_path(parser, "--out", "DIR", "scene folder", required=True)
     add_number(parser, "--frames", 100, "how many (100)")
-    add_number(parser, "--seed", 0, "of everything that varies (0)")
+    add_from_zero(parser, "--seed", "of everything that varies (0)")
     add_several(parser, "--objects", "ID", "only these ids", kind=int)
     parser.set_defaults(call=call)
 

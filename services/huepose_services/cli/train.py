@@ -10,7 +10,7 @@ from typing import Any
 
 from huepose.support.errors import InputError
 from huepose.support.files import write_text
-from huepose_services.cli.options import add_number, add_path, add_some_of
+from huepose_services.cli.options import add_from_zero, add_number, add_path, add_some_of
 
 
 def add_parser(subparsers: Any) -> None:
@@ -53,13 +53,20 @@ def _add_views(whats: Any) -> None:
         "scenes. Leaves views.onnx, verification.onnx, views.json, views.png and checkpoint.pt.",
     )
     _add_limits(parser)
+    add_number(
+        parser,
+        "--room",
+        6000,
+        "objects that are kept to learn from, the newest, 3 MB each: 6000 take 18 GB of memory, the GPU's "
+        "with --device cuda, else the computer's, more and more as they are drawn (6000)",
+    )
     parser.set_defaults(call=train_views)
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "--out", "DIR", "where the network goes", required=True)
     add_number(parser, "--hours", 2.0, "wall time (2)", "H")
-    add_number(parser, "--seed", 0, "of what is drawn, and of the first weights (0)")
+    add_from_zero(parser, "--seed", "of what is drawn, and of the first weights (0)")
     add_number(parser, "--workers", 1, "processes that draw (1)")
     parser.add_argument("--device", default="cpu", help="cpu or cuda (cpu)")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in DIR")
@@ -79,9 +86,11 @@ def train_rotation(arguments: argparse.Namespace) -> int:
 def train_views(arguments: argparse.Namespace) -> int:
     """Train, and say how good it became."""
     common = _common(arguments)
+    if arguments.room < 1:
+        raise InputError("--room", found=str(arguments.room), expected="1 or more")
     from huepose.training.view_codes import NAME, ViewCodeTraining, train
 
-    config = ViewCodeTraining(**common)
+    config = ViewCodeTraining(**common, room=arguments.room)
     _told(arguments.out / f"{NAME}.json", train(config, arguments.out, arguments.resume))
     return 0
 

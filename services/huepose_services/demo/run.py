@@ -99,6 +99,9 @@ def run_demo(
         sys.stderr.write(log_path.read_text())
         shutil.rmtree(folder)
         raise
+    except OSError:  # nobody reads what it says any more: its terminal is closed
+        shutil.rmtree(folder)
+        raise
     if stopping():
         shutil.rmtree(folder)
         raise KeyboardInterrupt

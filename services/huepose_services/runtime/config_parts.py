@@ -117,8 +117,6 @@ def check_hosts(config: Config, refuse: Refuse) -> None:
             ends = " or ".join(", ".join(perception[i:]) for i in range(len(perception)))
             fix = "What follows on the first of them runs there too: the pixels go there once."
             refuse(f"hosts.{host}", ", ".join(workers) or "none", ends or "perception in `workers`", fix)
-        if config.detector.kind == "truth" and "detector" in workers:
-            refuse("detector.kind", "truth", "another, as it runs where the source is not", "See `hosts`.")
         if config.link.connect is None:
             expected = f"address and port by which {host} reaches the camera's computer"
             refuse("link.connect", "null", expected, "Set it: robot.local:7448.")

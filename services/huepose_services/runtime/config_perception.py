@@ -96,9 +96,8 @@ class CameraConfig(Section, frozen=True, kw_only=True):
 class DetectorConfig(Section, frozen=True, kw_only=True):
     """How boxes are found."""
 
-    kind: Literal["colorpair", "truth", "first_box", "yolo"] = "colorpair"
+    kind: Literal["colorpair", "first_box", "yolo"] = "colorpair"
     boxes: dict[Name, tuple[Side, Side, Side, Side]] = {}
-    seed: Annotated[int, Meta(ge=0)] = 0
     model: str | None = None
     layout: Layout = "auto"
     classes: dict[Name, Class | list[Class]] = {}
@@ -212,14 +211,12 @@ def _check_tf(camera: CameraConfig, tf: TfConfig, workers: Collection[str], refu
             "`mount` is where the camera is in the frame `tf.child`; leave it out where that is the camera's."
         )
         refuse("camera.mount.parent", camera.mount.parent, f"{tf.child}, as camera.tf.child", fix)
+    if camera.mount is not None and tf.child == camera.frame:
+        refuse("camera.mount", "one", f"none beside the camera's own frame, {tf.child}", "Take it out.")
 
 
-def check_detector(
-    detector: DetectorConfig, runs: bool, truth: bool, names: Collection[str], refuse: Refuse
-) -> None:
+def check_detector(detector: DetectorConfig, runs: bool, names: Collection[str], refuse: Refuse) -> None:
     """The same for the detector; `runs`: whether it is among the workers, `names`: the objects by name."""
-    if detector.kind == "truth" and runs and not truth:
-        refuse("detector.kind", "truth", "camera.truth: true beside it", "Set camera.truth to true.")
     if detector.kind == "first_box" and not detector.boxes and runs:
         refuse("detector.boxes", "none", "a box [x, y, w, h] by object", "Give each object's first box.")
     for name, box in detector.boxes.items():

@@ -77,11 +77,15 @@ class Inbox:
         self._start((session or self._session).declare_subscriber(key, channel), ring)
         return ring
 
-    def queue(self, key: str, wakes: bool = True, session: zenoh.Session | None = None) -> Place:
-        """Subscribe for everything; session: another one."""
+    def queue(
+        self, key: str, wakes: bool = True, session: zenoh.Session | None = None, own: bool = True
+    ) -> Place:
+        """Subscribe for everything; session: another one; own: also to what that session publishes itself."""
         queue = Place(self._ready, _QUEUE_CAPACITY, wakes)
         channel: Any = zenoh.handlers.FifoChannel(256)
-        self._start((session or self._session).declare_subscriber(key, channel), queue)
+        origin = zenoh.Locality.ANY if own else zenoh.Locality.REMOTE
+        subscriber = (session or self._session).declare_subscriber(key, channel, allowed_origin=origin)
+        self._start(subscriber, queue)
         return queue
 
     def history(self, key: str, session: zenoh.Session) -> Place:

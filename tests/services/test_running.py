@@ -210,11 +210,12 @@ def test_top_ends_at_ctrl_c_wherever_that_comes(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("first", "said"), [("", "True\n"), ("signal.signal(signal.SIGHUP, signal.SIG_IGN); ", "False\n")]
+    ("before", "said"), [("SIG_DFL", "True\n"), ("SIG_IGN", "False\n")], ids=["terminal", "nohup"]
 )
-def test_a_terminal_that_is_closed_ends_it_in_order_unless_nohup_is_before_it(first, said):
+def test_a_terminal_that_is_closed_ends_it_in_order_unless_nohup_is_before_it(before, said):
     code = (
-        f"import signal; {first}from huepose_services.cli.options import until_told\n"
+        f"import signal; signal.signal(signal.SIGHUP, signal.{before})\n"
+        "from huepose_services.cli.options import until_told\n"
         "told = until_told(); signal.raise_signal(signal.SIGHUP); print(told())"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0)

@@ -147,7 +147,9 @@ class Orientation:
             return 0.0
         rival = best_rival(self._subject, first, turns, frame, light)
         margin = np.inf if rival is None else lead(self._subject.surface, first, rival, frame)
-        self.facing = self.facing.told(margin, view)
+        # What perception is settled about, by a closer look, a coarser one does not unsettle: it is only noted.
+        noted = replace(self.facing, asked=view, lead=margin)
+        self.facing = self.facing.told(margin, view) if self.facing.open(view) else noted
         return COSTS if len(turns) else 0.0
 
     def impossible(self, found: Hypothesis, followed: Hypothesis, gone_s: float, least_lead: float) -> bool:

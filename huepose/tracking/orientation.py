@@ -147,7 +147,7 @@ class Orientation:
             return 0.0
         rival = best_rival(self._subject, first, turns, frame, light)
         margin = np.inf if rival is None else lead(self._subject.surface, first, rival, frame)
-        # What perception is settled about, by a closer look, a coarser one does not unsettle: it is only noted.
+        # Perception looked closer: what it is settled about is only noted here.
         noted = replace(self.facing, asked=view, lead=margin)
         self.facing = self.facing.told(margin, view) if self.facing.open(view) else noted
         return COSTS if len(turns) else 0.0

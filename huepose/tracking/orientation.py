@@ -171,10 +171,10 @@ class Orientation:
 def lead_to_turn(subject: Subject, anchor: Anchor, T_cam_obj: Float64, seconds: float) -> float:
     """By how much of a total a near-symmetric rotation must lead the followed pose to be taken. What rests
     has not turned: only what outweighs the belief in its turn says that it was wrong. 0 for what moves."""
-    if seconds > REST_S or anchor.unseen_s > 0.0:
+    if seconds > REST_S or anchor.unseen_s > 0.0 or anchor.turn_odds <= 0.0 or not len(subject.other_turns):
         return 0.0
     rests = same_pose(subject, anchor.first.T_cam_obj, T_cam_obj, RESTS)
-    return max(anchor.turn_odds, 0.0) / SHARPNESS if rests else 0.0
+    return anchor.turn_odds / SHARPNESS if rests else 0.0
 
 
 SHARPNESS = 24.0

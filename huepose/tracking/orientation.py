@@ -142,14 +142,14 @@ class Orientation:
         also where the orientation is settled. Returns the number of costly proposals used."""
         if self.facing is None:
             return 0.0
-        turns = self._subject.other_turns[self.facing.doubted]
-        if not self.facing.open(view) and not (settled and len(turns)):
+        turns, is_open = self._subject.other_turns[self.facing.doubted], self.facing.open(view)
+        if not is_open and not (settled and len(turns)):
             return 0.0
         rival = best_rival(self._subject, first, turns, frame, light)
         margin = np.inf if rival is None else lead(self._subject.surface, first, rival, frame)
         # Perception looked closer: what it is settled about is only noted here.
         noted = replace(self.facing, asked=view, lead=margin)
-        self.facing = self.facing.told(margin, view) if self.facing.open(view) else noted
+        self.facing = self.facing.told(margin, view) if is_open else noted
         return COSTS if len(turns) else 0.0
 
     def impossible(self, found: Hypothesis, followed: Hypothesis, gone_s: float, least_lead: float) -> bool:

@@ -94,14 +94,17 @@ class Orientation:
         """This pose is sure: rotation is measured from here."""
         self.sure, self.sure_ns = first, stamp_ns
 
-    def slide(self, margin: float, view: Float64) -> None:
+    def slide(self, margin: float, view: Float64, rests: bool) -> None:
         """Doubt all rotations where the object may have slid about its axis, unnoticed. margin: how far the
-        total after the best small rotation is behind. One that was as near when they were judged last says
-        nothing of a slide."""
-        if self.facing is None or self.facing.knows(margin, view):
+        total after the best small rotation is behind; rests: it lies where it did. One that was as near when
+        they were judged last says nothing of a slide; while it rests, also when perception judged them."""
+        facing = self.facing
+        if facing is None or facing.knows(margin, view):
             return
-        if probability(SHARPNESS * margin) < self._config.tracking_quality:
-            self.facing = self.facing.jumped(view, np.ones(len(self._subject.other_turns), bool))
+        if rests and facing.settled and facing.asked is None:
+            self.facing = replace(facing, asked=view, lead=margin)
+        elif probability(SHARPNESS * margin) < self._config.tracking_quality:
+            self.facing = facing.jumped(view, np.ones(len(self._subject.other_turns), bool))
 
     def check(self, anchor: Anchor, first: Hypothesis, view: Float64, frame: RgbdFrame, hurry: bool) -> float:
         """Test a pose against its near-symmetric rotations. If the object can have turned to one of them
@@ -133,23 +136,17 @@ class Orientation:
             facing = facing.jumped(view, new)
             self.see(first, frame.stamp_ns)  # This doubt is known from here on.
         self.facing = facing
-        return 0.0 if hurry else self.ask(first, view, frame, anchor.usual.light, settled=False)
+        return 0.0 if hurry else self.ask(first, view, frame, anchor.usual.light)
 
-    def ask(
-        self, first: Hypothesis, view: Float64, frame: RgbdFrame, light: Float64 | None, *, settled: bool
-    ) -> float:
-        """Compare a pose with the best of the doubted near-symmetric rotations, if one may be right. settled:
-        also where the orientation is settled. Returns the number of costly proposals used."""
-        if self.facing is None:
+    def ask(self, first: Hypothesis, view: Float64, frame: RgbdFrame, light: Float64 | None) -> float:
+        """Compare a pose with the best of the doubted near-symmetric rotations, if one may be right. Returns
+        the number of costly proposals used."""
+        if self.facing is None or not self.facing.open(view):
             return 0.0
-        turns, is_open = self._subject.other_turns[self.facing.doubted], self.facing.open(view)
-        if not is_open and not (settled and len(turns)):
-            return 0.0
+        turns = self._subject.other_turns[self.facing.doubted]
         rival = best_rival(self._subject, first, turns, frame, light)
         margin = np.inf if rival is None else lead(self._subject.surface, first, rival, frame)
-        # Perception looked closer: what it is settled about is only noted here.
-        noted = replace(self.facing, asked=view, lead=margin)
-        self.facing = self.facing.told(margin, view) if is_open else noted
+        self.facing = self.facing.told(margin, view)
         return COSTS if len(turns) else 0.0
 
     def impossible(self, found: Hypothesis, followed: Hypothesis, gone_s: float, least_lead: float) -> bool:

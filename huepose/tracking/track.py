@@ -122,7 +122,7 @@ class Track:
         anchor = Anchor(*seen, self._unseen_s, self._place, self._known, turn_odds)
         found = advance(self.subject, anchor, frame, self._config, resting, begun, tries)
         orientation, facing = self._orientation, self._orientation.facing
-        orientation.slide(found.margin, self._view())
+        orientation.slide(found.margin, self._view(), found.least_lead > 0.0)
         self._take(anchor, found, frame)
         if self.hypotheses[0].source in LOOKED_FOR:
             orientation.facing = facing  # The pose that may have rotated is not the one that is believed.
@@ -248,7 +248,7 @@ class Track:
         if self.evidence >= self._config.lost_quality:
             view = self._view()
             self._orientation.begin(quality, view)
-            tried += self._orientation.ask(first, view, frame, light, settled=True)
+            tried += self._orientation.ask(first, view, frame, light)
         known = self.usual.baseline
         self.learn()
         if known is None and self.usual.baseline is not None:

@@ -343,6 +343,19 @@ def test_what_rests_is_turned_only_by_what_outweighs_the_belief_in_its_turn(soup
         assert not orientation.impossible(turned, first, 0.1, 0.0)
 
 
+def test_what_rests_has_not_slid_since_perception_judged_it(soup_can: ReferenceModel) -> None:
+    def after(rests: bool, *margins: float) -> float:
+        orientation = Orientation(Subject.of(soup_can), TrackerConfig())
+        orientation.begin(0.99, VIEW)
+        for margin in margins:
+            orientation.slide(margin, VIEW, rests)
+        return orientation.probability
+
+    assert after(True, -0.02, -0.03) == pytest.approx(0.99)
+    assert after(True, -0.02, -0.05) <= 0.5, "another turn is nearer than it was"
+    assert after(False, -0.02) <= 0.5
+
+
 def test_a_rival_that_was_as_near_before_is_no_new_doubt() -> None:
     facing = Facing.of(0.99, VIEW, 2).told(-0.03, VIEW)
     assert facing.knows(-0.05, VIEW)

@@ -154,7 +154,7 @@ def tracked_ms(models: Models, count: int, camera: Camera = CAMERA) -> float:
     tracker.warm_up()
     first = picture(models, count, 0, camera)
     for k, (name, model) in enumerate(islice(models.items(), count)):
-        tracker.correct(Correction.first(name, truth(model, k, 0, count), first))
+        tracker.correct(Correction.first(name, truth(model, k, 0, count), first, 1.0))
     frames = (picture(models, count, i, camera) for i in range(FRAMES))
     return median_ms([lambda f=f: tracker.step(f) for f in frames])
 
@@ -309,7 +309,7 @@ def own_mib(worker: str, folder: str, asked: int) -> float:
         held = Tracker(models)
         held.warm_up()
         for name, frame in shown:
-            held.correct(Correction.first(name, truth(models[name], 0, 0, 1), frame))
+            held.correct(Correction.first(name, truth(models[name], 0, 0, 1), frame, 1.0))
             held.step(frame)
     elif worker == "estimator":
         held = Estimator(models)

@@ -75,7 +75,7 @@ def stages() -> dict[str, Work]:
     def track() -> None:
         tracker = Tracker(models, settings.tracker)
         for name, T in poses.items():
-            tracker.correct(Correction.first(name, T, frames[0]))
+            tracker.correct(Correction.first(name, T, frames[0], 1.0))
         for frame in frames[1:]:
             tracker.step(frame)
 

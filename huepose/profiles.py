@@ -5,7 +5,7 @@ is what runs. `live` is for a stream of frames, where time is short and the next
 for single frames, where an answer may take longer.
 
 >>> profile("live").tracker.tries_per_s
-15.0
+30.0
 """
 
 from __future__ import annotations

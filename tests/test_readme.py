@@ -11,6 +11,7 @@ from huepose.geometry import se3
 from huepose.model import save_model
 from huepose.scenes.builtin import first_shot
 from huepose.scenes.camera import CAMERA
+from huepose.scenes.shapes import demo_objects
 from huepose_services.cli.new import write_frame
 
 ROOT = Path(__file__).parents[1]
@@ -39,6 +40,17 @@ def test_the_library_example_finds_and_tracks_the_object(example, capsys):
     (tracked,) = names["tracker"].poses()
     assert tracked.state == "TRACKING"
     assert se3.rotation_angle(tracked.T_cam_obj, T_cam_obj) < np.radians(1.0)
+
+
+def test_a_look_alike_is_no_surer_in_the_tracker_than_in_its_estimate(example, capsys):
+    """The box of another seed: the same shape, another print."""
+    code, _ = example
+    write_frame(Path("tea_box"), first_shot({"tea_box": demo_objects(1)["tea_box"]}), CAMERA)
+    names = {}
+    exec(compile(code, "README.md", "exec"), names)
+    assert names["pose"].state == "SUSPECT"
+    (tracked,) = names["tracker"].poses()
+    assert tracked.state == "SUSPECT"
 
 
 def test_the_library_example_goes_on_where_no_pose_is_found(example, capsys):

@@ -37,7 +37,7 @@ def ticks(low: float, high: float, about: int = 6) -> list[float]:
     [0.0, 0.2, 0.4, 0.6, 0.8]
     """
     raw = (high - low) / max(about - 1, 1)
-    power = 10.0 ** np.floor(np.log10(raw))
+    power = float(10.0 ** np.floor(np.log10(raw)))
     step = power * min((m for m in (1, 2, 5, 10) if m * power >= raw * 0.999), default=10)
     first, last = int(np.ceil(low / step - 1e-6)), int(np.floor(high / step + 1e-6))
     return [round(k * step, 12) + 0.0 for k in range(first, last + 1)]

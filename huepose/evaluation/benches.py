@@ -106,7 +106,7 @@ def bench_track(
     first = scene.frame(0)
     for truth in scene.truths(0):
         if truth.object is not None and truth.T_cam_obj is not None:
-            tracker.correct(Correction.first(truth.object, truth.T_cam_obj, first))
+            tracker.correct(Correction.first(truth.object, truth.T_cam_obj, first, 1.0))
     rows: dict[str, list[tuple[float, float]]] = {"track": []}
     first_s = 0.0
     for i in progress(range(TRACKED), "tracking"):

@@ -41,6 +41,7 @@ from huepose.scenes.rendered import Drawn, SceneRanges, check_sizes, rendered_fr
 from huepose.support.errors import InputError
 from huepose.support.lengths import length
 from huepose.support.progress import progress
+from huepose.tracking.uncertainty import exact_within_m
 
 Verdict = Literal["suits", "suits with limits", "does not suit"]
 
@@ -52,6 +53,9 @@ RANGES = SceneRanges(distance_m=(0.45, 2.0))
 WELL, SOMETIMES = 0.9, 0.5
 """Shares of right poses from which an object suits, and from which it suits with limits: what a user would
 call reliable, and what tracking still confirms over several frames."""
+
+NEAR_ENOUGH_M = 1.0
+"""An object suits with limits that can only be TRACKING nearer than this: a table before a robot."""
 
 LEAST_SURE = 0.2
 """Share of poses that are right and TRACKING under which an object does not suit, however many are right: a
@@ -242,14 +246,23 @@ def suitability_of(model: ReferenceModel, trials: Sequence[Trial]) -> Suitabilit
             "One picture alone seldom makes it sure (TRACKING): a pipeline needs several that agree, and "
             "takes longer to confirm it."
         )
+    exact_m = exact_within_m(model.surface.points.astype(np.float64) - model.mesh.centre, model.diameter_m)
+    tiny = exact_m < NEAR_ENOUGH_M
+    if tiny:
+        where = f"Farther away than {exact_m:.1f} m" if exact_m else "Wherever it is,"
+        reasons.insert(
+            0,
+            f"It is small: errors of the depth camera and of the mesh are a large part of its "
+            f"{length(model.diameter_m)}. {where} a pipeline never calls a pose of it TRACKING.",
+        )
     wrong = int((sure & ~right).sum())
     if wrong:
         said = f"In {wrong} of {len(trials)} scenes a wrong pose was taken as sure (TRACKING)."
         reasons.insert(0, said)
     verdict: Verdict = "suits" if share >= WELL else "does not suit"
-    if (plain or wrong or verdict != "suits") and max(share, shape) >= SOMETIMES:
+    if (plain or wrong or tiny or verdict != "suits") and max(share, shape) >= SOMETIMES:
         verdict = "suits with limits"
-    if wrong > MOST_FALSE * len(trials) or tracking < LEAST_SURE:
+    if wrong > MOST_FALSE * len(trials) or tracking < LEAST_SURE or not exact_m:
         verdict = "does not suit"
     if verdict == "does not suit" and not reasons:
         reasons.append("Its pose is seldom right, alone or among other things: look at the trials.")

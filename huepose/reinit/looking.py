@@ -13,9 +13,10 @@ from huepose.reinit.types import RequestedObject
 
 if TYPE_CHECKING:
     from huepose.perception.colorpair_detector import ColorPairDetector
+    from huepose.perception.types import Detection
 
 SAME_BOX = 0.5
-"""Overlap of a found box with that of a tracked object from which it is that object's."""
+"""Overlap of a found box with that of a tracked object from which it lies on that object."""
 
 NEW_TURNS = 2
 """So many objects that never had a turn have it at once. More would let those wait that a first look finds,
@@ -33,7 +34,7 @@ class Place(NamedTuple):
 
 
 class Looks:
-    """Where to look: in the box of a fresh prediction, else in those that a detector finds.
+    """Where to look: in the box of a fresh prediction, else in those that a detector finds (`chosen`).
 
     One missing object at a time, by turns, is searched with all effort: a request costs the same however many
     are missing. Of those that never had a turn NEW_TURNS have it at once."""
@@ -53,13 +54,13 @@ class Looks:
             if asked.others
         }
         seen = self._detector.detect(frame, names, self.turn(names), followed) if names else []
-        taken = [box for box in predicted if box is not None]
-        out = []
-        for asked, box in zip(objects, predicted, strict=True):
-            mine = [Place(d.box, d.score) for d in seen if d.object == asked.object]
-            free = [place for place in mine if all(place.box.iou(other) < SAME_BOX for other in taken)]
-            out.append(free[: asked.wanted] if box is None else [Place(box)])
-        return out
+        tracked = [(a.object, box) for a, box in zip(objects, predicted, strict=True) if box is not None]
+        return [
+            [Place(d.box, d.score) for d in chosen(seen, asked.object, asked.wanted, tracked)]
+            if box is None
+            else [Place(box)]
+            for asked, box in zip(objects, predicted, strict=True)
+        ]
 
     def turn(self, names: Sequence[str]) -> list[str]:
         """Who has it now: objects that never had a turn, or that whose turn is longest ago."""
@@ -76,6 +77,23 @@ class Looks:
         box = asked.prior.fresh_box(frame.stamp_ns, lambda T: self._box_of(asked.object, T, camera))
         box = None if box is None else box.clipped(camera.width, camera.height)
         return box if box is not None and box.w >= 1.0 and box.h >= 1.0 else None
+
+
+def chosen(
+    seen: Sequence[Detection], name: str, wanted: int, tracked: Sequence[tuple[str, Box]]
+) -> list[Detection]:
+    """Which of the places that a detector has seen are looked at for new instances of an object, best first:
+    as many as are wanted of those on which nothing tracked lies; and its best one, even if another object is
+    tracked there: which of the two fits better is told only by a look at both. tracked: names and boxes;
+    where an instance of the object itself is, no other one is."""
+    own, any_of_them = [box for other, box in tracked if other == name], [box for _, box in tracked]
+    mine = [d for d in seen if d.object == name and _lies_on_none(d.box, own)]
+    free = [d for d in mine if _lies_on_none(d.box, any_of_them)][:wanted]
+    return [d for d in mine if d is mine[0] or d in free]
+
+
+def _lies_on_none(box: Box, boxes: Sequence[Box]) -> bool:
+    return all(box.iou(other) < SAME_BOX for other in boxes)
 
 
 def query_of(asked: RequestedObject, box: Box, stamp_ns: int, masks: tuple[Bool, ...] = ()) -> ObjectQuery:

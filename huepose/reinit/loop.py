@@ -315,8 +315,7 @@ class ReinitLoop:
     ) -> Correction:
         seq = self._outbox.next_seq(key, self._now_ns)
         frame = (result.epoch, result.frame_id, result.stamp_ns)
-        found = (estimate.mask, estimate.reason)
-        return Correction(*key, *frame, pose_of(estimate), quality, verdict, seq, *found)
+        return Correction(*key, *frame, pose_of(estimate), quality, verdict, seq, reason=estimate.reason)
 
     def _arriving(self) -> dict[str, int]:
         """How many instances of each object are acquired but have no published pose yet."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Protocol
 
 import numpy as np
 
@@ -66,12 +67,27 @@ class TrackedPose:
         return self.object, self.instance
 
 
+class Estimated(Protocol):
+    """What starts a track of an estimate (`PoseEstimate`)."""
+
+    @property
+    def object(self) -> str: ...
+    @property
+    def instance(self) -> int: ...
+    @property
+    def T_cam_obj(self) -> Float64 | None: ...
+    @property
+    def quality(self) -> float: ...
+    @property
+    def reason(self) -> str: ...
+
+
 @dataclass(frozen=True, eq=False)
 class Correction:
     """A verdict on one instance at one (past) frame, named by epoch, frame_id and capture time stamp_ns
     (CLOCK_MONOTONIC). T_cam_obj (4, 4): object to camera, metres; quality in 0..1; `seq` counts per instance;
-    mask (H, W) bool at that frame; reason: of the estimate behind it. Raises InputError where T_cam_obj is no
-    rigid transform (4, 4)."""
+    mask (H, W) bool at that frame, which the paper's tracker alone reads; reason: of the estimate behind it.
+    Raises InputError where T_cam_obj is no rigid transform (4, 4)."""
 
     object: str
     instance: int
@@ -100,9 +116,20 @@ class Correction:
         object.__setattr__(self, "T_cam_obj", T)
 
     @staticmethod
-    def first(name: str, T_cam_obj: Float64, frame: RgbdFrame, quality: float = 1.0) -> Correction:
-        """What starts the first instance of an object, with T_cam_obj (4, 4) in metres at a frame, for those
-        who run a tracker themselves. Raises InputError where T_cam_obj is no rigid transform."""
+    def of(estimate: Estimated, frame: RgbdFrame) -> Correction:
+        """What starts the instance of an estimate of a frame, as sure as the estimate is, for those who run a
+        tracker themselves. Raises InputError where it has no pose."""
+        T = estimate.T_cam_obj
+        if T is None:
+            raise _no_pose(estimate.object, None, np.zeros(0))
+        first = Correction.first(estimate.object, T, frame, estimate.quality)
+        return replace(first, instance=estimate.instance, reason=estimate.reason)
+
+    @staticmethod
+    def first(name: str, T_cam_obj: Float64, frame: RgbdFrame, quality: float) -> Correction:
+        """What starts the first instance of an object, with T_cam_obj (4, 4) in metres at a frame. quality:
+        how probably that pose is right, 0..1; a true one has 1. Raises InputError where T_cam_obj is no rigid
+        transform."""
         return Correction(
             name, 0, frame.epoch, frame.frame_id, frame.stamp_ns, T_cam_obj, quality, Verdict.ACQUIRE, 1
         )
@@ -110,7 +137,7 @@ class Correction:
 
 def _no_pose(name: str, given: object, T: Float64) -> InputError:
     """What a correction of that object was given as its pose; T: as far as that is numbers."""
-    fix = "Give `pose.T_cam_obj` of an estimate."
+    fix = "Give an estimate to `Correction.of`."
     if given is None:
         found, fix = "None", "Ask `pose.found` first: an estimate without a pose has None."
     elif T.shape != (4, 4):

@@ -16,6 +16,7 @@ from huepose.judge.borders import held
 from huepose.refine.photometric import RESIDUALS_PER_READING
 from huepose.refine.solver import solve_symmetric
 from huepose.support.jit import jit
+from huepose.tracking.evidence import is_loose
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.subject import Subject
 
@@ -36,6 +37,9 @@ medians of error over expected error in 5,900 frames of drawn objects that the p
 
 WEAK_SIGMA = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])
 """What is known even where nothing was measured: the object was tracked a moment ago."""
+
+DISTANCES_M = tuple(0.1 * k for k in range(2, 21))
+"""At which `exact_within_m` asks: from where depth cameras begin to 2 m."""
 
 _NOTHING = np.zeros((6, 6))
 
@@ -68,6 +72,16 @@ def covariance(information: Float64, distance_m: float, by_outline: Float64 = _N
     out = np.empty((6, 6))
     _covariance(information, by_outline, BIAS_SHARE * depth_noise_m(distance_m), out)
     return out
+
+
+def exact_within_m(points: Float64, diameter_m: float) -> float:
+    """The farthest of `DISTANCES_M` at which an object of those points (N, 3), about its centre, can be
+    TRACKING at all: farther away the floors alone make every pose `is_loose`. 0 where they do everywhere."""
+    certain = np.eye(6) / np.finfo(np.float64).eps
+    spreads = [spread_m(covariance(certain, z), np.eye(4), points) / diameter_m for z in DISTANCES_M]
+    return max(
+        (z for z, spread in zip(DISTANCES_M, spreads, strict=True) if not is_loose(spread)), default=0.0
+    )
 
 
 @jit

@@ -28,7 +28,7 @@ from huepose_protos.fields import (
     check_finite,
     check_pose,
 )
-from huepose_protos.parts import KIB, MAX_CANDIDATE_PIXELS, MAX_ESTIMATE_PIXELS, check_masks
+from huepose_protos.parts import KIB, check_masks
 from huepose_protos.parts import BufferSpec as BufferSpec
 from huepose_protos.parts import Clock as Clock
 from huepose_protos.parts import ControlReply as ControlReply
@@ -162,7 +162,7 @@ class Masks(Message, frozen=True, kw_only=True):
     camera: Text = ""
 
     def __post_init__(self) -> None:
-        check_masks((mask for item in self.objects for mask in item.masks), MAX_CANDIDATE_PIXELS)
+        check_masks(mask for item in self.objects for mask in item.masks)
 
 
 class EstimatedObject(Struct, frozen=True, kw_only=True):
@@ -186,7 +186,6 @@ class EstimatedObject(Struct, frozen=True, kw_only=True):
     prior_translation: Vector3 | None = None
     prior_quaternion: Quaternion | None = None
     box: BoxXYWH | None = None
-    mask: MaskRuns | None = None
     seconds: Annotated[float, Meta(ge=0.0)] = 0.0
     reason: Text = ""
 
@@ -214,16 +213,12 @@ class Estimates(Message, frozen=True, kw_only=True):
     picture: Text = ""
     camera: Text = ""
 
-    def __post_init__(self) -> None:
-        check_masks((item.mask for item in self.estimates), MAX_ESTIMATE_PIXELS)
-
 
 class CorrectionMessage(Message, frozen=True, kw_only=True):
     """A verdict of the re-initialisation loop on one instance at one past frame; `seq` counts for each.
     `camera`: why no pose of this camera is to be acted on, as in Estimates; `reason`: why none of this
     instance is, as in its estimate."""
 
-    max_bytes: ClassVar[int] = 256 * KIB
     object: Name
     instance: Index
     camera_epoch: Epoch
@@ -234,7 +229,6 @@ class CorrectionMessage(Message, frozen=True, kw_only=True):
     quality: Fraction
     verdict: VerdictName
     seq: Count
-    mask: MaskRuns | None = None
     camera: Text = ""
     reason: Text = ""
 

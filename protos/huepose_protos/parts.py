@@ -63,14 +63,13 @@ class MaskRuns(Struct, frozen=True, kw_only=True):
 
 MAX_CANDIDATE_PIXELS = 2**28
 """Of all masks of a message: 8 candidates each of 16 objects in a picture of 1920 x 1080."""
-MAX_ESTIMATE_PIXELS = 2**27
-"""The same where each object has one: of 16 objects in a picture of 3840 x 2160."""
 
 
-def check_masks(masks: Iterable[MaskRuns | None], most_pixels: int) -> None:
-    """Raise ValueError for masks that would take more memory than that: a few bytes can stand for much."""
-    if sum(mask.width * mask.height for mask in masks if mask is not None) > most_pixels:
-        raise ValueError(f"the masks have more than {most_pixels} pixels together")
+def check_masks(masks: Iterable[MaskRuns]) -> None:
+    """Raise ValueError for masks of a message that would take too much memory: a few bytes can stand for
+    much."""
+    if sum(mask.width * mask.height for mask in masks) > MAX_CANDIDATE_PIXELS:
+        raise ValueError(f"the masks have more than {MAX_CANDIDATE_PIXELS} pixels together")
 
 
 class BufferSpec(Struct, frozen=True, kw_only=True):

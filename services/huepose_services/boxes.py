@@ -13,7 +13,7 @@ from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.exchanged import Order, order_of_channels
 from huepose.perception.types import Detection, Detector
-from huepose.reinit.looking import SAME_BOX, Looks
+from huepose.reinit.looking import Looks, chosen
 from huepose_protos.messages import (
     DetectedObject,
     FrameHeader,
@@ -71,18 +71,22 @@ class BoxFinder:
         self, detections: Sequence[Detection], header: FrameHeader, request: PerceptionRequest
     ) -> list[DetectedObject]:
         """Detections, best first, to those who asked: a tracked instance gets the box that lies best on its
-        prediction, a new one the best boxes that lie on nothing tracked."""
+        prediction, a new one those that are `chosen`."""
         camera = camera_from_wire(header.intrinsics)
-        priors = [self.prior_box(w.object, w.prior, header, camera) for w in request.objects]
-        others = [self.prior_box(w.object, p, header, camera) for w in request.objects for p in w.others]
-        tracked = [box for box in (*priors, *others) if box is not None]
+        tracked = [
+            (wanted.object, box)
+            for wanted in request.objects
+            for prior in (wanted.prior, *wanted.others)
+            if (box := self.prior_box(wanted.object, prior, header, camera)) is not None
+        ]
         found: list[DetectedObject] = []
-        for wanted, prior in zip(request.objects, priors, strict=True):
+        for wanted in request.objects:
             mine = [d for d in detections if d.object == wanted.object]
             if wanted.instance is None:
-                new = [d for d in mine if all(d.box.iou(other) < SAME_BOX for other in tracked)]
-                found += [detected(wanted, d.box, d.score) for d in new[: wanted.wanted]]
+                new = chosen(mine, wanted.object, wanted.wanted, tracked)
+                found += [detected(wanted, d.box, d.score) for d in new]
             elif mine:
+                prior = self.prior_box(wanted.object, wanted.prior, header, camera)
                 best = mine[0] if prior is None else max(mine, key=lambda d: (d.box.iou(prior), d.score))
                 found.append(detected(wanted, best.box, best.score))
         return found

@@ -14,7 +14,7 @@ from huepose.geometry.arrays import Float, Float64, UInt16
 from huepose.geometry.camera import whole_steps
 from huepose.reinit.types import Prior, RequestedObject
 from huepose.tracking.types import Correction, TrackedPose, Verdict
-from huepose_protos.buffers import frame_images, mask_of, runs_of
+from huepose_protos.buffers import frame_images
 from huepose_protos.messages import CorrectionMessage, FrameHeader, Intrinsics, PoseMessage
 from huepose_protos.messages import Prior as WirePrior
 from huepose_protos.messages import RequestedObject as WireRequested
@@ -98,7 +98,6 @@ _FORMS: dict[str, tuple[tuple[str, ...], tuple[Callable[..., Any], Callable[...,
     "prior_T_cam_obj": (("prior_translation", "prior_quaternion"), _POSE),
     "velocity": (("velocity_linear", "velocity_angular"), _TWIST),
     "covariance": (("covariance",), _COVARIANCE),
-    "mask": (("mask",), (runs_of, mask_of)),
     "box": (("box",), _BOX),
     "box_visib": (("box",), _BOX),
 }
@@ -164,12 +163,9 @@ def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:
     )
 
 
-def correction_from_wire(message: CorrectionMessage, header: FrameHeader | None = None) -> Correction:
-    """The correction of a message. header: of a frame of the same camera epoch; raises WireError for a mask
-    of another size than that frame."""
-    size = None if header is None else (header.intrinsics.height, header.intrinsics.width)
-    mask = None if message.mask is None else mask_of(message.mask, size)
-    return from_wire(Correction, message, mask=mask, verdict=Verdict(message.verdict))
+def correction_from_wire(message: CorrectionMessage) -> Correction:
+    """The correction of a message."""
+    return from_wire(Correction, message, verdict=Verdict(message.verdict))
 
 
 def tracked_to_wire(

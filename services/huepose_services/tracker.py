@@ -269,9 +269,7 @@ class TrackerWork(Work):
         try:
             check_number(message, self._intake.now())
             self._against.hear(message)
-            header = self._header
-            same = header is not None and header.camera_epoch == message.camera_epoch
-            applied = self._tracker.correct(correction_from_wire(message, header if same else None))
+            applied = self._tracker.correct(correction_from_wire(message))
         except (WireError, InputError) as error:
             wrong = error if isinstance(error, WireError) else WireError(str(error))
             self._bus.refuse(self._bus.keys.correction, wrong)

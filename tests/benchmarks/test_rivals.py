@@ -48,7 +48,7 @@ def test_constant_velocity_starts_where_the_motion_leads(tea_box, take_picture, 
     steady = [se3.make(np.eye(3), [0.01 * k, 0.0, 0.0]) @ standing for k in range(3)]
     tracker = LastPoseTracker({"tea_box": tea_box}, noted, constant_velocity=True)
     frame = take_picture([(tea_box.mesh, standing)])
-    tracker.correct(Correction.first("tea_box", steady[0], frame))
+    tracker.correct(Correction.first("tea_box", steady[0], frame, 1.0))
     tracker.step(frame)
     tracker.step(frame)
     tracker._poses["tea_box", 0] = [steady[0], steady[1]]

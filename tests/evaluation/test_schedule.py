@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import doctest
-
 import pytest
 
-from huepose.evaluation import track_protocol
 from huepose.evaluation.track_protocol import fed_images, late_deliveries
 from huepose.support.errors import InputError
 
 
 def at_30_hz(*numbers: int) -> list[int]:
     return [round(n * 1e9 / 30) for n in numbers]
-
-
-def test_examples_in_docstrings() -> None:
-    assert doctest.testmod(track_protocol).failed == 0
 
 
 def test_at_30_hz_it_is_every_sixth_frame_with_the_result_of_six_frames_ago() -> None:

@@ -109,6 +109,27 @@ def about_z(degrees: float) -> np.ndarray:
     return se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.radians(degrees)])), np.zeros(3))
 
 
+@pytest.mark.parametrize(
+    ("diameter_m", "verdict", "said"),
+    [
+        (0.015, "does not suit", "Wherever it is, a pipeline never calls a pose of it TRACKING."),
+        (0.022, "suits with limits", "Farther away than 0.7 m a pipeline never calls a pose of it TRACKING."),
+        (0.04, "suits", None),
+    ],
+)
+def test_what_is_too_small_for_the_errors_of_depth_is_said(
+    tea_box: ReferenceModel, diameter_m: float, verdict: str, said: str | None
+) -> None:
+    scale = diameter_m / tea_box.diameter_m
+    surface = replace(tea_box.surface, points=tea_box.surface.points * np.float32(scale))
+    mesh = replace(tea_box.mesh, vertices=tea_box.mesh.vertices * scale)
+    found = suitability_of(
+        replace(tea_box, mesh=mesh, surface=surface, diameter_m=diameter_m), [trial(True)] * 16
+    )
+    assert found.verdict == verdict
+    assert [reason[reason.index(said) :] for reason in found.reasons if said] == ([said] if said else [])
+
+
 def test_a_turned_pose_is_a_wrong_one(tea_box: ReferenceModel, standing: np.ndarray) -> None:
     right, shape_right, turn = judge(tea_box, standing @ about_z(180.0), standing)
     assert (right, shape_right) == (False, True)

@@ -1,19 +1,8 @@
-"""Means that leave unknown figures out, groups in order, tables; and the examples in the docstrings."""
+"""Means that leave unknown figures out, groups in order, tables."""
 
 from __future__ import annotations
 
-import doctest
-
-import pytest
-
-from huepose.datasets import fast_ycb
-from huepose.evaluation import bootstrap, metrics, result_files, summary
-
-
-@pytest.mark.parametrize("module", [bootstrap, metrics, result_files, summary, fast_ycb])
-def test_examples_in_docstrings(module) -> None:
-    result = doctest.testmod(module)
-    assert (result.failed, result.attempted > 0) == (0, True)
+from huepose.evaluation import summary
 
 
 def test_groups_keep_their_order() -> None:

@@ -1,11 +1,9 @@
 from __future__ import annotations
 
-import doctest
-
 import numpy as np
 import pytest
 
-from huepose.geometry import Box, Camera, RgbdFrame, camera
+from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.geometry.box import given_box
 from huepose.geometry.camera import FLOOR_M, depth_noise_m
 from huepose.support.errors import InputError
@@ -117,4 +115,3 @@ def test_depth_noise_is_that_of_a_stereo_camera_over_a_floor() -> None:
         triangulated = f_px * baseline_m / (f_px * baseline_m / z - disparity_px) - z
         assert depth_noise_m(z) - FLOOR_M == pytest.approx(triangulated, rel=0.02)
     assert depth_noise_m(0.0) == FLOOR_M
-    assert doctest.testmod(camera).failed == 0

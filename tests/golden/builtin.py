@@ -80,7 +80,7 @@ def frames(first: int, every: int, names: Sequence[str]) -> Iterator[tuple[RgbdF
         shot = shoot(stage(), i, _SEED, COLOR, STEREO)
         frame = RgbdFrame(shot.color, shot.depth, CAMERA, i, round(i * 1e9 / _RATE_HZ))
         poses = shot.labels.T_cam_obj
-        yield frame, [Correction.first(name, poses[order.index(name)], frame) for name in names]
+        yield frame, [Correction.first(name, poses[order.index(name)], frame, 1.0) for name in names]
 
 
 def sequence(question: str, first: int, every: int, names: Sequence[str]) -> Answers:

@@ -91,7 +91,7 @@ def _video(question: str) -> Answers:
         for k, image in enumerate(scene.image_ids[::_EVERY]):
             frame = scene.frame(image)
             (truth,) = [t for t in scene.truths(image) if t.object_id == _VIDEO_ID]
-            yield Step(frame, [Correction.first(bottle.name, truth.T_cam_obj, frame)] if k == 0 else ())
+            yield Step(frame, [Correction.first(bottle.name, truth.T_cam_obj, frame, 1.0)] if k == 0 else ())
 
     return tracked(question, {bottle.name: bottle}, steps())
 

@@ -44,7 +44,7 @@ def right(T: np.ndarray | None, truth: np.ndarray) -> bool:
 
 def test_it_follows_and_takes_late_poses(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:
     tracker = PaperTracker({"tea_box": tea_box})
-    first = Correction.first("tea_box", standing, film(0))
+    first = Correction.first("tea_box", standing, film(0), 1.0)
     assert tracker.correct(first) is Applied.CATCHING_UP
     for number in range(4):
         (pose,) = tracker.step(film(number))
@@ -82,7 +82,7 @@ def test_an_object_that_is_found_late_is_followed_to_now(
 
 def test_a_late_mask_is_carried_to_now(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:
     tracker = PaperTracker({"tea_box": tea_box})
-    tracker.correct(Correction.first("tea_box", standing, film(0)))
+    tracker.correct(Correction.first("tea_box", standing, film(0), 1.0))
     for number in range(5):
         tracker.step(film(number))
     then, now = (visible_mask(tea_box, film(k), pose_at(standing, k), 0.01) for k in (1, 4))

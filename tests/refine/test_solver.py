@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import doctest
-
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.refine import solver
 from huepose.refine.solver import (
     Body,
     NormalEquations,
@@ -39,12 +36,6 @@ def slopes(function) -> np.ndarray:
     """Central differences of a function of a step (6,)."""
     h = 1e-6 * np.eye(6)
     return np.array([(function(d) - function(-d)) / 2e-6 for d in h])
-
-
-def test_the_examples_in_the_docstrings() -> None:
-    result = doctest.testmod(solver)
-    assert result.attempted >= 2
-    assert result.failed == 0
 
 
 def test_a_step_shifts_and_turns_about_the_centre_along_the_objects_axes() -> None:

@@ -65,7 +65,7 @@ def played(models, film, late, check=True, handed_over_at=None):
     work, bus = begun(models, config, at)
     first = next(iter(decoded.values()))[1]
     for name, T in (("tea_box", path(0.0)), ("soup_can", CAN)):
-        work._tracker.correct(tracking.Correction.first(name, T, first))
+        work._tracker.correct(tracking.Correction.first(name, T, first, 1.0))
     out = []
     for header, payload in frames:
         if header.frame_id == handed_over_at:
@@ -117,7 +117,7 @@ def test_nobody_looks_where_the_camera_is_not_to_be_checked(box_and_can, film):
 def test_a_camera_that_was_opened_anew_is_not_doubted_for_what_was_before(box_and_can, film):
     tracker, doubt = tracking.Tracker(box_and_can), DelayDoubt(epoch=3, found=(0.033, 0.002, 0.9))
     frame = frame_from_wire(*next(film(0)))
-    tracker.correct(tracking.Correction.first("tea_box", path(0.0), frame))
+    tracker.correct(tracking.Correction.first("tea_box", path(0.0), frame, 1.0))
     poses = [replace(pose, velocity=np.array([0.3, 0, 0, 0, 0, 0])) for pose in tracker.step(frame)]
     doubt.look(replace(frame, epoch=3), poses, tracker)
     assert doubt.of(poses[0]).startswith(LATE)
@@ -130,7 +130,7 @@ def test_of_many_that_move_one_a_frame_is_looked_at(box_and_can, film):
     tracker, doubt = tracking.Tracker(box_and_can), DelayDoubt()
     frame = frame_from_wire(*next(film(0)))
     for name, T in (("tea_box", path(0.0)), ("soup_can", CAN)):
-        tracker.correct(tracking.Correction.first(name, T, frame))
+        tracker.correct(tracking.Correction.first(name, T, frame, 1.0))
     poses = [replace(pose, velocity=np.array([0.3, 0, 0, 0, 0, 0])) for pose in tracker.step(frame)]
     for k in range(6):
         doubt.look(replace(frame, stamp_ns=frame.stamp_ns + k * 33_000_000), poses, tracker)

@@ -92,7 +92,7 @@ def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
         if camera is not None:
             bus.waiting["correction"] = [
                 msgspec.structs.replace(
-                    CORRECTION, camera_epoch=epoch, camera=camera, seq=CORRECTION.seq + next(seq), mask=None
+                    CORRECTION, camera_epoch=epoch, camera=camera, seq=CORRECTION.seq + next(seq)
                 )
             ]
         header, payload = changed_frame(frame, frame, frame)
@@ -116,7 +116,7 @@ def test_an_object_that_perception_speaks_against_is_not_tracking_and_no_other_i
     def after(frame, name="", reason="", epoch=epoch):
         if name:
             changes = {"object": name, "instance": 0, "reason": reason, "seq": CORRECTION.seq + next(seq)}
-            correction = msgspec.structs.replace(CORRECTION, camera_epoch=epoch, mask=None, **changes)
+            correction = msgspec.structs.replace(CORRECTION, camera_epoch=epoch, **changes)
             bus.waiting["correction"] = [correction]
         header, payload = changed_frame(frame, frame, frame)
         bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=epoch), payload)]
@@ -146,7 +146,7 @@ def test_who_takes_over_knows_what_perception_speaks_against(part, light_changes
 
     work = begun()
     first = next(iter(decoded.values()))[1]
-    work._tracker.correct(tracking.Correction.first("part", standing_pose(0.6, 0.0, 0.0), first))
+    work._tracker.correct(tracking.Correction.first("part", standing_pose(0.6, 0.0, 0.0), first, 1.0))
     changes = {"object": "part", "instance": 0, "camera_epoch": first.epoch, "reason": said}
     work._against.hear(msgspec.structs.replace(CORRECTION, **changes))
     for header, payload in frames:
@@ -255,7 +255,9 @@ def test_what_falls_when_the_light_changes_says_so_until_it_is_sure_again(part, 
         return work, work._bus
 
     work, bus = begun()
-    first = tracking.Correction.first("part", standing_pose(0.6, 0.0, 0.0), next(iter(decoded.values()))[1])
+    first = tracking.Correction.first(
+        "part", standing_pose(0.6, 0.0, 0.0), next(iter(decoded.values()))[1], 1.0
+    )
     work._tracker.correct(first)
     for header, payload in frames.values():
         at.append(header)

@@ -39,6 +39,12 @@ def test_what_has_no_pose_is_searched_for_away_from_what_has_one():
     assert detector.asked == [("cube", "can")]
 
 
+def test_a_look_alike_that_is_tracked_does_not_hide_what_may_be_there_instead():
+    detector = Seer(Detection("can", MIDDLE, 0.9), Detection("can", LEFT, 0.3))
+    found = _find(detector, tracked(), new("can"))
+    assert [(d.request.object, d.box) for d in found[1:]] == [("can", MIDDLE), ("can", LEFT)]
+
+
 def test_a_new_instance_is_searched_for_beside_the_others():
     detector = Seer(Detection("cube", LEFT, 0.9))
     moving = msgspec.structs.replace(tracked(0.2).prior, velocity_linear=(1.0, 0.0, 0.0))

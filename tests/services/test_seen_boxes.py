@@ -32,6 +32,14 @@ def test_a_new_instance_gets_no_box_of_another_one():
     assert [d.box for d in _find(detector, new(others=[tracked().prior]))] == [LEFT]
 
 
+def test_a_look_alike_that_is_tracked_does_not_hide_what_may_be_there_instead():
+    detector = Seer(
+        Detection("cube", MIDDLE, 0.4), Detection("can", MIDDLE, 0.9), Detection("can", LEFT, 0.3)
+    )
+    found = _find(detector, tracked(), new("can"))
+    assert [(d.request.object, d.box) for d in found] == [("cube", MIDDLE), ("can", MIDDLE), ("can", LEFT)]
+
+
 def test_what_is_not_seen_gets_nothing():
     assert _find(Seer(), new(), tracked()) == []
 

@@ -8,13 +8,13 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.tracking.types import Applied
-from huepose_protos.messages import MaskRuns, ObjectEntry
+from huepose_protos.messages import ObjectEntry
 from huepose_services import first_frame
 from huepose_services.doubts import TOO_OLD
 from huepose_services.following import Change
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.tied import SUPERVISOR
-from tests.services.tracker_work import CENTRE, CORRECTION, HEADER, MS, frame_of_age, worker
+from tests.services.tracker_work import CENTRE, CORRECTION, MS, frame_of_age, worker
 
 
 def test_hypotheses_are_said_while_somebody_listens():
@@ -198,18 +198,6 @@ def test_no_correction_of_the_far_future_is_taken():
     ]
     work.step()
     assert work._tracker.corrections == [2]
-    assert bus.health.counters["wire_errors"] == 1
-
-
-def test_a_correction_with_a_mask_of_another_size_than_the_frame_is_refused():
-    work, bus, _ = worker()
-    bus.waiting["frame"] = [frame_of_age(1, 0.0)]
-    work.step()
-    large = MaskRuns(width=4096, height=3200, runs=[4096 * 3200])
-    same = msgspec.structs.replace(CORRECTION, camera_epoch=HEADER.camera_epoch)
-    bus.waiting["correction"] = [msgspec.structs.replace(same, mask=large), same]
-    work.step()
-    assert len(work._tracker.corrections) == 1
     assert bus.health.counters["wire_errors"] == 1
 
 

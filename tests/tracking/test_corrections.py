@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from huepose.believe.state import State
+from huepose.estimation import PoseEstimate
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 from huepose.tracking import Applied, Correction, Tracker, TrackerConfig, Verdict
@@ -202,7 +203,7 @@ _SHEARED = np.eye(4) + 0.2 * np.eye(4, k=1)
 )
 def test_what_is_no_pose_starts_nothing(film, given, found) -> None:
     with pytest.raises(InputError, match=f"'tea_box': {found}") as caught:
-        Correction.first("tea_box", given, film(1)[0])
+        Correction.first("tea_box", given, film(1)[0], 1.0)
     assert "expected a rigid transform (4, 4)" in str(caught.value)
 
 
@@ -210,6 +211,17 @@ def test_numbers_of_any_kind_that_are_a_pose_start_an_object(tea_box, film, path
     frame = film(1)[0]
     for given in (path(0).tolist(), path(0).astype(np.float32)):
         tracker = Tracker({"tea_box": tea_box})
-        tracker.correct(Correction.first("tea_box", given, frame))
+        tracker.correct(Correction.first("tea_box", given, frame, 1.0))
         (pose,) = tracker.step(frame)
         assert errors(pose, path(0))[1] < 1.0
+
+
+def test_a_correction_of_an_estimate_is_as_sure_as_the_estimate(film, path) -> None:
+    frame = film(3)[2]
+    found = PoseEstimate("tea_box", 4, True, path(2), quality=0.3, reason="Hidden.")
+    said = Correction.of(found, frame)
+    assert (said.key, said.frame_id, said.stamp_ns) == (("tea_box", 4), 2, frame.stamp_ns)
+    assert (said.quality, said.reason, said.verdict) == (0.3, "Hidden.", Verdict.ACQUIRE)
+    np.testing.assert_array_equal(said.T_cam_obj, path(2))
+    with pytest.raises(InputError, match=r"Ask `pose\.found` first"):
+        Correction.of(PoseEstimate("tea_box"), frame)

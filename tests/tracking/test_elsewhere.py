@@ -44,7 +44,7 @@ def _tracked(model, shoot, T) -> Tracker:
     for number in range(4):
         tracker.step(shoot([(model.mesh, T)], number))
         if number == 0:
-            tracker.correct(Correction.first(model.name, T, shoot([], 0)))
+            tracker.correct(Correction.first(model.name, T, shoot([], 0), 1.0))
     return tracker
 
 
@@ -145,7 +145,7 @@ def test_a_lost_one_does_not_take_what_its_twin_holds(tea_box, shoot, path) -> N
     both = shoot([(tea_box.mesh, here), (tea_box.mesh, gone)], 0)
     tracker.step(both)
     for instance, T in enumerate((here, gone)):
-        first = Correction.first("tea_box", T, both)
+        first = Correction.first("tea_box", T, both, 1.0)
         tracker.correct(Correction(**{**vars(first), "instance": instance}))
     for number in range(1, 40):
         one, other = tracker.step(shoot([(tea_box.mesh, here)], number))

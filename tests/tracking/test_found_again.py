@@ -27,7 +27,7 @@ def back_again(plain_box, shoot) -> tuple[Tracker, list[State]]:
         scene = [(plain_box.mesh, _at(-0.1 if number < GONE else 0.1))]
         frame = shoot([] if GONE <= number < BACK else scene, number)
         if number == 0:
-            tracker.correct(Correction.first("plain_box", _at(-0.1), frame))
+            tracker.correct(Correction.first("plain_box", _at(-0.1), frame, 1.0))
         (pose,) = tracker.step(frame)
         states.append(pose.state)
     assert states[:GONE] == [State.TRACKING] * GONE
@@ -39,7 +39,7 @@ def test_what_is_usual_is_what_is_seen_in_its_own_light(plain_box, shoot) -> Non
     for number in range(3):
         frame = shoot([(plain_box.mesh, _at(0.0))], number)
         if number == 0:
-            tracker.correct(Correction.first("plain_box", _at(0.0), frame))
+            tracker.correct(Correction.first("plain_box", _at(0.0), frame, 1.0))
         tracker.step(frame)
         track = tracker._tracks["plain_box", 0]
         assert track.usual.baseline is not None
@@ -80,7 +80,7 @@ def test_of_what_is_found_elsewhere_after_unseen_frames_the_first_word_of_percep
     tracker = Tracker({"tea_box": tea_box})
     here, there = path(0), path(0).copy()
     there[:3, 3] += (0.18, 0.03, 0.15)
-    tracker.correct(Correction.first("tea_box", here, shoot([(tea_box.mesh, here)], 0)))
+    tracker.correct(Correction.first("tea_box", here, shoot([(tea_box.mesh, here)], 0), 1.0))
     for number in range(12):
         away = 5 <= number < 8
         frame = shoot([] if away else [(tea_box.mesh, here if number < 5 else there)], number)
@@ -106,7 +106,7 @@ def test_what_perception_finds_after_a_loss_is_doubted_in_another_color(
         scene = [(known, _at(-0.1))] if number < 5 else [(mesh, there)] if number >= 200 else []
         frame = shoot(scene, number)
         if number == 0:
-            tracker.correct(Correction.first("plain_bracket", _at(-0.1), frame))
+            tracker.correct(Correction.first("plain_bracket", _at(-0.1), frame, 1.0))
         if number >= 200 and number % 4 == 0:
             seq += 1
             said = Correction.first("plain_bracket", there, frame, 0.9 if seq == 2 else 0.6)

@@ -87,7 +87,7 @@ def test_what_leaves_the_picture_is_followed_but_not_believed_until_it_is_back(
     tracker, T = Tracker({"plain_box": plain_box}), path(0).copy()
     first = shoot([(plain_box.mesh, T)], 0)
     tracker.step(first)
-    tracker.correct(Correction.first("plain_box", T, first))
+    tracker.correct(Correction.first("plain_box", T, first, 1.0))
     middle, edge = T[0, 3], 160.0 / 420.0 * T[2, 3]
     outwards = np.linspace(middle, edge + 0.03, 30)
     said = []
@@ -159,7 +159,7 @@ def test_the_image_decides_between_two_hypotheses(tea_box, shoot, path, right) -
     """Two sides of the box are believed alike: within a few frames the one that is seen is left."""
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(12)]
     tracker = Tracker({"tea_box": tea_box})
-    tracker.correct(Correction.first("tea_box", path(0), frames[0]))
+    tracker.correct(Correction.first("tea_box", path(0), frames[0], 1.0))
     for frame in frames[:4]:
         tracker.step(frame)
     track = tracker._tracks["tea_box", 0]
@@ -176,7 +176,7 @@ def test_the_image_decides_between_two_hypotheses(tea_box, shoot, path, right) -
 def test_a_wrong_correction_is_taken_back_by_the_image(tea_box, shoot, path) -> None:
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(9)]
     tracker = Tracker({"tea_box": tea_box})
-    tracker.correct(Correction.first("tea_box", path(0), frames[0]))
+    tracker.correct(Correction.first("tea_box", path(0), frames[0], 1.0))
     for frame in frames[:5]:
         tracker.step(frame)
     tracker._tracks["tea_box", 0].replay(frames[3].stamp_ns, path(3) @ FLIP, 0.95)

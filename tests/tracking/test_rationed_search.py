@@ -84,7 +84,7 @@ def test_a_search_that_takes_several_frames_finds_what_turned_behind_a_board(
             scene.append((board, before))
         frame = shoot(scene, k)
         if k == 0:
-            tracker.correct(Correction.first("soup_can", T, frame))
+            tracker.correct(Correction.first("soup_can", T, frame, 1.0))
         searched.clear()
         (pose,) = tracker.step(frame)
         assert len(searched) <= 1, k
@@ -107,7 +107,7 @@ def test_what_comes_in_front_is_not_followed_and_nothing_is_searched_behind_it(
             scene.append((board, se3.make(np.eye(3), np.array([x, 0.0, T[2, 3] - 0.15]))))
         frame = shoot(scene, k)
         if k == 0:
-            tracker.correct(Correction.first("soup_can", T, frame))
+            tracker.correct(Correction.first("soup_can", T, frame, 1.0))
         (pose,) = tracker.step(frame)
         assert (pose.state is State.TRACKING) == (k < 5), k
         if pose.T_cam_obj is not None:

@@ -165,7 +165,7 @@ def test_a_can_whose_label_is_behind_is_not_believed(half_plain_can: ReferenceMo
         shown = np.clip(np.round(color), 0, 255).astype(np.uint8)
         frame = RgbdFrame(shown, depth, CAMERA, number, number * 33_333_333, 1)
         if number == 0:
-            tracker.correct(Correction.first("half_plain_can", T, frame))
+            tracker.correct(Correction.first("half_plain_can", T, frame, 1.0))
         (pose,) = tracker.step(frame)
         states.append(pose.state)
         if pose.state is State.TRACKING:
@@ -187,7 +187,7 @@ def test_an_object_half_covered_after_its_start_may_have_turned_since_the_start(
     for number, seen in enumerate((free, covered, free, free, free)):
         frame = replace(seen, frame_id=number, stamp_ns=int(1e9 * seconds * number), epoch=1)
         if number == 0:
-            tracker.correct(Correction.first("plain_box", T, frame))
+            tracker.correct(Correction.first("plain_box", T, frame, 1.0))
         (pose,) = tracker.step(frame)
         states.append(pose.state)
         doubts.append(tracker.doubt("plain_box", 0))
@@ -203,7 +203,7 @@ def states_of(model: ReferenceModel, poses: Sequence[np.ndarray], apart_s: float
         seen = picture(model.mesh, T, (90, 130, 160))
         frame = replace(seen, frame_id=number, stamp_ns=int(1e9 * apart_s * number), epoch=1)
         if number == 0:
-            tracker.correct(Correction.first(model.name, T, frame))
+            tracker.correct(Correction.first(model.name, T, frame, 1.0))
         (pose,) = tracker.step(frame)
         states.append(pose.state)
     return states

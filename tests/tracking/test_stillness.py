@@ -38,7 +38,7 @@ def followed(tea_box):
         picture = np.clip(color, 0, 255).astype(np.uint8)
         frame = RgbdFrame(picture, depth, CAMERA, k, k * 33_333_333, 1)
         if k == 0:
-            tracker.correct(Correction.first("tea_box", truth, frame))
+            tracker.correct(Correction.first("tea_box", truth, frame, 1.0))
         out.append((tracker.step(frame)[0], truth))
     return out
 

@@ -16,7 +16,7 @@ def test_after_two_frames_it_is_not_asked_which_way_round_it_is(tea_box, shoot, 
     seen, hidden = [(tea_box.mesh, T)], [(tea_box.mesh, T), (board, before)]
     tracker = Tracker({"tea_box": tea_box})
     tracker.step(shoot(seen, 0))
-    tracker.correct(Correction.first("tea_box", T, shoot(seen, 0)))
+    tracker.correct(Correction.first("tea_box", T, shoot(seen, 0), 1.0))
     states = [tracker.step(shoot(seen, number))[0].state for number in range(1, 5)]
     assert states == [State.TRACKING] * 4
     asked: list[int] = []

@@ -17,7 +17,8 @@ class TrackerConfig:
     TRACKING, under the second to SUSPECT; confirmed_identity: how sure it must be that an acquired pose is
     the right one before it is TRACKING: less than one in twenty is wrong; confirmed_turn: how sure, which way
     round the object is; least_quality: no pose of a lower published quality is TRACKING; lost_quality: under
-    it a frame gives no support; lost_after such frames in a row make an object LOST.
+    it a frame gives no support; lost_after such looks in a row make an object LOST. A frame that comes less
+    than a thirtieth of a second after the last one is a part of a look (`tracking.looks`).
 
     Looking further (totals of the judge, 0 to 1.9). doubtful_total: a pose that explains less is looked into;
     doubt: so is one this much under its baseline, long_doubt: after more than long_step_s, when there

@@ -5,16 +5,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-ENOUGH, TRY_AGAIN_AFTER = 3, 15
-"""After ENOUGH rounds in vain a search begins only TRY_AGAIN_AFTER frames after the last one."""
+ENOUGH, AGAIN_AFTER_S = 3, 0.485
+"""After ENOUGH rounds in vain a search begins only AGAIN_AFTER_S seconds after the last one: half a second,
+less half a frame of a camera at 30 Hz, whose frames do not come to the millisecond."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """frames: those since the object was searched for last; rounds: how often all stages of a search were in
+    """seconds: since the object was searched for last; rounds: how often all stages of a search were in
     vain; begun: the stage to try next."""
 
-    frames: int = 0
+    seconds: float = 0.0
     rounds: int = 0
     begun: int = 0
 
@@ -26,14 +27,14 @@ class Effort:
     @property
     def resting(self) -> bool:
         """Whether no search begins in this frame."""
-        return self.enough and self.frames < TRY_AGAIN_AFTER
+        return self.enough and self.seconds < AGAIN_AFTER_S
 
-    def missed(self) -> Effort:
-        """In the next frame, in which it is missed as well."""
-        return replace(self, frames=self.frames + 1)
+    def missed(self, seconds: float) -> Effort:
+        """In the next frame, so many seconds later, in which it is missed as well."""
+        return replace(self, seconds=self.seconds + seconds)
 
     def reached(self, stage: int, stages: int, searched: bool = True) -> Effort:
         """After a search of so many stages that is to go on with this one, after the last with the first.
         searched: whether there was time for any."""
-        frames = 0 if searched else self.frames
-        return Effort(frames, self.rounds + (stage == stages), stage % stages)
+        seconds = 0.0 if searched else self.seconds
+        return Effort(seconds, self.rounds + (stage == stages), stage % stages)

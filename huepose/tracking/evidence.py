@@ -24,6 +24,7 @@ from huepose.geometry.arrays import Float64
 from huepose.judge.terms import Terms
 from huepose.select.distinct import RIGHT
 from huepose.tracking.config import TrackerConfig
+from huepose.tracking.looks import LOOK_S, enough, looks, share
 
 MEMORY, MOST_MEMORY = 0.6, 2.0
 """Share of the last frame's log-odds that is the prior of the next, and its bound: successive frames have
@@ -36,8 +37,11 @@ quality is at most ONE_SENSE."""
 MOST_LOOSE = 0.7
 """Highest quality of a pose that may be wrong by its own covariance: it is followed and not TRACKING."""
 
+OPEN = 0.1
+"""An object of which less than this share is hidden is seen as a whole. Chosen on films of a handle."""
+
 HIDDEN, SCARCE_FADE = 0.6, 0.93
-"""If more than HIDDEN of the surface is occluded, the quality falls by SCARCE_FADE per frame."""
+"""If more than HIDDEN of the surface is occluded, the quality falls by SCARCE_FADE per look."""
 
 RETURNED_AFTER, AT_ONCE = 2, 0.95
 """Supported frames in a row after which a SUSPECT object is TRACKING again; at once with that much evidence:
@@ -100,18 +104,18 @@ def scarce(terms: Terms) -> bool:
     return terms.seen < LEAST_SEEN and terms.hidden > HIDDEN
 
 
-def bounded(quality: float, scarce_frames: int) -> float:
-    """A quality after so many frames in a row in which there was little to follow."""
-    return min(quality, ONE_SENSE * SCARCE_FADE**scarce_frames) if scarce_frames else quality
+def bounded(quality: float, scarce_looks: float) -> float:
+    """A quality after so many looks in a row in which there was little to follow."""
+    return min(quality, ONE_SENSE * SCARCE_FADE**scarce_looks) if scarce_looks else quality
 
 
 @dataclass(frozen=True)
 class Standing:
-    """A state, and for how many frames in a row support was missing or good; found: it was lost, and was
-    found in this frame."""
+    """A state; for how many looks in a row support was missing, for how many frames it was good; found: it
+    was lost, and was found in this frame."""
 
     state: State
-    unsupported: int = 0
+    unsupported: float = 0.0
     supported: int = 0
     found: bool = False
 
@@ -121,22 +125,25 @@ class Standing:
         return self.state is State.SUSPECT and 0 < self.supported < RETURNED_AFTER
 
 
-def next_standing(before: Standing, evidence: float, confirmed: bool, config: TrackerConfig) -> Standing:
-    """The state after a frame with that evidence, which is not the published quality; confirmed: identity and
-    orientation are confirmed, and the published quality reaches `least_quality`.
+def next_standing(
+    before: Standing, evidence: float, confirmed: bool, config: TrackerConfig, apart_s: float = LOOK_S
+) -> Standing:
+    """The state after a frame with that evidence, which is not the published quality, so many seconds after
+    the last one; confirmed: identity and orientation are confirmed, and the published quality reaches
+    `least_quality`.
 
     SUSPECT at once when it is not confirmed or the evidence is under `suspect_quality`; LOST after
-    `lost_after` frames in a row under `lost_quality`. From SUSPECT to TRACKING after two frames in a row of
+    `lost_after` looks in a row under `lost_quality`. From SUSPECT to TRACKING after two frames in a row of
     at least `tracking_quality`, or one of at least AT_ONCE, unless it was lost until then;
     never up from LOST or SEARCHING.
     """
     if before.state in (State.LOST, State.SEARCHING):
         return before
-    unsupported = before.unsupported + 1 if evidence < config.lost_quality else 0
+    unsupported = before.unsupported + looks(apart_s) if evidence < config.lost_quality else 0.0
     supported = before.supported + 1 if evidence >= config.tracking_quality else 0
     if evidence >= AT_ONCE and not before.found:
         supported = max(supported, RETURNED_AFTER)
-    if unsupported >= config.lost_after:
+    if enough(unsupported, config.lost_after):
         state = State.LOST
     elif (
         evidence < config.suspect_quality
@@ -163,7 +170,7 @@ LEAST_LEFT = 0.25
 asked. Origin: see docs/tracking.md (before a still camera)."""
 
 LOOK_SHARE = 0.3
-"""Weight of a new frame in the running mean of what the tracker sees of a thing that it found by itself."""
+"""Weight of a look in the running mean of what the tracker sees of a thing that it found by itself."""
 
 LARGEST = 0.995
 """No belief in an identity is surer."""
@@ -259,12 +266,12 @@ class Identity:
         lost = max(self.value, self.lost)
         return Identity(min(lost, probability(odds_of(likely) + jump)), view, lost, jump)
 
-    def looked_at(self, likely: float) -> Identity:
-        """After a later frame that makes it that likely by itself: it may be again what it was before the
-        loss, and no more. The log-odds are a running mean, since another thing fits now well, now badly. A
-        jump that nothing makes counts against it until another view of it was seen."""
+    def looked_at(self, likely: float, apart_s: float = LOOK_S) -> Identity:
+        """After a frame, so many seconds later, that makes it that likely by itself: it may be again what it
+        was before the loss, and no more. The log-odds are a running mean, since another thing fits now well,
+        now badly. A jump that nothing makes counts against it until another view of it was seen."""
         if self.lost == 0.0:
             return self
         seen = odds_of(likely) + self.jump
-        mean = odds_of(self.value) + LOOK_SHARE * (seen - odds_of(self.value))
+        mean = odds_of(self.value) + share(LOOK_SHARE, apart_s) * (seen - odds_of(self.value))
         return replace(self, value=min(probability(mean), self.lost))

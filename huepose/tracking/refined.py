@@ -12,6 +12,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.judge.open_region import SAMPLES, OpenRegion, PreparedSurface, look, open_region, totals
 from huepose.judge.terms import NOTHING, score_arrays
 from huepose.refine.photometric import FINE, FULL, NEAR, Schedule, refine
+from huepose.tracking.evidence import OPEN
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.subject import FAR_SLIDES, Subject
 
@@ -33,9 +34,9 @@ ROLLED_BACK = 0.015
 """A rotation about the axis of revolution is taken where its total is so much higher; less is chance. Chosen
 on drawn scenes of a printed bottle, cans, mugs and bowls."""
 
-ROLLED_OVER, OPEN = 0.03, 0.1
-"""A slender object's rotation by any angle is taken where its total is so much higher, and at most OPEN of it
-is hidden: a small print may tell it, and be what is hidden. Chosen on films of a handle."""
+ROLLED_OVER = 0.03
+"""A slender object's rotation by any angle is taken where its total is so much higher, and hardly any of it
+(`OPEN`) is hidden: a small print may tell it, and be what is hidden. Chosen on films of a handle."""
 
 
 def followed(

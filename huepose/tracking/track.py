@@ -23,6 +23,7 @@ from huepose.tracking.elsewhere import PARTS, likeliest_place
 from huepose.tracking.evidence import Identity, Standing, next_standing, turned_over
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, same_pose, share_of_first
+from huepose.tracking.looks import LOOK_S, looks
 from huepose.tracking.motion import Reach, jump_since, predicted, same_motion
 from huepose.tracking.opinions import found_again, opinions, weighed
 from huepose.tracking.orientation import LOOKED_FOR, Orientation, another_opinion
@@ -59,13 +60,14 @@ class Track:
         self._corrected_from: tuple[Identity, float] | None = None
         self._orientation = Orientation(subject, config)
         self._spread, self._supported_ns, self._agreed_ns = 0.0, 0, -1
+        self._looked_ns, self._apart_s = 0, LOOK_S
         self._known_at: tuple[Float64, int] | None = None
         self._searched = Effort()
         self._begin()
 
     def _begin(self) -> None:
         """Nothing was missed or searched for yet."""
-        self._effort, self._scarce_frames, self._unseen_s = Effort(), 0, 0.0
+        self._effort, self._scarce_looks, self._unseen_s = Effort(), 0.0, 0.0
         self._place: Reach | None = None
 
     @property
@@ -113,6 +115,8 @@ class Track:
         """Find the object in the next frame. Returns how many of at most `tries` costly proposals were used.
         twins: poses (4, 4) of other instances of the object; where they are, a lost one is not searched
         for."""
+        self._apart_s = (frame.stamp_ns - self._looked_ns) * 1e-9
+        self._looked_ns = frame.stamp_ns
         if self.frame is None or not self.hypotheses:
             return self._look_everywhere(frame, tries, twins)
         begun = self._effort.begun
@@ -127,7 +131,7 @@ class Track:
         if self.hypotheses[0].source in LOOKED_FOR:
             orientation.facing = facing  # The pose that may have rotated is not the one that is believed.
         # A short step has time for one of the two; after a long one the orientation is always checked.
-        short = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9 <= self._config.long_step_s
+        short = self._apart_s <= self._config.long_step_s
         hurry = short and (tries < 1.0 or (found.tried > 0 and tries < 2.0))
         tried = found.tried + self._check_orientation(anchor, frame, hurry)
         if self.evidence >= self._config.tracking_quality:
@@ -137,7 +141,7 @@ class Track:
     def _look_everywhere(self, frame: RgbdFrame, tries: float, twins: Sequence[Float64]) -> float:
         """Search for a lost object at the likeliest place of the picture, among other windows each time. What
         is found is `SUSPECT` until the next frames confirm it."""
-        self._effort = effort = self._effort.missed()
+        self._effort = effort = self._effort.missed(self._apart_s)
         sure_pose = self._orientation.sure
         if tries < 1.0 or sure_pose is None or effort.resting:
             return 0
@@ -174,8 +178,10 @@ class Track:
         if evidence.one_sense(first.terms) or first.jump < 0.0:
             # An implausible jump has to be confirmed by the next frame.
             sure = min(sure, evidence.ONE_SENSE)
-        self._scarce_frames = self._scarce_frames + 1 if evidence.scarce(first.terms) else 0
-        sure = evidence.bounded(sure, self._scarce_frames)
+        self._scarce_looks = (
+            self._scarce_looks + looks(self._apart_s) if evidence.scarce(first.terms) else 0.0
+        )
+        sure = evidence.bounded(sure, self._scarce_looks)
         if corrected is not None and len(seen) > 1 and first.T_cam_obj is seen[1].T_cam_obj:
             # The image prefers what was believed before the correction.
             self._identity, quality = corrected
@@ -191,10 +197,10 @@ class Track:
             self.evidence = evidence.vouched(sure, self._spread)
             self._unseen_s = 0.0
         else:
-            seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
-            self._coast(anchor.first, seconds)
-            self._unseen_s += seconds
-        effort = self._effort.missed().reached(found.begun, END, found.tried > 0)
+            self._coast(anchor.first)
+            self._unseen_s += self._apart_s
+        effort = self._effort.missed(self._apart_s)
+        effort = effort.reached(found.begun, END, found.tried > 0)
         self._effort = effort if found.doubtful else Effort(begun=effort.begun)
         self._place = found.place
 
@@ -225,7 +231,7 @@ class Track:
                 if self.evidence >= self._config.tracking_quality and turn_known:
                     self._identity = self._identity.carried(self.terms, self._view())
                 if self._may_be_another:
-                    self._identity = self._identity.looked_at(self._seen_alone())
+                    self._identity = self._identity.looked_at(self._seen_alone(), self._apart_s)
             self._judge()
         self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
         self.history.forget_before(since_ns)
@@ -237,7 +243,7 @@ class Track:
         found, searched = found_nearby(surface, T_cam_obj, frame, apart_s, light, self._config)
         tried = float(searched)
         first = weighed(self.subject, found, frame, self.usual, evidence.odds_of(quality))
-        self.hypotheses, self.frame = (first,), frame
+        self.hypotheses, self.frame, self._looked_ns = (first,), frame, frame.stamp_ns
         self.covariance, self._spread = uncertainty(self.subject, first, frame)
         sure = probability(first.log_odds)
         if evidence.one_sense(first.terms):
@@ -264,7 +270,7 @@ class Track:
         baseline, tracking = self.usual.baseline, self.state is State.TRACKING
         better = baseline is None or (self.terms.total > baseline and not self._may_be_another)
         if self.evidence >= self._config.suspect_quality and (tracking or better):
-            self.usual = self.usual.after(self.terms, tracking)
+            self.usual = self.usual.after(self.terms, tracking, self._apart_s)
 
     def place(self, verified: Track, quality: float, frame: RgbdFrame) -> None:
         """Take over the pose that another track of the same object, made for a correction, found on
@@ -273,7 +279,7 @@ class Track:
         self._spread = verified._spread
         usual = verified.usual
         self.usual = replace(self.usual, baseline=usual.baseline, light=usual.light)
-        self.evidence, self.frame = verified.evidence, frame
+        self.evidence, self.frame, self._looked_ns = verified.evidence, frame, frame.stamp_ns
         self._orientation.take_over(verified._orientation)
         # Perception judged the same picture: this evidence may lower its quality, not raise it.
         known = self._of_its_color(min(quality, probability(evidence.odds_of(quality) + self._told)))
@@ -304,11 +310,17 @@ class Track:
         self.lose()
         self._effort = self._searched
 
+    def give_way(self) -> None:
+        """Another instance came late and explains the same surface better."""
+        if self.state is State.TRACKING:
+            self.evidence = self.quality = 0.0
+            self._standing = Standing(State.SUSPECT)
+
     def set_back(self, by_ns: int) -> None:
         """Continue at rest, as if all that was before had been that much earlier (the camera's clock was set
         back)."""
         self.history = PoseHistory()
-        self._supported_ns -= by_ns
+        self._supported_ns, self._looked_ns = self._supported_ns - by_ns, self._looked_ns - by_ns
         self._orientation.set_back(by_ns)
         if self._known_at is not None:
             self._known_at = self._known_at[0], self._known_at[1] - by_ns
@@ -350,7 +362,7 @@ class Track:
                 self.hypotheses = self.hypotheses[:1]
                 if self.evidence >= self._config.suspect_quality and not self._may_be_another:
                     # It is the frame of now that says what is usual, not the one that perception saw.
-                    self.usual = replace(self.usual, baseline=self.terms.total)
+                    self.usual = self.usual.confirmed(self.terms)
                 self._orientation.assure(quality)
 
     def disagree(self, quality: float, stamp_ns: int) -> None:
@@ -369,9 +381,9 @@ class Track:
         other._orientation = copy(self._orientation)
         return other
 
-    def _coast(self, before: Hypothesis, seconds: float) -> None:
+    def _coast(self, before: Hypothesis) -> None:
         """Handle a frame that does not support the pose: follow the prediction if hardly anything is seen."""
-        first, T = self.hypotheses[0], self.hypotheses[0].T_cam_obj
+        first, T, seconds = self.hypotheses[0], self.hypotheses[0].T_cam_obj, self._apart_s
         velocity = None if before.velocity is None else before.velocity * COASTING_DAMPING
         if first.terms.seen < COASTING_SEEN:
             T = predicted(self.subject.surface, before.T_cam_obj, before.velocity, seconds)
@@ -384,7 +396,7 @@ class Track:
         self.quality = self.evidence * min(self._identity.value, turn)
         confirmed = self._known and self._orientation.confirmed
         confirmed = confirmed and self.quality >= self._config.least_quality
-        self._standing = next_standing(self._standing, self.evidence, confirmed, self._config)
+        self._standing = next_standing(self._standing, self.evidence, confirmed, self._config, self._apart_s)
         if self.state is State.LOST:
             self.lose()
         elif self.state is State.TRACKING and self.frame is not None:

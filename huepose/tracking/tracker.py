@@ -322,7 +322,8 @@ class Tracker:
 
     def _arrive(self, key: Key, pursuit: Pursuit, frame: RgbdFrame) -> None:
         """Take the pose of a pursuit that reached the newest frame if the frame supports it, no other
-        instance holds its surface, and it is better than the instance's own pose. Else it is dropped."""
+        instance holds its surface, and it is better than the instance's own pose. Else it is dropped. What
+        held its surface until now is not believed any more."""
         correction, found = pursuit.correction, pursuit.track
         track = self._tracks.get(key)
         if track is not None:
@@ -337,6 +338,8 @@ class Tracker:
             track.contradict(found, correction.quality)
             return
         track.place(found, correction.quality, frame)
+        for loser in self._contested(frame):
+            self._tracks[loser].give_way()
         for stamp_ns, T in pursuit.poses:
             track.history.put(stamp_ns, T)
         track.applied_seq = max(track.applied_seq, correction.seq)
@@ -348,23 +351,18 @@ class Tracker:
         if frame is None or found.T_cam_obj is None:
             return False
         claims = [
-            Claim(t.subject.surface, t.T_cam_obj, t.terms.total + (TWIN if other[0] == key[0] else 0.0))
-            for other, t in self._tracks.items()
-            if other != key and t.T_cam_obj is not None
+            _claim(other, TWIN if name == key[0] else 0.0)
+            for (name, instance), other in self._tracks.items()
+            if (name, instance) != key and other.T_cam_obj is not None
         ]
+        # It stands nowhere yet, whatever its instance did elsewhere.
         mine = Claim(found.subject.surface, found.T_cam_obj, found.terms.total)
         return len(claims) in losers([*claims, mine], frame.depth, frame.camera)
 
     def _contested(self, frame: RgbdFrame) -> set[Key]:
         """Instances whose surface another instance explains better."""
         keys = [k for k, t in self._tracks.items() if t.T_cam_obj is not None]
-        claims = []
-        for key in keys:
-            track = self._tracks[key]
-            assert track.T_cam_obj is not None
-            # Without the bonus, two instances with the same pose would lose in turns.
-            standing = STANDING if track.state is State.TRACKING else 0.0
-            claims.append(Claim(track.subject.surface, track.T_cam_obj, track.terms.total + standing))
+        claims = [_claim(self._tracks[key]) for key in keys]
         return {keys[i] for i in losers(claims, frame.depth, frame.camera)}
 
     def _set_back(self, by_ns: int) -> None:
@@ -384,6 +382,14 @@ class Tracker:
         self._seen_seq.clear()
         self._waiting.clear()
         self._whose_turn, self._tries, self._pursuit_waits = 0, 1.0, False
+
+
+def _claim(track: Track, bonus: float = 0.0) -> Claim:
+    """What a track with a pose claims. That it is TRACKING counts: else two instances with the same pose
+    would lose in turns."""
+    assert track.T_cam_obj is not None
+    standing = STANDING if track.state is State.TRACKING else 0.0
+    return Claim(track.subject.surface, track.T_cam_obj, track.terms.total + standing + bonus)
 
 
 def _published(track: Track, frame: RgbdFrame) -> TrackedPose:

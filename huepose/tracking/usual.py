@@ -10,10 +10,11 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64
 from huepose.judge.terms import Terms
-from huepose.tracking.evidence import LEAST_SEEN
+from huepose.tracking.evidence import LEAST_SEEN, OPEN
+from huepose.tracking.looks import LOOK_S, share
 
 BASELINE_SHARE, LIGHT_SHARE = 0.15, 0.2
-"""Weights of a new frame in the running means of the baseline total and of the light."""
+"""Weights of a look in the running means of the baseline total and of the light."""
 
 FORGOTTEN_PER_S = 0.25
 """How fast the total asked of a returning object falls, per second: the light may have changed."""
@@ -36,14 +37,23 @@ class Usual:
     light: Float64 | None = None
     sure_light: Float64 | None = None
 
-    def after(self, terms: Terms, sure: bool = False) -> Usual:
-        """After a frame with these terms that supports the pose; sure: the object is TRACKING in it."""
+    def after(self, terms: Terms, sure: bool = False, apart_s: float = LOOK_S) -> Usual:
+        """After a frame with these terms that supports the pose, so many seconds after the last one; sure:
+        the object is TRACKING in it. The total of a covered object never lowers the baseline."""
         baseline, light = self.baseline, self.light
-        baseline = terms.total if baseline is None else baseline + BASELINE_SHARE * (terms.total - baseline)
+        if baseline is None:
+            baseline = terms.total
+        elif terms.hidden < OPEN or terms.total > baseline:
+            baseline += share(BASELINE_SHARE, apart_s) * (terms.total - baseline)
         if terms.colored >= LEAST_SEEN:
             seen = np.array(terms.light)
-            light = seen if light is None else light + LIGHT_SHARE * (seen - light)
+            light = seen if light is None else light + share(LIGHT_SHARE, apart_s) * (seen - light)
         return Usual(baseline, light, light if sure else self.sure_light)
+
+    def confirmed(self, terms: Terms) -> Usual:
+        """After perception found the pose of a frame with these terms, too: that is how the object looks,
+        unless something hides it."""
+        return replace(self, baseline=terms.total) if terms.hidden < OPEN else self
 
     def remembered(self, seconds: float) -> Usual:
         """So many seconds after it was last seen: less is asked of it."""

@@ -186,6 +186,27 @@ def test_an_answer_about_a_time_when_it_was_seen_says_nothing_of_what_is_usual_n
     assert track.usual.baseline == usual
 
 
+def test_what_is_usual_does_not_fall_while_half_of_it_is_hidden(tea_box, soup_can, film, shoot, path) -> None:
+    """Neither by frames in which it is TRACKING, nor by an answer of perception."""
+    tracker, frames = Tracker({"tea_box": tea_box}), film(4)
+    tracker.correct(correction(frames[0], path(0)))
+    for frame in frames:
+        tracker.step(frame)
+    track = tracker._tracks["tea_box", 0]
+    usual = track.usual.baseline
+    assert usual is not None
+    before = se3.make(np.eye(3), path(4)[:3, 3] * 0.75 + (0.035, 0.0, 0.0))
+    for number in range(4, 14):
+        frame = shoot([(tea_box.mesh, path(4)), (soup_can.mesh, before)], number)
+        (pose,) = tracker.step(frame)
+    assert pose.state is State.TRACKING
+    assert 0.3 < track.terms.hidden < 0.6
+    assert track.terms.total < usual - 0.02
+    tracker.correct(correction(frame, path(4), 2, Verdict.AGREE))
+    assert track.usual.baseline is not None
+    assert track.usual.baseline >= usual
+
+
 _SHEARED = np.eye(4) + 0.2 * np.eye(4, k=1)
 
 

@@ -38,10 +38,12 @@ GOOD = Terms(
 CONFIG = TrackerConfig()
 
 
-def run(qualities: list[float], confirmed: bool = True, start: State = State.TRACKING) -> list[State]:
+def run(
+    qualities: list[float], confirmed: bool = True, start: State = State.TRACKING, apart_s: float = 1 / 30
+) -> list[State]:
     standing, out = Standing(start), []
     for q in qualities:
-        standing = next_standing(standing, q, confirmed, CONFIG)
+        standing = next_standing(standing, q, confirmed, CONFIG, apart_s)
         out.append(standing.state)
     return out
 
@@ -128,6 +130,11 @@ def test_suspect_returns_after_two_supported_frames() -> None:
     assert run([0.4, 0.9, 0.9]) == [State.SUSPECT, State.SUSPECT, State.TRACKING]
 
 
+@pytest.mark.parametrize(("rate_hz", "lost"), [(90, 14), (60, 9), (30, 5), (6, 5)])
+def test_what_comes_faster_than_30_frames_a_second_loses_no_sooner(rate_hz: int, lost: int) -> None:
+    assert run([0.1] * 20, apart_s=1.0 / rate_hz).index(State.LOST) == lost - 1
+
+
 def test_a_single_good_frame_breaks_the_way_to_lost() -> None:
     assert State.LOST not in run([0.1, 0.1, 0.1, 0.7, 0.1, 0.1, 0.1])
 
@@ -158,6 +165,29 @@ def test_baseline_and_light_follow_slowly() -> None:
     assert later.light.tolist() == [-1.0, 1.0, 1.0]
     assert later.sure_light is later.light
     assert later.after(replace(GOOD, colored=0.0)).light is later.light, "where no colour was seen"
+
+
+def test_the_baseline_never_falls_by_what_is_covered() -> None:
+    known = Usual(1.4)
+    covered = replace(GOOD, total=1.0, hidden=0.5)
+    assert known.after(covered, sure=True).baseline == 1.4
+    assert known.confirmed(covered).baseline == 1.4
+    assert known.confirmed(replace(GOOD, total=1.0)).baseline == 1.0
+    better = known.after(replace(covered, total=1.5)).baseline
+    assert better is not None
+    assert better > 1.4, "in full view it would be more still"
+
+
+def test_what_is_usual_follows_as_fast_at_90_hz_as_at_30() -> None:
+    once, often = (Usual(1.4, np.zeros(3)) for _ in range(2))
+    once = once.after(GOOD, apart_s=0.033)
+    for _ in range(3):
+        often = often.after(GOOD, apart_s=0.011)
+    assert often.baseline == pytest.approx(once.baseline)
+    np.testing.assert_allclose(often.light, once.light)
+    assert Usual(1.4).after(GOOD, apart_s=0.3).baseline == pytest.approx(once.baseline), (
+        "one look is one look"
+    )
 
 
 def test_less_is_asked_of_what_was_gone_for_long() -> None:
@@ -234,6 +264,10 @@ def test_what_is_found_after_a_loss_is_as_sure_as_it_looks_until_perception_has_
     assert like.agreed(0.5, side).value == pytest.approx(0.75), "however like it looks"
     assert like.agreed(0.96, side).value == pytest.approx(0.97)
     assert like.agreed(0.3, side).value == 0.3
+    thrice = found
+    for _ in range(3):
+        thrice = thrice.looked_at(0.95, 0.011)
+    assert thrice.value == pytest.approx(found.looked_at(0.95).value), "at 90 Hz and at 30"
     denied = found.looked_at(0.95).agreed(0.3, side)
     assert denied.value == 0.3
     assert denied.looked_at(0.99) is denied, "perception doubts it, so its looks alone are not enough"

@@ -11,7 +11,7 @@ from huepose.believe.state import State
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.onboarding.onboard import onboard_mesh
 from huepose.support.errors import InputError
-from huepose.tracking import Applied, Tracker, TrackerConfig
+from huepose.tracking import Applied, Tracker, TrackerConfig, evidence
 from tests.tracking.conftest import correction, errors
 
 EPOCH = 1
@@ -101,6 +101,44 @@ def test_a_covered_object_is_suspect_within_2_and_lost_within_5_frames(
     assert State.TRACKING not in states[1:]
     assert State.LOST in states[:5]
     assert set(states[states.index(State.LOST) :]) == {State.LOST}
+
+
+@pytest.mark.parametrize("per_frame", [1, 3])
+def test_what_is_hidden_for_a_tenth_of_a_second_is_not_lost_at_any_rate(
+    tea_box, shoot, path, per_frame: int
+) -> None:
+    """At 30 and at 90 Hz; what stays away is lost after a sixth of a second."""
+    tracker, states = Tracker({"tea_box": tea_box}), []
+    for k in range(20 * per_frame):
+        at = k / per_frame
+        there = at < 4 or 7 <= at < 12
+        frame = shoot([(tea_box.mesh, path(at))] if there else [], k)
+        frame = replace(frame, stamp_ns=frame.stamp_ns // per_frame)
+        if k == 0:
+            tracker.correct(correction(frame, path(0)))
+        (pose,) = tracker.step(frame)
+        states.append(pose.state)
+    assert State.LOST not in states[: 12 * per_frame]
+    assert states[12 * per_frame - 1] is State.TRACKING
+    assert 4.6 < (states.index(State.LOST) + 1) / per_frame - 12 <= 5.0
+
+
+@pytest.mark.parametrize("per_frame", [1, 3])
+def test_a_strip_is_followed_for_as_long_at_any_rate(
+    tea_box, shoot, path, monkeypatch, per_frame: int
+) -> None:
+    """A third of a second at 30 and at 90 Hz."""
+    tracker, sure = Tracker({"tea_box": tea_box}), []
+    monkeypatch.setattr(evidence, "scarce", lambda terms: True)
+    for k in range(12 * per_frame):
+        frame = shoot([(tea_box.mesh, path(k / per_frame))], k)
+        frame = replace(frame, stamp_ns=frame.stamp_ns // per_frame)
+        if k == 0:
+            tracker.correct(correction(frame, path(0)))
+        tracker.step(frame)
+        sure.append(tracker._tracks["tea_box", 0].evidence)
+    given_up = next(k for k, one in enumerate(sure) if one < TrackerConfig().lost_quality)
+    assert 0.25 < given_up / per_frame / 30 < 0.34
 
 
 def test_an_object_taken_away_is_lost_until_it_is_back(tea_box, shoot, path, started) -> None:
@@ -198,6 +236,26 @@ def test_a_newcomer_does_not_get_the_surface_that_its_twin_holds(tea_box, film, 
     assert tracker.correct(correction(frames[0], near, instance=1)) is Applied.CATCHING_UP
     for frame in frames[3:]:
         assert [(p.instance, p.state) for p in tracker.step(frame)] == [(0, State.TRACKING)]
+
+
+@pytest.mark.parametrize(("worse", "holds"), [(0.05, "tea_box"), (0.2, "also")])
+def test_of_one_that_is_tracked_and_another_that_comes_late_to_its_surface_one_is_believed(
+    tea_box, film, path, worse: float, holds: str
+) -> None:
+    """By the same comparison in this frame and in the next ones."""
+    tracker = Tracker({"tea_box": tea_box, "also": replace(tea_box, name="also")})
+    frames = film(8)
+    tracker.correct(correction(frames[0], path(0)))
+    for frame in frames[:6]:
+        tracker.step(frame)
+    track = tracker._tracks["tea_box", 0]
+    first = track.hypotheses[0]
+    terms = replace(first.terms, total=first.terms.total - worse)
+    track.hypotheses = (replace(first, terms=terms),)
+    tracker.correct(correction(frames[5], path(5), name="also"))
+    assert [p.object for p in tracker.poses() if p.state is State.TRACKING] == [holds]
+    for frame in frames[6:]:
+        assert len([p for p in tracker.step(frame) if p.state is State.TRACKING]) == 1
 
 
 def test_of_two_tracks_that_meet_on_one_surface_one_is_lost(tea_box, shoot, path) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import color_agreement
-from huepose.judge.region import ModelArrays, RegionArrays, nearest_view
+from huepose.judge.region import ModelArrays, RegionArrays, nearest_view, tolerance_at
 from huepose.support.jit import jit_dividing
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def score_kernel(
     """
     depth, belief, saturated = region.depth, region.belief, region.saturated
     height, width = depth.shape
-    tolerance = region.tolerance
+    tolerance = tolerance_at(region.tolerance, region.sigmas, T[2, 3])
     fit, near, violation, occluded, total, color_weight = 0.0, 0.0, 0.0, 0.0, 1e-9, 0.0
     through, hidden, blind, outside, colored = 0.0, 0.0, 0.0, 0.0, 0.0
     left, top, right, bottom = 1e9, 1e9, -1e9, -1e9

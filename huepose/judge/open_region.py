@@ -32,7 +32,8 @@ SCALES_M = (*COLOR_SCALES_M, 0.008)
 
 AROUND_M = (0.008, 0.008, 0.016)
 """Gaussian sigmas of the surroundings of a sample in which its texture is asked for its variation, at each of
-SCALES_M: what a refinement at that scale may have to reach."""
+SCALES_M: what a refinement at that scale may have to reach. No less than samples lie apart, which is more on
+an object of half a metre: without neighbours nothing would vary."""
 
 MIN_SIDE = 16
 """A window with a shorter side, in pixels, shows too little to be judged."""
@@ -205,12 +206,21 @@ def steepest(points: Float32, normals: Float32, scales: Float32) -> Float32:
     """By how much the texture around each of N samples can change at each of SCALES_M: (3, N, 3), in units of
     `scales` (3, N, 3) a metre. What is averaged over a length changes over it by no more than it varies."""
     out = np.empty(scales.shape, np.float32)
+    around = np.maximum(AROUND_M, _spacing(points))
     for slope, colors, scale_m, around_m in zip(
-        out, scales.astype(np.float64), SCALES_M, AROUND_M, strict=True
+        out, scales.astype(np.float64), SCALES_M, around.tolist(), strict=True
     ):
         both = _averaged_around(points, normals, np.concatenate([colors, colors**2], axis=1), around_m)
         slope[:] = np.sqrt(np.maximum(both[:, 3:] - both[:, :3] ** 2, 0.0)) / scale_m
     return out
+
+
+def _spacing(points: Float32) -> float:
+    """How far points (N, 3) lie from their nearest neighbours, metres, in the median."""
+    from scipy.spatial import cKDTree
+
+    nearest, _ = cKDTree(points).query(points, k=2)
+    return float(np.median(nearest[:, 1]))
 
 
 def _thickness(points: Float32) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from huepose.colorpair.opponents import opponents_of_bytes
 from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.geometry.camera import NEAREST_M
-from huepose.judge.region import RegionArrays
+from huepose.judge.region import RegionArrays, tolerance_at
 from huepose.support.jit import jit_dividing
 
 SMOOTHING_PX = 1.0
@@ -73,7 +73,7 @@ def rim_agreement(T: Float64, rim: Rim, region: RegionArrays) -> float:
         if u < 1.5 or v < 1.5 or u >= width - 2.5 or v >= height - 2.5:
             continue
         observed = region.depth[int(v + 0.5), int(u + 0.5)]
-        if observed > 0.0 and observed < z - HIDDEN * region.tolerance:
+        if observed > 0.0 and observed < z - HIDDEN * tolerance_at(region.tolerance, region.sigmas, z):
             continue
         q0, q1, q2 = rim.inward[i, 0], rim.inward[i, 1], rim.inward[i, 2]
         x = T[0, 0] * q0 + T[0, 1] * q1 + T[0, 2] * q2

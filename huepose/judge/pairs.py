@@ -16,7 +16,7 @@ from huepose.colorpair.opponents import opponents_of_bytes, opponents_of_lab
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import PLAIN
-from huepose.judge.region import Crop, RegionArrays
+from huepose.judge.region import Crop, RegionArrays, tolerance_at
 from huepose.judge.terms import DEFAULT_WEIGHTS
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit
@@ -102,7 +102,7 @@ def read_pair(
     if uf < 0.0 or vf < 0.0 or uf > width - 1.0 or vf > height - 1.0:
         return 0.0
     observed = depth[int(vf + 0.5), int(uf + 0.5)]
-    if observed <= 0.0 or abs(observed - z) * facing > region.tolerance:
+    if observed <= 0.0 or abs(observed - z) * facing > tolerance_at(region.tolerance, region.sigmas, z):
         return 0.0
     q0, q1, q2 = tangents[i, 0] * pairs.reach, tangents[i, 1] * pairs.reach, tangents[i, 2] * pairs.reach
     s0 = r00 * q0 + r01 * q1 + r02 * q2

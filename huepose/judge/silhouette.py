@@ -12,7 +12,7 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
-from huepose.judge.region import tolerance_m
+from huepose.judge.region import NOISE_SIGMAS, tolerance_at, tolerance_m
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.support.jit import jit_dividing
@@ -65,8 +65,8 @@ def silhouette(
 
 
 def visible_mask(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float, tolerance_m: float) -> Bool:
-    """Pixels (H, W) of the silhouette where depth agrees with the surface within `tolerance_m`, or where
-    there is no reading next to such pixels."""
+    """Pixels (H, W) of the silhouette where depth agrees with the surface within `tolerance_m` or the noise
+    of depth there, or where there is no reading next to such pixels."""
     out = np.zeros(frame.depth.shape, bool)
     seen = silhouette(model, frame, T_cam_obj)
     if seen is None:
@@ -74,7 +74,8 @@ def visible_mask(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float, tole
     rendered, rows, columns = seen
     depth = frame.depth[rows, columns]
     inside = rendered > 0
-    agrees = inside & (depth > 0) & (np.abs(depth - rendered) < tolerance_m)
+    most = tolerance_at(tolerance_m, NOISE_SIGMAS, float(T_cam_obj[2, 3]))
+    agrees = inside & (depth > 0) & (np.abs(depth - rendered) < most)
     near = cv2.dilate(agrees.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     out[rows, columns] = agrees | (inside & (depth == 0) & near)
     return out

@@ -32,7 +32,7 @@ from huepose.judge.pairs import (
     pair_arrays,
     read_pair,
 )
-from huepose.judge.region import Region, RegionArrays, model_arrays, nearest_view, region_arrays
+from huepose.judge.region import Region, RegionArrays, model_arrays, nearest_view, region_arrays, tolerance_at
 from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
@@ -124,7 +124,8 @@ def _seen_texture(
     inside = (facing > 0.1) & (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
     column, row = (np.where(inside, x + 0.5, 0.0).astype(np.int64) for x in (u, v))
     depth = r.depth[row, column]
-    fits = inside & (depth > 0) & (np.abs(depth - points[:, 2]) * facing < r.tolerance)
+    tolerance = tolerance_at(r.tolerance, r.sigmas, float(T[2, 3]))
+    fits = inside & (depth > 0) & (np.abs(depth - points[:, 2]) * facing < tolerance)
     fits &= ~r.saturated[row, column]
     if int(fits.sum()) < FEWEST_SAMPLES:
         return None

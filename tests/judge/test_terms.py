@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry.camera import depth_noise_m
 from huepose.judge.kernel import IMPLAUSIBLE, MARGIN
+from huepose.judge.region import Region
+from huepose.judge.silhouette import visible_mask
 from huepose.judge.terms import CLOSE_SAMPLES, Terms, score, score_many
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
@@ -130,6 +133,25 @@ def test_to_lie_behind_what_is_believed_to_be_the_object_counts_half_as_much_as_
     seen = score(tea_box, region, standing)
     assert seen.violation == pytest.approx(IMPLAUSIBLE / (IMPLAUSIBLE + MARGIN), abs=0.03)
     assert seen.coverage < 1e-6
+
+
+@pytest.mark.parametrize("distance_m", [0.8, 1.6, 2.4])
+def test_noise_of_depth_is_not_taken_for_what_is_seen_through(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, distance_m: float
+) -> None:
+    T = standing.copy()
+    T[:3, 3] *= distance_m / T[2, 3]
+    frame = take_picture([(tea_box.mesh, T)], with_table=False)
+    rng = np.random.default_rng(7)
+    noise = depth_noise_m(distance_m) * rng.normal(size=frame.depth.shape)
+    frame = replace(frame, depth=np.where(frame.depth > 0, frame.depth + noise, 0.0).astype(np.float32))
+    region = region_of(frame, tea_box, T)
+    anywhere = Region.whole(region.crop, region.mask, region.colors, tea_box.diameter_m, 1.0)
+    terms = score(tea_box, anywhere, T)
+    assert terms.through < 0.1
+    assert terms.depth_fit > 0.4
+    shown = visible_mask(tea_box, frame, T, region.tolerance_m)
+    assert shown.sum() > 0.8 * region.mask.sum()
 
 
 def test_saturated_pixels_do_not_count(

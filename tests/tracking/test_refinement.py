@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Box, RgbdFrame, se3
-from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, totals, window
+from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, steepest, totals, window
 from huepose.judge.terms import NOTHING, Terms, score_arrays
 from huepose.model.types import ReferenceModel
 from huepose.refine.photometric import FULL, NEAR, QUICK, refine, refine_all
@@ -117,6 +117,17 @@ def test_no_texture_is_steeper_than_the_label_and_none_is_on_the_plain_side(half
     assert fine > 2.0 * middle > 4.0 * coarse > 1000.0, "an opponent or more a millimetre"
     assert steep[:2, plain].max() < 1.0
     assert steep[2, plain].max() < 0.05 * coarse
+
+
+def test_the_texture_of_a_large_object_varies_as_well(tea_box) -> None:
+    """Its samples lie farther apart, and so do the neighbours that tell how its texture varies. Enlarged, it
+    varies more slowly in proportion."""
+    surface = PreparedSurface.of(tea_box)
+    points, normals, colors = surface.arrays.points, surface.arrays.normals, surface.arrays.colors
+    own = np.median(surface.steepest, axis=1)
+    for size_m in (0.5, 1.0, 2.0):
+        scale = size_m / tea_box.diameter_m
+        assert (np.median(steepest(points * np.float32(scale), normals, colors), axis=1) > own / scale).all()
 
 
 def test_an_occluder_does_not_pull(tea_box, soup_can, shoot, path) -> None:

@@ -72,7 +72,9 @@ def score_kernel(
     """
     depth, belief, saturated = region.depth, region.belief, region.saturated
     height, width = depth.shape
-    tolerance = tolerance_at(region.tolerance, region.sigmas, T[2, 3])
+    c = model.centre
+    away = T[2, 0] * c[0] + T[2, 1] * c[1] + T[2, 2] * c[2] + T[2, 3]
+    tolerance = tolerance_at(region.tolerance, region.sigmas, away)
     fit, near, violation, occluded, total, color_weight = 0.0, 0.0, 0.0, 0.0, 1e-9, 0.0
     through, hidden, blind, outside, colored = 0.0, 0.0, 0.0, 0.0, 0.0
     left, top, right, bottom = 1e9, 1e9, -1e9, -1e9

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M, Camera
@@ -74,7 +75,8 @@ def visible_mask(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float, tole
     rendered, rows, columns = seen
     depth = frame.depth[rows, columns]
     inside = rendered > 0
-    most = tolerance_at(tolerance_m, NOISE_SIGMAS, float(T_cam_obj[2, 3]))
+    away_m = float(se3.apply(T_cam_obj, model.mesh.centre[None])[0, 2])
+    most = tolerance_at(tolerance_m, NOISE_SIGMAS, away_m)
     agrees = inside & (depth > 0) & (np.abs(depth - rendered) < most)
     near = cv2.dilate(agrees.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     out[rows, columns] = agrees | (inside & (depth == 0) & near)

@@ -124,7 +124,7 @@ def _seen_texture(
     inside = (facing > 0.1) & (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
     column, row = (np.where(inside, x + 0.5, 0.0).astype(np.int64) for x in (u, v))
     depth = r.depth[row, column]
-    tolerance = tolerance_at(r.tolerance, r.sigmas, float(T[2, 3]))
+    tolerance = tolerance_at(r.tolerance, r.sigmas, float(points[:, 2].mean()))
     fits = inside & (depth > 0) & (np.abs(depth - points[:, 2]) * facing < tolerance)
     fits &= ~r.saturated[row, column]
     if int(fits.sum()) < FEWEST_SAMPLES:

@@ -154,6 +154,25 @@ def test_noise_of_depth_is_not_taken_for_what_is_seen_through(
     assert shown.sum() > 0.8 * region.mask.sum()
 
 
+def test_where_the_origin_of_a_mesh_lies_changes_no_tolerance(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    """Seen a little behind its place, and its origin four metres behind it."""
+    frame, by = take_picture([(tea_box.mesh, standing)]), standing[:3, :3].T @ [0.0, 0.0, 4.0]
+    mesh = replace(tea_box.mesh, vertices=(tea_box.mesh.vertices - by).astype(np.float32))
+    surface = replace(tea_box.surface, points=(tea_box.surface.points - by).astype(np.float32))
+    grid = replace(tea_box.grid, origin=tea_box.grid.origin - by)
+    moved = replace(tea_box, mesh=mesh, surface=surface, grid=grid)
+    nearer = se3.make(np.eye(3), np.array([0.0, 0.0, -0.015])) @ standing
+    region = region_of(frame, tea_box, standing)
+    anywhere = Region.whole(region.crop, region.mask, region.colors, tea_box.diameter_m, 1.0)
+    T = nearer @ se3.make(np.eye(3), by)
+    assert score(moved, anywhere, T).through == pytest.approx(
+        score(tea_box, anywhere, nearer).through, abs=0.02
+    )
+    assert visible_mask(moved, frame, T, 0.009).sum() < 0.3 * region.mask.sum()
+
+
 def test_saturated_pixels_do_not_count(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: Terms
 ) -> None:

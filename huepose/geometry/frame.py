@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from huepose.geometry.arrays import Bool, Float32, UInt8
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.geometry.camera import Camera
 from huepose.support.errors import InputError, require
 
@@ -20,7 +21,9 @@ class RgbdFrame:
 
     color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 where there is no reading (also where NaN or an
     infinite number is given); frame_id counts within a camera epoch; stamp_ns is the capture time, monotonic
-    clock. Raises InputError when sizes or types differ.
+    clock; T_parent_cam (4, 4): where the camera was then, in a frame that does not move, such as a robot's
+    base, None where nobody knows. Raises InputError when sizes or types differ, or where T_parent_cam is no
+    rigid transform.
     """
 
     color: UInt8
@@ -29,6 +32,7 @@ class RgbdFrame:
     frame_id: int = 0
     stamp_ns: int = 0
     epoch: int = 0
+    T_parent_cam: Float64 | None = None
 
     def __post_init__(self) -> None:
         require(self.camera, Camera, "camera", "a Camera", "Make one: Camera(fx, fy, cx, cy, width, height).")
@@ -63,6 +67,13 @@ class RgbdFrame:
             )
         if min(size) < LEAST_SIDE:
             raise InputError("picture", found=str(size), expected=f"sides of {LEAST_SIDE} pixels or more")
+        if self.T_parent_cam is not None and not se3.is_rigid(self.T_parent_cam, se3.ROUNDED):
+            raise InputError(
+                "T_parent_cam, the camera's pose",
+                found=" ".join(str(self.T_parent_cam).split())[:80],
+                expected="a rigid transform (4, 4), metres",
+                fix="Leave it out where nobody knows where the camera was.",
+            )
         # Tells it of all of them without an array of its own.
         if not (np.isfinite(self.depth.min()) and np.isfinite(self.depth.max())):
             known = np.where(np.isfinite(self.depth), self.depth, np.float32(0.0))

@@ -224,6 +224,16 @@ def carrying(lever: Float) -> Float64:
     return out
 
 
+def along(R: Float) -> Float64:
+    """The matrix (6, 6) that takes twists to axes that R (3, 3) takes the old ones' coordinates to. So a
+    covariance C becomes `along(R) @ C @ along(R).T`.
+
+    >>> along(rotation_exp([0.0, 0.0, np.pi / 2])).round() @ [1, 0, 0, 0, 1, 0]
+    array([ 0.,  1.,  0., -1.,  0.,  0.])
+    """
+    return np.asarray(np.kron(np.eye(2), R), np.float64)
+
+
 def mahalanobis(T_a: Float, T_b: Float, covariance: Float) -> float:
     """Distance of two poses in standard deviations of `covariance` (6, 6), positive definite."""
     delta = difference(np.asarray(T_a), np.asarray(T_b))

@@ -101,6 +101,29 @@ def rendered_frame(
 
     Raises InputError for no mesh, or for one too large for a heap on the table."""
     ranges = ranges or SceneRanges()
+    stage, names, rng, pile = heaped_stage(meshes, seed, number, ranges)
+    depth_sensor = replace(STEREO, subpixel=rng.uniform(*ranges.subpixel))
+    color_sensor = replace(
+        COLOR, full_well=COLOR.full_well * rng.uniform(0.3, 1.2), blur_px=rng.uniform(0.4, 0.8)
+    )
+    # The middle one of three frames: the exposure reaches into its neighbours.
+    shot = shoot(stage, 1, int(rng.integers(2**31)), color_sensor, depth_sensor)
+    if ranges.pile:
+        depth = lost_in_bad_light(shot.depth, shot.color, pile)
+        if pile.random() < MISALIGNED:
+            right_px, down_px = pile.integers(-SHIFT_PX, SHIFT_PX + 1, 2)
+            depth = shifted(depth, int(right_px), int(down_px))
+        shot = replace(shot, depth=depth)
+    return Drawn(shot, names, stage.camera)
+
+
+def heaped_stage(
+    meshes: Mapping[str, Mesh], seed: int, number: int, ranges: SceneRanges
+) -> tuple[Stage, tuple[str, ...], Rng, Rng]:
+    """The heap of frame `number` of the set `seed`, for three frames in the middle of which it is taken; the
+    names of its labelled objects; and the dice of the frame and of its pile, to be thrown on.
+
+    Raises InputError for no mesh, or for one too large for a heap on the table."""
     check_sizes(meshes)
     rng = np.random.default_rng([seed, number, 61])
     known = sorted(meshes)
@@ -129,19 +152,7 @@ def rendered_frame(
         camera=camera,
         lamp=replace(_light(ranges, pile), sky=0.0) if ranges.pile else None,
     )
-    depth_sensor = replace(STEREO, subpixel=rng.uniform(*ranges.subpixel))
-    color_sensor = replace(
-        COLOR, full_well=COLOR.full_well * rng.uniform(0.3, 1.2), blur_px=rng.uniform(0.4, 0.8)
-    )
-    # The middle one of three frames: the exposure reaches into its neighbours.
-    shot = shoot(stage, 1, int(rng.integers(2**31)), color_sensor, depth_sensor)
-    if ranges.pile:
-        depth = lost_in_bad_light(shot.depth, shot.color, pile)
-        if pile.random() < MISALIGNED:
-            right_px, down_px = pile.integers(-SHIFT_PX, SHIFT_PX + 1, 2)
-            depth = shifted(depth, int(right_px), int(down_px))
-        shot = replace(shot, depth=depth)
-    return Drawn(shot, names, camera)
+    return stage, names, rng, pile
 
 
 def check_sizes(meshes: Mapping[str, Mesh], fix: str = "Leave it out with --objects.") -> None:

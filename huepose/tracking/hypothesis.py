@@ -4,7 +4,7 @@ opinions, and time decides between them."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,12 @@ class Hypothesis:
     log_odds: float = 0.0
     goes_on: float = 0.0
     jump: float = 0.0
+
+    def seen_from(self, T_new_old: Float64) -> Hypothesis:
+        """The same place and motion in the axes of a camera that has moved; T_new_old (4, 4): from the old
+        axes to the new ones."""
+        velocity = None if self.velocity is None else se3.along(T_new_old[:3, :3]) @ self.velocity
+        return replace(self, T_cam_obj=se3.compose(T_new_old, self.T_cam_obj), velocity=velocity)
 
 
 @dataclass(frozen=True, eq=False)

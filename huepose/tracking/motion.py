@@ -8,7 +8,7 @@ single poses."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,12 @@ def same_motion(
     )
 
 
+def of_camera(surface: PreparedSurface, T_cam_obj: Float64, T_new_old: Float64, seconds: float) -> Float64:
+    """The velocity (6,) with which what stands still moves in the axes of a camera that moves; T_new_old
+    (4, 4): from the camera's axes that many seconds ago to those of now."""
+    return increment_velocity(surface, se3.compose(se3.inverse(T_new_old), T_cam_obj), T_cam_obj, seconds)
+
+
 def about_centre(surface: PreparedSurface, T_cam_obj: Float64, velocity: Float64) -> Float64:
     """The velocity about the object's centre of a motion that is given about its origin."""
     return _about(velocity, surface.centre_cam(T_cam_obj) - T_cam_obj[:3, 3])
@@ -100,6 +106,12 @@ class Reach:
     def holds(self, centre_cam: Float64) -> bool:
         """Whether an object's centre (3,) lies within, or nearly."""
         return float(np.linalg.norm(centre_cam - self.centre_cam)) < self.distance_m + REFINED_M
+
+    def seen_from(self, T_new_old: Float64) -> Reach:
+        """The same place in the axes of a camera that has moved; T_new_old (4, 4): from the old axes to the
+        new ones."""
+        rotations = tuple(T_new_old[:3, :3] @ R for R in self.rotations)
+        return replace(self, centre_cam=se3.apply(T_new_old, self.centre_cam), rotations=rotations)
 
 
 def most_turned(velocity: Float64 | None, seconds: float, config: TrackerConfig) -> float:

@@ -90,6 +90,10 @@ class Orientation:
         self.sure_ns, self.turned_ns = self.sure_ns - by_ns, self.turned_ns - by_ns
         self.sure = None if self.sure is None else replace(self.sure, velocity=None)
 
+    def seen_from(self, T_new_old: Float64) -> None:
+        """Continue in the axes of a camera that has moved (as in `Hypothesis.seen_from`)."""
+        self.sure = None if self.sure is None else self.sure.seen_from(T_new_old)
+
     def see(self, first: Hypothesis, stamp_ns: int) -> None:
         """This pose is sure: rotation is measured from here."""
         self.sure, self.sure_ns = first, stamp_ns

@@ -10,9 +10,9 @@ import numpy as np
 
 from huepose.believe.logistic import probability
 from huepose.believe.state import State
+from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.se3 import grown
 from huepose.judge.silhouette import taken_by
 from huepose.judge.terms import NOTHING, Terms
 from huepose.select.distinct import RIGHT
@@ -24,7 +24,7 @@ from huepose.tracking.evidence import Identity, Standing, next_standing, turned_
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.looks import LOOK_S, looks
-from huepose.tracking.motion import Reach, jump_since, predicted, same_motion
+from huepose.tracking.motion import Reach, jump_since, of_camera, predicted, same_motion
 from huepose.tracking.opinions import found_again, opinions, weighed
 from huepose.tracking.orientation import LOOKED_FOR, Orientation, another_opinion
 from huepose.tracking.refined import unmoved
@@ -61,6 +61,8 @@ class Track:
         self._orientation = Orientation(subject, config)
         self._spread, self._supported_ns, self._agreed_ns = 0.0, 0, -1
         self._looked_ns, self._apart_s = 0, LOOK_S
+        self._T_parent_cam: Float64 | None = None
+        self._camera_moved: tuple[Float64, float] | None = None
         self._known_at: tuple[Float64, int] | None = None
         self._searched = Effort()
         self._begin()
@@ -79,6 +81,15 @@ class Track:
     def T_cam_obj(self) -> Float64 | None:
         """The pose (4, 4) of the first hypothesis; None without one."""
         return self.hypotheses[0].T_cam_obj if self.hypotheses else None
+
+    @property
+    def velocity(self) -> Float64 | None:
+        """Of that pose, relative to the camera: a twist (6,) along its axes about the object's centre; None
+        where it is not known."""
+        velocity = self.hypotheses[0].velocity if self.hypotheses else None
+        if velocity is None or self._camera_moved is None:
+            return velocity
+        return velocity + of_camera(self.subject.surface, self.hypotheses[0].T_cam_obj, *self._camera_moved)
 
     @property
     def terms(self) -> Terms:
@@ -116,7 +127,7 @@ class Track:
         twins: poses (4, 4) of other instances of the object; where they are, a lost one is not searched
         for."""
         self._apart_s = (frame.stamp_ns - self._looked_ns) * 1e-9
-        self._looked_ns = frame.stamp_ns
+        self._look_from(frame)
         if self.frame is None or not self.hypotheses:
             return self._look_everywhere(frame, tries, twins)
         begun = self._effort.begun
@@ -137,6 +148,25 @@ class Track:
         if self.evidence >= self._config.tracking_quality:
             orientation.see(self.hypotheses[0], frame.stamp_ns)
         return tried
+
+    def _look_from(self, frame: RgbdFrame) -> None:
+        """Take all that is remembered of where the object was to where it would be seen now if it had not
+        moved. Of a camera of which nobody knows how it moved, that is where it was seen."""
+        before, now = self._T_parent_cam, frame.T_parent_cam
+        self._looked_ns, self._T_parent_cam = frame.stamp_ns, now
+        self._camera_moved = None
+        if before is None or now is None:
+            return
+        T = se3.compose(se3.inverse(now), before)
+        self._camera_moved = T, self._apart_s
+        self.hypotheses = tuple(h.seen_from(T) for h in self.hypotheses)
+        self._orientation.seen_from(T)
+        self._place = None if self._place is None else self._place.seen_from(T)
+        if self._known_at is not None:
+            self._known_at = se3.compose(T, self._known_at[0]), self._known_at[1]
+        if self.covariance is not None:
+            along = se3.along(T[:3, :3])
+            self.covariance = along @ self.covariance @ along.T
 
     def _look_everywhere(self, frame: RgbdFrame, tries: float, twins: Sequence[Float64]) -> float:
         """Search for a lost object at the likeliest place of the picture, among other windows each time. What
@@ -243,7 +273,8 @@ class Track:
         found, searched = found_nearby(surface, T_cam_obj, frame, apart_s, light, self._config)
         tried = float(searched)
         first = weighed(self.subject, found, frame, self.usual, evidence.odds_of(quality))
-        self.hypotheses, self.frame, self._looked_ns = (first,), frame, frame.stamp_ns
+        self.hypotheses, self.frame = (first,), frame
+        self._looked_ns, self._T_parent_cam = frame.stamp_ns, frame.T_parent_cam
         self.covariance, self._spread = uncertainty(self.subject, first, frame)
         sure = probability(first.log_odds)
         if evidence.one_sense(first.terms):
@@ -279,7 +310,9 @@ class Track:
         self._spread = verified._spread
         usual = verified.usual
         self.usual = replace(self.usual, baseline=usual.baseline, light=usual.light)
-        self.evidence, self.frame, self._looked_ns = verified.evidence, frame, frame.stamp_ns
+        self.evidence, self.frame = verified.evidence, frame
+        self._looked_ns, self._T_parent_cam = frame.stamp_ns, frame.T_parent_cam
+        self._camera_moved = verified._camera_moved
         self._orientation.take_over(verified._orientation)
         # Perception judged the same picture: this evidence may lower its quality, not raise it.
         known = self._of_its_color(min(quality, probability(evidence.odds_of(quality) + self._told)))
@@ -389,7 +422,7 @@ class Track:
             T = predicted(self.subject.surface, before.T_cam_obj, before.velocity, seconds)
         self.hypotheses = (replace(first, T_cam_obj=T, velocity=velocity), *self.hypotheses[1:])
         if self.covariance is not None:
-            self.covariance = grown(self.covariance, seconds)
+            self.covariance = se3.grown(self.covariance, seconds)
 
     def _judge(self) -> None:
         turn = self._orientation.probability

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 import numpy as np
 
 from huepose.believe.state import State
-from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours
 from huepose.judge.open_region import PreparedSurface
@@ -394,6 +393,7 @@ def _claim(track: Track, bonus: float = 0.0) -> Claim:
 
 def _published(track: Track, frame: RgbdFrame) -> TrackedPose:
     """The pose message of a track for a frame."""
+    T = track.T_cam_obj
     return TrackedPose(
         track.object,
         track.instance,
@@ -401,17 +401,9 @@ def _published(track: Track, frame: RgbdFrame) -> TrackedPose:
         frame.frame_id,
         frame.stamp_ns,
         track.state,
-        track.T_cam_obj,
-        _velocity(track),
+        T,
+        None if T is None else about_origin(track.subject.surface, T, track.velocity),
         track.quality,
         track.covariance,
         track.applied_seq,
     )
-
-
-def _velocity(track: Track) -> Float64 | None:
-    """That of its first hypothesis, as it is published."""
-    if not track.hypotheses:
-        return None
-    first = track.hypotheses[0]
-    return about_origin(track.subject.surface, first.T_cam_obj, first.velocity)

@@ -52,7 +52,8 @@ class FrameHeader(Message, frozen=True, kw_only=True):
     """Attachment of a frame. Buffers `color` (H, W, 3) uint8 RGB and `depth` (H, W) uint16: times
     depth_scale_m metres, 0 for no reading, in the pixels of the colour image. `picture`: what its camera
     knows to be wrong with the picture, so that nothing is seen in it; `camera`: what it knows against all
-    its pictures, and so against every pose."""
+    its pictures, and so against every pose; `camera_translation`, `camera_quaternion`: where a camera that
+    moves took the picture, in a frame that does not move, null where nobody told."""
 
     camera_epoch: Epoch
     frame_id: Count
@@ -63,6 +64,11 @@ class FrameHeader(Message, frozen=True, kw_only=True):
     buffers: Annotated[list[BufferSpec], Meta(max_length=8)]
     picture: Text = ""
     camera: Text = ""
+    camera_translation: Vector3 | None = None
+    camera_quaternion: Quaternion | None = None
+
+    def __post_init__(self) -> None:
+        check_pose(self.camera_translation, self.camera_quaternion)
 
 
 class CameraMessage(Message, frozen=True, kw_only=True):

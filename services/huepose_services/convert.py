@@ -46,6 +46,11 @@ def pose_to_wire(T_cam_obj: Float) -> tuple[Vector, Quaternion]:
     return (x, y, z), (qx, qy, qz, qw)
 
 
+def optional_pose_to_wire(T: Float | None) -> tuple[Vector, Quaternion] | tuple[None, None]:
+    """The same where there may be no pose."""
+    return (None, None) if T is None else pose_to_wire(T)
+
+
 def pose_from_wire(translation: Vector, quaternion: Quaternion) -> Float64:
     """Pose (4, 4) of a translation and a quaternion (xyzw)."""
     return se3.make(se3.rotation_from_quaternion(np.array(quaternion)), np.array(translation))
@@ -96,6 +101,7 @@ _BOX = box_to_wire, lambda box: Box(*box)
 _FORMS: dict[str, tuple[tuple[str, ...], tuple[Callable[..., Any], Callable[..., Any]]]] = {
     "T_cam_obj": (("translation", "quaternion"), _POSE),
     "prior_T_cam_obj": (("prior_translation", "prior_quaternion"), _POSE),
+    "T_parent_cam": (("camera_translation", "camera_quaternion"), _POSE),
     "velocity": (("velocity_linear", "velocity_angular"), _TWIST),
     "covariance": (("covariance",), _COVARIANCE),
     "box": (("box",), _BOX),
@@ -160,6 +166,7 @@ def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:
         frame_id=header.frame_id,
         stamp_ns=header.capture_ns,
         epoch=header.camera_epoch,
+        T_parent_cam=optional_pose_from_wire(header.camera_translation, header.camera_quaternion),
     )
 
 

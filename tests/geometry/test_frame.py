@@ -38,3 +38,16 @@ def test_a_picture_without_an_area_is_refused(width: int, height: int) -> None:
     camera = Camera(300.0, 300.0, 0.0, 0.0, width, height)
     with pytest.raises(InputError, match="sides of 2 pixels or more"):
         RgbdFrame(np.zeros((height, width, 3), np.uint8), np.ones((height, width), np.float32), camera)
+
+
+def test_where_its_camera_was_is_a_rigid_transform_or_unknown() -> None:
+    depth = np.ones((6, 8), np.float32)
+    assert RgbdFrame(COLOR, depth, CAMERA).T_parent_cam is None
+    assert (
+        RgbdFrame(COLOR, depth, CAMERA, T_parent_cam=np.eye(4)).without(depth > 0.0).T_parent_cam is not None
+    )
+    for wrong in (np.eye(3), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan)):
+        with pytest.raises(
+            InputError, match=r"T_parent_cam, the camera's pose: found .*expected a rigid transform"
+        ):
+            RgbdFrame(COLOR, depth, CAMERA, T_parent_cam=wrong)

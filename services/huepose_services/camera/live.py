@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeVar
 
 from huepose.datasets.types import GroundTruth
 from huepose.geometry import Camera
-from huepose.geometry.arrays import Float32, UInt8
+from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.geometry.picture_faults import same
 from huepose.support.errors import InputError
 from huepose.support.extras import install_command
@@ -28,7 +28,8 @@ class Shot:
 
     color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 for no reading; number: the device's own count;
     device_ns: capture time on the device's clock, of colour; depth_ns: that of depth, None where it is not
-    known; arrived_ns: CLOCK_MONOTONIC when this machine had it; truths: of a camera that knows them.
+    known; arrived_ns: CLOCK_MONOTONIC when this machine had it; truths: of a camera that knows them;
+    T_parent_cam: as in an RgbdFrame, of one that knows where it is.
     """
 
     color: UInt8
@@ -39,6 +40,7 @@ class Shot:
     arrived_ns: int
     depth_ns: int | None = None
     truths: tuple[GroundTruth, ...] = ()
+    T_parent_cam: Float64 | None = None
 
     def shows_the_same(self, other: Shot) -> bool:
         """Whether every pixel is the same: no sensor gives one picture twice, but of nothing at all."""

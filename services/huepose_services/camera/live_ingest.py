@@ -188,7 +188,8 @@ class LiveIngest(Work):
         if shot.camera != self._camera or back_ns > _BACK_NS:
             self._begin_epoch(shot.camera)
         self._newest_ns = max(self._newest_ns, capture_ns)
-        frame, settings = RgbdFrame(shot.color, shot.depth, shot.camera), self._config.camera
+        frame = RgbdFrame(shot.color, shot.depth, shot.camera, T_parent_cam=shot.T_parent_cam)
+        settings = self._config.camera
         truths = shot.truths if settings.truth else None
         picture = packed(frame, settings.depth_scale_m, truths, self._name, shot.number)
         wrong = self._lasting(now_ns())

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from huepose.datasets.types import GroundTruth
 from huepose.geometry import RgbdFrame
+from huepose.geometry.arrays import Float64
 from huepose.geometry.picture_faults import camera_doubted
 from huepose_protos.buffers import pack
 from huepose_protos.messages import (
@@ -19,15 +21,24 @@ from huepose_protos.messages import (
     TruthMessage,
     TruthObject,
 )
-from huepose_protos.motion import composed
-from huepose_services.convert import camera_from_wire, depth_to_wire, intrinsics_to_wire, to_wire
+from huepose_protos.motion import composed, mount_at
+from huepose_services.convert import (
+    Quaternion,
+    Vector,
+    camera_from_wire,
+    depth_to_wire,
+    intrinsics_to_wire,
+    optional_pose_to_wire,
+    to_wire,
+)
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.config import Config
-from huepose_services.runtime.inbox import Place
 from huepose_services.runtime.text import encodable
 
 _LATE_NS = SECOND // 2
+_PLACES = 256
+"""So many are remembered: of a robot that tells a thousand a second those of the last quarter of one."""
 _NOT_TOLD = (
     "nobody has told for half a second where the camera is (camera.moving, camera.tf): there are no poses in "
     "the frame of the robot; MountSender of huepose_protos tells it, or /tf by the worker ros2"
@@ -36,12 +47,14 @@ _NOT_TOLD = (
 
 @dataclass(frozen=True)
 class Packed:
-    """A picture that is ready to go. truths: what its source knows about it, None where nobody is told;
-    scene, image: which picture of the source it is."""
+    """A picture that is ready to go. T_parent_cam (4, 4): where its source says that the camera was, None
+    where it does not know; truths: what it knows about it, None where nobody is told; scene, image: which
+    picture of the source it is."""
 
     intrinsics: Intrinsics
     buffers: list[BufferSpec]
     payload: bytes
+    T_parent_cam: Float64 | None
     truths: Sequence[GroundTruth] | None
     scene: str
     image: int
@@ -58,7 +71,8 @@ def packed(
     depth = depth_to_wire(frame.depth, depth_scale_m)
     buffers, payload = pack({"color": frame.color, "depth": depth})
     intrinsics = intrinsics_to_wire(frame.camera, depth_scale_m)
-    return Packed(intrinsics, buffers, payload, truths, encodable(scene), image)
+    place = frame.T_parent_cam
+    return Packed(intrinsics, buffers, payload, place, truths, encodable(scene), image)
 
 
 class FramePublisher:
@@ -70,6 +84,7 @@ class FramePublisher:
         self._mount = config.camera.mount
         self._told_mounts = bus.inbox.queue(self._keys.mount, wakes=False) if config.camera.told else None
         self._placed_ns = now_ns()
+        self._places: deque[tuple[int, Mount]] = deque(maxlen=_PLACES)
         self._told: int | None = None
         self._tell_ns = 0
 
@@ -96,6 +111,8 @@ class FramePublisher:
             )
             self._bus.put(self._keys.truth, truth)
         bus, started = self._bus, now_ns()
+        news = self._heard()
+        translation, quaternion = self._place(picture, capture_ns)
         header = FrameHeader(
             publish_ns=started,
             camera_epoch=epoch,
@@ -107,6 +124,8 @@ class FramePublisher:
             buffers=picture.buffers,
             picture=said[0],
             camera=said[1],
+            camera_translation=translation,
+            camera_quaternion=quaternion,
         )
         bus.put_pixels(self._keys.frame, header, picture.payload)
         if epoch != self._told:
@@ -115,8 +134,8 @@ class FramePublisher:
             if doubt is not None:
                 bus.log.say(doubt)
         self._tell(header)
-        if self._told_mounts is not None:
-            self._tell_mounts(header, self._told_mounts)
+        for mount_ns, mount in news:
+            self._say(header, mount, mount_ns)
         bus.health.count(counted_as)
         bus.health.worked_on(started, header)
 
@@ -128,15 +147,34 @@ class FramePublisher:
         self._told, self._tell_ns = header.camera_epoch, now + SECOND
         self._say(header, self._mount if self._told_mounts is None else None, None)
 
-    def _tell_mounts(self, header: FrameHeader, told: Place) -> None:
-        """Where a camera that moves was, as it was told since the last frame."""
-        while (message := self._bus.take(told, MountMessage)) is not None:
-            self._placed_ns = message.capture_ns
+    def _heard(self) -> list[tuple[int, Mount]]:
+        """Where a camera that moves was, with stamps, as it was told since the last frame."""
+        if self._told_mounts is None:
+            return []
+        news = []
+        while (message := self._bus.take(self._told_mounts, MountMessage)) is not None:
             fixed = self._mount
             mount = message.mount if fixed is None else composed(message.mount, fixed)
-            self._say(header, mount, message.capture_ns)
+            news.append((message.capture_ns, mount))
+            self._remember(message.capture_ns, mount)
         late = now_ns() - self._placed_ns > _LATE_NS
         self._bus.health.warn_while("mount", _NOT_TOLD if late else None)
+        return news
+
+    def _remember(self, mount_ns: int, mount: Mount) -> None:
+        """That it was there; a stamp that goes back is of another clock or program, and begins anew."""
+        if self._places and mount_ns < self._places[-1][0]:
+            self._places.clear()
+        if not self._places or mount_ns > self._places[-1][0]:
+            self._places.append((mount_ns, mount))
+        self._placed_ns = mount_ns
+
+    def _place(self, picture: Packed, capture_ns: int) -> tuple[Vector, Quaternion] | tuple[None, None]:
+        """Where the camera took the picture: as somebody told, or the source where nobody is to tell."""
+        if self._told_mounts is None:
+            return optional_pose_to_wire(picture.T_parent_cam)
+        mount = mount_at(self._places, capture_ns)
+        return (None, None) if mount is None else (mount.translation, mount.quaternion)
 
     def _say(self, header: FrameHeader, mount: Mount | None, mount_ns: int | None) -> None:
         message = CameraMessage(

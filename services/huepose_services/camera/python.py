@@ -6,7 +6,8 @@
             yield RgbdFrame(color, depth, camera, stamp_ns=time.monotonic_ns())
 
 color (H, W, 3) uint8 RGB, rectified; depth (H, W) float32 metres in the pixels of colour, 0 or NaN for no
-reading; stamp_ns: when it was captured, CLOCK_MONOTONIC, 0 for now. It may block as long as a picture takes.
+reading; stamp_ns: when it was captured, CLOCK_MONOTONIC, 0 for now; T_parent_cam (4, 4), of a camera that
+moves, if known: where it was then, in a frame that does not move. It may block as long as a picture takes.
 Both arrays may be filled anew for the next picture: they are copied, in well under a millisecond.
 """
 
@@ -98,7 +99,8 @@ class PythonCamera:
         now = now_ns()
         # Whoever fills one array again and again must not change a picture that is still sent, or compared.
         color, depth = frame.color.copy(), frame.depth.copy()
-        return Shot(color, depth, frame.camera, self._number, frame.stamp_ns or now, now)
+        taken_ns, place = frame.stamp_ns or now, frame.T_parent_cam
+        return Shot(color, depth, frame.camera, self._number, taken_ns, now, T_parent_cam=place)
 
     def close(self) -> None:
         """Nothing is held."""

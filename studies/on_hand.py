@@ -1,0 +1,169 @@
+"""A camera on a hand moves fast over a heap of objects that stand still: what does the tracker gain where it
+is told where the camera is?
+
+    .venv/bin/python -m studies.on_hand --bundles DIR --json OUT.json
+
+Each film is drawn once and kept: 2 s at 30 Hz, up to 0.8 m/s and 90 degrees a second. All objects start at
+their true poses; then the tracker is alone, as it runs live. `told`: not at all; exactly; with noise (0.5 mm
+and 0.09 degrees an axis); 15 ms late; of a camera that is fixed 2.7 cm and 5.4 degrees from where it is said
+to be; all wrong (the inverse of the pose).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from huepose.believe.state import State
+from huepose.datasets.types import VISIBLE
+from huepose.evaluation import metrics
+from huepose.evaluation.result_files import write_json
+from huepose.geometry import RgbdFrame, se3
+from huepose.geometry.arrays import Float32, Float64, Rng, UInt8
+from huepose.model import ReferenceModel, load_models
+from huepose.profiles import profile
+from huepose.scenes.camera import COLOR, STEREO
+from huepose.scenes.frame import Shot, Stage, shoot
+from huepose.scenes.loop_file import Loop, kept_loop
+from huepose.scenes.motion import positions
+from huepose.scenes.rendered import SceneRanges, heaped_stage
+from huepose.support.files import cache_folder
+from huepose.support.progress import progress
+from huepose.tracking import Correction, Tracker
+from studies.stress.play import error_of
+
+VERSION = 1  # raise it when any pixel changes
+FRAMES, HZ = 60, 30
+LATE_S = 0.015
+NOISE = np.repeat([0.0005, 0.0015], 3)
+"""Of a pose of the camera that is told: metres and radians along and about each axis."""
+
+MISFIXED = se3.make(se3.rotation_exp(np.radians([3.0, -4.0, 2.0])), np.array([0.02, -0.01, 0.015]))
+TOLD = ("not", "exactly", "noisy", "late", "misfixed", "inverse")
+
+
+@dataclass(frozen=True)
+class Row:
+    """Of one film at every so-manieth frame, told so: frames in which an object is visible by 30 %, those of
+    them in which its pose is TRACKING and right, and those in which what is TRACKING is not right."""
+
+    film: int
+    every: int
+    told: str
+    visible: int
+    right: int
+    wrong: int
+
+
+def film(
+    models: Mapping[str, ReferenceModel], seed: int, number: int
+) -> tuple[tuple[str, ...], Stage, Loop, list[dict[str, list[float]]]]:
+    """The names of the objects, the stage, its pictures and the truth."""
+    still, names, rng, _ = heaped_stage({n: m.mesh for n, m in models.items()}, seed, number, SceneRanges())
+    stage = Stage(
+        still.meshes,
+        still.labelled,
+        np.repeat(still.T_room_mesh[:, 1:2], FRAMES, axis=1),
+        hand(rng) @ still.T_cam_room[1],
+        still.lights[:1] * FRAMES,
+        still.camera,
+    )
+
+    def kept(shot: Shot) -> tuple[UInt8, Float32, dict[str, list[float]]]:
+        labels = shot.labels
+        return shot.color, shot.depth, {"T": labels.T_cam_obj.tolist(), "seen": labels.visib_fract.tolist()}
+
+    shots = (shoot(stage, i, seed * 1000 + number, COLOR, STEREO) for i in range(FRAMES))
+    path = cache_folder() / "on_hand" / f"{seed}-{number:03d}-{VERSION}.loop"
+    loop, truth = kept_loop(path, lambda: map(kept, shots), {"seed": seed, "number": number})
+    return names, stage, loop, truth
+
+
+def hand(rng: Rng) -> Float64:
+    """Poses (FRAMES, 4, 4) of a hand's way to and fro, in the axes of where it began."""
+    phase = np.linspace(0.0, 1.0, FRAMES, endpoint=False)
+    places, turns = (positions(rng.normal(0.0, 1.0, (5, 3)), phase) for _ in range(2))
+    for way, fastest in ((places, rng.uniform(0.4, 0.8)), (turns, np.radians(rng.uniform(40.0, 90.0)))):
+        way -= way.mean(0)
+        way *= fastest / (HZ * np.linalg.norm(np.diff(way, axis=0), axis=1).max())
+    return np.array([se3.make(se3.rotation_exp(w), p) for w, p in zip(turns, places, strict=True)])
+
+
+def said(told: str, stage: Stage, i: int, rng: Rng) -> Float64 | None:
+    """Where the camera of frame i is said to be."""
+    T = se3.inverse(stage.T_cam_room[i])
+    match told:
+        case "exactly":
+            return T
+        case "noisy":
+            return se3.perturb(T, rng.normal(0.0, NOISE))
+        case "late":
+            before = se3.inverse(stage.T_cam_room[max(i - 1, 0)])
+            return se3.interpolate(before, T, 1.0 - LATE_S * HZ)
+        case "misfixed":
+            return T @ MISFIXED
+        case "inverse":
+            return se3.inverse(T)
+    return None
+
+
+def played(models: Mapping[str, ReferenceModel], seed: int, number: int, every: int, told: str) -> Row:
+    """One film, tracked from the true poses of its first frame."""
+    names, stage, loop, truth = film(models, seed, number)
+    tracker = Tracker({name: models[name] for name in names}, profile("live").tracker)
+    rng = np.random.default_rng([seed, number])
+    visible = right = wrong = 0
+    for i in range(0, FRAMES, every):
+        T_parent_cam, stamp_ns = said(told, stage, i, rng), round(i * 1e9 / HZ)
+        frame = RgbdFrame(loop.color(i), loop.depth(i), stage.camera, i, stamp_ns, 1, T_parent_cam)
+        poses = dict(zip(names, np.array(truth[i]["T"]), strict=True))
+        seen = dict(zip(names, truth[i]["seen"], strict=True))
+        for name in names if i == 0 else ():
+            if seen[name] >= VISIBLE:
+                tracker.correct(Correction.first(name, poses[name], frame, 1.0))
+        for pose in tracker.step(frame):
+            error = error_of(models[pose.object], pose.T_cam_obj, poses[pose.object])
+            fits, known = error < metrics.RECALL_FRACTION, pose.state is State.TRACKING
+            visible += i > 0 and seen[pose.object] >= VISIBLE
+            right += i > 0 and seen[pose.object] >= VISIBLE and known and fits
+            wrong += i > 0 and known and not fits
+    return Row(number, every, told, visible, right, wrong)
+
+
+def rows(given: argparse.Namespace) -> Iterator[Row]:
+    """All films, at each rate, told in each way."""
+    models = load_models(given.bundles)
+    for number in progress(range(given.films), "films"):
+        for every in given.every:
+            yield from (played(models, given.seed, number, every, told) for told in given.told)
+
+
+def main() -> None:
+    """Play the films, and print what was TRACKING."""
+    what = __doc__
+    parser = argparse.ArgumentParser(description=what, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--bundles", type=Path, required=True)
+    parser.add_argument("--json", type=Path, required=True)
+    parser.add_argument("--films", type=int, default=8)
+    parser.add_argument("--seed", type=int, default=901)
+    parser.add_argument("--every", type=int, nargs="+", default=[1, 3, 5, 10])
+    parser.add_argument("--told", nargs="+", choices=TOLD, default=TOLD)
+    given = parser.parse_args()
+    done: list[Row] = []
+    for row in rows(given):
+        done.append(row)
+        write_json(given.json, {"rows": [vars(one) for one in done]})
+    print("every told      visible right wrong")
+    for every in given.every:
+        for told in given.told:
+            some = [row for row in done if (row.every, row.told) == (every, told)]
+            sums = [sum(getattr(row, name) for row in some) for name in ("visible", "right", "wrong")]
+            print(f"{every:5d} {told:9s} {sums[0]:7d} {sums[1]:5d} {sums[2]:5d}")
+
+
+if __name__ == "__main__":
+    main()

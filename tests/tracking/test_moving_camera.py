@@ -1,0 +1,115 @@
+"""A camera on a hand: what stands still is expected where the hand's motion leaves it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.believe.state import State
+from huepose.geometry import Mesh, RgbdFrame, se3
+from huepose.geometry.arrays import Float64
+from huepose.tracking import TrackedPose, Tracker
+from tests.tracking.conftest import correction, errors
+
+T_BASE_OBJ = se3.make(se3.rotation_exp(np.array([1.9, 0.3, 0.4])), np.array([0.4, -0.2, 0.1]))
+STEP = 6
+"""Five frames a second."""
+
+FOLLOWED = ("still", "velocity")
+"""Sources of hypotheses that no search has found."""
+
+
+def camera_at(number: float) -> Float64:
+    """T_base_cam of a hand that goes to and fro round the box, half a metre from it: up to 0.5 m/s and 90
+    degrees a second."""
+    t = number / 30.0
+    turn = se3.rotation_exp(np.array([0.35 * np.sin(4.0 * t), 0.4 * np.sin(3.5 * t), 0.5 * np.sin(3.0 * t)]))
+    away = np.array([0.1 * np.sin(5.0 * t), 0.08 * np.sin(4.0 * t), 0.55])
+    return se3.compose(se3.make(np.eye(3), T_BASE_OBJ[:3, 3]), se3.inverse(se3.make(turn, away)))
+
+
+def seen_at(number: float) -> Float64:
+    """T_cam_obj of the box."""
+    return se3.compose(se3.inverse(camera_at(number)), T_BASE_OBJ)
+
+
+@pytest.fixture
+def filmed(tea_box, shoot):
+    """A function of a frame number: that frame by the hand, told where it was or not; front: what else is
+    before the camera."""
+
+    def take(number: int, told: bool, front: tuple[tuple[Mesh, Float64], ...] = ()) -> RgbdFrame:
+        frame = shoot([(tea_box.mesh, seen_at(number)), *front], number)
+        return replace(frame, T_parent_cam=camera_at(number) if told else None)
+
+    return take
+
+
+def _right(pose: TrackedPose) -> bool:
+    if pose.T_cam_obj is None or pose.state is not State.TRACKING:
+        return False
+    mm, degrees = errors(pose, seen_at(pose.frame_id))
+    return mm < 2.0 and degrees < 1.0
+
+
+def test_what_stands_still_is_not_searched_for_where_the_camera_is_known(tea_box, filmed) -> None:
+    searched = {}
+    for told in (True, False):
+        tracker, sources = Tracker({"tea_box": tea_box}), []
+        for number in range(0, 20 * STEP, STEP):
+            frame = filmed(number, told)
+            if number == 0:
+                tracker.correct(correction(frame, seen_at(number)))
+            (pose,) = tracker.step(frame)
+            assert _right(pose) or not told
+            sources.append(tracker.hypotheses("tea_box", 0)[0].source)
+        searched[told] = len(sources) - sum(source in FOLLOWED for source in sources[1:]) - 1
+    assert searched[True] == 0
+    assert searched[False] >= 3
+
+
+def test_the_velocity_that_is_published_is_relative_to_the_camera(tea_box, filmed) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    for number in range(12):
+        frame = filmed(number, told=True)
+        if number == 0:
+            tracker.correct(correction(frame, seen_at(0)))
+        (pose,) = tracker.step(frame)
+        if number < 2:
+            continue
+        assert pose.velocity is not None
+        truth = se3.difference(seen_at(pose.frame_id - 1), seen_at(pose.frame_id)) * 30.0
+        np.testing.assert_allclose(pose.velocity[:3], truth[:3], atol=0.05)
+        np.testing.assert_allclose(pose.velocity[3:], truth[3:], atol=0.3)
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_behind_a_board_its_pose_follows_the_camera_as_far_as_that_is_known(tea_box, filmed, told) -> None:
+    corners = np.array([[-0.2, -0.2, 0], [0.2, -0.2, 0], [0.2, 0.2, 0], [-0.2, 0.2, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)[faces]
+    board = Mesh(corners, faces, uv, np.full((4, 4, 3), 90, np.uint8)), se3.make(np.eye(3), [0.0, 0.0, 0.3])
+    tracker, off_mm = Tracker({"tea_box": tea_box}), []
+    for number in range(18):
+        # In the middle of its way to one side, which it ends while nothing is seen.
+        frame = filmed(number, told, (board,) if number >= 10 else ())
+        if number == 0:
+            tracker.correct(correction(frame, seen_at(0)))
+        (pose,) = tracker.step(frame)
+        if number >= 10 and pose.T_cam_obj is not None:
+            assert pose.state is State.SUSPECT
+            off_mm.append(errors(pose, seen_at(number))[0])
+    assert len(off_mm) >= 4
+    assert (max(off_mm) < 10.0) == told
+
+
+def test_one_frame_of_which_nobody_knows_from_where_it_was_taken_does_no_harm(tea_box, filmed) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    for number in range(20):
+        frame = filmed(number, told=number % 5 != 3)
+        if number == 0:
+            tracker.correct(correction(frame, seen_at(0)))
+        (pose,) = tracker.step(frame)
+        assert _right(pose), number

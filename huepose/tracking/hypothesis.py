@@ -12,6 +12,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import Terms
+from huepose.select.distinct import RIGHT
 from huepose.tracking.motion import Reach
 from huepose.tracking.subject import Subject
 from huepose.tracking.usual import Usual
@@ -91,13 +92,14 @@ def distinct(subject: Subject, opinions: Sequence[Hypothesis]) -> tuple[Hypothes
     return tuple(kept)
 
 
-def share_of_first(opinions: Sequence[Hypothesis]) -> float:
-    """What part of the belief the first of different opinions has.
-
-    >>> share_of_first([])
-    0.0
-    """
-    return shares(opinions)[0] if opinions else 0.0
+def share_of_first(subject: Subject, opinions: Sequence[Hypothesis]) -> float:
+    """What part of the belief says that the first of different opinions is right: its own, and that of those
+    so near that both would be (`RIGHT`). 0 without any."""
+    return sum(
+        share
+        for k, (one, share) in enumerate(zip(opinions, shares(opinions), strict=True))
+        if k == 0 or same_pose(subject, opinions[0].T_cam_obj, one.T_cam_obj, RIGHT)
+    )
 
 
 def shares(opinions: Sequence[Hypothesis]) -> list[float]:

@@ -1,5 +1,4 @@
-"""What is believed of each hypothesis of a frame: its log-odds, from the picture, its past and its motion;
-and what may be believed of a lost object at the place that looks most like it."""
+"""What is believed of each hypothesis of a frame: its log-odds, from the picture, its past and its motion."""
 
 from __future__ import annotations
 
@@ -11,13 +10,11 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import continued
 from huepose.refine.ends import moved_to_ends
-from huepose.refine.photometric import FULL
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct
-from huepose.tracking.motion import Reach, filtered, increment_velocity, jump_odds, predicted
-from huepose.tracking.refined import best_of, unmoved
-from huepose.tracking.stages import found_at
+from huepose.tracking.hypothesis import Anchor, Hypothesis
+from huepose.tracking.motion import filtered, increment_velocity, jump_odds, predicted
+from huepose.tracking.refined import unmoved
 from huepose.tracking.step import WHOLLY_HIDDEN, Advance
 from huepose.tracking.subject import Subject
 from huepose.tracking.uncertainty import FIXED, uncertainty
@@ -108,26 +105,3 @@ def _held_by_its_ends(
     if T is None:
         return None
     return replace(unmoved(subject.surface, frame, T, light), information=h.information)
-
-
-def found_again(
-    subject: Subject,
-    seen: Hypothesis,
-    gone_s: float,
-    frame: RgbdFrame,
-    usual: Usual,
-    place: Reach,
-    config: TrackerConfig,
-) -> tuple[Hypothesis, ...]:
-    """Hypotheses, best first, of an object that was `seen` last `gone_s` seconds ago; none where it does not
-    seem to be. They are all of one place: which way round it is there need not be known."""
-    surface = subject.surface
-    found = []
-    for T in found_at(subject, frame, place, usual.light):
-        h = best_of(surface, frame, [(subject.like(T, seen.T_cam_obj), "views")], usual.light, 0, FULL)
-        jump = jump_odds(surface, seen.T_cam_obj, seen.T_cam_obj, h.T_cam_obj, gone_s, config)
-        found.append(weighed(subject, h, frame, usual, 0.0, jump))
-    opinions = distinct(subject, found)
-    if not opinions or evidence.one_sense(opinions[0].terms):
-        return ()
-    return opinions if probability(opinions[0].log_odds) >= config.suspect_quality else ()

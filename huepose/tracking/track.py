@@ -19,13 +19,14 @@ from huepose.select.distinct import RIGHT
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.effort import Effort
-from huepose.tracking.elsewhere import PARTS, likeliest_place
+from huepose.tracking.elsewhere import PARTS
 from huepose.tracking.evidence import Identity, Standing, next_standing, turned_over
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.looks import LOOK_S, looks
+from huepose.tracking.lost import found_elsewhere, found_standing
 from huepose.tracking.motion import Reach, jump_since, of_camera, predicted, same_motion
-from huepose.tracking.opinions import found_again, opinions, weighed
+from huepose.tracking.opinions import opinions, weighed
 from huepose.tracking.orientation import LOOKED_FOR, Orientation, another_opinion
 from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, NEARBY
@@ -71,6 +72,7 @@ class Track:
         """Nothing was missed or searched for yet."""
         self._effort, self._scarce_looks, self._unseen_s = Effort(), 0.0, 0.0
         self._place: Reach | None = None
+        self._may_stand = False
 
     @property
     def state(self) -> State:
@@ -169,23 +171,28 @@ class Track:
             self.covariance = along @ self.covariance @ along.T
 
     def _look_everywhere(self, frame: RgbdFrame, tries: float, twins: Sequence[Float64]) -> float:
-        """Search for a lost object at the likeliest place of the picture, among other windows each time. What
-        is found is `SUSPECT` until the next frames confirm it."""
+        """Look for a lost object where it stood, and search for it at the likeliest place of the picture,
+        among other windows each time. What is found is `SUSPECT` until the next frames confirm it."""
         self._effort = effort = self._effort.missed(self._apart_s)
         sure_pose = self._orientation.sure
-        if tries < 1.0 or sure_pose is None or effort.resting:
+        if sure_pose is None:
             return 0
-        part, gone_s = 0 if effort.enough else effort.begun, (frame.stamp_ns - self._supported_ns) * 1e-9
-        self._effort = self._searched = effort.reached(part + 1, PARTS)
+        searching = tries >= 1.0 and not effort.resting
+        if not (searching or self._may_stand):
+            return 0
+        gone_s = (frame.stamp_ns - self._supported_ns) * 1e-9
+        usual, config, tried = self.usual.remembered(gone_s), self._config, 0.0
+        found: tuple[Hypothesis, ...] = ()
         free = frame.without(taken_by(self.subject.model, frame, twins)) if twins else frame
-        place = likeliest_place(self.subject.model, self.subject.views, free, part)
-        if place is None:
-            return 1
-        usual = self.usual.remembered(gone_s)
-        found = found_again(self.subject, sure_pose, gone_s, frame, usual, place, self._config)
+        if self._may_stand:
+            found, self._may_stand = found_standing(self.subject, sure_pose, free, usual, config)
+        if searching and not found:
+            part = 0 if effort.enough else effort.begun
+            self._effort = self._searched = effort.reached(part + 1, PARTS)
+            found, tried = found_elsewhere(self.subject, sure_pose, gone_s, free, usual, part, config)
         if not found:
-            return 2
-        sure = probability(found[0].log_odds) * share_of_first(found)
+            return tried
+        sure = probability(found[0].log_odds) * share_of_first(self.subject, found)
         anchor = Anchor((sure_pose,), frame, usual, unseen_s=gone_s)
         self.hypotheses, self.frame, first = found, frame, found[0]
         self.covariance, self._spread = uncertainty(self.subject, first, frame)
@@ -193,7 +200,7 @@ class Track:
         self._begin()
         self._standing = Standing(State.SUSPECT, found=True)
         self._found_elsewhere(self._of_its_color(sure), frame)
-        return 2 + self._check_orientation(anchor, frame, hurry=False)
+        return tried + self._check_orientation(anchor, frame, hurry=False)
 
     def _take(self, anchor: Anchor, found: Advance, frame: RgbdFrame) -> None:
         """Give each hypothesis its log-odds, from the image, its past and the motion it implies, and keep the
@@ -204,7 +211,7 @@ class Track:
         self._corrected_from = None
         self.hypotheses = distinct(self.subject, seen)
         first = self.hypotheses[0]
-        sure = probability(first.log_odds) * share_of_first(self.hypotheses)
+        sure = probability(first.log_odds) * share_of_first(self.subject, self.hypotheses)
         if evidence.one_sense(first.terms) or first.jump < 0.0:
             # An implausible jump has to be confirmed by the next frame.
             sure = min(sure, evidence.ONE_SENSE)
@@ -337,11 +344,12 @@ class Track:
         self.hypotheses, self.covariance, self.frame = (), None, None
         self.evidence = self.quality = 0.0
         self._begin()
+        self._may_stand = True
 
     def give_back(self) -> None:
         """Lose a pose that was found where another instance is: the search goes on from there."""
         self.lose()
-        self._effort = self._searched
+        self._effort, self._may_stand = self._searched, False
 
     def give_way(self) -> None:
         """Another instance came late and explains the same surface better."""

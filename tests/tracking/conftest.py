@@ -49,6 +49,16 @@ def backdrop() -> RgbdFrame:
 
 
 @pytest.fixture(scope="session")
+def board() -> tuple[Mesh, np.ndarray]:
+    """A grey board of 0.4 m before the camera, 0.3 m away, and its pose T_cam_mesh."""
+    corners = np.array([[-0.2, -0.2, 0], [0.2, -0.2, 0], [0.2, 0.2, 0], [-0.2, 0.2, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)[faces]
+    grey = np.full((4, 4, 3), 90, np.uint8)
+    return Mesh(corners, faces, uv, grey), se3.make(np.eye(3), np.array([0.0, 0.0, 0.3]))
+
+
+@pytest.fixture(scope="session")
 def shoot(backdrop: RgbdFrame) -> Shoot:
     """A function of [(mesh, T_cam_obj), ...] and a frame number: the 30 Hz frame of these objects before the
     wall, with the noise of a camera."""

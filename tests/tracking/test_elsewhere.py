@@ -10,7 +10,7 @@ import pytest
 
 from huepose.believe.state import State
 from huepose.geometry import se3
-from huepose.tracking import Correction, Tracker, Verdict, stages, track
+from huepose.tracking import Correction, Tracker, Verdict, lost, stages
 from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.subject import Subject
 from huepose.tracking.types import Doubt
@@ -24,13 +24,13 @@ HALF_A_SECOND = 15
 def asked(monkeypatch) -> list[int]:
     """The parts of the picture that were looked at, one for each time."""
     parts: list[int] = []
-    real = track.likeliest_place
+    real = lost.likeliest_place
 
     def spied(model, table, frame, part):
         parts.append(part)
         return real(model, table, frame, part)
 
-    monkeypatch.setattr(track, "likeliest_place", spied)
+    monkeypatch.setattr(lost, "likeliest_place", spied)
     return parts
 
 

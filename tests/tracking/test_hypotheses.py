@@ -129,11 +129,22 @@ def test_one_pose_is_one_hypothesis_and_the_hopeless_are_dropped(tea_box) -> Non
     assert len(distinct(subject, [opinion(turned(60 * k), 1.0) for k in range(6)])) == 3
 
 
-def test_a_near_tie_is_shared() -> None:
-    one = opinion(turned(0), 2.0)
-    assert share_of_first((one,)) == 1.0
-    assert share_of_first((one, opinion(turned(90), 2.0))) == pytest.approx(0.5)
-    assert share_of_first((one, opinion(turned(90), 0.0))) == pytest.approx(1 / (1 + np.exp(-2.0)))
+def test_a_near_tie_is_shared(tea_box) -> None:
+    subject, one = Subject.of(tea_box), opinion(turned(0), 2.0)
+    assert share_of_first(subject, ()) == 0.0
+    assert share_of_first(subject, (one,)) == 1.0
+    assert share_of_first(subject, (one, opinion(turned(90), 2.0))) == pytest.approx(0.5)
+    apart = (one, opinion(turned(90), 0.0))
+    assert share_of_first(subject, apart) == pytest.approx(1 / (1 + np.exp(-2.0)))
+
+
+def test_what_would_be_right_with_the_first_speaks_for_it(tea_box) -> None:
+    subject = Subject.of(tea_box)
+    one, near, other = opinion(turned(0), 2.0), opinion(turned(20), 2.0), opinion(turned(90), 2.0)
+    assert not same_pose(subject, one.T_cam_obj, near.T_cam_obj)
+    assert share_of_first(subject, (one, near)) == pytest.approx(1.0)
+    assert share_of_first(subject, (one, near, other)) == pytest.approx(2 / 3)
+    assert share_of_first(subject, (other, one, near)) == pytest.approx(1 / 3)
 
 
 def test_a_rotation_under_which_the_object_looks_the_same_is_no_other_pose(tea_box) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from huepose.believe.state import State
 from huepose.geometry import se3
-from huepose.tracking import Applied, Tracker, Verdict, track
+from huepose.tracking import Applied, Tracker, TrackerConfig, Verdict, lost, track
 from huepose.tracking.effort import ENOUGH, Effort
 from tests.tracking.conftest import Shoot, correction
 
@@ -27,13 +27,13 @@ def _at(x: float) -> np.ndarray:
 def searches(monkeypatch) -> Counter[int]:
     """How often each part of the picture is searched for something lost, by any tracker."""
     counted: Counter[int] = Counter()
-    plain = track.likeliest_place
+    plain = lost.likeliest_place
 
     def spy(*args):
         counted[args[3]] += 1
         return plain(*args)
 
-    monkeypatch.setattr(track, "likeliest_place", spy)
+    monkeypatch.setattr(lost, "likeliest_place", spy)
     return counted
 
 
@@ -171,3 +171,47 @@ def test_what_is_removed_does_not_come_of_what_was_said_before(
     late = correction(frames[12], _at(0.0), seq=9, verdict=Verdict.CORRECT)
     assert tracker.correct(late) is Applied.REFUSED_OLD
     assert tracker.instances == ()
+
+
+@pytest.fixture
+def looks_where_it_stood(monkeypatch) -> list[bool]:
+    """For each look at the place where a lost object stood, whether it was found there."""
+    found: list[bool] = []
+
+    def spied(*args):
+        hypotheses, may_stand = lost.found_standing(*args)
+        found.append(bool(hypotheses))
+        return hypotheses, may_stand
+
+    monkeypatch.setattr(track, "found_standing", spied)
+    return found
+
+
+def test_behind_what_is_taken_away_it_is_found_where_it_stood(
+    tea_box, board, shoot: Shoot, searches, looks_where_it_stood
+) -> None:
+    tracker, states = Tracker({"tea_box": tea_box}, TrackerConfig(tries_per_s=0.0)), []
+    for number in range(40):
+        scene = [(tea_box.mesh, _at(0.0)), *([board] if GONE <= number < BACK else [])]
+        frame = shoot(scene, number)
+        if number == 0:
+            tracker.correct(correction(frame, _at(0.0)))
+        states.append(tracker.step(frame)[0].state)
+    assert State.LOST in states[:BACK]
+    assert states[BACK] is State.SUSPECT
+    assert states[BACK + 2 :] == [State.TRACKING] * (40 - BACK - 2)
+    assert sum(looks_where_it_stood) == 1
+    assert sum(searches.values()) <= 1, "there was time for no more"
+
+
+def test_where_it_stands_no_more_it_is_not_looked_for_again(
+    tea_box, shoot: Shoot, looks_where_it_stood
+) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    for number in range(40):
+        frame = shoot([(tea_box.mesh, _at(0.0))] if number < GONE else [], number)
+        if number == 0:
+            tracker.correct(correction(frame, _at(0.0)))
+        (pose,) = tracker.step(frame)
+    assert pose.state is State.LOST
+    assert looks_where_it_stood == [False]

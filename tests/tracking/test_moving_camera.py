@@ -10,7 +10,7 @@ import pytest
 from huepose.believe.state import State
 from huepose.geometry import Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Float64
-from huepose.tracking import TrackedPose, Tracker
+from huepose.tracking import TrackedPose, Tracker, TrackerConfig
 from tests.tracking.conftest import correction, errors
 
 T_BASE_OBJ = se3.make(se3.rotation_exp(np.array([1.9, 0.3, 0.4])), np.array([0.4, -0.2, 0.1]))
@@ -86,11 +86,9 @@ def test_the_velocity_that_is_published_is_relative_to_the_camera(tea_box, filme
 
 
 @pytest.mark.parametrize("told", [True, False])
-def test_behind_a_board_its_pose_follows_the_camera_as_far_as_that_is_known(tea_box, filmed, told) -> None:
-    corners = np.array([[-0.2, -0.2, 0], [0.2, -0.2, 0], [0.2, 0.2, 0], [-0.2, 0.2, 0]], np.float32)
-    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)[faces]
-    board = Mesh(corners, faces, uv, np.full((4, 4, 3), 90, np.uint8)), se3.make(np.eye(3), [0.0, 0.0, 0.3])
+def test_behind_a_board_its_pose_follows_the_camera_as_far_as_that_is_known(
+    tea_box, board, filmed, told
+) -> None:
     tracker, off_mm = Tracker({"tea_box": tea_box}), []
     for number in range(18):
         # In the middle of its way to one side, which it ends while nothing is seen.
@@ -113,3 +111,25 @@ def test_one_frame_of_which_nobody_knows_from_where_it_was_taken_does_no_harm(te
             tracker.correct(correction(frame, seen_at(0)))
         (pose,) = tracker.step(frame)
         assert _right(pose), number
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_what_the_camera_looks_away_from_is_back_at_once(tea_box, shoot, told) -> None:
+    """It turns by 60 degrees to one side and back, with no time for any search."""
+    tracker, states = Tracker({"tea_box": tea_box}, TrackerConfig(tries_per_s=0.0)), []
+    T_base_obj = se3.make(T_BASE_OBJ[:3, :3], np.array([0.0, 0.0, 0.55]))
+    for number in range(46):
+        angle = np.radians(60.0) * np.sin(np.pi * number / 45.0) ** 2
+        T_base_cam = se3.make(se3.rotation_exp(np.array([0.0, angle, 0.0])), np.zeros(3))
+        T_cam_obj = se3.compose(se3.inverse(T_base_cam), T_base_obj)
+        frame = replace(shoot([(tea_box.mesh, T_cam_obj)], number), T_parent_cam=T_base_cam if told else None)
+        if number == 0:
+            tracker.correct(correction(frame, T_cam_obj))
+        (pose,) = tracker.step(frame)
+        states.append(pose.state)
+    assert states[22] is State.LOST
+    assert (states[-1] is State.TRACKING) == told
+    if told:
+        mm, degrees = errors(pose, T_cam_obj)
+        assert mm < 2.0
+        assert degrees < 1.0

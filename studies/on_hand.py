@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -78,7 +79,8 @@ def film(
         return shot.color, shot.depth, {"T": labels.T_cam_obj.tolist(), "seen": labels.visib_fract.tolist()}
 
     shots = (shoot(stage, i, seed * 1000 + number, COLOR, STEREO) for i in range(FRAMES))
-    path = cache_folder() / "on_hand" / f"{seed}-{number:03d}-{VERSION}.loop"
+    meshes = sha256(b"".join(models[name].mesh.content() for name in sorted(models))).hexdigest()[:8]
+    path = cache_folder() / "on_hand" / f"{seed}-{number:03d}-{meshes}-{VERSION}.loop"
     loop, truth = kept_loop(path, lambda: map(kept, shots), {"seed": seed, "number": number})
     return names, stage, loop, truth
 

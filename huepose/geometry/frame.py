@@ -14,6 +14,9 @@ from huepose.support.errors import InputError, require
 LEAST_SIDE = 2
 """Pixels between which the rays of a picture can be told."""
 
+FARTHEST_M = 1e8
+"""No camera is farther from where its place is told from: ten times what a map of the earth has."""
+
 
 @dataclass(frozen=True, eq=False)
 class RgbdFrame:
@@ -67,13 +70,17 @@ class RgbdFrame:
             )
         if min(size) < LEAST_SIDE:
             raise InputError("picture", found=str(size), expected=f"sides of {LEAST_SIDE} pixels or more")
-        if self.T_parent_cam is not None and not se3.is_rigid(self.T_parent_cam, se3.ROUNDED):
-            raise InputError(
-                "T_parent_cam, the camera's pose",
-                found=" ".join(str(self.T_parent_cam).split())[:80],
-                expected="a rigid transform (4, 4), metres",
-                fix="Leave it out where nobody knows where the camera was.",
-            )
+        if self.T_parent_cam is not None:
+            # A copy: whoever fills one array again and again says nothing of the frames before.
+            T = np.array(self.T_parent_cam, np.float64)
+            if not se3.is_rigid(T, se3.ROUNDED) or np.abs(T[:3, 3]).max() > FARTHEST_M:
+                raise InputError(
+                    "T_parent_cam, the camera's pose",
+                    found=" ".join(str(self.T_parent_cam).split())[:80],
+                    expected=f"a rigid transform (4, 4), metres, at most {FARTHEST_M:.0e}",
+                    fix="Leave it out where nobody knows where the camera was.",
+                )
+            object.__setattr__(self, "T_parent_cam", se3.orthonormalised(T))
         # Tells it of all of them without an array of its own.
         if not (np.isfinite(self.depth.min()) and np.isfinite(self.depth.max())):
             known = np.where(np.isfinite(self.depth), self.depth, np.float32(0.0))

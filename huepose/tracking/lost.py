@@ -3,9 +3,14 @@ that looks most like it. Pure functions."""
 
 from __future__ import annotations
 
+import numpy as np
+
 from huepose.believe.logistic import probability
+from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
+from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.terms import NOTHING
+from huepose.judge.open_region import PreparedSurface
 from huepose.refine.photometric import FULL
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
@@ -13,28 +18,38 @@ from huepose.tracking.elsewhere import likeliest_place
 from huepose.tracking.hypothesis import Hypothesis, distinct
 from huepose.tracking.motion import jump_odds
 from huepose.tracking.opinions import weighed
-from huepose.tracking.refined import best_of, unmoved
-from huepose.tracking.stages import RETURNING_SEEN, found_at
+from huepose.tracking.refined import best_of
+from huepose.tracking.stages import found_at
 from huepose.tracking.subject import Subject
 from huepose.tracking.usual import Usual
 
-MOSTLY = 0.5
-"""Share of an object's surface that has to be in view where it stood to say that it is not there any more."""
+MORE, MOSTLY = 0.2, 0.5
+"""Where it stood it is looked for each time that so much more of its surface is in view, a share; with MOSTLY
+in view for the last time."""
+
+SAMPLES, IN_FRONT = 60, 0.2
+"""Points by which that share is told; what is nearer by IN_FRONT diameters is in front of them."""
+
+
+def seen_share(surface: PreparedSurface, T_cam_obj: Float64, frame: RgbdFrame) -> float:
+    """Share of what a pose would show of the object that is in the picture and has nothing in front of it."""
+    shown = surface.arrays.points[surface.shown(T_cam_obj, SAMPLES)].astype(np.float64)
+    points = se3.apply(T_cam_obj, shown)
+    points = points[points[:, 2] > NEAR_M]
+    pixels = np.rint(frame.camera.project(points)).astype(np.int64)
+    inside = ((pixels >= 0) & (pixels < (frame.camera.width, frame.camera.height))).all(1)
+    columns, rows = pixels[inside].T
+    read_m, slack_m = frame.depth[rows, columns], IN_FRONT * surface.diameter_m
+    return float((read_m > points[inside, 2] - slack_m).sum()) / max(len(shown), 1)
 
 
 def found_standing(
     subject: Subject, stood: Hypothesis, frame: RgbdFrame, usual: Usual, config: TrackerConfig
-) -> tuple[tuple[Hypothesis, ...], bool]:
-    """The hypothesis of an object where it `stood`, none where it does not seem to be; and whether it may
-    stand there all the same, because too little of that place is in view."""
-    surface = subject.surface
-    there = unmoved(surface, frame, stood.T_cam_obj, usual.light).terms
-    in_view = 1.0 - there.hidden - there.outside - there.blind
-    if there is NOTHING or in_view < RETURNING_SEEN:
-        return (), True
-    h = best_of(surface, frame, [(stood.T_cam_obj, "still")], usual.light)
-    jump = jump_odds(surface, stood.T_cam_obj, stood.T_cam_obj, h.T_cam_obj, 0.0, config)
-    return _believed((weighed(subject, h, frame, usual, 0.0, jump),), config), in_view < MOSTLY
+) -> tuple[Hypothesis, ...]:
+    """The hypothesis of an object where it `stood`; none where it does not seem to be."""
+    h = best_of(subject.surface, frame, [(stood.T_cam_obj, "still")], usual.light)
+    jump = jump_odds(subject.surface, stood.T_cam_obj, stood.T_cam_obj, h.T_cam_obj, 0.0, config)
+    return _believed((weighed(subject, h, frame, usual, 0.0, jump),), config)
 
 
 def found_elsewhere(

@@ -24,8 +24,8 @@ from huepose.tracking.evidence import Identity, Standing, next_standing, turned_
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.looks import LOOK_S, looks
-from huepose.tracking.lost import found_elsewhere, found_standing
-from huepose.tracking.motion import Reach, jump_since, of_camera, predicted, same_motion
+from huepose.tracking.lost import MORE, MOSTLY, found_elsewhere, found_standing, seen_share
+from huepose.tracking.motion import Reach, camera_moved, jump_since, of_camera, predicted, same_motion
 from huepose.tracking.opinions import opinions, weighed
 from huepose.tracking.orientation import LOOKED_FOR, Orientation, another_opinion
 from huepose.tracking.refined import unmoved
@@ -63,6 +63,7 @@ class Track:
         self._spread, self._supported_ns, self._agreed_ns = 0.0, 0, -1
         self._looked_ns, self._apart_s = 0, LOOK_S
         self._T_parent_cam: Float64 | None = None
+        self._told_ns = 0
         self._camera_moved: tuple[Float64, float] | None = None
         self._known_at: tuple[Float64, int] | None = None
         self._searched = Effort()
@@ -72,7 +73,7 @@ class Track:
         """Nothing was missed or searched for yet."""
         self._effort, self._scarce_looks, self._unseen_s = Effort(), 0.0, 0.0
         self._place: Reach | None = None
-        self._may_stand = False
+        self._stood: float | None = None
 
     @property
     def state(self) -> State:
@@ -88,10 +89,10 @@ class Track:
     def velocity(self) -> Float64 | None:
         """Of that pose, relative to the camera: a twist (6,) along its axes about the object's centre; None
         where it is not known."""
-        velocity = self.hypotheses[0].velocity if self.hypotheses else None
-        if velocity is None or self._camera_moved is None:
-            return velocity
-        return velocity + of_camera(self.subject.surface, self.hypotheses[0].T_cam_obj, *self._camera_moved)
+        if not self.hypotheses:
+            return None
+        first, moved = self.hypotheses[0], self._camera_moved
+        return first.velocity if moved is None else self._relative(first, *moved).velocity
 
     @property
     def terms(self) -> Terms:
@@ -154,21 +155,43 @@ class Track:
     def _look_from(self, frame: RgbdFrame) -> None:
         """Take all that is remembered of where the object was to where it would be seen now if it had not
         moved. Of a camera of which nobody knows how it moved, that is where it was seen."""
-        before, now = self._T_parent_cam, frame.T_parent_cam
-        self._looked_ns, self._T_parent_cam = frame.stamp_ns, now
-        self._camera_moved = None
-        if before is None or now is None:
+        gap, lost = self._told_ns != self._looked_ns, not self.hypotheses
+        T = camera_moved(self._T_parent_cam, frame.T_parent_cam, (frame.stamp_ns - self._told_ns) * 1e-9)
+        self._looked_ns = frame.stamp_ns
+        if frame.T_parent_cam is not None:
+            self._T_parent_cam, self._told_ns = frame.T_parent_cam, frame.stamp_ns
+            if T is None:
+                self._stood = None
+        # After frames of which nobody knew, only what was measured before them is in axes that are known.
+        before, self._camera_moved = self._camera_moved, None
+        if T is not None and (lost or not gap):
+            self._carry(T)
+        if T is None or gap:
+            # From here on velocities are relative to the camera.
+            if before is not None:
+                self.hypotheses = tuple(self._relative(h, *before) for h in self.hypotheses)
             return
-        T = se3.compose(se3.inverse(now), before)
+        if before is None:
+            self.hypotheses = tuple(replace(h, velocity=None) for h in self.hypotheses)
         self._camera_moved = T, self._apart_s
-        self.hypotheses = tuple(h.seen_from(T) for h in self.hypotheses)
-        self._orientation.seen_from(T)
-        self._place = None if self._place is None else self._place.seen_from(T)
+
+    def _carry(self, T_new_old: Float64) -> None:
+        """Take it to other axes (4, 4)."""
+        self.hypotheses = tuple(h.seen_from(T_new_old) for h in self.hypotheses)
+        self._orientation.seen_from(T_new_old)
+        self._place = None if self._place is None else self._place.seen_from(T_new_old)
         if self._known_at is not None:
-            self._known_at = se3.compose(T, self._known_at[0]), self._known_at[1]
+            self._known_at = se3.compose(T_new_old, self._known_at[0]), self._known_at[1]
         if self.covariance is not None:
-            along = se3.along(T[:3, :3])
+            along = se3.along(T_new_old[:3, :3])
             self.covariance = along @ self.covariance @ along.T
+
+    def _relative(self, h: Hypothesis, T_new_old: Float64, seconds: float) -> Hypothesis:
+        """A hypothesis whose velocity is relative to the camera, which moved so within so many seconds."""
+        if h.velocity is None:
+            return h
+        moved = of_camera(self.subject.surface, h.T_cam_obj, T_new_old, seconds)
+        return replace(h, velocity=h.velocity + moved)
 
     def _look_everywhere(self, frame: RgbdFrame, tries: float, twins: Sequence[Float64]) -> float:
         """Look for a lost object where it stood, and search for it at the likeliest place of the picture,
@@ -178,14 +201,20 @@ class Track:
         if sure_pose is None:
             return 0
         searching = tries >= 1.0 and not effort.resting
-        if not (searching or self._may_stand):
+        in_view, standing = 0.0, False
+        if self._stood is not None:
+            in_view = seen_share(self.subject.surface, sure_pose.T_cam_obj, frame)
+            standing = in_view > self._stood + MORE
+            self._stood = min(self._stood, in_view)
+        if not (searching or standing):
             return 0
         gone_s = (frame.stamp_ns - self._supported_ns) * 1e-9
         usual, config, tried = self.usual.remembered(gone_s), self._config, 0.0
         found: tuple[Hypothesis, ...] = ()
         free = frame.without(taken_by(self.subject.model, frame, twins)) if twins else frame
-        if self._may_stand:
-            found, self._may_stand = found_standing(self.subject, sure_pose, free, usual, config)
+        if standing:
+            found = found_standing(self.subject, sure_pose, free, usual, config)
+            self._stood = in_view if in_view < MOSTLY else None
         if searching and not found:
             part = 0 if effort.enough else effort.begun
             self._effort = self._searched = effort.reached(part + 1, PARTS)
@@ -281,7 +310,8 @@ class Track:
         tried = float(searched)
         first = weighed(self.subject, found, frame, self.usual, evidence.odds_of(quality))
         self.hypotheses, self.frame = (first,), frame
-        self._looked_ns, self._T_parent_cam = frame.stamp_ns, frame.T_parent_cam
+        self._looked_ns = self._told_ns = frame.stamp_ns
+        self._T_parent_cam = frame.T_parent_cam
         self.covariance, self._spread = uncertainty(self.subject, first, frame)
         sure = probability(first.log_odds)
         if evidence.one_sense(first.terms):
@@ -318,7 +348,8 @@ class Track:
         usual = verified.usual
         self.usual = replace(self.usual, baseline=usual.baseline, light=usual.light)
         self.evidence, self.frame = verified.evidence, frame
-        self._looked_ns, self._T_parent_cam = frame.stamp_ns, frame.T_parent_cam
+        self._looked_ns = self._told_ns = frame.stamp_ns
+        self._T_parent_cam = frame.T_parent_cam
         self._camera_moved = verified._camera_moved
         self._orientation.take_over(verified._orientation)
         # Perception judged the same picture: this evidence may lower its quality, not raise it.
@@ -344,12 +375,12 @@ class Track:
         self.hypotheses, self.covariance, self.frame = (), None, None
         self.evidence = self.quality = 0.0
         self._begin()
-        self._may_stand = True
+        self._stood = 0.0
 
     def give_back(self) -> None:
         """Lose a pose that was found where another instance is: the search goes on from there."""
         self.lose()
-        self._effort, self._may_stand = self._searched, False
+        self._effort, self._stood = self._searched, None
 
     def give_way(self) -> None:
         """Another instance came late and explains the same surface better."""
@@ -362,6 +393,7 @@ class Track:
         back)."""
         self.history = PoseHistory()
         self._supported_ns, self._looked_ns = self._supported_ns - by_ns, self._looked_ns - by_ns
+        self._told_ns -= by_ns
         self._orientation.set_back(by_ns)
         if self._known_at is not None:
             self._known_at = self._known_at[0], self._known_at[1] - by_ns

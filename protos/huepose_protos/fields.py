@@ -53,6 +53,10 @@ def is_name(text: str) -> bool:
     return re.fullmatch(_NAME, text) is not None
 
 
+_FARTHEST_M = 1e8
+"""Ten times what a map of the earth has: with much more no computer could do its sums."""
+
+
 def check_finite(**groups: float | Iterable[float] | None) -> None:
     """Raise ValueError that names the first field with a NaN or an infinity."""
     for name, group in groups.items():
@@ -70,6 +74,8 @@ def check_pose(
     if (translation is None) != (quaternion is None):
         raise ValueError(f"{prefix}translation and {prefix}quaternion must be given together")
     check_finite(**{f"{prefix}translation": translation, f"{prefix}quaternion": quaternion})
+    if translation is not None and max(map(abs, translation)) > _FARTHEST_M:
+        raise ValueError(f"{prefix}translation is more than {_FARTHEST_M:.0e} m")
     if quaternion is not None and abs(math.hypot(*quaternion) - 1.0) > _UNIT_TOLERANCE:
         raise ValueError(f"{prefix}quaternion is not of unit length")
 

@@ -7,6 +7,7 @@ object turns is its centre: an origin far from that moves on an arc.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,6 +23,8 @@ SECOND = 1_000_000_000
 MAX_AHEAD_NS = SECOND // 10
 # Two poses that are further apart in time say nothing of what was between them.
 _MAX_GAP_NS = SECOND // 5
+# Two that are nearer in time say little of how fast it went: what is measured has noise, and stamps have.
+_BASELINE_NS = SECOND // 50
 # One sigma of what a hand or an arm does: how wrong a published velocity is, how fast it changes, how fast
 # things move of which no velocity is known. Metres and radians.
 _VELOCITY = np.repeat([0.02, 0.2], 3)
@@ -83,18 +86,26 @@ def pose_at(poses: Sequence[PoseMessage], stamp_ns: int) -> PoseAt | None:
 def mount_at(told: Sequence[tuple[int, Mount]], stamp_ns: int) -> Mount | None:
     """Where a camera that moves was at a stamp, of stamps and places, oldest first.
 
-    Between two it is interpolated, after the newest it goes on as between the last two, for 100 ms. None
-    where that says nothing: before the first, later than that, in a gap, with a single one."""
-    after = next((k for k, (ns, _) in enumerate(told) if ns >= stamp_ns), len(told) - 1)
+    Between two it is interpolated, after the newest it goes on as since one at least 20 ms before, for 100
+    ms. None where that says nothing: before the first, later than that, in a gap, with a single one."""
+    after = min(bisect_left(told, stamp_ns, key=_stamp), len(told) - 1)
     if not told or (after == 0 and told[0][0] != stamp_ns):
         return None
-    (start_ns, start), (end_ns, end) = told[max(after - 1, 0)], told[after]
+    end_ns, end = told[after]
     if stamp_ns == end_ns:
         return end
+    before = after - 1
+    while stamp_ns > end_ns and before > 0 and end_ns - told[before][0] < _BASELINE_NS:
+        before -= 1
+    start_ns, start = told[before]
     if end_ns - start_ns > _MAX_GAP_NS or stamp_ns - end_ns > MAX_AHEAD_NS or end.parent != start.parent:
         return None
     share = (stamp_ns - start_ns) / (end_ns - start_ns)
     return mount_of(end.parent, *_way_between(start, end, share))
+
+
+def _stamp(told: tuple[int, Mount]) -> int:
+    return told[0]
 
 
 def composed(outer: Mount, inner: Mount) -> Mount:

@@ -46,8 +46,18 @@ def test_where_its_camera_was_is_a_rigid_transform_or_unknown() -> None:
     assert (
         RgbdFrame(COLOR, depth, CAMERA, T_parent_cam=np.eye(4)).without(depth > 0.0).T_parent_cam is not None
     )
-    for wrong in (np.eye(3), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan)):
+    far = np.eye(4)
+    far[0, 3] = 1e200
+    for wrong in (np.eye(3), np.diag([1.0, 1.0, -1.0, 1.0]), np.full((4, 4), np.nan), far):
         with pytest.raises(
             InputError, match=r"T_parent_cam, the camera's pose: found .*expected a rigid transform"
         ):
             RgbdFrame(COLOR, depth, CAMERA, T_parent_cam=wrong)
+
+
+def test_where_its_camera_was_is_kept_though_the_array_is_filled_anew() -> None:
+    T = np.eye(4)
+    frame = RgbdFrame(COLOR, np.ones((6, 8), np.float32), CAMERA, T_parent_cam=T)
+    T[0, 3] = 1.0
+    assert frame.T_parent_cam is not None
+    assert frame.T_parent_cam[0, 3] == 0.0

@@ -113,8 +113,10 @@ def test_one_frame_of_which_nobody_knows_from_where_it_was_taken_does_no_harm(te
         assert _right(pose), number
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_what_the_camera_looks_away_from_is_back_at_once(tea_box, shoot, told) -> None:
+@pytest.mark.parametrize(
+    ("untold", "back"), [((), True), ((25, 27), True), (range(25, 29), True), (range(46), False)]
+)
+def test_what_the_camera_looks_away_from_is_back_at_once(tea_box, shoot, untold, back) -> None:
     """It turns by 60 degrees to one side and back, with no time for any search."""
     tracker, states = Tracker({"tea_box": tea_box}, TrackerConfig(tries_per_s=0.0)), []
     T_base_obj = se3.make(T_BASE_OBJ[:3, :3], np.array([0.0, 0.0, 0.55]))
@@ -122,14 +124,45 @@ def test_what_the_camera_looks_away_from_is_back_at_once(tea_box, shoot, told) -
         angle = np.radians(60.0) * np.sin(np.pi * number / 45.0) ** 2
         T_base_cam = se3.make(se3.rotation_exp(np.array([0.0, angle, 0.0])), np.zeros(3))
         T_cam_obj = se3.compose(se3.inverse(T_base_cam), T_base_obj)
-        frame = replace(shoot([(tea_box.mesh, T_cam_obj)], number), T_parent_cam=T_base_cam if told else None)
+        frame = shoot([(tea_box.mesh, T_cam_obj)], number)
+        frame = replace(frame, T_parent_cam=None if number in untold else T_base_cam)
         if number == 0:
             tracker.correct(correction(frame, T_cam_obj))
         (pose,) = tracker.step(frame)
         states.append(pose.state)
     assert states[22] is State.LOST
-    assert (states[-1] is State.TRACKING) == told
-    if told:
+    assert (states[-1] is State.TRACKING) == back
+    if back:
         mm, degrees = errors(pose, T_cam_obj)
         assert mm < 2.0
         assert degrees < 1.0
+
+
+@pytest.mark.parametrize("jump_m", [0.3, 5.0, 1e7])
+def test_a_jump_of_the_frame_that_the_camera_is_told_in_is_no_motion(tea_box, filmed, jump_m) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    jump = se3.make(np.eye(3), np.array([0.0, jump_m, 0.0]))
+    for number in range(12):
+        frame = filmed(number, told=True)
+        if number >= 6:
+            frame = replace(frame, T_parent_cam=jump @ frame.T_parent_cam)
+        if number == 0:
+            tracker.correct(correction(frame, seen_at(0)))
+        (pose,) = tracker.step(frame)
+        assert _right(pose), number
+
+
+def test_the_velocity_is_relative_to_the_camera_also_round_frames_of_which_nobody_knows(
+    tea_box, filmed
+) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    for number in range(16):
+        frame = filmed(number, told=number not in (7, 8))
+        if number == 0:
+            tracker.correct(correction(frame, seen_at(0)))
+        (pose,) = tracker.step(frame)
+        if number < 2:
+            continue
+        assert pose.velocity is not None
+        truth = se3.difference(seen_at(number - 1), seen_at(number)) * 30.0
+        np.testing.assert_allclose(pose.velocity[:3], truth[:3], atol=0.06, err_msg=str(number))

@@ -134,8 +134,8 @@ class FramePublisher:
             if doubt is not None:
                 bus.log.say(doubt)
         self._tell(header)
-        for mount_ns, mount in news:
-            self._say(header, mount, mount_ns)
+        for mount_ns, told in news:
+            self._say(header, self._of_camera(told), mount_ns)
         bus.health.count(counted_as)
         bus.health.worked_on(started, header)
 
@@ -148,15 +148,13 @@ class FramePublisher:
         self._say(header, self._mount if self._told_mounts is None else None, None)
 
     def _heard(self) -> list[tuple[int, Mount]]:
-        """Where a camera that moves was, with stamps, as it was told since the last frame."""
+        """Where a camera that moves, or what it is fixed to, was told to be since the last frame."""
         if self._told_mounts is None:
             return []
         news = []
         while (message := self._bus.take(self._told_mounts, MountMessage)) is not None:
-            fixed = self._mount
-            mount = message.mount if fixed is None else composed(message.mount, fixed)
-            news.append((message.capture_ns, mount))
-            self._remember(message.capture_ns, mount)
+            news.append((message.capture_ns, message.mount))
+            self._remember(message.capture_ns, message.mount)
         late = now_ns() - self._placed_ns > _LATE_NS
         self._bus.health.warn_while("mount", _NOT_TOLD if late else None)
         return news
@@ -170,11 +168,18 @@ class FramePublisher:
         self._placed_ns = mount_ns
 
     def _place(self, picture: Packed, capture_ns: int) -> tuple[Vector, Quaternion] | tuple[None, None]:
-        """Where the camera took the picture: as somebody told, or the source where nobody is to tell."""
-        if self._told_mounts is None:
+        """Where the camera took the picture: as somebody told, or the source while nobody does."""
+        if not self._places:
             return optional_pose_to_wire(picture.T_parent_cam)
-        mount = mount_at(self._places, capture_ns)
-        return (None, None) if mount is None else (mount.translation, mount.quaternion)
+        told = mount_at(self._places, capture_ns)
+        if told is None:
+            return None, None
+        mount = self._of_camera(told)
+        return mount.translation, mount.quaternion
+
+    def _of_camera(self, told: Mount) -> Mount:
+        """Where the camera is, of where it, or what it is fixed to, was told to be."""
+        return told if self._mount is None else composed(told, self._mount)
 
     def _say(self, header: FrameHeader, mount: Mount | None, mount_ns: int | None) -> None:
         message = CameraMessage(

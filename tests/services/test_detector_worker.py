@@ -1,5 +1,6 @@
 """What the detector worker says while it finds nothing."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import msgspec
@@ -29,7 +30,7 @@ def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, ta
     request = msgspec.structs.replace(example(PerceptionRequest), objects=wanted)
 
     def warned(color):
-        shot = SimpleNamespace(color=np.ascontiguousarray(color), depth=frame.depth, camera=frame.camera)
+        shot = replace(frame, color=np.ascontiguousarray(color))
         picture = packed(shot, 0.0002)
         header = msgspec.structs.replace(
             example(FrameHeader), intrinsics=picture.intrinsics, buffers=picture.buffers, capture_ns=now[0]

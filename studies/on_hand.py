@@ -15,6 +15,7 @@ import argparse
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -60,10 +61,12 @@ class Row:
     wrong: int
 
 
-def film(
-    models: Mapping[str, ReferenceModel], seed: int, number: int
-) -> tuple[tuple[str, ...], Stage, Loop, list[dict[str, list[float]]]]:
-    """The names of the objects, the stage, its pictures and the truth."""
+Film = tuple[tuple[str, ...], Stage, Loop, list[dict[str, list[float]]]]
+"""The names of its objects, the stage, its pictures and the truth."""
+
+
+def drawn(models: Mapping[str, ReferenceModel], seed: int, number: int) -> Film:
+    """Film `number` of a seed, from disk where it was drawn before."""
     still, names, rng, _ = heaped_stage({n: m.mesh for n, m in models.items()}, seed, number, SceneRanges())
     stage = Stage(
         still.meshes,
@@ -113,11 +116,12 @@ def said(told: str, stage: Stage, i: int, rng: Rng) -> Float64 | None:
     return None
 
 
-def played(models: Mapping[str, ReferenceModel], seed: int, number: int, every: int, told: str) -> Row:
+def played(
+    models: Mapping[str, ReferenceModel], film: Film, number: int, every: int, told: str, rng: Rng
+) -> Row:
     """One film, tracked from the true poses of its first frame."""
-    names, stage, loop, truth = film(models, seed, number)
+    names, stage, loop, truth = film
     tracker = Tracker({name: models[name] for name in names}, profile("live").tracker)
-    rng = np.random.default_rng([seed, number])
     visible = right = wrong = 0
     for i in range(0, FRAMES, every):
         T_parent_cam, stamp_ns = said(told, stage, i, rng), round(i * 1e9 / HZ)
@@ -140,8 +144,10 @@ def rows(given: argparse.Namespace) -> Iterator[Row]:
     """All films, at each rate, told in each way."""
     models = load_models(given.bundles)
     for number in progress(range(given.films), "films"):
-        for every in given.every:
-            yield from (played(models, given.seed, number, every, told) for told in given.told)
+        film = drawn(models, given.seed, number)
+        for every, told in product(given.every, given.told):
+            rng = np.random.default_rng([given.seed, number])
+            yield played(models, film, number, every, told, rng)
 
 
 def main() -> None:

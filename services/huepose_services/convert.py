@@ -101,7 +101,6 @@ _BOX = box_to_wire, lambda box: Box(*box)
 _FORMS: dict[str, tuple[tuple[str, ...], tuple[Callable[..., Any], Callable[..., Any]]]] = {
     "T_cam_obj": (("translation", "quaternion"), _POSE),
     "prior_T_cam_obj": (("prior_translation", "prior_quaternion"), _POSE),
-    "T_parent_cam": (("camera_translation", "camera_quaternion"), _POSE),
     "velocity": (("velocity_linear", "velocity_angular"), _TWIST),
     "covariance": (("covariance",), _COVARIANCE),
     "box": (("box",), _BOX),

@@ -16,7 +16,7 @@ from huepose.select.distinct import pixels, standing
 
 PRESENT = 0.6
 """Probability that the object is there from which a pose stands. A false one in ten frames of the drawn set
-`choose` of studies.presence (docs/detection.md)."""
+`choose` of studies.presence (docs/detection_measured.md)."""
 
 
 def standing_answers(answers: Sequence[PoseEstimate]) -> list[PoseEstimate]:

@@ -18,8 +18,8 @@ class DetectorConfig:
     at the same time; remembering: frames come from one camera, in order, so that what stands still is not
     looked at each time (`perception.memory`).
 
-    Origin: chosen for time. Two boxes instead of three lose 0 to 3 % of the labels (docs/detection.md, first
-    1 / 2 / 5 proposals), and each box costs an estimate.
+    Origin: chosen for time. Two boxes instead of three lose 0 to 3 % of the labels (first 1 / 2 / 5 proposals
+    in docs/detection_measured.md), and each box costs an estimate.
     """
 
     sources: tuple[Source, ...] = SOURCES

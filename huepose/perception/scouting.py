@@ -74,7 +74,7 @@ SURE = 1.35
 
 UNLIKE = 0.21
 """Where no window has this likeness with a view, keypoints give no place that is believed
-(docs/detection.md, keypoints of a model)."""
+(docs/detection_measured.md, keypoints of a model)."""
 
 
 @dataclass(frozen=True, eq=False)

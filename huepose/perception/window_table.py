@@ -84,7 +84,7 @@ def _in_all_cells(coarse: CoarseViews, values: Float32) -> Float32:
 APART, BESIDE, LIKEST, LIKE = 0.3, 0.36, 16, 0.18
 """A coarse-to-fine search: first windows at least APART diameters from each other are coded, then all that
 lie within BESIDE diameters of the LIKEST most similar ones, as far as these have a likeness of LIKE with some
-view (docs/detection.md, codes of views)."""
+view (docs/detection_measured.md, codes of views)."""
 
 
 @dataclass(frozen=True, eq=False)

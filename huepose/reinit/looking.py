@@ -20,7 +20,7 @@ SAME_BOX = 0.5
 
 NEW_TURNS = 2
 """So many objects that never had a turn have it at once. More would let those wait that a first look finds,
-which are most (docs/detection.md)."""
+which are most (docs/detection_measured.md)."""
 
 BoxOf = Callable[[str, Float64, Camera], Box | None]
 """The box of an object, by its name, at a pose T_cam_obj (4, 4) in a camera's image; None outside of it."""

@@ -141,7 +141,7 @@ def candidates(
 
 NEW = 3
 """So 20 known objects have their first look in four requests instead of ten. All in one would keep those that
-are found first waiting for the others, a second long (docs/detection.md)."""
+are found first waiting for the others, a second long (docs/detection_measured.md)."""
 
 
 def choose(

@@ -181,7 +181,7 @@ def lead_to_turn(subject: Subject, anchor: Anchor, T_cam_obj: Float64, seconds: 
 SHARPNESS = 24.0
 """Log-odds per unit of total between the right pose and its best near-symmetric rotation; largest likelihood
 of which one is right in 1,608 comparisons on drawn films of the split `fit` (`studies.stress`: hard,
-household and YCB objects; docs/tracking.md)."""
+household and YCB objects; docs/tracking_measured.md)."""
 
 CHANCE = 0.025
 """Differences of totals under this are chance on drawn films of the split `fit`."""

@@ -124,6 +124,6 @@ def test_every_shipped_fit_rises_with_every_feature() -> None:
 def test_the_page_of_tracking_says_what_its_belief_is_fitted_on() -> None:
     root = Path(__file__).parents[2]
     origin = json.loads((root / "huepose" / "believe" / "fits.json").read_text())["frame"]["origin"]
-    page = " ".join((root / "docs" / "tracking.md").read_text().split())
+    page = " ".join((root / "docs" / "tracking_measured.md").read_text().split())
     for said in origin.values():
         assert " ".join(said.split()) in page

@@ -19,6 +19,7 @@ from huepose.believe.state import State
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import Terms
 from huepose.support.errors import InputError
+from huepose.tracking.camera_place import CameraPlace
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.effort import Effort
@@ -36,7 +37,7 @@ from huepose.tracking.usual import Usual
 _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
-        *(Correction, Effort, Entry, Facing, FrameHistory, Hypothesis, Identity, PoseHistory),
+        *(CameraPlace, Correction, Effort, Entry, Facing, FrameHistory, Hypothesis, Identity, PoseHistory),
         *(Orientation, Pursuit, Reach, Standing, Terms, Track, TrackedPose, Usual, _Stretch),
     )
 }

@@ -60,27 +60,6 @@ def same_motion(
     )
 
 
-def of_camera(surface: PreparedSurface, T_cam_obj: Float64, T_new_old: Float64, seconds: float) -> Float64:
-    """The velocity (6,) with which what stands still moves in the axes of a camera that moves; T_new_old
-    (4, 4): from the camera's axes that many seconds ago to those of now."""
-    return increment_velocity(surface, se3.compose(se3.inverse(T_new_old), T_cam_obj), T_cam_obj, seconds)
-
-
-MAX_CAMERA_M_S, MAX_CAMERA_RAD_S = 3.0, 10.0
-"""No arm and no hand moves a camera faster. What says so is a jump of the frame that its place is told in."""
-
-
-def camera_moved(
-    T_parent_before: Float64 | None, T_parent_now: Float64 | None, seconds: float
-) -> Float64 | None:
-    """From a camera's axes that many seconds ago to those of now (4, 4); None where that is not known."""
-    if T_parent_before is None or T_parent_now is None:
-        return None
-    T = se3.compose(se3.inverse(T_parent_now), T_parent_before)
-    slow = np.linalg.norm(T[:3, 3]) <= MAX_CAMERA_M_S * seconds
-    return T if slow and se3.rotation_angle(T, np.eye(4)) <= MAX_CAMERA_RAD_S * seconds else None
-
-
 def about_centre(surface: PreparedSurface, T_cam_obj: Float64, velocity: Float64) -> Float64:
     """The velocity about the object's centre of a motion that is given about its origin."""
     return _about(velocity, surface.centre_cam(T_cam_obj) - T_cam_obj[:3, 3])

@@ -17,6 +17,7 @@ from huepose.judge.silhouette import taken_by
 from huepose.judge.terms import NOTHING, Terms
 from huepose.select.distinct import RIGHT
 from huepose.tracking import evidence
+from huepose.tracking.camera_place import CameraPlace
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.effort import Effort
 from huepose.tracking.elsewhere import PARTS
@@ -25,7 +26,7 @@ from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.looks import LOOK_S, looks
 from huepose.tracking.lost import MORE, MOSTLY, found_elsewhere, found_standing, seen_share
-from huepose.tracking.motion import Reach, camera_moved, jump_since, of_camera, predicted, same_motion
+from huepose.tracking.motion import Reach, jump_since, predicted, same_motion
 from huepose.tracking.opinions import opinions, weighed
 from huepose.tracking.orientation import LOOKED_FOR, Orientation, another_opinion
 from huepose.tracking.refined import unmoved
@@ -62,9 +63,7 @@ class Track:
         self._orientation = Orientation(subject, config)
         self._spread, self._supported_ns, self._agreed_ns = 0.0, 0, -1
         self._looked_ns, self._apart_s = 0, LOOK_S
-        self._T_parent_cam: Float64 | None = None
-        self._told_ns = 0
-        self._camera_moved: tuple[Float64, float] | None = None
+        self._camera = CameraPlace()
         self._known_at: tuple[Float64, int] | None = None
         self._searched = Effort()
         self._begin()
@@ -91,8 +90,7 @@ class Track:
         where it is not known."""
         if not self.hypotheses:
             return None
-        first, moved = self.hypotheses[0], self._camera_moved
-        return first.velocity if moved is None else self._relative(first, *moved).velocity
+        return self._camera.relative(self.subject.surface, self.hypotheses[0]).velocity
 
     @property
     def terms(self) -> Terms:
@@ -155,25 +153,18 @@ class Track:
     def _look_from(self, frame: RgbdFrame) -> None:
         """Take all that is remembered of where the object was to where it would be seen now if it had not
         moved. Of a camera of which nobody knows how it moved, that is where it was seen."""
-        gap, lost = self._told_ns != self._looked_ns, not self.hypotheses
-        T = camera_moved(self._T_parent_cam, frame.T_parent_cam, (frame.stamp_ns - self._told_ns) * 1e-9)
+        before, (self._camera, T_new_old) = self._camera, self._camera.after(frame, self._looked_ns)
         self._looked_ns = frame.stamp_ns
-        if frame.T_parent_cam is not None:
-            self._T_parent_cam, self._told_ns = frame.T_parent_cam, frame.stamp_ns
-            if T is None:
+        if T_new_old is None:
+            if frame.T_parent_cam is not None:
                 self._stood = None
-        # After frames of which nobody knew, only what was measured before them is in axes that are known.
-        before, self._camera_moved = self._camera_moved, None
-        if T is not None and (lost or not gap):
-            self._carry(T)
-        if T is None or gap:
+        elif not self.hypotheses or self._camera.moved is not None:
+            self._carry(T_new_old)
+        if self._camera.moved is None:
             # From here on velocities are relative to the camera.
-            if before is not None:
-                self.hypotheses = tuple(self._relative(h, *before) for h in self.hypotheses)
-            return
-        if before is None:
+            self.hypotheses = tuple(before.relative(self.subject.surface, h) for h in self.hypotheses)
+        elif before.moved is None:
             self.hypotheses = tuple(replace(h, velocity=None) for h in self.hypotheses)
-        self._camera_moved = T, self._apart_s
 
     def _carry(self, T_new_old: Float64) -> None:
         """Take it to other axes (4, 4)."""
@@ -185,13 +176,6 @@ class Track:
         if self.covariance is not None:
             along = se3.along(T_new_old[:3, :3])
             self.covariance = along @ self.covariance @ along.T
-
-    def _relative(self, h: Hypothesis, T_new_old: Float64, seconds: float) -> Hypothesis:
-        """A hypothesis whose velocity is relative to the camera, which moved so within so many seconds."""
-        if h.velocity is None:
-            return h
-        moved = of_camera(self.subject.surface, h.T_cam_obj, T_new_old, seconds)
-        return replace(h, velocity=h.velocity + moved)
 
     def _look_everywhere(self, frame: RgbdFrame, tries: float, twins: Sequence[Float64]) -> float:
         """Look for a lost object where it stood, and search for it at the likeliest place of the picture,
@@ -310,8 +294,7 @@ class Track:
         tried = float(searched)
         first = weighed(self.subject, found, frame, self.usual, evidence.odds_of(quality))
         self.hypotheses, self.frame = (first,), frame
-        self._looked_ns = self._told_ns = frame.stamp_ns
-        self._T_parent_cam = frame.T_parent_cam
+        self._looked_ns, self._camera = frame.stamp_ns, self._camera.at(frame)
         self.covariance, self._spread = uncertainty(self.subject, first, frame)
         sure = probability(first.log_odds)
         if evidence.one_sense(first.terms):
@@ -348,9 +331,7 @@ class Track:
         usual = verified.usual
         self.usual = replace(self.usual, baseline=usual.baseline, light=usual.light)
         self.evidence, self.frame = verified.evidence, frame
-        self._looked_ns = self._told_ns = frame.stamp_ns
-        self._T_parent_cam = frame.T_parent_cam
-        self._camera_moved = verified._camera_moved
+        self._looked_ns, self._camera = frame.stamp_ns, verified._camera.at(frame)
         self._orientation.take_over(verified._orientation)
         # Perception judged the same picture: this evidence may lower its quality, not raise it.
         known = self._of_its_color(min(quality, probability(evidence.odds_of(quality) + self._told)))
@@ -393,7 +374,7 @@ class Track:
         back)."""
         self.history = PoseHistory()
         self._supported_ns, self._looked_ns = self._supported_ns - by_ns, self._looked_ns - by_ns
-        self._told_ns -= by_ns
+        self._camera = replace(self._camera, told_ns=self._camera.told_ns - by_ns)
         self._orientation.set_back(by_ns)
         if self._known_at is not None:
             self._known_at = self._known_at[0], self._known_at[1] - by_ns

@@ -1,7 +1,6 @@
 """Boxes of requested objects: from a detector, or from the prediction of a track.
 
-A class for each `detector.kind`: SeenBoxes (yolo), SearchedBoxes (colorpair), FirstBoxes (first_box: one
-given box, then the tracker's prediction).
+A class for each `detector.kind`: SeenBoxes (yolo), SearchedBoxes (colorpair).
 """
 
 from __future__ import annotations
@@ -30,8 +29,6 @@ from huepose_services.convert import (
 from huepose_services.models import Outline, outline
 from huepose_services.runtime.clock import SECOND
 
-# Where no prediction is fresh any more the last box grows, and at last it is the image.
-_FORGET_S, _GROWTH_PER_S = 3.0, 0.5
 _HINT_NS = 3 * SECOND
 
 Pixels = Callable[[], RgbdFrame]
@@ -52,9 +49,6 @@ class BoxFinder:
     def remove(self, name: str) -> None:
         """Forget an object; nothing happens when it is not known."""
         self._outlines.pop(name, None)
-
-    def forget_where(self, name: str) -> None:
-        """Search an object anew, whatever is kept of where it was."""
 
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order. pixels: called by those who look at the frame."""
@@ -141,60 +135,9 @@ class SearchedBoxes(BoxFinder):
     def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> Order:
         """What a frame says of the order of its channels, by one of the objects, by turns, as in `find`.
         seen: scores of those that were searched in it."""
-        return order_of_channels(frame, self._searcher, self._looks.turn(names)[:1], seen)
-
-
-class FirstBoxes(BoxFinder):
-    """A box that was given once, then the prediction; after a loss the last box, growing to the image."""
-
-    def __init__(self, outlines: Mapping[str, Outline], boxes: Mapping[str, Box]) -> None:
-        super().__init__(outlines)
-        self._given = dict(boxes)
-        self._acquired: set[str] = set()
-        self._last: dict[str, tuple[Box, int]] = {}
-
-    def remove(self, name: str) -> None:
-        """Forget an object; nothing happens when it is not known."""
-        super().remove(name)
-        self.forget_where(name)
-
-    def forget_where(self, name: str) -> None:
-        """Begin with the given box again."""
-        self._acquired.discard(name)
-        self._last.pop(name, None)
-
-    def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
-        """Boxes, in the request's order."""
-        camera = camera_from_wire(header.intrinsics)
-        found = []
-        for wanted in request.objects:
-            box = self._look(wanted, header, camera)
-            if box is not None:
-                found.append(detected(wanted, box.clipped(camera.width, camera.height)))
-        return [d for d in found if d.box[2] >= 1.0 and d.box[3] >= 1.0]
-
-    def _look(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
-        name = wanted.object
-        if wanted.prior is not None and name in self._outlines:
-            self._acquired.add(name)
-        fresh = self._fresh_box(wanted, header, camera)
-        if fresh is not None:
-            self._last[name] = (fresh, header.capture_ns)
-            return fresh
-        if name not in self._acquired:
-            return self._given.get(name)
-        image = Box(0.0, 0.0, float(camera.width), float(camera.height))
-        box, seen_ns = self._last.get(name, (image, 0))
-        lost_s = (header.capture_ns - seen_ns) * 1e-9
-        return image if lost_s > _FORGET_S else box.grown(_GROWTH_PER_S * max(lost_s, 0.0))
-
-    def _fresh_box(self, wanted: RequestedObject, header: FrameHeader, camera: Camera) -> Box | None:
-        """A little more than the box of a prediction that may still be trusted; None where there is none."""
-        outline = self._outlines.get(wanted.object)
-        if wanted.prior is None or outline is None:
-            return None
-        prior = prior_from_wire(wanted.prior)
-        return prior.fresh_box(header.capture_ns, lambda T_cam_obj: outline.box(T_cam_obj, camera))
+        known = [name for name in names if name in self._outlines]
+        asked = self._looks.turn(known)[:1] if known else []
+        return order_of_channels(frame, self._searcher, asked, seen) if asked else Order()
 
 
 class Hints:

@@ -13,7 +13,7 @@ from huepose.profiles import profile
 from huepose_protos import WireError
 from huepose_protos.messages import DetectedObject, Detections, FrameHeader, PerceptionRequest
 from huepose_services import models, networks
-from huepose_services.boxes import BoxFinder, FirstBoxes, Hints, Pixels, SearchedBoxes, SeenBoxes
+from huepose_services.boxes import BoxFinder, Hints, Pixels, SearchedBoxes, SeenBoxes
 from huepose_services.convert import frame_from_wire
 from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
@@ -40,14 +40,11 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         bus.health.count(f"provider_{network.provider}")
         seen = SeenBoxes(outlines, detector)
         return DetectorWork(bus, seen, follower, lacks=lambda: networks.never_boxed(detector, seen.objects))
-    if config.detector.kind == "colorpair":
-        settings = profile(config.profile).detector
-        settings = replace(settings, threads=config.detector.threads, remembering=True)
-        searcher = ColorPairDetector(known, settings)
-        searcher.warm_up()
-        return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower, config.camera.check)
-    boxes = {name: Box(*box) for name, box in config.detector.boxes.items()}
-    return DetectorWork(bus, FirstBoxes(outlines, boxes), follower)
+    settings = profile(config.profile).detector
+    settings = replace(settings, threads=config.detector.threads, remembering=True)
+    searcher = ColorPairDetector(known, settings)
+    searcher.warm_up()
+    return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower, config.camera.check)
 
 
 class DetectorWork(Work):
@@ -89,8 +86,6 @@ class DetectorWork(Work):
                 self._finder.remove(entry.object)
             elif change.added is not None:
                 self._finder.add(change.added)
-            else:
-                self._finder.forget_where(entry.object)
             if entry.box is not None:
                 self._hints.point(entry.object, Box(*entry.box), now_ns())
             self._tell_what_it_lacks()

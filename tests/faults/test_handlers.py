@@ -15,6 +15,7 @@ import pytest
 import zenoh
 
 from huepose.estimation import Estimator
+from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.embedded import DepthSegmenter
 from huepose.reinit import ReinitConfig, ReinitLoop
 from huepose.reinit.types import ObjectSlot
@@ -23,7 +24,7 @@ from huepose.tracking import Tracker
 from huepose_protos.examples import messages
 from huepose_protos.keys import Keys
 from huepose_protos.messages import FrameHeader, ObjectEntry
-from huepose_services.boxes import FirstBoxes
+from huepose_services.boxes import SearchedBoxes
 from huepose_services.camera.publish import packed
 from huepose_services.chaos.intruder import bad_bytes
 from huepose_services.detector import DetectorWork
@@ -115,7 +116,7 @@ def _work(worker: str, bus: Bus, model: Any) -> Any:
     if worker == "segmenter":
         return SegmenterWork(bus, DepthSegmenter(), outlines, follower)
     if worker == "detector":
-        return DetectorWork(bus, FirstBoxes(outlines, {}), follower)
+        return DetectorWork(bus, SearchedBoxes(outlines, ColorPairDetector(models)), follower)
     entry = ObjectEntry(object=model.name, max_instances=2, searching=2)
 
     def slot(name: str, count: int) -> ObjectSlot:

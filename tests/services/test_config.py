@@ -60,9 +60,6 @@ GOOD = "camera: {truth: true}\n"
         ("link: {connect: 7448}", ["link.connect", "found 7448", "expected ADDRESS:PORT"]),
         ("camera: bop", ["camera", "found 'bop'", "Write {source: bop} there"]),
         ("cameras: [realsense]", ["cameras[0]", "Write {source: realsense} there"]),
-        ("detector: {kind: first_box}", ["detector.boxes", "none"]),
-        ("detector: {kind: first_box, boxes: {a: [1, 2, 3]}}", ["detector.boxes", "length 4"]),
-        ("detector: {kind: first_box, boxes: {a: [1, 2, 3, 4]}}", ["detector.boxes", "found a"]),
         ("workers: [camera, gateway, ros2]", ["gateway.listen", "127.0.0.1:7447", "tcp/localhost:7447"]),
         (
             "camera: {mount: {parent: base, translation: [0, 0, 1], quaternion: [0, 0, 0, 0]}}",

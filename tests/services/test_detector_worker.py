@@ -9,12 +9,11 @@ import numpy as np
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.exchanged import Order
 from huepose_protos.examples import GOLDEN, example
-from huepose_protos.messages import FrameHeader, ObjectEntry, PerceptionRequest, RequestedObject
+from huepose_protos.messages import FrameHeader, PerceptionRequest, RequestedObject
 from huepose_services import detector as worker
-from huepose_services.boxes import BoxFinder, SearchedBoxes
+from huepose_services.boxes import SearchedBoxes
 from huepose_services.camera.publish import packed
 from huepose_services.detector import ASK_EVERY_NS, DetectorWork
-from huepose_services.following import Change
 from huepose_services.models import outline
 from tests.services.fake_bus import FakeBus
 
@@ -86,15 +85,12 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
     assert [asks_in(12, epoch) for epoch in (3, 3, 4)] == [1, 0, 1], "an object says that it is right"
 
 
-def test_a_reset_is_told_to_what_finds_boxes_and_nothing_is_removed():
-    told, entry = [], ObjectEntry(object="mug", max_instances=1, searching=1)
-    finder = BoxFinder({})
-    finder.forget_where, finder.remove = told.append, None
-    changes = [[Change(entry)], []]
-    work = DetectorWork(FakeBus("detector"), finder, SimpleNamespace(changes=lambda: changes.pop(0)))
-    for _ in range(2):
-        work.step()
-    assert told == ["mug"]
+def test_an_object_that_was_removed_while_it_was_asked_about_stops_nothing(tea_box, take_picture, standing):
+    frame = take_picture([(tea_box.mesh, standing)])
+    finder = SearchedBoxes({"tea_box": outline(tea_box)}, ColorPairDetector({"tea_box": tea_box}))
+    assert finder.order_of_channels(frame, ["removed", "tea_box"], {"removed": 0.0, "tea_box": 1.0}).right
+    finder.remove("tea_box")
+    assert finder.order_of_channels(frame, ["tea_box"], {"tea_box": 0.0}) == Order()
 
 
 def test_a_request_about_a_frame_that_was_answered_waits_for_the_next_one():

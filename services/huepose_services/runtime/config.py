@@ -344,5 +344,5 @@ def _check(config: Config, refuse: Refuse) -> None:
     ):
         expected = f"the folder of your reference models (the source {camera.source} brings none)"
         refuse("bundles", "null", expected, "Make them: huepose onboard MESH --name NAME --out DIR.")
-    check_detector(detector, "detector" in config.workers, names, refuse)
+    check_detector(detector, names, refuse)
     check_segmenter(config.segmenter, refuse)

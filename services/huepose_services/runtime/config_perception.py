@@ -15,7 +15,6 @@ from huepose_protos.parts import Mount
 
 Rate = Annotated[float, Meta(gt=0.0, le=240.0)]
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
-Side = Annotated[float, Meta(ge=0.0, le=16384.0)]
 Pixels = Annotated[int, Meta(ge=16, le=8192)]
 Share = Annotated[float, Meta(gt=0.0, lt=1.0)]
 Provider = Literal["tensorrt", "cuda", "openvino", "cpu"]
@@ -96,8 +95,7 @@ class CameraConfig(Section, frozen=True, kw_only=True):
 class DetectorConfig(Section, frozen=True, kw_only=True):
     """How boxes are found."""
 
-    kind: Literal["colorpair", "first_box", "yolo"] = "colorpair"
-    boxes: dict[Name, tuple[Side, Side, Side, Side]] = {}
+    kind: Literal["colorpair", "yolo"] = "colorpair"
     model: str | None = None
     layout: Layout = "auto"
     classes: dict[Name, Class | list[Class]] = {}
@@ -215,15 +213,8 @@ def _check_tf(camera: CameraConfig, tf: TfConfig, workers: Collection[str], refu
         refuse("camera.mount", "one", f"none beside the camera's own frame, {tf.child}", "Take it out.")
 
 
-def check_detector(detector: DetectorConfig, runs: bool, names: Collection[str], refuse: Refuse) -> None:
-    """The same for the detector; `runs`: whether it is among the workers, `names`: the objects by name."""
-    if detector.kind == "first_box" and not detector.boxes and runs:
-        refuse("detector.boxes", "none", "a box [x, y, w, h] by object", "Give each object's first box.")
-    for name, box in detector.boxes.items():
-        if name not in names:
-            refuse("detector.boxes", name, f"one of objects: {', '.join(names)}", "Correct the name.")
-        if box[2] < 1 or box[3] < 1:
-            refuse(f"detector.boxes.{name}", f"{list(box)}", "[x, y, w, h] with w, h >= 1", "Correct it.")
+def check_detector(detector: DetectorConfig, names: Collection[str], refuse: Refuse) -> None:
+    """The same for the detector; `names`: the objects by name."""
     if detector.kind != "yolo":
         return
     if detector.model is None:

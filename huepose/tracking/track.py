@@ -61,7 +61,7 @@ class Track:
         self._identity = Identity.none()
         self._corrected_from: tuple[Identity, float] | None = None
         self._orientation = Orientation(subject, config)
-        self._spread, self._supported_ns, self._agreed_ns = 0.0, 0, -1
+        self._spread, self._supported_ns, self._agreed_ns, self._found_ns = 0.0, 0, -1, 0
         self._looked_ns, self._apart_s = 0, LOOK_S
         self._camera = CameraPlace()
         self._known_at: tuple[Float64, int] | None = None
@@ -256,7 +256,7 @@ class Track:
 
     def _found_elsewhere(self, likely: float, frame: RgbdFrame) -> None:
         """It was found where it was not expected, and is that likely what it seems by what is seen alone."""
-        here = self.hypotheses[0].T_cam_obj, frame.stamp_ns
+        here, self._found_ns = (self.hypotheses[0].T_cam_obj, frame.stamp_ns), frame.stamp_ns
         jump = jump_since(self.subject.surface, self._known_at or here, here, self._config)
         self._identity = self._identity.found_elsewhere(likely, self._view(), jump)
 
@@ -375,6 +375,7 @@ class Track:
         self.history = PoseHistory()
         self._supported_ns, self._looked_ns = self._supported_ns - by_ns, self._looked_ns - by_ns
         self._camera = replace(self._camera, told_ns=self._camera.told_ns - by_ns)
+        self._found_ns -= by_ns
         self._orientation.set_back(by_ns)
         if self._known_at is not None:
             self._known_at = self._known_at[0], self._known_at[1] - by_ns
@@ -407,9 +408,9 @@ class Track:
 
     def agree(self, quality: float, stamp_ns: int) -> None:
         """Perception found the same pose, independently, in the frame of that stamp. A second look at one
-        frame says nothing new."""
+        frame says nothing new; a frame before the tracker found it elsewhere, nothing of what it found."""
         again, self._agreed_ns = stamp_ns == self._agreed_ns, stamp_ns
-        if self.hypotheses and not again:
+        if self.hypotheses and not again and not self.found_since(stamp_ns):
             quality = self._of_its_color(quality)
             self._identity = self._identity.agreed(quality, self._view())
             if quality >= evidence.LIKELIER and not self.can_have_turned_since(stamp_ns):
@@ -422,8 +423,14 @@ class Track:
     def disagree(self, quality: float, stamp_ns: int) -> None:
         """Perception found the object there, but turned another way, in the frame of that stamp."""
         again, self._agreed_ns = stamp_ns == self._agreed_ns, stamp_ns
-        if self.hypotheses and not again and not self.can_have_turned_since(stamp_ns):
+        known = not self.found_since(stamp_ns) and not self.can_have_turned_since(stamp_ns)
+        if self.hypotheses and not again and known:
             self._orientation.deny(self._of_its_color(quality))
+
+    def found_since(self, stamp_ns: int) -> bool:
+        """Whether the tracker found it since where it was not expected: what is followed now may be another
+        thing than what was followed then."""
+        return self._found_ns > stamp_ns
 
     def can_have_turned_since(self, stamp_ns: int) -> bool:
         """Whether it may have rotated by a near symmetry since, unseen: its pose then fixes no turn now."""

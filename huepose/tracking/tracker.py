@@ -278,7 +278,7 @@ class Tracker:
             return False
         if not track.history.unbroken_since(correction.stamp_ns):
             return False
-        if track.can_have_turned_since(correction.stamp_ns):
+        if track.found_since(correction.stamp_ns) or track.can_have_turned_since(correction.stamp_ns):
             return False
         surface, camera = track.subject.surface, frame.camera
         new = correction.T_cam_obj

@@ -73,22 +73,27 @@ def test_what_perception_saw_before_it_was_gone_says_nothing_of_its_turn_now(
     assert pose.state is state
 
 
-@pytest.mark.parametrize(("quality", "state"), [(0.55, State.SUSPECT), (0.96, State.TRACKING)])
+@pytest.mark.parametrize(
+    ("quality", "seen", "state"),
+    [(0.55, 11, State.SUSPECT), (0.96, 11, State.TRACKING), (0.55, 4, State.TRACKING)],
+)
 def test_of_what_is_found_elsewhere_after_unseen_frames_the_first_word_of_perception_counts(
-    tea_box, shoot, path, quality: float, state: State
+    tea_box, shoot, path, quality: float, seen: int, state: State
 ) -> None:
-    tracker = Tracker({"tea_box": tea_box})
+    """But not what it says late of a frame from before."""
+    tracker, frames = Tracker({"tea_box": tea_box}), []
     here, there = path(0), path(0).copy()
     there[:3, 3] += (0.18, 0.03, 0.15)
     tracker.correct(Correction.first("tea_box", here, shoot([(tea_box.mesh, here)], 0), 1.0))
     for number in range(12):
         away = 5 <= number < 8
-        frame = shoot([] if away else [(tea_box.mesh, here if number < 5 else there)], number)
-        (pose,) = tracker.step(frame)
+        frames.append(shoot([] if away else [(tea_box.mesh, here if number < 5 else there)], number))
+        (pose,) = tracker.step(frames[-1])
     assert pose.state is State.TRACKING
     assert pose.T_cam_obj is not None
     assert pose.T_cam_obj[:3, 3] == pytest.approx(there[:3, 3], abs=0.004)
-    tracker.correct(replace(Correction.first("tea_box", there, frame, quality), verdict=Verdict.AGREE, seq=2))
+    said = Correction.first("tea_box", here if seen < 5 else there, frames[seen], quality)
+    tracker.correct(replace(said, verdict=Verdict.AGREE, seq=2))
     (pose,) = tracker.step(shoot([(tea_box.mesh, there)], 12))
     assert pose.state is state
 

@@ -26,10 +26,10 @@ BEHIND = 0.35
 Placed = tuple[Mesh, Float64]
 
 
-def staged(mesh: Mesh, others: Sequence[Mesh], rng: Rng) -> Stage:
+def staged(mesh: Mesh, others: Sequence[Mesh], rng: Rng, frames: int = FRAMES) -> Stage:
     """The object on its path, the ground, what lies on it, and a light."""
     pixel, middle_m = rng.uniform((230, 170), (410, 310)), rng.uniform(0.5, 0.8)
-    path = carried(rng, CAMERA.backproject(pixel[None], np.array([middle_m]))[0], mesh.centre)
+    path = carried(rng, CAMERA.backproject(pixel[None], np.array([middle_m]))[0], mesh.centre, frames)
     ground_m = rng.uniform(0.95, 1.25)
     texture = (table_top if rng.random() < 0.5 else wallpaper)(rng)
     if rng.random() < 0.4:
@@ -61,9 +61,9 @@ def random_strong_light(rng: Rng) -> Light:
     return replace(light, key=float(key), sky=float(sky))
 
 
-def carried(rng: Rng, middle_cam: Float64, centre_obj: Float64) -> Float64:
-    """Poses (N, 4, 4) of an object that a fast hand carries and turns about a place (3,)."""
-    k, phase = int(rng.integers(4, 6)), np.linspace(0.0, 0.999, FRAMES + 1)
+def carried(rng: Rng, middle_cam: Float64, centre_obj: Float64, frames: int = FRAMES) -> Float64:
+    """Poses (frames + 1, 4, 4) of an object that a fast hand carries and turns about a place (3,)."""
+    k, phase = int(rng.integers(4, 6)), np.linspace(0.0, 0.999, frames + 1)
     place = positions(rng.normal(0, 1, (k, 3)) * (1.0, 0.7, 0.6), phase)
     place -= place.mean(0)
     fastest = float(np.linalg.norm(np.diff(place, axis=0), axis=1).max()) * RATE_HZ
@@ -77,10 +77,10 @@ def carried(rng: Rng, middle_cam: Float64, centre_obj: Float64) -> Float64:
     for _ in range(12):
         half = (low + high) / 2.0
         R = turned(half)
-        steps = [np.linalg.norm(Rotation.from_matrix(R[i + 1] @ R[i].T).as_rotvec()) for i in range(FRAMES)]
+        steps = [np.linalg.norm(Rotation.from_matrix(R[i + 1] @ R[i].T).as_rotvec()) for i in range(frames)]
         low, high = (half, high) if max(steps) * RATE_HZ < limit else (low, half)
     R = turned(low)
-    path = np.tile(np.eye(4), (FRAMES + 1, 1, 1))
+    path = np.tile(np.eye(4), (frames + 1, 1, 1))
     path[:, :3, :3], path[:, :3, 3] = R, place - R @ centre_obj
     return path
 

@@ -7,7 +7,8 @@
 
 Films of two seconds are drawn (about 12 s of CPU each) and kept under the cache folder: an object that is
 carried fast, leaves and comes back, is swapped for its look-alike, or slides on a plain ground with one face
-up until it is picked up. They show twelve objects made by code, among them plain parts, boxes with plain
+up until it is picked up. With `--kind "put away"` they are of four seconds, and it leaves and comes back as
+slowly as a hand carries it. They show twelve objects made by code, among them plain parts, boxes with plain
 sides and a can with repeated labels; `--objects household` random bowls, mugs, tools, fruit and packages;
 `--objects unseen` objects that nothing is fitted to; `--bundles` those of the split among the reference
 models there. Recorded sequences are used for what needs no drawing. Each film is played by every cause
@@ -28,7 +29,7 @@ from pathlib import Path
 
 from huepose.evaluation.result_files import write_json
 from huepose.support.progress import progress
-from studies.stress.playing import MODES, OBJECTS, SPLITS, Job, missing, models_of, played
+from studies.stress.playing import KINDS, MODES, OBJECTS, SPLITS, Job, missing, models_of, played
 from studies.stress.report import summary, text
 
 
@@ -44,6 +45,7 @@ def main() -> None:
     parser.add_argument("--objects", choices=list(OBJECTS), default="builtin")
     parser.add_argument("--bundles", type=Path, default=None)
     parser.add_argument("--fast-ycb", type=Path, nargs="+", default=[])
+    parser.add_argument("--kind", choices=[*dict.fromkeys(KINDS), "put away"], help="default: all by turns")
     parser.add_argument("--modes", nargs="+", choices=MODES, default=list(MODES))
     parser.add_argument("--processes", type=int, default=1)
     arguments = parser.parse_args()
@@ -52,7 +54,7 @@ def main() -> None:
     jobs = [Job(arguments.split, 0, objects, path, modes) for path in arguments.fast_ycb]
     if not jobs:
         numbers = range(arguments.first, arguments.first + arguments.films)
-        jobs = [Job(arguments.split, n, objects, None, modes) for n in numbers]
+        jobs = [Job(arguments.split, n, objects, None, modes, arguments.kind) for n in numbers]
         models_of(arguments.split, objects)
     arguments.out.mkdir(parents=True, exist_ok=True)
     path = arguments.out / "rows.jsonl"

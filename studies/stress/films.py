@@ -1,4 +1,4 @@
-"""Drawn films of one object for two seconds, kept on disk, and recorded sequences in the same form."""
+"""Drawn films of one object for some seconds, kept on disk, and recorded sequences in the same form."""
 
 from __future__ import annotations
 
@@ -24,7 +24,11 @@ VERSION = 1  # raise it when any pixel changes
 AWAY = se3.make(np.eye(3), np.array([0.0, 0.0, -2.0]))
 """Behind the camera."""
 
-LEFT, BACK, RAMP, ASIDE_M = 22, 36, 8, 0.9
+ASIDE_M = 0.9
+AWAY_AT = {"leaves": (FRAMES, 22, 36, 8), "put away": (120, 50, 70, 36)}
+"""Films in which the object leaves the picture and comes back: how many frames, when it is away, and how many
+frames it takes for ASIDE_M: thrown at 5 m/s, or carried at 1.1 m/s."""
+
 SWAPPED = 30
 RESTS, LIFTED, SLIDES_M_S = 18, 32, 0.15
 
@@ -40,7 +44,7 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """Frames of one object with the truth. kind: "carried", "leaves", "swapped", "plain" or "recorded";
+    """Frames of one object with the truth. kind: "carried", "swapped", "plain", "recorded", or of AWAY_AT;
     others (K, 4, 4): poses T_cam_mesh of what stands around."""
 
     name: str
@@ -66,7 +70,7 @@ def drawn(
     name = f"{seed}-{number:03d}-{kind}-{model.name}"
     path = cache / f"{name}-{VERSION}.loop"
     sensor, first = STEREO if number % 2 == 1 else None, seed * 1000 + number
-    shots = (shoot(stage, i, first, COLOR, sensor) for i in range(FRAMES))
+    shots = (shoot(stage, i, first, COLOR, sensor) for i in range(_frames(kind)))
     loop, rows = kept_loop(path, lambda: map(_kept_row, shots), {"name": name})
     frames = []
     for i, row in enumerate(rows):
@@ -96,10 +100,10 @@ def recorded(path: Path, models: Mapping[str, ReferenceModel]) -> Film:
 
 
 def _stage(kind: str, model: ReferenceModel, others: list[ReferenceModel], rng: Rng) -> Stage | None:
-    stage = staged(model.mesh, [other.mesh for other in others], rng)
+    stage = staged(model.mesh, [other.mesh for other in others], rng, _frames(kind))
     path = stage.T_room_mesh[0].copy()
-    if kind == "leaves":
-        return _moved(stage, _leaving(path, model.mesh.centre, rng))
+    if kind in AWAY_AT:
+        return _moved(stage, _leaving(path, model.mesh.centre, *AWAY_AT[kind][1:], rng))
     if kind == "swapped":
         other = look_alike(model.mesh)
         if other is None:
@@ -128,10 +132,14 @@ def _moved(stage: Stage, path: Float64) -> Stage:
     return replace(stage, T_room_mesh=np.concatenate([path[None], stage.T_room_mesh[1:]]))
 
 
-def _leaving(path: Float64, centre_obj: Float64, rng: Rng) -> Float64:
+def _frames(kind: str) -> int:
+    return AWAY_AT[kind][0] if kind in AWAY_AT else FRAMES
+
+
+def _leaving(path: Float64, centre_obj: Float64, left: int, back: int, ramp: int, rng: Rng) -> Float64:
     """Out of the picture on one side and back from the other, turned meanwhile."""
     frames = np.arange(len(path))
-    away, middle = smooth(len(path), LEFT, BACK, RAMP), (LEFT + BACK) // 2
+    away, middle = smooth(len(path), left, back, ramp), (left + back) // 2
     out, turn = path.copy(), se3.rotation_exp(rng.normal(0, 1.0, 3))
     centres = path[:, :3, :3] @ centre_obj + path[:, :3, 3]
     centres[:, 0] += ASIDE_M * away * np.where(frames < middle, -1.0, 1.0)

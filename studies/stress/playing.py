@@ -89,19 +89,22 @@ Row = dict[str, Any]
 @dataclass(frozen=True)
 class Job:
     """One film: of a split and its number there, or recorded. objects: the folder of the reference models, or
-    a name among OBJECTS."""
+    a name among OBJECTS; kind: what happens in it, by default one of KINDS by its number."""
 
     split: str
     number: int
     objects: Path | str
     recorded: Path | None
     modes: tuple[str, ...]
+    kind: str | None = None
 
     @property
     def name(self) -> str:
         """Unique in a folder of results."""
-        kind = self.objects if isinstance(self.objects, str) else "bundles"
-        return str(self.recorded) if self.recorded is not None else f"{self.split}-{kind}-{self.number}"
+        if self.recorded is not None:
+            return str(self.recorded)
+        objects = self.objects if isinstance(self.objects, str) else "bundles"
+        return "-".join([self.split, objects, str(self.number), *([] if self.kind is None else [self.kind])])
 
 
 def missing(jobs: Sequence[Job], rows: Iterable[Row]) -> list[Job]:
@@ -130,7 +133,7 @@ def film_of(job: Job) -> tuple[Film | None, Mapping[str, ReferenceModel]]:
     names = sorted(models)
     if isinstance(job.objects, Path):
         names = sorted(n for n, m in models.items() if m.object_id in split.objects)
-    model, kind = models[names[job.number % len(names)]], KINDS[job.number % len(KINDS)]
+    model, kind = models[names[job.number % len(names)]], job.kind or KINDS[job.number % len(KINDS)]
     return drawn(cache_folder() / "stress", kind, model, models, split.seed, job.number), models
 
 

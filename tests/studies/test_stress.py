@@ -6,7 +6,7 @@ import pytest
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.model import ReferenceModel
 from studies.stress.causes import JUMP_AT, JUMP_FRAMES, loaded_schedule, runs
-from studies.stress.films import Film, Seen
+from studies.stress.films import AWAY_AT, Film, Seen, _leaving
 from studies.stress.objects import builtin_meshes, look_alike
 from studies.stress.playing import Job, missing
 from studies.stress.report import figures
@@ -78,6 +78,14 @@ def test_figures_of_a_run_that_is_known() -> None:
     assert found["coverage"] == pytest.approx(70.0)
     assert found["suspect_after_frames_most"] == 2
     assert found["back_after_s_median"] == pytest.approx(3 / 30, abs=1e-6)
+
+
+def test_what_is_put_away_leaves_and_comes_back_no_faster_than_a_hand_carries_it() -> None:
+    still = np.tile(np.eye(4), (121, 1, 1))
+    path = _leaving(still, np.zeros(3), *AWAY_AT["put away"][1:], np.random.default_rng(0))
+    aside = path[:, 0, 3]
+    assert aside[[0, 13, 60, 106, 119]] == pytest.approx([0.0, 0.0, 0.9, 0.0, 0.0], abs=0.01)
+    assert np.abs(np.diff(np.abs(aside))).max() * 30.0 < 1.2
 
 
 def test_what_was_played_in_one_mode_is_left_to_play_in_the_other() -> None:

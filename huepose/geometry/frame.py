@@ -81,6 +81,10 @@ class RgbdFrame:
                     fix="Leave it out where nobody knows where the camera was.",
                 )
             object.__setattr__(self, "T_parent_cam", se3.orthonormalised(T))
+        # Kernels are compiled for arrays of one layout, whatever a driver or a slice gives.
+        object.__setattr__(self, "color", np.ascontiguousarray(self.color))
+        if not (self.depth.flags.c_contiguous and self.depth.flags.writeable):
+            object.__setattr__(self, "depth", self.depth.copy())
         # Tells it of all of them without an array of its own.
         if not (np.isfinite(self.depth.min()) and np.isfinite(self.depth.max())):
             known = np.where(np.isfinite(self.depth), self.depth, np.float32(0.0))

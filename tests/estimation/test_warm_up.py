@@ -11,7 +11,7 @@ import pytest
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.estimation.config import Method
 from huepose.estimation.types import PosePrior
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.select.distinct import Ranked
@@ -53,4 +53,22 @@ def test_no_near_tie_and_no_prior_waits_for_the_compiler(
     rivals = np.stack([standing, se3.perturb(standing, np.array([0.0, 0.0, 0.0, 0.0, 0.2, 0.0]))])
     _, held = decided(tea_box, seen.evidence.region, Ranked.of(rivals, np.array([2.0, 1.99])))
     assert held is not None
+    assert compiled() == before
+
+
+def test_a_frame_as_drivers_and_slices_give_it_waits_for_no_compiler(
+    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+) -> None:
+    """Whole and short numbers in the camera, pictures that are views, pictures that nobody may write."""
+    estimator = Estimator({"tea_box": tea_box})
+    estimator.warm_up()
+    before = compiled()
+    frame = take_picture([(tea_box.mesh, standing)])
+    c, depth = frame.camera, np.asfortranarray(frame.depth)
+    depth.setflags(write=False)
+    blue_first = np.ascontiguousarray(frame.color[..., ::-1])
+    whole = Camera(round(c.fx), round(c.fy), np.float32(c.cx), np.int64(c.cy), np.int64(c.width), c.height)
+    given = RgbdFrame(blue_first[..., ::-1], depth, whole)
+    (answer,) = estimator.estimate(given, [ObjectQuery("tea_box", box_of(frame, tea_box, standing))])
+    assert answer.found
     assert compiled() == before

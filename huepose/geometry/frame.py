@@ -70,6 +70,11 @@ class RgbdFrame:
             )
         if min(size) < LEAST_SIDE:
             raise InputError("picture", found=str(size), expected=f"sides of {LEAST_SIDE} pixels or more")
+        for name in ("frame_id", "stamp_ns", "epoch"):
+            number = getattr(self, name)
+            fix = "Nanoseconds of a time in seconds: round(seconds * 1e9)." if name == "stamp_ns" else ""
+            require(number, int | np.integer, name, "a whole number", fix)
+            object.__setattr__(self, name, int(number))
         if self.T_parent_cam is not None:
             # A copy: whoever fills one array again and again says nothing of the frames before.
             T = np.array(self.T_parent_cam, np.float64)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import UnionType
+
 
 class InputError(ValueError):
     """Wrong usage or bad input: the command line prints it as one paragraph and exits with 2.
@@ -18,7 +20,7 @@ class InputError(ValueError):
         self.what, self.found, self.expected, self.fix = str(what), found, expected, fix
 
 
-def require(value: object, kind: type, what: object, expected: str, fix: str = "") -> None:
+def require(value: object, kind: type | UnionType, what: object, expected: str, fix: str = "") -> None:
     """Raises InputError where what a caller gave is of another type.
 
     >>> require((1, 2), str, "a name", "text")

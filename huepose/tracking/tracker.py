@@ -20,6 +20,7 @@ from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import about_origin
+from huepose.tracking.stamps import refuse_another_picture, without_time
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Applied, Correction, Doubt, TrackedPose, Verdict
@@ -64,7 +65,7 @@ class Tracker:
         self._seen_seq: dict[Key, int] = {}
         self._waiting: list[Correction] = []
         self._frames = FrameHistory(self.config.history_frames, self.config.older_frames)
-        self._whose_turn, self._tries, self._pursuit_waits = 0, 1.0, False
+        self._whose_turn, self._tries, self._pursuit_waits, self._no_time = 0, 1.0, False, 0
         for model in ReferenceModels(models).values():
             self.add_object(model)
 
@@ -144,18 +145,23 @@ class Tracker:
 
         A frame of another epoch removes all instances. A frame that is not newer than the last one is ignored
         and gives an empty list. One with a later number but an earlier stamp is the newest: the camera's
-        clock was set back. Raises InputError for what is no frame.
+        clock was set back. Raises InputError for what is no frame, for another picture with number and stamp
+        of the newest one, and for the third frame in a row without time between them.
         """
         require(frame, RgbdFrame, "frame", "an RgbdFrame")
         newest = self._frames.newest
         if newest is not None and frame.epoch != newest.epoch:
             self._forget()
             newest = None
-        elif newest is not None and frame.stamp_ns <= newest.stamp_ns:
-            if frame.frame_id <= newest.frame_id:
+        elif newest is not None:
+            earlier = frame.stamp_ns <= newest.stamp_ns
+            if earlier and frame.frame_id <= newest.frame_id:
+                refuse_another_picture(newest, frame)
                 return []
-            self._set_back(newest.stamp_ns - frame.stamp_ns + CLOCK_GAP_NS)
-            newest = None
+            self._no_time = without_time(self._no_time, newest, frame)
+            if earlier:
+                self._set_back(newest.stamp_ns - frame.stamp_ns + CLOCK_GAP_NS)
+                newest = None
         self._earn(0.0 if newest is None else (frame.stamp_ns - newest.stamp_ns) * 1e-9)
         self._frames.append(frame)
         oldest = self._frames.oldest or frame
@@ -380,7 +386,7 @@ class Tracker:
         self._pursuits.clear()
         self._seen_seq.clear()
         self._waiting.clear()
-        self._whose_turn, self._tries, self._pursuit_waits = 0, 1.0, False
+        self._whose_turn, self._tries, self._pursuit_waits, self._no_time = 0, 1.0, False, 0
 
 
 def _claim(track: Track, bonus: float = 0.0) -> Claim:

@@ -61,3 +61,10 @@ def test_where_its_camera_was_is_kept_though_the_array_is_filled_anew() -> None:
     T[0, 3] = 1.0
     assert frame.T_parent_cam is not None
     assert frame.T_parent_cam[0, 3] == 0.0
+
+
+def test_a_stamp_is_whole_nanoseconds() -> None:
+    depth = np.ones((6, 8), np.float32)
+    with pytest.raises(InputError, match=r"stamp_ns: found float; expected a whole number. Nanoseconds of a"):
+        RgbdFrame(COLOR, depth, CAMERA, stamp_ns=0.033)  # type: ignore[arg-type]
+    assert type(RgbdFrame(COLOR, depth, CAMERA, np.int64(3), np.int64(7)).stamp_ns) is int

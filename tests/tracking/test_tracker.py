@@ -11,7 +11,7 @@ from huepose.believe.state import State
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.onboarding.onboard import onboard_mesh
 from huepose.support.errors import InputError
-from huepose.tracking import Applied, Tracker, TrackerConfig, evidence
+from huepose.tracking import Applied, Correction, Tracker, TrackerConfig, evidence
 from tests.tracking.conftest import correction, errors
 
 EPOCH = 1
@@ -204,6 +204,30 @@ def test_frames_that_are_not_newer_are_not_looked_at(film, started) -> None:
     assert started.step(frames[5]) == []
     assert started.step(frames[2]) == []
     np.testing.assert_array_equal(started.poses()[0].T_cam_obj, before.T_cam_obj)
+
+
+def test_another_picture_of_the_same_number_and_stamp_is_refused(tea_box, shoot, path) -> None:
+    """As RgbdFrame has them where nobody gives any."""
+    tracker = Tracker({"tea_box": tea_box})
+    first, second = (replace(shoot([(tea_box.mesh, path(k))], 0), stamp_ns=0) for k in (0, 3))
+    tracker.correct(Correction.first("tea_box", path(0), first, 1.0))
+    assert len(tracker.step(first)) == 1
+    assert tracker.step(first) == []
+    with pytest.raises(InputError, match="frame 0: found another picture of the same number and stamp, 0 ns"):
+        tracker.step(second)
+
+
+@pytest.mark.parametrize("apart_ns", [0, 33, 33_333])
+def test_frames_without_time_between_them_are_refused(tea_box, shoot, path, apart_ns: int) -> None:
+    """No stamps, or such in milliseconds or microseconds; the clock of a camera is set back once."""
+    tracker = Tracker({"tea_box": tea_box})
+    frames = [replace(shoot([(tea_box.mesh, path(k))], k), stamp_ns=k * apart_ns) for k in range(4)]
+    tracker.correct(Correction.first("tea_box", path(0), frames[0], 1.0))
+    for frame in frames[:3]:
+        tracker.step(frame)
+    with pytest.raises(InputError, match="in nanoseconds"):
+        tracker.step(frames[3])
+    assert len(tracker.step(replace(frames[3], stamp_ns=1_000_000_000))) == 1
 
 
 def test_two_instances_that_cross_are_told_apart(tea_box, shoot) -> None:

@@ -13,7 +13,7 @@ from huepose.geometry.arrays import Float64
 from huepose.judge.color_correlation import PLAIN
 from huepose.judge.kernel import MARGIN, SEEN_IN_COLOR
 from huepose.judge.open_region import BLIND
-from huepose.judge.terms import Terms
+from huepose.judge.terms import DEFAULT_WEIGHTS, Terms
 
 SLACK, HIDDEN_SLACK = 0.25, 0.3
 """Of the judge's total: so much less than its baseline is usual, and more where something is in front."""
@@ -37,17 +37,35 @@ LIGHT_STEP = 0.5
 outline as well (`judge.borders`)."""
 
 
+def unread(terms: Terms) -> float:
+    """In 0..1: how much of what the colours would say cannot be read, since the picture is overexposed where
+    depth shows the surface, and the rest says little.
+
+    >>> from dataclasses import replace
+    >>> from huepose.judge.terms import NOTHING
+    >>> [round(unread(replace(NOTHING, seen=0.9, colored=c)), 2) for c in (0.9, 0.4, 0.1, 0.0)]
+    [0.0, 0.11, 0.44, 1.0]
+    """
+    bright = 1.0 - min(terms.colored / terms.seen, 1.0) if terms.seen > 0.0 else 0.0
+    return bright * (1.0 - _heard(terms))
+
+
 def features(
-    terms: Terms, baseline: float | None, goes_on: float, light: Float64 | None = None
+    terms: Terms,
+    baseline: float | None,
+    goes_on: float,
+    light: Float64 | None = None,
+    unread: float = 0.0,
 ) -> dict[str, float]:
     """What speaks for a pose (the larger, the more), by name. baseline: its usual total, or None; goes_on:
     share of the outline beyond which surface and colour go on; light (3,): the known offset of the light in
-    opponent colours, or None."""
+    opponent colours, or None; unread: how much of its colours is taken to be as it was (`unread`)."""
     # Where no colour is seen it is not known how much there would be.
     possible = terms.contrast / (terms.contrast + PLAIN) if terms.colored > SEEN_IN_COLOR else 1.0
     drop = 0.0
     if baseline is not None:
-        drop = max(0.0, baseline - terms.total - SLACK - HIDDEN_SLACK * terms.hidden)
+        missed = DEFAULT_WEIGHTS.color * unread
+        drop = max(0.0, baseline - terms.total - SLACK - HIDDEN_SLACK * terms.hidden - missed)
     other_light = 0.0
     if light is not None:
         other_light = float(max(abs(terms.light_rg - light[1]), abs(terms.light_yb - light[2])))
@@ -55,7 +73,7 @@ def features(
     through = terms.through * (terms.seen + MARGIN) / max(1.0 - terms.through, 1e-6)
     return {
         "explained": there / (there + through + MARGIN),
-        "color": -max(possible - _heard(terms) * terms.color, 0.0),
+        "color": -max(possible - _heard(terms) * terms.color, 0.0) * (1.0 - unread),
         "no_drop": -drop,
         "ends": -goes_on,
         "texture": _heard(terms) * terms.color * log1p(terms.contrast),
@@ -63,9 +81,15 @@ def features(
     }
 
 
-def log_odds(terms: Terms, baseline: float | None, goes_on: float, light: Float64 | None = None) -> float:
+def log_odds(
+    terms: Terms,
+    baseline: float | None,
+    goes_on: float,
+    light: Float64 | None = None,
+    unread: float = 0.0,
+) -> float:
     """Log-odds that the pose is right, with nothing known beforehand. Arguments as of `features`."""
-    x = belief("frame").log_odds(features(terms, baseline, goes_on, light))
+    x = belief("frame").log_odds(features(terms, baseline, goes_on, light, unread))
     return x - ABSENT * max(1.0 - min(_there(terms) / LEAST_THERE, 1.0), _of_another_color(terms))
 
 

@@ -55,17 +55,18 @@ def log_odds(
     goes_on: float = 0.0,
     light: Float64 | None = None,
     jump: float = 0.0,
+    unread: float = 0.0,
 ) -> float:
     """Log-odds that a pose is right. baseline: its usual total; before: log-odds of the pose from which it
     was followed; goes_on: share of its outline beyond which the surface continues; light (3,): the known
-    light in opponent colours; jump: log-odds of its motion.
+    light in opponent colours; jump: log-odds of its motion; unread: as of `believe.frame.features`.
 
     >>> from huepose.judge.terms import NOTHING
     >>> log_odds(NOTHING, None, 0.0) < -4.0
     True
 
     """
-    x = frame.log_odds(terms, baseline, goes_on, light)
+    x = frame.log_odds(terms, baseline, goes_on, light, unread)
     return x + max(min(MEMORY * before, MOST_MEMORY) + jump, -MOST_MEMORY)
 
 
@@ -75,9 +76,11 @@ def odds_of(p: float) -> float:
     return log(q / (1.0 - q))
 
 
-def one_sense(terms: Terms) -> bool:
-    """Whether a pose rests on depth alone, or on colour alone."""
-    return terms.seen < LEAST_SEEN or terms.colored < LEAST_SEEN
+def one_sense(terms: Terms, followed: bool = False) -> bool:
+    """Whether a pose rests on depth alone, or on colour alone. followed: of an object that is known it was
+    followed here, so colours that are overexposed now are taken to be as they were: depth tells where it
+    went."""
+    return terms.seen < LEAST_SEEN or (terms.colored < LEAST_SEEN and not followed)
 
 
 def vouched(quality: float, spread: float) -> float:

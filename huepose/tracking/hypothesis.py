@@ -23,6 +23,9 @@ MOST = 3
 SAME = 0.05
 """Poses whose surfaces lie this share of the diameter apart are one pose."""
 
+FOLLOWED = ("still", "velocity")
+"""Sources of a pose that was followed from the last frame; all others found it."""
+
 HOPELESS = 4.0
 """An opinion whose log-odds lie this far behind the best is dropped."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from huepose.believe import frame as believed
 from huepose.believe.logistic import probability
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
@@ -12,7 +13,7 @@ from huepose.judge.borders import continued
 from huepose.refine.ends import moved_to_ends
 from huepose.tracking import evidence
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.hypothesis import Anchor, Hypothesis
+from huepose.tracking.hypothesis import FOLLOWED, Anchor, Hypothesis
 from huepose.tracking.motion import filtered, increment_velocity, jump_odds, predicted
 from huepose.tracking.refined import unmoved
 from huepose.tracking.step import WHOLLY_HIDDEN, Advance
@@ -76,7 +77,9 @@ def _moved(
     ago; jump: log-odds of its motion."""
     measured = increment_velocity(subject.surface, parent.T_cam_obj, h.T_cam_obj, seconds)
     velocity = filtered(parent.velocity, measured, seconds)
-    opinion = weighed(subject, h, frame, anchor.usual, parent.log_odds, jump)
+    # What is found, and not followed, has to show its colours.
+    unread = believed.unread(h.terms) if anchor.known and h.source in FOLLOWED else 0.0
+    opinion = weighed(subject, h, frame, anchor.usual, parent.log_odds, jump, unread)
     return replace(opinion, velocity=velocity)
 
 
@@ -87,10 +90,11 @@ def weighed(
     usual: Usual,
     before: float,
     jump: float = 0.0,
+    unread: float = 0.0,
 ) -> Hypothesis:
-    """A hypothesis with its log-odds; before and jump as in `evidence.log_odds`."""
+    """A hypothesis with its log-odds; before, jump and unread as in `evidence.log_odds`."""
     goes_on = continued(subject.contours, h.T_cam_obj, frame)
-    odds = evidence.log_odds(h.terms, usual.baseline, before, goes_on, usual.light, jump)
+    odds = evidence.log_odds(h.terms, usual.baseline, before, goes_on, usual.light, jump, unread)
     return replace(h, log_odds=odds, goes_on=goes_on, jump=jump)
 
 

@@ -23,7 +23,7 @@ from huepose.tracking.effort import Effort
 from huepose.tracking.elsewhere import PARTS
 from huepose.tracking.evidence import Identity, Standing, next_standing, turned_over
 from huepose.tracking.history import PoseHistory
-from huepose.tracking.hypothesis import Anchor, Hypothesis, distinct, same_pose, share_of_first
+from huepose.tracking.hypothesis import FOLLOWED, Anchor, Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.looks import LOOK_S, looks
 from huepose.tracking.lost import MORE, MOSTLY, found_elsewhere, found_standing, seen_share
 from huepose.tracking.motion import Reach, jump_since, predicted, same_motion
@@ -225,7 +225,8 @@ class Track:
         self.hypotheses = distinct(self.subject, seen)
         first = self.hypotheses[0]
         sure = probability(first.log_odds) * share_of_first(self.subject, self.hypotheses)
-        if evidence.one_sense(first.terms) or first.jump < 0.0:
+        followed = anchor.known and first.source in FOLLOWED
+        if evidence.one_sense(first.terms, followed) or first.jump < 0.0:
             # An implausible jump has to be confirmed by the next frame.
             sure = min(sure, evidence.ONE_SENSE)
         self._scarce_looks = (

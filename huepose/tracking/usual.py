@@ -39,11 +39,12 @@ class Usual:
 
     def after(self, terms: Terms, sure: bool = False, apart_s: float = LOOK_S) -> Usual:
         """After a frame with these terms that supports the pose, so many seconds after the last one; sure:
-        the object is TRACKING in it. The total of a covered object never lowers the baseline."""
+        the object is TRACKING in it. The total of a covered or overexposed object never lowers the
+        baseline."""
         baseline, light = self.baseline, self.light
         if baseline is None:
             baseline = terms.total
-        elif terms.hidden < OPEN or terms.total > baseline:
+        elif (terms.hidden < OPEN and terms.colored >= LEAST_SEEN) or terms.total > baseline:
             baseline += share(BASELINE_SHARE, apart_s) * (terms.total - baseline)
         if terms.colored >= LEAST_SEEN:
             seen = np.array(terms.light)

@@ -44,6 +44,17 @@ GOOD = "camera: {truth: true}\n"
                 "camera, tracker, reinit, detector, segmenter, estimator are started."
             ],
         ),
+        (
+            "cpus: {traker: [0]}",
+            ["cpus: found the key 'traker'", "one of camera, tracker", "mean 'tracker'?"],
+        ),
+        ("cpus: {camera: [0], tracker: [x]}", ["cpus.tracker[0]: found 'x'; expected a whole number."]),
+        ("hosts: {desk: [detektor]}", ["hosts.desk[0]: found 'detektor'", "Did you mean 'detector'?"]),
+        ("hosts: {My Desk: [detector]}", ["hosts: found the key 'My Desk'; expected 1 to 64 of a-z"]),
+        ("camera: {device: {filters: {spatial: {a: x}}}}", ["camera.device.filters.spatial.a: found 'x'"]),
+        ("detector: {classes: {mug: [cup, -2]}}", ["detector.classes.mug[1]: found -2"]),
+        ("networks: {sha256: {f.onnx: zz}}", ["networks.sha256.f.onnx: found 'zz'", "64 digits 0-9 a-f"]),
+        ("camera: {1: x}", ["camera: found the key 1"]),
         ("workers: [camera, camera]", ["found camera, camera; expected each worker at most once."]),
         ("camera: {source: webcam}", ["camera.source", "'webcam'", "synthetic, bop, fast_ycb"]),
         ("camera: {source: opencv}", ["camera.source", "A webcam has no depth", "docs/cameras.md"]),
@@ -75,7 +86,10 @@ GOOD = "camera: {truth: true}\n"
         ),
         ("camera: {tf: {parent: base, child: tool0}}", ["camera.tf", "the worker ros2", "Add ros2"]),
         ("workers: [camera, ros2]\ncamera: {tf: {parent: a, child: a}}", ["camera.tf", "two frames"]),
-        ("workers: [camera, ros2]\ncamera: {tf: {parent: /a, child: b}}", ["camera.tf.parent", "'/a'"]),
+        (
+            "workers: [camera, ros2]\ncamera: {tf: {parent: /a, child: b}}",
+            ["camera.tf.parent", "'/a'", "no / first"],
+        ),
         (
             "workers: [camera, ros2]\ncamera: {tf: {parent: a, child: b}, "
             "mount: {parent: c, translation: [0, 0, 1]}}",
@@ -90,14 +104,15 @@ GOOD = "camera: {truth: true}\n"
         ("gateway: {listen: 'localhost:99999'}", ["gateway.listen", "localhost:99999", "1 to 65535"]),
         ("gateway: {listen: '127.0.0.1:0'}", ["gateway.listen", "127.0.0.1:0", "1 to 65535"]),
         ("ros2: {connect: tcp/localhost:99999}", ["ros2.connect", "tcp/localhost:99999", "1 to 65535"]),
-        ("ros2: {connect: tcp/localhost}", ["ros2.connect", "tcp/localhost"]),
+        ("ros2: {connect: tcp/localhost}", ["ros2.connect", "found 'tcp/localhost'", "tcp/HOST:PORT"]),
         (
             "workers: [camera, ros2]\nobjects: [{name: tea-box}, {name: tea_box}]",
             ["objects", "tea-box and tea_box", "- and _"],
         ),
         ("ros2: {namespace: huepose/}", ["ros2.namespace", "huepose/"]),
         ("ros2: {namespace: a//b}", ["ros2.namespace", "a//b"]),
-        ("ros2: {namespace: a/1b}", ["ros2.namespace", "a/1b"]),
+        ("ros2: {namespace: a/1b}", ["ros2.namespace", "a/1b", "none with a digit first"]),
+        ("ros2: {frame_prefix: a b}", ["ros2.frame_prefix", "letters, digits, _, / and -"]),
         ("link: {listen: '0.0.0.0:65536'}", ["link.listen", "0.0.0.0:65536", "1 to 65535"]),
         (
             "gateway: {listen: 'localhost:65535'}\ncameras: [{name: a}, {name: b}]",

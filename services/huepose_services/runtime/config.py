@@ -107,7 +107,26 @@ class TlsConfig(Section, frozen=True, kw_only=True):
     readers: list[Annotated[str, Meta(min_length=1, max_length=64)]] = msgspec.field(default_factory=list)
 
 
-Address = Annotated[str, Meta(pattern=r"^[^/\s]+:\d{1,5}$")]
+Address = Annotated[str, Meta(pattern=r"^[^/\s]+:\d{1,5}$", description="ADDRESS:PORT")]
+Router = Annotated[
+    str,
+    Meta(
+        pattern=r"^((tcp|udp|tls|quic)/\S+:\d{1,5}|unixsock-stream/\S+)$",
+        description="tcp/HOST:PORT (or udp, tls, quic), or unixsock-stream/PATH",
+    ),
+]
+Namespace = Annotated[
+    str,
+    Meta(
+        pattern=rf"^{_ROS_PART}(/{_ROS_PART})*$",
+        max_length=128,
+        description="names of letters, digits and _ with / between them, none with a digit first",
+    ),
+]
+FramePrefix = Annotated[
+    str,
+    Meta(pattern=r"^[a-zA-Z0-9_/-]{0,128}$", description="at most 128 letters, digits, _, / and -"),
+]
 
 
 class GatewayConfig(Section, frozen=True, kw_only=True):
@@ -134,13 +153,11 @@ class Ros2Config(Section, frozen=True, kw_only=True):
     """Where poses go as messages of ROS 2: router, domain, whose keys, namespace of the topics, and what
     stands before the objects' names in /tf."""
 
-    connect: Annotated[str, Meta(pattern=r"^((tcp|udp|tls|quic)/\S+:\d{1,5}|unixsock-stream/\S+)$")] = (
-        "tcp/localhost:7447"
-    )
+    connect: Router = "tcp/localhost:7447"
     domain: Annotated[int, Meta(ge=0, le=232)] = 0
     keys: Literal["rmw_zenoh", "bridge"] = "rmw_zenoh"
-    namespace: Annotated[str, Meta(pattern=rf"^{_ROS_PART}(/{_ROS_PART})*$", max_length=128)] = "huepose"
-    frame_prefix: Annotated[str, Meta(pattern=r"^[a-zA-Z0-9_/-]{0,128}$")] = ""
+    namespace: Namespace = "huepose"
+    frame_prefix: FramePrefix = ""
 
 
 class LinkConfig(Section, frozen=True, kw_only=True):

@@ -60,14 +60,13 @@ def read_yaml(text: str, path: Path) -> Any:
         raise InputError(f"configuration {path}", found=found, expected="a pipeline's keys") from None
 
 
-_AT = re.compile(r"^(?P<text>.*?)(?: - at `(?P<at>[^`]*)`)?$", re.DOTALL)
+_AT = re.compile(r"^(?P<text>.*?)(?: - at (?P<of_key>`key` in )?`(?P<at>[^`]*)`)?$", re.DOTALL)
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>.*)`")
 _MISSING = re.compile(r"Object missing required field `(?P<key>.*)`")
 # msgspec's words, and ours.
 _WORDS = (
-    (r"^str matching regex '\^\[a-z0-9_-\]\{1,64\}\\+Z'$", "1 to 64 of a-z, 0-9, _ and -"),
+    (r"^\[a-z0-9_-\]\{1,64\}$", "1 to 64 of a-z, 0-9, _ and -"),
     (r"^quaternion is not of unit length$", "a quaternion of unit length, x y z w"),
-    (r"^str matching regex '\^\[\^/.*:.*\$'$", "ADDRESS:PORT"),
     (r"\bint\b", "a whole number"),
     (r"\bfloat\b", "a number"),
     (r"\bbool\b", "true or false"),
@@ -93,12 +92,13 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
     """The error for a person; `data` is what the file says, `config` the type that it should be."""
     match = _AT.match(str(error))
     assert match is not None
-    text, at = match["text"], (match["at"] or "$").removeprefix("$").lstrip(".")
+    text = match["text"]
+    at, found, kind = _followed(data, config, (match["at"] or "$").removeprefix("$"))
     unknown, missing = _UNKNOWN.match(text), _MISSING.match(text)
     named = unknown or missing
     if named is not None:
         key = named["key"]
-        section = next(part for part in _parts(_type(config, at)) if part is not type(None))
+        section = next(part for part in _parts(kind) if part is not type(None))
         allowed = [f.name for f in msgspec.structs.fields(section)]
         return InputError(
             f"{path}: {at}.{key}".replace(": .", ": "),
@@ -106,8 +106,11 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
             expected=f"one of {', '.join(allowed)}" if unknown else "a value",
             fix=did_you_mean(key, allowed) if unknown else "",
         )
-    found, kind = _value(data, at), _type(config, at)
     shown = _shown(found)
+    if match["of_key"]:
+        kind, _ = _kinds_of_map(kind)
+        found = next(key for key in found if not _is(key, kind))
+        shown = f"the key {_shown(found)}"
     if text == "quaternion is not of unit length":  # said of the mount that it belongs to
         at, shown = f"{at}.quaternion", _with_length(found["quaternion"])
     word = found[: _SHORT.maxstring] if isinstance(found, str) else ""
@@ -152,20 +155,20 @@ def _allowed(text: str, kind: Any) -> str:
     if text.startswith("Invalid enum value"):
         text = f"Expected one of {', '.join(names)}" + (", or a number" if float in _parts(kind) else "")
     expected = re.sub(r", got .*$", "", text).removeprefix("Expected ").replace("`", "")
-    if expected in ("str", "str | null") and (form := _form(kind)):
-        expected = f"str matching regex '{form}'"
+    if re.match(r"str( \| null)?( matching .*)?$", expected) and (form := _form(kind)):
+        expected = form
     for pattern, words in _WORDS:
         expected = re.sub(pattern, words, expected)
     return expected
 
 
-def _form(kind: Any) -> str | None:
-    """The regular expression that a text has to match, where there is one."""
+def _form(kind: Any) -> str:
+    """What a text has to look like, in words; empty where anything goes, or no words are known."""
     for part in (kind, *typing.get_args(kind)):
         for said in typing.get_args(part)[1:] if typing.get_origin(part) is typing.Annotated else ():
             if isinstance(said, msgspec.Meta) and said.pattern:
-                return said.pattern
-    return None
+                return said.description or ""
+    return ""
 
 
 def _parts(kind: Any) -> list[Any]:
@@ -186,16 +189,43 @@ def _steps(at: str) -> list[str]:
     return [s for s in re.split(r"\.|(\[[^\]]*\])", at) if s]
 
 
-def _value(data: Any, at: str) -> Any:
-    """What stands at a path; a step `[...]`, any value of a map, ends the search."""
+def _followed(data: Any, kind: Any, at: str) -> tuple[str, Any, Any]:
+    """What stands at a path, and the type of what belongs there. The path comes back with the keys of maps,
+    each of which is `[...]` to msgspec: the first whose value is wrong."""
+    named = ""
     for step in _steps(at):
-        if step.startswith("["):
-            if not step[1:-1].isdigit() or not isinstance(data, list):
-                return data
-            data = data[int(step[1:-1])]
-        elif isinstance(data, dict):
-            data = data.get(step)
-    return data
+        if step == "[...]":
+            _, kind = _kinds_of_map(kind)
+            key = next(key for key, value in data.items() if not _is(value, kind))
+            named, data = f"{named}.{key[: _SHORT.maxstring]}", data[key]
+        elif step.startswith("["):
+            kind = next(typing.get_args(part)[0] for part in _parts(kind) if _is_list(part))
+            named, data = named + step, data[int(step[1:-1])]
+        else:
+            # A section that may be left out is a union with None.
+            section = next(part for part in _parts(kind) if part is not type(None))
+            kind = typing.get_type_hints(section, include_extras=True)[step]
+            named, data = f"{named}.{step}", data.get(step)
+    return named.lstrip("."), data, kind
+
+
+def _kinds_of_map(kind: Any) -> tuple[Any, Any]:
+    """The types of a map's keys and values; a section has keys that are text."""
+    maps = (typing.get_args(part) for part in _parts(kind) if typing.get_origin(part) is dict)
+    of_key, of_value = next(maps, (str, Any))
+    return of_key, of_value
+
+
+def _is_list(kind: Any) -> bool:
+    return typing.get_origin(kind) in (list, tuple)
+
+
+def _is(value: Any, kind: Any) -> bool:
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError:
+        return False
+    return True
 
 
 def _shown(value: Any) -> str:
@@ -206,17 +236,3 @@ def _shown(value: Any) -> str:
 
 def _with_length(quaternion: list[float]) -> str:
     return f"{[float(f'{x:.6g}') for x in quaternion]}, of length {math.hypot(*quaternion):.4g}"
-
-
-def _type(config: type, at: str) -> Any:
-    """The type of what belongs at a path."""
-    kind: Any = config
-    for step in _steps(at):
-        # A section that may be left out is a union with None.
-        kind = next(part for part in _parts(kind) if part is not type(None))
-        if step.startswith("["):
-            arguments = typing.get_args(kind)
-            kind = arguments[1] if typing.get_origin(kind) is dict else arguments[0]
-        else:
-            kind = typing.get_type_hints(kind, include_extras=True)[step]
-    return kind

@@ -20,7 +20,7 @@ Share = Annotated[float, Meta(gt=0.0, lt=1.0)]
 Provider = Literal["tensorrt", "cuda", "openvino", "cpu"]
 Layout = Literal["auto", "v5", "v8", "yolox", "yolox_raw", "end2end"]
 Class = Annotated[int, Meta(ge=0, le=100_000)] | str
-Sha256 = Annotated[str, Meta(pattern="^[0-9a-f]{64}$")]
+Sha256 = Annotated[str, Meta(pattern="^[0-9a-f]{64}$", description="64 digits 0-9 a-f")]
 Refuse = Callable[[str, str, str, str], None]
 
 Recorded = Literal["bop", "fast_ycb", "recording", "rosbag"]
@@ -50,7 +50,9 @@ class DeviceConfig(Section, frozen=True, kw_only=True):
     filters: dict[Filter, dict[str, float]] = {}
 
 
-FrameName = Annotated[str, Meta(pattern=r"^[^/\s]\S{0,63}$")]
+FrameName = Annotated[
+    str, Meta(pattern=r"^[^/\s]\S{0,63}$", description="1 to 64 characters, no blank among them, no / first")
+]
 
 
 class TfConfig(Section, frozen=True, kw_only=True):

@@ -13,6 +13,7 @@ from huepose.geometry import hand_eye, hand_eye_doubts, se3
 from huepose.geometry.hand_eye_certainty import certainty
 from huepose.support.errors import InputError
 from huepose_services.cli.main import main
+from huepose_services.runtime.config import parse
 
 X = se3.make(Rotation.from_euler("xyz", [20, -130, 75], degrees=True).as_matrix(), np.array([0.4, -0.2, 0.9]))
 Y = se3.make(
@@ -130,6 +131,15 @@ def files(folder: Path, hand: str, seen: str) -> list[str]:
     return ["--object", str(folder / "object.csv"), "--hand", str(folder / "hand.csv")]
 
 
+def test_the_command_takes_no_frame_that_a_mount_cannot_have(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    A, B = measured(8)
+    options = [*files(tmp_path, rows(A), rows(B)), "--camera", "on-hand", "--parent", "tool 0"]
+    assert main(["calibrate", "hand-eye", *options]) == 2
+    assert "--parent: found 'tool 0'; expected 1 to 64 characters, no blank" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("camera", ["fixed", "on-hand"])
 def test_the_command_says_what_to_configure(
     tmp_path: Path, camera: str, capsys: pytest.CaptureFixture[str]
@@ -148,7 +158,10 @@ def test_the_command_says_what_to_configure(
     assert np.allclose(mount["translation"], X[:3, 3], atol=1e-5)
     assert np.allclose(se3.rotation_from_quaternion(np.array(mount["quaternion"])), X[:3, :3], atol=1e-4)
     said = capsys.readouterr().out
-    assert "mount: {parent: " in said
+    (line,) = (line for line in said.splitlines() if line.startswith("mount: {parent: "))
+    told = parse(f"camera: {{{line}}}", tmp_path / "pipeline.yaml").camera.mount
+    assert told is not None
+    assert (told.parent, list(told.translation)) == (mount["parent"], mount["translation"])
     assert "the methods of Park, Tsai and Daniilidis differ by 0.0 mm and 0.00 degrees at most" in said
     assert (tmp_path / "left.png").stat().st_size > 1000
 

@@ -81,6 +81,22 @@ GOOD = "camera: {truth: true}\n"
             ["cameras[0].mount.quaternion", "found [-0.8, 0.0, 0.0, 0.0], of length 0.8"],
         ),
         (
+            "camera: {mount: {parent: base, translation: [0, 0, 1]}}",
+            ["camera.mount.quaternion: found nothing", "Write [0.0, 0.0, 0.0, 1.0]", "is not rotated"],
+        ),
+        (
+            "camera: {mount: {parent: base, quaternion: [0, 0, 0, 1]}}",
+            ["camera.mount.translation: found nothing", "Write [0.0, 0.0, 0.0]", "origin of `parent`"],
+        ),
+        (
+            "camera: {mount: {parent: base link, translation: [0, 0, 1], quaternion: [0, 0, 0, 1]}}",
+            ["camera.mount.parent: found 'base link'", "no blank among them"],
+        ),
+        (
+            "camera: {mount: {parent: b, translation: [0, 0, 1], quaterion: [0, 0, 0, 1]}}",
+            ["camera.mount.quaterion", "not known", "Did you mean 'quaternion'?"],
+        ),
+        (
             "camera: {mount: {parent: base, translation: [0, 0, 1], quaternion: [0, 0, 0, .nan]}}",
             ["camera.mount", "not finite"],
         ),
@@ -92,12 +108,12 @@ GOOD = "camera: {truth: true}\n"
         ),
         (
             "workers: [camera, ros2]\ncamera: {tf: {parent: a, child: b}, "
-            "mount: {parent: c, translation: [0, 0, 1]}}",
+            "mount: {parent: c, translation: [0, 0, 1], quaternion: [0, 0, 0, 1]}}",
             ["camera.mount.parent", "found c", "expected b"],
         ),
         (
             "workers: [camera, ros2]\ncamera: {tf: {parent: a, child: cam0_color_optical}, "
-            "mount: {parent: cam0_color_optical, translation: [0, 0, 1]}}",
+            "mount: {parent: cam0_color_optical, translation: [0, 0, 1], quaternion: [0, 0, 0, 1]}}",
             ["camera.mount", "own frame, cam0_color_optical", "Take it out"],
         ),
         ("bus: {base_port: 80}", ["bus.base_port", "found 80", "a whole number of 1024 or more"]),

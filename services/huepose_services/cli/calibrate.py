@@ -51,7 +51,10 @@ def call(arguments: argparse.Namespace) -> int:
 
     from huepose.geometry import hand_eye, hand_eye_doubts, se3
     from huepose.geometry.hand_eye_certainty import certainty
+    from huepose_services.runtime.config_perception import FRAME_NAME_IN_WORDS, is_frame_name
 
+    if arguments.parent is not None and not is_frame_name(arguments.parent):
+        raise InputError("--parent", found=repr(arguments.parent)[:80], expected=FRAME_NAME_IN_WORDS)
     seen = _of_one_thing(arguments.object, arguments.name)
     hand = _of_one_thing(arguments.hand, None, of_hand=True)
     frames = sorted(set(seen) & set(hand))

@@ -79,6 +79,13 @@ _WORDS = (
     (r" < ([\d.]+?)(?:\.0)?$", r" under \1"),
 )
 
+# What to write for keys of a section that are needed, where there is nothing to say.
+_IF_NONE = {
+    ("FixedMount", "translation"): "Write [0.0, 0.0, 0.0] for a camera at the origin of `parent`.",
+    ("FixedMount", "quaternion"): "Write [0.0, 0.0, 0.0, 1.0] for a camera that is not rotated: it looks "
+    "along the z of `parent`.",
+}
+
 # Such a number is a text to YAML 1.1, which wants a point and a sign: 1.0e-4.
 _SCIENTIFIC = re.compile(r"[-+]?([0-9]{1,17}\.?[0-9]{0,17}|\.[0-9]{1,17})[eE][-+]?[0-9]{1,2}")
 
@@ -104,7 +111,7 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
             f"{path}: {at}.{key}".replace(": .", ": "),
             found="a key that is not known" if unknown else "nothing",
             expected=f"one of {', '.join(allowed)}" if unknown else "a value",
-            fix=did_you_mean(key, allowed) if unknown else "",
+            fix=did_you_mean(key, allowed) if unknown else _IF_NONE.get((section.__name__, key), ""),
         )
     shown = _shown(found)
     if match["of_key"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar, get_args, get_type_hints
@@ -9,7 +10,7 @@ from typing import Annotated, Literal, TypeVar, get_args, get_type_hints
 import msgspec
 from msgspec import Meta, Struct
 
-from huepose_protos.fields import Name
+from huepose_protos.fields import Name, Quaternion
 from huepose_protos.messages import FrameHeader
 from huepose_protos.parts import Mount
 
@@ -50,9 +51,21 @@ class DeviceConfig(Section, frozen=True, kw_only=True):
     filters: dict[Filter, dict[str, float]] = {}
 
 
-FrameName = Annotated[
-    str, Meta(pattern=r"^[^/\s]\S{0,63}$", description="1 to 64 characters, no blank among them, no / first")
-]
+FRAME_NAME_IN_WORDS = "1 to 64 characters, no blank among them, no / first"
+_FRAME_NAME = r"^[^/\s]\S{0,63}\Z"
+FrameName = Annotated[str, Meta(pattern=_FRAME_NAME, description=FRAME_NAME_IN_WORDS)]
+
+
+def is_frame_name(text: str) -> bool:
+    """Whether a coordinate frame may be called so."""
+    return re.fullmatch(_FRAME_NAME, text) is not None
+
+
+class FixedMount(Mount, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A mount as a person writes it: all of it, as a turn that was forgotten looks like none."""
+
+    parent: FrameName
+    quaternion: Quaternion
 
 
 class TfConfig(Section, frozen=True, kw_only=True):
@@ -79,7 +92,7 @@ class CameraConfig(Section, frozen=True, kw_only=True):
     depth_scale_m: Annotated[float, Meta(gt=0.0, le=0.01)] = 0.0001
     check: bool = True
     device: DeviceConfig = DeviceConfig()
-    mount: Mount | None = None
+    mount: FixedMount | None = None
     moving: bool = False
     tf: TfConfig | None = None
 

@@ -50,7 +50,7 @@ def _published(publisher, bus, stamp_ns, frame_id=0, T_parent_cam=None):
 
 
 def test_a_frame_has_the_place_of_the_time_at_which_it_was_taken(publisher_of):
-    hand = {"parent": "tool0", "translation": [0.0, 0.1, 0.0]}
+    hand = {"parent": "tool0", "translation": [0.0, 0.1, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
     publisher, bus = publisher_of(moving=True, mount=hand)
     now = now_ns()
     _told(bus, now, 0.2)
@@ -103,5 +103,8 @@ def test_a_source_may_know_where_its_camera_was(publisher_of):
 
 
 def test_a_camera_that_is_fixed_needs_none(publisher_of):
-    publisher, bus = publisher_of(mount={"parent": "base_link", "translation": [0.0, 0.0, 1.0]})
+    turn = [0.0, 0.0, 0.0, 1.0]
+    publisher, bus = publisher_of(
+        mount={"parent": "base_link", "translation": [0.0, 0.0, 1.0], "quaternion": turn}
+    )
     assert _published(publisher, bus, now_ns()).T_parent_cam is None

@@ -329,6 +329,22 @@ def test_validate_notes_a_section_of_a_worker_that_is_not_started(tmp_path, caps
     assert "NOTE" not in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("text", "noted"),
+    [
+        ("cameras: [{name: left}]\n", 0),
+        ("cameras: [{name: left}, {name: right}]\n", 0),
+        ("cameras: [{name: left}, {name: right}]\nros2: {namespace: lab}\n", 2),
+    ],
+)
+def test_validate_notes_no_section_that_the_file_does_not_have(tmp_path, capsys, text, noted):
+    path = tmp_path / "pipeline.yaml"
+    path.write_text(text)
+    assert main(["validate", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert (out.count("NOTE"), out.count("the section `ros2` is set")) == (noted, noted)
+
+
 def test_validate_says_that_a_drawn_scene_shows_one_of_each(tmp_path, capsys):
     path = tmp_path / "pipeline.yaml"
     path.write_text("objects: [{name: tea_box, max_instances: 2}]\ncamera: {source: synthetic}\n")

@@ -29,33 +29,31 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Read it, look for what it names, say what it is."""
-    from huepose_services.runtime.config import load_all
+    from huepose_services.runtime.config import as_written, parse_all, text_of
+    from huepose_services.runtime.config_errors import read_yaml
     from huepose_services.runtime.prepare import check
 
-    configs = [config.at(arguments.host) for config in load_all(arguments.config)]
+    path = arguments.config
+    text = text_of(path)  # once: a pipe cannot be read twice
+    configs = [config.at(arguments.host) for config in parse_all(text, path)]
+    data = read_yaml(text, path)
+    written = as_written(data, path)
     for config in configs:
         check(config)
         if config.camera.source == "synthetic" and "camera" in config.workers:
             from huepose_services.camera.synthetic import check_source
 
             check_source(config)
-    answers, summaries = zip(*(_described(config, arguments.config) for config in configs), strict=True)
-    answer = answers[0] if len(answers) == 1 else {"file": str(arguments.config), "cameras": list(answers)}
+    answers, summaries = zip(*(_described(config, written, path) for config in configs), strict=True)
+    answer = answers[0] if len(answers) == 1 else {"file": str(path), "cameras": list(answers)}
     note = ["  NOTE     the file is empty: everything is as in the built-in scene"]
-    lines = [f"{arguments.config}: good", *(note if _is_empty(arguments.config) else []), *summaries]
+    lines = [f"{path}: good", *(note if data is None else []), *summaries]
     answered(arguments, answer, "\n".join(lines))
     return 0
 
 
-def _is_empty(path: Path) -> bool:
-    """Whether a file that was read says nothing; a pipe cannot be read twice."""
-    from huepose_services.runtime.config_errors import read_yaml
-
-    return path.is_file() and read_yaml(path.read_text(encoding="utf-8"), path) is None
-
-
-def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
-    """What a configuration is, for programs and in words."""
+def _described(config: Config, written: Config, path: Path) -> tuple[dict[str, Any], str]:
+    """What a configuration is, for programs and in words. written: what the file itself says."""
     import msgspec
 
     from huepose_protos.local import run_folder
@@ -79,7 +77,7 @@ def _described(config: Config, path: Path) -> tuple[dict[str, Any], str]:
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
-    for note in (*_limited(config), *_never_boxed(config), *_never_found(config), *_unused(config)):
+    for note in (*_limited(config), *_never_boxed(config), *_never_found(config), *_unused(config, written)):
         summary += f"\n  NOTE     {note}"
     if one_of_each := _drawn_once(config):
         summary += f"\n  scene    {one_of_each}"
@@ -138,15 +136,15 @@ def _never_found(config: Config) -> list[str]:
     return [f"no object is ever found: {', '.join(missing)} not among the workers"] if missing else []
 
 
-def _unused(config: Config) -> list[str]:
-    """A sentence for each section of a worker that is set, where that worker is not started."""
+def _unused(config: Config, written: Config) -> list[str]:
+    """A sentence for each section of a worker that the file sets, where that worker is not started."""
     from huepose_services.runtime.config import Config
 
     there, default = (*config.workers, *config.far), Config()
     return [
         f"the section `{worker}` is set, and {worker} is not among the workers"
         for worker in ("gateway", "viewer", "ros2")
-        if worker not in there and getattr(config, worker) != getattr(default, worker)
+        if worker not in there and getattr(written, worker) != getattr(default, worker)
     ]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 from msgspec import Meta
@@ -290,12 +290,17 @@ def load(path: Path, camera: str | None = None) -> Config:
 
 def load_all(path: Path) -> list[Config]:
     """The configurations of a file: one for each camera. Raises InputError as `load` does."""
+    return parse_all(text_of(path), path)
+
+
+def text_of(path: Path) -> str:
+    """What a file says. Raises InputError for one that cannot be read, or is too long."""
     try:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
         if len(data) > _MAX_BYTES:
             raise ValueError(f"over {_MAX_BYTES} bytes")
-        text = data.decode()
+        return data.decode()
     except (OSError, ValueError) as error:
         found = _NO_FILE.get(type(error)) or getattr(error, "strerror", None) or str(error)[:200]
         inside = path / DEFAULT_FILE
@@ -306,7 +311,6 @@ def load_all(path: Path) -> list[Config]:
             expected="a YAML file that describes a pipeline",
             fix=f"Did you mean {inside}?" if inside.is_file() else fix,
         ) from None
-    return parse_all(text, path)
 
 
 def parse(text: str, path: Path) -> Config:
@@ -319,12 +323,7 @@ def parse_all(text: str, path: Path) -> list[Config]:
     """The configurations in a text, one for each camera; `path` names it in errors and is where relative
     paths start."""
     data = read_yaml(text, path)
-    try:
-        config = msgspec.convert(data if data is not None else {}, Config)
-    except msgspec.ValidationError as error:
-        raise explain(error, data, Config, path) from None
-    except RecursionError:
-        raise InputError(f"configuration {path}", found="values within values without an end") from None
+    config = as_written(data, path)
 
     def refuse(key: str, found: str, expected: str, fix: str) -> None:
         raise InputError(f"{path}: {key}", found=found, expected=expected, fix=fix)
@@ -337,6 +336,17 @@ def parse_all(text: str, path: Path) -> list[Config]:
     for one in configs:
         _check(one, refuse)
     return configs
+
+
+def as_written(data: Any, path: Path) -> Config:
+    """The values of a file as they stand there: before each camera gets ports of its own, and paths are made
+    whole. Raises InputError for a key or a value that is wrong by itself."""
+    try:
+        return msgspec.convert(data if data is not None else {}, Config)
+    except msgspec.ValidationError as error:
+        raise explain(error, data, Config, path) from None
+    except RecursionError:
+        raise InputError(f"configuration {path}", found="values within values without an end") from None
 
 
 def _check(config: Config, refuse: Refuse) -> None:

@@ -100,7 +100,14 @@ def why_unreachable(host: str, port: int, context: ssl.SSLContext | None) -> str
     except OSError as error:
         return error.strerror or str(error)
     with link:
-        return _speaks_tls(link) if context is None else _refusal(link, host, context)
+        if context is None:
+            return _speaks_tls(link)
+        try:
+            return _refusal(link, host, context)
+        except ssl.SSLCertVerificationError as error:
+            if error.verify_code not in _OF_ANOTHER_HOST:
+                return f"its certificate is not accepted: {why_not_accepted(error)}"
+    return _for_other_names(host, port, context)
 
 
 def _speaks_tls(link: socket.socket) -> str | None:
@@ -126,12 +133,17 @@ _OF_ANOTHER = (7, 18, 19, 20)
 x509_vfy.h)."""
 
 
+_OF_ANOTHER_HOST = (62, 64)
+"""X509_V_ERR_HOSTNAME_MISMATCH and X509_V_ERR_IP_ADDRESS_MISMATCH."""
+
+
 def why_not_accepted(error: ssl.SSLCertVerificationError) -> str:
     """What is wrong with a certificate, in words."""
     return "another authority signed it" if error.verify_code in _OF_ANOTHER else error.verify_message
 
 
 def _refusal(link: socket.socket, host: str, context: ssl.SSLContext) -> str | None:
+    """Raises SSLCertVerificationError where it is the other side's certificate that is not accepted."""
     try:
         with context.wrap_socket(link, server_hostname=host) as secured:
             # With TLS 1.3 a refusal of our certificate comes after the handshake, otherwise there is silence.
@@ -139,8 +151,8 @@ def _refusal(link: socket.socket, host: str, context: ssl.SSLContext) -> str | N
             with suppress(TimeoutError):
                 if not _is_kept(secured):
                     return "it does not accept this certificate, or has no place for it: its log says why"
-    except ssl.SSLCertVerificationError as error:
-        return f"its certificate is not accepted: {why_not_accepted(error)}"
+    except ssl.SSLCertVerificationError:
+        raise
     except ssl.SSLError as error:
         said = str(error.reason or error).replace("_", " ").lower()
         return f"it does not accept this certificate: {said}" if "alert" in said else _without_tls(said)
@@ -149,6 +161,29 @@ def _refusal(link: socket.socket, host: str, context: ssl.SSLContext) -> str | N
     except OSError as error:
         return _without_tls(error.strerror or str(error))
     return None
+
+
+def _for_other_names(host: str, port: int, context: ssl.SSLContext) -> str:
+    """What to do about a certificate that has not the name by which its computer was reached."""
+    names = ", ".join(_names_at(host, port, context)) or "other names"
+    return (
+        f"its certificate is for {names}, not for {host}: use such a name, or say `huepose secure host "
+        f"{host}` on the gateway's computer"
+    )
+
+
+def _names_at(host: str, port: int, context: ssl.SSLContext) -> list[str]:
+    """The names and addresses in the certificate of a gateway, which our authority signed; none where it does
+    not come."""
+    context.check_hostname = False
+    try:
+        with socket.create_connection((host, port), _WITHIN_S) as link, context.wrap_socket(link) as secured:
+            shown = secured.getpeercert() or {}
+    except OSError:
+        return []
+    finally:
+        context.check_hostname = True
+    return [str(name) for _, name in shown.get("subjectAltName", ())]
 
 
 def _without_tls(said: str) -> str:

@@ -95,6 +95,16 @@ class Authority:
             )
         self._issue(name, [], ExtendedKeyUsageOID.CLIENT_AUTH, days)
 
+    def add_hosts(self, hosts: Sequence[str], days: int) -> list[str]:
+        """The gateway's certificate anew, with more names and addresses by which readers reach it, beside
+        those that it has; returns all of them. The readers' certificates stay as they are. Raises InputError
+        for what is neither name nor address."""
+        before = _read(self.certificate(GATEWAY), x509.load_pem_x509_certificate)
+        named = before.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        reached_by = list(dict.fromkeys([*named, *map(_host, hosts)]))
+        self._issue(GATEWAY, reached_by, ExtendedKeyUsageOID.SERVER_AUTH, days)
+        return [str(host.value) for host in reached_by]
+
     def revoke(self, name: str) -> None:
         """The certificate of a reader no longer counts, and its files here are deleted. Raises InputError for
         one that is not there."""
@@ -177,7 +187,7 @@ def _host(text: str) -> x509.GeneralName:
         pass
     if not _NAME.fullmatch(text):
         raise InputError(
-            "--host",
+            "a host",
             found=text[:80] or "nothing",
             expected="a computer's name or address alone, without tcp/, https:// and port",
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import socket
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,13 @@ def add_parser(subparsers: Any) -> None:
     )
     add = verbs.add_parser("add", help="a certificate for a reader")
     revoke = verbs.add_parser("revoke", help="the certificate of a reader no longer counts")
+    host = verbs.add_parser("host", help="more names by which readers reach this computer")
+    host.add_argument("names", nargs="+", metavar="NAME", help="a name or address, beside those it has")
     for verb in (add, revoke):
         verb.add_argument("name", metavar="NAME", help="what the reader is called")
-    for verb in (init, add):
+    for verb in (init, add, host):
         verb.add_argument("--days", type=int, default=_DAYS, metavar="N", help=f"how long it holds ({_DAYS})")
-    for verb in (init, add, revoke):
+    for verb in (init, add, revoke, host):
         verb.add_argument("--folder", type=Path, default=Path("secure"), metavar="DIR", help="where (secure)")
     parser.set_defaults(call=call)
 
@@ -50,8 +53,7 @@ def call(arguments: argparse.Namespace) -> int:
         print("gateway:\n  listen: 0.0.0.0:7447\n  tls:")
         print("\n".join(f"    {key}: {folder / name}.pem" for key, name in files.items()))
         print(f"    key: {folder / GATEWAY}.key\n\nThen, for each reader: huepose secure add NAME")
-        for host in (host for host in hosts if ":" in host):
-            say(f"note: by TLS no reader reaches {host}, an address of IPv6: give a name that stands for it")
+        _note_unreachable(hosts)
         return 0
     authority = Authority(folder)
     if action == "add":
@@ -63,10 +65,20 @@ def call(arguments: argparse.Namespace) -> int:
         ]
         print(f"Take to {arguments.name}: {' '.join(map(str, files_of_reader))}")
         print("There: huepose poses --gateway HOST --tls " + " ".join(path.name for path in files_of_reader))
+    elif action == "host":
+        hosts = authority.add_hosts(arguments.names, arguments.days)
+        print(f"{folder}: the gateway's certificate is now for {', '.join(hosts)}.")
+        print("A gateway that runs has noticed within a second. Readers keep their files.")
+        _note_unreachable(arguments.names)
     else:
         authority.revoke(arguments.name)
         print(f"{arguments.name} no longer reads: a gateway that runs has noticed within a second.")
     return 0
+
+
+def _note_unreachable(hosts: Iterable[str]) -> None:
+    for host in (host for host in hosts if ":" in host):
+        say(f"note: by TLS no reader reaches {host}, an address of IPv6: give a name that stands for it")
 
 
 def _own_names() -> list[str]:

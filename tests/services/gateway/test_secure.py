@@ -1,15 +1,20 @@
 """What `huepose secure` makes lets the right readers in, and one that was let in can be sent away."""
 
+import socket
 import ssl
 import stat
+import threading
+from contextlib import contextmanager, suppress
 
 import pytest
 import yaml
 
 from huepose.support.errors import InputError
 from huepose_protos import PoseClient
+from huepose_protos.reach import why_unreachable
 from huepose_services.authority import Authority
 from huepose_services.cli.main import main
+from huepose_services.pem import Credentials
 from huepose_services.runtime.config import parse
 
 from .conftest import credentials, tls
@@ -26,8 +31,7 @@ def test_the_printed_section_is_a_configuration_with_files_that_are_there(tmp_pa
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=tls.authority)
     context.load_cert_chain(tls.certificate, tls.key)
     context.load_verify_locations(cafile=tls.revoked)
-    names = ssl._ssl._test_decode_cert(tls.certificate)["subjectAltName"]
-    assert names == (("DNS", "robot.local"), ("IP Address", "10.0.0.7"))
+    assert _names(tls.certificate) == (("DNS", "robot.local"), ("IP Address", "10.0.0.7"))
 
 
 def test_an_address_that_no_reader_can_give_is_noted(tmp_path, capsys):
@@ -53,6 +57,65 @@ def test_keys_are_their_users_alone(tmp_path):
     authority.add("arm", 30)
     assert stat.S_IMODE((tmp_path / "secure").stat().st_mode) == 0o700
     assert {stat.S_IMODE(path.stat().st_mode) for path in (tmp_path / "secure").iterdir()} == {0o600}
+
+
+def _names(certificate):
+    return ssl._ssl._test_decode_cert(str(certificate))["subjectAltName"]
+
+
+@contextmanager
+def _listens(folder):
+    """The port of a server that shows the gateway's certificate, and says a byte to whom it lets in."""
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=folder / "authority.pem")
+    context.load_cert_chain(folder / "gateway.pem", folder / "gateway.key")
+    context.verify_mode = ssl.CERT_REQUIRED
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def let_in():
+        with suppress(OSError):  # once it is shut down
+            while True:
+                link, _ = server.accept()
+                with link, suppress(OSError), context.wrap_socket(link, server_side=True) as secured:
+                    secured.sendall(b"!")
+
+    thread = threading.Thread(target=let_in)
+    thread.start()
+    yield server.getsockname()[1]
+    server.shutdown(socket.SHUT_RDWR)
+    server.close()
+    thread.join()
+
+
+def test_another_name_of_the_gateway_gets_a_certificate_that_readers_accept(tmp_path, capsys):
+    folder = tmp_path / "secure"
+    authority = Authority.make(folder, ["robot.local", "10.0.0.7"], 30)
+    authority.add("arm", 30)
+    reader = Credentials(*(folder / name for name in ("authority.pem", "arm.pem", "arm.key")))
+    kept = {path: path.read_bytes() for path in folder.iterdir() if path.stem != "gateway"}
+    with _listens(folder) as port:
+        assert why_unreachable("127.0.0.1", port, reader.context()) == (
+            "its certificate is for robot.local, 10.0.0.7, not for 127.0.0.1: use such a name, or say "
+            "`huepose secure host 127.0.0.1` on the gateway's computer"
+        )
+    assert main(["secure", "host", "127.0.0.1", "10.0.0.7", "--folder", str(folder)]) == 0
+    assert "now for robot.local, 10.0.0.7, 127.0.0.1." in capsys.readouterr().out
+    assert _names(folder / "gateway.pem") == (
+        ("DNS", "robot.local"),
+        ("IP Address", "10.0.0.7"),
+        ("IP Address", "127.0.0.1"),
+    )
+    assert {path: path.read_bytes() for path in kept} == kept
+    with _listens(folder) as port:
+        assert why_unreachable("127.0.0.1", port, reader.context()) is None
+
+
+def test_a_host_that_is_none_leaves_the_certificate_as_it_is(tmp_path, capsys):
+    folder = tmp_path / "secure"
+    Authority.make(folder, ["robot.local"], 30)
+    before = (folder / "gateway.pem").read_bytes()
+    assert main(["secure", "host", "tcp/robot", "--folder", str(folder)]) == 2
+    assert "expected a computer's name or address alone" in capsys.readouterr().err
+    assert (folder / "gateway.pem").read_bytes() == before
 
 
 @pytest.mark.parametrize("name", ["", "Arm", "../arm", "arm/..", "authority", "gateway", "revoked", "a" * 65])

@@ -37,7 +37,8 @@ SUFFIX = ".huepose"
 VERSION = 2
 
 _FORMAT = "huepose reference model"
-_AGAIN = "Onboard the object again with `huepose onboard` or `huepose onboard-bop`."
+_MAKE = "Onboard the object again with `huepose onboard` or `huepose onboard-bop`"
+_AGAIN = f"{_MAKE}, or take the file out of the folder."
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +140,7 @@ def load_model(path: Path | str) -> ReferenceModel:
     except InputError:
         raise
     except FileNotFoundError:
-        raise InputError(path, found="no such file", expected="a reference model", fix=_AGAIN) from None
+        raise InputError(path, found="no such file", expected="a reference model", fix=f"{_MAKE}.") from None
     except Exception as error:
         # A damaged file may fail anywhere in zip, JSON, NumPy and OpenCV, each with errors of its own.
         found = f"a damaged or foreign file ({type(error).__name__}: {str(error)[:200]})"

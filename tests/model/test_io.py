@@ -106,6 +106,17 @@ def rewritten(source: Path, target: Path, **changes: object) -> Path:
     return target
 
 
+def test_one_damaged_file_of_a_folder_is_named_with_both_ways_out(saved: Path, tmp_path: Path) -> None:
+    (tmp_path / "tea_box.huepose").write_bytes(saved.read_bytes())
+    (tmp_path / "mug.huepose").write_bytes(b"nothing")
+    with pytest.raises(InputError) as error:
+        load_models(tmp_path)
+    assert str(error.value).startswith(f"{tmp_path / 'mug.huepose'}: found a damaged or foreign file")
+    assert str(error.value).endswith("onboard-bop`, or take the file out of the folder.")
+    (tmp_path / "mug.huepose").unlink()
+    assert list(load_models(tmp_path)) == ["tea_box"]
+
+
 def test_another_version_is_refused(saved: Path, tmp_path: Path) -> None:
     other = rewritten(saved, tmp_path / "tea_box.huepose", version=io.VERSION + 1)
     with pytest.raises(InputError, match=rf"version {io.VERSION + 1}; expected .*Onboard the object again"):

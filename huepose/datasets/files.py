@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.support.errors import InputError
 from huepose.support.picture_size import require_room
+from huepose.support.words import listed
 
 _COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 _FRAME_NS = 1e9 / 30.0
@@ -57,9 +59,27 @@ def read_json(path: Path, fix: str = "", form: str = "") -> dict[str, Any]:
 def field(record: dict[str, Any], key: str, where: object) -> Any:
     """`record[key]`. Raises InputError naming `where` when it is not there."""
     if not isinstance(record, dict) or key not in record:
-        found = f"keys {', '.join(sorted(record)) or 'none'}" if isinstance(record, dict) else f"{record!r}"
+        found = f"keys {_in_words(record) or 'none'}" if isinstance(record, dict) else f"{record!r}"
         raise InputError(where, found=found, expected=f"the key '{key}'")
     return record[key]
+
+
+def _in_words(keys: Iterable[str]) -> str:
+    """Keys in order, not all of them where they are many; numbers that follow each other as one.
+
+    >>> _in_words(["fy", "fx"]), _in_words(["10", "9", "8", "0"]), _in_words(map(str, range(1000)))
+    ('fx, fy', '0, 8 to 10', '0 to 999')
+    """
+    names = list(keys)
+    if not all(name.isdecimal() for name in names):
+        return listed(sorted(names))
+    runs: list[list[int]] = []
+    for number in sorted(map(int, names)):
+        if runs and number == runs[-1][-1] + 1:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    return listed([f"{run[0]} to {run[-1]}" if len(run) > 1 else str(run[0]) for run in runs])
 
 
 def numbers(record: dict[str, Any], key: str, shape: tuple[int, ...], where: object) -> Float64:

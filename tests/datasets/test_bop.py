@@ -52,6 +52,14 @@ def test_labels_are_in_metres_with_their_masks(bop_scene: Path) -> None:
         assert not truth.gone
 
 
+def test_the_entries_of_a_long_scene_are_told_briefly(bop_scene: Path) -> None:
+    path = bop_scene / "scene_camera.json"
+    edit(path, lambda r: (r.update({str(i): r["2"] for i in range(1000)}), r.pop("10")))
+    with pytest.raises(InputError) as error:
+        BopScene(bop_scene).frame(10)
+    assert str(error.value) == f"{path}: found keys 0 to 9, 11 to 999; expected the key '10'."
+
+
 def test_an_image_without_an_entry_is_not_one_that_shows_nothing(bop_scene: Path) -> None:
     edit(bop_scene / "scene_gt.json", lambda r: (r.pop("2"), r.update({"10": []})))
     (bop_scene / "scene_gt_info.json").unlink()

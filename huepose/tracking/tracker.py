@@ -216,12 +216,13 @@ class Tracker:
 
     def correct(self, correction: Correction) -> Applied:
         """Apply perception's verdict on a past frame, or on the next one. Raises InputError for an unknown
-        object.
+        object, and for what is no correction.
 
         AGREE keeps the pose and raises its quality. Otherwise the new pose replaces the one of its frame. It
         is carried to now by the measured motion if that was measured on the same surface, else tracked
         through the kept frames (catching up). Idempotent by `seq`.
         """
+        require(correction, Correction, "correction", "a Correction", "Make one: Correction.of(pose, frame).")
         key = correction.key
         if correction.object not in self._subjects:
             raise InputError(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.believe.state import State
+from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.onboarding.onboard import onboard_mesh
 from huepose.support.errors import InputError
@@ -348,3 +349,5 @@ def test_what_is_of_another_type_is_refused_at_the_door(tea_box) -> None:
         Tracker("bundles")
     with pytest.raises(InputError, match="frame: found None; expected an RgbdFrame"):
         Tracker({"tea_box": tea_box}).step(None)
+    with pytest.raises(InputError, match=r"found PoseEstimate; .* Make one: Correction\.of\(pose, frame\)"):
+        Tracker({"tea_box": tea_box}).correct(PoseEstimate("tea_box"))

@@ -35,6 +35,8 @@ def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
     assert main(["estimate", *files, "--bundles", str(out / "bundles"), "--json", str(out / "o.json")]) == 0
     (pose,) = json.loads((out / "o.json").read_text())["poses"]
     assert pose["state"] == "TRACKING"
+    guide = Path(__file__).parents[2] / "docs" / "quickstart.md"
+    assert (out / "camera.json").read_text() in guide.read_text()
     truth = first_shot({"box": tea_box.mesh}).labels
     assert truth.visib_fract[0] > 0.95
     assert np.abs(truth.T_cam_obj[0] - np.array(pose["T_cam_obj"])).max() < 0.005

@@ -8,6 +8,7 @@ import ssl
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from huepose_protos.local import note_of
 
@@ -178,12 +179,12 @@ def _names_at(host: str, port: int, context: ssl.SSLContext) -> list[str]:
     context.check_hostname = False
     try:
         with socket.create_connection((host, port), _WITHIN_S) as link, context.wrap_socket(link) as secured:
-            shown = secured.getpeercert() or {}
+            shown: dict[str, Any] = dict(secured.getpeercert() or {})
     except OSError:
         return []
     finally:
         context.check_hostname = True
-    return [str(name) for _, name in shown.get("subjectAltName", ())]
+    return [name for _, name in shown.get("subjectAltName", ())]
 
 
 def _without_tls(said: str) -> str:

@@ -70,9 +70,7 @@ def pipeline(tmp_path, scene, base_port):
 
     def write(**camera):
         settings = {"source": "bop", "path": str(scene), "rate": "recorded", "once": True, "truth": True}
-        settings |= camera
-        if settings["once"]:
-            settings.setdefault("first_frame_s", 0.2)
+        settings |= {"first_frame_s": 0.2, **camera}
         path = tmp_path / "pipeline.yaml"
         data = {"workers": ["camera"], "camera": settings, "bus": {"base_port": base_port}}
         path.write_text(json.dumps(data))  # JSON is YAML

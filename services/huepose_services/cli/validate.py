@@ -77,7 +77,8 @@ def _described(config: Config, written: Config, path: Path) -> tuple[dict[str, A
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
-    for note in (*_limited(config), *_never_boxed(config), *_never_found(config), *_unused(config, written)):
+    notes = (*_limited(config), *_never_boxed(config), *_never_found(config), *_unread(config))
+    for note in (*notes, *_unused(config, written)):
         summary += f"\n  NOTE     {note}"
     if one_of_each := _drawn_once(config):
         summary += f"\n  scene    {one_of_each}"
@@ -145,6 +146,30 @@ def _unused(config: Config, written: Config) -> list[str]:
         f"the section `{worker}` is set, and {worker} is not among the workers"
         for worker in ("gateway", "viewer", "ros2")
         if worker not in there and getattr(written, worker) != getattr(default, worker)
+    ]
+
+
+def _unread(config: Config) -> list[str]:
+    """A sentence for each key that is set, and that nothing reads with the kind or source that is chosen."""
+    from huepose_services.runtime.config_perception import DRAWN_SOURCES
+
+    camera, detector, segmenter = config.camera, config.detector, config.segmenter
+    groups: list[tuple[str, Any, tuple[str, ...], str]] = []
+    if detector.kind != "yolo":
+        keys = ("model", "layout", "classes", "confidence", "overlap")
+        groups.append(("detector", detector, keys, f"detector.kind is {detector.kind}; it is for yolo"))
+    if segmenter.kind != "sam":
+        why = f"segmenter.kind is {segmenter.kind}; it is for sam"
+        groups.append(("segmenter", segmenter, ("encoder", "decoder"), why))
+    if camera.source not in DRAWN_SOURCES:
+        groups.append(("camera", camera, ("seed",), f"camera.source is {camera.source}, which draws nothing"))
+    if not camera.once:
+        groups.append(("camera", camera, ("first_frame_s",), "camera.once is false"))
+    return [
+        f"{name}.{key} is set, and {why}"
+        for name, section, keys, why in groups
+        for key in keys
+        if getattr(section, key) != getattr(type(section)(), key)
     ]
 
 

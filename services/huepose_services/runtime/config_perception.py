@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar, get_args, get_type_hints
 
@@ -203,11 +203,6 @@ def check_camera(camera: CameraConfig, workers: Collection[str], refuse: Refuse)
     for key in ("color_topic", "depth_topic", "info_topic"):
         if source != "rosbag" and (topic := getattr(camera, key)) is not None:
             refuse(f"camera.{key}", topic, f"none with the source {source}", "Take the line out.")
-    if source not in DRAWN_SOURCES and camera.seed:
-        refuse("camera.seed", str(camera.seed), f"none with the source {source}", "Take the line out.")
-    if not camera.once and (seconds := camera.first_frame_s) != CameraConfig().first_frame_s:
-        fix = "Set camera.once to true, or take the line out."
-        refuse("camera.first_frame_s", f"{seconds:g}", "none without camera.once", fix)
     if not live and camera.device != DeviceConfig():
         refuse("camera.device", "settings", f"none with the source {source}", "Take the section out.")
     if source != "realsense" and camera.device.filters:
@@ -233,22 +228,9 @@ def _check_tf(camera: CameraConfig, tf: TfConfig, workers: Collection[str], refu
         refuse("camera.mount", "one", f"none beside the camera's own frame, {tf.child}", "Take it out.")
 
 
-def _check_unused(
-    name: str, section: DetectorConfig | SegmenterConfig, keys: Sequence[str], kind: str, refuse: Refuse
-) -> None:
-    """Raises by `refuse` for a key of a section that only another kind of it reads."""
-    default = type(section)()
-    for key in keys:
-        if (value := getattr(section, key)) != getattr(default, key):
-            fix = f"Say kind: {kind}, or take the line out."
-            refuse(f"{name}.{key}", str(value)[:200], f"none with {name}.kind {section.kind}", fix)
-
-
 def check_detector(detector: DetectorConfig, names: Collection[str], refuse: Refuse) -> None:
     """The same for the detector; `names`: the objects by name."""
     if detector.kind != "yolo":
-        keys = ("model", "layout", "classes", "confidence", "overlap")
-        _check_unused("detector", detector, keys, "yolo", refuse)
         return
     if detector.model is None:
         refuse("detector.model", "null", "an ONNX file, or a name", "`huepose models list` shows the names.")
@@ -259,8 +241,6 @@ def check_detector(detector: DetectorConfig, names: Collection[str], refuse: Ref
 
 def check_segmenter(segmenter: SegmenterConfig, refuse: Refuse) -> None:
     """The same for the segmenter: its two networks are named both, or neither."""
-    if segmenter.kind != "sam":
-        _check_unused("segmenter", segmenter, ("encoder", "decoder"), "sam", refuse)
     if (segmenter.encoder is None) != (segmenter.decoder is None):
         key = "encoder" if segmenter.encoder is None else "decoder"
         fix = "`huepose models list` shows the names."

@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
+
 from huepose.datasets.types import GroundTruth
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
@@ -87,6 +89,7 @@ class FramePublisher:
         self._places: deque[tuple[int, Mount]] = deque(maxlen=_PLACES)
         self._told: int | None = None
         self._tell_ns = 0
+        self._last: FrameHeader | None = None
 
     def publish(
         self,
@@ -97,8 +100,9 @@ class FramePublisher:
         counted_as: str = "frames",
         said: tuple[str, str] = ("", ""),
     ) -> None:
-        """One frame, counted and timed in health, after the truth about it. said: what is wrong with the
-        picture and with the camera (`picture` and `camera` of the header)."""
+        """One frame, counted and timed in health, after the truth about it; the last one once more with the
+        header that it had. said: what is wrong with the picture and with the camera (`picture` and `camera`
+        of the header)."""
         if picture.truths is not None:
             truth = TruthMessage(
                 publish_ns=now_ns(),
@@ -112,9 +116,37 @@ class FramePublisher:
             self._bus.put(self._keys.truth, truth)
         bus, started = self._bus, now_ns()
         news = self._heard()
+        last = self._last
+        if last is not None and (last.camera_epoch, last.frame_id) == (epoch, frame_id):
+            # Of one frame all readers, and a recording, must have the same.
+            header = msgspec.structs.replace(last, publish_ns=started)
+        else:
+            header = self._header(picture, epoch, frame_id, capture_ns, started, said)
+        self._last = header
+        bus.put_pixels(self._keys.frame, header, picture.payload)
+        if epoch != self._told:
+            doubt = camera_doubted(camera_from_wire(picture.intrinsics))
+            bus.health.warn_while("matrix", doubt)
+            if doubt is not None:
+                bus.log.say(doubt)
+        self._tell(header)
+        for mount_ns, told in news:
+            self._say(header, self._of_camera(told), mount_ns)
+        bus.health.count(counted_as)
+        bus.health.worked_on(started, header)
+
+    def _header(
+        self,
+        picture: Packed,
+        epoch: int,
+        frame_id: int,
+        capture_ns: int,
+        publish_ns: int,
+        said: tuple[str, str],
+    ) -> FrameHeader:
         translation, quaternion = self._place(picture, capture_ns)
-        header = FrameHeader(
-            publish_ns=started,
+        return FrameHeader(
+            publish_ns=publish_ns,
             camera_epoch=epoch,
             frame_id=frame_id,
             capture_ns=capture_ns,
@@ -127,17 +159,6 @@ class FramePublisher:
             camera_translation=translation,
             camera_quaternion=quaternion,
         )
-        bus.put_pixels(self._keys.frame, header, picture.payload)
-        if epoch != self._told:
-            doubt = camera_doubted(camera_from_wire(picture.intrinsics))
-            bus.health.warn_while("matrix", doubt)
-            if doubt is not None:
-                bus.log.say(doubt)
-        self._tell(header)
-        for mount_ns, told in news:
-            self._say(header, self._of_camera(told), mount_ns)
-        bus.health.count(counted_as)
-        bus.health.worked_on(started, header)
 
     def _tell(self, header: FrameHeader) -> None:
         """Which camera is open, for readers that take no frames: when it is new, and then once a second."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -108,3 +109,14 @@ def test_a_camera_that_is_fixed_needs_none(publisher_of):
         mount={"parent": "base_link", "translation": [0.0, 0.0, 1.0], "quaternion": turn}
     )
     assert _published(publisher, bus, now_ns()).T_parent_cam is None
+
+
+def test_a_frame_that_is_published_again_has_the_header_that_it_had(publisher_of):
+    publisher, bus = publisher_of()
+    now = now_ns()
+    for frame_id in (3, 3, 4):
+        _published(publisher, bus, now, frame_id)
+    first, again, other = bus.headers
+    assert again.publish_ns > first.publish_ns
+    assert msgspec.structs.replace(again, publish_ns=first.publish_ns) == first
+    assert other.frame_id == 4

@@ -54,3 +54,29 @@ def test_the_camera_is_let_go_however_its_work_ends(tmp_path: Path, step: str, c
     assert (done.returncode, done.stdout) == (code, "let go\n"), done.stderr
     assert ("ValueError: in its work" in done.stderr.splitlines()[-1]) == (code == 1)
     assert ("error in closing" in done.stderr) == ("KeyError" in close)
+
+
+@pytest.mark.parametrize(
+    ("step", "said", "tracebacks"),
+    [
+        (
+            "from huepose.support.errors import InputError; raise InputError('0.png', found='nothing')",
+            "error in its work, going on: 0.png: found nothing.",
+            0,
+        ),
+        ("raise ValueError('in its work')", "error in its work, going on:", 1),
+    ],
+)
+def test_only_of_a_mistake_of_ours_the_log_says_where_it_is(
+    tmp_path: Path, step: str, said: str, tracebacks: int
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", CLOSED.format(step=step, close="pass")],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "HUEPOSE_RUN": str(tmp_path)},
+        timeout=60,
+    )
+    log = [line for line in done.stderr.splitlines() if " error camera " in line]
+    assert log[0].endswith(said)
+    assert sum("Traceback" in line for line in log) == tracebacks

@@ -6,17 +6,20 @@ second moves the schedule instead of publishing a burst.
 
 It starts when the other workers are there, or after a while without them. A recording that is played once
 stands on its first frame until every object has been acquired in it, for `first_frame_s` at most, and ends
-when its last frame has been read.
+when its last frame has been read. A later picture that cannot be read is left out; where none of a whole
+pass can be, the worker ends with that error.
 """
 
 from __future__ import annotations
 
 import secrets
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 
 from huepose.datasets.types import Scene
+from huepose.support.errors import InputError
 from huepose_services.camera.audience import WAIT_TO_PLAY_ONCE_NS, Audience
 from huepose_services.camera.live_ingest import LiveIngest
 from huepose_services.camera.publish import FramePublisher, Packed, packed
@@ -70,9 +73,9 @@ class Schedule:
         self._once = camera.once
         self._start_ns = start_ns
         if camera.rate == "recorded":
-            stamps = [source.stamp_ns(i) for i in self._ids]
-            gaps = [min(max(b - a, 0), _LONGEST_GAP_NS) for a, b in pairwise(stamps)]
-            usual = sorted(gaps)[len(gaps) // 2] if gaps else SECOND // 30
+            gaps = [min(max(b - a, 0), _LONGEST_GAP_NS) for a, b in pairwise(_stamps(source))]
+            known = sorted(gap for gap in gaps if gap)
+            usual = known[len(known) // 2] if known else SECOND // 30
             self._offsets = [0]
             for gap in [*gaps, usual]:
                 self._offsets.append(self._offsets[-1] + gap)
@@ -109,6 +112,16 @@ class Schedule:
         self._start_ns += by_ns
 
 
+def _stamps(source: Scene) -> list[int]:
+    """When each picture was taken; of one that does not say so, and is left out, that of the one before."""
+    stamps, last = [], 0
+    for image in source.image_ids:
+        with suppress(InputError):
+            last = source.stamp_ns(image)
+        stamps.append(last)
+    return stamps
+
+
 class Busy:
     """Counts how often the camera was late in the last minute, and warns from the third time on."""
 
@@ -143,7 +156,8 @@ class Ingest(Work):
         self._publisher = FramePublisher(bus, config)
         self._made_ns = now_ns()
         self._index = 0
-        self._picture = self._prepare(source.image_ids[0])
+        self._picture: Packed | None = self._prepare(source.image_ids[0])
+        self._unread = self._unread_in_a_row = 0
         self._schedule: Schedule | None = None
         self._stand: _Stand | None = None
         self._busy = Busy()
@@ -200,6 +214,9 @@ class Ingest(Work):
         due = schedule.due_ns(self._index)
         if now < due:
             return
+        if self._picture is None:
+            self._prepare_next(schedule)
+            return
         self._bus.health.warn_while("busy", self._busy.warning(now))
         if now - due > _BEHIND_NS:
             self._bus.health.count("late")
@@ -217,7 +234,21 @@ class Ingest(Work):
             return
         if schedule.begins_again(self._index) and self._camera.source != "synthetic":
             self._bus.log.seldom("again", _AGAIN, level="info")
-        self._picture = self._prepare(image)
+        self._picture = None  # what cannot be read is not shown as the one before
+        try:
+            self._picture = self._prepare(image)
+        except InputError as error:
+            self._leave_out(error)
+        else:
+            self._unread_in_a_row = 0
+
+    def _leave_out(self, error: InputError) -> None:
+        self._unread += 1
+        self._unread_in_a_row += 1
+        self._bus.health.count("frames_unread")
+        self._bus.log.seldom("unread", f"a picture is left out: {error}")
+        if self._unread_in_a_row == len(self._source.image_ids):
+            self.fault, self.finished = error, True
 
     def _prepare(self, image: int) -> Packed:
         frame, source = self._source.frame(image), self._source
@@ -225,11 +256,17 @@ class Ingest(Work):
         return packed(frame, self._camera.depth_scale_m, truths, source.name, image)
 
     def _publish(self, frame_id: int, capture_ns: int, counted_as: str = "frames") -> None:
-        self._publisher.publish(self._picture, self._epoch, frame_id, capture_ns, counted_as)
+        if self._picture is not None:
+            self._publisher.publish(self._picture, self._epoch, frame_id, capture_ns, counted_as)
 
     def _wait_for_readers(self, ended_ns: int, now: int) -> None:
         """The pool of frames goes with this process: stay until the last frame was read."""
         if self._audience.is_done(self._epoch, self._bus.health.frame_id or 0, now - ended_ns):
-            self._bus.log.say(f"the recording has ended after {self._index} frames")
+            self._bus.log.say(f"the recording has ended after {self._played()}")
             self._bus.health.state = "ended"
             self.finished = True
+
+    def _played(self) -> str:
+        if not self._unread:
+            return f"{self._index} frames"
+        return f"{self._index - self._unread} of {self._index} frames: {self._unread} could not be read"

@@ -20,6 +20,7 @@ from typing import cast
 
 import cv2
 
+from huepose.support.errors import InputError
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config, WorkerName
@@ -180,7 +181,9 @@ def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse, reload: Callable[[], 
             errors += 1
             bus.health.count("errors")
             bus.health.failed(f"{type(error).__name__}: {error}")
-            bus.log.seldom("error", f"error in its work, going on:\n{traceback.format_exc()}", level="error")
+            # What is wrong with an input is said in its own words.
+            told = f" {error}" if isinstance(error, InputError) else f"\n{traceback.format_exc()}"
+            bus.log.seldom("error", f"error in its work, going on:{told}", level="error")
             if errors >= _ERRORS_IN_A_ROW:
                 raise
         pulse.beat()

@@ -11,6 +11,7 @@ from huepose.datasets.bop import BopScene
 from huepose.scenes.builtin import SyntheticScene
 from huepose.scenes.camera import CAMERA
 from huepose.scenes.shapes import demo_objects
+from huepose.support.errors import InputError
 from huepose_protos.examples import messages
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.camera.ingest import Busy, Ingest, Schedule, make
@@ -22,6 +23,7 @@ from huepose_services.runtime.config_perception import CameraConfig
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.runtime.session import open_worker_session
+from tests.services.fake_bus import FakeBus
 
 POSE = next(m for m in messages() if isinstance(m, PoseMessage))
 STAMPS = {3: 0, 4: 40_000_000, 7: 140_000_000, 9: 150_000_000}
@@ -71,6 +73,17 @@ def test_time_never_goes_back_and_a_recorders_jump_is_cut():
 def test_a_loop_at_recorded_times_goes_on_with_the_usual_gap():
     schedule = _schedule({0: 0, 1: 30, 2: 60, 3: 90}, rate="recorded")
     assert [schedule.due_ns(i) - 1000 for i in (3, 4, 5)] == [90, 120, 150]
+
+
+def test_a_picture_without_a_stamp_moves_no_other():
+    def stamp_ns(image):
+        if image in (4, 9):
+            raise InputError("scene_camera.json", found="no such picture")
+        return STAMPS[image]
+
+    camera = CameraConfig(source="bop", rate="recorded")
+    schedule = Schedule(SimpleNamespace(image_ids=tuple(STAMPS), stamp_ns=stamp_ns), camera, 0)
+    assert [schedule.due_ns(i) for i in (0, 2)] == [STAMPS[3], STAMPS[7]]
 
 
 def test_postponing_moves_only_what_is_to_come():
@@ -125,6 +138,57 @@ def test_of_a_drawn_scene_it_is_said_once_that_objects_are_hidden_in_it(tmp_path
     config = Config(workers=("camera",), camera=CameraConfig(source="synthetic", rate=30.0))
     (said,) = _said_while_played(config, drawn, 2.5, 2)
     assert said.startswith("a drawn scene, round after round of 1 s: objects turn fast, pass before one")
+
+
+def _ingest(scene, **camera):
+    """The camera of a scene, its bus, and what its log says."""
+    settings = CameraConfig(source="bop", path=str(scene), rate=200.0, first_frame_s=0.0, **camera)
+    config, out = Config(workers=("camera",), camera=settings), io.StringIO()
+    bus = FakeBus("camera", config.keys)
+    bus.log = Log("camera", out)
+    return Ingest(bus, config, BopScene(scene)), bus, out
+
+
+def _stepped_to_its_end(ingest):
+    until = time.monotonic() + 20.0
+    while not ingest.finished:
+        assert time.monotonic() < until
+        ingest.step()
+        time.sleep(0.001)
+
+
+def test_pictures_that_cannot_be_read_are_left_out_and_counted(scene):
+    (scene / "depth" / "000005.png").unlink()
+    (scene / "rgb" / "000014.png").write_bytes(b"no picture")
+    ingest, bus, out = _ingest(scene, once=True)
+    _stepped_to_its_end(ingest)
+    assert ingest.fault is None
+    assert [h.frame_id for h in bus.headers] == [3, 4, *range(6, 14)]
+    assert bus.health.counters["frames_unread"] == 2
+    said = out.getvalue()
+    assert f"a picture is left out: {scene / 'depth' / '000005.png'}: found no such file." in said
+    assert "the recording has ended after 10 of 12 frames: 2 could not be read\n" in said
+
+
+def test_where_no_picture_of_a_whole_pass_can_be_read_it_ends_with_that_error(scene):
+    ingest, bus, _ = _ingest(scene)
+    for path in (scene / "depth").iterdir():
+        path.unlink()
+    _stepped_to_its_end(ingest)
+    assert [h.frame_id for h in bus.headers] == [3]
+    assert "no such file" in str(ingest.fault)
+
+
+def test_after_an_error_the_picture_before_is_not_shown_as_the_next_one(scene):
+    ingest, bus, _ = _ingest(scene, once=True)
+    read, shown = ingest._source.frame, []
+    ingest._source.frame = lambda image: 1 / 0 if image == 7 else read(image)
+    bus.put_pixels = lambda key, header, payload: shown.append((header.frame_id, payload[0]))
+    with pytest.raises(ZeroDivisionError):
+        _stepped_to_its_end(ingest)
+    _stepped_to_its_end(ingest)
+    # The colour of picture n is n - 3; picture 8 is red.
+    assert shown == [(n, 255 if n == 8 else n - 3) for n in range(3, 15) if n != 7]
 
 
 @pytest.mark.live

@@ -8,6 +8,7 @@ Scenes without labels, label details or masks can be read, too.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -77,12 +78,26 @@ class BopScene:
         """The labels say what an image shows, which may be nothing."""
         return str(image) in self._labels
 
+    def gaps(self) -> list[str]:
+        """What is missing of pictures, a sentence for each part of the folder; no picture is read."""
+        stems = [path.stem for path in self.path.glob("depth/*.png") if path.stem.isdecimal()]
+        # That of a colour picture is named as it is.
+        depths = {int(stem) for stem in stems if self._colors.get(int(stem), Path(stem)).stem == stem}
+        numbers = {*self._colors, *depths}
+        parts: dict[str, Collection[int]] = {"rgb/": self._colors, "depth/": depths}
+        parts["scene_camera.json with cam_K and depth_scale"] = [n for n in numbers if self._has_camera(n)]
+        return files.gaps(self.path, parts, numbers)
+
     def _camera_record(self, image: int) -> tuple[dict[str, Any], str]:
         path = self.path / "scene_camera.json"
         record, where = files.field(self._cameras, str(image), path), f"{path}, image {image}"
         if not isinstance(record, dict):
             raise InputError(where, found=repr(record)[:60], expected="an object with cam_K and depth_scale")
         return record, where
+
+    def _has_camera(self, image: int) -> bool:
+        record = self._cameras.get(str(image))
+        return isinstance(record, dict) and {"cam_K", "depth_scale"} <= record.keys()
 
     def stamp_ns(self, image: int) -> int:
         """`timestamp_ns` where the scene has it, else the image number at 30 Hz."""

@@ -138,8 +138,17 @@ class FastYcbSequence:
     @property
     def with_depth(self) -> tuple[int, ...]:
         """Those of `image_ids` that have a depth file."""
-        there = {path.stem for path in self.path.glob("depth/*.float")}
-        return tuple(image for image in self._colors if str(image) in there)
+        there = self._depths()
+        return tuple(image for image in self._colors if image in there)
+
+    def gaps(self) -> list[str]:
+        """What is missing of pictures, a sentence for each part of the folder; no picture is read."""
+        depths = self._depths()
+        return files.gaps(self.path, {"rgb/": self._colors, "depth/": depths}, {*self._colors, *depths})
+
+    def _depths(self) -> set[int]:
+        stems = [path.stem for path in self.path.glob("depth/*.float") if path.stem.isdecimal()]
+        return {int(stem) for stem in stems if str(int(stem)) == stem}
 
     @property
     def labelled(self) -> bool:

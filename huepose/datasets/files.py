@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -219,3 +219,15 @@ def numbered_files(folder: Path) -> dict[int, Path]:
         if path.suffix.lower() in _COLOR_SUFFIXES and digits.isascii() and digits.isdigit():
             found.setdefault(int(digits), path)
     return dict(sorted(found.items()))
+
+
+def gaps(folder: Path, parts: Mapping[str, Collection[int]], numbers: Collection[int]) -> list[str]:
+    """A sentence for each part of a scene that lacks some of the numbers of its pictures, which are left out
+    when it is played. parts: the numbers in each, by its name."""
+    missing = {part: sorted(set(numbers) - set(there)) for part, there in parts.items()}
+    return [
+        f"{folder}: {len(lacking)} of {len(numbers)} pictures are not in {part}, the first is number "
+        f"{lacking[0]}; they are left out when it is played"
+        for part, lacking in missing.items()
+        if lacking
+    ]

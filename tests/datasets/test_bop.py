@@ -15,7 +15,7 @@ from huepose.datasets.types import Sample
 from huepose.geometry import Box
 from huepose.support.errors import InputError
 
-from .conftest import color_of, depth_of, mask_of, pose_of
+from .conftest import color_of, depth_of, mask_of, pose_of, write
 
 
 def edit(path: Path, change) -> None:
@@ -187,3 +187,25 @@ def test_a_folder_without_cameras_is_answered_with_what_to_write(bop_scene: Path
     (bop_scene / "scene_camera.json").unlink()
     with pytest.raises(InputError, match=r'no such file\. The folder of a scene has rgb/.*"cam_K": \[fx, 0'):
         BopScene(bop_scene)
+
+
+def test_what_is_missing_of_pictures_is_said_with_its_first_number(bop_scene: Path) -> None:
+    assert BopScene(bop_scene).gaps() == [], "of a picture that is not on disk the labels may speak"
+    for number in (10, 100):
+        (bop_scene / "depth" / f"{number:06d}.png").unlink()
+    write(bop_scene / "depth" / "000007.png", depth_of(7))
+    edit(bop_scene / "scene_camera.json", lambda r: (r.pop("10"), r["100"].pop("cam_K"), r.update({"7": 3})))
+    left = "they are left out when it is played"
+    assert BopScene(bop_scene).gaps() == [
+        f"{bop_scene}: 1 of 4 pictures are not in rgb/, the first is number 7; {left}",
+        f"{bop_scene}: 2 of 4 pictures are not in depth/, the first is number 10; {left}",
+        f"{bop_scene}: 3 of 4 pictures are not in scene_camera.json with cam_K and depth_scale, the first is "
+        f"number 7; {left}",
+    ]
+
+
+def test_depth_of_another_name_than_its_picture_is_missing(bop_scene: Path) -> None:
+    (bop_scene / "depth" / "000010.png").rename(bop_scene / "depth" / "10.png")
+    assert "1 of 3 pictures are not in depth/, the first is number 10" in BopScene(bop_scene).gaps()[0]
+    with pytest.raises(InputError, match=r"000010\.png"):
+        BopScene(bop_scene).frame(10)

@@ -107,3 +107,13 @@ def test_a_camera_of_another_size_is_named(fast_sequence: Path) -> None:
     path.write_text(path.read_text().replace('"width": 16', '"width": 32'))
     with pytest.raises(InputError, match=r"cam_K\.json"):
         FastYcbSequence(fast_sequence, OFFSET_M).frame(0)
+
+
+def test_what_is_missing_of_pictures_is_said_with_its_first_number(fast_sequence: Path) -> None:
+    assert FastYcbSequence(fast_sequence, None).gaps() == []
+    packed_depth(fast_sequence)
+    assert FastYcbSequence(fast_sequence, None).with_depth == (0, 2)
+    assert FastYcbSequence(fast_sequence, None).gaps() == [
+        f"{fast_sequence}: 1 of 3 pictures are not in depth/, the first is number 1; they are left out when "
+        "it is played"
+    ]

@@ -1,10 +1,13 @@
 """pipeline.yaml: what is wrong is named by path, value and what is allowed."""
 
 import json
+import shutil
 import time
 from pathlib import Path
 
+import cv2
 import msgspec
+import numpy as np
 import pytest
 
 from huepose.support.errors import InputError
@@ -295,6 +298,46 @@ def test_validate_names_objects_of_a_folder(tmp_path, pipeline, capsys, count, s
         (folder / f"cup{number}.huepose").touch()  # names are all that is looked at
     assert main(["validate", str(path)]) == 0
     assert f"\n  objects  {said.format(folder)}\n" in capsys.readouterr().out
+
+
+def test_validate_says_which_pictures_are_missing(scene, pipeline, capsys):
+    path = pipeline()
+    assert main(["validate", str(path)]) == 0
+    assert "WARNING" not in capsys.readouterr().out
+    for number in range(7, 15):
+        (scene / "depth" / f"{number:06d}.png").unlink()
+    assert main(["validate", str(path)]) == 0
+    said = f"  WARNING  {scene}: 8 of 12 pictures are not in depth/, the first is number 7; they are left out"
+    assert said in capsys.readouterr().out
+
+
+def _no_depth(scene):
+    shutil.rmtree(scene / "depth")
+
+
+def _depth_of_8_bits(scene):
+    cv2.imwrite(str(scene / "depth" / "000003.png"), np.full((48, 64), 90, np.uint8))
+
+
+def _no_matrix(scene):
+    (scene / "scene_camera.json").write_text(json.dumps({n: {"depth_scale": 1.0} for n in range(3, 15)}))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (_no_depth, "depth/000003.png: found no such file"),
+        (_depth_of_8_bits, "depth/000003.png: found uint8 values"),
+        (_no_matrix, "scene_camera.json, image 3: found keys depth_scale; expected the key 'cam_K'"),
+    ],
+)
+def test_a_folder_whose_first_picture_cannot_be_read_is_refused(scene, pipeline, capsys, spoil, says):
+    path = pipeline()
+    spoil(scene)
+    assert main(["validate", str(path)]) == 2
+    assert says in capsys.readouterr().err
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"workers": ["gateway"]}))
+    assert main(["validate", str(path)]) == 0, "its camera does not run"
 
 
 def test_validate_says_which_extra_a_worker_needs(tmp_path, capsys, monkeypatch):

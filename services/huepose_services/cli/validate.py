@@ -31,7 +31,7 @@ def call(arguments: argparse.Namespace) -> int:
     """Read it, look for what it names, say what it is."""
     from huepose_services.runtime.config import as_written, parse_all, text_of
     from huepose_services.runtime.config_errors import read_yaml
-    from huepose_services.runtime.prepare import check
+    from huepose_services.runtime.prepare import check, gaps
 
     path = arguments.config
     text = text_of(path)  # once: a pipe cannot be read twice
@@ -48,6 +48,7 @@ def call(arguments: argparse.Namespace) -> int:
     answer = answers[0] if len(answers) == 1 else {"file": str(path), "cameras": list(answers)}
     note = ["  NOTE     the file is empty: everything is as in the built-in scene"]
     lines = [f"{path}: good", *(note if data is None else []), *summaries]
+    lines += [f"  WARNING  {gap}" for config in configs for gap in gaps(config)]
     answered(arguments, answer, "\n".join(lines))
     return 0
 

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 _PACKAGES = {"ros2": "rosbags", "viewer": "rerun"}
 """What a worker imports that only its extra installs."""
 
+_FOLDERS = ("bop", "fast_ycb")
+"""Sources that are folders of pictures."""
+
 
 def prepare(config: Config) -> None:
     """Check it all, and make what the built-in scene needs at its first use. Raises InputError."""
@@ -61,7 +64,10 @@ def check(config: Config) -> None:
     if config.camera.source != "synthetic" and "camera" in config.workers:
         from huepose_services.camera.sources import open_source
 
-        open_source(config)
+        source = open_source(config)
+        if config.camera.source in _FOLDERS:
+            # What its pictures lack, all of them mostly do: no depth, 8 bits, a packed form.
+            source.frame(source.image_ids[0])
     if config.uses_networks:
         from huepose_services import networks
 
@@ -75,6 +81,16 @@ def check(config: Config) -> None:
         from huepose_services.link import check_link
 
         check_link(config)
+
+
+def gaps(config: Config) -> list[str]:
+    """What is missing in a folder of pictures that was checked and is played here, in sentences."""
+    if config.camera.source not in _FOLDERS or "camera" not in config.workers:
+        return []
+    from huepose_services.camera.sources import open_source
+
+    sentences: list[str] = open_source(config).gaps()
+    return sentences
 
 
 def _check_tables(method: str, models: Iterable[ReferenceModel]) -> None:

@@ -9,9 +9,11 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 FOLDER = "HUEPOSE_RUN"
 BASE_PORT = 17447
@@ -38,14 +40,30 @@ def endpoint(port: int, folder: Path | str | None = None) -> str:
     return f"unixsock-stream/{Path(folder or run_folder()).absolute()}/{port}"
 
 
-def pose_endpoints(base_port: int = BASE_PORT, folder: Path | str | None = None) -> list[str]:
+def pose_endpoints(base_port: int | None = None, folder: Path | str | None = None) -> list[str]:
     """Where poses are read on the pipeline's own machine, by its own user: at the tracker, and at the camera,
     which says where it is.
+
+    base_port: its first port; without it that of the only pipeline that runs, where none does the usual one.
+    Raises ValueError where several run.
 
     >>> pose_endpoints(folder="/run/huepose")
     ['unixsock-stream//run/huepose/17448', 'unixsock-stream//run/huepose/17447']
     """
-    return [endpoint(base_port + 1, folder), endpoint(base_port, folder)]
+    port = _only_port(Path(folder or run_folder())) if base_port is None else base_port
+    return [endpoint(port + 1, folder), endpoint(port, folder)]
+
+
+def _only_port(folder: Path) -> int:
+    running = sorted(set(_noted(folder)))
+    if len(running) > 1:
+        listed = ", ".join(f"{n.site}/{n.camera} at port {n.base_port} ({n.file})" for n in running)
+        port, site, camera, _ = running[0]
+        raise ValueError(
+            f"pose_endpoints: found {len(running)} pipelines that run here: {listed}; expected one. Say "
+            f'which: pose_endpoints({port}), or pose_endpoints(base_port_of("{site}", "{camera}"))'
+        )
+    return running[0].base_port if running else BASE_PORT
 
 
 def born_of(number: int) -> str:
@@ -76,25 +94,36 @@ def writer_runs(note: Path) -> bool:
     return True
 
 
+class _Note(NamedTuple):
+    """A pipeline that runs, as it notes itself."""
+
+    base_port: int
+    site: str
+    camera: str
+    file: str
+
+
+def _noted(folder: Path) -> Iterator[_Note]:
+    """The pipelines that run with their sockets there; one whose workers run by themselves comes once for
+    each."""
+    for path in sorted(folder.glob("*.json")):
+        with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+            said, port = json.loads(path.read_bytes()), int(path.stem.rpartition("-")[2])
+            if writer_runs(path):
+                yield _Note(port, str(said["site"]), str(said["camera"]), str(said.get("file", "")))
+
+
 def base_port_of(site: str, camera: str) -> int:
     """The first port of the pipeline of a camera that runs on this machine as this user, by what it notes of
     itself; where none does, the one that is usual. A second camera's pipeline has another one."""
-    for note in sorted(run_folder().glob("*.json")):
-        with suppress(OSError, ValueError, KeyError, TypeError):
-            said = json.loads(note.read_bytes())
-            if (said["site"], said["camera"]) == (site, camera) and writer_runs(note):
-                return int(said["base_port"])
-    return BASE_PORT
+    ports = (n.base_port for n in _noted(run_folder()) if (n.site, n.camera) == (site, camera))
+    return next(ports, BASE_PORT)
 
 
 def note_of(base_port: int, folder: Path) -> str | None:
     """Of the pipeline that a process says that it runs there: SITE/CAMERA, from which file."""
-    for note in folder.glob(f"*-{base_port}.json"):
-        with suppress(OSError, ValueError, KeyError, TypeError):
-            said = json.loads(note.read_bytes())
-            if writer_runs(note):
-                return f"{said['site']}/{said['camera']}, from {said['file']},"
-    return None
+    there = (f"{n.site}/{n.camera}, from {n.file}," for n in _noted(folder) if n.base_port == base_port)
+    return next(there, None)
 
 
 @cache

@@ -3,7 +3,17 @@
 import json
 import os
 
-from huepose_protos.local import BASE_PORT, base_port_of, boot_id, born_of, writer_runs
+import pytest
+
+from huepose_protos.local import (
+    BASE_PORT,
+    base_port_of,
+    boot_id,
+    born_of,
+    endpoint,
+    pose_endpoints,
+    writer_runs,
+)
 
 
 def test_a_note_is_of_one_process_and_of_no_later_one_with_its_number(tmp_path):
@@ -32,3 +42,36 @@ def test_the_port_of_a_killed_pipeline_is_nobodys_though_another_process_has_its
     runs = note | {"base_port": 18200, "born": born_of(os.getpid())}
     (tmp_path / f"{os.getpid()}-18200.json").write_text(json.dumps(runs))
     assert base_port_of("lab", "cam0") == 18200
+
+
+def _run(folder, camera, port, process=None):
+    note = {"site": "lab", "camera": camera, "base_port": port, "file": f"/etc/{camera}.yaml"}
+    (folder / f"{process or os.getpid()}-{port}.json").write_text(json.dumps(note))
+
+
+def test_poses_are_read_where_the_only_pipeline_runs(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
+    assert pose_endpoints() == [endpoint(BASE_PORT + 1), endpoint(BASE_PORT)]
+    _run(tmp_path, "gone", 18300, 2**22 + 1)
+    _run(tmp_path, "right", 18100)
+    _run(tmp_path, "right", 18100, os.getppid())  # another of its workers, run by itself
+    assert pose_endpoints() == [endpoint(18101), endpoint(18100)]
+    assert pose_endpoints(17447) == [endpoint(17448), endpoint(17447)]
+    assert pose_endpoints(folder=tmp_path / "other") == [
+        endpoint(17448, tmp_path / "other"),
+        endpoint(17447, tmp_path / "other"),
+    ]
+
+
+def test_of_several_pipelines_it_is_asked_which(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
+    _run(tmp_path, "right", 18120)
+    _run(tmp_path, "left", 18100)
+    with pytest.raises(ValueError) as error:
+        pose_endpoints()
+    assert str(error.value) == (
+        "pose_endpoints: found 2 pipelines that run here: lab/left at port 18100 (/etc/left.yaml), lab/right "
+        "at port 18120 (/etc/right.yaml); expected one. Say which: pose_endpoints(18100), or "
+        'pose_endpoints(base_port_of("lab", "left"))'
+    )
+    assert pose_endpoints(base_port_of("lab", "right")) == [endpoint(18121), endpoint(18120)]

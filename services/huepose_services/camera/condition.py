@@ -17,13 +17,10 @@ from huepose_services.runtime.clock import SECOND
 LASTS_NS = SECOND // 2
 """So long must all pictures say the same: one that is spoilt is nothing."""
 
-RATE_WINDOW_NS = SECOND
+RATE_WINDOW_NS, RATE_WINDOW_PICTURES = SECOND, 3
+"""Pictures are counted in so long a time, or in that of so many of them where it is longer."""
 LEAST_OF_RATE = 0.8
-"""Share of the pictures that are due; fewer cannot be chance in a second."""
-
-SLOW_NS = RATE_WINDOW_NS
-"""For so long fewer must come: of a camera that gives none at all the last ones before count until then, and
-of one that has become slow the good ones before."""
+"""Share of the pictures that are due; fewer cannot be chance in that time."""
 
 MOST_APART = 0.75
 """Of the time between two pictures: synchronisers pair colour and depth that are up to half of it apart."""
@@ -45,7 +42,7 @@ GREY_NS = 2 * SECOND
 AHEAD_S, BEHIND_S = 1.0, 60.0
 """Seconds from the arrival: no capture takes place after it, and no driver keeps a picture so long."""
 
-_LASTS_NS = {STOPPED: STOPPED_NS, "rate": SLOW_NS, "grey": GREY_NS}
+_LASTS_NS = {STOPPED: STOPPED_NS, "grey": GREY_NS}
 
 
 class Condition:
@@ -57,6 +54,8 @@ class Condition:
         self._rate_hz, self._farthest_m, self._check = rate_hz, farthest_m, check
         self._since: dict[str, tuple[int, str]] = {}
         self._counts: deque[tuple[int, int]] = deque()
+        self._came_ns = 0
+        self._least_window_ns = self._window_ns = self._window_of(SECOND / rate_hz)
         self._camera: Camera | None = None
         self._last: Shot | None = None
         self._moved = False
@@ -91,27 +90,47 @@ class Condition:
         """How many pictures came since the camera was opened; called often."""
         if self._counts and pictures < self._counts[-1][1]:
             self._counts.clear()
+        self._measure(pictures, now_ns)
         self._counts.append((now_ns, pictures))
-        while len(self._counts) > 2 and now_ns - self._counts[1][0] > RATE_WINDOW_NS:
+        while len(self._counts) > 2 and now_ns - self._counts[1][0] > self._window_ns:
             self._counts.popleft()
         seconds = (now_ns - self._counts[0][0]) / SECOND
         came = pictures - self._counts[0][1]
+        since_ns = self._since.get("rate", (now_ns, ""))[0]
         enough = came >= LEAST_OF_RATE * self._rate_hz * seconds
-        # Of a camera that gives none at all its reader says why.
-        if seconds < RATE_WINDOW_NS / SECOND or enough or not came:
+        if seconds < self._least_window_ns / SECOND or enough:
             self._since.pop("rate", None)
-        else:
+        elif came:
+            rate_hz = came / seconds
+            told = f"{rate_hz:.0f}" if rate_hz >= 1.0 else rounded(rate_hz)
             text = (
-                f"it gives {came / seconds:.0f} pictures a second instead of {self._rate_hz:g}: a long "
+                f"it gives {told} pictures a second instead of {self._rate_hz:g}: a long "
                 "exposure in the dark, a slow cable or port, a busy computer, or a source of your own that "
                 "waits too long"
             )
-            self._since["rate"] = (self._since.get("rate", (now_ns, ""))[0], text)
+            # What is said stays while the window wavers.
+            self._since["rate"] = (since_ns if now_ns - since_ns < self._window_ns else 0, text)
+        elif self._came_ns - since_ns < self._window_ns:
+            # Nothing was said when the last one came: of a camera that gives none its reader says why.
+            self._since.pop("rate", None)
+
+    def _measure(self, pictures: int, now_ns: int) -> None:
+        """Count for longer where pictures come seldom."""
+        new = pictures - self._counts[-1][1] if self._counts else 0
+        if new:
+            self._window_ns = max(self._least_window_ns, self._window_of((now_ns - self._came_ns) / new))
+        if new or not self._counts:
+            self._came_ns = now_ns
+
+    @staticmethod
+    def _window_of(period_ns: float) -> int:
+        return max(RATE_WINDOW_NS, round(RATE_WINDOW_PICTURES * period_ns))
 
     def reopened(self) -> None:
         """What was said was of another opening of the camera."""
         self._since.clear()
         self._counts.clear()
+        self._window_ns = self._least_window_ns
         self._changes.clear()
         self._camera = self._last = None
         self._moved = False
@@ -126,10 +145,13 @@ class Condition:
 
     def complaints(self, now_ns: int) -> dict[str, str]:
         """What lasts, by kind."""
+        # Until then the last pictures of a camera that gives none at all count, and of one that has become
+        # slow the good ones before.
+        lasts_ns = {**_LASTS_NS, "rate": self._window_ns}
         lasting = {
             kind: text
             for kind, (since, text) in self._since.items()
-            if now_ns - since >= _LASTS_NS.get(kind, LASTS_NS)
+            if now_ns - since >= lasts_ns.get(kind, LASTS_NS)
         }
         recent = {kind: text for kind, (at, text) in self._changes.items() if now_ns - at < CHANGE_SAID_NS}
         return lasting | recent

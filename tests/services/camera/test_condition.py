@@ -134,6 +134,33 @@ def test_the_rate_of_a_camera_that_is_slower_than_the_worker_looks_is_named_as_i
     assert "it gives 2 pictures a second instead of 30" in said[0][1]
 
 
+def rates_said(asked_hz, gives_hz, seconds, condition=None, from_s=0.0):
+    """What is said of the rate, with the time, of a camera that gives so many, counted 20 times a second."""
+    condition, said = condition or Condition(asked_hz, FARTHEST_M), []
+    for k in range(int(20 * seconds)):
+        at_s = from_s + k / 20
+        condition.count(1 + int(at_s * gives_hz + 1e-6), round(at_s * SECOND))
+        said += [(at_s, text) for text in condition.complaints(round(at_s * SECOND)).values()]
+    return said
+
+
+@pytest.mark.parametrize(
+    ("asked_hz", "gives_hz", "told", "within_s"),
+    [(30.0, 1.0, "1", 6.0), (30.0, 0.6, "0.", 12.0), (1.0, 0.5, "0.5", 15.0), (0.5, 0.25, "0.25", 30.0)],
+)
+def test_a_rate_of_a_picture_a_second_or_less_is_named_and_stays_named(asked_hz, gives_hz, told, within_s):
+    said = rates_said(asked_hz, gives_hz, 40.0)
+    assert said[0][0] < within_s
+    assert f"it gives {told}" in said[0][1]
+    assert f"pictures a second instead of {asked_hz:g}" in said[0][1]
+    assert len(said) == round(20 * (40.0 - said[0][0])), "it is said all the time"
+
+
+@pytest.mark.parametrize(("asked_hz", "gives_hz"), [(1.0, 1.0), (1.0, 0.9), (0.5, 0.45), (2.0, 1.8)])
+def test_of_a_slow_camera_that_gives_what_it_is_asked_for_nothing_is_said(asked_hz, gives_hz):
+    assert rates_said(asked_hz, gives_hz, 60.0) == []
+
+
 def test_a_picture_whose_depth_is_of_another_time_is_not_used():
     condition = Condition(RATE_HZ, FARTHEST_M)
     assert condition.look(shot(SECOND), SECOND)

@@ -17,6 +17,7 @@ from huepose.believe.state import State
 from huepose.estimation import PoseEstimate
 from huepose.geometry import RgbdFrame, se3
 from huepose.model import ReferenceModel, save_model
+from huepose.support.errors import InputError
 from huepose_services.cli.estimate import in_words
 from huepose_services.cli.main import main
 from tests.boxes import box_of
@@ -226,6 +227,30 @@ def test_no_pose_is_tracking_where_depth_lies_far_beside_the_colours(
     assert said["poses"][0]["state"] != "TRACKING"
     assert "20.0 px to the left" in said["doubts"][0]
     assert not any("than their depth says" in doubt for doubt in said["doubts"]), "sizes are seen aside, too"
+
+
+@pytest.mark.parametrize(("option", "place"), [("--explain", "why"), ("--image", "out.png")])
+def test_a_disk_that_takes_no_picture_does_not_cost_the_answer(
+    option: str,
+    place: str,
+    files: list[str],
+    box: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def full(path: Path, picture: np.ndarray) -> None:
+        raise InputError(path, found="No space left on device", expected="a place that can be written")
+
+    for module in ("estimate", "explain"):
+        monkeypatch.setattr(f"huepose_services.cli.{module}.write_picture", full)
+    out = tmp_path / "out.json"
+    assert main([*files, *box, "--json", str(out), option, str(tmp_path / place)]) == 2
+    said = capsys.readouterr()
+    assert said.out.startswith("tea_box                  TRACKING")
+    assert json.loads(out.read_text())["poses"][0]["found"]
+    assert f"huepose estimate: {tmp_path / place}" in said.err
+    assert "found No space left on device" in said.err
 
 
 def test_why_an_object_is_not_found_is_said_and_drawn(

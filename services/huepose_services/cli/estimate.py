@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from huepose.estimation.config import Method
     from huepose.estimation.estimator import Answered
     from huepose.geometry import RgbdFrame
-    from huepose.geometry.arrays import Float64
+    from huepose.geometry.arrays import Float64, UInt8
     from huepose.model import ReferenceModel
     from huepose.perception.types import Detection
 
@@ -108,6 +108,7 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.method != "full":
         estimator.prepare(names)  # a model that is unfit for it is told in any picture
     proposed: list[Detection] = []
+    pages: dict[str, UInt8] = {}
     if box is not None:
         queries = [ObjectQuery(name, box) for name in names]
     else:
@@ -133,11 +134,9 @@ def call(arguments: argparse.Namespace) -> int:
             led += _each(estimator, frame, queries)
             answers = [answer for answer, _ in led]
             found = _several(answers, found, arguments.instances, before)
-        answers = _standing(arguments, frame, models, names, answers, proposed)
-    doubted = [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
-    if arguments.explain:
-        _explain(arguments.explain, frame, models, answers, [a.reason for a in doubted], led)
-    answers = doubted
+        answers, pages = _standing(arguments, frame, models, names, answers, proposed)
+    given, answers = answers, [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
+    reasons = [answer.reason for answer in answers]
     loaded = "one model" if len(names) == 1 else f"{len(names)} models"
     say(
         f"{prepared - begun:.1f} s to load {loaded} and to find where objects may be, "
@@ -155,6 +154,11 @@ def call(arguments: argparse.Namespace) -> int:
         say(doubt)
     record = {"poses": [as_record(a) for a in answers], "doubts": doubts}
     answered(arguments, record, in_words(answers))
+    # A disk that takes no pictures does not cost the answer.
+    if arguments.explain:
+        for name, page in pages.items():
+            write_picture(arguments.explain / f"{name}_places.png", page)
+        _explain(arguments.explain, frame, models, given, reasons, led)
     if arguments.image:
         from huepose_services.cli.explain import draw_answers
 
@@ -287,9 +291,9 @@ def _standing(
     names: list[str],
     answers: list[PoseEstimate],
     proposed: list[Detection],
-) -> list[PoseEstimate]:
-    """The poses that stand at the proposed places; an object without any is not found, and its places are
-    drawn where that is wanted."""
+) -> tuple[list[PoseEstimate], dict[str, UInt8]]:
+    """The poses that stand at the proposed places; an object without any is not found, and where that is
+    wanted there is a page about its places, by its name."""
     from huepose.estimation.present import PresenceIn
     from huepose.estimation.standing import chance, standing_answers, why_none_stands
     from huepose.estimation.types import PoseEstimate
@@ -298,7 +302,8 @@ def _standing(
     poses = standing_answers(answers)
     advise = not any(pose.state == "TRACKING" for pose in poses)
     presence = None
-    out = []
+    out: list[PoseEstimate] = []
+    pages: dict[str, UInt8] = {}
     for name in names:
         standing = [pose for pose in poses if pose.object == name][: arguments.instances]
         if standing:
@@ -324,9 +329,8 @@ def _standing(
                 seen = presence.places([(name, T) for T in best], refined=False)
                 tried = [(T, *x) for T, x in zip(best, seen, strict=True)]
             tried.sort(key=lambda place: -place[1])
-            page = draw_places(frame, models[name], why, tried)
-            write_picture(arguments.explain / f"{name}_places.png", page)
-    return out
+            pages[name] = draw_places(frame, models[name], why, tried)
+    return out, pages
 
 
 def in_words(answers: Sequence[PoseEstimate]) -> str:

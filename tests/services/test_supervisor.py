@@ -121,6 +121,16 @@ def test_the_log_of_a_worker_is_read_on_where_it_cannot_be_written(supervisor):
     assert next(lines, None) is None
 
 
+def test_why_a_worker_has_ended_is_an_error_of_its_own(monkeypatch):
+    monkeypatch.delenv("HUEPOSE_LOG", raising=False)
+    child = object.__new__(Child)
+    child._says, child._out = "camera", io.StringIO()
+    child.process = SimpleNamespace(stdout=[b"of a library\n", b"huepose run: desk/rgb: found no folder.\n"])
+    child._copy_log()
+    said = [line.split(maxsplit=1)[1] for line in child._out.getvalue().splitlines()]
+    assert said == ["warn  camera    of a library", "error camera    desk/rgb: found no folder."]
+
+
 @pytest.fixture
 def alone():
     """A supervisor of one worker, and its log."""

@@ -47,6 +47,8 @@ _FAILED, _BAD_INPUT = 1, 2
 _HELD = (
     "does not end: the kernel holds it, as for a device that does not answer. It is started again after that"
 )
+_WHY_IT_ENDED = "huepose run: "
+"""With which the command line begins what it says of an error."""
 _SILENT_S = 0.5
 """A worker of which nothing was heard for so long is asked what it waits for."""
 
@@ -98,13 +100,16 @@ class Child:
             raise
 
     def _copy_log(self) -> None:
-        """Its log lines as they are; what libraries print as lines of the worker, repeats held back."""
+        """Its log lines as they are; what libraries print as lines of the worker, repeats held back; why it
+        has ended as an error."""
         assert self.process.stdout is not None
         foreign = Log(self._says, self._out)
         for raw in self.process.stdout:
             line = raw.decode(errors="replace")
             if is_log_line(line):
                 write(self._out, line)
+            elif line.startswith(_WHY_IT_ENDED):
+                foreign.error(line.removeprefix(_WHY_IT_ENDED).rstrip())
             elif line.strip():
                 foreign.seldom(line, line.rstrip())
 

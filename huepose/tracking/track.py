@@ -241,7 +241,7 @@ class Track:
         if another_opinion(self.subject, found.followed[0], first):
             self._identity = self._identity.leapt(self._view())
         self.frame, self.evidence = frame, sure
-        if first.jump < 0.0 or (anchor.unseen_s > 0.0 and first.source == "views"):
+        if first.jump < 0.0 or (anchor.unseen_s > 0.0 and first.source in LOOKED_FOR):
             self._found_elsewhere(self._seen_alone(), frame)
         if sure >= self._config.lost_quality:
             self.covariance, self._spread = uncertainty(self.subject, first, frame)

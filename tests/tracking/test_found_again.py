@@ -125,3 +125,22 @@ def test_what_perception_finds_after_a_loss_is_doubted_in_another_color(
     light = tracker._tracks["plain_bracket", 0].usual.sure_light
     assert light is not None
     assert float(np.abs(light).max()) < 8.0, "it is known from when it was sure"
+
+
+def test_what_a_search_finds_nearby_after_unseen_frames_has_to_show_that_it_is_the_object(
+    tea_box, shoot, path
+) -> None:
+    """Within reach of where it went out of sight there may be another thing of its shape."""
+    tracker, here = Tracker({"tea_box": tea_box}), path(0)
+    aside = here.copy()
+    aside[0, 3] += 0.07
+    tracker.correct(Correction.first("tea_box", here, shoot([(tea_box.mesh, here)], 0), 1.0))
+    identities = []
+    for number in range(9):
+        scene = [(tea_box.mesh, here)] if number < 4 else [] if number < 6 else [(tea_box.mesh, aside)]
+        (pose,) = tracker.step(shoot(scene, number))
+        identities.append(tracker._tracks["tea_box", 0]._identity)
+    assert pose.state is State.TRACKING
+    assert pose.T_cam_obj is not None
+    assert pose.T_cam_obj[:3, 3] == pytest.approx(aside[:3, 3], abs=0.004)
+    assert (identities[5].lost, identities[-1].lost) == (0.0, identities[5].value)

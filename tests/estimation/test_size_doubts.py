@@ -40,6 +40,12 @@ def test_of_an_object_alone_the_camera_is_doubted() -> None:
     assert doubted_objects({"can": [LARGE], "carton": []}) == {}
 
 
+def test_of_an_object_alone_five_percent_may_be_its_mesh() -> None:
+    assert doubted_camera({"can": [look(0.05, 30.0)]}) is None
+    assert doubted_camera({"can": [look(0.06, 30.0)]}) is not None
+    assert doubted_camera({"can": [look(0.05, 30.0)], "carton": [look(0.05, 30.0)]}) is not None
+
+
 @pytest.mark.parametrize("fits", [FITS, look(0.0, 12.0), look(0.0, 4.0)])
 def test_while_another_fits_only_the_object_is_doubted(fits: Float64) -> None:
     """Also where it speaks louder than the one that fits, and that one for itself would not be clear."""

@@ -49,8 +49,8 @@ USUAL = 0.045
 
 LEAST_OF_ONE = 0.06
 """What one object alone says against the camera counts from here on, since its mesh may err, too. Of 49 right
-poses in recorded and path-traced frames two were clearly off by 5 %, none by more; with fx and fy wrong by 8 or
-10 % 85 of 174 are found out, instead of 93."""
+poses in recorded and path-traced frames two were clearly off by 5 %, none by more; with fx and fy wrong by 8
+or 10 % 85 of 174 are found out, instead of 93."""
 
 CLEAR, CLEAR_OF_ONE = 10.0, 3.0
 """Least gain of the support, as a natural logarithm, over sizes that are usual: of all objects together, and

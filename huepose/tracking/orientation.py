@@ -23,7 +23,7 @@ from huepose.select.shade import ABOUT, beyond_chance
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import NEW_VIEW, odds_of
 from huepose.tracking.hypothesis import Anchor, Hypothesis, same_pose
-from huepose.tracking.motion import jump_odds, most_turned, predicted
+from huepose.tracking.motion import MOST_JUMP, jump_odds, most_turned, predicted
 from huepose.tracking.refined import best_of, ranked, region_of
 from huepose.tracking.subject import Subject
 
@@ -155,10 +155,13 @@ class Orientation:
 
     def impossible(self, found: Hypothesis, followed: Hypothesis, gone_s: float, least_lead: float) -> bool:
         """Whether a proposal is about the followed pose after a near-symmetric rotation that it cannot have
-        made: one larger than the object can make in `gone_s` while its orientation was settled, or of what
-        rests, where its total leads by no more than `least_lead` (see `lead_to_turn`)."""
-        too_small = least_lead > 0.0 and found.terms.total - followed.terms.total <= least_lead
-        if not (too_small or self._too_fast(found, followed, gone_s)):
+        made: one larger than the object can make in `gone_s` while its orientation was settled, unless it
+        explains very much more; or of what rests, where its total leads by no more than `least_lead` (see
+        `lead_to_turn`)."""
+        leads = found.terms.total - followed.terms.total
+        too_small = least_lead > 0.0 and leads <= least_lead
+        too_fast = leads < OUTWEIGHS and self._too_fast(found, followed, gone_s)
+        if not (too_small or too_fast):
             return False
         return bool(alike(self._subject.other_turns, followed.T_cam_obj, found.T_cam_obj).any())
 
@@ -182,6 +185,10 @@ SHARPNESS = 24.0
 """Log-odds per unit of total between the right pose and its best near-symmetric rotation; largest likelihood
 of which one is right in 1,608 comparisons on drawn films of the split `fit` (`studies.stress`: hard,
 household and YCB objects; docs/tracking_measured.md)."""
+
+OUTWEIGHS = 2.0 * MOST_JUMP / SHARPNESS
+"""A near-symmetric rotation that leads by so much of a total is taken, though nothing turns so fast: it is
+twice what any motion counts against a pose. Stamps may be wrong, and things exchanged while nobody looks."""
 
 CHANCE = 0.025
 """Differences of totals under this are chance on drawn films of the split `fit`."""

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from huepose.believe.state import State
 from huepose.geometry import se3
-from huepose.tracking import Correction, Tracker, orientation
+from huepose.judge.terms import NOTHING
+from huepose.tracking import Correction, Tracker, TrackerConfig, orientation
+from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.orientation import Orientation
+from huepose.tracking.subject import Subject
 from tests.studies.moments import printed_board
 
 
@@ -30,3 +37,19 @@ def test_after_two_frames_it_is_not_asked_which_way_round_it_is(tea_box, shoot, 
     states = [tracker.step(shoot(seen, number))[0].state for number in range(7, 10)]
     assert states[-1] is State.TRACKING
     assert asked == []
+
+
+@pytest.mark.parametrize(("leads", "impossible"), [(0.1, True), (0.3, True), (0.4, False)])
+def test_a_turn_that_nothing_makes_is_taken_where_the_picture_outweighs_any_motion(
+    tea_box, path, leads: float, impossible: bool
+) -> None:
+    """Nothing turns by half within a frame; but stamps may be wrong."""
+    subject, T = Subject.of(tea_box), path(0)
+    asked = Orientation(subject, TrackerConfig())
+    asked.begin(0.995, subject.viewpoint(T, np.zeros(3)))
+    followed = Hypothesis(T, replace(NOTHING, total=0.8), np.zeros((6, 6)), "still")
+    found = replace(
+        followed, T_cam_obj=T @ tea_box.near_symmetries[1], terms=replace(NOTHING, total=0.8 + leads)
+    )
+    assert asked.impossible(found, followed, 0.033, 0.0) is impossible
+    assert not asked.impossible(replace(found, T_cam_obj=T), followed, 0.033, 0.0), "it did not turn"

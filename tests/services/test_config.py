@@ -15,7 +15,9 @@ from huepose_protos import decode, encode
 from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader
 from huepose_services.cli.main import main
+from huepose_services.cli.validate import _unread
 from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all, parse
+from huepose_services.runtime.config_perception import DetectorConfig
 
 GOOD = "camera: {truth: true}\n"
 
@@ -402,6 +404,12 @@ def test_validate_notes_no_section_that_the_file_does_not_have(tmp_path, capsys,
     assert main(["validate", str(path)]) == 0
     out = capsys.readouterr().out
     assert (out.count("NOTE"), out.count("the section `ros2` is set")) == (noted, noted)
+
+
+def test_threads_of_the_search_are_noted_beside_a_network():
+    config = Config(detector=DetectorConfig(kind="yolo", threads=4))
+    assert "detector.threads is set, and detector.kind is yolo; it is for colorpair" in _unread(config)
+    assert not any("threads" in said for said in _unread(Config(detector=DetectorConfig(threads=4))))
 
 
 def test_validate_says_that_a_drawn_scene_shows_one_of_each(tmp_path, capsys):

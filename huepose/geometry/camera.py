@@ -33,10 +33,12 @@ class Camera:
 
     def __post_init__(self) -> None:
         # Kernels are compiled for numbers of one type, whatever a driver or a file gives.
-        for name in ("fx", "fy", "cx", "cy"):
-            object.__setattr__(self, name, float(getattr(self, name)))
-        for name in ("width", "height"):
-            object.__setattr__(self, name, int(getattr(self, name)))
+        if {type(self.fx), type(self.fy), type(self.cx), type(self.cy)} != {float}:
+            for name in ("fx", "fy", "cx", "cy"):
+                object.__setattr__(self, name, float(getattr(self, name)))
+        if {type(self.width), type(self.height)} != {int}:
+            for name in ("width", "height"):
+                object.__setattr__(self, name, int(getattr(self, name)))
         finite = math.isfinite(self.fx + self.fy + self.cx + self.cy)
         if not finite or self.fx <= 0.0 or self.fy <= 0.0:
             raise InputError(

@@ -72,9 +72,10 @@ class RgbdFrame:
             raise InputError("picture", found=str(size), expected=f"sides of {LEAST_SIDE} pixels or more")
         for name in ("frame_id", "stamp_ns", "epoch"):
             number = getattr(self, name)
-            fix = "Nanoseconds of a time in seconds: round(seconds * 1e9)." if name == "stamp_ns" else ""
-            require(number, int | np.integer, name, "a whole number", fix)
-            object.__setattr__(self, name, int(number))
+            if type(number) is not int:
+                fix = "Nanoseconds of a time in seconds: round(seconds * 1e9)." if name == "stamp_ns" else ""
+                require(number, int | np.integer, name, "a whole number", fix)
+                object.__setattr__(self, name, int(number))
         if self.T_parent_cam is not None:
             # A copy: whoever fills one array again and again says nothing of the frames before.
             T = np.array(self.T_parent_cam, np.float64)
@@ -87,7 +88,8 @@ class RgbdFrame:
                 )
             object.__setattr__(self, "T_parent_cam", se3.orthonormalised(T))
         # Kernels are compiled for arrays of one layout, whatever a driver or a slice gives.
-        object.__setattr__(self, "color", np.ascontiguousarray(self.color))
+        if not self.color.flags.c_contiguous:
+            object.__setattr__(self, "color", np.ascontiguousarray(self.color))
         if not (self.depth.flags.c_contiguous and self.depth.flags.writeable):
             object.__setattr__(self, "depth", self.depth.copy())
         # Tells it of all of them without an array of its own.

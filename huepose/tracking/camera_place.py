@@ -36,9 +36,9 @@ class CameraPlace:
         """Its place in the next frame, the last one being that of `looked_ns`; and from the axes it had when
         it was told last to those of now (4, 4), None where that is not known. After frames of which nobody
         told, only what was measured before them is in axes that are known."""
-        T_new_old = _moved(self.T_parent_cam, frame.T_parent_cam, (frame.stamp_ns - self.told_ns) * 1e-9)
-        known = T_new_old is not None and self.told_ns == looked_ns
-        moved = (T_new_old, (frame.stamp_ns - looked_ns) * 1e-9) if T_new_old is not None and known else None
+        seconds = (frame.stamp_ns - self.told_ns) * 1e-9
+        T_new_old = _moved(self.T_parent_cam, frame.T_parent_cam, seconds)
+        moved = None if T_new_old is None or self.told_ns != looked_ns else (T_new_old, seconds)
         told = self if frame.T_parent_cam is None else self.at(frame)
         return replace(told, moved=moved), T_new_old
 

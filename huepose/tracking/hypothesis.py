@@ -23,8 +23,10 @@ MOST = 3
 SAME = 0.05
 """Poses whose surfaces lie this share of the diameter apart are one pose."""
 
-FOLLOWED = ("still", "velocity")
-"""Sources of a pose that was followed from the last frame; all others found it."""
+FOLLOWED, LOOKED_FOR = ("still", "velocity"), ("search", "views")
+FOUND_AGAIN = (*LOOKED_FOR, "turn")
+"""Sources of hypotheses that were followed from the last frame, and of those that a search found instead;
+FOUND_AGAIN adds those that were followed and then turned."""
 
 HOPELESS = 4.0
 """An opinion whose log-odds lie this far behind the best is dropped."""

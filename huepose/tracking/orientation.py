@@ -22,15 +22,10 @@ from huepose.select.distinct import RIGHT
 from huepose.select.shade import ABOUT, beyond_chance
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.evidence import NEW_VIEW, odds_of
-from huepose.tracking.hypothesis import Anchor, Hypothesis, same_pose
+from huepose.tracking.hypothesis import FOUND_AGAIN, Anchor, Hypothesis, same_pose
 from huepose.tracking.motion import MOST_JUMP, jump_odds, most_turned, predicted
 from huepose.tracking.refined import best_of, ranked, region_of
 from huepose.tracking.subject import Subject
-
-LOOKED_FOR = ("search", "views")
-FOUND_AGAIN = (*LOOKED_FOR, "turn")
-"""Sources of hypotheses found by a search instead of followed from the last frame; FOUND_AGAIN adds those
-that were followed and then turned."""
 
 CLAIMED = 0.8
 """The most that a claim of perception under `confirmed_identity` counts for the orientation.

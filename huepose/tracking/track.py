@@ -23,12 +23,20 @@ from huepose.tracking.effort import Effort
 from huepose.tracking.elsewhere import PARTS
 from huepose.tracking.evidence import Identity, Standing, next_standing, turned_over
 from huepose.tracking.history import PoseHistory
-from huepose.tracking.hypothesis import FOLLOWED, Anchor, Hypothesis, distinct, same_pose, share_of_first
+from huepose.tracking.hypothesis import (
+    FOLLOWED,
+    LOOKED_FOR,
+    Anchor,
+    Hypothesis,
+    distinct,
+    same_pose,
+    share_of_first,
+)
 from huepose.tracking.looks import LOOK_S, looks
 from huepose.tracking.lost import MORE, MOSTLY, found_elsewhere, found_standing, seen_share
 from huepose.tracking.motion import Reach, jump_since, predicted, same_motion
 from huepose.tracking.opinions import opinions, weighed
-from huepose.tracking.orientation import LOOKED_FOR, Orientation, another_opinion
+from huepose.tracking.orientation import Orientation, another_opinion
 from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, NEARBY
 from huepose.tracking.step import Advance, advance, found_nearby

@@ -29,15 +29,14 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Read it, look for what it names, say what it is."""
-    from huepose_services.runtime.config import as_written, parse_all, text_of
+    from huepose_services.runtime.config import as_written, for_each_camera, text_of
     from huepose_services.runtime.config_errors import read_yaml
     from huepose_services.runtime.prepare import check, gaps
 
     path = arguments.config
-    text = text_of(path)  # once: a pipe cannot be read twice
-    configs = [config.at(arguments.host) for config in parse_all(text, path)]
-    data = read_yaml(text, path)
+    data = read_yaml(text_of(path), path)
     written = as_written(data, path)
+    configs = [config.at(arguments.host) for config in for_each_camera(written, data, path)]
     for config in configs:
         check(config)
         if config.camera.source == "synthetic" and "camera" in config.workers:

@@ -323,12 +323,17 @@ def parse_all(text: str, path: Path) -> list[Config]:
     """The configurations in a text, one for each camera; `path` names it in errors and is where relative
     paths start."""
     data = read_yaml(text, path)
-    config = as_written(data, path)
+    return for_each_camera(as_written(data, path), data, path)
+
+
+def for_each_camera(written: Config, data: Any, path: Path) -> list[Config]:
+    """The configurations of what stands in a file, checked, one for each camera. written: `as_written` of
+    `data`. Raises InputError."""
 
     def refuse(key: str, found: str, expected: str, fix: str) -> None:
         raise InputError(f"{path}: {key}", found=found, expected=expected, fix=fix)
 
-    of_each = of_cameras(config, isinstance(data, dict) and "camera" in data, refuse)
+    of_each = of_cameras(written, isinstance(data, dict) and "camera" in data, refuse)
     try:
         configs = [absolute(one, path.absolute().parent) for one in of_each]
     except (RuntimeError, ValueError) as error:

@@ -143,8 +143,8 @@ def test_a_terminal_that_is_closed_ends_it():
     code = (
         "import signal, time; from huepose_services.runtime.reload import asked_again\n"
         "again = asked_again(); signal.raise_signal(signal.SIGHUP); assert again() and not again()\n"
-        "print('reads again', flush=True); time.sleep(60)"
-    )
+        "print('reads again', flush=True)\nwhile True: time.sleep(0.1)"
+    )  # one long sleep would not see a signal that comes right before it
     pid, terminal = pty.fork()
     if pid == 0:
         os.execv(sys.executable, [sys.executable, "-c", code])

@@ -18,6 +18,19 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, Int32
 from huepose.support.jit import jit
 
+THRESHOLD, NOISE_FACTOR, MAX_THRESHOLD = 2.0, 3.0, 8.0
+"""Smallest magnitude of a ridge, CIELAB units per pixel, on a clean image; on a noisy one it is so many times
+the magnitude that a fifth of the pixels stay under, up to the last."""
+
+MIN_LENGTH = 5
+"""Fewest connected ridge pixels: noise makes short lines."""
+
+MEMBER_SHARE = 0.3
+"""Share of the ridge's magnitude that a pixel needs to count for its thickness."""
+
+SMOOTHING_PX = 2
+"""Radius within which the thickness of neighbouring ridge points is averaged."""
+
 
 @dataclass(frozen=True, eq=False)
 class Gradient:
@@ -64,22 +77,6 @@ def _combine(du: Float32, dv: Float32) -> tuple[Float32, Float32]:
     return magnitude, direction
 
 
-@dataclass(frozen=True)
-class RidgeConfig:
-    """threshold: smallest magnitude of a ridge, CIELAB units per pixel, on a clean image; on a noisy one it
-    is `noise_factor` times the magnitude that a fifth of the pixels stay under, at most `max_threshold`.
-    min_length: fewest connected ridge pixels; member_share: share of the ridge's magnitude that a pixel needs
-    to count for its thickness; smoothing: radius in pixels within which the thickness of neighbouring ridge
-    points is averaged."""
-
-    threshold: float = 2.0
-    noise_factor: float = 3.0
-    max_threshold: float = 8.0
-    min_length: int = 5
-    member_share: float = 0.3
-    smoothing: int = 2
-
-
 @dataclass(frozen=True, eq=False)
 class Ridges:
     """cells (N, 2) int32: row and column; pixels (N, 2) float32: sub-pixel position (u, v); directions (N, 2)
@@ -95,51 +92,41 @@ class Ridges:
         return len(self.pixels)
 
 
-def find_ridges(gradient: Gradient, mask: Bool | None = None, config: RidgeConfig | None = None) -> Ridges:
+def find_ridges(gradient: Gradient, mask: Bool | None = None) -> Ridges:
     """Ridge points of a gradient field, inside `mask` (H, W) where it is given; the outermost pixels have
     none."""
-    config = config or RidgeConfig()
     allowed = np.ones(gradient.magnitude.shape, np.bool_) if mask is None else np.ascontiguousarray(mask)
-    threshold = noise_threshold(gradient.magnitude[allowed], config)
-    offsets = suppress(gradient, allowed, threshold)
-    is_ridge = long_enough(~np.isnan(offsets), config.min_length)
-    counts = associate(gradient.magnitude, is_ridge, threshold, config.member_share)
+    threshold = _noise_threshold(gradient.magnitude[allowed])
+    # the sub-pixel offset along the direction at ridge points, nan elsewhere
+    offsets = _suppress(gradient.magnitude, gradient.direction, allowed, threshold)
+    is_ridge = long_enough(~np.isnan(offsets))
+    counts = _associate(gradient.magnitude, is_ridge, threshold, MEMBER_SHARE)
     # rows one after the other also where there are none: kernels are compiled for a layout
     cells = np.argwhere(is_ridge).astype(np.int32, order="C")
     v, u = cells[:, 0], cells[:, 1]
     directions = gradient.direction[v, u]
     pixels = np.stack([u, v], 1).astype(np.float32) + offsets[v, u][:, None] * directions
     # a diagonal line has fewer ridge pixels to a length: each stands for more of the region
-    widths = _local_mean(counts, cells, config.smoothing) * np.abs(directions).max(1)
+    widths = _local_mean(counts, cells, SMOOTHING_PX) * np.abs(directions).max(1)
     return Ridges(cells, pixels, directions, gradient.magnitude[v, u], widths)
 
 
-def noise_threshold(magnitudes: Float32, config: RidgeConfig) -> float:
+def _noise_threshold(magnitudes: Float32) -> float:
     """The magnitude over which a ridge counts, from the magnitudes (N,) of the region: most pixels of a
     region are not edges, so the lower fifth of them tells the noise."""
     if not len(magnitudes):
-        return config.threshold
+        return THRESHOLD
     k = len(magnitudes) // 5
     level = float(np.partition(magnitudes, k)[k])
-    return float(np.clip(config.noise_factor * level, config.threshold, config.max_threshold))
+    return float(np.clip(NOISE_FACTOR * level, THRESHOLD, MAX_THRESHOLD))
 
 
-def long_enough(is_ridge: Bool, min_length: int) -> Bool:
-    """The ridge pixels (H, W) in 8-connected lines of at least `min_length`: noise makes short ones."""
+def long_enough(is_ridge: Bool) -> Bool:
+    """The ridge pixels (H, W) in 8-connected lines of at least MIN_LENGTH."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(is_ridge.astype(np.uint8), connectivity=8)
-    keep = stats[:, cv2.CC_STAT_AREA] >= min_length
+    keep = stats[:, cv2.CC_STAT_AREA] >= MIN_LENGTH
     keep[0] = False
     return np.asarray(keep[labels])
-
-
-def suppress(gradient: Gradient, allowed: Bool, threshold: float) -> Float32:
-    """(H, W) float32: sub-pixel offset along the direction at ridge points, nan elsewhere."""
-    return _suppress(gradient.magnitude, gradient.direction, allowed, threshold)
-
-
-def associate(magnitude: Float32, is_ridge: Bool, threshold: float, member_share: float) -> Int32:
-    """(H, W) int32: how many pixels end on each ridge point, itself included; 0 elsewhere."""
-    return _associate(magnitude, is_ridge, threshold, member_share)
 
 
 @jit
@@ -180,6 +167,7 @@ def _suppress(magnitude: Float32, direction: Float32, allowed: Bool, threshold: 
 
 @jit
 def _associate(magnitude: Float32, is_ridge: Bool, threshold: float, member_share: float) -> Int32:
+    """(H, W) int32: how many pixels end on each ridge point, itself included; 0 elsewhere."""
     height, width = magnitude.shape
     floor = threshold * member_share
     target = np.full(height * width, -1, np.int32)

@@ -9,53 +9,48 @@ are rejected: they sit on the slope, on the next edge or on a speck. The median 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from huepose.colorpair.ridges import Ridges
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.support.jit import jit
 
+DISTANCES = (0.6, 0.8, 1.0, 1.2, 1.4)
+"""Of the candidates from the edge, in units of its thickness."""
 
-@dataclass(frozen=True)
-class SamplingConfig:
-    """distances: of the candidates, in units of the thickness; min_width, max_width: bounds of the
-    thickness used, pixels; gate_along: share of the distance between the two sides that a candidate may be
-    off its side's median; gate_across: distance from the axis in whitened units; floor: standard deviation
-    added to the covariance, CIELAB units; min_candidates: fewest candidates inside the mask on each side."""
+MIN_WIDTH_PX, MAX_WIDTH_PX = 2.0, 7.0
+"""Bounds of the thickness that is used."""
 
-    distances: tuple[float, ...] = (0.6, 0.8, 1.0, 1.2, 1.4)
-    min_width: float = 2.0
-    max_width: float = 7.0
-    gate_along: float = 0.35
-    gate_across: float = 2.0
-    floor: float = 1.5
-    min_candidates: int = 3
+GATE_ALONG, GATE_ACROSS = 0.35, 2.0
+"""A candidate may be off its side's median by this share of the distance between the two sides, and off the
+axis by so much in whitened units."""
+
+FLOOR = 1.5
+"""Standard deviation added to the covariance, CIELAB units."""
+
+MIN_CANDIDATES = 3
+"""Fewest of a side that have to lie inside the mask."""
 
 
-def sample_sides(
-    lab: Float32, ridges: Ridges, mask: Bool | None = None, config: SamplingConfig | None = None
-) -> tuple[Float32, Bool]:
+def sample_sides(lab: Float32, ridges: Ridges, mask: Bool | None = None) -> tuple[Float32, Bool]:
     """Colours (N, 2, 3) float32 of the sides against and along each ridge's direction, and which are valid
     (N,).
 
     `lab` (H, W, 3) float32 CIELAB; candidates outside the image or `mask` (H, W) are not used.
     """
-    config = config or SamplingConfig()
     allowed = np.ones(lab.shape[:2], np.bool_) if mask is None else np.ascontiguousarray(mask)
-    widths = np.clip(ridges.widths, config.min_width, config.max_width).astype(np.float32)
+    widths = np.clip(ridges.widths, MIN_WIDTH_PX, MAX_WIDTH_PX).astype(np.float32)
     return _sample(
         np.ascontiguousarray(lab, np.float32),
         allowed,
         ridges.pixels,
         ridges.directions,
         widths,
-        np.asarray(config.distances, np.float32),
-        config.gate_along,
-        config.gate_across,
-        config.floor,
-        config.min_candidates,
+        np.asarray(DISTANCES, np.float32),
+        GATE_ALONG,
+        GATE_ACROSS,
+        FLOOR,
+        MIN_CANDIDATES,
     )
 
 

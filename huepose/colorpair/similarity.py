@@ -15,8 +15,6 @@ The comparison is made with the second pair as it is and swapped; the larger val
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from huepose.geometry.arrays import Float32
@@ -26,21 +24,18 @@ L_ORIGIN = 16.0
 """CIELAB's offset: L + 16 = 116 cbrt(Y), so that gains scale (L + 16, a, b)."""
 
 
-@dataclass(frozen=True)
-class SimilarityConfig:
-    """lightness: weight of L in both directions; direction, contrast: how fast those factors fall with
-    1 - cosine; contrast_floor: contrast relative to the triangle's size under which its direction fades;
-    luminance: standard deviation of the logarithm of the lightness ratio."""
+LIGHTNESS = 0.4
+"""Weight of L in both directions. This and the next four were chosen for the largest area under the ROC curve
+between same and different places of rendered views."""
 
-    lightness: float = 0.4
-    direction: float = 12.0
-    contrast: float = 1.0
-    contrast_floor: float = 0.08
-    luminance: float = 0.2
+DIRECTION, CONTRAST = 12.0, 1.0
+"""How fast those factors fall with 1 - cosine."""
 
+CONTRAST_FLOOR = 0.08
+"""Contrast relative to the triangle's size under which its direction fades."""
 
-IN_USE = SimilarityConfig()
-"""Chosen for the largest area under the ROC curve between same and different places of rendered views."""
+LUMINANCE = 0.2
+"""Standard deviation of the logarithm of the lightness ratio."""
 
 
 def paired_similarity(a: Float32, b: Float32) -> Float32:
@@ -54,14 +49,13 @@ def paired_similarity(a: Float32, b: Float32) -> Float32:
 def shapes(pairs: Float32) -> Float32:
     """What is compared, (N, 11) float32: unit directions of both sides, the contrast with its floor as a unit
     vector in four dimensions, the logarithm of the lightness ratio. Swapping negates [6:9] and [10]."""
-    c = IN_USE
     p = np.asarray(pairs, np.float32).reshape(-1, 2, 3) + np.array([L_ORIGIN, 0, 0], np.float32)
     p[..., 0] = np.maximum(p[..., 0], 1.0)
     ratio = np.log(p[:, 1, 0] / p[:, 0, 0])
-    p[..., 0] *= c.lightness
+    p[..., 0] *= LIGHTNESS
     length = np.linalg.norm(p, axis=2)
     contrast = (p[:, 1] - p[:, 0]) / length.mean(1)[:, None]
-    floor = np.full((len(p), 1), c.contrast_floor, np.float32)
+    floor = np.full((len(p), 1), CONTRAST_FLOOR, np.float32)
     contrast = np.concatenate([contrast, floor], 1)
     contrast /= np.linalg.norm(contrast, axis=1, keepdims=True)
     sides = (p / length[..., None]).reshape(-1, 6)
@@ -70,7 +64,7 @@ def shapes(pairs: Float32) -> Float32:
 
 def parameters() -> tuple[float, float, float]:
     """Factors of the three terms as compiled loops take them."""
-    return IN_USE.direction, IN_USE.contrast, 0.5 / IN_USE.luminance**2
+    return DIRECTION, CONTRAST, 0.5 / LUMINANCE**2
 
 
 @jit

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.colorpair.extract import ExtractionConfig, extract
+from huepose.colorpair.extract import extract
 from huepose.colorpair.lifting import lift
 from huepose.colorpair.similarity import paired_similarity
 from huepose.colorpair.types import SurfacePairs
@@ -76,7 +76,8 @@ MAX_PAIRS = 8000
 MERGE = 0.012
 """Distance, in diameters, within which pairs of different views are one."""
 
-EXTRACTION = ExtractionConfig(max_pairs=4000)
+PAIRS_OF_A_VIEW = 4000
+"""Most that are extracted."""
 
 
 def reference_cameras(diameter_m: float) -> list[tuple[Camera, Float64]]:
@@ -141,7 +142,7 @@ def _all_pairs(views: Sequence[PairView]) -> tuple[SurfacePairs, Int32]:
     parts, owners = [], []
     for index, view in enumerate(views):
         seen = view.depth > 0
-        pairs = extract(view.color, seen, EXTRACTION)
+        pairs = extract(view.color, seen, max_pairs=PAIRS_OF_A_VIEW)
         lifted, _ = lift(
             pairs, view.depth, seen, view.camera, radius_px=2, gate_m=0.02, min_facing=MIN_FACING
         )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from huepose.colorpair.extract import ExtractionConfig, extract
+from huepose.colorpair.extract import extract
 from huepose.colorpair.similarity import paired_similarity
 from huepose.colorpair.types import ColorPairs
 from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
@@ -78,7 +78,7 @@ def match(
     elif pairs is not None:
         ridge = ColorPairs(pairs.pixels - corner, pairs.directions, pairs.widths, pairs.colors)
     else:
-        ridge = extract(color_a[window], mask, ExtractionConfig(spacing=3.0, max_pairs=MAX_PAIRS))
+        ridge = pairs_to_follow(color_a[window], mask)
     pixels = np.concatenate([ridge.pixels, grid]).astype(np.float32)
     if not len(pixels):
         none = np.zeros((0, 2))
@@ -106,6 +106,11 @@ def match(
         (weights * similarity)[good],
         similarity[good],
     )
+
+
+def pairs_to_follow(color: UInt8, mask: Bool) -> ColorPairs:
+    """The colour pairs of an object's pixels (H, W) that are followed from a picture (H, W, 3)."""
+    return extract(color, mask, spacing=3.0, max_pairs=MAX_PAIRS)
 
 
 def side_color_similarity(color_a: UInt8, color_b: UInt8, pixels: Float64, flow: Flow) -> Float64:

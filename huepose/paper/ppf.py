@@ -5,7 +5,7 @@ no rigid motion changes; together with a scene point pair, an entry of the table
 about the normal open, which is voted for per model point. Here both points also carry their colour class, so
 flat objects, whose pairs all have the same angles, still tell something; pairs that lie in one plane *and*
 have one class are left out. The method is covered by EP 2385483 and US 8830229 in some countries:
-`PpfConfig` can be None everywhere, and then nothing of this module runs.
+`PpfConfig` can be None wherever poses are asked for, and then none is voted for here.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from huepose.support.jit import jit
 
 @dataclass(frozen=True)
 class PpfConfig:
-    """bin: of the distance, in diameters; angles: bins of half a turn; points: most model points (0: no
-    table); rows: most table rows; min_distance: of a pair, in diameters; references: scene reference points;
-    partners: scene points paired with each; peaks: share of the highest vote that another needs to count."""
+    """bin: of the distance, in diameters; angles: bins of half a turn; points: most model points; rows:
+    most table rows; min_distance: of a pair, in diameters; references: scene reference points; partners:
+    scene points paired with each; peaks: share of the highest vote that another needs to count."""
 
     bin: float = 0.05
     angles: int = 12
@@ -44,8 +44,6 @@ def build_ppf(cloud: ClassifiedCloud, diameter_m: float, config: PpfConfig) -> t
     """
     rng = np.random.default_rng(0)
     spacing = 0.03
-    if not config.points:
-        return np.zeros(0, np.int64), np.zeros((0, 2), np.int32), np.zeros(0, np.float32)
     chosen: Int = np.arange(len(cloud))
     while len(chosen) > config.points:
         chosen = sparse(cloud, spacing * diameter_m)

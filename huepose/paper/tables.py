@@ -8,8 +8,6 @@ diameter), and what a point weighs (how many views saw its pair, and how strong 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from huepose.colorpair.types import SurfacePairs
@@ -24,42 +22,34 @@ SURE_VIEWS, SURE_CONTRAST = 3.0, 25.0
 """A pair that so many views saw, with a contrast of so many CIELAB units, has the full weight of 1."""
 
 
-@dataclass(frozen=True)
-class TableConfig:
-    """classes: most semantic classes; side_offset: of the classified points from the edge, in diameters;
-    cloud_spacing: of points of one class, in diameters; ppf: None for none (see `paper.ppf` for why)."""
+CLASSES = 8
+"""Most semantic classes."""
 
-    classes: int = 8
-    side_offset: float = 0.012
-    cloud_spacing: float = 0.02
-    triangles: TriangleConfig = field(default_factory=TriangleConfig)
-    ppf: PpfConfig | None = field(default_factory=PpfConfig)
+SIDE_OFFSET, CLOUD_SPACING = 0.012, 0.02
+"""Of the classified points from the edge, and of points of one class from each other, in diameters."""
 
 
-def build_tables(
-    pairs: SurfacePairs, seen: Int32, diameter_m: float, config: TableConfig | None = None
-) -> PaperTables:
+def build_tables(pairs: SurfacePairs, seen: Int32, diameter_m: float) -> PaperTables:
     """Classes, classified cloud, triangles and point pairs of a model.
 
     pairs: its coarse colour pairs (N), in the object's frame; seen (N,): how many views saw each. Without
     pairs all tables are empty. Deterministic.
     """
-    config = config or TableConfig()
+    for_triangles, for_pairs = TriangleConfig(), PpfConfig()
     if len(pairs):
-        centers = color_classes(pairs.colors.reshape(-1, 3), config.classes)
+        centers = color_classes(pairs.colors.reshape(-1, 3), CLASSES)
     else:
         centers = np.zeros((1, 3), np.float32)
     classes = nearest_class(pairs.colors, centers)
     share = np.minimum(seen / SURE_VIEWS, 1.0).astype(np.float32)
     contrast = np.linalg.norm(pairs.colors[:, 1] - pairs.colors[:, 0], axis=1)
     weights = share * np.minimum(contrast / SURE_CONTRAST, 1.0)
-    offset_m = config.side_offset * diameter_m
+    offset_m = SIDE_OFFSET * diameter_m
     sides = np.stack([weights, weights], 1)
     cloud = decoupled(pairs.points, pairs.normals, pairs.tangents, classes, sides, offset_m)
-    cloud = cloud[sparse(cloud, config.cloud_spacing * diameter_m)]
-    triangle_keys, triangles = build_triangles(cloud, diameter_m, config.triangles)
-    ppf_config = config.ppf or PpfConfig(points=0)
-    ppf_keys, ppf, ppf_alpha = build_ppf(cloud, diameter_m, ppf_config)
+    cloud = cloud[sparse(cloud, CLOUD_SPACING * diameter_m)]
+    triangle_keys, triangles = build_triangles(cloud, diameter_m, for_triangles)
+    ppf_keys, ppf, ppf_alpha = build_ppf(cloud, diameter_m, for_pairs)
     return PaperTables(
         centers=centers,
         side_classes=classes,
@@ -74,8 +64,8 @@ def build_tables(
         ppf_alpha=ppf_alpha,
         parameters={
             "side_offset_m": offset_m,
-            "triangle_bin_m": config.triangles.bin * diameter_m,
-            "ppf_bin_m": ppf_config.bin * diameter_m,
+            "triangle_bin_m": for_triangles.bin * diameter_m,
+            "ppf_bin_m": for_pairs.bin * diameter_m,
         },
     )
 

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.colorpair.extract import ExtractionConfig, extract
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.kabsch import MIN_INLIERS
-from huepose.paper.correspondences import MAX_PAIRS, match
+from huepose.paper.correspondences import match, pairs_to_follow
 from huepose.paper.relative_pose import LiftedMatches, lift_matches
 from huepose.paper.rotation_network import Kind, fixed_count, posed
 from huepose.paper.tracking import GROWTH
@@ -53,8 +52,8 @@ def draw_turns(rng: np.random.Generator, props: Props, ranges: ViewRange | None 
 def turns_of(views: Views) -> Iterator[Turn]:
     """The pairs of views between which enough matches are found, there and back."""
     seen = [mask.sum() >= MIN_PIXELS for mask in views.masks]
-    config = ExtractionConfig(spacing=3.0, max_pairs=MAX_PAIRS)
-    pairs = [extract(f.color, mask, config) for f, mask in zip(views.frames, views.masks, strict=True)]
+    pictures = [f.color for f in views.frames]
+    pairs = [pairs_to_follow(*each) for each in zip(pictures, views.masks, strict=True)]
     for i, j in PAIRS:
         if not (seen[i] and seen[j]):
             continue

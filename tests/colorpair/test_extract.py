@@ -6,16 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from huepose.colorpair.extract import (
-    bounds,
-    denoise,
-    extract,
-    extract_pairs,
-    joint_bilateral,
-    prepare_picture,
-    thinned,
-    to_lab,
-)
+from huepose.colorpair.extract import denoise, extract, joint_bilateral, thinned, to_lab
 
 
 def test_a_constant_image_stays_what_it_is() -> None:
@@ -30,7 +21,7 @@ def test_chroma_noise_is_divided_and_the_edge_stays() -> None:
     clean[:, 30:] = (75, -15, 30)
     noisy = clean.copy()
     noisy[..., 1:] += rng.normal(0, 6, noisy[..., 1:].shape).astype(np.float32)
-    out = joint_bilateral(noisy, 2, 1.5, 6.0)
+    out = joint_bilateral(noisy)
     np.testing.assert_array_equal(out[..., 0], noisy[..., 0])
     assert (out - clean)[..., 1:].std() < 0.45 * (noisy - clean)[..., 1:].std()
     # lightness guides: the columns at the edge keep their own side's colours
@@ -41,7 +32,7 @@ def test_chroma_noise_is_divided_and_the_edge_stays() -> None:
 def test_without_a_lightness_edge_chroma_is_blurred() -> None:
     lab = np.full((20, 20, 3), 50, np.float32)
     lab[:, 10:, 1] = 80
-    out = joint_bilateral(lab, 2, 1.5, 6.0)
+    out = joint_bilateral(lab)
     assert 50 < out[10, 9, 1] < 65 < out[10, 10, 1] < 80
 
 
@@ -89,15 +80,6 @@ def test_a_mask_keeps_both_sides_inside() -> None:
     inner = np.zeros((240, 320), bool)
     inner[90:150, 110:170] = True
     assert len(extract(square(), inner)) == 0
-
-
-def test_a_shared_picture_gives_the_same_pairs() -> None:
-    mask = np.zeros((240, 320), bool)
-    mask[60:180, 60:200] = True
-    picture = prepare_picture(square(), bounds(mask, 8), 1.0)
-    alone, shared = extract(square(), mask), extract_pairs(picture, mask)
-    np.testing.assert_array_equal(alone.pixels, shared.pixels)
-    np.testing.assert_array_equal(alone.colors, shared.colors)
 
 
 def test_a_gain_of_light_leaves_places_alone() -> None:

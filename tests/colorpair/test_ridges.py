@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from huepose.colorpair.ridges import RidgeConfig, Ridges, find_ridges, long_enough, unified_gradient
+from huepose.colorpair import ridges as module
+from huepose.colorpair.ridges import Ridges, find_ridges, long_enough, unified_gradient
 from tests.kernels import compiled
 
 
@@ -90,15 +91,17 @@ def test_thickness_is_sharpness_not_contrast(angle_deg: float) -> None:
     assert thickness(0.0) < thickness(1.0) < thickness(2.0) < thickness(3.0)
 
 
-def test_mask_and_noise() -> None:
+def test_mask_and_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     lab = edge(0.0, 0.0, 1.0)
     mask = np.zeros((60, 60), bool)
     mask[:20] = True
     assert (find_ridges(unified_gradient(lab), mask).cells[:, 0] < 20).all()
     rng = np.random.default_rng(0)
     noisy = np.full((80, 80, 3), 50, np.float32) + rng.normal(0, 2.0, (80, 80, 3)).astype(np.float32)
-    found = len(find_ridges(unified_gradient(noisy), config=RidgeConfig()))
-    careless = len(find_ridges(unified_gradient(noisy), config=RidgeConfig(noise_factor=0, min_length=1)))
+    found = len(find_ridges(unified_gradient(noisy)))
+    monkeypatch.setattr(module, "NOISE_FACTOR", 0.0)
+    monkeypatch.setattr(module, "MIN_LENGTH", 1)
+    careless = len(find_ridges(unified_gradient(noisy)))
     assert found < 0.25 * careless
 
 
@@ -106,7 +109,7 @@ def test_short_lines_are_dropped() -> None:
     lines = np.zeros((10, 20), bool)
     lines[2, 2:5] = True
     lines[6, 2:12] = True
-    assert long_enough(lines, 5).sum() == 10
+    assert long_enough(lines).sum() == 10
 
 
 def test_a_black_picture_compiles_no_kernel_anew() -> None:

@@ -9,7 +9,7 @@ from huepose.colorpair.types import SurfacePairs
 from huepose.geometry import se3
 from huepose.model.types import ReferenceModel
 from huepose.onboarding.pairs import PairView, coarse_and_fine, merged, pair_reference, reference_cameras
-from huepose.paper.tables import TableConfig, build_tables
+from huepose.paper.tables import build_tables
 from huepose.rendering.render import render
 from huepose.support.errors import InputError
 
@@ -60,10 +60,6 @@ def test_the_same_views_give_the_same_reference(tea_box: ReferenceModel) -> None
     np.testing.assert_array_equal(a.points, b.points)
     s, t = (build_tables(coarse.pairs, coarse.seen, diameter_m) for coarse, _ in both)
     np.testing.assert_array_equal(s.triangle_keys, t.triangle_keys)
-    coarse, _ = both[0]
-    no_ppf = build_tables(coarse.pairs, coarse.seen, diameter_m, TableConfig(ppf=None))
-    assert len(no_ppf.ppf_keys) == 0
-    assert len(no_ppf.triangle_keys) > 0
 
 
 def test_views_are_needed_but_texture_is_not() -> None:

@@ -86,4 +86,3 @@ def test_one_plane_of_one_class_tells_nothing(painted: ClassifiedCloud) -> None:
     top = painted[painted.normals[:, 2] > 0.5]
     even = ClassifiedCloud(top.points, top.normals, np.zeros(len(top), np.uint8), top.weights)
     assert len(build_ppf(even, DIAMETER, CONFIG)[0]) == 0
-    assert len(build_ppf(painted, DIAMETER, PpfConfig(points=0))[0]) == 0

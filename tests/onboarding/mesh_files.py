@@ -161,3 +161,23 @@ def write_glb(
     if material is not None:
         w.tree["materials"] = [material]
     w.write(path, [{"mesh": index, **(node or {})}], [0])
+
+
+def write_gltf(folder: Path, mesh: Mesh, uv: tuple[str, np.ndarray] | None = None, **changes: object) -> Path:
+    """A .gltf with buffer m.bin and texture print.png beside it; uv: another name and other values (N, 2) of
+    the texture coordinates; `changes` replace parts of its tree."""
+    w = GlbWriter()
+    name, coordinates = uv or ("TEXCOORD_0", mesh.uv.reshape(-1, 2))
+    attributes = {
+        "POSITION": w.accessor(mesh.vertices[mesh.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
+        name: w.accessor(coordinates.astype("<f4"), "VEC2"),
+    }
+    index = w.mesh(attributes, material=0)
+    write_png(folder / "print.png", mesh.texture)
+    (folder / "m.bin").write_bytes(w.chunk)
+    tree = {k: w.tree[k] for k in ("asset", "bufferViews", "accessors", "meshes")}
+    tree |= {"images": [{"uri": "print.png"}], "textures": [{"source": 0}], "buffers": [{"uri": "m.bin"}]}
+    tree |= {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]}
+    tree |= {"nodes": [{"mesh": index}], "scenes": [{"nodes": [0]}]}
+    (folder / "m.gltf").write_text(json.dumps(tree | changes))
+    return folder / "m.gltf"

@@ -23,13 +23,6 @@ CORNERS = "v 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\nvt 0 0\nvt 1 0\nvt 0 1\n"
 FACES = "f 1/1 2/2 3/3\nf 1/1 2/2 4/3\n"
 
 
-@pytest.fixture(scope="module")
-def printed_box() -> Mesh:
-    rng = np.random.default_rng(3)
-    pictures = {side: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for side in solids.SIDES}
-    return solids.box((0.08, 0.06, 0.04), pictures)
-
-
 def write_obj(folder: Path, mtl: str = "newmtl p\nmap_Kd print.png\n", body: str = FACES) -> Path:
     """A small OBJ of material `p`; `print.png` lies beside it."""
     path = folder / "m.obj"
@@ -37,24 +30,6 @@ def write_obj(folder: Path, mtl: str = "newmtl p\nmap_Kd print.png\n", body: str
     path.with_suffix(".mtl").write_text(mtl)
     files.write_png(folder / "print.png", np.full((8, 8, 3), 90, np.uint8))
     return path
-
-
-def write_gltf(folder: Path, mesh: Mesh, **changes: object) -> Path:
-    """A .gltf with buffer m.bin and texture print.png beside it; `changes` replace parts of its tree."""
-    w = files.GlbWriter()
-    attributes = {
-        "POSITION": w.accessor(mesh.vertices[mesh.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
-        "TEXCOORD_0": w.accessor(mesh.uv.reshape(-1, 2).astype("<f4"), "VEC2"),
-    }
-    index = w.mesh(attributes, material=0)
-    files.write_png(folder / "print.png", mesh.texture)
-    (folder / "m.bin").write_bytes(w.chunk)
-    tree = {k: w.tree[k] for k in ("asset", "bufferViews", "accessors", "meshes")}
-    tree |= {"images": [{"uri": "print.png"}], "textures": [{"source": 0}], "buffers": [{"uri": "m.bin"}]}
-    tree |= {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]}
-    tree |= {"nodes": [{"mesh": index}], "scenes": [{"nodes": [0]}]}
-    (folder / "m.gltf").write_text(json.dumps(tree | changes))
-    return folder / "m.gltf"
 
 
 def naming(folder: Path, mesh: Mesh, kind: str, name: str) -> Path:
@@ -71,8 +46,8 @@ def naming(folder: Path, mesh: Mesh, kind: str, name: str) -> Path:
         (folder / "m.ply").write_bytes(data.replace(b"File m.png", f"File {name}".encode()))
         return folder / "m.ply"
     if kind == "texture of gltf":
-        return write_gltf(folder, mesh, images=[{"uri": name}])
-    return write_gltf(folder, mesh, buffers=[{"uri": name}])
+        return files.write_gltf(folder, mesh, images=[{"uri": name}])
+    return files.write_gltf(folder, mesh, buffers=[{"uri": name}])
 
 
 KINDS = ("texture of obj", "material file", "texture of ply", "texture of gltf", "buffer")
@@ -87,7 +62,7 @@ def test_only_files_under_the_mesh_folder_are_read(
     inside.mkdir()
     outside.mkdir()
     write_obj(outside)
-    write_gltf(outside, printed_box)
+    files.write_gltf(outside, printed_box)
     good = {"material file": "m.mtl", "buffer": "m.bin"}.get(kind, "print.png")
     secret = f"secret{Path(good).suffix}"
     (outside / good).rename(tmp_path / secret)
@@ -202,19 +177,21 @@ def test_a_small_glb_cannot_show_its_mesh_without_end(
 ) -> None:
     twice = [{"children": [i + 1, i + 1]} for i in range(40)] + [{"mesh": 0}]
     with pytest.raises(InputError, match=r"node 40 is met twice"):
-        read_mesh(write_gltf(tmp_path, printed_box, nodes=twice))
+        read_mesh(files.write_gltf(tmp_path, printed_box, nodes=twice))
     many = [{"children": list(range(1, 500_001))}] + [{"mesh": 0}] * 500_000
     with pytest.raises(InputError, match=r"found 500001 nodes or meshes; expected at most 10000"):
-        read_mesh(write_gltf(tmp_path, printed_box, nodes=many))
+        read_mesh(files.write_gltf(tmp_path, printed_box, nodes=many))
     monkeypatch.setattr(raw_mesh, "LARGEST_FACES", 12 * 99)
     with pytest.raises(InputError, match=r"found 1200 triangles"):
         read_mesh(
-            write_gltf(tmp_path, printed_box, nodes=many[-1:] * 100, scenes=[{"nodes": list(range(100))}])
+            files.write_gltf(
+                tmp_path, printed_box, nodes=many[-1:] * 100, scenes=[{"nodes": list(range(100))}]
+            )
         )
 
 
 def test_rows_of_a_buffer_cannot_lie_over_each_other(tmp_path: Path, printed_box: Mesh) -> None:
-    path = write_gltf(tmp_path, printed_box)
+    path = files.write_gltf(tmp_path, printed_box)
     tree = json.loads(path.read_text())
     tree["bufferViews"][0]["byteStride"] = 0
     tree["accessors"][0]["count"] = 3_000_000  # 72 MB of 12 bytes
@@ -339,7 +316,7 @@ DAMAGED_GLTF = {
 @pytest.mark.parametrize("how", DAMAGED_GLTF)
 def test_damaged_gltf_is_an_input_error(tmp_path: Path, printed_box: Mesh, how: str) -> None:
     damage = DAMAGED_GLTF[how]
-    path = write_gltf(tmp_path, printed_box, **(damage if isinstance(damage, dict) else {}))
+    path = files.write_gltf(tmp_path, printed_box, **(damage if isinstance(damage, dict) else {}))
     if not isinstance(damage, dict):
         path.write_bytes(damage if isinstance(damage, bytes) else damage.encode())
     with pytest.raises(InputError, match=r"(m\.gltf|x{200}|/tmp.*): found "):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import struct
 from pathlib import Path
 
@@ -184,44 +183,30 @@ def test_meshes_of_a_gltf_are_merged_and_strips_and_colors_read(tmp_path: Path) 
 
 
 def test_gltf_may_be_in_parts(tmp_path: Path, printed_box: Mesh) -> None:
-    w = files.GlbWriter()
-    attributes = {
-        "POSITION": w.accessor(printed_box.vertices[printed_box.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
-        "TEXCOORD_0": w.accessor(printed_box.uv.reshape(-1, 2).astype("<f4"), "VEC2"),
-    }
-    index = w.mesh(attributes, material=0)
-    files.write_png(tmp_path / "my print.png", printed_box.texture)
-    tree = {k: w.tree[k] for k in ("asset", "bufferViews", "accessors", "meshes")}
-    tree |= {"images": [{"uri": "my%20print.png"}], "textures": [{"source": 0}]}
-    tree |= {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]}
-    tree |= {"nodes": [{"mesh": index}], "scenes": [{"nodes": [0]}]}
-    inline = "data:application/octet-stream;base64," + base64.b64encode(w.chunk).decode()
-    (tmp_path / "m.bin").write_bytes(w.chunk)
-    for uri in ("m.bin", inline):
-        (tmp_path / "m.gltf").write_text(json.dumps(tree | {"buffers": [{"uri": uri}]}))
-        assert_same(read_mesh(tmp_path / "m.gltf"), printed_box)
-    (tmp_path / "m.gltf").write_text(json.dumps(tree | {"buffers": [{"uri": "gone.bin"}]}))
+    images = [{"uri": "my%20print.png"}]
+    path = files.write_gltf(tmp_path, printed_box, images=images)
+    (tmp_path / "print.png").rename(tmp_path / "my print.png")
+    assert_same(read_mesh(path), printed_box)
+    inline = base64.b64encode((tmp_path / "m.bin").read_bytes()).decode()
+    buffers = [{"uri": f"data:application/octet-stream;base64,{inline}"}]
+    assert_same(
+        read_mesh(files.write_gltf(tmp_path, printed_box, images=images, buffers=buffers)), printed_box
+    )
+    files.write_gltf(tmp_path, printed_box, images=images, buffers=[{"uri": "gone.bin"}])
     with pytest.raises(InputError, match=r"gone.bin: found no such file; expected the buffer, which m.gltf"):
-        read_mesh(tmp_path / "m.gltf")
+        read_mesh(path)
 
 
 def test_a_gltf_texture_may_be_scaled_turned_and_moved(tmp_path: Path, printed_box: Mesh) -> None:
     """KHR_texture_transform: half and double scale, a quarter turn ((a, b) to (b, -a)), then (0, 1)."""
     u, v = printed_box.uv.reshape(-1, 2).T
-    w = files.GlbWriter()
-    attributes = {
-        "POSITION": w.accessor(printed_box.vertices[printed_box.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
-        "TEXCOORD_1": w.accessor(np.stack([2.0 * (1.0 - v), 0.5 * u], -1).astype("<f4"), "VEC2"),
-    }
-    index = w.mesh(attributes, material=0)
-    files.write_png(tmp_path / "print.png", printed_box.texture)
     transform = {"scale": [0.5, 2.0], "rotation": np.pi / 2, "offset": [0.0, 1.0], "texCoord": 1}
     texture = {"index": 0, "extensions": {"KHR_texture_transform": transform}}
-    (tmp_path / "m.bin").write_bytes(w.chunk)
-    tree = {k: w.tree[k] for k in ("asset", "bufferViews", "accessors", "meshes")}
-    tree |= {"images": [{"uri": "print.png"}], "textures": [{"source": 0}]}
-    tree |= {"materials": [{"pbrMetallicRoughness": {"baseColorTexture": texture}}]}
-    tree |= {"nodes": [{"mesh": index}], "scenes": [{"nodes": [0]}], "buffers": [{"uri": "m.bin"}]}
-    tree |= {"extensionsRequired": ["KHR_texture_transform"]}
-    (tmp_path / "m.gltf").write_text(json.dumps(tree))
-    assert_same(read_mesh(tmp_path / "m.gltf"), printed_box)
+    path = files.write_gltf(
+        tmp_path,
+        printed_box,
+        ("TEXCOORD_1", np.stack([2.0 * (1.0 - v), 0.5 * u], -1)),
+        materials=[{"pbrMetallicRoughness": {"baseColorTexture": texture}}],
+        extensionsRequired=["KHR_texture_transform"],
+    )
+    assert_same(read_mesh(path), printed_box)

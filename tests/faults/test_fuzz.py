@@ -109,10 +109,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-def _mesh() -> Any:
-    rng = np.random.default_rng(3)
-    pictures = {side: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for side in solids.SIDES}
-    return solids.box((0.08, 0.06, 0.04), pictures)
+PRINTED = solids.printed_box((0.08, 0.06, 0.04), seed=3)
 
 
 def mesh(form: str, write: Callable[[Path], None], spoilt: tuple[str, ...], main: str) -> Reader:
@@ -127,7 +124,7 @@ def mesh(form: str, write: Callable[[Path], None], spoilt: tuple[str, ...], main
 
 
 def _write_ply(path: Path, binary: bool, lists: bool) -> None:
-    meshes.write_ply(path, _mesh(), binary=binary, lists=lists)
+    meshes.write_ply(path, PRINTED, binary=binary, lists=lists)
 
 
 def _model(folder: Path) -> dict[str, bytes]:
@@ -223,10 +220,10 @@ READERS = (
     Reader(
         "configuration", _configuration, lambda folder: load(folder / "pipeline.yaml"), ("pipeline.yaml",)
     ),
-    mesh("obj", lambda path: meshes.write_obj(path, _mesh()), ("m.obj", "m.mtl", "m.png"), "m.obj"),
+    mesh("obj", lambda path: meshes.write_obj(path, PRINTED), ("m.obj", "m.mtl", "m.png"), "m.obj"),
     mesh("ply ascii", partial(_write_ply, binary=False, lists=True), ("m.ply",), "m.ply"),
     mesh("ply binary", partial(_write_ply, binary=True, lists=False), ("m.ply",), "m.ply"),
-    mesh("glb", lambda path: meshes.write_glb(path, _mesh()), ("m.glb",), "m.glb"),
+    mesh("glb", lambda path: meshes.write_glb(path, PRINTED), ("m.glb",), "m.glb"),
     Reader(
         "pictures",
         _pictures,

@@ -38,6 +38,12 @@ def box(extents: tuple[float, float, float], pictures: dict[str, np.ndarray] | N
     return Mesh(np.array(vertices, np.float32), np.array(faces, np.int32), np.array(uv, np.float32), texture)
 
 
+def printed_box(extents: tuple[float, float, float], seed: int = 0) -> Mesh:
+    """A box whose sides are all of noise: every texel is used."""
+    rng = np.random.default_rng(seed)
+    return box(extents, {side: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for side in SIDES})
+
+
 def lathe(profile: list[tuple[float, float]], texture: np.ndarray, segments: int = 64) -> Mesh:
     """A profile of (radius, z) turned about z, from the bottom to the top, the texture wrapped round it:
     columns are angles, rows go along the profile. Ends of zero radius close it."""

@@ -32,23 +32,17 @@ def arrays_of(part: object, prefix: str = "") -> dict[str, np.ndarray]:
     return out
 
 
-def test_onboarding_is_deterministic_and_says_its_stages(tea_box: ReferenceModel) -> None:
+def test_onboarding_is_deterministic_says_its_stages_and_makes_tables_only_when_asked_for(
+    tea_box: ReferenceModel,
+) -> None:
     stages: list[str] = []
-    again = onboard_mesh(tea_box.mesh, "tea_box", paper=True, report=stages.append)
+    bare = onboard_mesh(tea_box.mesh, "tea_box", report=stages.append)
     assert stages == list(STAGES[1:])  # reading a mesh is the first
-    first, second = arrays_of(tea_box), arrays_of(again)
-    assert first.keys() == second.keys()
-    for name, array in first.items():
-        assert array.dtype == second[name].dtype, name
-        np.testing.assert_array_equal(array, second[name], err_msg=name)
-
-
-def test_tables_are_made_only_when_asked_for(tea_box: ReferenceModel) -> None:
-    bare = onboard_mesh(tea_box.mesh, "tea_box")
     assert bare.tables is None
     with_tables, without = arrays_of(tea_box), arrays_of(bare)
     assert without.keys() == {name for name in with_tables if not name.startswith("tables.")}
     for name, array in without.items():
+        assert array.dtype == with_tables[name].dtype, name
         np.testing.assert_array_equal(array, with_tables[name], err_msg=name)
 
 
@@ -104,12 +98,9 @@ def test_long_meshes_are_judged_on_a_stride_of_vertices() -> None:
 def bop_folder(folder: Path) -> Path:
     """Two boxes, one as PLY and one as OBJ, and what BOP and we say of them."""
     folder.mkdir()
-    rng = np.random.default_rng(0)
-    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
-    files.write_ply(
-        folder / "obj_000003.ply", solids.box((0.08, 0.06, 0.04), pictures), binary=True, lists=False
-    )
-    files.write_obj(folder / "obj_000012.obj", solids.box((0.05, 0.05, 0.09), pictures))
+    small, tall = solids.printed_box((0.08, 0.06, 0.04)), solids.printed_box((0.05, 0.05, 0.09))
+    files.write_ply(folder / "obj_000003.ply", small, binary=True, lists=False)
+    files.write_obj(folder / "obj_000012.obj", tall)
     infos = {"3": {"diameter": 107.7, "name": "Sugar Box (small)"}, "12": {"diameter": 114.5}}
     (folder / "models_info.json").write_text(json.dumps(infos))
     offsets = {"021_tall": {"bop_obj_id": 12, "posecnn_to_bop_t_mm": [1.5, -2.0, 3.0]}}

@@ -16,8 +16,7 @@ import pytest
 
 from huepose.evaluation import suitability
 from huepose.model import load_models
-from huepose.onboarding import simplify
-from huepose.onboarding.batch import Job
+from huepose.onboarding import batch, simplify
 from huepose_services.cli.main import main
 from huepose_services.cli.mesh_unit import with_unit
 from tests.onboarding import mesh_files as files
@@ -26,19 +25,21 @@ from tests.onboarding import solids
 
 @pytest.fixture
 def mesh(tmp_path: Path) -> Path:
-    rng = np.random.default_rng(0)
-    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
-    files.write_glb(tmp_path / "brick.glb", solids.box((0.05, 0.04, 0.03), pictures))
+    files.write_glb(tmp_path / "brick.glb", solids.printed_box((0.05, 0.04, 0.03)))
     return tmp_path / "brick.glb"
 
 
-def test_a_mesh_becomes_a_model(mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_mesh_becomes_a_model(
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(batch, "MANY_TRIANGLES", 12)  # all that the brick has
     declared = tmp_path / "symmetric.json"
     declared.write_text(json.dumps({"symmetries_continuous": [{"axis": [0, 0, 1]}]}))
     out = tmp_path / "bundles"
     arguments = ["onboard", "--no-test", str(mesh), "--name", "red_brick", "--id", "5", "--out", str(out)]
     assert main([*arguments, "--symmetric", str(declared)]) == 0
-    line = capsys.readouterr().out
+    line, said = capsys.readouterr()
+    assert "simplifying" not in said
     assert line.startswith("red_brick")
     assert "5.0 x 4.0 x 3.0 cm" in line
     assert "72 rotations look the same" in line
@@ -49,41 +50,27 @@ def test_a_mesh_becomes_a_model(mesh: Path, tmp_path: Path, capsys: pytest.Captu
     assert model.tables is None
 
 
-def test_how_an_object_is_turned_about_an_axis_need_not_matter(
-    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_model_gets_what_is_asked_for_and_a_mesh_that_is_simplified_for_long_says_so(
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(batch, "MANY_TRIANGLES", 11)
     out = tmp_path / "bundles"
     arguments = ["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(out)]
-    assert main([*arguments, "--symmetric", "y"]) == 0
-    assert "2 rotations look the same" in capsys.readouterr().out
-    half_turn = load_models(out)["brick"].equivalents[1]
-    np.testing.assert_allclose(np.diag(half_turn), [-1.0, 1.0, -1.0, 1.0], atol=1e-3)
-
-
-def test_a_model_that_replaces_another_of_its_name_says_so(
-    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "bundles"
-    other, black = tmp_path / "other.glb", np.zeros((64, 64, 3), np.uint8)
-    files.write_glb(other, solids.box((0.06, 0.04, 0.03), dict.fromkeys(solids.SIDES, black)))
-
-    def onboard(one: Path) -> int:
-        return main(["onboard", "--no-test", str(one), "--name", "brick", "--out", str(out)])
-
-    assert onboard(mesh) == onboard(mesh) == 0
-    assert "replaced" not in capsys.readouterr().err  # the same model again
-    assert onboard(other) == 0
-    said = capsys.readouterr().err
-    assert f"note: {out / 'brick.huepose'} replaced another reference model named brick, made on " in said
-    assert said.count("replaced") == 1
+    assert main([*arguments, "--symmetric", "y", "--paper"]) == 0
+    line, said = capsys.readouterr()
+    assert "2 rotations look the same" in line
+    assert "with the paper's tables" in line
+    assert "simplifying 12 triangles, which may take minutes" in said
+    model = load_models(out)["brick"]
+    np.testing.assert_allclose(np.diag(model.equivalents[1]), [-1.0, 1.0, -1.0, 1.0], atol=1e-3)
+    assert model.tables is not None
+    assert len(model.tables.cloud_points) > 0
 
 
 def test_a_folder_of_models_says_what_it_replaces_and_forgets_what_was_said_of_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rng = np.random.default_rng(0)
-    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
-    files.write_obj(tmp_path / "obj_000001.obj", solids.box((0.05, 0.04, 0.03), pictures))
+    files.write_obj(tmp_path / "obj_000001.obj", solids.printed_box((0.05, 0.04, 0.03)))
     out = tmp_path / "bundles"
     one = [str(tmp_path / "obj_000001.obj"), "--name", "obj_000001", "--id", "1", "--unit", "mm"]
     assert main(["onboard", "--no-test", *one, "--symmetric", "z", "--out", str(out)]) == 0
@@ -105,12 +92,12 @@ def test_a_folder_of_models_says_what_it_replaces_and_forgets_what_was_said_of_i
     assert all(path.exists() for path in said_of_it)
 
 
-def test_validate_repeats_the_verdict_on_an_object_that_suits_with_limits_or_not_at_all(
+def test_validate_repeats_the_verdict_on_an_object_until_another_model_of_its_name_replaces_it(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(suitability, "self_test", partial(suitability.self_test, count=4))
     out, plain, pipeline = tmp_path / "bundles", tmp_path / "plain.glb", tmp_path / "pipeline.yaml"
-    red = np.full((64, 64, 3), (200, 40, 30), np.uint8)
+    red = solids.plain((200, 40, 30))
     files.write_glb(plain, solids.box((0.05, 0.04, 0.03), dict.fromkeys(solids.SIDES, red)))
     pipeline.write_text(json.dumps({"bundles": "bundles", "objects": [{"name": "brick"}]}))
     given = ["--name", "brick", "--out", str(out)]
@@ -121,22 +108,14 @@ def test_validate_repeats_the_verdict_on_an_object_that_suits_with_limits_or_not
     assert f"\n  NOTE     {verdict}\n" in capsys.readouterr().out
     assert main(["onboard", "--no-test", str(plain), *given]) == 0
     assert (out / "brick.png").exists(), "the same model"
+    assert "replaced" not in capsys.readouterr().err
     assert main(["onboard", "--no-test", str(mesh), *given]) == 0  # another model: nothing is known of it
     assert sorted(path.name for path in out.iterdir()) == ["brick.huepose"]
-    capsys.readouterr()
+    said = capsys.readouterr().err
+    assert f"note: {out / 'brick.huepose'} replaced another reference model named brick, made on " in said
+    assert said.count("replaced") == 1
     assert main(["validate", str(pipeline)]) == 0
     assert "NOTE" not in capsys.readouterr().out
-
-
-def test_a_model_gets_the_papers_tables_when_asked(
-    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "bundles"
-    assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(out), "--paper"]) == 0
-    assert "with the paper's tables" in capsys.readouterr().out
-    tables = load_models(out)["brick"].tables
-    assert tables is not None
-    assert len(tables.cloud_points) > 0
 
 
 @pytest.fixture
@@ -148,11 +127,9 @@ def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def centimetres(tmp_path: Path) -> Path:
     """A brick of 15 cm whose numbers are centimetres, in a file and a folder with names of people."""
-    rng = np.random.default_rng(0)
-    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
     folder = tmp_path / "Körper mit Lücke"
     folder.mkdir()
-    files.write_obj(folder / "brick ä.obj", solids.box((0.15, 0.08, 0.06), pictures), scale=100.0)
+    files.write_obj(folder / "brick ä.obj", solids.printed_box((0.15, 0.08, 0.06)), scale=100.0)
     return folder / "brick ä.obj"
 
 
@@ -193,7 +170,7 @@ def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
     files.write_obj(tmp_path / "m.obj", solids.box((0.12, 0.08, 0.06)), scale=1000.0)
     files.write_glb(tmp_path / "m.glb", solids.box((0.12, 0.08, 0.06)))
     files.write_glb(tmp_path / "l.glb", solids.box((1.2, 0.8, 0.6)))
-    settled = {name: with_unit(Job(tmp_path / name, "m")).unit for name in ("m.obj", "m.glb", "l.glb")}
+    settled = {name: with_unit(batch.Job(tmp_path / name, "m")).unit for name in ("m.obj", "m.glb", "l.glb")}
     assert settled == {"m.obj": "mm", "m.glb": "m", "l.glb": "m"}
     first, second = capsys.readouterr().err.splitlines()
     assert first == (
@@ -219,7 +196,7 @@ def test_of_a_unit_that_makes_an_unusual_size_it_is_warned_before_anything_is_le
     tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: float, said: str
 ) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((0.12, 0.08, 0.06)), scale=scale)
-    assert with_unit(Job(tmp_path / "m.obj", "m", unit="cm")).unit == "cm"
+    assert with_unit(batch.Job(tmp_path / "m.obj", "m", unit="cm")).unit == "cm"
     assert capsys.readouterr().err == (f"warning: its largest side is {said}\n" if said else "")
 
 
@@ -227,10 +204,8 @@ def test_of_a_unit_that_makes_an_unusual_size_it_is_warned_before_anything_is_le
 def test_the_warning_of_an_unusual_size_comes_first_and_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    rng = np.random.default_rng(0)
-    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
     # Long and slender: the views of a large object take long to draw.
-    files.write_obj(tmp_path / "m.obj", solids.box((0.048, 0.004, 0.004), pictures), scale=1000.0)
+    files.write_obj(tmp_path / "m.obj", solids.printed_box((0.048, 0.004, 0.004)), scale=1000.0)
     given = [str(tmp_path / "m.obj"), "--unit", "cm", "--out", str(tmp_path / "out")]
     assert main(["onboard", *given, "--name", "brick"]) == 0
     first, *rest = capsys.readouterr().err.splitlines()
@@ -252,30 +227,14 @@ def test_a_large_mesh_says_which_extra_it_needs(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(("many", "said"), [(11, True), (12, False)])  # the brick has twelve triangles
-def test_a_mesh_that_is_simplified_for_long_says_so(
-    many: int,
-    said: bool,
-    mesh: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr("huepose.onboarding.batch.MANY_TRIANGLES", many)
-    assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(tmp_path / "out")]) == 0
-    assert ("simplifying 12 triangles, which may take minutes" in capsys.readouterr().err) == said
-
-
 def test_bundles_go_into_a_folder(mesh: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(mesh)]) == 2
     assert "found a file; expected a folder" in capsys.readouterr().err
 
 
 def test_ctrl_c_while_the_processes_start_ends_them_all(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    pictures = {s: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for s in solids.SIDES}
     for number in (1, 2):
-        files.write_obj(tmp_path / f"obj_{number:06d}.obj", solids.box((0.05, 0.04, 0.03), pictures))
+        files.write_obj(tmp_path / f"obj_{number:06d}.obj", solids.printed_box((0.05, 0.04, 0.03)))
     command = [sys.executable, "-m", "huepose_services.cli.main", "onboard-bop", str(tmp_path)]
     running = subprocess.Popen(
         [*command, "--out", str(tmp_path / "out")],

@@ -22,6 +22,7 @@ import numpy as np
 
 from huepose.believe.state import State
 from huepose.datasets.bop import BopScene
+from huepose.datasets.types import GroundTruth
 from huepose.evaluation import metrics
 from huepose.evaluation.targets import Targets
 from huepose.geometry import RgbdFrame
@@ -98,16 +99,22 @@ def likely(frame: RgbdFrame, model: ReferenceModel) -> bool:
     return any(answer.found and answer.quality >= LEAST for answer in Sight(model).answer(request, seen))
 
 
+def kinds_of(labels: Sequence[GroundTruth], targets: Targets) -> dict[str, list[Instance]]:
+    """The instances of the kinds that are known, by name."""
+    kinds: dict[str, list[Instance]] = {}
+    for label in labels:
+        model = targets.model_of(label)
+        if model is not None and label.T_cam_obj is not None:
+            kinds.setdefault(model.name, []).append((label.T_cam_obj, label.visible))
+    return kinds
+
+
 def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.Namespace) -> Iterator[Row]:
     """Of at most so many frames of a scene as are `given`, spread evenly."""
     targets = Targets(models)
     for image in scene.image_ids[:: -(-len(scene.image_ids) // given.images)]:
         frame, labels = scene.frame(image), [] if given.strangers else scene.truths(image)
-        kinds: dict[str, list[Instance]] = {}
-        for label in labels:
-            model = targets.model_of(label)
-            if model is not None and label.T_cam_obj is not None:
-                kinds.setdefault(model.name, []).append((label.T_cam_obj, label.visible))
+        kinds = kinds_of(labels, targets)
         rng = np.random.default_rng([given.seed, image])
         absent = 0 if given.several else given.absent
         away = rng.permutation(sorted(set(models) - set(kinds)))[:absent]

@@ -25,7 +25,7 @@ from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose.tracking import TrackedPose, Tracker
 from studies.gone import HZ, Sight, filmed, parser_of, shown
-from studies.still import NOWHERE, SOON_S
+from studies.still import NOWHERE, SOON_S, kinds_of
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
 
@@ -53,11 +53,7 @@ def rows(
     """Of at most so many frames of a scene, spread evenly."""
     targets = Targets(models)
     for image in scene.image_ids[:: -(-len(scene.image_ids) // images)]:
-        frame, kinds = scene.frame(image), dict[str, list[tuple[Float64, bool]]]()
-        for label in scene.truths(image):
-            model = targets.model_of(label)
-            if model is not None and label.T_cam_obj is not None:
-                kinds.setdefault(model.name, []).append((label.T_cam_obj, label.visible))
+        frame, kinds = scene.frame(image), kinds_of(scene.truths(image), targets)
         rng = np.random.default_rng([seed, image])
         films = [Seen(shown(frame, n, rng), NOWHERE, 1.0) for n in range(HZ * seconds)]
         tracker = Tracker(models, profile("live").tracker)

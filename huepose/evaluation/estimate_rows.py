@@ -128,12 +128,13 @@ def summary_of(rows: Sequence[Row], false: Sequence[Row] = (), settings: Row | N
         **mean_figures(by_seed.values()),
         "false_poses": len(false) / seeds,
         "per_object": per_object,
-        "interval95": pose_intervals(rows, _frame),
+        "interval95": pose_intervals(rows, frame_of),
         "by_seed": by_seed,
     }
 
 
-def _frame(row: Row) -> tuple[str, int]:
+def frame_of(row: Row) -> tuple[str, int]:
+    """The picture that a row is of."""
     return row["scene"], row["image"]
 
 
@@ -149,7 +150,7 @@ def _pose_figures(rows: Sequence[Row]) -> Figures:
 
 def _figures(rows: Sequence[Row], false: Sequence[Row]) -> Figures:
     found = [*(row for row in rows if row["found"]), *false]
-    seconds = list({_frame(row): row["seconds"] for row in rows}.values())
+    seconds = list({frame_of(row): row["seconds"] for row in rows}.values())
     return {
         **_pose_figures(rows),
         "ece": metrics.expected_calibration_error(

@@ -53,15 +53,10 @@ def with_cut(document: str, records: Mapping[str, Mapping[str, Any]]) -> str:
     whole = next((record for record in records.values() if "tables" in record), None)
     if whole is None:
         raise InputError("--readme", found="no result of `huepose eval tables`")
-    parts = [_cut(table) for table in in_short([Table.of_json(t) for t in whole["tables"]])]
+    parts: list[str] = []
+    for table in in_short([Table.of_json(t) for t in whole["tables"]]):
+        parts += [*table.piped(table.title), ""]
     return "\n".join([f"{before}{BEGIN}", *parts, f"{END}{after}"])
-
-
-def _cut(table: Table) -> str:
-    heads = [f"{head.method} {head.figure}".strip() for head in table.heads]
-    lines = [[table.title, *heads], ["---"] * (len(heads) + 1)]
-    lines += [[name, *map(table.cell, cells)] for name, cells in table.rows]
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
 def _section(name: str, record: Mapping[str, Any]) -> str:

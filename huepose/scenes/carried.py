@@ -13,7 +13,7 @@ from huepose.geometry.arrays import Float64, Rng
 from huepose.scenes.frame import Stage
 from huepose.scenes.light import Light, random_light
 from huepose.scenes.motion import positions, rotations
-from huepose.scenes.room import sheet, table_top, wallpaper
+from huepose.scenes.room import Placed, sheet, table_top, wallpaper
 
 CAMERA = Camera(614.0, 614.0, 319.5, 239.5, 640, 480)
 FRAMES, RATE_HZ = 60, 30
@@ -22,8 +22,6 @@ OTHERS = 5
 
 BEHIND = 0.35
 """Share of the sequences in which something hangs between camera and object."""
-
-Placed = tuple[Mesh, Float64]
 
 
 def staged(mesh: Mesh, others: Sequence[Mesh], rng: Rng, frames: int = FRAMES) -> Stage:

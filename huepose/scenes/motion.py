@@ -18,6 +18,7 @@ from huepose.geometry.camera import Camera
 CALM_S = 1.5  # at the beginning of the loop: slow, and nobody hides anybody
 PITCH = np.radians(35.0)  # how far the camera looks down
 UP_ROOM = np.array([0.0, -np.cos(PITCH), -np.sin(PITCH)])
+AHEAD_ROOM = np.array([0.0, -np.sin(PITCH), np.cos(PITCH)])  # along the table
 TABLE_M = 0.78  # height of the camera over the table
 NEAREST_M, FARTHEST_M = 0.57, 1.0  # of the centres of labelled objects
 

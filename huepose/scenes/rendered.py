@@ -24,13 +24,12 @@ from huepose.scenes.camera import CAMERA, COLOR, STEREO
 from huepose.scenes.frame import SHUTTER, Shot, Stage, shoot, silhouette
 from huepose.scenes.heap import Heap, open_box, random_turn
 from huepose.scenes.light import Light
-from huepose.scenes.motion import PITCH, TABLE_M, UP_ROOM, upright
+from huepose.scenes.motion import AHEAD_ROOM, TABLE_M, UP_ROOM, upright
 from huepose.scenes.room import clutter, room
 from huepose.scenes.sensor import lost_in_bad_light, shifted
 from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
-AHEAD_ROOM = np.array([0.0, -np.sin(PITCH), np.cos(PITCH)])
 HEAP_ROOM = -TABLE_M * UP_ROOM + 0.8 * AHEAD_ROOM
 """Where the middle of the heap lies on the table."""
 

@@ -13,7 +13,7 @@ from huepose.geometry.arrays import Float64, Rng, UInt8
 from huepose.geometry.mesh import Mesh
 from huepose.scenes import textures
 from huepose.scenes.charts import Chart, blocks, revolved
-from huepose.scenes.motion import PITCH, TABLE_M, UP_ROOM, upright
+from huepose.scenes.motion import AHEAD_ROOM, TABLE_M, UP_ROOM, upright
 from huepose.scenes.shapes import printed
 from huepose.scenes.textures import Palette
 
@@ -34,10 +34,9 @@ def sheet(width_m: float, height_m: float, texture: UInt8) -> Mesh:
 def room(rng: Rng, n_clutter: int = 11) -> list[Placed]:
     """Table, wall and clutter with their poses T_room_mesh (4, 4)."""
     below = -TABLE_M * UP_ROOM  # the foot of the camera on the table
-    ahead = np.array([0.0, -np.sin(PITCH), np.cos(PITCH)])
-    lying = se3.make(upright(0.0), below + 0.95 * ahead)
+    lying = se3.make(upright(0.0), below + 0.95 * AHEAD_ROOM)
     wall_turn = upright(0.0) @ se3.rotation_exp(np.array([np.pi / 2, 0, 0]))
-    standing = se3.make(wall_turn, below + 2.0 * ahead + 0.6 * UP_ROOM)
+    standing = se3.make(wall_turn, below + 2.0 * AHEAD_ROOM + 0.6 * UP_ROOM)
     placed: list[Placed] = [
         (sheet(*TABLE_SIZE_M, table_top(rng)), lying),
         (sheet(*WALL_SIZE_M, wallpaper(rng)), standing),
@@ -51,7 +50,7 @@ def room(rng: Rng, n_clutter: int = 11) -> list[Placed]:
             spots.append(spot)
             mesh = clutter(rng)
             height = -float(mesh.vertices[:, 2].min())
-            place = below + spot[0] * np.array([1.0, 0, 0]) + spot[1] * ahead + height * UP_ROOM
+            place = below + spot[0] * np.array([1.0, 0, 0]) + spot[1] * AHEAD_ROOM + height * UP_ROOM
             placed.append((mesh, se3.make(upright(rng.uniform(0, 2 * np.pi)), place)))
     return placed
 

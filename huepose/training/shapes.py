@@ -80,11 +80,9 @@ def random_shape(rng: np.random.Generator, diameter_m: float) -> Mesh:
         palette = textures.palette(rng.uniform(), rng)
         texture[there] = random_art(rng)(rng, PART_PX, PART_PX, palette)
         uv.append((_around() + np.array([column, row])) / 2)
-    v = np.concatenate(vertices)
-    v -= (v.min(0) + v.max(0)) / 2
-    v *= diameter_m / np.linalg.norm(v.max(0) - v.min(0))
-    f = np.concatenate(faces)
-    return Mesh(v.astype(np.float32), f.astype(np.int32), np.concatenate(uv).astype(np.float32), texture)
+    f = np.concatenate(faces).astype(np.int32)
+    made = Mesh(np.concatenate(vertices), f, np.concatenate(uv).astype(np.float32), texture)
+    return sized(made, diameter_m)
 
 
 def random_rotation(rng: np.random.Generator) -> Float64:

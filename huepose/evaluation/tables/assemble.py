@@ -7,14 +7,15 @@ family than the data set's have rows of their own below.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
-from huepose.evaluation.summary import Row, grouped, mean_figures
+from huepose.evaluation.estimate_rows import frame_of
+from huepose.evaluation.summary import Row, mean_figures
 from huepose.evaluation.tables.figures import (
     BOP_COLUMNS,
     COLUMNS,
     RECALL,
     Unseen,
+    by_name_of,
     figures,
     quarter_visible,
     rows_of,
@@ -38,7 +39,7 @@ def single_frame_tables(
     by_method: entries of the same images; names: of the objects, by how rows call them (as text); expected:
     labels of the whole set by name, where known."""
     rows = {method: rows_of(entries) for method, entries in by_method.items()}
-    by_name = _by_name(rows, names)
+    by_name = by_name_of(rows, names)
     paper = published("table1")
     extra = sorted({name for own in by_name.values() for name in own} - set(paper.rows))
     measured = {
@@ -86,14 +87,6 @@ def single_frame_tables(
     ]
 
 
-def _by_name(rows: Mapping[str, Sequence[Row]], names: Mapping[str, str]) -> dict[str, dict[str, list[Row]]]:
-    """Rows by method, then by the object's name."""
-    return {
-        method: grouped(own, lambda row: names.get(str(row["object"]), str(row["object"])))
-        for method, own in rows.items()
-    }
-
-
 _QUARTER = ", a quarter visible"
 
 _Block = tuple[int, Mapping[str, Mapping[str, float | None]], Mapping[str, Sequence[Row]]]
@@ -103,7 +96,7 @@ _Block = tuple[int, Mapping[str, Mapping[str, float | None]], Mapping[str, Seque
 def _unseen_images(unseen: Unseen, methods: Sequence[str]) -> dict[str, _Block]:
     """Objects one by one, averages over them, and all labels together, by the name of the row."""
     rows = {method: rows_of(unseen.images.get(method, ())) for method in methods}
-    by_name = _by_name(rows, unseen.names)
+    by_name = by_name_of(rows, unseen.names)
     found = sorted({name for own in by_name.values() for name in own})
     measured = {name: {m: figures(by_name[m].get(name, [])) for m in methods} for name in found}
     counts = {name: max(len(by_name[m].get(name, [])) for m in methods) for name in found}
@@ -139,7 +132,7 @@ def _all_figures(
         shown = quarter_visible(rows[method])
         seen = figures(shown)
         lines.append((f"{method}, all labels{_QUARTER}", (len(shown), *(seen.get(key) for key in columns))))
-        lines.append((f"{method}, 95 % of draws", ("", *spans(rows[method], columns, _frame))))
+        lines.append((f"{method}, 95 % of draws", ("", *spans(rows[method], columns, frame_of))))
         if any(row["add_m"] != row["add_official_m"] for row in rows[method]):
             declared = figures(rows[method], "add_m") | dict.fromkeys(BOP_COLUMNS)
             cells = tuple(declared[key] for key in columns)
@@ -149,7 +142,7 @@ def _all_figures(
                 first = (n, *(blocks[method].get(key) for key in columns))
                 lines.append((f"{method}, {label[0].lower()}{label[1:]}", first))
             if drawn_from:
-                cells = ("", *spans(drawn_from[method], columns, _frame))
+                cells = ("", *spans(drawn_from[method], columns, frame_of))
                 lines.append((f"{method}, {label.removeprefix('All labels of ')}, 95 % of draws", cells))
     for other in others():
         cells = tuple(other["figures"].get(key) for key in columns)
@@ -164,7 +157,3 @@ def _all_figures(
 
 def _n(count: int, expected: int | None) -> Cell:
     return f"{count} of {expected}" if expected is not None and expected != count else count
-
-
-def _frame(row: Row) -> tuple[Any, ...]:
-    return row["scene"], row["image"]

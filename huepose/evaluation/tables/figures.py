@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from huepose.evaluation.bop_errors import average_recalls
-from huepose.evaluation.summary import Row, pose_figures, pose_intervals
+from huepose.evaluation.summary import Row, grouped, pose_figures, pose_intervals
 from huepose.evaluation.tables.journal import Entry
 from huepose.evaluation.tables.table import Cell, Head
 
@@ -95,3 +95,13 @@ def spans(rows: Sequence[Row], columns: Mapping[str, Head], unit: Any) -> list[C
 def _known(rows: Sequence[Row], add_key: str) -> str:
     """Rows of tracks know one ADD only."""
     return add_key if add_key in rows[0] else "add_m"
+
+
+def by_name_of(
+    rows: Mapping[str, Sequence[Row]], names: Mapping[str, str]
+) -> dict[str, dict[str, list[Row]]]:
+    """Rows by method, then by the object's name."""
+    return {
+        method: grouped(own, lambda row: names.get(str(row["object"]), str(row["object"])))
+        for method, own in rows.items()
+    }

@@ -14,8 +14,8 @@ from huepose.drawing.canvas import Colour
 from huepose.drawing.plots import bar_chart, line_plot, reliability_plot
 from huepose.evaluation import metrics
 from huepose.evaluation.ablation_rows import AblationResult
-from huepose.evaluation.summary import Row, errors, grouped
-from huepose.evaluation.tables.figures import Unseen, figures, rows_of, scored
+from huepose.evaluation.summary import Row, errors
+from huepose.evaluation.tables.figures import Unseen, by_name_of, figures, rows_of, scored
 from huepose.evaluation.tables.published import published
 from huepose.evaluation.tables.table import Table, in_short
 from huepose.geometry.arrays import UInt8
@@ -130,10 +130,7 @@ def _objects(by_method: Mapping[str, Sequence[Row]], names: Mapping[str, str]) -
         for head, values, _ in paper.columns
         if (head.method, head.figure) == ("Ours (published)", "ADD")
     )
-    blocks = {
-        method: grouped(rows, lambda row: names.get(str(row["object"]), str(row["object"])))
-        for method, rows in by_method.items()
-    }
+    blocks = by_name_of(by_method, names)
     shown = sorted({name for block in blocks.values() for name in block})
     series = {"published": [ours.get(name, np.nan) for name in shown]} if ours.keys() & set(shown) else {}
     for method, block in blocks.items():

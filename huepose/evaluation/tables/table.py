@@ -86,11 +86,16 @@ class Table:
         return "\n".join([self.title, "", *lines, "", *(f"- {note}" for note in self.notes)])
 
     def markdown(self) -> str:
-        """For a document; a method and its figure share a head."""
-        heads = ["", *(f"{head.method} {head.figure}".strip() for head in self.heads)]
-        lines = [_piped(heads), _piped(["---"] * len(heads))]
-        lines += [_piped([name, *(self.cell(v) for v in values)]) for name, values in self.rows]
-        return "\n".join([f"### {self.title}", "", *lines, "", *(f"- {note}" for note in self.notes), ""])
+        """For a document."""
+        notes = [f"- {note}" for note in self.notes]
+        return "\n".join([f"### {self.title}", "", *self.piped(), "", *notes, ""])
+
+    def piped(self, corner: str = "") -> list[str]:
+        """The lines of it in Markdown; a method and its figure share a head."""
+        heads = [corner, *(f"{head.method} {head.figure}".strip() for head in self.heads)]
+        lines = [heads, ["---"] * len(heads)]
+        lines += [[name, *map(self.cell, values)] for name, values in self.rows]
+        return [f"| {' | '.join(cells)} |" for cells in lines]
 
     def csv(self) -> str:
         """Values with all their digits; two lines of heads, and a third that says what each figure means."""
@@ -136,10 +141,6 @@ def _weight(name: str) -> str:
 
 def _kind(head: Head) -> str:
     return "measured" if head.measured else "published"
-
-
-def _piped(cells: Sequence[str]) -> str:
-    return "| " + " | ".join(cells) + " |"
 
 
 _UNSEEN = {

@@ -76,7 +76,7 @@ def learned() -> Learned:
 
 def test_the_surface_that_was_seen_is_the_true_one() -> None:
     made = learned()
-    T_true_made = se3.inverse(pose(np.radians(STEP_DEG * FRAMES // 2))) @ made.T_cam_obj[FRAMES // 2]
+    T_true_made = se3.inverse(pose(np.radians(STEP_DEG * (FRAMES // 2)))) @ made.T_cam_obj[FRAMES // 2]
     off = off_m(se3.apply(T_true_made, made.mesh.vertices[made.seen]))
     assert off.mean() < 0.001
     assert np.percentile(off, 90) < 0.003

@@ -12,24 +12,28 @@ from huepose.paper.cloud import ClassifiedCloud
 SeenFrom = Callable[..., ClassifiedCloud]
 
 
-@pytest.fixture(scope="session")
-def painted() -> ClassifiedCloud:
-    """600 points of five classes, in patches of 2 cm, on a box of 8 x 6 x 12 cm (diameter 15.6 cm)."""
-    rng = np.random.default_rng(1)
+def on_a_box(each: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """So many points on each face of a box of 8 x 6 x 12 cm (diameter 15.6 cm), and their normals."""
     half = np.array([0.04, 0.03, 0.06])
     points, normals = [], []
     for axis in range(3):
         for sign in (-1.0, 1.0):
-            p = rng.uniform(-1, 1, (100, 3)) * half
+            p = rng.uniform(-1, 1, (each, 3)) * half
             p[:, axis] = sign * half[axis]
             points.append(p)
-            normals.append(np.tile(sign * np.eye(3)[axis], (100, 1)))
-    every = np.concatenate(points)
+            normals.append(np.tile(sign * np.eye(3)[axis], (each, 1)))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+@pytest.fixture(scope="session")
+def painted() -> ClassifiedCloud:
+    """600 points of five classes, in patches of 2 cm."""
+    every, normals = on_a_box(100, np.random.default_rng(1))
     cell = np.floor(every / 0.02).astype(int) + 10
     kinds = np.random.default_rng(9).integers(0, 5, (20, 20, 20))[cell[:, 0], cell[:, 1], cell[:, 2]]
     f = np.float32
     ones = np.ones(len(every), f)
-    return ClassifiedCloud(every.astype(f), np.concatenate(normals).astype(f), kinds.astype(np.uint8), ones)
+    return ClassifiedCloud(every.astype(f), normals.astype(f), kinds.astype(np.uint8), ones)
 
 
 @pytest.fixture(scope="session")

@@ -16,6 +16,7 @@ from huepose.paper.semantic_icp import (
     semantic_icp_many,
 )
 from huepose.paper.tables import tables_of
+from tests.paper.conftest import on_a_box
 
 
 def semantic_icp(
@@ -51,19 +52,10 @@ def bare_reference(points: np.ndarray, normals: np.ndarray, classes: np.ndarray)
 
 @pytest.fixture(scope="module")
 def painted_box() -> PaperTables:
-    """Points on a box of 8 x 6 x 12 cm whose faces are painted in patches of five classes."""
-    rng = np.random.default_rng(3)
-    half = np.array([0.04, 0.03, 0.06])
-    points, normals = [], []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            p = rng.uniform(-1, 1, (500, 3)) * half
-            p[:, axis] = sign * half[axis]
-            points.append(p)
-            normals.append(np.tile(sign * np.eye(3)[axis], (500, 1)))
-    p = np.concatenate(points)
-    patch = np.floor(p / 0.02).astype(int) @ np.array([1, 3, 7])
-    return bare_reference(p, np.concatenate(normals), patch % 5)
+    """A box whose faces are painted in patches of five classes."""
+    points, normals = on_a_box(500, np.random.default_rng(3))
+    patch = np.floor(points / 0.02).astype(int) @ np.array([1, 3, 7])
+    return bare_reference(points, normals, patch % 5)
 
 
 def start_from(T: np.ndarray, degrees: float, metres: float, rng: np.random.Generator) -> np.ndarray:

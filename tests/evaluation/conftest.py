@@ -44,7 +44,7 @@ def reference_model(
     ]
     points = (np.unique(np.array(faces), axis=0) * size).astype(np.float32)
     z = np.zeros
-    none3, none_i = z((0, 3), np.float32), z(0, np.int32)
+    one3, none3, none_i = z((1, 3), np.float32), z((0, 3), np.float32), z(0, np.int32)
     turns = np.stack([np.eye(4), *equivalents])
     return ReferenceModel(
         name=name,
@@ -56,7 +56,7 @@ def reference_model(
         near_symmetries=np.eye(4)[None],
         equivalents=turns,
         frame_offset_m=np.zeros(3),
-        surface=Surface(none3, none3, z((2, 0, 3), np.float32), none3, none_i, none_i),
+        surface=Surface(one3, one3, z((2, 1, 3), np.float32), none3, none_i, z(1, np.int32)),
         grid=DistanceGrid(np.zeros(3), 0.01, z((1, 1, 1), np.int16)),
         templates=ViewTemplates(none3, z((0, 1, 5, 1, 1), np.float16), none3, 1.2),
         pairs=PairReference(none3, none3, none3, z((0, 2, 3), np.float32), none_i),

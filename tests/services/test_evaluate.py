@@ -15,47 +15,22 @@ import numpy as np
 import pytest
 
 from huepose.estimation import EstimatorConfig
-from huepose.geometry import Mesh, se3
+from huepose.geometry import se3
 from huepose.model import save_model
-from huepose.model.types import DistanceGrid, Keypoints, PairReference, ReferenceModel, Surface, ViewTemplates
 from huepose.support.errors import InputError
 from huepose_services.cli.evaluate_scenes import open_bop
 from huepose_services.cli.main import main
 from huepose_services.cli.pose_tables import PoseSources
+from tests.evaluation.conftest import reference_model
 
 T_CAM_OBJ = se3.make(se3.rotation_exp([0.3, 0.2, 0.1]), [0.02, 0.01, 0.6])
-
-
-def small_model(name: str, object_id: int) -> ReferenceModel:
-    """A tetrahedron with nothing to estimate it by."""
-    vertices = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], np.float32)
-    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]], np.int32)
-    z = np.zeros
-    none3, none_i, unit = z((0, 3), np.float32), z(0, np.int32), np.eye(4)[None]
-    one3 = z((1, 3), np.float32)
-    return ReferenceModel(
-        name,
-        object_id,
-        Mesh(vertices, faces, z((4, 3, 2), np.float32), z((2, 2, 3), np.uint8)),
-        vertices,
-        0.1 * 2**0.5,
-        unit,
-        unit,
-        unit,
-        np.array([0.0, 0.0, 0.01]),
-        Surface(one3, one3, z((2, 1, 3), np.float32), none3, none_i, z(1, np.int32)),
-        DistanceGrid(z(3), 0.01, z((1, 1, 1), np.int16)),
-        ViewTemplates(none3, z((0, 1, 5, 1, 1), np.float16), none3, 1.2),
-        PairReference(none3, none3, none3, z((0, 2, 3), np.float32), none_i),
-        Keypoints(none3, none3, z((0, 128), np.uint8), "sift"),
-    )
 
 
 @pytest.fixture
 def bundles(tmp_path: Path) -> Path:
     folder = tmp_path / "bundles"
     folder.mkdir()
-    save_model(small_model("wedge", 5), folder / "wedge.huepose")
+    save_model(reference_model("wedge", 5), folder / "wedge.huepose")
     return folder
 
 

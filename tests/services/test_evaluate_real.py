@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,9 +11,11 @@ import cv2
 import numpy as np
 import pytest
 
+from huepose.datasets.fast_ycb import FastYcbFrame, write_fast_ycb
 from huepose.evaluation.pose_files import read_bop_csv
 from huepose.geometry import RgbdFrame, se3
 from huepose.model import save_model
+from huepose.rendering import render_depth
 from huepose_services.cli import pose_tables
 from huepose_services.cli.main import main
 
@@ -41,25 +42,13 @@ def shots(tea_box, take_picture, standing) -> list[tuple[RgbdFrame, np.ndarray]]
 
 
 @pytest.fixture(scope="module")
-def sequence(shots, tmp_path_factory) -> Path:
+def sequence(tea_box, shots, tmp_path_factory) -> Path:
     """The shots as a Fast-YCB sequence; its labels are in the PoseCNN frame."""
     folder = tmp_path_factory.mktemp("fast") / "tea_box_real"
-    for name in ("rgb", "depth", "gt"):
-        (folder / name).mkdir(parents=True)
-    rows = []
-    for i, (frame, T) in enumerate(shots):
-        cv2.imwrite(str(folder / "rgb" / f"{i}.png"), frame.color[..., ::-1])
-        size = struct.pack("<QQ", frame.camera.width, frame.camera.height)
-        (folder / "depth" / f"{i}.float").write_bytes(size + frame.depth.tobytes())
-        T_cam_posecnn = se3.compose(T, se3.make(np.eye(3), OFFSET_M))
-        w = se3.rotation_log(T_cam_posecnn[:3, :3])
-        angle = np.linalg.norm(w)
-        rows.append(" ".join(f"{v:.9f}" for v in (*T_cam_posecnn[:3, 3], *(w / angle), angle)))
-    (folder / "gt" / "poses_ycb.txt").write_text("\n".join(rows))
-    (folder / "data.txt").write_text("".join(f"{i / 30:.6f}\n" for i in range(FRAMES)))
     camera = shots[0][0].camera
-    record = {key: getattr(camera, key) for key in ("fx", "fy", "cx", "cy", "width", "height")}
-    (folder / "cam_K.json").write_text(json.dumps(record))
+    masks = [render_depth(tea_box.mesh, T, camera) > 0 for _, T in shots]
+    frames = [FastYcbFrame(s.color, s.depth, mask, T) for (s, T), mask in zip(shots, masks, strict=True)]
+    write_fast_ycb(folder, "tea_box", frames, camera, 30.0, OFFSET_M)
     return folder
 
 

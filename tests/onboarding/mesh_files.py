@@ -120,6 +120,13 @@ class GlbWriter:
         self.tree["accessors"].append(entry)
         return len(self.tree["accessors"]) - 1
 
+    def corners(self, mesh: Mesh) -> dict[str, int]:
+        """Attributes of a mesh whose faces share no corner."""
+        return {
+            "POSITION": self.accessor(mesh.vertices[mesh.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
+            "TEXCOORD_0": self.accessor(mesh.uv.reshape(-1, 2).astype("<f4"), "VEC2"),
+        }
+
     def textured_material(self, rgb: np.ndarray) -> int:
         image = {"bufferView": self.view(png_bytes(rgb)), "mimeType": "image/png"}
         self.tree["images"].append(image)
@@ -149,10 +156,7 @@ def write_glb(
     """A textured mesh in metres, under one node; its texture's sampler, and another material than with that
     texture as base colour."""
     w = GlbWriter()
-    attributes = {
-        "POSITION": w.accessor(mesh.vertices[mesh.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
-        "TEXCOORD_0": w.accessor(mesh.uv.reshape(-1, 2).astype("<f4"), "VEC2"),
-    }
+    attributes = w.corners(mesh)
     indices = w.accessor(np.arange(3 * len(mesh.faces)).astype("<u2"), "SCALAR")
     index = w.mesh(attributes, indices=indices, material=w.textured_material(mesh.texture))
     if sampler is not None:
@@ -167,11 +171,10 @@ def write_gltf(folder: Path, mesh: Mesh, uv: tuple[str, np.ndarray] | None = Non
     """A .gltf with buffer m.bin and texture print.png beside it; uv: another name and other values (N, 2) of
     the texture coordinates; `changes` replace parts of its tree."""
     w = GlbWriter()
-    name, coordinates = uv or ("TEXCOORD_0", mesh.uv.reshape(-1, 2))
-    attributes = {
-        "POSITION": w.accessor(mesh.vertices[mesh.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
-        name: w.accessor(coordinates.astype("<f4"), "VEC2"),
-    }
+    attributes = w.corners(mesh)
+    if uv is not None:
+        del attributes["TEXCOORD_0"]
+        attributes[uv[0]] = w.accessor(uv[1].astype("<f4"), "VEC2")
     index = w.mesh(attributes, material=0)
     write_png(folder / "print.png", mesh.texture)
     (folder / "m.bin").write_bytes(w.chunk)

@@ -105,9 +105,7 @@ def test_a_mesh_without_any_colour_is_refused(tmp_path: Path) -> None:
 
 def test_a_texture_under_colours_of_a_gltf_is_refused(tmp_path: Path, printed_box: Mesh) -> None:
     w = files.GlbWriter()
-    attributes = {
-        "POSITION": w.accessor(printed_box.vertices[printed_box.faces].reshape(-1, 3).astype("<f4"), "VEC3"),
-        "TEXCOORD_0": w.accessor(printed_box.uv.reshape(-1, 2).astype("<f4"), "VEC2"),
+    attributes = w.corners(printed_box) | {
         "COLOR_0": w.accessor(np.tile(np.array([[0, 1, 0]], "<f4"), (36, 1)), "VEC3"),
     }
     index = w.mesh(attributes, material=w.textured_material(printed_box.texture))

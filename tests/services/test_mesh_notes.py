@@ -22,10 +22,7 @@ def test_the_meshes_of_a_file_that_are_taken_as_one_object_are_named(
     box = solids.box((0.06, 0.04, 0.03))
     for names in (["carton"], ["carton", "second"], [f"part {k}" for k in range(8)]):
         w = files.GlbWriter()
-        corners = box.vertices[box.faces].reshape(-1, 3).astype("<f4")
-        attributes = {"POSITION": w.accessor(corners, "VEC3")}
-        attributes["TEXCOORD_0"] = w.accessor(box.uv.reshape(-1, 2).astype("<f4"), "VEC2")
-        mesh = w.mesh(attributes, material=w.textured_material(box.texture))
+        mesh = w.mesh(w.corners(box), material=w.textured_material(box.texture))
         nodes = [{"name": name, "mesh": mesh, "translation": [0.1 * k, 0, 0]} for k, name in enumerate(names)]
         nodes.append({"name": "a light"})
         w.write(tmp_path / f"{len(names)}.glb", nodes, list(range(len(nodes))))
@@ -61,13 +58,10 @@ def test_a_surface_that_is_transparent_is_noted_and_what_no_surface_shows_is_not
         (tmp_path / "m.png").write_bytes(clear)
     else:
         w = files.GlbWriter()
-        corners = box.vertices[box.faces].reshape(-1, 3).astype("<f4")
-        attributes = {"POSITION": w.accessor(corners, "VEC3")}
-        attributes["TEXCOORD_0"] = w.accessor(box.uv.reshape(-1, 2).astype("<f4"), "VEC2")
         material = w.textured_material(box.texture)
         w.tree["images"][0]["bufferView"] = w.view(clear)
         w.tree["materials"][0]["alphaMode"] = mode
-        w.write(tmp_path / "m.glb", [{"mesh": w.mesh(attributes, material=material)}], [0])
+        w.write(tmp_path / "m.glb", [{"mesh": w.mesh(w.corners(box), material=material)}], [0])
     with_unit(Job(tmp_path / f"m.{form}", "m", unit="mm" if form == "obj" else "m"))
     said = capsys.readouterr().err
     assert said.startswith(noted) if noted else said == ""

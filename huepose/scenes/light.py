@@ -130,7 +130,7 @@ def _shine(
 ) -> None:
     fx, fy, cx, cy = intrinsics
     focal, middle = shadow_camera
-    size = shadow.shape[0]
+    T, size = T_light_cam, shadow.shape[0]
     for row in range(depth.shape[0]):
         y = (row - cy) / fy
         for column in range(depth.shape[1]):
@@ -146,24 +146,9 @@ def _shine(
             if facing > 0:
                 # Looked up a little off the surface, towards the light, so that it does not shade itself.
                 p0, p1, p2 = x * z + 0.004 * n0, y * z + 0.004 * n1, z + 0.004 * n2
-                a = (
-                    T_light_cam[0, 0] * p0
-                    + T_light_cam[0, 1] * p1
-                    + T_light_cam[0, 2] * p2
-                    + T_light_cam[0, 3]
-                )
-                b = (
-                    T_light_cam[1, 0] * p0
-                    + T_light_cam[1, 1] * p1
-                    + T_light_cam[1, 2] * p2
-                    + T_light_cam[1, 3]
-                )
-                c = (
-                    T_light_cam[2, 0] * p0
-                    + T_light_cam[2, 1] * p1
-                    + T_light_cam[2, 2] * p2
-                    + T_light_cam[2, 3]
-                )
+                a = T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]
+                b = T[1, 0] * p0 + T[1, 1] * p1 + T[1, 2] * p2 + T[1, 3]
+                c = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
                 u, v = focal * a / c + middle, focal * b / c + middle
                 if 1 <= u < size - 2 and 1 <= v < size - 2:
                     i, j = int(v), int(u)

@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 
 from huepose_protos.buffers import Array, unpack
+from huepose_protos.codec import M
 from huepose_protos.messages import MESSAGES, FrameHeader, Message
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -17,13 +18,11 @@ def messages() -> list[Message]:
     return [example(kind) for kind in MESSAGES]
 
 
-def example(kind: type[Message]) -> Message:
+def example(kind: type[M]) -> M:
     """The one of a kind."""
     return msgspec.json.decode((GOLDEN / f"{kind.__name__}.json").read_bytes(), type=kind)
 
 
 def images() -> dict[str, Array]:
     """The buffers of the example frame: color (2, 4, 3), depth (2, 4)."""
-    frame = example(FrameHeader)
-    assert isinstance(frame, FrameHeader)
-    return unpack(frame.buffers, (GOLDEN / "frame_payload.bin").read_bytes())
+    return unpack(example(FrameHeader).buffers, (GOLDEN / "frame_payload.bin").read_bytes())

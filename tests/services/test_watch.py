@@ -14,7 +14,6 @@ from huepose_services.watch import Watch
 
 PIPELINE = Pipeline(base_port=18200, site="lab", camera="cam0", workers=("camera",))
 POSE = example(PoseMessage)
-assert isinstance(POSE, PoseMessage)
 ENTRY = ObjectEntry(object=POSE.object, max_instances=2, searching=1)
 
 
@@ -29,9 +28,7 @@ class FakeReader:
 
 
 def says(pid: int, state: str) -> HealthMessage:
-    health = example(HealthMessage)
-    assert isinstance(health, HealthMessage)
-    return msgspec.structs.replace(health, worker="camera", pid=pid, state=state)
+    return msgspec.structs.replace(example(HealthMessage), worker="camera", pid=pid, state=state)
 
 
 class Watched:

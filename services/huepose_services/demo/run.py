@@ -18,6 +18,7 @@ from huepose_protos.client import Reader
 from huepose_protos.messages import HealthMessage, Message, PoseMessage, TruthMessage
 from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.synthetic import open_source
+from huepose_services.cli.options import say
 from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -159,10 +160,6 @@ def _observe(
 
 def _wait_until_ready(supervisor: Supervisor, stopping: Callable[[], bool]) -> None:
     """Says which workers are ready, so that nobody takes a slow start for a standstill."""
-
-    def say(text: str) -> None:
-        print(text, file=sys.stderr, flush=True)
-
     say("starting the workers; where their kernels are still to be compiled, that takes one to two minutes")
     started, waiting = time.monotonic(), supervisor.not_ready
     while not supervisor.ready and not stopping():

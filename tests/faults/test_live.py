@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ from huepose_services.chaos import system as chaos_system
 from huepose_services.chaos.faults import FAULTS
 from huepose_services.chaos.outcome import STEADY_OBJECTS, strike
 from huepose_services.chaos.system import LivePipeline
+from tests.services.conftest import runs, started_by, until
 
 pytestmark = [pytest.mark.live, pytest.mark.timeout(900)]
 
@@ -51,42 +51,19 @@ def test_what_must_hold_holds(system, name):
     assert outcome.tracking_poses > 0
 
 
-def _started_by(pid):
-    """The processes that a process has started and that have not ended."""
-    try:
-        return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except OSError:
-        return []
-
-
-def _runs(pid):
-    try:
-        # One that has ended stays in the list until its new parent looks.
-        return "(zombie)" not in Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return False
-
-
-def _wait_until(condition, timeout_s):
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "it did not come about in time"
-        time.sleep(0.05)
-
-
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_the_pipeline_ends_with_the_chaos_that_started_it(tmp_path, number):
     command = [sys.executable, "-m", "huepose_services.cli.main", "chaos", "--only", "0"]
     chaos = subprocess.Popen(command, env={**os.environ, "TMPDIR": str(tmp_path)}, stderr=subprocess.DEVNULL)
     try:
-        _wait_until(lambda: any(map(_started_by, _started_by(chaos.pid))), 700.0)
-        (up,) = _started_by(chaos.pid)
-        workers = _started_by(up)
+        until(lambda: any(map(started_by, started_by(chaos.pid))), 700.0)
+        (up,) = started_by(chaos.pid)
+        workers = started_by(up)
         chaos.send_signal(number)
         chaos.wait(15.0)
     finally:
         chaos.kill()
-    _wait_until(lambda: not any(map(_runs, (up, *workers))), 10.0)
+    until(lambda: not any(map(runs, (up, *workers))), 10.0)
     if number == signal.SIGTERM:
         assert list(tmp_path.glob("huepose-live-*")) == []
 
@@ -97,5 +74,5 @@ def test_a_pipeline_that_cannot_be_listened_to_is_ended(monkeypatch):
     with pytest.raises(ZeroDivisionError), system:
         pass
     assert not system.path.parent.exists()
-    children = [Path(f"/proc/{pid}/cmdline").read_text() for pid in _started_by(os.getpid())]
+    children = [Path(f"/proc/{pid}/cmdline").read_text() for pid in started_by(os.getpid())]
     assert not any(str(system.path) in command for command in children)

@@ -1,12 +1,14 @@
 """A tiny recorded scene, a camera that is a Python file, free ports, and pipelines as files."""
 
 import json
+import signal
 import socket
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -142,22 +144,54 @@ def processes():
 
 
 @pytest.fixture
+def same_handlers():
+    """Signals are handled after the test as they were before."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def heeds_ctrl_c():
+    """Done in a process as it starts: who starts the tests may ignore SIGINT, which is inherited."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def started_by(pid):
+    """The processes that a process has started and that have not ended."""
+    try:
+        return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+
+
+def runs(pid):
+    try:
+        # One that has ended stays in the list until its new parent looks.
+        return "(zombie)" not in Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
+
+
+@pytest.fixture
 def huepose():
     """Starts `huepose` processes and ends those that a test left behind."""
     with processes() as start:
         yield start
 
 
-def _wait_until(condition, timeout_s=10.0):
+def until(condition, timeout_s=10.0, act=lambda: time.sleep(0.02)):
+    """What a condition gives once it gives something; meanwhile `act` is done again and again."""
     deadline = time.monotonic() + timeout_s
-    while not condition():
+    while not (found := condition()):
         assert time.monotonic() < deadline, "it did not come about in time"
-        time.sleep(0.02)
+        act()
+    return found
 
 
 @pytest.fixture
 def wait_until():
-    return _wait_until
+    return until
 
 
 PYTHON_CAMERA = """import time

@@ -12,12 +12,11 @@ from huepose_protos.buffers import frame_images, pack
 from huepose_protos.examples import images, messages
 from huepose_protos.messages import FrameHeader, ObjectsMessage, PoseMessage
 from huepose_services.following import Memory, recall
-from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import CHAIN, BusConfig, Config
-from huepose_services.runtime.health import Health
-from huepose_services.runtime.log import Log
-from huepose_services.runtime.session import MIB, lock_limit, open_worker_session, pool_fits, pool_size
+from huepose_services.runtime.session import MIB, lock_limit, pool_fits, pool_size
+from tests.services.conftest import until
+from tests.services.sessions import close_bus, open_bus
 
 pytestmark = pytest.mark.live
 
@@ -30,14 +29,10 @@ def buses(base_port):
     """Camera and tracker ends of a bus."""
     config = Config(bus=BusConfig(base_port=base_port))
     before = threading.active_count()
-    opened = []
-    for worker in ("camera", "tracker"):
-        session, _ = open_worker_session(config, worker)
-        opened.append((Bus(session, config.keys, worker, Log(worker), Health(worker)), session))
-    yield [bus for bus, _ in opened]
-    for bus, session in opened:
-        bus.close()
-        session.close()
+    opened = [open_bus(config, worker) for worker in ("camera", "tracker")]
+    yield opened
+    for bus in opened:
+        close_bus(bus)
     assert threading.active_count() <= before + 1, "threads of closed subscriptions are left"
 
 
@@ -46,20 +41,22 @@ def _numbered(i):
 
 
 def _next_pose(bus, queue):
-    deadline, message = time.monotonic() + 5.0, None
-    while message is None and time.monotonic() < deadline:
-        bus.inbox.wait(0.1)
-        message = bus.take(queue, PoseMessage)
-    return message
+    return until(lambda: bus.take(queue, PoseMessage), act=lambda: bus.inbox.wait(0.1))
+
+
+def _saying(say, bus):
+    """Something is said, and the reader looks a moment for it."""
+
+    def act():
+        say()
+        bus.inbox.wait(0.05)
+
+    return act
 
 
 def _until_heard(publish, place, bus):
     """Publish until the subscription has been seen by the publisher, then empty the place."""
-    deadline = time.monotonic() + 5.0
-    while not place:
-        assert time.monotonic() < deadline
-        publish(_numbered(0))
-        bus.inbox.wait(0.05)
+    until(lambda: place, act=_saying(lambda: publish(_numbered(0)), bus))
     time.sleep(0.1)
     while place.take() is not None:
         pass
@@ -109,13 +106,7 @@ def test_a_queue_keeps_everything_in_order(buses):
     _until_heard(lambda m: camera.put_control("t/queue", m), queue, tracker)
     for i in range(1000):
         camera.put_control("t/queue", _numbered(i))
-    got = []
-    deadline = time.monotonic() + 5.0
-    while len(got) < 1000 and time.monotonic() < deadline:
-        tracker.inbox.wait(0.1)
-        while (message := tracker.take(queue, PoseMessage)) is not None:
-            got.append(message.frame_id)
-    assert got == list(range(1000))
+    assert [_next_pose(tracker, queue).frame_id for _ in range(1000)] == list(range(1000))
     assert queue.skipped == 0
 
 
@@ -144,13 +135,10 @@ def test_pixels_arrive_with_their_header_and_by_shared_memory(buses):
     specs, payload = pack({"color": color, "depth": depth})
     size = msgspec.structs.replace(HEADER.intrinsics, width=640, height=480)
     header = msgspec.structs.replace(HEADER, buffers=specs, intrinsics=size)
-    deadline = time.monotonic() + 5.0
+    say = _saying(lambda: camera.put_pixels(key, header, payload), tracker)
     # The first frames, before the pool is made, go by TCP.
     while tracker.health.counters.get("frames_by_shared_memory", 0) < 5:
-        assert time.monotonic() < deadline
-        camera.put_pixels(key, header, payload)
-        tracker.inbox.wait(0.1)
-        taken = tracker.take_with_payload(ring, FrameHeader)
+        taken = until(lambda: tracker.take_with_payload(ring, FrameHeader), act=say)
     got_color, got_depth = frame_images(*taken)
     assert (got_color == color).all()
     assert (got_depth == depth).all()
@@ -160,11 +148,8 @@ def test_pixels_arrive_with_their_header_and_by_shared_memory(buses):
 def test_a_payload_without_a_header_is_refused(buses):
     camera, tracker = buses
     ring = tracker.inbox.ring(tracker.keys.frame)
-    deadline = time.monotonic() + 5.0
-    while not ring:
-        assert time.monotonic() < deadline
-        camera.session.put(tracker.keys.frame, pack(images())[1])
-        tracker.inbox.wait(0.05)
+    pixels = pack(images())[1]
+    until(lambda: ring, act=_saying(lambda: camera.session.put(tracker.keys.frame, pixels), tracker))
     assert tracker.take_with_payload(ring, FrameHeader) is None
     assert tracker.health.counters["wire_errors"] == 1
 
@@ -172,10 +157,7 @@ def test_a_payload_without_a_header_is_refused(buses):
 def test_a_ring_that_does_not_wake_leaves_the_loop_asleep(buses):
     camera, tracker = buses
     ring = tracker.inbox.ring("t/quiet", wakes=False)
-    deadline = time.monotonic() + 5.0
-    while not ring._samples and time.monotonic() < deadline:
-        camera.put("t/quiet", POSE)
-        time.sleep(0.02)
+    until(lambda: ring._samples, act=_saying(lambda: camera.put("t/quiet", POSE), tracker))
     start = time.monotonic()
     tracker.inbox.wait(0.2)
     assert time.monotonic() - start >= 0.19
@@ -225,11 +207,8 @@ def test_frames_of_a_second_camera_take_the_place_of_none_and_are_told(buses):
     camera, tracker = buses
     ring = tracker.frames()
     specs, payload = pack(images())
-    deadline = time.monotonic() + 10.0
-    while not ring:
-        assert time.monotonic() < deadline
-        camera.put_pixels(camera.keys.frame, msgspec.structs.replace(HEADER, buffers=specs), payload)
-        tracker.inbox.wait(0.05)
+    first = msgspec.structs.replace(HEADER, buffers=specs)
+    until(lambda: ring, act=_saying(lambda: camera.put_pixels(camera.keys.frame, first, payload), tracker))
     second = msgspec.structs.replace(HEADER, buffers=specs, camera_epoch=2)
     for number in range(30):
         mine = msgspec.structs.replace(HEADER, buffers=specs, frame_id=number)
@@ -255,18 +234,10 @@ def test_an_older_frame_that_comes_later_takes_the_place_of_none(buses):
         header = msgspec.structs.replace(HEADER, buffers=specs, frame_id=number, capture_ns=capture_ns)
         camera.put_pixels(camera.keys.frame, header, payload)
 
-    deadline = time.monotonic() + 10.0
-    while not ring:
-        assert time.monotonic() < deadline
-        say(5, now)
-        tracker.inbox.wait(0.05)
+    until(lambda: ring, act=_saying(lambda: say(5, now), tracker))
     for number, back_ns in ((6, -1), (4, 1_000_000), (3, 2_000_000)):
         say(number, now - back_ns)
         time.sleep(0.05)
-    deadline = time.monotonic() + 5.0
-    while tracker.health.counters.get("frames_out_of_order", 0) < 2:
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-        tracker.say_health()
+    until(lambda: tracker.health.counters.get("frames_out_of_order", 0) >= 2, act=tracker.say_health)
     header, _ = tracker.take_with_payload(ring, FrameHeader)
     assert header.frame_id == 6

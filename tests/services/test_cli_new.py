@@ -19,6 +19,7 @@ from huepose.model import ReferenceModel, save_model
 from huepose.scenes.builtin import first_shot
 from huepose_services.cli.main import main
 from huepose_services.runtime.config import load
+from tests.services.conftest import heeds_ctrl_c
 
 
 def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
@@ -85,9 +86,7 @@ def test_ctrl_c_ends_a_demo_whose_scene_is_still_being_drawn(tea_box: ReferenceM
         stderr=subprocess.PIPE,
         env=os.environ | {"TMPDIR": str(tmp_path / "made")},
         text=True,
-        preexec_fn=lambda: signal.signal(
-            signal.SIGINT, signal.SIG_DFL
-        ),  # what starts the tests may ignore it
+        preexec_fn=heeds_ctrl_c,
     ) as running:
         assert running.stderr is not None
         while f"drawing the scene of seed {seed}, once" not in (line := running.stderr.readline()):

@@ -12,7 +12,6 @@ from msgspec.structs import replace
 from huepose.evaluation.pose_files import read_pose_csv
 from huepose.support.errors import InputError
 from huepose_protos import encode
-from huepose_protos.client import configured
 from huepose_protos.examples import messages
 from huepose_protos.fields import is_name
 from huepose_protos.keys import Keys, tail_of
@@ -26,6 +25,7 @@ from huepose_services.runtime.config import load
 from huepose_services.runtime.running import Pipeline, described, noted
 from tests.disk import full_disk
 from tests.services.repeating import repeating
+from tests.services.sessions import listening
 
 NO_POSE = ("translation", "quaternion", "velocity_linear", "velocity_angular", "covariance")
 HALF = 0.5**0.5
@@ -198,8 +198,7 @@ def test_an_object_that_is_not_looked_for_is_said_with_those_that_are(
         session.put(f"{head}/objects", encode(listed))
         session.put(f"{head}/pose/jar/0", encode(replace(pose, object="jar", instance=0)))
 
-    config = configured({"listen/endpoints": [where], "scouting/multicast/enabled": False})
-    with zenoh.open(config) as session, repeating(publish, 0.05):
+    with zenoh.open(listening(where)) as session, repeating(publish, 0.05):
         misspelt = huepose("poses", "biscit", *choice)
         strange = huepose("poses", "cup", *choice)
         headed = huepose("poses", "jar", *choice)
@@ -233,12 +232,11 @@ def test_why_no_pose_comes_in_the_robot_s_frame_is_said_as_it_is(pose, base_port
         message = replace(pose, frame_id=number, capture_ns=now, publish_ns=now)
         session.put(f"huepose/lab/cam0/pose/{pose.object}/0", encode(message))
 
-    config = configured({"listen/endpoints": [endpoint(base_port)], "scouting/multicast/enabled": False})
     with noted(described(load(path), path)):
         printing = huepose("poses", "--robot", "--json", "--config", path)
         lines = iter(printing.stderr.readline, "")
         assert any(f"lab/cam0, from {path}, is being started" in line for line in lines)
-        with zenoh.open(config) as session, repeating(publish, 0.05):
+        with zenoh.open(listening(endpoint(base_port))) as session, repeating(publish, 0.05):
             assert any("nobody tells where the camera is" in line for line in lines)
     printing.terminate()
 

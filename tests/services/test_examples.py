@@ -29,7 +29,9 @@ from huepose_services.camera.python import open_source
 from huepose_services.cli.new import write_frame
 from huepose_services.runtime.config import Config, load
 from huepose_services.runtime.running import described, noted
+from tests.services.conftest import heeds_ctrl_c, until
 from tests.services.repeating import repeating
+from tests.services.sessions import listening
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -100,9 +102,6 @@ def published(
 ) -> Iterator[None]:
     """A pipeline's poses, thirty a second, at an endpoint, and after some of them where its camera is;
     pose: by the number of poses so far."""
-    config = zenoh.Config()
-    config.insert_json5("listen/endpoints", f'["{endpoint}"]')
-    config.insert_json5("scouting/multicast/enabled", "false")
 
     def publish(number: int) -> None:
         now = time.monotonic_ns()
@@ -117,7 +116,7 @@ def published(
             )
             session.put(keys.camera_info, encode(said))
 
-    with zenoh.open(config) as session, repeating(publish, 1 / 30):
+    with zenoh.open(listening(endpoint)) as session, repeating(publish, 1 / 30):
         yield
 
 
@@ -213,10 +212,7 @@ def test_a_name_that_is_not_looked_for_is_said_with_those_that_are(outside: bool
         publish_ns=1,
         objects=[ObjectEntry(object=name, max_instances=1, searching=1) for name in ("tea_box", "carton")],
     )
-    config = zenoh.Config()
-    config.insert_json5("listen/endpoints", f'["{endpoint}"]')
-    config.insert_json5("scouting/multicast/enabled", "false")
-    with zenoh.open(config) as session:
+    with zenoh.open(listening(endpoint)) as session:
         session.declare_queryable(key, lambda query: query.reply(key, encode(said)))
 
         def say_where_the_camera_is(_: int) -> None:
@@ -238,18 +234,12 @@ def test_a_name_that_is_not_looked_for_is_said_with_those_that_are(outside: bool
 @pytest.mark.live
 def test_a_topic_arrives_at_a_router(base_port: int) -> None:
     router, poses = (f"tcp/127.0.0.1:{base_port + k}" for k in (0, 1))
-    config = zenoh.Config()
-    config.insert_json5("mode", '"router"')
-    config.insert_json5("listen/endpoints", f'["{router}"]')
-    config.insert_json5("scouting/multicast/enabled", "false")
     heard: list[zenoh.Sample] = []
-    with zenoh.open(config) as session, published(poses, lambda number: tracked()):
+    with zenoh.open(listening(router, mode="router")) as session, published(poses, lambda number: tracked()):
         session.declare_subscriber("0/pick/target/**", heard.append)
         bridge = subprocess.Popen(example("06_ros2.py", "tea_box", router, poses))
         try:
-            until = time.monotonic() + 60.0
-            while not heard and bridge.poll() is None and time.monotonic() < until:
-                time.sleep(0.05)
+            until(lambda: heard or bridge.poll() is not None, 60.0)
         finally:
             bridge.terminate()
             bridge.wait()
@@ -266,9 +256,7 @@ def test_without_a_router_a_topic_says_once_what_to_start_and_waits_until_ctrl_c
             example("06_ros2.py", "tea_box", router, poses),
             stderr=subprocess.PIPE,
             text=True,
-            preexec_fn=lambda: signal.signal(
-                signal.SIGINT, signal.SIG_DFL
-            ),  # what starts the tests may ignore it
+            preexec_fn=heeds_ctrl_c,
         )
         assert bridge.stderr is not None
         first = bridge.stderr.readline()

@@ -1,6 +1,5 @@
 """A pipeline over two computers: which part is whose, what crosses between them, and what does not."""
 
-import threading
 import time
 from types import SimpleNamespace
 
@@ -27,13 +26,11 @@ from huepose_services.authority import Authority
 from huepose_services.camera.audience import Audience
 from huepose_services.cli.graph import as_json, mermaid
 from huepose_services.cli.units import units
-from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, LinkConfig, parse
-from huepose_services.runtime.health import Health
-from huepose_services.runtime.log import Log
 from huepose_services.runtime.running import described
-from huepose_services.runtime.session import open_worker_session
 from huepose_services.watch import View
+from tests.services.conftest import until
+from tests.services.sessions import Working, close_bus, open_bus
 
 EXAMPLES = {type(m): m for m in messages()}
 _, PIXELS = pack(images())
@@ -109,28 +106,13 @@ class Side:
 
     def __init__(self, config, link, other):
         self.config = config
-        self.bus, self.other = self._bus(link), self._bus(other)
+        self.bus, self.other = open_bus(config, link), open_bus(config, other)
         self.work = (uplink if link == "uplink" else downlink).make(self.bus, config)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._loop)
-        self._thread.start()
-
-    def _bus(self, worker):
-        session, _ = open_worker_session(self.config, worker)
-        return Bus(session, self.config.keys, worker, Log(worker), Health(worker))
-
-    def _loop(self):
-        while not self._stopping.is_set():
-            self.bus.inbox.wait(0.01)
-            self.work.step()
+        self._working = Working(self.bus, self.work)
 
     def close(self):
-        self._stopping.set()
-        self._thread.join()
-        self.work.close()
-        for bus in (self.bus, self.other):
-            bus.close()
-            bus.session.close()
+        self._working.close()
+        close_bus(self.other)
 
 
 @pytest.fixture
@@ -163,14 +145,6 @@ def sides(base_port, folder):
         one.close()
 
 
-def _until(condition, timeout_s=10.0):
-    deadline = time.monotonic() + timeout_s
-    while (found := condition()) is None or found is False:
-        assert time.monotonic() < deadline, "it did not come about in time"
-        time.sleep(0.02)
-    return found
-
-
 def _frame(capture_ns):
     return msgspec.structs.replace(EXAMPLES[FrameHeader], publish_ns=capture_ns, capture_ns=capture_ns)
 
@@ -190,7 +164,7 @@ def test_a_request_takes_its_frame_along_and_the_answer_has_its_stamp(sides):
         time.sleep(0.05)
         return desk.other.take_with_payload(looks, Look)
 
-    look, pixels = _until(crossed)
+    look, pixels = until(crossed)
     assert (look.request, look.frame, pixels) == (request, frame, PIXELS)
 
     def answer(**changes):
@@ -204,7 +178,7 @@ def test_a_request_takes_its_frame_along_and_the_answer_has_its_stamp(sides):
     answer(frame_id=frame.frame_id + 1)  # of a frame that was never sent
     answer(capture_ns=now + 1)
     answer(request_seq=99)
-    got = _until(lambda: robot.other.take(answers, Estimates))
+    got = until(lambda: robot.other.take(answers, Estimates))
     assert (got.request_seq, got.capture_ns) == (99, now)
     assert abs(got.publish_ns - time.monotonic_ns()) < 10**10
     assert robot.bus.health.counters["answers_about_frames_not_sent"] == 2
@@ -225,14 +199,14 @@ def test_a_frame_about_which_all_was_answered_does_not_cross_again_and_the_next_
         time.sleep(0.05)
         return desk.other.take_with_payload(looks, Look)
 
-    _until(crossed)
+    until(crossed)
     time.sleep(0.3)
     while desk.other.take_with_payload(looks, Look) is not None:
         pass
     seen = msgspec.structs.replace(request, seen=(frame.camera_epoch, frame.frame_id))
     assert [crossed(request=seen) for _ in range(5)] == [None] * 5
     newer = msgspec.structs.replace(frame, frame_id=frame.frame_id + 1)
-    look, _ = _until(lambda: crossed(newer, None))
+    look, _ = until(lambda: crossed(newer, None))
     assert (look.request, look.frame.frame_id) == (seen, newer.frame_id)
 
 
@@ -250,7 +224,7 @@ def test_only_the_end_of_perception_may_be_there(sides, far, kind):
         time.sleep(0.05)
         return desk.other.take_with_payload(found, kind)
 
-    got, pixels = _until(crossed)
+    got, pixels = until(crossed)
     assert (got.frame, got.objects, pixels) == (said.frame, said.objects, PIXELS)
 
 
@@ -272,7 +246,7 @@ def test_who_is_there_is_seen_and_nobody_else_comes_or_steers(sides, folder):
         time.sleep(0.05)
         return {"estimator", "downlink"} <= heard
 
-    _until(seen)
+    until(seen)
     assert "tracker" not in heard
     assert not robot.bus.health.message().warnings
     # What the desk says under other keys goes nowhere; who has another certificate of the authority does not
@@ -283,12 +257,12 @@ def test_who_is_there_is_seen_and_nobody_else_comes_or_steers(sides, folder):
     for session in (desk.work._outside, stranger):
         for key in (keys.correction, keys.down(keys.correction), keys.up(keys.objects)):
             session.put(key, bytes_of)
-    _until(lambda: robot.work._door.refused > 0)
+    until(lambda: robot.work._door.refused > 0)
     time.sleep(0.3)
     assert robot.other.take(corrections, CorrectionMessage) is None
     assert not stranger.info.peers_zid()
     stranger.close()
     # Silent for 2.5 s: it is said, and they are no longer seen.
-    _until(lambda: "desk is not heard" in str(robot.bus.health.message().warnings), 5.0)
+    until(lambda: "desk is not heard" in str(robot.bus.health.message().warnings), 5.0)
     assert robot.bus.health.state == "waiting"
     assert not robot.work._tokens

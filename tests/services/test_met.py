@@ -3,18 +3,10 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable
 
 from huepose.support.errors import InputError
 from huepose_services.met import Met
-
-
-def _until(done: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 10.0
-    while not done():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+from tests.services.conftest import until
 
 
 def test_a_new_object_is_loaded_beside_the_work() -> None:
@@ -31,7 +23,7 @@ def test_a_new_object_is_loaded_beside_the_work() -> None:
     assert met.get("box") is None
     assert list(met) == ["can"]
     there.set()
-    _until(lambda: met.get("box") is not None)
+    until(lambda: met.get("box") is not None)
     assert (met["box"], list(met), asked, said) == (7, ["can", "box"], ["box"], [])
 
 
@@ -47,9 +39,9 @@ def test_an_object_that_nobody_knows_is_said_once() -> None:
     met = Met({}, load, said.append, "is not drawn")
     for _ in range(3):
         assert met.get("ghost") is None
-        _until(lambda: len(said) == 1)
+        until(lambda: len(said) == 1)
     assert said == ["ghost is not drawn: object 'ghost': found no such reference model. Onboard it."]
     assert met.get("cup") is None
-    _until(lambda: len(said) == 2)
+    until(lambda: len(said) == 2)
     assert said[1] == "cup is not drawn: MemoryError"
     assert asked == ["ghost", "cup"]

@@ -17,10 +17,9 @@ from huepose_services.cli.main import main
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.config import ObjectConfig, parse
-from huepose_services.runtime.health import Health
-from huepose_services.runtime.log import Log
 from huepose_services.runtime.session import open_reader_session, zenoh_config
 from tests.perception import networks
+from tests.services.sessions import close_bus
 
 BOX = Box(200.0, 120.0, 160.0, 200.0)
 TEXT = """
@@ -50,11 +49,10 @@ def buses(config):
     """One for the worker, one for everybody else."""
     endpoint = config.endpoint("detector")
     sessions = zenoh.open(zenoh_config([endpoint], [])), open_reader_session([endpoint])
-    made = [Bus(session, config.keys, "test", Log("test"), Health("test")) for session in sessions]
+    made = [Bus(session, config.keys, "test") for session in sessions]
     yield made
-    for bus, session in zip(made, sessions, strict=True):
-        bus.close()
-        session.close()
+    for bus in made:
+        close_bus(bus)
 
 
 def _frame():
@@ -65,17 +63,13 @@ def _frame():
 
 def _answer(ask, work, bus, place, kind, wait_until):
     """Ask and let the worker work until its answer is there: subscriptions take a moment to be known."""
-    answers = []
 
     def answered():
         ask()
         work.step()
-        if (taken := bus.take_with_payload(place, kind)) is not None:
-            answers.append(taken)
-        return answers
+        return bus.take_with_payload(place, kind)
 
-    wait_until(answered)
-    return answers[0]
+    return wait_until(answered)
 
 
 def test_an_object_that_the_network_has_no_class_for_is_told_from_the_start(config, buses, tmp_path, capsys):

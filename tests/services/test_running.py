@@ -185,6 +185,7 @@ def test_status_names_a_pipeline_of_another_folder_once(tmp_path, monkeypatch, c
         assert said.err == ""
 
 
+@pytest.mark.usefixtures("same_handlers")
 def test_top_ends_at_ctrl_c_wherever_that_comes(monkeypatch):
     """An exception is lost where Python cannot raise it, as in a finaliser."""
 
@@ -192,7 +193,6 @@ def test_top_ends_at_ctrl_c_wherever_that_comes(monkeypatch):
         def __del__(self):
             signal.raise_signal(signal.SIGINT)
 
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     looks = []
 
     def look(watch, seconds, stopping=lambda: False):
@@ -200,12 +200,8 @@ def test_top_ends_at_ctrl_c_wherever_that_comes(monkeypatch):
         Finalised()
 
     monkeypatch.setattr("huepose_services.watch.Watch.look", look)
-    try:
-        with noted(Pipeline(base_port=18200, workers=("camera",))):
-            assert main(["top", "--seconds", "2"]) == 0
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+    with noted(Pipeline(base_port=18200, workers=("camera",))):
+        assert main(["top", "--seconds", "2"]) == 0
     assert len(looks) == 1
 
 

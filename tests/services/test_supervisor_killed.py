@@ -4,26 +4,13 @@ import json
 import os
 import signal
 import time
-from pathlib import Path
 
 import pytest
 
 from huepose_protos.client import open_session
+from tests.services.conftest import runs, started_by
 
 pytestmark = pytest.mark.live
-
-
-def _workers(pid):
-    """The processes that a process has started."""
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def _runs(pid):
-    try:
-        # One that has ended stays in the list until its new parent looks.
-        return "(zombie)" not in Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return False
 
 
 @pytest.fixture
@@ -47,13 +34,13 @@ def test_all_workers_end_with_their_supervisor_and_it_starts_again(
     path, listen = with_gateway
     first = huepose("up", path)
     _until_it_answers(listen, wait_until)
-    workers = _workers(first.pid)
+    workers = started_by(first.pid)
     assert len(workers) == 2
     if stopped:  # one that hangs ends as well
         os.kill(workers[1], signal.SIGSTOP)
     first.kill()
     started = time.monotonic()
-    wait_until(lambda: not any(_runs(pid) for pid in workers), 10.0)
+    wait_until(lambda: not any(map(runs, workers)), 10.0)
     assert time.monotonic() - started < 2.0
     second = huepose("up", path)
     _until_it_answers(listen, wait_until)
@@ -65,9 +52,8 @@ def test_all_workers_end_with_their_supervisor_and_it_starts_again(
 def test_a_worker_that_is_only_starting_ends_too(with_gateway, huepose, wait_until):
     path, _ = with_gateway
     process = huepose("up", path)
-    wait_until(lambda: _workers(process.pid))
-    workers = _workers(process.pid)
+    workers = wait_until(lambda: started_by(process.pid))
     process.kill()
     started = time.monotonic()
-    wait_until(lambda: not any(_runs(pid) for pid in workers), 10.0)
+    wait_until(lambda: not any(map(runs, workers)), 10.0)
     assert time.monotonic() - started < 2.0

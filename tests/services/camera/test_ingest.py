@@ -16,14 +16,14 @@ from huepose_protos.examples import messages
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.camera.ingest import Busy, Ingest, Schedule, make
 from huepose_services.camera.publish import packed
-from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND
 from huepose_services.runtime.config import BusConfig, Config, ObjectConfig
 from huepose_services.runtime.config_perception import CameraConfig
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
-from huepose_services.runtime.session import open_worker_session
+from tests.services.conftest import until
 from tests.services.fake_bus import FakeBus
+from tests.services.sessions import close_bus, open_bus
 
 POSE = next(m for m in messages() if isinstance(m, PoseMessage))
 STAMPS = {3: 0, 4: 40_000_000, 7: 140_000_000, 9: 150_000_000}
@@ -150,11 +150,7 @@ def _ingest(scene, **camera):
 
 
 def _stepped_to_its_end(ingest):
-    until = time.monotonic() + 20.0
-    while not ingest.finished:
-        assert time.monotonic() < until
-        ingest.step()
-        time.sleep(0.001)
+    until(lambda: ingest.finished, 20.0, ingest.step)
 
 
 def test_pictures_that_cannot_be_read_are_left_out_and_counted(scene):
@@ -201,8 +197,7 @@ def test_it_waits_for_poses_and_for_its_last_reader(scene, base_port, wait_until
         camera=CameraConfig(source="bop", path=str(scene), rate="recorded", once=True, first_frame_s=60.0),
         bus=BusConfig(base_port=base_port),
     )
-    sessions = {worker: open_worker_session(config, worker)[0] for worker in config.workers}
-    camera, tracker = (Bus(s, config.keys, w, Log(w), Health(w)) for w, s in sessions.items())
+    camera, tracker = (open_bus(config, worker) for worker in config.workers)
     frames = tracker.inbox.queue(config.keys.frame)
     ingest, seen = make(camera, config), []
 
@@ -215,7 +210,7 @@ def test_it_waits_for_poses_and_for_its_last_reader(scene, base_port, wait_until
 
     for _ in range(20):
         assert step() == [], "the tracker is not there yet"
-    token = sessions["tracker"].liveliness().declare_token(config.keys.live("tracker"))
+    token = tracker.session.liveliness().declare_token(config.keys.live("tracker"))
     wait_until(lambda: len(step()) >= 3)
     assert {h.frame_id for h in seen} == {3}, "it stands on its first frame"
     tracker.put(config.keys.pose(POSE.object, 0), POSE)
@@ -229,9 +224,7 @@ def test_it_waits_for_poses_and_for_its_last_reader(scene, base_port, wait_until
     wait_until(lambda: step() and ingest.finished)
     token.undeclare()
     for bus in (camera, tracker):
-        bus.close()
-    for session in sessions.values():
-        session.close()
+        close_bus(bus)
 
 
 def test_the_truth_of_a_scene_in_a_folder_that_is_no_utf8_can_be_told(scene):

@@ -1,6 +1,5 @@
 """A gateway with real sessions, a tracker's end of the bus beside it, and a real authority."""
 
-import threading
 import time
 
 import msgspec
@@ -10,11 +9,9 @@ from huepose_protos.examples import messages
 from huepose_protos.messages import PoseMessage
 from huepose_services.authority import Authority
 from huepose_services.gateway import GatewayWork, make
-from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, GatewayConfig, TlsConfig
-from huepose_services.runtime.health import Health
-from huepose_services.runtime.log import Log
-from huepose_services.runtime.session import open_worker_session
+from tests.services.conftest import until
+from tests.services.sessions import Working, close_bus, open_bus
 
 EXAMPLES = {type(m): m for m in messages()}
 
@@ -27,33 +24,18 @@ class Running:
         self.config = Config(
             bus=BusConfig(base_port=base_port), gateway=GatewayConfig(listen=f"{host}:{self.port}", **gateway)
         )
-        self.tracker = self._bus("tracker")
+        self.tracker = open_bus(self.config, "tracker")
         self.corrections = self.tracker.inbox.queue(self.tracker.keys.correction)
         self.gateway = self.work = None
         self.start_gateway()
 
-    def _bus(self, worker):
-        session, _ = open_worker_session(self.config, worker)
-        return Bus(session, self.config.keys, worker, Log(worker), Health(worker))
-
     def start_gateway(self):
-        self.gateway = self._bus("gateway")
+        self.gateway = open_bus(self.config, "gateway")
         self.work: GatewayWork = make(self.gateway, self.config)
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._loop)
-        self._thread.start()
-
-    def _loop(self):
-        while not self._stopping.is_set():
-            self.gateway.inbox.wait(0.01)
-            self.work.step()
+        self._working = Working(self.gateway, self.work)
 
     def stop_gateway(self):
-        self._stopping.set()
-        self._thread.join()
-        self.work.close()
-        self.gateway.close()
-        self.gateway.session.close()
+        self._working.close()
 
     def say(self, frame_id, **changes):
         """A pose of the example object; the stamps are those of now."""
@@ -68,19 +50,18 @@ class Running:
 
     def say_until(self, condition, timeout_s=8.0):
         """Poses at 100 a second until something holds; returns the last."""
-        deadline, frame_id = time.monotonic() + timeout_s, 1001
-        pose = self.say(frame_id)
-        while not condition():
-            assert time.monotonic() < deadline, "it did not come about in time"
+        poses = [self.say(1001)]
+
+        def say():
             time.sleep(0.01)
-            frame_id += 1
-            pose = self.say(frame_id)
-        return pose
+            poses.append(self.say(1001 + len(poses)))
+
+        until(condition, timeout_s, say)
+        return poses[-1]
 
     def close(self):
         self.stop_gateway()
-        self.tracker.close()
-        self.tracker.session.close()
+        close_bus(self.tracker)
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import time
 
 import msgspec
 import pytest
@@ -14,6 +13,7 @@ from huepose_services.cli.view import _drawn
 from huepose_services.recording.its_models import ItsModels
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.running import Pipeline, noted
+from tests.services.conftest import until
 
 from .conftest import EXAMPLES, KEY, NAME, parts
 
@@ -68,11 +68,7 @@ def test_what_is_met_in_a_recording_that_is_played_is_drawn(followed, tmp_path, 
     with noted(Pipeline(base_port=29347, site="lab", camera="cam0", file=str(followed.path))):
         drawn = _drawn(Config(), arguments)
         assert list(drawn) == []
-        deadline = time.monotonic() + 10.0
-        while drawn.get(NAME) is None or drawn.get("my_box") is not None:
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        while not (said := capsys.readouterr().err):
-            assert time.monotonic() < deadline
+        until(lambda: drawn.get(NAME) and not drawn.get("my_box"))
+        said = until(lambda: capsys.readouterr().err)
     assert said.startswith("my_box is not drawn: object 'my_box': found no such reference model")
     assert said.endswith(f"huepose replay {followed.path} --config PIPELINE.yaml.\n")

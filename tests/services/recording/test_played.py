@@ -34,7 +34,7 @@ from huepose_services.recording.play import Player, in_order
 from huepose_services.recording.read import Event, Recording
 from huepose_services.runtime.bus import Bus
 from tests.disk import full_disk
-from tests.services.conftest import free_port_range
+from tests.services.conftest import free_port_range, until
 
 from .conftest import EXAMPLES, KEY, chunks_of, frames, mcap_of, parts, tiny_frame, written
 
@@ -279,16 +279,14 @@ def test_recordings_of_several_cameras_are_played_each_as_its_own(tmp_path, monk
 
 
 @pytest.mark.live
+@pytest.mark.usefixtures("same_handlers")
 def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, tmp_path):
     path = pipeline(once=False, rate=20)
     out = tmp_path / "recording.mcap"
     camera = huepose("run", "camera", path)
     recorder = huepose("record", out, "--config", path, "--free", "0")
     other = huepose("record", tmp_path / "other", "--config", path, "--free", "0", "--json", "--jpeg")
-    deadline = time.monotonic() + 60.0
-    while not out.exists() or len(frames(Recording(out).events())) < 20:
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
+    until(lambda: out.exists() and len(frames(Recording(out).events())) >= 20, 60.0)
     other.send_signal(signal.SIGINT)
     answer = json.loads(other.communicate(timeout=15.0)[0])
     assert answer["files"] == [str(tmp_path / "other.mcap")]
@@ -309,12 +307,9 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
         assert again.depth == pytest.approx(first.depth, abs=1e-4)
     assert taken.truths(taken.image_ids[len(taken.image_ids) // 2])
 
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     with Reader([endpoint(base_port)], "huepose/*/*/health/*") as reader:
         assert main(["replay", str(out), "--config", str(path), "--speed", "20"]) == 0
         assert reader.next(5.0).worker == "camera"
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 @pytest.mark.live

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from functools import partial
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,12 +17,10 @@ from huepose_protos.messages import Mount, MountMessage
 from huepose_services.ros2.messages import TRANSFORMS, transforms_in, types
 from huepose_services.ros2.publisher import Node, topic_key
 from huepose_services.ros2.work import MountFromTf, Ros2Work, Router, open_ros_session
-from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, Config, Ros2Config
 from huepose_services.runtime.config_perception import TfConfig
-from huepose_services.runtime.health import Health
-from huepose_services.runtime.log import Log
-from huepose_services.runtime.session import open_worker_session
+from tests.services.conftest import until
+from tests.services.sessions import close_bus, listening, open_bus
 
 QUARTER = 0.5**0.5
 
@@ -89,65 +85,46 @@ def test_bytes_that_are_no_message_are_refused_and_raise_nothing() -> None:
     assert said, "of the last, which is too long"
 
 
-def _router(port: int) -> zenoh.Config:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"router"')
-    config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')
-    config.insert_json5("scouting/multicast/enabled", "false")
-    config.insert_json5("timestamping/enabled", "true")
-    return config
-
-
-def _step_until(work: Ros2Work, done: Callable[[], Any]) -> None:
-    until = time.monotonic() + 20.0
-    while not done():
-        assert time.monotonic() < until
-        time.sleep(0.02)
-        work.step()
-
-
 @pytest.mark.live
 def test_the_worker_does_not_hear_itself(base_port: int) -> None:
     connect = f"tcp/127.0.0.1:{base_port + 9}"
     config = Config(bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=connect))
-    inner, _ = open_worker_session(config, "ros2")
-    bus = Bus(inner, config.keys, "ros2", Log("ros2"), Health("ros2"))
+    bus = open_bus(config, "ros2")
     mount = MountFromTf(bus, TfConfig(parent="base_link", child="camera"))
-    with zenoh.open(_router(base_port + 9)) as robot, open_ros_session(config.ros2) as session:
+    with zenoh.open(listening(connect, mode="router")) as robot, open_ros_session(config.ros2) as session:
         node = Node(session, "huepose", 0, "rmw_zenoh")
         mount.listen(node)
         key = topic_key("/tf", TRANSFORMS, 0, "rmw_zenoh")
-        until = time.monotonic() + 20.0
-        while "tool0" not in mount._tree.frames:
-            assert time.monotonic() < until
-            for parent, child, say in (
+
+        def say() -> None:
+            for parent, child, put in (
                 ("camera", "box_0", partial(node.publish, "/tf", TRANSFORMS)),
                 ("base_link", "tool0", partial(robot.put, key)),
             ):
-                say(written((time.time_ns(), parent, child, (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))))
+                put(written((time.time_ns(), parent, child, (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))))
             time.sleep(0.05)
             mount.step()
+
+        until(lambda: "tool0" in mount._tree.frames, 20.0, say)
         assert mount._tree.frames == ("base_link", "tool0")
         bus.close()
-    inner.close()
+    bus.session.close()
 
 
 @pytest.mark.live
 def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
     connect = f"tcp/127.0.0.1:{base_port + 9}"
     config = Config(bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=connect))
-    inner, _ = open_worker_session(config, "ros2")
-    camera, _ = open_worker_session(config, "camera")
+    bus, camera = (open_bus(config, worker) for worker in ("ros2", "camera"))
     told: list[MountMessage] = []
-    camera.declare_subscriber(
+    camera.session.declare_subscriber(
         config.keys.mount, lambda sample: told.append(decode(sample.payload.to_bytes(), MountMessage))
     )
-    bus = Bus(inner, config.keys, "ros2", Log("ros2"), Health("ros2"))
 
     def warnings() -> str:
         return " ".join(bus.health.message().warnings)
 
-    with zenoh.open(_router(base_port + 9)) as robot:
+    with zenoh.open(listening(connect, mode="router")) as robot:
         # As rmw_zenoh keeps what is said once, before anybody listens.
         static = ext.declare_advanced_publisher(
             robot,
@@ -160,7 +137,7 @@ def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
         work = Ros2Work(
             bus, router, config.ros2, {}, MountFromTf(bus, TfConfig(parent="base_link", child="camera"))
         )
-        _step_until(work, lambda: "frames heard of: camera, tool0" in warnings())
+        until(lambda: "frames heard of: camera, tool0" in warnings(), 20.0, work.step)
         at_ns, key = 0, topic_key("/tf", TRANSFORMS, 0, "rmw_zenoh")
 
         def said() -> bool:
@@ -171,7 +148,7 @@ def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
             )
             return len(told) >= 3
 
-        _step_until(work, said)
+        until(said, 20.0, work.step)
         off_ns = time.monotonic_ns() - time.time_ns()
         last = told[-1]
         assert last.mount.parent == "base_link"
@@ -181,9 +158,8 @@ def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
         assert len({message.capture_ns for message in told}) == len(told)
         assert "tf" not in warnings()
         robot.put(key, written((at_ns - 9 * 10**9, "base_link", "tool0", (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))))
-        _step_until(work, lambda: "stamped 9" in warnings())
+        until(lambda: "stamped 9" in warnings(), 20.0, work.step)
         tokens = {str(r.ok.key_expr) for r in robot.liveliness().get("@ros2_lv/**") if r.ok is not None}
         assert any("/MS/%/%/huepose/%tf_static/" in token for token in tokens)
-    bus.close()
-    inner.close()
-    camera.close()
+    close_bus(bus)
+    close_bus(camera)

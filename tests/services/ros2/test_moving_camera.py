@@ -24,6 +24,7 @@ from huepose_services.runtime.running import pick
 from tests.conftest import CAMERA, table_top
 from tests.services.conftest import free_port_range, processes
 from tests.services.ros2.test_ros2 import read
+from tests.services.sessions import listening
 
 pytestmark = [pytest.mark.live, pytest.mark.timeout(400)]
 
@@ -136,10 +137,7 @@ def test_poses_and_the_tree_of_ros_2_are_right_while_the_arm_moves_and_end_with_
             }
         )
     )
-    router = zenoh.Config()
-    router.insert_json5("mode", '"router"')
-    router.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port + 15}"]')
-    router.insert_json5("scouting/multicast/enabled", "false")
+    router = listening(f"tcp/127.0.0.1:{port + 15}", mode="router")
     tree: list[bytes] = []
     off: list[float] = []
     with zenoh.open(router) as ros, processes() as start, PoseClient(pick(path).endpoints[:2]) as client:

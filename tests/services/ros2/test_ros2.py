@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 import struct
-import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -35,12 +33,10 @@ from huepose_services.ros2.messages import (
 )
 from huepose_services.ros2.publisher import attachment, endpoint_token, node_token, topic_key
 from huepose_services.ros2.work import Ros2Work, Router
-from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.config import BusConfig, CameraConfig, Config, Ros2Config
 from huepose_services.runtime.config_parts import of_cameras
-from huepose_services.runtime.health import Health
-from huepose_services.runtime.log import Log
-from huepose_services.runtime.session import open_worker_session
+from tests.services.conftest import until
+from tests.services.sessions import close_bus, listening, open_bus
 
 EXAMPLE = next(m for m in messages() if isinstance(m, PoseMessage))
 MOUNT = Mount(parent="base_link", translation=(1.0, 2.0, 3.0), quaternion=(0.0, 0.0, 0.5**0.5, 0.5**0.5))
@@ -166,31 +162,16 @@ class Heard:
         return [s for s in self.samples if part in str(s.key_expr)]
 
 
-def _step_until(work: Ros2Work, done: Callable[[], bool]) -> None:
-    until = time.monotonic() + 20.0
-    while not done():
-        assert time.monotonic() < until
-        time.sleep(0.05)
-        work.step()
-
-
 @pytest.mark.live
 def test_what_is_tracked_arrives_at_a_router_that_comes_later(base_port: int) -> None:
-    router_config = zenoh.Config()
-    router_config.insert_json5("mode", '"router"')
-    router_config.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{base_port + 9}"]')
-    router_config.insert_json5("scouting/multicast/enabled", "false")
-    config = Config(
-        bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=f"tcp/127.0.0.1:{base_port + 9}")
-    )
-    inner, _ = open_worker_session(config, "ros2")
-    tracker, _ = open_worker_session(config, "tracker")
-    bus = Bus(inner, config.keys, "ros2", Log("ros2"), Health("ros2"))
+    connect = f"tcp/127.0.0.1:{base_port + 9}"
+    config = Config(bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=connect))
+    bus, tracker = (open_bus(config, worker) for worker in ("ros2", "tracker"))
     work = Ros2Work(bus, Router(config.ros2), config.ros2, {})
-    _step_until(work, lambda: bus.health.message().warnings != [])
+    until(lambda: bus.health.message().warnings != [], 20.0, work.step)
     (warning,) = bus.health.message().warnings
     assert f"no router of ROS 2 answers at {config.ros2.connect}; `ros2 run" in warning
-    with zenoh.open(router_config) as router:
+    with zenoh.open(listening(connect, mode="router")) as router:
         heard = Heard([])
         router.declare_subscriber("0/**", heard.samples.append)
         shown = pose(frame_id=1)
@@ -198,15 +179,14 @@ def test_what_is_tracked_arrives_at_a_router_that_comes_later(base_port: int) ->
 
         def arrived() -> bool:
             for message in (shown, doubted):
-                tracker.put(config.keys.pose(message.object, message.instance), encode(message))
-            tracker.put(config.keys.camera_info, encode(CAMERA_SEEN))
+                tracker.put(config.keys.pose(message.object, message.instance), message)
+            tracker.put(config.keys.camera_info, CAMERA_SEEN)
             return bool(heard.of("/detections/")) and bus.health.message().warnings == []
 
-        _step_until(work, arrived)
+        until(arrived, 20.0, work.step)
         tokens = {str(r.ok.key_expr) for r in router.liveliness().get("@ros2_lv/**") if r.ok is not None}
-    bus.close()
-    inner.close()
-    tracker.close()
+    close_bus(bus)
+    close_bus(tracker)
     name = f"huepose/{pose_topic(shown)}"
     sample = heard.of(name)[0]
     assert str(sample.key_expr) == f"0/{name}/geometry_msgs::msg::dds_::PoseStamped_/{type_hash(POSE)}"

@@ -3,7 +3,7 @@
 import re
 import subprocess
 import sys
-import time
+from collections import Counter
 
 import cv2
 import msgspec
@@ -27,6 +27,7 @@ from huepose_services.viewer.shapes import (
     outlines,
     yuv,
 )
+from tests.services.conftest import until
 
 CAMERA = Camera(100.0, 100.0, 50.0, 40.0, 101, 81)
 EXAMPLES = {type(m): m for m in messages()}
@@ -119,16 +120,32 @@ def test_a_depth_image_without_readings_has_a_range():
     assert high > low
 
 
-def test_frames_poses_and_changes_are_in_the_file(tmp_path):
+@pytest.fixture
+def shown(tmp_path):
+    """Makes a Show of these bodies; `written` completes its file."""
     pytest.importorskip("rerun")
-    from rerun.chunk import RrdReader
-
     from huepose_services.viewer.show import Show
     from huepose_services.viewer.sinks import saved
 
-    path = tmp_path / "out.rrd"
-    recording = saved(path)
-    show = Show(recording, {"006_mustard_bottle": Body(_box(), 0.2)})
+    recording = saved(tmp_path / "out.rrd")
+
+    def show(bodies):
+        return Show(recording, bodies)
+
+    def written():
+        recording.flush()
+        recording.disconnect()
+        return tmp_path / "out.rrd"
+
+    show.written = written
+    yield show
+    recording.disconnect()
+
+
+def test_frames_poses_and_changes_are_in_the_file(shown):
+    from rerun.chunk import RrdReader
+
+    show = shown({"006_mustard_bottle": Body(_box(), 0.2)})
     header, pose = EXAMPLES[FrameHeader], EXAMPLES[PoseMessage]
     size = msgspec.structs.replace(header.intrinsics, width=4, height=2)
     show.at(10**18, 42)
@@ -142,13 +159,9 @@ def test_frames_poses_and_changes_are_in_the_file(tmp_path):
     gone = {"translation": None, "quaternion": None, "state": "LOST", "covariance": None}
     show.at(10**18 + 10**9, 72)
     show.pose(msgspec.structs.replace(pose, **gone))
-    recording.flush()
-    recording.disconnect()
-    counts: dict[str, int] = {}
-    for chunk in RrdReader(path).stream():
-        counts[str(chunk.entity_path)] = (
-            counts.get(str(chunk.entity_path), 0) + chunk.to_record_batch().num_rows
-        )
+    counts: Counter[str] = Counter()
+    for chunk in RrdReader(shown.written()).stream():
+        counts[str(chunk.entity_path)] += chunk.to_record_batch().num_rows
     name = "006_mustard_bottle_3"
     assert counts[f"/world/objects/{name}"] == counts[f"/plots/quality/{name}"] - 1 == 2
     for once in (
@@ -164,13 +177,8 @@ def test_frames_poses_and_changes_are_in_the_file(tmp_path):
         assert counts[once] == 1, once
 
 
-def test_instances_of_one_object_differ_in_colour(tmp_path):
-    pytest.importorskip("rerun")
-    from huepose_services.viewer.show import Show
-    from huepose_services.viewer.sinks import saved
-
-    recording = saved(tmp_path / "out.rrd")
-    show = Show(recording, {"box": Body(_box(), 0.2), "can": Body(_box(), 0.2)})
+def test_instances_of_one_object_differ_in_colour(shown):
+    show = shown({"box": Body(_box(), 0.2), "can": Body(_box(), 0.2)})
     instances = [
         ("box", 0),
         ("box", 1),
@@ -185,7 +193,6 @@ def test_instances_of_one_object_differ_in_colour(tmp_path):
     assert len(set(colours)) == len(instances), "as many as there are colours"
     assert [show.colour_of(instance) for instance in instances] == colours
     assert show.colour_of(("box", 3)) == colours[0], "then that of its object again"
-    recording.disconnect()
 
 
 def test_a_taken_port_is_named():
@@ -307,24 +314,17 @@ def _rows(path, entity, column):
     return [value for _, value in sorted(out, key=lambda one: one[0])]
 
 
-def test_what_comes_later_than_its_first_pose_is_drawn(tmp_path):
-    pytest.importorskip("rerun")
-    from huepose_services.viewer.show import Show
-    from huepose_services.viewer.sinks import saved
-
-    recording = saved(tmp_path / "out.rrd")
+def test_what_comes_later_than_its_first_pose_is_drawn(shown):
     bodies = {}
-    show, pose = Show(recording, bodies), EXAMPLES[PoseMessage]
+    show, pose = shown(bodies), EXAMPLES[PoseMessage]
     show.at(10**18, 1)
     show.pose(pose)
     bodies[pose.object] = Body(_box(), 0.2)
     for frame in (2, 3):
         show.at(10**18 + frame, frame)
         show.pose(pose)
-    recording.flush()
-    recording.disconnect()
     mesh = f"/world/objects/{pose.object}_{pose.instance}/mesh"
-    assert len(_rows(tmp_path / "out.rrd", mesh, "vertex_positions")) == 1
+    assert len(_rows(shown.written(), mesh, "vertex_positions")) == 1
 
 
 def _viewer(show, monkeypatch):
@@ -355,22 +355,15 @@ def _viewer(show, monkeypatch):
     return step
 
 
-def test_who_is_silent_for_a_second_of_pictures_leaves_no_ghost(tmp_path, monkeypatch):
-    pytest.importorskip("rerun")
-    from huepose_services.viewer.show import Show
-    from huepose_services.viewer.sinks import saved
-
+def test_who_is_silent_for_a_second_of_pictures_leaves_no_ghost(shown, monkeypatch):
     monkeypatch.setattr("huepose_services.viewer.work._PATIENCE_NS", 0)
-    recording = saved(tmp_path / "out.rrd")
-    step = _viewer(Show(recording, {}), monkeypatch)
+    step = _viewer(shown({}), monkeypatch)
     stays = EXAMPLES[PoseMessage]
     goes = msgspec.structs.replace(stays, object="can", instance=0)
     for k in range(30):
         step(10.0 + 0.1 * k, *([stays, goes] if k < 10 else [stays]))
     step(13.0, stays, goes)
-    recording.flush()
-    recording.disconnect()
-    path = tmp_path / "out.rrd"
+    path = shown.written()
     scales = _rows(path, "/world/objects/can_0", "scale")
     assert scales == [[[1.0] * 3]] * 10 + [[[0.0] * 3]] + [[[1.0] * 3]]
     trails = _rows(path, "/world/trails/can_0", "strips")
@@ -415,9 +408,6 @@ def test_an_object_that_is_added_later_is_drawn_with_its_colour_pairs(tea_box, t
     with noted(Pipeline(base_port=29347, file=str(tmp_path / "pipeline.yaml"), workers=("camera",))):
         drawn = _drawn(config, arguments)
     assert list(drawn) == ["can"]
-    deadline = time.monotonic() + 10.0
-    while (body := drawn.get("tea_box")) is None:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    body = until(lambda: drawn.get("tea_box"))
     assert body.whole is not None
     assert (body.mesh.vertices == tea_box.mesh.vertices).all()

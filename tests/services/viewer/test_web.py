@@ -33,6 +33,7 @@ from huepose_services.runtime.config import Config, load
 from huepose_services.viewer.show import OTHER, STATE_COLOURS
 from tests.conftest import TakePicture, standing_pose
 from tests.services.repeating import repeating
+from tests.services.sessions import listening
 from tests.services.viewer import browser
 
 pytestmark = [
@@ -96,11 +97,9 @@ def messages_of(frame: RgbdFrame, frame_id: int) -> tuple[FrameHeader, bytes, li
 @contextmanager
 def published(config: Config, frame: RgbdFrame) -> Iterator[None]:
     """That frame again and again, from the camera's and the tracker's places."""
-    settings, keys = zenoh.Config(), config.keys
+    keys = config.keys
     places = [config.endpoint(worker) for worker in config.workers]
     Path(places[0].removeprefix("unixsock-stream/")).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    settings.insert_json5("listen/endpoints", json.dumps(places))
-    settings.insert_json5("scouting/multicast/enabled", "false")
 
     def publish(number: int) -> None:
         header, payload, said = messages_of(frame, number)
@@ -111,7 +110,7 @@ def published(config: Config, frame: RgbdFrame) -> Iterator[None]:
             else:
                 session.put(keys.hypotheses, encode(message))
 
-    with zenoh.open(settings) as session, repeating(publish, 1.0 / RATE_HZ):
+    with zenoh.open(listening(*places)) as session, repeating(publish, 1.0 / RATE_HZ):
         yield
 
 

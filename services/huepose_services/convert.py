@@ -15,7 +15,7 @@ from huepose.geometry.camera import whole_steps
 from huepose.reinit.types import Prior, RequestedObject
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos.buffers import frame_images
-from huepose_protos.messages import CorrectionMessage, FrameHeader, Intrinsics, PoseMessage
+from huepose_protos.messages import CorrectionMessage, FrameHeader, Intrinsics, PoseMessage, TruthMessage
 from huepose_protos.messages import Prior as WirePrior
 from huepose_protos.messages import RequestedObject as WireRequested
 from huepose_protos.motion import rigid
@@ -71,6 +71,11 @@ def box_to_wire(box: Box) -> BoxTuple:
 def pose_of(message: PoseMessage) -> Float64 | None:
     """Pose (4, 4) of a pose message; None where it has none."""
     return optional_pose_from_wire(message.translation, message.quaternion)
+
+
+def frame_key(message: FrameHeader | PoseMessage | TruthMessage) -> tuple[int, int]:
+    """Which frame a message is, or is about: its camera epoch and number."""
+    return message.camera_epoch, message.frame_id
 
 
 def depth_to_wire(depth_m: Float, depth_scale_m: float) -> UInt16:

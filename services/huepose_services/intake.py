@@ -12,7 +12,7 @@ import threading
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -31,6 +31,7 @@ from huepose_protos.messages import (
     ObjectChange,
     StageMark,
 )
+from huepose_services.convert import frame_key
 from huepose_services.following import Change
 from huepose_services.runtime.bus import Bus, bytes_of
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -134,7 +135,7 @@ class InputCache:
 
     def frame(self, header: FrameHeader, payload: bytes, frame: RgbdFrame, recorded: bool) -> None:
         """Keep a frame that the tracker took. recorded: whether somebody records."""
-        key = (header.camera_epoch, header.frame_id)
+        key = frame_key(header)
         self._frames[key] = (header, payload)
         weakref.finalize(frame, self._frames.pop, key, None).atexit = False
         self._newest.append(frame)
@@ -148,12 +149,10 @@ class InputCache:
         self._steps.append(message)
 
     def _serve(self, channel: Any) -> None:
-        try:
-            while True:
-                with channel.recv() as query:
+        with suppress(zenoh.ZError):  # the session ends while it answers
+            for query in channel:
+                with query:
                     self._answer(query)
-        except zenoh.ZError:
-            return  # the session has ended
 
     def _answer(self, query: zenoh.Query) -> None:
         try:

@@ -19,7 +19,7 @@ from huepose.tracking.types import Applied, TrackedPose
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
 from huepose_services import models
-from huepose_services.convert import correction_from_wire, frame_from_wire, tracked_to_wire
+from huepose_services.convert import correction_from_wire, frame_from_wire, frame_key, tracked_to_wire
 from huepose_services.delay_doubt import DelayDoubt
 from huepose_services.doubts import (
     TOO_OLD,
@@ -201,7 +201,7 @@ class TrackerWork(Work):
 
     def memory(self) -> MemoryMessage:
         """The memory of tracker and worker: all that they believe."""
-        header = None if self._header is None else _frame_of(self._header)
+        header = None if self._header is None else frame_key(self._header)
         own = _WorkerMemory(
             header,
             self._first,
@@ -298,7 +298,7 @@ class TrackerWork(Work):
     def _track(self, header: FrameHeader, payload: bytes) -> bool:
         """Track a frame. Returns False for a repeated or malformed one."""
         started, health, before = now_ns(), self._bus.health, self._header
-        if before is not None and _frame_of(before) == _frame_of(header):
+        if before is not None and frame_key(before) == frame_key(header):
             health.count("frames_repeated")
             return False
         try:
@@ -307,7 +307,7 @@ class TrackerWork(Work):
             self._bus.refuse(self._bus.keys.frame, error)
             return False
         if before is None or before.camera_epoch != header.camera_epoch:
-            self._first = _frame_of(header)
+            self._first = frame_key(header)
             self._withdraw("the camera was opened anew")
         if self._cache is not None:
             self._cache.frame(header, payload, frame, self._intake.recorded)
@@ -359,7 +359,7 @@ class TrackerWork(Work):
         now = self._intake.now()
         # A stamp of the future says as little about now as an old one.
         old = abs(now - pose.stamp_ns) > self._max_age_ns
-        stands = self._first_stands and _frame_of(header) == self._first
+        stands = self._first_stands and frame_key(header) == self._first
         if pose.state is State.TRACKING and old and not stands:
             # The object may have moved since, however sure the pose is.
             pose, reason = _doubted(pose), TOO_OLD
@@ -390,7 +390,3 @@ def _doubted(pose: TrackedPose) -> TrackedPose:
 
 def _sentence(text: str) -> str:
     return text and text[0].upper() + text[1:].rstrip(".") + ("" if text.endswith("?") else ".")
-
-
-def _frame_of(header: FrameHeader) -> _Frame:
-    return header.camera_epoch, header.frame_id

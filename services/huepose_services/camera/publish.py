@@ -29,6 +29,7 @@ from huepose_services.convert import (
     Vector,
     camera_from_wire,
     depth_to_wire,
+    frame_key,
     intrinsics_to_wire,
     optional_pose_to_wire,
     to_wire,
@@ -117,7 +118,7 @@ class FramePublisher:
         bus, started = self._bus, now_ns()
         news = self._heard()
         last = self._last
-        if last is not None and (last.camera_epoch, last.frame_id) == (epoch, frame_id):
+        if last is not None and frame_key(last) == (epoch, frame_id):
             # Of one frame all readers, and a recording, must have the same.
             header = msgspec.structs.replace(last, publish_ns=started)
         else:

@@ -9,7 +9,7 @@ from huepose.geometry import RgbdFrame
 from huepose.support.errors import InputError
 from huepose_protos.keys import tail_of
 from huepose_protos.messages import FrameHeader, TruthMessage
-from huepose_services.convert import frame_from_wire, from_wire
+from huepose_services.convert import frame_from_wire, frame_key, from_wire
 from huepose_services.recording.parts import GIVEN
 from huepose_services.recording.read import Recording
 from huepose_services.runtime.config import Config
@@ -40,12 +40,12 @@ class RecordedScene:
                 message = event.message
                 if tail_of(event.key) == GIVEN:
                     continue
-                if isinstance(message, FrameHeader) and _key(message) not in seen:
-                    seen.add(_key(message))
+                if isinstance(message, FrameHeader) and frame_key(message) not in seen:
+                    seen.add(frame_key(message))
                     self._frames.append(message)
                     self._places.append(place)
                 elif isinstance(message, TruthMessage):
-                    self._truths[_key(message)] = message
+                    self._truths[frame_key(message)] = message
         if not self._frames:
             raise InputError(path, found="no frame", expected="a recording with frames")
         self.image_ids = tuple(range(len(self._frames)))
@@ -56,11 +56,11 @@ class RecordedScene:
 
     def frame(self, image: int) -> RgbdFrame:
         """Colour and depth."""
-        key = _key(self._frames[image])
+        key = frame_key(self._frames[image])
         if key not in self._near:
             chunk = self._recording.chunk(self._places[image])
             self._near = {
-                _key(event.message): frame_from_wire(event.message, event.payload)
+                frame_key(event.message): frame_from_wire(event.message, event.payload)
                 for event in self._recording.inside(chunk)
                 if isinstance(event.message, FrameHeader)
             }
@@ -68,9 +68,5 @@ class RecordedScene:
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
         """Where everything was, as the recorded camera said."""
-        said = self._truths.get(_key(self._frames[image]))
+        said = self._truths.get(frame_key(self._frames[image]))
         return tuple(from_wire(GroundTruth, o) for o in ([] if said is None else said.objects))
-
-
-def _key(message: FrameHeader | TruthMessage) -> _Key:
-    return message.camera_epoch, message.frame_id

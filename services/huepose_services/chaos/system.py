@@ -41,7 +41,7 @@ from huepose_protos.messages import (
 )
 from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.faulty import Orders
-from huepose_services.convert import optional_pose_from_wire, pose_of
+from huepose_services.convert import frame_key, optional_pose_from_wire, pose_of
 from huepose_services.demo.score import Yardstick
 from huepose_services.runtime.config import CHAIN, WORKERS
 from huepose_services.runtime.run_folder import free_ports, free_tcp_port
@@ -210,8 +210,7 @@ class LivePipeline:
                 yardstick = self._yardsticks[pose.object]
                 error = yardstick.add(T_cam_obj, T_true) / yardstick.diameter_m
         late_ms = (time.monotonic_ns() - pose.capture_ns) * 1e-6
-        frame = (pose.camera_epoch, pose.frame_id)
-        seen = (pose.object, pose.instance, frame, pose.state, error, pose.quality)
+        seen = (pose.object, pose.instance, frame_key(pose), pose.state, error, pose.quality)
         self.poses.append(SeenPose(now, pose.age_ms, late_ms, *seen))
 
     def tracking_now(self) -> set[str]:

@@ -28,6 +28,13 @@ _KNOWN = 4096
 FrameKey = tuple[int, int]
 
 
+def frame_taken(step: IntakeMessage) -> FrameKey | None:
+    """The frame that the tracker took in a step; None where it took none."""
+    if step.camera_epoch is None or step.frame_id is None:
+        return None
+    return step.camera_epoch, step.frame_id
+
+
 class Taken:
     """What the tracker says that it took, and which of it is not here yet: a recording must hold all of it.
     Called from several threads. `lost`: how much of it was asked for in vain; frames from before the first
@@ -80,18 +87,17 @@ class Taken:
             return  # refused and counted where it is written
 
     def _note(self, message: IntakeMessage) -> None:
-        last = self._step
+        last, frame = self._step, frame_taken(message)
         if last is None or message.publish_ns > last.publish_ns:
             self._step = message
             if last is not None:
                 # A tracker that was started again counts anew.
                 for seq in range(max(last.seq + 1, message.seq - STEPS_AT_ONCE), message.seq):
                     self._miss(seq)
-            if message.camera_epoch is not None and message.frame_id is not None:
-                self._newest = (message.camera_epoch, message.frame_id)
+            self._newest = frame or self._newest
         self._missing.pop(message.seq, None)
-        if message.camera_epoch is not None and message.frame_id is not None:
-            self._take((message.camera_epoch, message.frame_id))
+        if frame is not None:
+            self._take(frame)
 
     def _take(self, key: FrameKey) -> None:
         _remember(self._taken, key)
@@ -189,11 +195,8 @@ class Arrivals:
                     return  # the session has ended
 
     def _move(self, channel: Any) -> None:
-        try:
-            while True:
-                self._put(channel.recv())
-        except zenoh.ZError:
-            return  # the subscription has ended
+        for sample in channel:
+            self._put(sample)
 
     def _put(self, sample: zenoh.Sample) -> None:
         key, payload = str(sample.key_expr), sample.payload.to_bytes()

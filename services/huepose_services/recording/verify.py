@@ -34,6 +34,7 @@ from huepose_protos.messages import (
 from huepose_services import models
 from huepose_services.convert import frame_from_wire
 from huepose_services.following import Change, Follower
+from huepose_services.recording.arrivals import FrameKey, frame_taken
 from huepose_services.recording.read import Event, Recording
 from huepose_services.recording.record import about_this_machine
 from huepose_services.recording.report import Report
@@ -54,7 +55,6 @@ _FRAMES = 1024
 
 _ITS_MODELS = "the folder of the models that it was recorded with: --bundles DIR"
 
-_FrameKey = tuple[int, int]
 _Pixels = tuple[FrameHeader, bytes]
 _PoseKey = tuple[str, int, int]
 
@@ -88,8 +88,8 @@ class _Verifier:
         self._recordings, self._bundles = recordings, bundles
         self._models: dict[str, ReferenceModel] = {}
         self._digests: dict[str, str] = {}
-        self._frames: dict[_FrameKey, _Pixels] = {}
-        self._taken: dict[_FrameKey, None] = {}
+        self._frames: dict[FrameKey, _Pixels] = {}
+        self._taken: dict[FrameKey, None] = {}
         self._poses: dict[_PoseKey, PoseMessage] = {}
         self._held: list[tuple[int, int, IntakeMessage | MemoryMessage]] = []
         self._order = self._last_seq = self._newest_ns = 0
@@ -186,7 +186,7 @@ class _Verifier:
 
     def _step(self, intake: IntakeMessage) -> None:
         replay = self._replay
-        key = _frame_key(intake)
+        key = frame_taken(intake)
         pixels = None if key is None else self._frames.get(key)
         if replay is not None and (intake.seq != replay.seq + 1 or (key is not None and pixels is None)):
             what = f"step {replay.seq + 1} is missing" if pixels or not key else f"frame {key[1]} is missing"
@@ -204,7 +204,7 @@ class _Verifier:
             self._taken[key] = None
             self._forget_before(key)
 
-    def _forget_before(self, newest: _FrameKey) -> None:
+    def _forget_before(self, newest: FrameKey) -> None:
         """Drop the frames that the tracker skipped, and the oldest that it took."""
         if newest in self._frames:
             said_ns = self._frames[newest][0].publish_ns
@@ -255,18 +255,12 @@ class _Verifier:
         self.report.difference = text + (f" (not the same: {'; '.join(other)})" if other else "")
 
     def _at(self, intake: IntakeMessage) -> str:
-        key, at_s = _frame_key(intake), self._seconds(intake)
+        key, at_s = frame_taken(intake), self._seconds(intake)
         where = f"step {intake.seq}" if key is None else f"frame {key[1]} of epoch {key[0]}"
         return f"{where} ({at_s:.2f} s after the beginning)"
 
     def _seconds(self, intake: IntakeMessage) -> float:
         return (intake.publish_ns - (self._first_ns or 0)) * 1e-9
-
-
-def _frame_key(intake: IntakeMessage) -> _FrameKey | None:
-    if intake.camera_epoch is None or intake.frame_id is None:
-        return None
-    return intake.camera_epoch, intake.frame_id
 
 
 def _fields(recorded: PoseMessage, again: PoseMessage) -> str:
@@ -280,7 +274,7 @@ class _Replay:
     model."""
 
     def __init__(
-        self, memory: MemoryMessage, config: Config, known: Any, frames: dict[_FrameKey, _Pixels]
+        self, memory: MemoryMessage, config: Config, known: Any, frames: dict[FrameKey, _Pixels]
     ) -> None:
         self._config, self._known, self.recorded_config = config, known, memory.config
         self._bus = ReplayBus()
@@ -289,7 +283,7 @@ class _Replay:
         self.work = TrackerWork(
             cast(Bus, self._bus), tracker, cast(Follower, self._bus), config, self._bus.read_clock
         )
-        decoded: dict[_FrameKey, tuple[FrameHeader, RgbdFrame]] = {}
+        decoded: dict[FrameKey, tuple[FrameHeader, RgbdFrame]] = {}
 
         def frame_of(epoch: int, frame_id: int) -> tuple[FrameHeader, RgbdFrame] | None:
             # One object for each frame, however often it is asked for.

@@ -38,21 +38,25 @@ def written(folder: Path, frame: RgbdFrame, *models: ReferenceModel) -> list[str
     """They are on disk; the arguments that name them."""
     cv2.imwrite(str(folder / "color.png"), frame.color[..., ::-1])
     cv2.imwrite(str(folder / "depth.png"), np.round(frame.depth * 10000).astype(np.uint16))
-    c = frame.camera
-    camera = {
-        "fx": c.fx,
-        "fy": c.fy,
-        "cx": c.cx,
-        "cy": c.cy,
-        "width": 640,
-        "height": 480,
-        "depth_scale_m": 0.0001,
-    }
-    (folder / "camera.json").write_text(json.dumps(camera))
+    numbers = {key: getattr(frame.camera, key) for key in ("fx", "fy", "cx", "cy", "width", "height")}
+    (folder / "camera.json").write_text(json.dumps(numbers | {"depth_scale_m": 0.0001}))
     for model in models:
         save_model(model, folder / "bundles" / f"{model.name}.huepose")
     paths = {"color": "color.png", "depth": "depth.png", "camera": "camera.json", "bundles": "bundles"}
     return ["estimate", *(x for k, v in paths.items() for x in (f"--{k}", str(folder / v)))]
+
+
+def other(files: list[str], option: str, path: Path) -> list[str]:
+    """The same with another file."""
+    at = files.index(option) + 1
+    return [*files[:at], str(path), *files[at + 1 :]]
+
+
+def other_camera(files: list[str], path: Path, **times: float) -> list[str]:
+    """The same with a camera some of whose numbers are so many times as large."""
+    camera = json.loads(Path(files[files.index("--camera") + 1]).read_text())
+    path.write_text(json.dumps(camera | {key: by * camera[key] for key, by in times.items()}))
+    return other(files, "--camera", path)
 
 
 def beside(T: np.ndarray, *shifts: list[float]) -> list[np.ndarray]:
@@ -115,33 +119,11 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
     files: list[str], box: list[str], tmp_path: Path, standing: np.ndarray
 ) -> None:
     out, picture, why = tmp_path / "out.json", tmp_path / "out.png", tmp_path / "why"
-    code = main(
-        [
-            *files,
-            *box,
-            "--object",
-            "tea_box",
-            "--json",
-            str(out),
-            "--image",
-            str(picture),
-            "--explain",
-            str(why),
-        ]
-    )
-    assert code == 0
+    results = ["--json", str(out), "--image", str(picture), "--explain", str(why)]
+    assert main([*files, *box, "--object", "tea_box", *results]) == 0
     (pose,) = json.loads(out.read_text())["poses"]
-    assert set(pose) == {
-        "object",
-        "found",
-        "reason",
-        "T_cam_obj",
-        "quality",
-        "covariance",
-        "state",
-        "box",
-        "seconds",
-    }
+    keys = {"object", "found", "reason", "T_cam_obj", "quality", "covariance", "state", "box", "seconds"}
+    assert set(pose) == keys
     assert pose["found"]
     assert pose["state"] == "TRACKING"
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
@@ -169,11 +151,7 @@ def test_without_a_box_the_object_is_found_in_the_whole_picture(
 def test_depth_of_another_unit_is_named_where_nothing_is_found(
     files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    at = files.index("--camera") + 1
-    camera = json.loads(Path(files[at]).read_text())
-    wrong = tmp_path / "camera.json"
-    wrong.write_text(json.dumps({**camera, "depth_scale_m": 10.0 * camera["depth_scale_m"]}))
-    main([*files[:at], str(wrong), *files[at + 1 :], "--json"])
+    main([*other_camera(files, tmp_path / "camera.json", depth_scale_m=10.0), "--json"])
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert not pose["found"]
     assert pose["reason"].endswith("is the depth scale right?")
@@ -182,11 +160,7 @@ def test_depth_of_another_unit_is_named_where_nothing_is_found(
 def test_no_pose_is_tracking_where_sizes_do_not_fit_unless_they_are_not_checked(
     files: list[str], box: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    at = files.index("--camera") + 1
-    camera = json.loads(Path(files[at]).read_text())
-    wrong = tmp_path / "camera.json"
-    wrong.write_text(json.dumps(camera | {key: 1.15 * camera[key] for key in ("fx", "fy")}))
-    arguments = [*files[:at], str(wrong), *files[at + 1 :], *box, "--json"]
+    arguments = [*other_camera(files, tmp_path / "camera.json", fx=1.15, fy=1.15), *box, "--json"]
     main(arguments)
     said = json.loads(capsys.readouterr().out)
     (pose,) = said["poses"]
@@ -219,10 +193,9 @@ def test_of_several_objects_the_one_of_another_size_is_suspect_alone(
 def test_no_pose_is_tracking_where_depth_lies_far_beside_the_colours(
     files: list[str], box: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    at = files.index("--depth") + 1
-    aside = np.roll(cv2.imread(files[at], cv2.IMREAD_UNCHANGED), 20, axis=1)
-    cv2.imwrite(str(tmp_path / "depth.png"), aside)
-    main([*files[:at], str(tmp_path / "depth.png"), *files[at + 1 :], *box, "--json"])
+    depth = cv2.imread(files[files.index("--depth") + 1], cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(tmp_path / "depth.png"), np.roll(depth, 20, axis=1))
+    main([*other(files, "--depth", tmp_path / "depth.png"), *box, "--json"])
     said = json.loads(capsys.readouterr().out)
     assert said["poses"][0]["state"] != "TRACKING"
     assert "20.0 px to the left" in said["doubts"][0]
@@ -262,17 +235,10 @@ def test_why_an_object_is_not_found_is_said_and_drawn(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """A thing of the same shape in another print stands where the object could."""
-    other = replace(tea_box.mesh, texture=np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1]))
-    cv2.imwrite(str(tmp_path / "color.png"), take_picture([(other, standing)]).color[..., ::-1])
-    at = files.index("--color") + 1
-    arguments = [
-        *files[:at],
-        str(tmp_path / "color.png"),
-        *files[at + 1 :],
-        "--explain",
-        str(tmp_path / "why"),
-    ]
-    assert main([*arguments, "--json"]) == 0
+    thing = replace(tea_box.mesh, texture=np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1]))
+    cv2.imwrite(str(tmp_path / "color.png"), take_picture([(thing, standing)]).color[..., ::-1])
+    arguments = other(files, "--color", tmp_path / "color.png")
+    assert main([*arguments, "--explain", str(tmp_path / "why"), "--json"]) == 0
     (pose,) = json.loads(capsys.readouterr().out)["poses"]
     assert not pose["found"]
     assert re.search(r"probability of 0\.\d\d, which is under 0\.60: [a-z ]+\.$", pose["reason"])
@@ -306,11 +272,10 @@ def test_a_model_without_tables_says_what_adds_them(
     method: str,
 ) -> None:
     save_model(replace(tea_box, tables=None), tmp_path / "tea_box.huepose")
-    arguments = [*files[:-1], str(tmp_path), *box]
-    black = tmp_path / "black.png"
-    cv2.imwrite(str(black), np.zeros((480, 640, 3), np.uint8))
-    anywhere = [*files[:-1], str(tmp_path)]
-    anywhere[files.index("--color") + 1] = str(black)
+    files = other(files, "--bundles", tmp_path)
+    arguments = [*files, *box]
+    cv2.imwrite(str(tmp_path / "black.png"), np.zeros((480, 640, 3), np.uint8))
+    anywhere = other(files, "--color", tmp_path / "black.png")
     for asked in (arguments, anywhere):
         assert main([*asked, "--method", method]) == 2
         said = capsys.readouterr().err

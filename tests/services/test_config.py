@@ -275,12 +275,22 @@ def test_a_file_that_never_ends_is_refused():
         load(Path("/dev/zero"))
 
 
+@pytest.fixture
+def validated(tmp_path, capsys):
+    """What `huepose validate` prints of a text that is good."""
+
+    def validate(text):
+        (tmp_path / "pipeline.yaml").write_text(text)
+        assert main(["validate", str(tmp_path / "pipeline.yaml")]) == 0
+        return capsys.readouterr().out
+
+    return validate
+
+
 @pytest.mark.parametrize(("text", "noted"), [("", True), ("# later\n", True), ("site: lab\n", False)])
-def test_validate_notes_that_a_file_is_empty(tmp_path, capsys, text, noted):
-    path = tmp_path / "pipeline.yaml"
-    path.write_text(text + ("camera: {truth: true}\n" if text.startswith("site") else ""))
-    assert main(["validate", str(path)]) == 0
-    assert ("the file is empty: everything is as in the built-in scene" in capsys.readouterr().out) == noted
+def test_validate_notes_that_a_file_is_empty(validated, text, noted):
+    out = validated(text + (GOOD if text.startswith("site") else ""))
+    assert ("the file is empty: everything is as in the built-in scene" in out) == noted
 
 
 @pytest.mark.parametrize(
@@ -350,28 +360,17 @@ def test_validate_says_which_extra_a_worker_needs(tmp_path, capsys, monkeypatch)
     assert "this needs the Python package rerun; install it with:" in capsys.readouterr().err
 
 
-def test_validate_notes_that_nobody_looks_for_objects(tmp_path, capsys):
-    path = tmp_path / "pipeline.yaml"
-    path.write_text("workers: [camera, tracker, reinit]\ncamera: {source: synthetic}\n")
-    assert main(["validate", str(path)]) == 0
+def test_validate_notes_that_nobody_looks_for_objects(validated):
     said = "no object is ever found: detector, segmenter, estimator not among the workers"
-    assert f"\n  NOTE     {said}\n" in capsys.readouterr().out
-    path.write_text("workers: [camera]\ncamera: {source: synthetic}\n")
-    assert main(["validate", str(path)]) == 0
-    assert "is ever found" not in capsys.readouterr().out
+    out = validated("workers: [camera, tracker, reinit]\ncamera: {source: synthetic}\n")
+    assert f"\n  NOTE     {said}\n" in out
+    assert "is ever found" not in validated("workers: [camera]\ncamera: {source: synthetic}\n")
 
 
-def test_validate_notes_a_section_of_a_worker_that_is_not_started(tmp_path, capsys):
-    path, said = (
-        tmp_path / "pipeline.yaml",
-        "the section `gateway` is set, and gateway is not among the workers",
-    )
-    path.write_text("gateway: {listen: '0.0.0.0:7447'}\n")
-    assert main(["validate", str(path)]) == 0
-    assert f"NOTE     {said}" in capsys.readouterr().out
-    path.write_text("gateway: {listen: '127.0.0.1:7447'}\n")  # as without the line
-    assert main(["validate", str(path)]) == 0
-    assert "NOTE" not in capsys.readouterr().out
+def test_validate_notes_a_section_of_a_worker_that_is_not_started(validated):
+    said = "the section `gateway` is set, and gateway is not among the workers"
+    assert f"NOTE     {said}" in validated("gateway: {listen: '0.0.0.0:7447'}\n")
+    assert "NOTE" not in validated("gateway: {listen: '127.0.0.1:7447'}\n"), "as without the line"
 
 
 @pytest.mark.parametrize(
@@ -383,11 +382,8 @@ def test_validate_notes_a_section_of_a_worker_that_is_not_started(tmp_path, caps
         ("camera: {first_frame_s: 1}", "camera.first_frame_s is set, and camera.once is false"),
     ],
 )
-def test_a_key_that_nothing_reads_is_noted(tmp_path, capsys, text, said):
-    path = tmp_path / "pipeline.yaml"
-    path.write_text(text)
-    assert main(["validate", str(path)]) == 0
-    assert f"\n  NOTE     {said}" in capsys.readouterr().out
+def test_a_key_that_nothing_reads_is_noted(validated, text, said):
+    assert f"\n  NOTE     {said}" in validated(text)
 
 
 @pytest.mark.parametrize(
@@ -398,11 +394,8 @@ def test_a_key_that_nothing_reads_is_noted(tmp_path, capsys, text, said):
         ("cameras: [{name: left}, {name: right}]\nros2: {namespace: lab}\n", 2),
     ],
 )
-def test_validate_notes_no_section_that_the_file_does_not_have(tmp_path, capsys, text, noted):
-    path = tmp_path / "pipeline.yaml"
-    path.write_text(text)
-    assert main(["validate", str(path)]) == 0
-    out = capsys.readouterr().out
+def test_validate_notes_no_section_that_the_file_does_not_have(validated, text, noted):
+    out = validated(text)
     assert (out.count("NOTE"), out.count("the section `ros2` is set")) == (noted, noted)
 
 
@@ -412,15 +405,10 @@ def test_threads_of_the_search_are_noted_beside_a_network():
     assert not any("threads" in said for said in _unread(Config(detector=DetectorConfig(threads=4))))
 
 
-def test_validate_says_that_a_drawn_scene_shows_one_of_each(tmp_path, capsys):
-    path = tmp_path / "pipeline.yaml"
-    path.write_text("objects: [{name: tea_box, max_instances: 2}]\ncamera: {source: synthetic}\n")
-    assert main(["validate", str(path)]) == 0
+def test_validate_says_that_a_drawn_scene_shows_one_of_each(validated):
     said = "the drawn scene shows one of each: a second tea_box is looked for and not there"
-    assert said in capsys.readouterr().out
-    path.write_text("objects: [{name: tea_box}]\ncamera: {source: synthetic}\n")
-    assert main(["validate", str(path)]) == 0
-    assert "one of each" not in capsys.readouterr().out
+    assert said in validated("objects: [{name: tea_box, max_instances: 2}]\ncamera: {source: synthetic}\n")
+    assert "one of each" not in validated("objects: [{name: tea_box}]\ncamera: {source: synthetic}\n")
 
 
 @pytest.mark.parametrize(
@@ -441,10 +429,8 @@ def test_what_a_worker_would_refuse_as_it_starts_is_refused_before(tmp_path, cap
         assert says in said
 
 
-def test_a_worker_that_does_not_run_here_is_not_asked_about(tmp_path):
-    path = tmp_path / "pipeline.yaml"
-    path.write_text("workers: [camera]\ncpus: {tracker: [1022]}\ngateway: {listen: '192.0.2.1:7447'}\n")
-    assert main(["validate", str(path)]) == 0
+def test_a_worker_that_does_not_run_here_is_not_asked_about(validated):
+    validated("workers: [camera]\ncpus: {tracker: [1022]}\ngateway: {listen: '192.0.2.1:7447'}\n")
 
 
 def test_the_longest_name_of_a_camera_is_one_whose_frames_are_taken():

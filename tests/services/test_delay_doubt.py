@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from huepose import tracking
+from huepose_protos.messages import FrameHeader
 from huepose_services.camera.publish import packed
 from huepose_services.convert import frame_from_wire
 from huepose_services.delay_doubt import DelayDoubt
@@ -69,14 +70,14 @@ def played(models, film, late, check=True, handed_over_at=None):
     out = []
     for header, payload in frames:
         if header.frame_id == handed_over_at:
-            memory, before = work.memory(), bus.out
+            memory, before = work.memory(), bus.said
             work, bus = begun(models, config, at)
             work.take_over(memory, lambda *key: decoded.get(key))
             out += before
         at.append(header.capture_ns)
-        bus.waiting["frame"] = [(header, payload)]
+        bus.arriving[FrameHeader] = [(header, payload)]
         work.step()
-    out += bus.out
+    out += bus.said
     return {name: [p for p in out if p.object == name] for name in models}, bus.health.message().warnings
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from huepose import tracking
+from huepose_protos.messages import CorrectionMessage, FrameHeader
 from huepose_services.camera.publish import packed
 from huepose_services.convert import frame_from_wire
 from huepose_services.doubts import DISAGREES, RELIT
@@ -42,17 +43,17 @@ WARM = (1.15, 1.0, 0.6)
 )
 def test_a_frame_that_is_wrong_as_such_gives_no_pose_to_act_on_and_health_says_why(bad, reason):
     work, bus, _ = worker()
-    bus.waiting["frame"] = [changed_frame(1), changed_frame(2, **bad)]
+    bus.arriving[FrameHeader] = [changed_frame(1), changed_frame(2, **bad)]
     work.step()
     assert bus.health.message().warnings == []
     work.step()
-    assert [p.state for p in bus.out] == ["TRACKING", "SUSPECT"]
+    assert [p.state for p in bus.said] == ["TRACKING", "SUSPECT"]
     (warning,) = bus.health.message().warnings
     assert reason in warning
     intrinsics = {"cx": bad["cx"]} if "cx" in bad else {}
-    bus.waiting["frame"] = [changed_frame(3, color=2, depth=2, **intrinsics)]
+    bus.arriving[FrameHeader] = [changed_frame(3, color=2, depth=2, **intrinsics)]
     work.step()
-    assert bus.out[-1].state == "TRACKING"
+    assert bus.said[-1].state == "TRACKING"
     assert bus.health.message().warnings == []
 
 
@@ -62,7 +63,7 @@ def test_a_camera_that_states_another_focal_length_is_doubted_until_it_states_th
     work, bus, _ = worker()
     header, payload = changed_frame(1)
     fx = header.intrinsics.fx
-    bus.waiting["frame"] = [
+    bus.arriving[FrameHeader] = [
         (header, payload),
         changed_frame(2, 1, 1, fx=1.5 * fx),
         changed_frame(3, 2, 2, fx=1.5 * fx),
@@ -70,17 +71,19 @@ def test_a_camera_that_states_another_focal_length_is_doubted_until_it_states_th
     for _ in range(3):
         work.step()
     header, payload = changed_frame(4, 3, 3, fx=1.5 * fx)
-    bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=header.camera_epoch + 1), payload)]
+    bus.arriving[FrameHeader] = [
+        (msgspec.structs.replace(header, camera_epoch=header.camera_epoch + 1), payload)
+    ]
     work.step()
     work._publish_all(work._tracker.poses(), header, None)
     focused, back = changed_frame(5, 4, 4, fx=1.04 * fx), changed_frame(6, 5, 5, fx=1.04 * fx)
-    bus.waiting["frame"] = [focused, back]
+    bus.arriving[FrameHeader] = [focused, back]
     for _ in range(2):
         work.step()
-    states = [p.state for p in bus.out]
+    states = [p.state for p in bus.said]
     assert set(states[1:-2]) == {"SUSPECT"}
     assert (states[0], *states[-2:]) == ("TRACKING",) * 3
-    assert any("restart the tracker" in p.reason for p in bus.out)
+    assert any("restart the tracker" in p.reason for p in bus.said)
 
 
 def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
@@ -90,15 +93,15 @@ def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
 
     def after(frame, camera=None, epoch=epoch):
         if camera is not None:
-            bus.waiting["correction"] = [
+            bus.arriving[CorrectionMessage] = [
                 msgspec.structs.replace(
                     CORRECTION, camera_epoch=epoch, camera=camera, seq=CORRECTION.seq + next(seq)
                 )
             ]
         header, payload = changed_frame(frame, frame, frame)
-        bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=epoch), payload)]
+        bus.arriving[FrameHeader] = [(msgspec.structs.replace(header, camera_epoch=epoch), payload)]
         work.step()
-        return bus.out[-1].state, bus.out[-1].reason
+        return bus.said[-1].state, bus.said[-1].reason
 
     said = "The picture shows objects 10 % larger."
     assert after(1)[0] == "TRACKING"
@@ -117,11 +120,11 @@ def test_an_object_that_perception_speaks_against_is_not_tracking_and_no_other_i
         if name:
             changes = {"object": name, "instance": 0, "reason": reason, "seq": CORRECTION.seq + next(seq)}
             correction = msgspec.structs.replace(CORRECTION, camera_epoch=epoch, **changes)
-            bus.waiting["correction"] = [correction]
+            bus.arriving[CorrectionMessage] = [correction]
         header, payload = changed_frame(frame, frame, frame)
-        bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=epoch), payload)]
+        bus.arriving[FrameHeader] = [(msgspec.structs.replace(header, camera_epoch=epoch), payload)]
         work.step()
-        return bus.out[-1].state, bus.out[-1].reason
+        return bus.said[-1].state, bus.said[-1].reason
 
     said = "The picture shows it about 12 % larger than its mesh."
     assert after(1, "cup", said) == ("TRACKING", "")
@@ -151,9 +154,9 @@ def test_who_takes_over_knows_what_perception_speaks_against(part, light_changes
     work._against.hear(msgspec.structs.replace(CORRECTION, **changes))
     for header, payload in frames:
         at.append(header)
-        work._bus.waiting["frame"] = [(header, payload)]
+        work._bus.arriving[FrameHeader] = [(header, payload)]
         work.step()
-        told += [(p.state, p.reason) for p in work._bus.out]
+        told += [(p.state, p.reason) for p in work._bus.said]
         memory, work = work.memory(), begun()
         work.take_over(memory, lambda *key: decoded.get(key))
     assert told == [("SUSPECT", said)] * 4
@@ -164,9 +167,9 @@ def test_no_pose_is_tracking_while_a_frame_says_that_its_camera_has_stopped():
     said = "cam.py: its picture stands still"
     for number, camera in enumerate(["", said, said, ""]):
         header, payload = changed_frame(number + 1, number // 3, number // 3)
-        bus.waiting["frame"] = [(msgspec.structs.replace(header, camera=camera), payload)]
+        bus.arriving[FrameHeader] = [(msgspec.structs.replace(header, camera=camera), payload)]
         work.step()
-    assert [(p.state, p.reason) for p in bus.out] == [
+    assert [(p.state, p.reason) for p in bus.said] == [
         ("TRACKING", ""),
         ("SUSPECT", said),
         ("SUSPECT", said),
@@ -179,20 +182,22 @@ def test_what_the_camera_knows_of_a_picture_is_the_reason_and_no_doubt_of_a_pose
     said = "cam.py: depth looks like millimetres"
     # The second has no depth at all, which the tracker sees itself.
     for header, payload in (changed_frame(1), changed_frame(2, 1, -1), changed_frame(3, 2, 2)):
-        bus.waiting["frame"] = [(msgspec.structs.replace(header, picture=said), payload)]
+        bus.arriving[FrameHeader] = [(msgspec.structs.replace(header, picture=said), payload)]
         work.step()
-    assert [(p.state, p.reason) for p in bus.out] == [("TRACKING", ""), ("SUSPECT", said), ("TRACKING", "")]
+    assert [(p.state, p.reason) for p in bus.said] == [("TRACKING", ""), ("SUSPECT", said), ("TRACKING", "")]
 
 
 def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_on():
     work, bus, _ = worker()
-    bus.waiting["frame"] = [frame_of_age(1, 0.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
     work.step()
     header, payload = frame_of_age(2, 0.0)
     work._tracker.step = lambda frame: []
-    bus.waiting["frame"] = [(msgspec.structs.replace(header, camera_epoch=header.camera_epoch + 1), payload)]
+    bus.arriving[FrameHeader] = [
+        (msgspec.structs.replace(header, camera_epoch=header.camera_epoch + 1), payload)
+    ]
     work.step()
-    assert [(p.state, p.camera_epoch) for p in bus.out] == [
+    assert [(p.state, p.camera_epoch) for p in bus.said] == [
         ("TRACKING", header.camera_epoch),
         ("SUSPECT", header.camera_epoch),
     ]
@@ -205,9 +210,9 @@ def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_o
 def test_where_all_is_lost_and_depth_may_be_of_another_unit_that_is_the_reason(times, reason):
     work, bus, _ = worker(None)
     work._tracker = Loser(None)
-    bus.waiting["frame"] = [frame_at(1.0 * times)]
+    bus.arriving[FrameHeader] = [frame_at(1.0 * times)]
     work.step()
-    (pose,) = bus.out
+    (pose,) = bus.said
     assert pose.state == "LOST"
     assert reason in pose.reason
     assert ("depth scale" in pose.reason) == (times != 1)
@@ -262,14 +267,14 @@ def test_what_falls_when_the_light_changes_says_so_until_it_is_sure_again(part, 
     for header, payload in frames.values():
         at.append(header)
         if header.frame_id == 7:  # another worker takes over
-            memory, out = work.memory(), bus.out
+            memory, out = work.memory(), bus.said
             work, bus = begun()
             work.take_over(memory, lambda *key: decoded.get(key))
-            bus.out = out
-        bus.waiting["frame"] = [(header, payload)]
+            bus.said = out
+        bus.arriving[FrameHeader] = [(header, payload)]
         work.step()
-    assert [p.state for p in bus.out[:5]] == ["TRACKING"] * 5
-    doubted = [p.reason for p in bus.out[5:] if p.state != "TRACKING"]
+    assert [p.state for p in bus.said[:5]] == ["TRACKING"] * 5
+    doubted = [p.reason for p in bus.said[5:] if p.state != "TRACKING"]
     assert 3 <= len(doubted) < 5
     assert set(doubted) == {RELIT if relit else DISAGREES}
-    assert bus.out[-1].state == "TRACKING"
+    assert bus.said[-1].state == "TRACKING"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -12,7 +12,7 @@ import pytest
 
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.tracking.types import Doubt
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import HealthMessage, ObjectEntry, PoseMessage
 from huepose_services import doubts as why
 from huepose_services.cli.status import as_text
@@ -21,6 +21,7 @@ from huepose_services.watch import View
 
 CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
 DIAMETER_M = 0.1
+PIPELINE = Pipeline(base_port=17447)
 NONE_COMES = "No picture comes. cam.py: depth has values that are not finite."
 NORMALS = np.random.default_rng(0).normal(size=(500, 3))
 NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
@@ -130,39 +131,49 @@ def test_behind_the_camera_is_outside() -> None:
     assert why.why_doubted(BALL, frame, at(0.0, 0.0, -1.0)) == why.OUTSIDE
 
 
+def shown(
+    workers: Sequence[HealthMessage] = (),
+    objects: Sequence[ObjectEntry] = (),
+    poses: Sequence[PoseMessage] = (),
+    pipeline: Pipeline = PIPELINE,
+) -> str:
+    """What `huepose status` shows where these were heard."""
+    known = {message.worker: message for message in workers}
+    placed = {(pose.object, pose.instance): pose for pose in poses}
+    return as_text(View(pipeline, True, known, frozenset(), (), list(objects), placed))
+
+
+def health_of(worker: str, **changes: object) -> HealthMessage:
+    quiet = {"picture": "", "warnings": [], "last_error": ""}
+    return msgspec.structs.replace(example(HealthMessage), worker=worker, **quiet | changes)
+
+
+def pose_of(name: str, instance: int = 0, **changes: object) -> PoseMessage:
+    """Doubted, as covered, where nothing else is said."""
+    doubted = {"state": "SUSPECT", "reason": why.COVERED}
+    return msgspec.structs.replace(example(PoseMessage), object=name, instance=instance, **doubted | changes)
+
+
+def entry(name: str, reason: str = "", searching: int = 1) -> ObjectEntry:
+    return ObjectEntry(object=name, max_instances=1, searching=searching, reason=reason)
+
+
 def test_status_says_it_below_the_object() -> None:
-    example = next(m for m in messages() if isinstance(m, PoseMessage))
-    pose = msgspec.structs.replace(example, object="mug", instance=2, state="SUSPECT", reason=why.COVERED)
-    pipeline = Pipeline(base_port=17447)
-    view = View(pipeline, True, {}, frozenset(), (), [], {("mug", 2): pose})
-    said = as_text(view).splitlines()
+    said = shown(poses=[pose_of("mug", 2)]).splitlines()
     (line,) = [number for number, text in enumerate(said) if text.startswith("mug/2")]
     assert said[line + 1] == f"  {why.COVERED}"
 
 
 def test_status_says_what_the_camera_knows_in_place_of_what_follows_from_it() -> None:
-    example = next(m for m in messages() if isinstance(m, PoseMessage))
-    lost = msgspec.structs.replace(example, object="mug", instance=2, state="SUSPECT", reason=why.COVERED)
-    health = next(m for m in messages() if isinstance(m, HealthMessage))
-    camera = msgspec.structs.replace(health, worker="camera", picture=NONE_COMES, warnings=[])
-    sure = msgspec.structs.replace(example, object="jar", instance=0, state="TRACKING", reason="")
-    poses = {("mug", 2): lost, ("jar", 0): sure}
-    view = View(Pipeline(base_port=17447), True, {"camera": camera}, frozenset(), (), [], poses)
-    text = as_text(view)
+    poses = [pose_of("mug"), pose_of("jar", state="TRACKING", reason="")]
+    text = shown([health_of("camera", picture=NONE_COMES)], poses=poses)
     assert text.count(NONE_COMES) == 1
     assert why.COVERED not in text
 
 
 def test_status_says_what_the_newest_picture_shows_once_the_fault_of_the_camera_is_over() -> None:
-    example = next(m for m in messages() if isinstance(m, PoseMessage))
-    pose = msgspec.structs.replace(example, object="mug", instance=2, state="SUSPECT", reason=why.COVERED)
-    health = next(m for m in messages() if isinstance(m, HealthMessage))
-    camera = msgspec.structs.replace(
-        health, worker="camera", picture=NONE_COMES, warnings=[], publish_ns=pose.capture_ns - 1
-    )
-    poses = {("mug", 2): pose}
-    view = View(Pipeline(base_port=17447), True, {"camera": camera}, frozenset(), (), [], poses)
-    text = as_text(view)
+    pose = pose_of("mug")
+    text = shown([health_of("camera", picture=NONE_COMES, publish_ns=pose.capture_ns - 1)], poses=[pose])
     assert why.COVERED in text
     assert NONE_COMES not in text
 
@@ -171,24 +182,12 @@ def test_status_says_what_the_newest_picture_shows_once_the_fault_of_the_camera_
 def test_status_says_the_sentence_of_the_camera_once(before: str) -> None:
     """What other workers and objects repeat of it may be a second older."""
     why_none = "cam.py: no picture for 3 s"
-    example = next(m for m in messages() if isinstance(m, PoseMessage))
-    lost = msgspec.structs.replace(
-        example, object="mug", instance=0, state="SUSPECT", reason=before + why_none
-    )
-    health = next(m for m in messages() if isinstance(m, HealthMessage))
-    said = {
-        name: msgspec.structs.replace(
-            health, worker=name, picture=picture, warnings=[why_none], last_error=""
-        )
-        for name, picture in (("estimator", ""), ("camera", before + why_none))
-    }
-    entries = [
-        ObjectEntry(object=name, max_instances=1, searching=1, reason=f"{before}cam.py: no picture for 2 s")
-        for name in ("jar", "can")
+    workers = [
+        health_of("estimator", warnings=[why_none]),
+        health_of("camera", warnings=[why_none], picture=before + why_none),
     ]
-    poses = {("mug", instance): lost for instance in (0, 1)}
-    view = View(Pipeline(base_port=17447), True, said, frozenset(), (), entries, poses)
-    text = as_text(view)
+    entries = [entry(name, f"{before}cam.py: no picture for 2 s") for name in ("jar", "can")]
+    text = shown(workers, entries, [pose_of("mug", k, reason=before + why_none) for k in (0, 1)])
     assert text.count("no picture for") == 1
     assert f"  camera: {why_none}\n" in text
     assert text.endswith(f"\n  These 4: {before}See the camera above.")
@@ -197,31 +196,21 @@ def test_status_says_the_sentence_of_the_camera_once(before: str) -> None:
 
 def test_status_refers_to_the_worker_that_says_it_above() -> None:
     far = "All depth is 6.5 m away or farther: is the depth scale right?"
-    health = next(m for m in messages() if isinstance(m, HealthMessage))
-    quiet = msgspec.structs.replace(health, worker="camera", picture="", warnings=[], last_error="")
-    says = msgspec.structs.replace(quiet, worker="estimator", warnings=[far])
-    entries = [ObjectEntry(object="mug", max_instances=1, searching=1, reason=far)]
-    workers = {"camera": quiet, "estimator": says}
-    text = as_text(View(Pipeline(base_port=17447), True, workers, frozenset(), (), entries, {}))
+    text = shown([health_of("camera"), health_of("estimator", warnings=[far])], [entry("mug", far)])
     assert f"  estimator: {far}\n" in text
     assert text.endswith("\n  See the estimator above.")
 
 
 def test_status_says_of_a_recording_that_is_played_that_no_worker_runs() -> None:
-    health = next(m for m in messages() if isinstance(m, HealthMessage))
     one = Pipeline(base_port=17447, site="local", camera="cam0", folder="/run", file="pipeline.yaml")
     for pipeline, played in ((one, True), (msgspec.structs.replace(one, workers=("camera",)), False)):
-        text = as_text(View(pipeline, True, {"camera": health}, frozenset(), (), [], {}))
+        text = shown([health_of("camera")], pipeline=pipeline)
         assert ("a recording that is played: its workers as they were then" in text) == played
 
 
 def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> None:
-    entries = [
-        ObjectEntry(object=name, max_instances=1, searching=0, reason=NONE_COMES) for name in ("mug", "jar")
-    ]
-    pose = msgspec.structs.replace(next(m for m in messages() if isinstance(m, PoseMessage)), object="jar")
-    view = View(Pipeline(base_port=17447), True, {}, frozenset(), (), entries, {("jar", 0): pose})
-    said = as_text(view).splitlines()
+    entries = [entry(name, NONE_COMES, searching=0) for name in ("mug", "jar")]
+    said = shown(objects=entries, poses=[pose_of("jar", state="TRACKING", reason="")]).splitlines()
     (line,) = [number for number, text in enumerate(said) if text.startswith("mug")]
     assert "no pose of it comes now" in said[line]
     assert said[line + 1 :] == [f"  {NONE_COMES}"]
@@ -229,27 +218,20 @@ def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> No
 
 def test_status_says_once_what_is_said_of_several_objects() -> None:
     said_of = {"mug": NONE_COMES, "jar": NONE_COMES, "can": "", "cup": "", "tin": NONE_COMES}
-    entries = [
-        ObjectEntry(object=name, max_instances=1, searching=1, reason=reason)
-        for name, reason in said_of.items()
-    ]
-    view = View(Pipeline(base_port=17447), True, {}, frozenset(), (), entries, {})
-    said = [text.split()[0] for text in as_text(view).splitlines()[3:]]
+    text = shown(objects=[entry(name, reason) for name, reason in said_of.items()])
+    said = [line.split()[0] for line in text.splitlines()[3:]]
     assert said == ["mug", "jar", "These", "can", "cup", "tin", "No"]
 
 
 def test_status_does_not_call_a_worker_gone_that_may_be_starting() -> None:
-    view = View(Pipeline(base_port=17447), True, {}, frozenset(), ("estimator",), [], {})
+    view = View(PIPELINE, True, {}, frozenset(), ("estimator",), [], {})
     (line,) = [text for text in as_text(view).splitlines() if text.startswith("estimator")]
     assert "it starts, stops or has ended" in line
 
 
 def test_a_narrow_terminal_is_shown_what_says_how_it_is() -> None:
-    health = next(m for m in messages() if isinstance(m, HealthMessage))
-    busy = msgspec.structs.replace(
-        health, worker="tracker", state="ready", errors=3, restarts=2, last_error=""
-    )
-    view = View(Pipeline(base_port=17447), True, {"tracker": busy}, frozenset(), (), [], {})
+    busy = health_of("tracker", state="ready", errors=3, restarts=2)
+    view = View(PIPELINE, True, {"tracker": busy}, frozenset(), (), [], {})
     wide, narrow = as_text(view).splitlines()[1:3], as_text(view, 60).splitlines()[1:3]
     assert "locked" in wide[0]
     assert all(len(line) <= 60 for line in narrow)

@@ -42,6 +42,13 @@ class _Estimator:
         return [np.tile(np.where(np.isclose(SCALES, size), 9.0, 0.0), (1 + QUARTERS, 1)) for size in sizes]
 
 
+def begun(*answers):
+    """A worker with its bus and with an estimator that gives these answers."""
+    bus, estimator = FakeBus("estimator"), _Estimator()
+    estimator.answers = answers
+    return EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: [])), bus, estimator
+
+
 def masks(times, *names):
     """A picture of a wall a metre away, its depth so many times too large, in which these were detected."""
     color = np.random.default_rng(0).integers(20, 220, (120, 160, 3), dtype=np.uint8)
@@ -56,8 +63,7 @@ def masks(times, *names):
 
 @pytest.mark.parametrize("times", [10.0, 0.05, 20.0])
 def test_depth_of_another_unit_is_named_in_answer_health_and_log(times):
-    bus = FakeBus("estimator")
-    work = EstimatorWork(bus, _Estimator(), SimpleNamespace(changes=lambda: []))
+    work, bus, _ = begun()
     bus.arriving[Masks] = [masks(times), masks(1.0)]
     work.step()
     (answer,) = bus.said
@@ -74,9 +80,7 @@ def test_depth_of_another_unit_is_named_in_answer_health_and_log(times):
 
 
 def test_only_of_a_tracking_instance_it_is_not_asked_whether_it_is_the_object():
-    bus, estimator = FakeBus("estimator"), _Estimator()
-    estimator.answers = (PoseEstimate("cup"), PoseEstimate("cup"))
-    work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
+    work, bus, estimator = begun(PoseEstimate("cup"), PoseEstimate("cup"))
     message, payload = masks(1.0, "cup", "cup")
     known, new = message.objects
     detection = known.detection
@@ -87,9 +91,7 @@ def test_only_of_a_tracking_instance_it_is_not_asked_whether_it_is_the_object():
 
 
 def test_a_new_instance_is_told_where_the_others_are_in_this_frame():
-    bus, estimator = FakeBus("estimator"), _Estimator()
-    estimator.answers = (PoseEstimate("cup"),)
-    work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
+    work, bus, estimator = begun(PoseEstimate("cup"))
     message, payload = masks(1.0, "cup")
     (new,) = message.objects
     other = Prior(
@@ -110,9 +112,8 @@ def test_a_new_instance_is_told_where_the_others_are_in_this_frame():
 @pytest.fixture
 def warned_after(monkeypatch):
     """A worker with a bus, an estimator and a clock, and what it says against the camera after so long."""
-    bus, estimator, now = FakeBus("estimator"), _Estimator(), [0]
+    (work, bus, estimator), now = begun(), [0]
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
-    work = EstimatorWork(bus, estimator, SimpleNamespace(changes=lambda: []))
 
     def warned(seconds, camera=""):
         now[0] += int(seconds * 1e9)
@@ -243,8 +244,7 @@ def test_a_camera_is_not_doubted_where_its_owner_is_sure(monkeypatch):
 
 
 def test_what_the_detector_says_against_the_camera_goes_on(monkeypatch):
-    bus = FakeBus("estimator")
-    work = EstimatorWork(bus, _Estimator(), SimpleNamespace(changes=lambda: []))
+    work, bus, _ = begun()
     message, payload = masks(1.0)
     bus.arriving[Masks] = [(replace(message, camera="Blue for red."), payload)]
     work.step()

@@ -8,7 +8,7 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.tracking.types import Applied
-from huepose_protos.messages import ObjectEntry
+from huepose_protos.messages import CorrectionMessage, FrameHeader, ObjectEntry
 from huepose_services import first_frame
 from huepose_services.doubts import TOO_OLD
 from huepose_services.following import Change
@@ -20,12 +20,12 @@ from tests.services.tracker_work import CENTRE, CORRECTION, MS, frame_of_age, wo
 def test_hypotheses_are_said_while_somebody_listens():
     work, bus, _ = worker()
     work._tracker.instances = (("mug", 0),)
-    bus.waiting["frame"] = [frame_of_age(1, 0.0), frame_of_age(2, 0.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(1, 0.0), frame_of_age(2, 0.0)]
     work.step()
     assert bus.aside == {}
-    bus.heard.add("hypotheses")
+    bus.heard.add(bus.keys.hypotheses)
     work.step()
-    said = bus.aside["hypotheses"]
+    said = bus.aside[bus.keys.hypotheses]
     assert said.frame_id == 2
     (mug,) = said.objects
     assert [(h.share, h.source) for h in mug.hypotheses] == [
@@ -38,27 +38,27 @@ def test_hypotheses_are_said_while_somebody_listens():
 @pytest.mark.parametrize(("age_ms", "state"), [(0.0, "TRACKING"), (400.0, "SUSPECT")])
 def test_an_old_pose_is_never_one_to_act_on(age_ms, state):
     work, bus, _ = worker()
-    bus.waiting["frame"] = [frame_of_age(1, 0.0), frame_of_age(2, age_ms)]
+    bus.arriving[FrameHeader] = [frame_of_age(1, 0.0), frame_of_age(2, age_ms)]
     work.step()
     work.step()
-    assert [p.state for p in bus.out] == ["TRACKING", state]
-    assert [p.reason for p in bus.out] == ["", "" if state == "TRACKING" else TOO_OLD]
+    assert [p.state for p in bus.said] == ["TRACKING", state]
+    assert [p.reason for p in bus.said] == ["", "" if state == "TRACKING" else TOO_OLD]
     assert bus.health.counters.get("poses_too_old", 0) == (state == "SUSPECT")
 
 
 def test_a_pose_comes_with_the_centre_of_its_object():
     work, bus, _ = worker()
-    bus.waiting["frame"] = [frame_of_age(1, 0.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
     work.step()
-    assert [p.centre for p in bus.out] == [tuple(CENTRE)]
+    assert [p.centre for p in bus.said] == [tuple(CENTRE)]
 
 
 def test_the_first_frame_of_a_recording_stands_and_does_not_get_old():
     work, bus, _ = worker(once=True)
-    bus.waiting["frame"] = [frame_of_age(1, 2000.0), frame_of_age(2, 400.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(1, 2000.0), frame_of_age(2, 400.0)]
     work.step()
     work.step()
-    assert [p.state for p in bus.out] == ["TRACKING", "SUSPECT"]
+    assert [p.state for p in bus.said] == ["TRACKING", "SUSPECT"]
 
 
 @pytest.mark.parametrize(
@@ -67,9 +67,9 @@ def test_the_first_frame_of_a_recording_stands_and_does_not_get_old():
 def test_what_is_no_pose_is_not_published(scale, y, capfd):
     T_cam_obj = se3.make(np.diag(scale), np.array([0.0, y, 0.5]))
     work, bus, _ = worker(T_cam_obj)
-    bus.waiting["frame"] = [frame_of_age(1, 0.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
     work.step()
-    assert bus.out == []
+    assert bus.said == []
     assert bus.health.counters["poses_refused"] == 1
     assert "pose of mug/0" in capfd.readouterr().err
 
@@ -79,7 +79,7 @@ def test_a_correction_of_an_instance_that_is_over_is_not_applied():
     name, epoch = CORRECTION.object, CORRECTION.camera_epoch
     entry = ObjectEntry(object=name, max_instances=1, searching=1, resets=1, retired=(epoch, 4))
     objects.next = [Change(entry)]
-    bus.waiting["correction"] = [msgspec.structs.replace(CORRECTION, instance=i) for i in (3, 4)]
+    bus.arriving[CorrectionMessage] = [msgspec.structs.replace(CORRECTION, instance=i) for i in (3, 4)]
     work.step()
     assert work._tracker.corrections == [4]
     assert bus.health.counters["corrections_of_retired"] == 1
@@ -88,13 +88,13 @@ def test_a_correction_of_an_instance_that_is_over_is_not_applied():
 def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     work, bus, _ = worker()
     header, payload = frame_of_age(1, 0.0)
-    bus.waiting["frame"] = [(header, payload)]
+    bus.arriving[FrameHeader] = [(header, payload)]
     work.step()
     late = msgspec.structs.replace(
         CORRECTION, object="mug", instance=0, verdict="correct", capture_ns=header.capture_ns - 8_000 * MS
     )
     work._tracker.answer = Applied.REFUSED_OLD
-    bus.waiting["correction"] = [late, late]
+    bus.arriving[CorrectionMessage] = [late, late]
     work.step()
     (warning,) = bus.health.message().warnings
     assert "answers 8.0 s after" in warning
@@ -104,11 +104,11 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     said = "found another pose of mug/0 in a picture 8.0 s old; it is not taken over: perception answers"
     assert capfd.readouterr().err.count(said) == 1
     work._tracker.answer = Applied.CATCHING_UP
-    bus.waiting["correction"] = [msgspec.structs.replace(late, seq=late.seq + 1)]
+    bus.arriving[CorrectionMessage] = [msgspec.structs.replace(late, seq=late.seq + 1)]
     work.step()
     assert bus.health.message().warnings == []
     work._tracker.answer, work._tracker.reach_s = Applied.REFUSED_OLD, None
-    bus.waiting["correction"] = [msgspec.structs.replace(late, seq=late.seq + 2)]
+    bus.arriving[CorrectionMessage] = [msgspec.structs.replace(late, seq=late.seq + 2)]
     work.step()
     assert bus.health.message().warnings == [], "a tracker that has just begun remembers little"
 
@@ -136,10 +136,10 @@ def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, 
     """And only what comes too late makes perception slow."""
     work, bus, _ = worker()
     header, payload = frame_of_age(1, 0.0)
-    bus.waiting["frame"] = [(header, payload)]
+    bus.arriving[FrameHeader] = [(header, payload)]
     work.step()
     work._tracker.answer, work._tracker.reach_s = answer, reach_s
-    bus.waiting["correction"] = [
+    bus.arriving[CorrectionMessage] = [
         msgspec.structs.replace(
             CORRECTION, object="mug", instance=0, verdict=verdict, capture_ns=header.capture_ns - 300 * MS
         )
@@ -161,7 +161,7 @@ def test_who_starts_it_without_a_camera_is_told_once_until_a_frame_comes(capfd, 
     assert warnings[:6] == [[]] * 6, "a camera that is plugged in takes a moment"
     assert "`huepose run camera`" in warnings[7][0]
     assert capfd.readouterr().err.count("no frame has come yet") == 1
-    bus.waiting["frame"] = [frame_of_age(1, 0.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
     work.step()
     assert bus.health.message().warnings == []
 
@@ -182,7 +182,7 @@ def test_a_change_of_state_is_in_the_log_once(capfd):
     number = 0
     while time.monotonic() < until:
         number += 1
-        bus.waiting["frame"] = [frame_of_age(number, 0.0)]
+        bus.arriving[FrameHeader] = [frame_of_age(number, 0.0)]
         work.step()
         time.sleep(0.01)
     assert capfd.readouterr().err.count("mug/0 TRACKING") == 1
@@ -192,7 +192,7 @@ def test_no_correction_of_the_far_future_is_taken():
     """Its number would be above those of all that come after it."""
     work, bus, _ = worker(np.eye(4))
     now = now_ns()
-    bus.waiting["correction"] = [
+    bus.arriving[CorrectionMessage] = [
         msgspec.structs.replace(CORRECTION, seq=2**63 - 1, instance=1),
         msgspec.structs.replace(CORRECTION, seq=now, instance=2),
     ]
@@ -204,22 +204,22 @@ def test_no_correction_of_the_far_future_is_taken():
 def test_without_a_new_frame_nothing_stays_to_be_acted_on():
     work, bus, _ = worker()
     assert work.due_ns() is None
-    bus.waiting["frame"] = [frame_of_age(1, 0.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
     work.step()
     due_ns = work.due_ns()
     assert due_ns is not None
     assert 0 < due_ns - now_ns() <= 300 * MS
     work.step()
-    assert [p.state for p in bus.out] == ["TRACKING"], "not before its time"
+    assert [p.state for p in bus.said] == ["TRACKING"], "not before its time"
     time.sleep((due_ns - now_ns()) * 1e-9 + 0.001)
     work.step()
     work.step()
-    assert [p.state for p in bus.out] == ["TRACKING", "SUSPECT"]
-    assert bus.out[1].frame_id == bus.out[0].frame_id
+    assert [p.state for p in bus.said] == ["TRACKING", "SUSPECT"]
+    assert bus.said[1].frame_id == bus.said[0].frame_id
     assert SECOND // 2 < work.due_ns() - now_ns() <= SECOND
-    bus.waiting["frame"] = [frame_of_age(2, 0.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(2, 0.0)]
     work.step()
-    assert bus.out[-1].state == "TRACKING"
+    assert bus.said[-1].state == "TRACKING"
 
 
 @pytest.mark.parametrize(
@@ -233,15 +233,15 @@ def test_who_comes_after_the_camera_stopped_hears_once_a_second_that_it_has(once
     at = [now_ns()]
     work, bus, objects = worker(once=once, clock=lambda: at[0])
     # That which stands first never gets old.
-    bus.waiting["frame"] = [frame_of_age(0, 0.0)] * once + [frame_of_age(1, 0.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(0, 0.0)] * once + [frame_of_age(1, 0.0)]
     work.step()
     if once:
         work.step()
-        bus.out.pop(0)
+        bus.said.pop(0)
     for _ in range(50):  # five seconds
         at[0] += SECOND // 10
         work.step()
-    said = bus.out[1:]
+    said = bus.said[1:]
     assert [p.publish_ns - said[0].publish_ns for p in said] == [k * SECOND for k in range(5)]
     assert {(p.state, p.frame_id, p.reason) for p in said} == {("SUSPECT", 1, why)}
     assert bus.health.counters["poses_too_old"] == 1
@@ -249,20 +249,20 @@ def test_who_comes_after_the_camera_stopped_hears_once_a_second_that_it_has(once
     work._tracker.remove_object = lambda name: None
     at[0] += 2 * SECOND
     work.step()
-    assert bus.out[1:] == said, "nothing is said of an object that is gone"
+    assert bus.said[1:] == said, "nothing is said of an object that is gone"
     assert work.due_ns() is None
 
 
 def test_the_first_frame_of_a_recording_stands_for_as_long_as_it_takes():
     work, bus, _ = worker(once=True)
-    bus.waiting["frame"] = [frame_of_age(1, 2000.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(1, 2000.0)]
     work.step()
-    assert bus.out[0].state == "TRACKING"
+    assert bus.said[0].state == "TRACKING"
     assert work.due_ns() is None
 
 
 def test_a_pose_of_the_future_is_not_one_to_act_on():
     work, bus, _ = worker()
-    bus.waiting["frame"] = [frame_of_age(1, -400.0)]
+    bus.arriving[FrameHeader] = [frame_of_age(1, -400.0)]
     work.step()
-    assert [p.state for p in bus.out] == ["SUSPECT"]
+    assert [p.state for p in bus.said] == ["SUSPECT"]

@@ -14,16 +14,16 @@ from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.types import Applied, TrackedPose
 from huepose_protos import decode, encode
 from huepose_protos.buffers import pack
-from huepose_protos.examples import images, messages
+from huepose_protos.examples import example, images
 from huepose_protos.messages import CorrectionMessage, FrameHeader, PoseMessage
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import CameraConfig, Config, TrackerConfig
-from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 from huepose_services.tracker import TrackerWork
+from tests.services.fake_bus import FakeBus
 
-HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
-CORRECTION = next(m for m in messages() if isinstance(m, CorrectionMessage))
+HEADER = example(FrameHeader)
+CORRECTION = example(CorrectionMessage)
 MS = 1_000_000
 CENTRE = np.array([0.0, 0.125, 4.5])
 AHEAD = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]))
@@ -79,48 +79,28 @@ class Loser(TrackerStandIn):
         ]
 
 
-class BusStandIn:
-    """The bus as far as the work sees it: what is to be taken, and what was put, as bytes."""
+class BusStandIn(FakeBus):
+    """Keeps what was put as the bytes that travel have it."""
 
     def __init__(self):
-        self.health, self.log = Health("tracker"), Log("tracker")
-        self.inbox = self.keys = self
-        self.frame, self.correction = "frame", "correction"
-        self.intake, self.hypotheses = "intake", "hypotheses"
-        self.waiting = {"frame": [], "correction": []}
-        self.out = []
+        super().__init__("tracker")
+        self.log = Log("tracker")
         self.heard, self.aside = set(), {}
-        self.skipped = 0
-
-    def ring(self, key):
-        self.place = key
-        return self
-
-    queue = ring
 
     def frames(self):
-        return self
+        return SimpleNamespace(skipped=0)
 
     def is_heard(self, key):
         return key in self.heard
 
+    def put(self, key, message):
+        self.said.append(decode(encode(message), PoseMessage))
+
     def put_aside(self, key, message):
         self.aside[key] = decode(encode(message), type(message))
 
-    def pose(self, name, instance):
-        return f"pose/{name}/{instance}"
-
-    def take(self, place, kind):
-        return self.waiting["correction"].pop(0) if self.waiting["correction"] else None
-
-    def take_with_payload(self, place, kind):
-        return self.waiting["frame"].pop(0) if self.waiting["frame"] else None
-
     def refuse(self, key, error):
         self.health.count("wire_errors")
-
-    def put(self, key, message):
-        self.out.append(decode(encode(message), PoseMessage))
 
 
 class ObjectsStandIn:

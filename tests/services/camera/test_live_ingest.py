@@ -36,11 +36,16 @@ def ingest_of(tmp_path: Path, python_camera):
         ingest.close()
 
 
+def _goes_on(ingest, seconds, until=lambda: False):
+    """Steps for so long, or until something is so."""
+    end = time.monotonic() + seconds
+    while not until() and time.monotonic() < end:
+        ingest.step()
+
+
 def _picture(ingest, bus, seconds=3.0):
     """What health says of the picture, as soon as it says something; empty where it does not in time."""
-    until = time.monotonic() + seconds
-    while not bus.health.picture and time.monotonic() < until:
-        ingest.step()
+    _goes_on(ingest, seconds, lambda: bus.health.picture)
     return bus.health.message().picture
 
 
@@ -70,9 +75,7 @@ def test_the_log_names_the_rate_of_a_camera_that_has_become_slow_as_it_is(ingest
     )
     said = []
     bus.log.seldom = lambda kind, text: said.append((kind, text))
-    until = time.monotonic() + 8.0
-    while not said and time.monotonic() < until:
-        ingest.step()
+    _goes_on(ingest, 8.0, lambda: said)
     ((kind, text),) = said
     assert kind == "pictures: rate"
     assert any(f"it gives {rate} pictures a second instead of 30" in text for rate in (1, 2, 3)), text
@@ -125,9 +128,7 @@ def test_a_frame_says_that_its_camera_has_stopped_until_it_shows_another_picture
         "        kept = color",
         check,
     )
-    until = time.monotonic() + 4.0
-    while time.monotonic() < until:
-        ingest.step()
+    _goes_on(ingest, 4.0)
     begun_ns = bus.headers[0].capture_ns
     said_s = [1e-9 * (h.capture_ns - begun_ns) for h in bus.headers if h.camera]
     if not doubted:
@@ -142,9 +143,7 @@ def test_a_frame_says_that_its_camera_has_stopped_until_it_shows_another_picture
 def test_a_frame_says_what_its_camera_knows_of_the_picture(ingest_of):
     ingest, bus = ingest_of("depth *= 1000.0")
     assert _picture(ingest, bus)
-    until = time.monotonic() + 0.3
-    while time.monotonic() < until:
-        ingest.step()
+    _goes_on(ingest, 0.3)
     assert bus.headers[-1].picture.startswith("cam.py: depth looks like millimetres")
     assert bus.headers[-1].camera == ""
 
@@ -154,9 +153,7 @@ def test_health_says_at_once_what_is_wrong_with_the_pictures_and_that_it_is_over
         "began = locals().get('began', time.monotonic())\n"
         "        depth *= 1000.0 if time.monotonic() - began < 1.5 else 1.0"
     )
-    until = time.monotonic() + 2.5
-    while time.monotonic() < until:
-        ingest.step()
+    _goes_on(ingest, 2.5)
     wrong, over = (said.picture for said in bus.healths)
     assert wrong.startswith("cam.py: depth looks like millimetres")
     assert over == ""
@@ -195,9 +192,7 @@ def test_where_every_picture_of_an_opening_is_left_out_it_is_said(good_before):
     bus = FakeBus("camera", config.keys)
     ingest = LiveIngest(bus, config, source)
     try:
-        until = time.monotonic() + 5.0
-        while "100 ms older" not in bus.health.picture and time.monotonic() < until:
-            ingest.step()
+        _goes_on(ingest, 5.0, lambda: "100 ms older" in bus.health.picture)
     finally:
         ingest.close()
     health = bus.health.message()
@@ -214,9 +209,7 @@ def test_stamps_that_go_back_begin_an_epoch_where_readers_would_wait_for_long(in
         f"        back_s = {back_s} if time.monotonic() - began > 0.5 else 0.0\n"
         "        stamp_ns = time.monotonic_ns() - int(back_s * 1e9)"
     )
-    until = time.monotonic() + 1.0
-    while time.monotonic() < until:
-        ingest.step()
+    _goes_on(ingest, 1.0)
     assert len({header.camera_epoch for header in bus.headers}) == epochs
     warnings = [text for text in bus.health.message().warnings if "time stamps went back by 3 s" in text]
     assert len(warnings) == len(bus.logged["pictures: back"]) == epochs - 1
@@ -229,9 +222,7 @@ def test_a_matrix_that_is_another_in_each_picture_is_logged_once_with_digits_tha
     ingest, bus = ingest_of("focal += 0.01")
     lines = []
     bus.log.say = lines.append
-    until = time.monotonic() + 0.5
-    while time.monotonic() < until:
-        ingest.step()
+    _goes_on(ingest, 0.5)
     assert len({header.camera_epoch for header in bus.headers}) > 5
     assert len(lines) == 1
     (said,) = bus.logged["pictures: change"]

@@ -6,6 +6,7 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,8 @@ import pytest
 
 from huepose.model.io import model_path, save_model
 from huepose.scenes.builtin import SyntheticScene
+from huepose_services.cli.main import BAD_INPUT, main
+from huepose_services.runtime.config import parse_all
 
 NAME, PLAYED = "tea_box", 30
 FRAMES = 12
@@ -103,7 +106,7 @@ def recording(tmp_path_factory, tea_box):
     return folder, mesh, truths
 
 
-def patient_pipeline(bundles, scene):
+def patient_pipeline(bundles, scene, **changes):
     """A pipeline that plays a scene again and again: slow and patient, since late on a busy machine is not
     what its tests are about."""
     return {
@@ -114,6 +117,7 @@ def patient_pipeline(bundles, scene):
         "tracker": {"max_age_ms": 2000},
         "restarts": {"hung_after_s": 60},
         "bus": {"base_port": free_port_range(10)},
+        **changes,
     }
 
 
@@ -187,6 +191,41 @@ def until(condition, timeout_s=10.0, act=lambda: time.sleep(0.02)):
         assert time.monotonic() < deadline, "it did not come about in time"
         act()
     return found
+
+
+def parse(text, path):
+    """The configuration in a text of one camera; `path` names it in errors."""
+    (config,) = parse_all(text, path)
+    return config
+
+
+Says = Callable[[Sequence[object]], str]
+
+
+@pytest.fixture
+def refused(capsys) -> Says:
+    """A function of a command's words: what it says on the error output as it refuses them."""
+
+    def said(words):
+        try:
+            code = main([str(word) for word in words])
+        except SystemExit as ended:  # by argparse
+            code = ended.code
+        assert code == BAD_INPUT
+        return capsys.readouterr().err
+
+    return said
+
+
+@pytest.fixture
+def printed(capsys) -> Says:
+    """A function of a command's words: what it prints, and nothing goes wrong."""
+
+    def said(words):
+        assert main([str(word) for word in words]) == 0
+        return capsys.readouterr().out
+
+    return said
 
 
 @pytest.fixture

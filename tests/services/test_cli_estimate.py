@@ -21,6 +21,7 @@ from huepose.support.errors import InputError
 from huepose_services.cli.estimate import in_words
 from huepose_services.cli.main import main
 from tests.boxes import box_of
+from tests.services.conftest import Says
 
 
 @pytest.fixture(scope="module")
@@ -76,12 +77,11 @@ def test_so_many_instances_are_found_as_are_asked_for(
     tea_box: ReferenceModel,
     take_picture: Callable[..., RgbdFrame],
     standing: np.ndarray,
-    capsys: pytest.CaptureFixture[str],
+    printed: Says,
 ) -> None:
     truths = beside(standing, *([0.13 * (k - 1.5), 0.0, 0.03 * k] for k in range(4)))
     files = written(tmp_path, take_picture([(tea_box.mesh, T) for T in truths]), tea_box)
-    assert main([*files, "--instances", "6", "--json", "-"]) == 0
-    poses = json.loads(capsys.readouterr().out)["poses"]
+    poses = json.loads(printed([*files, "--instances", "6", "--json", "-"]))["poses"]
     assert len(poses) == 4, "and none that is not there"
     x = sorted(pose["T_cam_obj"][0][3] for pose in poses)
     np.testing.assert_allclose(x, [T[0, 3] for T in truths], atol=0.003)
@@ -92,14 +92,14 @@ def test_each_instance_has_its_explanation_and_no_more_are_given_than_are_asked_
     tea_box: ReferenceModel,
     take_picture: Callable[..., RgbdFrame],
     standing: np.ndarray,
-    capsys: pytest.CaptureFixture[str],
+    printed: Says,
 ) -> None:
     truths = beside(standing, [-0.1, 0.0, 0.0], [0.1, 0.0, 0.0])
     files = written(tmp_path, take_picture([(tea_box.mesh, T) for T in truths]), tea_box)
-    assert main([*files, "--json", "-"]) == 0
-    assert len(json.loads(capsys.readouterr().out)["poses"]) == 1
-    assert main([*files, "--instances", "2", "--json", "-", "--explain", str(tmp_path / "why")]) == 0
-    poses = json.loads(capsys.readouterr().out)["poses"]
+    assert len(json.loads(printed([*files, "--json", "-"]))["poses"]) == 1
+    poses = json.loads(printed([*files, "--instances", "2", "--json", "-", "--explain", tmp_path / "why"]))[
+        "poses"
+    ]
     records = [json.loads((tmp_path / "why" / f"tea_box{k}_scores.json").read_text()) for k in ("", "_2")]
     assert [r["quality"] for r in records] == [p["quality"] for p in poses]
     np.testing.assert_allclose(
@@ -109,10 +109,9 @@ def test_each_instance_has_its_explanation_and_no_more_are_given_than_are_asked_
 
 @pytest.mark.parametrize(("number", "said"), [("0", "1 or more"), ("2", "one of the two")])
 def test_a_number_of_instances_that_means_nothing_is_refused(
-    number: str, said: str, files: list[str], box: list[str], capsys: pytest.CaptureFixture[str]
+    number: str, said: str, files: list[str], box: list[str], refused: Says
 ) -> None:
-    assert main([*files, *box, "--instances", number]) == 2
-    assert said in capsys.readouterr().err
+    assert said in refused([*files, *box, "--instances", number])
 
 
 def test_a_pose_as_json_a_picture_and_an_explanation(
@@ -139,10 +138,9 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
 
 
 def test_without_a_box_the_object_is_found_in_the_whole_picture(
-    files: list[str], capsys: pytest.CaptureFixture[str], standing: np.ndarray
+    files: list[str], printed: Says, standing: np.ndarray
 ) -> None:
-    assert main([*files, "--json"]) == 0
-    (pose,) = json.loads(capsys.readouterr().out)["poses"]
+    (pose,) = json.loads(printed([*files, "--json"]))["poses"]
     assert pose["found"]
     assert pose["reason"] is None
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
@@ -232,14 +230,13 @@ def test_why_an_object_is_not_found_is_said_and_drawn(
     take_picture: Callable[..., RgbdFrame],
     standing: np.ndarray,
     tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    printed: Says,
 ) -> None:
     """A thing of the same shape in another print stands where the object could."""
     thing = replace(tea_box.mesh, texture=np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1]))
     cv2.imwrite(str(tmp_path / "color.png"), take_picture([(thing, standing)]).color[..., ::-1])
     arguments = other(files, "--color", tmp_path / "color.png")
-    assert main([*arguments, "--explain", str(tmp_path / "why"), "--json"]) == 0
-    (pose,) = json.loads(capsys.readouterr().out)["poses"]
+    (pose,) = json.loads(printed([*arguments, "--explain", tmp_path / "why", "--json"]))["poses"]
     assert not pose["found"]
     assert re.search(r"probability of 0\.\d\d, which is under 0\.60: [a-z ]+\.$", pose["reason"])
     record = json.loads((tmp_path / "why" / "tea_box_scores.json").read_text())
@@ -264,12 +261,7 @@ def test_the_papers_method_answers_and_never_says_that_it_is_sure(
 
 @pytest.mark.parametrize("method", ["paper", "colorpair"])
 def test_a_model_without_tables_says_what_adds_them(
-    files: list[str],
-    box: list[str],
-    tea_box: ReferenceModel,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    method: str,
+    files: list[str], box: list[str], tea_box: ReferenceModel, tmp_path: Path, refused: Says, method: str
 ) -> None:
     save_model(replace(tea_box, tables=None), tmp_path / "tea_box.huepose")
     files = other(files, "--bundles", tmp_path)
@@ -277,22 +269,19 @@ def test_a_model_without_tables_says_what_adds_them(
     cv2.imwrite(str(tmp_path / "black.png"), np.zeros((480, 640, 3), np.uint8))
     anywhere = other(files, "--color", tmp_path / "black.png")
     for asked in (arguments, anywhere):
-        assert main([*asked, "--method", method]) == 2
-        said = capsys.readouterr().err
+        said = refused([*asked, "--method", method])
         assert "reference model 'tea_box': found no tables of the paper's method" in said
         assert "huepose onboard" in said
         assert "--paper" in said
     assert main(arguments) == 0
 
 
-def test_nothing_in_the_box_is_an_answer(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+def test_nothing_in_the_box_is_an_answer(files: list[str], printed: Says) -> None:
     arguments = [*files, "--box", "0", "0", "4", "4"]
-    assert main([*arguments, "--json"]) == 0
-    (pose,) = json.loads(capsys.readouterr().out)["poses"]
+    (pose,) = json.loads(printed([*arguments, "--json"]))["poses"]
     assert (pose["found"], pose["T_cam_obj"], pose["state"]) == (False, None, "LOST")
     assert pose["reason"].endswith(".")
-    assert main(arguments) == 0
-    assert capsys.readouterr().out.split() == f"not found: tea_box {pose['reason']}".split()
+    assert printed(arguments).split() == f"not found: tea_box {pose['reason']}".split()
 
 
 def test_of_objects_that_are_not_found_the_same_is_said_once() -> None:
@@ -303,9 +292,8 @@ def test_of_objects_that_are_not_found_the_same_is_said_once() -> None:
     assert lines[1:] == ["    Half hidden.", "not found: a, c", "    No.", "not found: b", "    Why."]
 
 
-def test_without_json_an_answer_is_a_line(files: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(files) == 0
-    (line,) = capsys.readouterr().out.splitlines()
+def test_without_json_an_answer_is_a_line(files: list[str], printed: Says) -> None:
+    (line,) = printed(files).splitlines()
     assert re.fullmatch(
         r"tea_box +TRACKING +quality [01]\.\d\d( +[+-]\d\.\d{3}){3} m from the camera +\d+ ms", line
     )
@@ -321,7 +309,6 @@ def test_without_json_an_answer_is_a_line(files: list[str], capsys: pytest.Captu
     ],
 )
 def test_bad_usage_exits_with_2_and_says_what_to_do(
-    files: list[str], arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+    files: list[str], arguments: list[str], says: str, refused: Says
 ) -> None:
-    assert main([*files, *arguments]) == 2
-    assert says in capsys.readouterr().err
+    assert says in refused([*files, *arguments])

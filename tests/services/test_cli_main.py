@@ -17,14 +17,12 @@ from huepose_services.cli import main as command_line
 from huepose_services.cli.main import BAD_INPUT, main
 from huepose_services.cli.options import answered
 from tests.disk import full_disk
+from tests.services.conftest import Says
 
 
-def test_a_picture_that_cannot_be_encoded_is_refused_before_the_work(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_picture_that_cannot_be_encoded_is_refused_before_the_work(tmp_path: Path, refused: Says) -> None:
     lacking = [f"--{option}=no_{option}" for option in ("color", "depth", "camera", "bundles")]
-    assert main(["estimate", *lacking, "--image", str(tmp_path / "out.foo")]) == BAD_INPUT
-    error = capsys.readouterr().err
+    error = refused(["estimate", *lacking, "--image", tmp_path / "out.foo"])
     assert "out.foo: found a picture that cannot be encoded" in error
     assert "no_" not in error
 
@@ -39,12 +37,11 @@ def test_a_picture_that_cannot_be_encoded_is_refused_before_the_work(
     ],
 )
 def test_results_that_cannot_be_written_end_it_before_the_work(
-    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], tmp_path: Path, refused: Says
 ) -> None:
     file = tmp_path / "file"
     file.write_text("")
-    assert main([a.format(file=file) for a in arguments]) == BAD_INPUT
-    error = capsys.readouterr().err
+    error = refused([a.format(file=file) for a in arguments])
     assert f"{file} is no folder; expected a place that can be written" in error
     assert "no_" not in error
 
@@ -79,11 +76,10 @@ def test_a_file_for_a_folder_and_a_folder_for_a_file_end_it_before_the_work(
     ],
 )
 def test_a_folder_in_which_nothing_can_be_made_ends_it_before_the_work(
-    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    arguments: list[str], refused: Says, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir("/proc")
-    assert main(arguments) == BAD_INPUT
-    error = capsys.readouterr().err
+    error = refused(arguments)
     assert "--" not in error, "no option that was not given"
     assert "/proc cannot be written; expected a place that can be written" in error
     assert "no_" not in error
@@ -97,11 +93,10 @@ def test_a_folder_in_which_nothing_can_be_made_ends_it_before_the_work(
     ],
 )
 def test_the_folder_of_a_picture_and_of_a_recording_has_to_be_there(
-    line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    line: str, tmp_path: Path, refused: Says
 ) -> None:
     folder = tmp_path / "mistyped"
-    assert main(line.format(folder=folder).split()) == BAD_INPUT
-    error = capsys.readouterr().err
+    error = refused(line.format(folder=folder).split())
     assert f"no folder {folder}; expected a place that can be written" in error
     assert not folder.exists()
 
@@ -146,11 +141,9 @@ def test_output_that_cannot_be_written_is_told_once() -> None:
     [(["estmate"], "estimate"), (["objects", "lst"], "list"), (["demo", "--segmenter", "deptj"], "depth")],
 )
 def test_a_mistyped_word_is_answered_with_the_one_that_may_be_meant(
-    arguments: list[str], meant: str, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], meant: str, refused: Says
 ) -> None:
-    with pytest.raises(SystemExit):
-        main(arguments)
-    assert f"there is no '{arguments[-1]}': did you mean '{meant}'?" in capsys.readouterr().err
+    assert f"there is no '{arguments[-1]}': did you mean '{meant}'?" in refused(arguments)
 
 
 def test_without_a_command_the_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
@@ -180,29 +173,20 @@ def test_every_command_says_what_it_does_and_what_its_arguments_are() -> None:
     assert [(prog, action.dest) for prog, action in named if not action.help] == []
 
 
-def test_a_mistyped_option_is_answered_by_its_command(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["poses", "--robbot"])
-    error = capsys.readouterr().err
-    assert ended.value.code == BAD_INPUT
+def test_a_mistyped_option_is_answered_by_its_command(refused: Says) -> None:
+    error = refused(["poses", "--robbot"])
     assert error.startswith("usage: huepose poses")
     assert "there is no option '--robbot': did you mean '--robot'?" in error
 
 
-def test_a_word_that_no_command_is_like_is_not_answered_with_one(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["nonsense"])
-    error = capsys.readouterr().err
+def test_a_word_that_no_command_is_like_is_not_answered_with_one(refused: Says) -> None:
+    error = refused(["nonsense"])
     assert "did you mean" not in error
     assert "'onboard'" in error
 
 
-def test_an_option_that_nothing_is_like_is_not_answered_with_another(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with pytest.raises(SystemExit):
-        main(["view", "--json"])
-    assert capsys.readouterr().err.endswith("there is no option '--json'\n")
+def test_an_option_that_nothing_is_like_is_not_answered_with_another(refused: Says) -> None:
+    assert refused(["view", "--json"]).endswith("there is no option '--json'\n")
 
 
 def test_a_recording_of_nothing_says_so_and_leaves_no_file(
@@ -243,13 +227,8 @@ def test_a_view_that_was_saved_before_is_not_written_over(
 
 @pytest.mark.parametrize("line", ["record out.mcap", "view --save out.rrd", "top"])
 @pytest.mark.parametrize("seconds", ["-3", "0", "nan", "soon"])
-def test_so_many_seconds_are_more_than_none(
-    line: str, seconds: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main([*line.split(), "--seconds", seconds])
-    assert ended.value.code == BAD_INPUT
-    assert f"found {seconds}, expected seconds, more than 0" in capsys.readouterr().err
+def test_so_many_seconds_are_more_than_none(line: str, seconds: str, refused: Says) -> None:
+    assert f"found {seconds}, expected seconds, more than 0" in refused([*line.split(), "--seconds", seconds])
 
 
 @pytest.mark.parametrize("given", ["-1", "0.5", "some"])
@@ -331,11 +310,10 @@ def test_how_many_of_an_object_has_the_name_of_the_configuration_too(option: str
     assert parsed.instances == 3
 
 
-def test_an_answer_as_json_is_all_that_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_answer_as_json_is_all_that_is_printed(tmp_path: Path, printed: Says) -> None:
     path = tmp_path / "pipeline.yaml"
     path.write_text("site: here\ncamera: {source: synthetic}\n")
-    assert main(["validate", str(path), "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = json.loads(printed(["validate", path, "--json"]))
     assert answer["keys"] == "huepose/here/cam0/..."
     assert list(answer["ports"]) == answer["workers"]
 

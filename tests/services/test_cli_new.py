@@ -19,16 +19,15 @@ from huepose.model import ReferenceModel, save_model
 from huepose.scenes.builtin import first_shot
 from huepose_services.cli.main import main
 from huepose_services.runtime.config import load
-from tests.services.conftest import heeds_ctrl_c
+from tests.services.conftest import Says, heeds_ctrl_c
 
 
 def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
-    tea_box: ReferenceModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tea_box: ReferenceModel, tmp_path: Path, printed: Says
 ) -> None:
     write_obj(tmp_path / "box.obj", tea_box.mesh)
     out = tmp_path / "mine ä"
-    assert main(["new", "box", str(tmp_path / "box.obj"), "--unit", "m", "--no-test", "--out", str(out)]) == 0
-    said = capsys.readouterr().out
+    said = printed(["new", "box", tmp_path / "box.obj", "--unit", "m", "--no-test", "--out", out])
     assert f"huepose demo --bundles '{out}/bundles'" in said
     assert f"--color '{out}/color.png' --depth" in said
     names = {"color": "color.png", "depth": "depth.png", "camera": "camera.json"}
@@ -44,10 +43,9 @@ def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
     assert load(out / "pipeline.yaml").objects[0].name == "box"
 
 
-def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, refused: Says) -> None:
     (tmp_path / "pipeline.yaml").write_text("site: mine\n")
-    assert main(["new", "box", "box.obj", "--out", str(tmp_path)]) == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "is there already" in refused(["new", "box", "box.obj", "--out", tmp_path])
     assert (tmp_path / "pipeline.yaml").read_text() == "site: mine\n"
 
 
@@ -61,13 +59,12 @@ def test_a_file_of_the_name_of_the_folder_is_found_before_anything_is_learnt(
 
 
 def test_what_is_too_large_to_be_drawn_is_not_learnt_first(
-    tea_box: ReferenceModel, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tea_box: ReferenceModel, tmp_path: Path, refused: Says
 ) -> None:
     write_obj(tmp_path / "box.obj", replace(tea_box.mesh, vertices=tea_box.mesh.vertices * np.float32(10.0)))
     out = tmp_path / "mine"
     given = ["new", "box", str(tmp_path / "box.obj"), "--unit", "m", "--no-test", "--out", str(out)]
-    assert main(given) == 2
-    said = capsys.readouterr().err
+    said = refused(given)
     assert "found a largest side of 1.5 m" in said
     assert "say the mesh's unit" in said
     assert not out.exists()

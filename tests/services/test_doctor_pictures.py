@@ -194,9 +194,8 @@ def test_each_of_several_cameras_is_looked_at(tmp_path, capsys, monkeypatch):
     assert "right picture" not in found
 
 
-def test_without_a_pipeline_nobody_knows_which_camera(capsys):
-    assert main(["doctor", "--camera"]) == 2
-    assert "huepose doctor PIPELINE.yaml --camera" in capsys.readouterr().err
+def test_without_a_pipeline_nobody_knows_which_camera(refused):
+    assert "huepose doctor PIPELINE.yaml --camera" in refused(["doctor", "--camera"])
 
 
 @pytest.mark.parametrize(("unit", "depth_state"), [("1.0", "bad"), ("0.01", "ok")])

@@ -9,6 +9,7 @@ import pytest
 
 from huepose_services.cli.main import main
 from tests.evaluation.results import write_estimates, write_track
+from tests.services.conftest import Says
 
 
 @pytest.fixture
@@ -44,11 +45,10 @@ def test_a_set_that_became_worse_ends_with_1_and_is_named(folders, tmp_path: Pat
     }  # fmt: skip
 
 
-def test_a_loss_within_its_interval_ends_with_0_and_is_said(tmp_path: Path, capsys) -> None:
+def test_a_loss_within_its_interval_ends_with_0_and_is_said(tmp_path: Path, printed: Says) -> None:
     before = write_estimates(tmp_path / "a.json", {(i, 0): True for i in range(40)})
     after = write_estimates(tmp_path / "b.json", {(i, 0): i > 0 for i in range(40)})
-    assert main(["eval", "compare", str(before), str(after)]) == 0
-    out = capsys.readouterr().out
+    out = printed(["eval", "compare", before, after])
     assert "lost less than the interval allows: a to b (recall ADD -2.5, AUC ADD -1.0)" in out
     assert out.splitlines()[-1] == "worse: none of 1"
 
@@ -69,11 +69,10 @@ def test_a_larger_margin_forgives(folders) -> None:
     ],
 )
 def test_wrong_usage_ends_with_2_and_is_named(
-    folders, tmp_path: Path, capsys, after: str, extra: list[str], named: str
+    folders, tmp_path: Path, refused, after: str, extra: list[str], named: str
 ) -> None:
     command = ["eval", "compare", str(tmp_path / "before" / "piles.json"), str(tmp_path / after), *extra]
-    assert main(command) == 2
-    assert named in capsys.readouterr().err
+    assert named in refused(command)
 
 
 def test_folders_without_a_common_name_are_named(tmp_path: Path, capsys) -> None:

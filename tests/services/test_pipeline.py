@@ -16,7 +16,6 @@ from huepose.evaluation.metrics import add
 from huepose_protos.messages import ControlRequest
 from huepose_services.chaos.intruder import flood
 from huepose_services.cli.graph import as_json, mermaid
-from huepose_services.cli.main import main
 from huepose_services.cli.objects import ask
 from huepose_services.cli.status import as_text
 from huepose_services.convert import pose_from_wire
@@ -189,7 +188,7 @@ def test_a_second_instance_of_a_worker_is_refused_and_the_first_ends_when_told_t
     assert "does not stop" not in log
 
 
-def test_an_unknown_object_is_named_with_the_known_ones(recording, tmp_path, base_port, capsys):
+def test_an_unknown_object_is_named_with_the_known_ones(recording, tmp_path, base_port, refused):
     folder, _, _ = recording
     pipeline = {
         "bundles": str(folder / "bundles"),
@@ -199,8 +198,7 @@ def test_an_unknown_object_is_named_with_the_known_ones(recording, tmp_path, bas
     }
     path = tmp_path / "pipeline.yaml"
     path.write_text(json.dumps(pipeline))
-    assert main(["up", str(path)]) == 2
-    err = capsys.readouterr().err
+    err = refused(["up", path])
     assert err.count("\n") == 1
     assert "'teabox'" in err
     assert f"Did you mean '{NAME}'?" in err

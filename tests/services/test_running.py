@@ -136,7 +136,7 @@ def test_a_port_that_is_taken_is_explained(runtime_folder):
         assert occupant(config, "tracker") == "a recording there that is played (/h.mcap)"
 
 
-def test_a_pipeline_that_is_being_prepared_is_said_to_come(tmp_path, monkeypatch, capsys):
+def test_a_pipeline_that_is_being_prepared_is_said_to_come(tmp_path, monkeypatch, capsys, refused):
     path = tmp_path / "lab.yaml"
     path.write_text(f"site: lab\nbus: {{base_port: {HERE.base_port}}}\n")
 
@@ -145,8 +145,7 @@ def test_a_pipeline_that_is_being_prepared_is_said_to_come(tmp_path, monkeypatch
         raise InputError("the scene", found="something else to test")
 
     monkeypatch.setattr("huepose_services.runtime.prepare.prepare", prepare)
-    assert main(["up", str(path)]) == 2
-    assert f"lab/cam0 is being started or stopped, from {path}" in capsys.readouterr().err
+    assert f"lab/cam0 is being started or stopped, from {path}" in refused(["up", path])
     assert running() == []
     assert main(["status", "--config", str(path)]) == 1
     assert "no pipeline runs at port 18100" in capsys.readouterr().err
@@ -235,9 +234,8 @@ def test_who_looks_for_a_pipeline_says_so_and_at_which_port(words, tmp_path, mon
     assert {worker["there"] for worker in answer["workers"]} == {False}
 
 
-def test_a_box_with_a_negative_side_is_explained_by_its_size(capsys):
-    assert main(["objects", "reset", "drill", "--box", "210", "120", "-90", "160"]) == 2
-    said = capsys.readouterr().err
+def test_a_box_with_a_negative_side_is_explained_by_its_size(refused):
+    said = refused(["objects", "reset", "drill", "--box", "210", "120", "-90", "160"])
     assert "--box: found 210 120 -90 160; expected X Y W H (left, top, width, height)" in said
     assert "name of" not in said
 
@@ -254,9 +252,8 @@ def test_a_box_with_a_negative_side_is_explained_by_its_size(capsys):
         ("add mug --max-instances 65", "--max-instances: found 65; expected 1 to 64."),
     ],
 )
-def test_what_is_no_request_is_explained_by_what_is_wrong_with_it(words, said, capsys):
-    assert main(["objects", *words.split()]) == 2
-    assert capsys.readouterr().err == f"huepose objects: {said}\n"
+def test_what_is_no_request_is_explained_by_what_is_wrong_with_it(words, said, refused):
+    assert refused(["objects", *words.split()]) == f"huepose objects: {said}\n"
 
 
 def test_a_recording_that_is_played_is_no_pipeline_that_starts(tmp_path, monkeypatch, capsys):

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from huepose_protos import PoseClient
-from huepose_services.cli.main import main
 from huepose_services.runtime.running import pick
-from tests.services.conftest import NAME, PLAYED, free_port_range, processes
+from tests.services.conftest import NAME, PLAYED, free_port_range, patient_pipeline, processes
 
 pytestmark = [pytest.mark.live, pytest.mark.timeout(300)]
 
@@ -26,25 +25,15 @@ TURNS = {
 }
 
 
-def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, capsys):
+def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, printed):
     folder, _, truths = recording
-    seen = {"source": "bop", "path": str(folder / "scene"), "rate": 4, "truth": False}
+    bus = {"base_port": free_port_range(40)}
+    pipeline = patient_pipeline(folder / "bundles", folder / "scene", bus=bus)
+    seen = pipeline.pop("camera") | {"rate": 4, "truth": False}
+    pipeline["cameras"] = [{"name": name, **seen, "mount": mount} for name, mount in MOUNTS.items()]
     path = tmp_path / "pipeline.yaml"
-    path.write_text(
-        json.dumps(
-            {
-                "bundles": str(folder / "bundles"),
-                "objects": [{"name": NAME}],
-                "cameras": [{"name": name, **seen, "mount": mount} for name, mount in MOUNTS.items()],
-                "reinit": {"deadline_ms": 3000},
-                "tracker": {"max_age_ms": 2000},
-                "restarts": {"hung_after_s": 60},
-                "bus": {"base_port": free_port_range(40)},
-            }
-        )
-    )
-    assert main(["validate", str(path)]) == 0
-    assert "local/right" in capsys.readouterr().out
+    path.write_text(json.dumps(pipeline))
+    assert "local/right" in printed(["validate", path])
     ends = [pick(path, name).endpoints[:2] for name in MOUNTS]  # cameras say where they are
     right = dict.fromkeys(MOUNTS, 0)
     with processes() as start, PoseClient([one for of_one in ends for one in of_one]) as both:

@@ -20,9 +20,10 @@ from huepose_protos.client import Reader
 from huepose_protos.messages import HealthMessage, Mount
 from huepose_protos.motion import composed, mount_at, mount_of, rotation_matrix
 from huepose_services.ros2.messages import TRANSFORMS
+from huepose_services.runtime.config import CHAIN
 from huepose_services.runtime.running import pick
 from tests.conftest import CAMERA, table_top
-from tests.services.conftest import free_port_range, processes
+from tests.services.conftest import free_port_range, patient_pipeline, processes
 from tests.services.ros2.test_ros2 import read
 from tests.services.sessions import listening
 
@@ -116,27 +117,15 @@ def test_poses_and_the_tree_of_ros_2_are_right_while_the_arm_moves_and_end_with_
     save_model(tea_box, model_path(tmp_path / "bundles", "tea_box"))
     draw(tmp_path, tea_box, port)
     path = tmp_path / "pipeline.yaml"
-    path.write_text(
-        json.dumps(
-            {
-                "workers": ["camera", "tracker", "reinit", "detector", "segmenter", "estimator", "ros2"],
-                "bundles": "bundles",
-                "objects": [{"name": "tea_box"}],
-                "camera": {
-                    "source": "python",
-                    "path": "camera.py",
-                    "rate": 10,
-                    "moving": True,
-                    "mount": HAND,
-                },
-                "reinit": {"deadline_ms": 3000},
-                "tracker": {"max_age_ms": 2000},
-                "restarts": {"hung_after_s": 60},
-                "ros2": {"connect": f"tcp/127.0.0.1:{port + 15}"},
-                "bus": {"base_port": port},
-            }
-        )
+    pipeline = patient_pipeline(
+        "bundles",
+        None,
+        workers=[*CHAIN, "ros2"],
+        camera={"source": "python", "path": "camera.py", "rate": 10, "moving": True, "mount": HAND},
+        ros2={"connect": f"tcp/127.0.0.1:{port + 15}"},
+        bus={"base_port": port},
     )
+    path.write_text(json.dumps(pipeline))
     router = listening(f"tcp/127.0.0.1:{port + 15}", mode="router")
     tree: list[bytes] = []
     off: list[float] = []

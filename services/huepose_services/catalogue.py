@@ -17,7 +17,6 @@ import urllib.request
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TextIO
 
 from huepose.perception.sessions import NetworkSettings, check_file, digest, open_network
 from huepose.support.errors import InputError
@@ -176,11 +175,11 @@ def _added(place: Path) -> dict[str, KnownNetwork]:
         ) from None
 
 
-def fetch(entry: Entry, url: str | None = None, out: TextIO | None = None) -> Path:
+def fetch(entry: Entry, url: str | None = None) -> Path:
     """The file of a network, downloaded unless it is there already. `url` replaces the known one.
 
     Raises InputError when it cannot be had, or is not what it should be: then it is thrown away."""
-    network, path, out = entry.network, entry.path, out or sys.stderr
+    network, path = entry.network, entry.path
     if network.sha256 is None:
         raise InputError(
             f"network '{network.name}'",
@@ -208,7 +207,7 @@ def fetch(entry: Entry, url: str | None = None, out: TextIO | None = None) -> Pa
     with _writing(path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        _download(url, part, network.size_bytes, out)
+        _download(url, part, network.size_bytes)
     except (OSError, http.client.HTTPException, ValueError) as error:
         raise InputError(
             url,
@@ -228,7 +227,7 @@ def fetch(entry: Entry, url: str | None = None, out: TextIO | None = None) -> Pa
     return path
 
 
-def _download(url: str, part: Path, size_bytes: int | None, out: TextIO) -> None:
+def _download(url: str, part: Path, size_bytes: int | None) -> None:
     """Everything behind what `part` has already."""
     have = part.stat().st_size if part.is_file() else 0
     if size_bytes is not None and have >= size_bytes:
@@ -246,7 +245,7 @@ def _download(url: str, part: Path, size_bytes: int | None, out: TextIO) -> None
         goes_on = have > 0 and answer.status == 206
         done = have if goes_on else 0
         total = size_bytes or done + int(answer.headers.get("Content-Length") or 0)
-        name, status = part.stem, Status(out)
+        name, status = part.stem, Status(sys.stderr)
         status.line(f"{name}: downloading {total / 1e6:.1f} MB" if total else f"{name}: downloading")
         with part.open("ab" if goes_on else "wb") as file:
             while block := answer.read(_BLOCK):

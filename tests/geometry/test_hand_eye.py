@@ -13,7 +13,7 @@ from huepose.geometry import hand_eye, hand_eye_doubts, se3
 from huepose.geometry.hand_eye_certainty import certainty
 from huepose.support.errors import InputError
 from huepose_services.cli.main import main
-from huepose_services.runtime.config import parse
+from huepose_services.runtime.config import parse_all
 
 X = se3.make(Rotation.from_euler("xyz", [20, -130, 75], degrees=True).as_matrix(), np.array([0.4, -0.2, 0.9]))
 Y = se3.make(
@@ -159,7 +159,8 @@ def test_the_command_says_what_to_configure(
     assert np.allclose(se3.rotation_from_quaternion(np.array(mount["quaternion"])), X[:3, :3], atol=1e-4)
     said = capsys.readouterr().out
     (line,) = (line for line in said.splitlines() if line.startswith("mount: {parent: "))
-    told = parse(f"camera: {{{line}}}", tmp_path / "pipeline.yaml").camera.mount
+    (config,) = parse_all(f"camera: {{{line}}}", tmp_path / "pipeline.yaml")
+    told = config.camera.mount
     assert told is not None
     assert (told.parent, list(told.translation)) == (mount["parent"], mount["translation"])
     assert "the methods of Park, Tsai and Daniilidis differ by 0.0 mm and 0.00 degrees at most" in said

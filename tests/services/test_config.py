@@ -16,8 +16,9 @@ from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader
 from huepose_services.cli.main import main
 from huepose_services.cli.validate import _unread
-from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all, parse
+from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all
 from huepose_services.runtime.config_perception import DetectorConfig
+from tests.services.conftest import parse
 
 GOOD = "camera: {truth: true}\n"
 
@@ -302,20 +303,18 @@ def test_validate_notes_that_a_file_is_empty(validated, text, noted):
         (7, "all 7 of {}: cup0, cup1, cup2, cup3, cup4 and 2 more"),
     ],
 )
-def test_validate_names_objects_of_a_folder(tmp_path, pipeline, capsys, count, said):
+def test_validate_names_objects_of_a_folder(tmp_path, pipeline, printed, count, said):
     path, folder = pipeline(), tmp_path / "bundles"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"bundles": "bundles"}))
     folder.mkdir()
     for number in reversed(range(count)):
         (folder / f"cup{number}.huepose").touch()  # names are all that is looked at
-    assert main(["validate", str(path)]) == 0
-    assert f"\n  objects  {said.format(folder)}\n" in capsys.readouterr().out
+    assert f"\n  objects  {said.format(folder)}\n" in printed(["validate", path])
 
 
-def test_validate_says_which_pictures_are_missing(scene, pipeline, capsys):
+def test_validate_says_which_pictures_are_missing(scene, pipeline, capsys, printed):
     path = pipeline()
-    assert main(["validate", str(path)]) == 0
-    assert "WARNING" not in capsys.readouterr().out
+    assert "WARNING" not in printed(["validate", path])
     for number in range(7, 15):
         (scene / "depth" / f"{number:06d}.png").unlink()
     assert main(["validate", str(path)]) == 0
@@ -343,21 +342,19 @@ def _no_matrix(scene):
         (_no_matrix, "scene_camera.json, image 3: found keys depth_scale; expected the key 'cam_K'"),
     ],
 )
-def test_a_folder_whose_first_picture_cannot_be_read_is_refused(scene, pipeline, capsys, spoil, says):
+def test_a_folder_whose_first_picture_cannot_be_read_is_refused(scene, pipeline, refused, spoil, says):
     path = pipeline()
     spoil(scene)
-    assert main(["validate", str(path)]) == 2
-    assert says in capsys.readouterr().err
+    assert says in refused(["validate", path])
     path.write_text(json.dumps(json.loads(path.read_text()) | {"workers": ["gateway"]}))
     assert main(["validate", str(path)]) == 0, "its camera does not run"
 
 
-def test_validate_says_which_extra_a_worker_needs(tmp_path, capsys, monkeypatch):
+def test_validate_says_which_extra_a_worker_needs(tmp_path, refused, monkeypatch):
     path = tmp_path / "pipeline.yaml"
     path.write_text("workers: [camera, tracker, reinit, detector, segmenter, estimator, viewer]\n")
     monkeypatch.setattr("huepose_services.runtime.prepare.find_spec", lambda name: None)
-    assert main(["validate", str(path)]) == 2
-    assert "this needs the Python package rerun; install it with:" in capsys.readouterr().err
+    assert "this needs the Python package rerun; install it with:" in refused(["validate", path])
 
 
 def test_validate_notes_that_nobody_looks_for_objects(validated):
@@ -419,12 +416,11 @@ def test_validate_says_that_a_drawn_scene_shows_one_of_each(validated):
         ("gateway: {tls: {authority: a.pem, certificate: b.pem, key: c.pem}}", "gateway.tls.authority"),
     ],
 )
-def test_what_a_worker_would_refuse_as_it_starts_is_refused_before(tmp_path, capsys, text, says):
+def test_what_a_worker_would_refuse_as_it_starts_is_refused_before(tmp_path, refused, text, says):
     path = tmp_path / "pipeline.yaml"
     path.write_text(f"workers: [camera, tracker, gateway]\ncamera: {{source: synthetic}}\n{text}\n")
     for verb in ("validate", "up"):
-        assert main([verb, str(path)]) == 2
-        said = capsys.readouterr().err
+        said = refused([verb, path])
         assert said.startswith(f"huepose {verb}: "), "no worker was started to say so"
         assert says in said
 

@@ -7,16 +7,15 @@ from huepose.support.errors import InputError
 from huepose_services import networks as deployed
 from huepose_services.cli.main import main
 from huepose_services.demo.run import _complaints, pipeline
-from huepose_services.runtime.config import parse
 from tests.perception import networks
+from tests.services.conftest import parse
 
 
-def test_a_network_that_is_missing_is_said_before_anything_starts(tmp_path, monkeypatch, capsys):
+def test_a_network_that_is_missing_is_said_before_anything_starts(tmp_path, monkeypatch, refused):
     monkeypatch.setenv("HUEPOSE_NETWORKS", str(tmp_path))
     monkeypatch.setattr("huepose_services.demo.run.load_models", lambda folder, names: {})
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert main(["demo", "--segmenter", "sam"]) == 2
-    assert "`huepose models fetch nanosam-encoder` fetches it" in capsys.readouterr().err
+    assert "`huepose models fetch nanosam-encoder` fetches it" in refused(["demo", "--segmenter", "sam"])
     assert not list(tmp_path.glob("huepose-demo-*"))
 
 

@@ -1,9 +1,9 @@
 """Networks by name: the list, adding, fetching with a real server, and their place in pipeline.yaml."""
 
 import hashlib
-import io
 import json
 import re
+import sys
 import threading
 from dataclasses import replace
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -20,8 +20,8 @@ from huepose_services import catalogue
 from huepose_services import networks as deployed
 from huepose_services.catalogue import fetch
 from huepose_services.cli.main import main
-from huepose_services.runtime.config import parse
 from tests.perception import networks
+from tests.services.conftest import parse
 
 
 @pytest.fixture(autouse=True)
@@ -125,29 +125,24 @@ def test_what_has_no_digest_is_not_fetched(entry, server):
     assert server.asked == []
 
 
-def test_progress_is_shown_on_a_terminal(server, entry):
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
-    out = Terminal()
-    fetch(entry, server.url, out)
-    assert re.search(r"\rknown: 0\.\d of 0\.3 MB, \d+ %", out.getvalue())
-    assert out.getvalue().endswith("\x1b[Kknown: 0.3 MB are here\n")
+def test_progress_is_shown_on_a_terminal(server, entry, monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    fetch(entry, server.url)
+    said = capsys.readouterr().err
+    assert re.search(r"\rknown: 0\.\d of 0\.3 MB, \d+ %", said)
+    assert said.endswith("\x1b[Kknown: 0.3 MB are here\n")
 
 
-def test_a_log_says_that_a_download_begins_and_that_it_is_there(server, entry):
-    out = io.StringIO()
-    fetch(entry, server.url, out)
-    assert out.getvalue().splitlines() == ["known: downloading 0.3 MB", "known: 0.3 MB are here"]
+def test_a_log_says_that_a_download_begins_and_that_it_is_there(server, entry, capsys):
+    fetch(entry, server.url)
+    assert capsys.readouterr().err.splitlines() == ["known: downloading 0.3 MB", "known: 0.3 MB are here"]
 
 
-def test_a_file_of_yours_is_added_listed_and_used_by_name(mine, folder, tmp_path, capsys):
+def test_a_file_of_yours_is_added_listed_and_used_by_name(mine, folder, tmp_path, capsys, printed):
     assert main(["models", "add", str(mine)]) == 0
     assert (folder / "mine_v2.onnx").read_bytes() == mine.read_bytes()
     capsys.readouterr()
-    assert main(["models", "list", "--json"]) == 0
-    listed = {row["name"]: row for row in json.loads(capsys.readouterr().out)}
+    listed = {row["name"]: row for row in json.loads(printed(["models", "list", "--json"]))}
     assert listed["mine_v2"]["here"]
     assert listed["mine_v2"]["sha256"] == hashlib.sha256(mine.read_bytes()).hexdigest()
     assert not listed["yolox-nano"]["here"]
@@ -159,11 +154,10 @@ def test_a_file_of_yours_is_added_listed_and_used_by_name(mine, folder, tmp_path
         deployed.check(config)
 
 
-def test_a_file_put_there_by_hand_is_seen(mine, folder, capsys):
+def test_a_file_put_there_by_hand_is_seen(mine, folder, printed):
     folder.mkdir()
     (folder / "by-hand.onnx").write_bytes(mine.read_bytes())
-    assert main(["models"]) == 0
-    assert "by-hand  [here]" in capsys.readouterr().out
+    assert "by-hand  [here]" in printed(["models"])
 
 
 @pytest.mark.parametrize("name", ["yolox-nano", "../escape", "Capital"])
@@ -181,7 +175,7 @@ def test_what_is_no_network_is_not_added(tmp_path):
 
 
 @pytest.mark.parametrize("words", [["add", "{mine}"], ["list"]])
-def test_without_a_home_it_is_said_which_variable_names_the_folder(words, mine, monkeypatch, capsys):
+def test_without_a_home_it_is_said_which_variable_names_the_folder(words, mine, monkeypatch, refused):
     """As in a container that runs as a user whom its system does not know."""
 
     def unknown(number):
@@ -190,17 +184,15 @@ def test_without_a_home_it_is_said_which_variable_names_the_folder(words, mine, 
     for variable in ("HOME", "HUEPOSE_NETWORKS", "XDG_DATA_HOME"):
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setattr("pwd.getpwuid", unknown)
-    assert main(["models", *(word.format(mine=mine) for word in words)]) == 2
-    said = capsys.readouterr().err
+    said = refused(["models", *(word.format(mine=mine) for word in words)])
     assert "the user's home folder: found none: HOME is not set. Set HOME, or HUEPOSE_NETWORKS to a" in said
 
 
 def test_of_a_folder_that_cannot_be_written_it_is_said_how_to_name_another(
-    mine, entry, server, monkeypatch, capsys
+    mine, entry, server, monkeypatch, refused
 ):
     monkeypatch.setenv("HUEPOSE_NETWORKS", "/proc/networks")
-    assert main(["models", "add", str(mine)]) == 2
-    said = capsys.readouterr().err
+    said = refused(["models", "add", mine])
     assert "/proc/networks: found No such file or directory; expected a folder that can be" in said
     assert said.endswith("Set HUEPOSE_NETWORKS to one.\n")
     with pytest.raises(InputError, match="Set HUEPOSE_NETWORKS to one"):

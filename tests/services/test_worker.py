@@ -13,7 +13,7 @@ CLOSED = """
 import sys
 from pathlib import Path
 from huepose_services.runtime import worker
-from huepose_services.runtime.config import parse
+from huepose_services.runtime.config import parse_all
 from huepose_services.runtime.work import Work
 
 
@@ -31,7 +31,7 @@ class Broken(Work):
 
 worker._made = lambda *_: Broken()
 path = Path("pipeline.yaml")
-sys.exit(worker.run_worker("camera", parse("workers: [camera]", path), path, None))
+sys.exit(worker.run_worker("camera", parse_all("workers: [camera]", path)[0], path, None))
 """
 
 

@@ -313,12 +313,6 @@ def text_of(path: Path) -> str:
         ) from None
 
 
-def parse(text: str, path: Path) -> Config:
-    """The configuration in a text of one camera; see `parse_all`."""
-    (config,) = parse_all(text, path)
-    return config
-
-
 def parse_all(text: str, path: Path) -> list[Config]:
     """The configurations in a text, one for each camera; `path` names it in errors and is where relative
     paths start."""

@@ -15,15 +15,14 @@ from huepose_protos.reach import why_unreachable
 from huepose_services.authority import Authority
 from huepose_services.cli.main import main
 from huepose_services.pem import Credentials
-from huepose_services.runtime.config import parse
+from tests.services.conftest import parse
 
 from .conftest import credentials, tls
 
 
-def test_the_printed_section_is_a_configuration_with_files_that_are_there(tmp_path, capsys, monkeypatch):
+def test_the_printed_section_is_a_configuration_with_files_that_are_there(tmp_path, printed, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(["secure", "init", "--host", "robot.local", "--host", "10.0.0.7"]) == 0
-    text = capsys.readouterr().out
+    text = printed(["secure", "init", "--host", "robot.local", "--host", "10.0.0.7"])
     section = text[text.index("gateway:\n") : text.index("Then, for each")]
     config = parse(section, tmp_path / "pipeline.yaml")
     assert yaml.safe_load(section).keys() == {"gateway"}
@@ -129,17 +128,14 @@ def test_what_is_no_readers_name_is_refused(tmp_path, name, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["secure"]
 
 
-def test_nothing_is_overwritten(tmp_path, capsys):
+def test_nothing_is_overwritten(tmp_path, refused):
     folder = str(tmp_path / "secure")
-    assert main(["secure", "add", "arm", "--folder", folder]) == 2
-    assert "huepose secure init" in capsys.readouterr().err
+    assert "huepose secure init" in refused(["secure", "add", "arm", "--folder", folder])
     assert main(["secure", "init", "--folder", folder]) == 0
     assert main(["secure", "init", "--folder", folder]) == 2
     assert main(["secure", "add", "arm", "--folder", folder]) == 0
-    assert main(["secure", "add", "arm", "--folder", folder]) == 2
-    assert "huepose secure revoke arm first" in capsys.readouterr().err
-    assert main(["secure", "revoke", "leg", "--folder", folder]) == 2
-    assert "one of: arm" in capsys.readouterr().err
+    assert "huepose secure revoke arm first" in refused(["secure", "add", "arm", "--folder", folder])
+    assert "one of: arm" in refused(["secure", "revoke", "leg", "--folder", folder])
     assert main(["secure", "init", "--folder", str(tmp_path / "x"), "--host", "ä"]) == 2
     assert main(["secure", "init", "--folder", str(tmp_path / "y"), "--days", "0"]) == 2
 

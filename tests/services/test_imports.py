@@ -1,4 +1,4 @@
-"""What a worker imports, and what it does without."""
+"""What workers, subscribers and the command line import, and what they do without."""
 
 from __future__ import annotations
 
@@ -18,6 +18,8 @@ import huepose.onboarding.reference  # a worker learns the built-in objects wher
 from huepose import Estimator, Tracker, load_models
 assert "huepose.tracking.tracker" in sys.modules
 """
+SUBSCRIBER = "import huepose_protos.client, huepose_services.cli.poses, huepose_services.runtime.running"
+HELP = "import huepose_services.cli.main as command_line\ncommand_line.build_parser().format_help()"
 
 
 @pytest.mark.parametrize(
@@ -29,10 +31,13 @@ assert "huepose.tracking.tracker" in sys.modules
         ("import huepose_services.reinit", ("numba", "scipy", "onnxruntime")),
         # A tenth of a second of CPU time at every start.
         ("import huepose_services.tracker", ("scipy.spatial", "scipy.optimize", "onnxruntime")),
+        (SUBSCRIBER, ("cv2", "numba", "scipy", "open3d", "onnxruntime")),
+        # At once, whenever a key is pressed for what may come next.
+        (HELP, ("numpy", "zenoh", "cv2", "msgspec", "yaml", "numba", "open3d")),
     ],
-    ids=["every worker", "camera", "reinit", "tracker"],
+    ids=["every worker", "camera", "reinit", "tracker", "subscriber", "help"],
 )
-def test_workers_do_without_what_they_do_not_need(imports: str, done_without: tuple[str, ...]) -> None:
+def test_a_process_does_without_what_it_does_not_need(imports: str, done_without: tuple[str, ...]) -> None:
     code = f"{imports}\nimport sys\nprint(*sorted({set(done_without)} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100.0)
     assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr

@@ -34,7 +34,7 @@ from huepose.onboarding.meshes import read_mesh
 from huepose.support.errors import InputError
 from huepose_protos import WireError, decode, encode
 from huepose_protos.buffers import frame_images, pack
-from huepose_protos.examples import images, messages
+from huepose_protos.examples import example, images, messages
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.recording import RecordedScene
@@ -203,7 +203,7 @@ def _recording(folder: Path) -> dict[str, bytes]:
     out = parts(folder / "r.mcap")
     for number in (3, 4):
         out.frame(*tiny_frame(number), KEY + "frame")
-        out.message(KEY + "pose/x/1", next(m for m in messages() if isinstance(m, PoseMessage)))
+        out.message(KEY + "pose/x/1", example(PoseMessage))
     out.close()
     return files_of(folder)
 

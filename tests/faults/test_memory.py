@@ -5,11 +5,11 @@ from __future__ import annotations
 import msgspec
 import pytest
 
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import HealthMessage
 from huepose_services.chaos.memory import growth
 
-SAID = next(m for m in messages() if isinstance(m, HealthMessage))
+SAID = example(HealthMessage)
 
 
 def _said(memory_mib, seconds, pid=1):

@@ -15,7 +15,7 @@ from huepose.model import load_models
 from huepose.model.io import model_path
 from huepose.scenes.builtin import SyntheticScene
 from huepose_protos import PoseClient
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import PoseMessage
 from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.publish import FramePublisher, packed
@@ -27,7 +27,7 @@ from huepose_services.runtime.work import Work
 from tests.services.conftest import free_port_range, processes
 from tests.services.fake_bus import FakeBus
 
-POSE = next(m for m in messages() if isinstance(m, PoseMessage))
+POSE = example(PoseMessage)
 SECOND = 1_000_000_000
 
 

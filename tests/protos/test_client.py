@@ -7,10 +7,9 @@ import pytest
 
 from huepose_protos import PoseClient, encode
 from huepose_protos.client import Reader
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import CameraMessage, Clock, Mount, PoseMessage
 
-EXAMPLES = {type(m): m for m in messages()}
 NOBODY = "tcp/127.0.0.1:1"
 SECOND = 10**9
 
@@ -25,13 +24,13 @@ def pose(site, epoch, capture_ns, x=0.0, **changes):
     told = {"object": "mug", "instance": 0, "state": "TRACKING", "frame": "cam0_color_optical"}
     told |= {"camera_epoch": epoch, "capture_ns": capture_ns, "publish_ns": capture_ns}
     told |= {"translation": (x, 0.0, 0.5), "realtime_offset_ns": 0, "clock_id": "of another machine"}
-    message = msgspec.structs.replace(EXAMPLES[PoseMessage], **(told | changes))
+    message = msgspec.structs.replace(example(PoseMessage), **(told | changes))
     return sample(f"huepose/{site}/cam0/pose/mug/0", message)
 
 
 def camera(site, epoch, x, mount_ns=None, boot="of another machine"):
     message = msgspec.structs.replace(
-        EXAMPLES[CameraMessage],
+        example(CameraMessage),
         camera_epoch=epoch,
         clock=Clock(clock_id=boot, realtime_offset_ns=0),
         frame="cam0_color_optical",

@@ -10,7 +10,7 @@ import pytest
 from huepose_protos import WireError, decode, encode
 from huepose_protos import messages as wire
 from huepose_protos.buffers import frame_images
-from huepose_protos.examples import GOLDEN, messages
+from huepose_protos.examples import GOLDEN, example, messages
 from huepose_protos.export import files
 from huepose_protos.fields import MAJOR, MINOR
 from huepose_protos.messages import MESSAGES, FrameHeader, Message
@@ -65,7 +65,7 @@ def test_the_manual_names_every_message_and_every_field(kind):
 
 def test_an_older_reader_takes_a_newer_minor_and_refuses_a_newer_major_by_name():
     """The rule, from both sides: a message with a field that this reader does not know."""
-    pose = next(m for m in messages() if type(m).__name__ == "PoseMessage")
+    pose = example(wire.PoseMessage)
     newer = {**msgspec.to_builtins(pose), "grip_width_m": 0.08}
     minor = msgspec.msgpack.encode({**newer, "version": f"{MAJOR}.{MINOR + 1}"})
     assert msgspec.structs.replace(decode(minor, type(pose)), version=pose.version) == pose
@@ -77,6 +77,6 @@ def test_an_older_reader_takes_a_newer_minor_and_refuses_a_newer_major_by_name()
 def test_fields_that_came_later_may_be_missing():
     """A newer reader takes what an older writer of the same major sends."""
     late = {"locked_mib", "drops", "errors", "last_error", "restarts", "picture"}
-    health = next(m for m in messages() if type(m).__name__ == "HealthMessage")
+    health = example(wire.HealthMessage)
     older = {name: value for name, value in msgspec.to_builtins(health).items() if name not in late}
     assert decode(msgspec.msgpack.encode(older), type(health)).drops == 0

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import PoseMessage
 from huepose_protos.motion import (
     SECOND,
@@ -22,7 +22,7 @@ from huepose_protos.motion import (
     rotation_vector,
 )
 
-POSE = next(m for m in messages() if isinstance(m, PoseMessage))
+POSE = example(PoseMessage)
 LINEAR, ANGULAR = np.array([0.3, -0.2, 0.1]), np.array([0.5, 1.0, -0.7])
 MS = SECOND // 1000
 

@@ -3,9 +3,20 @@
 from collections import defaultdict
 from types import SimpleNamespace
 
+import msgspec
+
+from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader
+from huepose_services.camera.publish import packed
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.health import Health
+
+
+def sent(frame, depth_scale_m=1e-4, **fields):
+    """Header and payload of a frame, as a camera sends them."""
+    picture = packed(frame, depth_scale_m)
+    said = {"intrinsics": picture.intrinsics, "buffers": picture.buffers, **fields}
+    return msgspec.structs.replace(example(FrameHeader), **said), picture.payload
 
 
 def _nothing(*_, **__):

@@ -9,7 +9,7 @@ import pytest
 
 from huepose_protos import encode
 from huepose_protos.buffers import frame_images, pack
-from huepose_protos.examples import images, messages
+from huepose_protos.examples import example, images
 from huepose_protos.messages import FrameHeader, ObjectsMessage, PoseMessage
 from huepose_services.following import Memory, recall
 from huepose_services.runtime.clock import now_ns
@@ -20,8 +20,8 @@ from tests.services.sessions import close_bus, open_bus
 
 pytestmark = pytest.mark.live
 
-POSE = next(m for m in messages() if isinstance(m, PoseMessage))
-HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
+POSE = example(PoseMessage)
+HEADER = example(FrameHeader)
 
 
 @pytest.fixture
@@ -180,7 +180,7 @@ def test_the_list_of_objects_is_remembered_for_who_comes_back(buses):
     camera, tracker = buses
     memory = Memory(tracker)
     assert recall(camera) == []
-    message = next(m for m in messages() if isinstance(m, ObjectsMessage))
+    message = example(ObjectsMessage)
     memory.keep(message)
     assert recall(camera) == message.objects
 

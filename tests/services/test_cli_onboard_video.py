@@ -8,18 +8,19 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
-import msgspec
 import numpy as np
 import pytest
 
 from huepose.datasets.bop_writer import BopWriter
 from huepose.geometry import RgbdFrame
 from huepose.onboarding import read_mesh
-from huepose_protos.buffers import pack
-from huepose_protos.messages import FrameHeader, PoseMessage
+from huepose_protos.buffers import frame_images
+from huepose_protos.examples import example
+from huepose_protos.messages import PoseMessage
 from huepose_services.cli.main import main
-from huepose_services.convert import depth_to_wire, intrinsics_to_wire
-from tests.services.recording.conftest import EXAMPLES, KEY, parts
+from tests.services.conftest import Says
+from tests.services.fake_bus import sent
+from tests.services.recording.conftest import KEY, parts
 
 
 def bop_scene(path: Path, frames: list[RgbdFrame]) -> None:
@@ -33,15 +34,10 @@ def recorded(path: Path, frames: list[RgbdFrame], jpeg: bool = False) -> None:
     """Frames as `huepose record` writes them, poses and a frame that came twice between them."""
     out = parts(path, jpeg=jpeg)
     for frame in [frames[0], *frames]:
-        color, depth = frame.color, depth_to_wire(frame.depth, 0.0001)
-        header = msgspec.structs.replace(
-            EXAMPLES[FrameHeader],
-            **{"frame_id": frame.frame_id, "capture_ns": frame.stamp_ns, "publish_ns": frame.stamp_ns},
-            **{"buffers": pack({"color": color, "depth": depth})[0]},
-            intrinsics=intrinsics_to_wire(frame.camera, 0.0001),
-        )
-        out.frame(header, color, depth, KEY + "frame")
-        out.message(KEY + "pose/other/0", EXAMPLES[PoseMessage])
+        stamps = {"capture_ns": frame.stamp_ns, "publish_ns": frame.stamp_ns}
+        header, payload = sent(frame, frame_id=frame.frame_id, **stamps)
+        out.frame(header, *frame_images(header, payload), KEY + "frame")
+        out.message(KEY + "pose/other/0", example(PoseMessage))
     out.close()
 
 
@@ -162,12 +158,11 @@ def test_a_recording_takes_the_place_of_a_mesh(tmp_path: Path, monkeypatch: pyte
     ],
 )
 def test_a_file_in_the_place_of_a_folder_is_found_before_the_recording_is_read(
-    file: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    file: str, said: str, tmp_path: Path, refused: Says
 ) -> None:
     (tmp_path / file).parent.mkdir(exist_ok=True)
     (tmp_path / file).touch()
-    assert main(given_for(tmp_path / "no_recording.mcap", tmp_path / "bundles")) == 2
-    assert said in capsys.readouterr().err
+    assert said in refused(given_for(tmp_path / "no_recording.mcap", tmp_path / "bundles"))
 
 
 @pytest.mark.parametrize(("surface", "code"), [(0.59, 1), (0.6, 0)])
@@ -214,7 +209,6 @@ def test_what_was_seen_of_one_side_alone_tells_a_script(
     ],
 )
 def test_what_is_missing_for_a_recording_is_said(
-    given: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    given: list[str], said: str, tmp_path: Path, refused: Says
 ) -> None:
-    assert main(["onboard", *given, "--name", "tea", "--out", str(tmp_path / "bundles")]) == 2
-    assert said in capsys.readouterr().err
+    assert said in refused(["onboard", *given, "--name", "tea", "--out", tmp_path / "bundles"])

@@ -13,7 +13,7 @@ from huepose.geometry import Box, se3
 from huepose.reinit.types import Prior, Request, RequestedObject
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose_protos import decode, encode
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import (
     CorrectionMessage,
     EstimatedObject,
@@ -44,7 +44,7 @@ VELOCITY = np.array([0.1, 0.2, -0.3, 1.0, -2.0, 0.5])
 COVARIANCE = np.diag([1e-6, 2e-6, 3e-6, 1e-4, 2e-4, 3e-4])
 MASK = np.zeros((48, 64), bool)
 MASK[10:20, 30:40] = True
-HEADER = next(m for m in messages() if isinstance(m, FrameHeader))
+HEADER = example(FrameHeader)
 
 finite = st.floats(-3.0, 3.0)
 

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
 from huepose import tracking
 from huepose_protos.messages import FrameHeader
-from huepose_services.camera.publish import packed
 from huepose_services.convert import frame_from_wire
 from huepose_services.delay_doubt import DelayDoubt
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import CameraConfig, Config
 from huepose_services.tracker import TrackerWork
 from tests.conftest import standing_pose
-from tests.services.tracker_work import HEADER, BusStandIn, ObjectsStandIn
+from tests.services.fake_bus import sent
+from tests.services.tracker_work import BusStandIn, ObjectsStandIn
 
 HZ, MOVES, RESTS = 30, 45, 40
 CAN = standing_pose(0.0, 0.25, 0.1)
@@ -45,10 +44,8 @@ def film(box_and_can, take_picture):
             color, depth = seen[min(k, MOVES)], seen[min(max(k - late, 0), MOVES)].depth
             pixels = color.color.copy()
             pixels[0, 0] = k  # no two pictures are the same
-            picture = packed(replace(color, color=pixels, depth=depth), 1e-4)
-            fields = {"buffers": picture.buffers, "intrinsics": picture.intrinsics}
             at_ns = begun_ns + round(k * 1e9 / HZ)
-            yield msgspec.structs.replace(HEADER, frame_id=k, capture_ns=at_ns, **fields), picture.payload
+            yield sent(replace(color, color=pixels, depth=depth), frame_id=k, capture_ns=at_ns)
 
     return shown
 

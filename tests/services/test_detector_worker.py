@@ -12,10 +12,9 @@ from huepose_protos.examples import GOLDEN, example
 from huepose_protos.messages import FrameHeader, PerceptionRequest, RequestedObject
 from huepose_services import detector as worker
 from huepose_services.boxes import SearchedBoxes
-from huepose_services.camera.publish import packed
 from huepose_services.detector import ASK_EVERY_NS, DetectorWork
 from huepose_services.models import outline
-from tests.services.fake_bus import FakeBus
+from tests.services.fake_bus import FakeBus, sent
 
 
 def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, take_picture, standing):
@@ -30,11 +29,8 @@ def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, ta
 
     def warned(color):
         shot = replace(frame, color=np.ascontiguousarray(color))
-        picture = packed(shot, 0.0002)
-        header = msgspec.structs.replace(
-            example(FrameHeader), intrinsics=picture.intrinsics, buffers=picture.buffers, capture_ns=now[0]
-        )
-        bus.arriving |= {FrameHeader: [(header, picture.payload)], PerceptionRequest: [request]}
+        arriving = sent(shot, 0.0002, capture_ns=now[0])
+        bus.arriving |= {FrameHeader: [arriving], PerceptionRequest: [request]}
         work.step()
         return bus.health.message().warnings
 

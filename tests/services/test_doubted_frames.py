@@ -8,7 +8,6 @@ import pytest
 
 from huepose import tracking
 from huepose_protos.messages import CorrectionMessage, FrameHeader
-from huepose_services.camera.publish import packed
 from huepose_services.convert import frame_from_wire
 from huepose_services.doubts import DISAGREES, RELIT
 from huepose_services.runtime.clock import now_ns
@@ -17,9 +16,9 @@ from huepose_services.tracker import TrackerWork
 from tests.conftest import standing_pose
 from tests.onboarded import onboarded
 from tests.onboarding import solids
+from tests.services.fake_bus import sent
 from tests.services.tracker_work import (
     CORRECTION,
-    HEADER,
     MS,
     BusStandIn,
     Loser,
@@ -239,11 +238,7 @@ def light_changes(part, take_picture):
             thing = (mesh if before or relit else other, standing_pose(0.6, 0.001 * k, 0.0))
             seen = take_picture([thing], WARM if before or not relit else (1.0, 1.0, 1.0))
             noisy = (seen.color + rng.normal(0.0, 2.0, seen.color.shape)).clip(0, 255).astype(np.uint8)
-            picture = packed(replace(seen, color=noisy), 1e-4)
-            fields = {"buffers": picture.buffers, "intrinsics": picture.intrinsics}
-            stamp_ns = begun_ns + k * 33 * MS
-            header = msgspec.structs.replace(HEADER, frame_id=k, capture_ns=stamp_ns, **fields)
-            yield header, picture.payload
+            yield sent(replace(seen, color=noisy), frame_id=k, capture_ns=begun_ns + k * 33 * MS)
 
     return shown
 

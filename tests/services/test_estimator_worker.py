@@ -11,14 +11,13 @@ from huepose.estimation.depth_offset import DepthOffset
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame
 from huepose_protos.examples import example
-from huepose_protos.messages import Estimates, FrameHeader, Masks, Prior
+from huepose_protos.messages import Estimates, Masks, Prior
 from huepose_services import camera_doubts
 from huepose_services import estimator as worker
-from huepose_services.camera.publish import packed
 from huepose_services.camera_doubts import LOOK_EVERY_NS
 from huepose_services.estimator import EstimatorWork, make
 from huepose_services.runtime.config import CameraConfig, Config, EstimatorConfig
-from tests.services.fake_bus import FakeBus
+from tests.services.fake_bus import FakeBus, sent
 
 CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
 
@@ -53,12 +52,11 @@ def masks(times, *names):
     """A picture of a wall a metre away, its depth so many times too large, in which these were detected."""
     color = np.random.default_rng(0).integers(20, 220, (120, 160, 3), dtype=np.uint8)
     depth = np.full((120, 160), 1.0 * times, np.float32)
-    picture = packed(RgbdFrame(color, depth, CAMERA), 0.0002)
-    header = replace(example(FrameHeader), intrinsics=picture.intrinsics, buffers=picture.buffers)
+    header, payload = sent(RgbdFrame(color, depth, CAMERA), 0.0002)
     seen = example(Masks).objects[0]
     asked = [replace(seen.detection.request, object=name, prior=None) for name in names]
     objects = [replace(seen, detection=replace(seen.detection, request=one), masks=[]) for one in asked]
-    return replace(example(Masks), frame=header, objects=objects), picture.payload
+    return replace(example(Masks), frame=header, objects=objects), payload
 
 
 @pytest.mark.parametrize("times", [10.0, 0.05, 20.0])

@@ -22,7 +22,7 @@ from huepose.model import ReferenceModel, save_model
 from huepose.scenes.builtin import first_shot
 from huepose.scenes.camera import CAMERA
 from huepose_protos import encode
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.keys import Keys
 from huepose_protos.messages import CameraMessage, Mount, ObjectEntry, ObjectsMessage, PoseMessage
 from huepose_services.camera.python import open_source
@@ -35,8 +35,8 @@ from tests.services.sessions import listening
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-EXAMPLE = next(m for m in messages() if isinstance(m, PoseMessage))
-CAMERA_SAYS = next(m for m in messages() if isinstance(m, CameraMessage))
+EXAMPLE = example(PoseMessage)
+CAMERA_SAYS = example(CameraMessage)
 MOUNT = Mount(parent="base_link", translation=(0.1, 0.2, 0.3), quaternion=(0.0, 0.0, 0.0, 1.0))
 
 

@@ -10,7 +10,7 @@ from huepose.support.errors import InputError
 from huepose_protos import encode
 from huepose_protos.buffers import pack
 from huepose_protos.client import open_session
-from huepose_protos.examples import images, messages
+from huepose_protos.examples import example, images
 from huepose_protos.messages import (
     CorrectionMessage,
     Detections,
@@ -26,13 +26,12 @@ from huepose_services.authority import Authority
 from huepose_services.camera.audience import Audience
 from huepose_services.cli.graph import as_json, mermaid
 from huepose_services.cli.units import units
-from huepose_services.runtime.config import BusConfig, Config, LinkConfig, parse
+from huepose_services.runtime.config import BusConfig, Config, LinkConfig
 from huepose_services.runtime.running import described
 from huepose_services.watch import View
-from tests.services.conftest import until
+from tests.services.conftest import parse, until
 from tests.services.sessions import Working, close_bus, open_bus
 
-EXAMPLES = {type(m): m for m in messages()}
 _, PIXELS = pack(images())
 HOUR_NS = 3600 * 10**9
 ALL = ("detector", "segmenter", "estimator")
@@ -146,7 +145,7 @@ def sides(base_port, folder):
 
 
 def _frame(capture_ns):
-    return msgspec.structs.replace(EXAMPLES[FrameHeader], publish_ns=capture_ns, capture_ns=capture_ns)
+    return msgspec.structs.replace(example(FrameHeader), publish_ns=capture_ns, capture_ns=capture_ns)
 
 
 @pytest.mark.live
@@ -155,7 +154,7 @@ def test_a_request_takes_its_frame_along_and_the_answer_has_its_stamp(sides):
     looks = desk.other.inbox.ring(desk.other.keys.look)
     answers = robot.other.inbox.queue(robot.other.keys.estimates)
     now = time.monotonic_ns()
-    request = msgspec.structs.replace(EXAMPLES[PerceptionRequest], publish_ns=now, deadline_ns=now + 10**9)
+    request = msgspec.structs.replace(example(PerceptionRequest), publish_ns=now, deadline_ns=now + 10**9)
     frame = _frame(now)
 
     def crossed():
@@ -169,9 +168,7 @@ def test_a_request_takes_its_frame_along_and_the_answer_has_its_stamp(sides):
 
     def answer(**changes):
         header = {"camera_epoch": frame.camera_epoch, "frame_id": frame.frame_id, "capture_ns": now}
-        said = msgspec.structs.replace(
-            EXAMPLES[Estimates], **header | {"publish_ns": now + HOUR_NS} | changes
-        )
+        said = msgspec.structs.replace(example(Estimates), **header | {"publish_ns": now + HOUR_NS} | changes)
         # The desk's clock may be hours away: only its own bus would mind.
         desk.work._outside.put(desk.bus.keys.down(desk.bus.keys.estimates), encode(said))
 
@@ -189,7 +186,7 @@ def test_a_frame_about_which_all_was_answered_does_not_cross_again_and_the_next_
     robot, desk = sides()
     looks = desk.other.inbox.queue(desk.other.keys.look)
     now = time.monotonic_ns()
-    request = msgspec.structs.replace(EXAMPLES[PerceptionRequest], publish_ns=now, deadline_ns=now + 10**10)
+    request = msgspec.structs.replace(example(PerceptionRequest), publish_ns=now, deadline_ns=now + 10**10)
     frame = _frame(now)
 
     def crossed(frame=frame, request=request):
@@ -217,7 +214,7 @@ def test_only_the_end_of_perception_may_be_there(sides, far, kind):
     key = robot.bus.keys.detections if kind is Detections else robot.bus.keys.masks
     found = desk.other.inbox.ring(key)
     now = time.monotonic_ns()
-    said = msgspec.structs.replace(EXAMPLES[kind], publish_ns=now, frame=_frame(now))
+    said = msgspec.structs.replace(example(kind), publish_ns=now, frame=_frame(now))
 
     def crossed():
         robot.other.put_pixels(key, said, PIXELS)
@@ -238,7 +235,7 @@ def test_who_is_there_is_seen_and_nobody_else_comes_or_steers(sides, folder):
 
     def seen():
         for worker in ("estimator", "tracker"):  # the second one is not of the desk
-            said = msgspec.structs.replace(EXAMPLES[HealthMessage], worker=worker)
+            said = msgspec.structs.replace(example(HealthMessage), worker=worker)
             desk.other.put(keys.health(worker), msgspec.structs.replace(said, publish_ns=time.monotonic_ns()))
         desk.bus.say_health()
         while (message := robot.other.take(health, HealthMessage)) is not None:
@@ -252,7 +249,7 @@ def test_who_is_there_is_seen_and_nobody_else_comes_or_steers(sides, folder):
     # What the desk says under other keys goes nowhere; who has another certificate of the authority does not
     # come in.
     where = f"tls/{robot.config.link.connect}"
-    bytes_of = encode(EXAMPLES[CorrectionMessage])
+    bytes_of = encode(example(CorrectionMessage))
     stranger = open_session([where], folder / "authority.pem", folder / "reader.pem", folder / "reader.key")
     for session in (desk.work._outside, stranger):
         for key in (keys.correction, keys.down(keys.correction), keys.up(keys.objects)):

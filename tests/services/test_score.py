@@ -5,7 +5,7 @@ import pytest
 from msgspec.structs import replace
 
 from huepose.geometry import se3
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import PoseMessage, TruthMessage, TruthObject
 from huepose_services.convert import pose_to_wire
 from huepose_services.demo.score import Score, Yardstick, shortcomings
@@ -13,7 +13,7 @@ from huepose_services.demo.table import report
 
 SECOND = 1_000_000_000
 POINTS = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3)).astype(np.float32)
-EXAMPLE = next(m for m in messages() if isinstance(m, PoseMessage))
+EXAMPLE = example(PoseMessage)
 
 
 def _place(frame):

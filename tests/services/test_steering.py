@@ -9,7 +9,7 @@ import pytest
 from huepose.geometry import Box
 from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
-from huepose_protos.examples import example, messages
+from huepose_protos.examples import example
 from huepose_protos.messages import (
     ControlRequest,
     DetectedObject,
@@ -180,7 +180,7 @@ def test_retired_instances_are_those_of_their_epoch_below_a_number():
 
 
 def test_a_box_that_was_pointed_at_counts_until_the_object_has_a_pose():
-    header = next(m for m in messages() if isinstance(m, FrameHeader))  # an image of 4 x 2
+    header = example(FrameHeader)  # an image of 4 x 2
     anywhere, known = RequestedObject(object="mug", instance=None), RequestedObject(object="mug", instance=0)
     other = RequestedObject(object="jar", instance=None)
     found = [DetectedObject(request=r, box=(0.0, 0.0, 1.0, 1.0), score=0.5) for r in (anywhere, other)]

@@ -12,7 +12,7 @@ from huepose.scenes.builtin import SyntheticScene
 from huepose.scenes.camera import CAMERA
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.camera.ingest import Busy, Ingest, Schedule, make
 from huepose_services.camera.publish import packed
@@ -25,7 +25,7 @@ from tests.services.conftest import until
 from tests.services.fake_bus import FakeBus
 from tests.services.sessions import close_bus, open_bus
 
-POSE = next(m for m in messages() if isinstance(m, PoseMessage))
+POSE = example(PoseMessage)
 STAMPS = {3: 0, 4: 40_000_000, 7: 140_000_000, 9: 150_000_000}
 
 

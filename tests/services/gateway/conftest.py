@@ -5,15 +5,13 @@ import time
 import msgspec
 import pytest
 
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import PoseMessage
 from huepose_services.authority import Authority
 from huepose_services.gateway import GatewayWork, make
 from huepose_services.runtime.config import BusConfig, Config, GatewayConfig, TlsConfig
 from tests.services.conftest import until
 from tests.services.sessions import Working, close_bus, open_bus
-
-EXAMPLES = {type(m): m for m in messages()}
 
 
 class Running:
@@ -42,7 +40,7 @@ class Running:
         now = time.monotonic_ns()
         clock = {"realtime_offset_ns": time.time_ns() - now}
         pose = msgspec.structs.replace(
-            EXAMPLES[PoseMessage],
+            example(PoseMessage),
             **({"frame_id": frame_id, "capture_ns": now, "publish_ns": now} | clock | changes),
         )
         self.tracker.put(self.tracker.keys.pose(pose.object, pose.instance), pose)

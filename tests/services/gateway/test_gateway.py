@@ -13,6 +13,7 @@ import pytest
 
 from huepose_protos import PoseClient, decode, encode
 from huepose_protos.client import open_session
+from huepose_protos.examples import example
 from huepose_protos.messages import (
     CameraMessage,
     CorrectionMessage,
@@ -22,7 +23,7 @@ from huepose_protos.messages import (
 )
 from huepose_services.gateway import _Said, answer_of
 
-from .conftest import EXAMPLES, Running, credentials, tls
+from .conftest import Running, credentials, tls
 
 pytestmark = pytest.mark.live
 ALL = "huepose/*/*/remote/**"
@@ -42,7 +43,7 @@ def test_poses_objects_camera_and_health_are_seen_outside_and_at_once_by_who_com
         (keys.camera_info, CameraMessage),
         (keys.health("tracker"), HealthMessage),
     ):
-        one.tracker.put(key, EXAMPLES[kind])
+        one.tracker.put(key, example(kind))
     pose = one.say(5000, state="SUSPECT")
     time.sleep(0.1)
     # From now on nobody says anything.
@@ -53,9 +54,9 @@ def test_poses_objects_camera_and_health_are_seen_outside_and_at_once_by_who_com
         time.sleep(0.05)
     session.close()
     assert decode(replies[keys.outside(keys.pose(pose.object, pose.instance))], PoseMessage) == pose
-    assert decode(replies[keys.outside(keys.objects)], ObjectsMessage) == EXAMPLES[ObjectsMessage]
-    assert decode(replies[keys.outside(keys.camera_info)], CameraMessage) == EXAMPLES[CameraMessage]
-    assert decode(replies[keys.outside(keys.health("tracker"))], HealthMessage) == EXAMPLES[HealthMessage]
+    assert decode(replies[keys.outside(keys.objects)], ObjectsMessage) == example(ObjectsMessage)
+    assert decode(replies[keys.outside(keys.camera_info)], CameraMessage) == example(CameraMessage)
+    assert decode(replies[keys.outside(keys.health("tracker"))], HealthMessage) == example(HealthMessage)
     with PoseClient(f"tcp/127.0.0.1:{one.port}", object=pose.object) as late:
         assert late.next(5.0) == pose
 
@@ -84,7 +85,7 @@ def test_a_pose_is_answered_as_it_was_said_until_it_is_too_old():
         ("LOST", 6, "LOST"),
     ):
         nowhere = dict.fromkeys(("translation", "quaternion")) if state == "LOST" else {}
-        pose = msgspec.structs.replace(EXAMPLES[PoseMessage], state=state, **nowhere)
+        pose = msgspec.structs.replace(example(PoseMessage), state=state, **nowhere)
         said = _Said(encode(pose), pose, 1000)
         assert decode(answer_of(said, 1000 + age_ns, 5), PoseMessage).state == answered
 
@@ -176,8 +177,8 @@ def test_a_tracker_that_starts_is_told_from_objects_that_are_not_in_view(start, 
     with PoseClient(f"localhost:{one.port}") as client:
         wait_until(lambda: client.connected)
         assert "no tracker answers, or it is only starting" in client.why_silent()
-        names = [entry.object for entry in EXAMPLES[ObjectsMessage].objects]
-        one.tracker.put(one.tracker.keys.objects, EXAMPLES[ObjectsMessage])
+        names = [entry.object for entry in example(ObjectsMessage).objects]
+        one.tracker.put(one.tracker.keys.objects, example(ObjectsMessage))
         wait_until(lambda: client.looked_for() == sorted(names))
         said = f"connected, but of what is looked for ({', '.join(sorted(names))}) nothing is seen: "
         assert client.why_silent() == said + "`huepose status` says why"
@@ -190,13 +191,13 @@ def test_nobody_at_an_address_of_ipv6_is_said(base_port):
 
 def test_what_comes_from_outside_changes_nothing(start, wait_until):
     one = start()
-    correction = encode(EXAMPLES[CorrectionMessage])
+    correction = encode(example(CorrectionMessage))
     with PoseClient(f"tcp/127.0.0.1:{one.port}") as client:
         one.say_until(lambda: client.latest() is not None)
         with open_session([f"tcp/127.0.0.1:{one.port}"]) as other:
             wait_until(lambda: list(other.info.peers_zid()))
             keys = one.tracker.keys
-            forged = encode(msgspec.structs.replace(EXAMPLES[PoseMessage], frame_id=666_666))
+            forged = encode(msgspec.structs.replace(example(PoseMessage), frame_id=666_666))
             for _ in range(20):
                 for key in (keys.correction, keys.outside(keys.correction)):
                     other.put(key, correction)
@@ -205,7 +206,7 @@ def test_what_comes_from_outside_changes_nothing(start, wait_until):
                 time.sleep(0.005)
         # The way inside is open for the tracker's own neighbours, so the silence above is not an accident.
         assert one.tracker.take(one.corrections, CorrectionMessage) is None
-        one.gateway.put_control(keys.correction, EXAMPLES[CorrectionMessage])
+        one.gateway.put_control(keys.correction, example(CorrectionMessage))
         wait_until(lambda: one.tracker.take(one.corrections, CorrectionMessage) is not None)
         assert client.latest().frame_id != 666_666
         assert client.latest("forged") is None
@@ -215,7 +216,7 @@ def test_garbage_inside_is_not_passed_on(start, wait_until):
     one = start()
     with PoseClient(f"tcp/127.0.0.1:{one.port}") as client:
         one.say_until(lambda: client.latest() is not None)
-        for data in (b"", b"\xc1", encode(EXAMPLES[PoseMessage])[:-3], b"\xff" * 9000):
+        for data in (b"", b"\xc1", encode(example(PoseMessage))[:-3], b"\xff" * 9000):
             one.tracker.session.put(one.tracker.keys.pose("garbage", 0), data)
         frame = one.say(9000, state="SUSPECT").frame_id
         while client.next(5.0).frame_id != frame:

@@ -14,15 +14,15 @@ import zenoh
 from huepose.support.errors import InputError
 from huepose_protos import PoseClient, encode
 from huepose_protos.client import open_session
+from huepose_protos.examples import example
 from huepose_protos.messages import CorrectionMessage
 from huepose_protos.reach import fault_of, why_unreachable
 from huepose_services.authority import Authority
-from huepose_services.cli.main import main
 from huepose_services.gateway_door import Door, check_door
 from huepose_services.pem import Credentials
 from huepose_services.runtime.config import Config, GatewayConfig
 
-from .conftest import EXAMPLES, credentials, tls
+from .conftest import credentials, tls
 
 pytestmark = pytest.mark.live
 
@@ -53,7 +53,7 @@ def test_only_listed_names_read_and_a_reader_cannot_steer(start, authority):
     steering = open_session([address], **credentials(authority, "robot1"))
     one.say_until(lambda: listed.latest() is not None and one.work._door.refused > 0)
     for _ in range(30):
-        steering.put(one.tracker.keys.correction, encode(EXAMPLES[CorrectionMessage]))
+        steering.put(one.tracker.keys.correction, encode(example(CorrectionMessage)))
         one.say(7000)
         time.sleep(0.01)
     for reply in steering.get(one.tracker.keys.control, timeout=0.5):
@@ -118,9 +118,8 @@ def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monke
         ),
     ],
 )
-def test_options_for_another_machine_that_cannot_work_are_refused(authority, capsys, options, said):
-    assert main(["poses", *(option.format(authority) for option in options)]) == 2
-    assert said in capsys.readouterr().err
+def test_options_for_another_machine_that_cannot_work_are_refused(authority, refused, options, said):
+    assert said in refused(["poses", *(option.format(authority) for option in options)])
 
 
 def test_a_list_of_revoked_that_is_none_is_refused(authority):

@@ -15,21 +15,22 @@ from mcap.writer import Writer
 from huepose.geometry import se3
 from huepose.model.io import model_path, save_model
 from huepose_protos.buffers import frame_images, pack
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import CorrectionMessage, FrameHeader, IntakeMessage, PoseMessage
 from huepose_services import models
-from huepose_services.convert import depth_to_wire, intrinsics_to_wire, pose_to_wire
+from huepose_services.convert import pose_to_wire
 from huepose_services.recording.parts import Limits, Parts
 from huepose_services.recording.read import Event, Recording
 from huepose_services.recording.verify import ReplayBus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config, TrackerConfig
 from huepose_services.tracker import TrackerWork, tracker_of
+from tests.services.fake_bus import sent
 
-EXAMPLES = {type(m): m for m in messages()}
 KEY = "huepose/a/cam0/"
 UNIX_NS = 1_700_000_000_000_000_000
 NAME, STEPS = "tea_box", 14
+FRAME = example(FrameHeader)
 
 
 def tiny_frame(number):
@@ -37,12 +38,11 @@ def tiny_frame(number):
     rng = np.random.default_rng(number)
     color = rng.integers(0, 255, (4, 6, 3), dtype=np.uint8)
     depth = rng.integers(0, 65535, (4, 6), dtype=np.uint16)
-    example = EXAMPLES[FrameHeader]
-    size = msgspec.structs.replace(example.intrinsics, width=6, height=4)
+    size = msgspec.structs.replace(FRAME.intrinsics, width=6, height=4)
     specs, payload = pack({"color": color, "depth": depth})
     stamp_ns = 10**9 + number * 33_333_333
     stamps = {"capture_ns": stamp_ns, "publish_ns": stamp_ns + 5_000_000}
-    header = msgspec.structs.replace(example, frame_id=number, intrinsics=size, buffers=specs, **stamps)
+    header = msgspec.structs.replace(FRAME, frame_id=number, intrinsics=size, buffers=specs, **stamps)
     assert frame_images(header, payload)[0].shape == (4, 6, 3)
     return header, color, depth
 
@@ -122,17 +122,11 @@ def followed(tea_box, take_picture, standing, tmp_path_factory):
     before = None
     for number in range(STEPS):
         T = se3.perturb(standing, np.array([0.004 * number, 0.0, 0.0, 0.0, 0.01 * number, 0.0]))
-        frame = take_picture([(tea_box.mesh, T)])
-        color, depth = frame.color, depth_to_wire(frame.depth, 0.0001)
-        specs, payload = pack({"color": color, "depth": depth})
         clock.now_ns += 33_333_333
         stamp_ns = clock.now_ns
-        header = msgspec.structs.replace(
-            EXAMPLES[FrameHeader],
-            **{"frame_id": number, "capture_ns": stamp_ns, "publish_ns": stamp_ns, "buffers": specs},
-            intrinsics=intrinsics_to_wire(frame.camera, 0.0001),
-        )
-        out.frame(header, color, depth, KEY + "frame")
+        stamps = {"frame_id": number, "capture_ns": stamp_ns, "publish_ns": stamp_ns}
+        header, payload = sent(take_picture([(tea_box.mesh, T)]), **stamps)
+        out.frame(header, *frame_images(header, payload), KEY + "frame")
         corrections = []
         if number in (3, 6, 9):
             # About the frame before.
@@ -153,7 +147,7 @@ def followed(tea_box, take_picture, standing, tmp_path_factory):
             fresh = msgspec.structs.replace(config.tracker, max_age_ms=9_000.0)
             work.reload(msgspec.structs.replace(config, tracker=fresh))
         bus.give(
-            msgspec.structs.replace(EXAMPLES[IntakeMessage], corrections=corrections), (header, payload), []
+            msgspec.structs.replace(example(IntakeMessage), corrections=corrections), (header, payload), []
         )
         work._memory_due_ns = 0 if number in (0, 7, 12) else 2**62
         work.step()
@@ -162,7 +156,7 @@ def followed(tea_box, take_picture, standing, tmp_path_factory):
     # Then nothing comes for so long that the last pose is not to be acted on any more.
     clock.now_ns += 11_000_000_000
     bus.said = []
-    bus.give(msgspec.structs.replace(EXAMPLES[IntakeMessage], corrections=[]), None, [])
+    bus.give(msgspec.structs.replace(example(IntakeMessage), corrections=[]), None, [])
     work.step()
     for key, message in bus.said:
         out.message(key, message)
@@ -177,7 +171,7 @@ def written(path, numbers=(7, 8, 12), jpeg=False, chunks=False):
         header, color, depth = tiny_frame(number)
         out.frame(header, color, depth, KEY + "frame")
         pose = msgspec.structs.replace(
-            EXAMPLES[PoseMessage], frame_id=number, publish_ns=header.publish_ns + 1
+            example(PoseMessage), frame_id=number, publish_ns=header.publish_ns + 1
         )
         out.message(KEY + "pose/x/1", pose)
         if chunks:

@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from huepose.support.errors import InputError
+from huepose_protos.examples import example
 from huepose_protos.messages import MemoryMessage
 from huepose_services import builtin
 from huepose_services.cli.view import _drawn
@@ -15,7 +16,7 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.running import Pipeline, noted
 from tests.services.conftest import until
 
-from .conftest import EXAMPLES, KEY, NAME, parts
+from .conftest import KEY, NAME, parts
 
 
 @pytest.fixture(autouse=True)
@@ -31,7 +32,7 @@ def _recorded(path, **config):
     out = parts(path)
     told = json.loads(msgspec.json.encode(Config())) | config
     out.message(
-        KEY + "tracker/memory", msgspec.structs.replace(EXAMPLES[MemoryMessage], config=json.dumps(told))
+        KEY + "tracker/memory", msgspec.structs.replace(example(MemoryMessage), config=json.dumps(told))
     )
     out.close()
     return out.path

@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from huepose.support.errors import InputError
+from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.cli.main import main
 from huepose_services.recording.parts import DiskFullError, Limits
@@ -22,9 +23,9 @@ from huepose_services.recording.read import Recording
 from huepose_services.recording.record import Span
 from huepose_services.runtime.config import Config
 
-from .conftest import EXAMPLES, KEY, UNIX_NS, chunks_of, frames, mcap_of, parts, tiny_frame, written
+from .conftest import KEY, UNIX_NS, chunks_of, frames, mcap_of, parts, tiny_frame, written
 
-POSE = EXAMPLES[PoseMessage]
+POSE = example(PoseMessage)
 
 
 def test_what_is_written_is_read_back_exactly(tmp_path):
@@ -145,10 +146,7 @@ def test_a_changed_byte_ends_it_and_is_said(tmp_path, number):
 def test_it_goes_on_in_new_files_and_deletes_the_oldest(tmp_path):
     out = parts(tmp_path / "out", Limits(part=30_000, keep=100_000, free=0))
     out.note("models", {"mug": "12"})
-    for number in range(400):
-        out.frame(*tiny_frame(number), KEY + "frame")
-        out._due = 0.0
-        out.commit()
+    _goes_on(out)
     out.close()
     paths = sorted(tmp_path.iterdir())
     assert len(paths) > 2
@@ -274,18 +272,17 @@ def test_what_other_programs_wrote_is_passed_over(tmp_path, topic, encoding):
 
 
 def test_a_header_without_images_is_refused(tmp_path):
-    header = msgspec.json.encode(EXAMPLES[FrameHeader])
+    header = msgspec.json.encode(example(FrameHeader))
     with pytest.raises(InputError, match="a frame without its images"):
         list(Recording(mcap_of(tmp_path / "x.mcap", topic=KEY + "frame", data=header)).events())
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"no recording at all", None])
-def test_what_is_no_recording_is_refused(tmp_path, content, capsys):
+def test_what_is_no_recording_is_refused(tmp_path, content, refused):
     path = tmp_path / "x.mcap"
     path.mkdir() if content is None else path.write_bytes(content)
     for arguments in ([], ["--verify"], ["--bop", str(tmp_path / "bop")]):
-        assert main(["replay", str(path), *arguments]) == 2
-        said = capsys.readouterr().err
+        said = refused(["replay", path, *arguments])
         assert said.startswith(f"huepose replay: {path}: found"), "before anything is begun"
         assert said.count("\n") == 1
     assert not (tmp_path / "bop").exists()

@@ -1,31 +1,29 @@
 """A recording holds what the tracker took: what did not come is asked for; what it passed over goes first."""
 
-import time
-
 import msgspec
 import pytest
 
 from huepose_protos import encode
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader, IntakeMessage, MemoryMessage
 from huepose_services.recording.arrivals import Arrivals, Taken
+from tests.services.conftest import until
 
 from .test_arrivals import _Channel, _Sample
 
-EXAMPLES = {type(m): m for m in messages()}
-EPOCH = EXAMPLES[FrameHeader].camera_epoch
+EPOCH = example(FrameHeader).camera_epoch
 LATER = 1e9
 """When all patience is over."""
 
 
 def _frame(number):
-    return encode(msgspec.structs.replace(EXAMPLES[FrameHeader], frame_id=number, camera_epoch=EPOCH))
+    return encode(msgspec.structs.replace(example(FrameHeader), frame_id=number, camera_epoch=EPOCH))
 
 
 def _step(seq, frame=None, again=False, publish_ns=None):
     stamp = publish_ns or 10**12 + seq
     message = msgspec.structs.replace(
-        EXAMPLES[IntakeMessage],
+        example(IntakeMessage),
         **{"seq": seq, "frame_id": frame, "camera_epoch": None if frame is None else EPOCH},
         publish_ns=stamp,
     )
@@ -51,7 +49,7 @@ def test_what_the_tracker_took_and_did_not_come_is_asked_for_until_it_comes():
 def test_what_the_tracker_remembers_is_asked_for_at_the_beginning():
     taken = Taken()
     frames = [(EPOCH, number) for number in range(6)]
-    memory = msgspec.structs.replace(EXAMPLES[MemoryMessage], frames=frames)
+    memory = msgspec.structs.replace(example(MemoryMessage), frames=frames)
     taken.message("huepose/a/cam0/tracker/memory", encode(memory))
     assert taken.wanted(LATER) == (frames[:4], [])
     assert taken.wanted(LATER) == (frames[4:], [])
@@ -72,7 +70,7 @@ def test_frames_from_before_the_recording_began_are_asked_for_and_not_missed():
     taken = Taken()
     taken.frame(_frame(5))
     frames = [(EPOCH, number) for number in (3, 4, 5, 6)]
-    memory = msgspec.structs.replace(EXAMPLES[MemoryMessage], frames=frames)
+    memory = msgspec.structs.replace(example(MemoryMessage), frames=frames)
     taken.message("huepose/a/cam0/tracker/memory", encode(memory))
     asked = [taken.wanted(LATER * (n + 1))[0] for n in range(5)]
     assert asked == [[(EPOCH, 3), (EPOCH, 4), (EPOCH, 6)]] * 4 + [[]]
@@ -84,7 +82,7 @@ def test_a_frame_that_is_lost_after_the_camera_was_opened_anew_is_missed(later):
     """Epochs are random numbers."""
     taken = Taken()
     taken.frame(_frame(5))
-    memory = msgspec.structs.replace(EXAMPLES[MemoryMessage], frames=[(EPOCH, 4), (later, 9), (later, 2)])
+    memory = msgspec.structs.replace(example(MemoryMessage), frames=[(EPOCH, 4), (later, 9), (later, 2)])
     taken.message("huepose/a/cam0/tracker/memory", encode(memory))
     for n in range(5):
         taken.wanted(LATER * (n + 1))
@@ -103,16 +101,15 @@ def test_a_slow_recorder_lets_go_of_frames_that_the_tracker_passed_over():
         return [_Sample("huepose/a/cam0/tracker/again", _frame(f[1]), bytes(10)) for f in frames]
 
     arrivals = Arrivals(_Channel(samples), ["all"], 40, ask)
-    deadline = time.monotonic() + 10.0
-    while samples and time.monotonic() < deadline:
-        time.sleep(0.01)
+    until(lambda: not samples)
     # What was dropped before the tracker said that it took it is had again.
     kept = set()
-    while not kept >= {0, 3, 6, 9} and time.monotonic() < deadline:
+
+    def take():
         arrived = arrivals.take()
-        kept |= {arrived.frame[1]} if arrived is not None and arrived.frame else set()
-        time.sleep(0.001)
+        kept.update({arrived.frame[1]} if arrived is not None and arrived.frame else ())
+
+    until(lambda: kept >= {0, 3, 6, 9}, act=take)
     arrivals.close()
-    assert kept >= {0, 3, 6, 9}
     assert not kept & {1, 2}
     assert arrivals.missed >= 4

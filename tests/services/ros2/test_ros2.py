@@ -14,7 +14,7 @@ import zenoh
 from mcap_ros2._dynamic import generate_dynamic
 
 from huepose_protos import decode, encode
-from huepose_protos.examples import messages
+from huepose_protos.examples import example
 from huepose_protos.messages import CameraMessage, Mount, PoseMessage
 from huepose_protos.motion import pose_at
 from huepose_services.ros2.messages import (
@@ -38,11 +38,9 @@ from huepose_services.runtime.config_parts import of_cameras
 from tests.services.conftest import until
 from tests.services.sessions import close_bus, listening, open_bus
 
-EXAMPLE = next(m for m in messages() if isinstance(m, PoseMessage))
+EXAMPLE = example(PoseMessage)
 MOUNT = Mount(parent="base_link", translation=(1.0, 2.0, 3.0), quaternion=(0.0, 0.0, 0.5**0.5, 0.5**0.5))
-CAMERA_SEEN = msgspec.structs.replace(
-    next(m for m in messages() if isinstance(m, CameraMessage)), mount=MOUNT
-)
+CAMERA_SEEN = msgspec.structs.replace(example(CameraMessage), mount=MOUNT)
 # As the documentation of rmw_zenoh has it.
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from huepose.geometry import Camera, se3
 from huepose.scenes.shapes import demo_objects
-from huepose_protos.examples import images, messages
+from huepose_protos.examples import example, images
 from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
 from huepose_services.viewer.shapes import (
     Body,
@@ -30,7 +30,6 @@ from huepose_services.viewer.shapes import (
 from tests.services.conftest import until
 
 CAMERA = Camera(100.0, 100.0, 50.0, 40.0, 101, 81)
-EXAMPLES = {type(m): m for m in messages()}
 
 
 def _box():
@@ -146,13 +145,13 @@ def test_frames_poses_and_changes_are_in_the_file(shown):
     from rerun.chunk import RrdReader
 
     show = shown({"006_mustard_bottle": Body(_box(), 0.2)})
-    header, pose = EXAMPLES[FrameHeader], EXAMPLES[PoseMessage]
+    header, pose = example(FrameHeader), example(PoseMessage)
     size = msgspec.structs.replace(header.intrinsics, width=4, height=2)
     show.at(10**18, 42)
     show.frame(msgspec.structs.replace(header, intrinsics=size), *images().values(), with_cloud=True)
     show.pose(pose)
     show.beliefs([pose])
-    show.hypotheses(EXAMPLES[HypothesesMessage])
+    show.hypotheses(example(HypothesesMessage))
     show.pairs(np.array([[1.0, 1.0], [2.0, 0.0]]), np.array([False, True]))
     show.latency(12.0)
     show.event("006_mustard_bottle/3 TRACKING", "TRACKING")
@@ -222,11 +221,9 @@ def test_without_a_screen_it_says_what_to_do(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["v.png", "run"])
-def test_a_file_of_another_ending_is_refused_before_anything_is_looked_for(name, tmp_path, capsys):
-    from huepose_services.cli.main import main
+def test_a_file_of_another_ending_is_refused_before_anything_is_looked_for(name, tmp_path, refused):
 
-    assert main(["view", "--save", str(tmp_path / name), "--config", str(tmp_path / "none.yaml")]) == 2
-    said = capsys.readouterr().err
+    said = refused(["view", "--save", tmp_path / name, "--config", tmp_path / "none.yaml"])
     assert "expected a file for the rerun viewer, FILE.rrd" in said
     assert "huepose estimate --image" in said
     assert not (tmp_path / name).exists()
@@ -276,7 +273,7 @@ def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_p
     from huepose_services.viewer import work
 
     monkeypatch.setattr(work, "frame_images", lambda header, payload: tuple(images().values()))
-    poses, headers = [EXAMPLES[PoseMessage]], []
+    poses, headers = [example(PoseMessage)], []
     bus, show = MagicMock(), MagicMock()
     bus.take = lambda source, kind: poses.pop() if poses else None
     bus.take_with_payload = lambda source, kind: (headers.pop(), b"") if headers else None
@@ -284,12 +281,10 @@ def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_p
     viewer = work.ViewerWork(bus, show, 1e6, begins_with_picture=begins_with_picture)
     viewer.step()
     assert show.pose.called is not begins_with_picture
-    headers.append(
-        msgspec.structs.replace(EXAMPLES[FrameHeader], capture_ns=EXAMPLES[PoseMessage].capture_ns)
-    )
+    headers.append(msgspec.structs.replace(example(FrameHeader), capture_ns=example(PoseMessage).capture_ns))
     viewer.step()
     assert show.frame.called
-    later = msgspec.structs.replace(EXAMPLES[PoseMessage], capture_ns=EXAMPLES[PoseMessage].capture_ns + 1)
+    later = msgspec.structs.replace(example(PoseMessage), capture_ns=example(PoseMessage).capture_ns + 1)
     poses.append(later)
     viewer.step()
     assert show.method_calls[0][0] == "at"
@@ -316,7 +311,7 @@ def _rows(path, entity, column):
 
 def test_what_comes_later_than_its_first_pose_is_drawn(shown):
     bodies = {}
-    show, pose = shown(bodies), EXAMPLES[PoseMessage]
+    show, pose = shown(bodies), example(PoseMessage)
     show.at(10**18, 1)
     show.pose(pose)
     bodies[pose.object] = Body(_box(), 0.2)
@@ -334,8 +329,8 @@ def _viewer(show, monkeypatch):
     from huepose_services.viewer import work
 
     monkeypatch.setattr(work, "frame_images", lambda header, payload: tuple(images().values()))
-    size = msgspec.structs.replace(EXAMPLES[FrameHeader].intrinsics, width=4, height=2)
-    header = msgspec.structs.replace(EXAMPLES[FrameHeader], intrinsics=size)
+    size = msgspec.structs.replace(example(FrameHeader).intrinsics, width=4, height=2)
+    header = msgspec.structs.replace(example(FrameHeader), intrinsics=size)
     arrived = {PoseMessage: [], FrameHeader: []}
     bus = MagicMock()
     bus.take = lambda source, kind: arrived[kind].pop(0) if arrived.get(kind) else None
@@ -358,7 +353,7 @@ def _viewer(show, monkeypatch):
 def test_who_is_silent_for_a_second_of_pictures_leaves_no_ghost(shown, monkeypatch):
     monkeypatch.setattr("huepose_services.viewer.work._PATIENCE_NS", 0)
     step = _viewer(shown({}), monkeypatch)
-    stays = EXAMPLES[PoseMessage]
+    stays = example(PoseMessage)
     goes = msgspec.structs.replace(stays, object="can", instance=0)
     for k in range(30):
         step(10.0 + 0.1 * k, *([stays, goes] if k < 10 else [stays]))
@@ -384,7 +379,7 @@ def test_whose_poses_come_late_is_no_ghost(monkeypatch):
     for k in range(40):
         step(10.0 + 0.1 * k)
         if k >= 15:
-            step(8.5 + 0.1 * k, EXAMPLES[PoseMessage], picture=False)
+            step(8.5 + 0.1 * k, example(PoseMessage), picture=False)
     assert not show.gone.called
     for k in range(40, 55):
         step(10.0 + 0.1 * k)

@@ -18,7 +18,6 @@ from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.model import ReferenceModel, save_model
 from huepose_protos import encode
-from huepose_protos.buffers import pack
 from huepose_protos.examples import example
 from huepose_protos.messages import (
     FrameHeader,
@@ -28,10 +27,11 @@ from huepose_protos.messages import (
     Message,
     PoseMessage,
 )
-from huepose_services.convert import depth_to_wire, intrinsics_to_wire, pose_to_wire
+from huepose_services.convert import pose_to_wire
 from huepose_services.runtime.config import Config, load
 from huepose_services.viewer.show import OTHER, STATE_COLOURS
 from tests.conftest import TakePicture, standing_pose
+from tests.services.fake_bus import sent
 from tests.services.repeating import repeating
 from tests.services.sessions import listening
 from tests.services.viewer import browser
@@ -62,10 +62,7 @@ def messages_of(frame: RgbdFrame, frame_id: int) -> tuple[FrameHeader, bytes, li
     """A frame as the camera sends it, and what the tracker says of it: one box sure, one doubted."""
     now = time.monotonic_ns()
     stamps = {"publish_ns": now, "capture_ns": now, "frame_id": frame_id, "camera_epoch": 7}
-    buffers, payload = pack({"color": frame.color, "depth": depth_to_wire(frame.depth, 0.0001)})
-    header = msgspec.structs.replace(
-        example(FrameHeader), **stamps, buffers=buffers, intrinsics=intrinsics_to_wire(frame.camera, 0.0001)
-    )
+    header, payload = sent(frame, **stamps)
 
     def pose(instance: int, T_cam_obj: Float64, state: str, reason: str) -> PoseMessage:
         translation, quaternion = pose_to_wire(T_cam_obj)

@@ -21,6 +21,7 @@ from huepose_services.cli.main import main
 from huepose_services.cli.mesh_unit import with_unit
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
+from tests.services.conftest import Says, heeds_ctrl_c
 
 
 @pytest.fixture
@@ -93,7 +94,7 @@ def test_a_folder_of_models_says_what_it_replaces_and_forgets_what_was_said_of_i
 
 
 def test_validate_repeats_the_verdict_on_an_object_until_another_model_of_its_name_replaces_it(
-    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, printed
 ) -> None:
     monkeypatch.setattr(suitability, "self_test", partial(suitability.self_test, count=4))
     out, plain, pipeline = tmp_path / "bundles", tmp_path / "plain.glb", tmp_path / "pipeline.yaml"
@@ -101,11 +102,10 @@ def test_validate_repeats_the_verdict_on_an_object_until_another_model_of_its_na
     files.write_glb(plain, solids.box((0.05, 0.04, 0.03), dict.fromkeys(solids.SIDES, red)))
     pipeline.write_text(json.dumps({"bundles": "bundles", "objects": [{"name": "brick"}]}))
     given = ["--name", "brick", "--out", str(out)]
-    assert main(["onboard", str(plain), *given]) == 0
-    verdict = next(line for line in capsys.readouterr().out.splitlines() if "drawn scenes" in line)
+    lines = printed(["onboard", plain, *given]).splitlines()
+    verdict = next(line for line in lines if "drawn scenes" in line)
     assert verdict.startswith(("brick suits with limits: ", "brick does not suit: "))
-    assert main(["validate", str(pipeline)]) == 0
-    assert f"\n  NOTE     {verdict}\n" in capsys.readouterr().out
+    assert f"\n  NOTE     {verdict}\n" in printed(["validate", pipeline])
     assert main(["onboard", "--no-test", str(plain), *given]) == 0
     assert (out / "brick.png").exists(), "the same model"
     assert "replaced" not in capsys.readouterr().err
@@ -114,8 +114,7 @@ def test_validate_repeats_the_verdict_on_an_object_until_another_model_of_its_na
     said = capsys.readouterr().err
     assert f"note: {out / 'brick.huepose'} replaced another reference model named brick, made on " in said
     assert said.count("replaced") == 1
-    assert main(["validate", str(pipeline)]) == 0
-    assert "NOTE" not in capsys.readouterr().out
+    assert "NOTE" not in printed(["validate", pipeline])
 
 
 @pytest.fixture
@@ -135,14 +134,13 @@ def centimetres(tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("verb", ["onboard", "new"])
 def test_nothing_is_learnt_of_a_mesh_whose_unit_a_script_does_not_say(
-    centimetres: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str
+    centimetres: Path, tmp_path: Path, refused: Says, verb: str
 ) -> None:
     out = tmp_path / "out"
     given = ["new", "brick", str(centimetres)]
     if verb == "onboard":
         given = ["onboard", str(centimetres), "--name", "brick"]
-    assert main([*given, "--no-test", "--out", str(out)]) == 2
-    said = " ".join(capsys.readouterr().err.split())
+    said = " ".join(refused([*given, "--no-test", "--out", out]).split())
     sizes = "1.5 cm in millimetres, 15 cm in centimetres, 38.1 cm in inches"
     assert f"found no unit, and a largest side of {sizes}" in said
     assert said.endswith("Say it: --unit mm|cm|in.")
@@ -216,12 +214,11 @@ def test_the_warning_of_an_unusual_size_comes_first_and_once(
 
 
 def test_a_large_mesh_says_which_extra_it_needs(
-    mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Says
 ) -> None:
     monkeypatch.setattr(simplify, "MAX_TRIANGLES", 11)  # the brick has twelve triangles
     monkeypatch.setitem(sys.modules, "open3d", None)  # as where it is not installed
-    assert main(["onboard", "--no-test", str(mesh), "--name", "brick", "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
+    said = refused(["onboard", "--no-test", mesh, "--name", "brick", "--out", tmp_path / "out"])
     assert "this needs the Python package open3d; install it with: pip install" in said
     assert "[onboard]'" in said
     assert not (tmp_path / "out").exists()
@@ -241,9 +238,7 @@ def test_ctrl_c_while_the_processes_start_ends_them_all(tmp_path: Path) -> None:
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=lambda: signal.signal(
-            signal.SIGINT, signal.SIG_DFL
-        ),  # what starts the tests may ignore it
+        preexec_fn=heeds_ctrl_c,
     )
     assert running.stderr is not None
     assert "onboarding 2 objects" in running.stderr.readline()
@@ -269,11 +264,10 @@ def test_ctrl_c_while_the_processes_start_ends_them_all(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_input_ends_with_2_and_a_fix(
-    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], extra: list[str], message: str
+    mesh: Path, tmp_path: Path, refused: Says, extra: list[str], message: str
 ) -> None:
     out = tmp_path / "bundles"
-    assert main(["onboard", "--no-test", str(mesh), "--out", str(out), *extra]) == 2
-    assert message in capsys.readouterr().err
+    assert message in refused(["onboard", "--no-test", mesh, "--out", out, *extra])
     assert not out.exists()
 
 
@@ -281,28 +275,23 @@ def test_wrong_input_ends_with_2_and_a_fix(
     ("inside", "fix"), [("brick.glb", "Did you mean {}?"), ("", "this folder has none.")]
 )
 def test_a_folder_in_the_place_of_a_mesh_is_said_to_be_one(
-    mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], inside: str, fix: str
+    mesh: Path, tmp_path: Path, refused: Says, inside: str, fix: str
 ) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()
     if inside:
         mesh.rename(folder / inside)
-    assert main(["onboard", str(folder), "--name", "brick", "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr().err
+    said = refused(["onboard", folder, "--name", "brick", "--out", tmp_path / "out"])
     assert f"{folder}: found a folder; expected a mesh file: .obj, .ply, .glb, .gltf." in said
     assert said.endswith(fix.format(folder / inside) + "\n")
 
 
 @pytest.mark.parametrize("processes", ["0", "-1"])
-def test_a_folder_is_onboarded_by_one_process_or_more(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], processes: str
-) -> None:
+def test_a_folder_is_onboarded_by_one_process_or_more(tmp_path: Path, refused: Says, processes: str) -> None:
     command = ["onboard-bop", str(tmp_path), "--out", str(tmp_path / "out"), "--processes", processes]
-    assert main(command) == 2
-    said = capsys.readouterr().err
+    said = refused(command)
     assert said == f"huepose onboard-bop: --processes: found {processes}; expected 1 or more.\n"
 
 
-def test_a_folder_without_meshes_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["onboard-bop", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
-    assert "no obj_NNNNNN.ply or .obj" in capsys.readouterr().err
+def test_a_folder_without_meshes_ends_with_2(tmp_path: Path, refused: Says) -> None:
+    assert "no obj_NNNNNN.ply or .obj" in refused(["onboard-bop", tmp_path, "--out", tmp_path / "out"])

@@ -94,7 +94,7 @@ def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     """The view of a frame without planes larger than the square of the largest object's diameter, metres;
     None if nothing is left."""
     planes = large_planes(frame.depth, frame.camera, largest_m**2)
-    standing = standing_clear(frame.depth, frame.camera, planes, largest_m**2)
+    standing = standing_clear(frame.depth, frame.camera, planes, largest_m)
     clear, pieces = _pieces(frame.depth, standing, frame.camera.fx)
     bounds = Box.of_mask(clear)
     if bounds is None:

@@ -49,6 +49,11 @@ than so many times as far off stands in front of it."""
 NOISE_SIGMAS = 2.0
 """Depth within so many standard deviations of a plane's own noise lies on it, too: far walls are noisy."""
 
+UNDER, OFF, TOP = 1, 2, 0.5
+"""Depth beside a plane: a little behind it, or elsewhere. A large piece of a plane is the top of objects that
+lie side by side where depth falls from more than so much of its edge, by less than the diameter of the
+largest object, to what they lie on. From a table it falls farther, or not at all."""
+
 BESIDE_PX, BOUNDED = 3, 0.25
 """A small piece of a plane is the plane's where, of what is so far beside it, so much more stands in front of
 it or is the plane again than lies behind it. The floor, continued, also cuts through what stands on a table,
@@ -183,28 +188,42 @@ def large_planes(depth: Float32, camera: Camera, larger_than_m2: float) -> list[
     return planes
 
 
-def standing_clear(depth: Float32, camera: Camera, planes: Sequence[Plane], larger_than_m2: float) -> Bool:
+def standing_clear(depth: Float32, camera: Camera, planes: Sequence[Plane], largest_m: float) -> Bool:
     """Pixels (H, W) with depth that lie on none of the planes. Of a plane those pieces count that are larger
-    than `larger_than_m2`, and what of it is seen between things that stand on it."""
+    than the square of the largest object's diameter, and what of it is seen between things that stand on it;
+    but not the tops of objects side by side, at whose edge depth falls by less than that diameter."""
     clear = depth > 0
-    on, front = np.empty(depth.shape, np.uint8), np.empty(depth.shape, np.int8)
+    on, edge = np.empty((2, *depth.shape), np.uint8)
+    front = np.empty(depth.shape, np.int8)
     for plane in planes:
         n, offset = plane.normal, float(plane.point @ plane.normal)
         rows = np.array([n[0] / camera.fx, n[1] / camera.fy, n[2]])
         rows[2] -= rows[0] * camera.cx + rows[1] * camera.cy
-        _sorted(depth, clear, rows, offset, NOISE_SIGMAS * plane.noise, on, front)
+        _sorted(depth, clear, rows, offset, NOISE_SIGMAS * plane.noise, largest_m, on, front, edge)
         # A pixel sees z^3 / (fx fy |offset|) of a plane.
-        _take_away(on, depth, front, larger_than_m2 * camera.fx * camera.fy * abs(offset), clear)
+        _take_away(on, depth, front, edge, largest_m**2 * camera.fx * camera.fy * abs(offset), clear)
     return np.asarray(clear)
 
 
 @jit_dividing
 def _sorted(
-    depth: Float32, clear: Bool, rows: Float64, offset: float, noise_per_m: float, on: UInt8, front: Int8
+    depth: Float32,
+    clear: Bool,
+    rows: Float64,
+    offset: float,
+    noise_per_m: float,
+    reach_m: float,
+    on: UInt8,
+    front: Int8,
+    edge: UInt8,
 ) -> None:
-    """Fill `on` (H, W) with 1 where what is clear lies on a plane, else 0; `front` (H, W) with 1 on it, in
-    front of it and where planes before took what is there, -1 behind it, 0 between. rows (3,): the product of
-    a pixel's ray with the normal is rows @ (u, v, 1); noise_per_m: noise that lies on it."""
+    """Fill three pictures (H, W) about a plane. on: 1 where what is clear lies on it, else 0. front: 1 on it,
+    in front of it and where planes before took what is there, -1 behind it, 0 between. edge, whatever was
+    taken: UNDER where depth is behind the plane by less than `reach_m`, OFF where it is farther behind or in
+    front, 0 on the plane, near it, and without depth.
+
+    rows (3,): the product of a pixel's ray with the normal is rows @ (u, v, 1); noise_per_m: noise that lies
+    on it."""
     right = np.float32(rows[0])
     for v in range(depth.shape[0]):
         first = np.float32(rows[1] * v + rows[2])
@@ -216,36 +235,47 @@ def _sorted(
             usual = np.float32(BAND_M) + np.float32(BAND_PER_M) * square
             band = max(usual, np.float32(noise_per_m) * square)
             on[v, u] = clear[v, u] and abs(height) <= band
+            beyond = np.float32(BEYOND) * band
+            if z <= 0.0 or abs(height) <= beyond:
+                edge[v, u] = 0
+            else:
+                edge[v, u] = UNDER if -reach_m < height < 0.0 else OFF
             if on[v, u] or not clear[v, u]:
                 front[v, u] = 1
             else:
-                beyond = np.float32(BEYOND) * band
                 front[v, u] = np.int8(height > beyond) - np.int8(height < -beyond)
 
 
 @jit
-def _take_away(on: UInt8, depth: Float32, front: Int8, larger_than: float, clear: Bool) -> None:
-    """Clear away the connected pieces of a plane (`on`) that are large (their sums of depth cubed), or that
-    what has depth beside them bounds, by the mean of `front` there."""
+def _take_away(on: UInt8, depth: Float32, front: Int8, edge: UInt8, larger_than: float, clear: Bool) -> None:
+    """Clear away the connected pieces of a plane (`on`) that are large (their sums of depth cubed), unless
+    most of what is beside them lies a little under them, and those that what has depth beside them bounds, by
+    the mean of `front` there."""
     height, width = on.shape
     stretches, count = connected(on)
-    size, seen, bounded = np.zeros((3, count))
+    size, beside, seen, bounded, falls = np.zeros((5, count))
     pieces = np.full(on.shape, -1, np.int32)
     for v, first, last, piece in stretches:
         pieces[v, first:last] = piece
         for u in range(first, last):
             size[piece] += depth[v, u] ** 3
     for v, first, last, piece in stretches:
-        if size[piece] >= larger_than:
-            continue
         for u in range(first, last):
             for q in range(4):
                 b, a = v + BESIDE_PX * ((q == 0) - (q == 1)), u + BESIDE_PX * ((q == 2) - (q == 3))
-                if 0 <= b < height and 0 <= a < width and pieces[b, a] != piece and depth[b, a] > 0.0:
+                if not (0 <= b < height and 0 <= a < width):
+                    beside[piece] += 1.0
+                elif pieces[b, a] != piece and depth[b, a] > 0.0:
                     seen[piece] += 1.0
                     bounded[piece] += front[b, a]
+                    beside[piece] += edge[b, a] != 0
+                    falls[piece] += edge[b, a] == UNDER
     for v, first, last, piece in stretches:
-        if size[piece] >= larger_than or bounded[piece] >= BOUNDED * seen[piece]:
+        if size[piece] >= larger_than:
+            taken = falls[piece] <= TOP * beside[piece]
+        else:
+            taken = bounded[piece] >= BOUNDED * seen[piece]
+        if taken:
             clear[v, first:last] = False
 
 

@@ -49,7 +49,7 @@ def test_the_table_is_taken_away_and_the_objects_stay(
     planes = large_planes(frame.depth, frame.camera, 0.09)
     tilt = np.radians(35.0)
     assert planes[0].normal @ np.array([0, -np.cos(tilt), -np.sin(tilt)]) > np.cos(np.radians(0.5))
-    clear = standing_clear(frame.depth, frame.camera, planes, 0.09)
+    clear = standing_clear(frame.depth, frame.camera, planes, 0.3)
     objects = np.zeros_like(clear)
     for T in (standing, beside):
         objects |= render_depth(tea_box.mesh, T, frame.camera) > 0

@@ -21,7 +21,7 @@ def table() -> Float32:
 def test_the_table_is_taken_away_and_a_thing_on_it_stays() -> None:
     depth = table()
     depth[40:80, 60:120] = 0.9
-    clear = standing_clear(depth, CAMERA, [TABLE], 0.1)
+    clear = standing_clear(depth, CAMERA, [TABLE], 0.3)
     assert np.array_equal(clear, depth == np.float32(0.9))
 
 
@@ -29,7 +29,7 @@ def test_a_plane_that_only_crosses_a_slanted_side_is_not_there() -> None:
     depth = table()
     depth[20:130, 30:170] = np.linspace(0.5, 0.9, 110, dtype=np.float32)[:, None]
     through = Plane(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 0.7]))  # a shelf elsewhere, continued
-    clear = standing_clear(depth, CAMERA, [TABLE, through], 0.1)
+    clear = standing_clear(depth, CAMERA, [TABLE, through], 0.3)
     assert clear[20:130, 30:170].all()
     assert not clear[:20].any()
 
@@ -39,7 +39,7 @@ def test_the_flat_bottom_of_a_bowl_on_the_table_is_the_bowls() -> None:
     v, u = np.mgrid[:150, :200]
     away = np.hypot(v - 75.0, u - 100.0)
     depth[away < 50.0] = (1.0 - 0.002 * np.maximum(away - 20.0, 0.0))[away < 50.0]
-    clear = standing_clear(depth, CAMERA, [TABLE], 0.1)
+    clear = standing_clear(depth, CAMERA, [TABLE], 0.3)
     assert clear[away < 48.0].all()
 
 
@@ -47,9 +47,23 @@ def test_what_is_seen_of_the_table_between_things_is_the_tables() -> None:
     depth = table()
     depth[40:100, 40:160] = 0.8
     depth[60:80, 80:120] = 1.0
-    clear = standing_clear(depth, CAMERA, [TABLE], 0.1)
+    clear = standing_clear(depth, CAMERA, [TABLE], 0.3)
     assert not clear[60:80, 80:120].any()
     assert clear[40:60, 40:160].all()
+
+
+@pytest.mark.parametrize(
+    ("below_m", "rim_m", "stays"),
+    [(0.1, 0.1, True), (0.7, 0.7, False), (0.1, -0.05, False)],
+    ids=["packages on a table", "a table above the floor", "the ground of a box"],
+)
+def test_a_large_top_stays_where_depth_falls_a_little_round_it(below_m: float, rim_m: float, stays: bool):
+    depth = table() + np.float32(below_m)
+    depth[25:125, 30:170] += np.float32(rim_m - below_m)
+    depth[30:120, 35:165] = 1.0
+    top = depth == np.float32(1.0)
+    clear = standing_clear(depth, CAMERA, [TABLE], 0.3)
+    assert clear[top].all() if stays else not clear[top].any()
 
 
 def seen_room(noise: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -71,7 +85,7 @@ def test_a_far_wall_that_a_tables_plane_cuts_does_not_tilt_it_and_its_noise_is_t
     assert np.degrees(np.arccos(planes[0].normal @ up)) < 0.3
     # The noise of depth is along the rays, which meet the wall at an angle.
     assert planes[1].noise == pytest.approx(0.004, rel=0.25)
-    left = standing_clear(depth, CAMERA, planes, 0.05)
+    left = standing_clear(depth, CAMERA, planes, 0.22)
     assert left.mean() < 0.08
 
 
@@ -84,4 +98,4 @@ def test_what_is_much_noisier_than_the_quietest_plane_is_none():
     depth[rough] += rng.uniform(-0.09, 0.09, int(rough.sum())).astype(np.float32)
     planes = large_planes(depth, CAMERA, 0.05)
     assert all(plane.noise < 0.003 for plane in planes)
-    assert standing_clear(depth, CAMERA, planes, 0.05)[rough].mean() > 0.8
+    assert standing_clear(depth, CAMERA, planes, 0.22)[rough].mean() > 0.8

@@ -44,8 +44,8 @@ class Job:
 
 @dataclass(frozen=True)
 class Onboarded:
-    """What became of an object: its file, extents (x, y, z) and diameter in metres, counts, and whether it
-    has the tables of the paper's method."""
+    """What became of an object: its file, extents (x, y, z) and diameter in metres, counts, whether it has
+    the tables of the paper's method, and what may be wrong with its mesh."""
 
     name: str
     path: Path
@@ -56,6 +56,7 @@ class Onboarded:
     file_bytes: int
     seconds: float
     paper: bool
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,8 @@ def onboard_one(
     in words what takes long."""
     start = time.monotonic()
     report("mesh")
-    mesh = read_mesh(job.mesh_path, job.unit)
+    notes: list[str] = []
+    mesh = read_mesh(job.mesh_path, job.unit, notes.append)
     if len(mesh.faces) > MANY_TRIANGLES:
         say(f"simplifying {len(mesh.faces):,} triangles, which may take minutes")
     model = onboard_mesh(
@@ -114,6 +116,7 @@ def onboard_one(
         path.stat().st_size,
         time.monotonic() - start,
         model.tables is not None,
+        tuple(notes),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from huepose.onboarding.mesh_files import MeshFiles
 from huepose.onboarding.obj import read_obj
 from huepose.onboarding.ply import read_ply
 from huepose.onboarding.raw_mesh import RE_EXPORT, RawMesh
+from huepose.onboarding.seams import UPSIDE_DOWN, upside_down
 from huepose.onboarding.texture import single_texture
 from huepose.onboarding.winding import outward_sign
 from huepose.support.errors import InputError
@@ -31,16 +32,20 @@ _DAMAGE = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError,
 _READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
 
 
-def read_mesh(path: Path | str, unit: Unit | None = None) -> Mesh:
+def read_mesh(path: Path | str, unit: Unit | None = None, note: Callable[[str], None] | None = None) -> Mesh:
     """Mesh of a file, in metres, axes as in the file.
 
     unit: the file's unit of length. Without it glTF is taken as metres (its standard), OBJ and PLY as the one
-    of metres and millimetres that gives a largest side of 1 cm to 2 m. Raises InputError naming the file,
-    what was found and what to do; for implausible sizes it shows both.
+    of metres and millimetres that gives a largest side of 1 cm to 2 m. note: told what may be wrong with
+    the mesh, in words. Raises InputError naming the file, what was found and what to do; for implausible
+    sizes it shows both.
     """
     path = Path(path)
     with np.errstate(all="ignore"), _damage_named(path):  # what is not finite is refused, not warned of
-        return _read(path, unit)
+        raw = _raw(path)
+        if note is not None and upside_down(raw):
+            note(UPSIDE_DOWN)
+        return _converted(raw, unit, path)
 
 
 @contextmanager
@@ -128,8 +133,7 @@ def _inside(folder: Path) -> str:
     return f"Did you mean {there[0]}?" if there else "Name the file itself; this folder has none."
 
 
-def _read(path: Path, unit: Unit | None) -> Mesh:
-    raw = _raw(path)
+def _converted(raw: RawMesh, unit: Unit | None, path: Path) -> Mesh:
     vertices, faces = _referenced(raw)
     scale = _metres_per_unit(vertices, unit or unit_of_format(path), unit is not None, path)
     metric = (vertices * scale).astype(np.float32)

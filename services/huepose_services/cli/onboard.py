@@ -184,9 +184,12 @@ def _digest(path: Path) -> str:
 
 
 def _settle(result: Onboarded, before: _Before | None, to_have_both: str) -> None:
-    """Where a model replaced another, say so, and forget what was said of that one."""
+    """Say what may be wrong with a mesh; and where its model replaced another, that, and forget what was said
+    of that one."""
     from huepose_services.models import forget_verdict
 
+    for note in result.notes:
+        Status().line(f"note: {result.name}: {note}")
     if before is None or before.digest == _digest(result.path):
         return
     forget_verdict(result.path.parent, result.name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from huepose.estimation.types import PoseEstimate
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
-from huepose.perception.clear_view import clear_view
+from huepose.perception.clear_view import ClearView, clear_view, thin, whole_view
 from huepose.perception.presence import sights_of
 
 MOST_SURE = 0.99
@@ -37,7 +38,8 @@ class PresenceIn:
 
     def __init__(self, frame: RgbdFrame, models: Mapping[str, ReferenceModel], method: Method) -> None:
         self._models, self._method = models, method
-        self._view = clear_view(frame, max((m.diameter_m for m in list(models.values())), default=0.0))
+        self._largest_m = max((m.diameter_m for m in list(models.values())), default=0.0)
+        self._frame, self._view = frame, clear_view(frame, self._largest_m)
 
     def asked(self, answer: PoseEstimate) -> PoseEstimate:
         """An answer that says how likely its object is there, 0 where no pose was found, and is no surer of
@@ -67,10 +69,21 @@ class PresenceIn:
 
     def _looked(self, poses: Sequence[tuple[str, Float64]], refined: bool) -> list[tuple[float, str]]:
         """The logit that each is there, and the greatest doubt."""
-        if self._view is None:
-            return [(-np.inf, "nothing stands there")] * len(poses)
-        sights = sights_of(self._view, self._models, poses, verifying=refined)
-        return [(float(x), greatest_doubt(s)) for s, x in zip(sights, logits_of(sights), strict=True)]
+        out = []
+        for name, T_cam_obj in poses:
+            model, view = self._models[name], self._view
+            if thin(model) and self._whole is not None:
+                view = self._whole.given_back([T_cam_obj], model)
+            if view is None:
+                out.append((-np.inf, "nothing stands there"))
+                continue
+            sights = sights_of(view, self._models, [(name, T_cam_obj)], verifying=refined)
+            out.append((float(logits_of(sights)[0]), greatest_doubt(sights[0])))
+        return out
+
+    @cached_property
+    def _whole(self) -> ClearView | None:
+        return whole_view(self._frame, self._largest_m)
 
 
 def _chance(logit: float, answer: PoseEstimate, method: Method) -> float:

@@ -1,4 +1,4 @@
-"""The largest distance within a set of points, in far less than all pairs."""
+"""How large a set of points is: its largest distance, in far less than all pairs, and its least thickness."""
 
 from __future__ import annotations
 
@@ -48,3 +48,15 @@ def _far_pair(points: Float64) -> tuple[float, Float64]:
         if away.max() <= best:
             return best, middle
         best, here, middle = float(away.max()), there, (here + there) / 2
+
+
+def thickness(points: Float64) -> float:
+    """The least distance of two parallel planes that hold all of points (n, 3) between them: one of them lies
+    on a side of their convex hull."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        return 0.0
+    return float(np.ptp(points[hull.vertices] @ hull.equations[:, :3].T, axis=0).min())

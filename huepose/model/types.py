@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
+from huepose.geometry.diameter import thickness
 from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError, require
 
@@ -154,6 +156,11 @@ class ReferenceModel:
     keypoints: Keypoints
     tables: PaperTables | None = None
     digest: str | None = None
+
+    @cached_property
+    def thickness_m(self) -> float:
+        """Its least thickness, metres."""
+        return thickness(self.surface.points.astype(np.float64))
 
 
 class ReferenceModels(dict[str, ReferenceModel]):

@@ -3,6 +3,7 @@ opponents."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,9 +16,10 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.region import Crop, Region, saturated
-from huepose.model.types import COLOR_SCALES_M
+from huepose.judge.silhouette import taken_by
+from huepose.model.types import COLOR_SCALES_M, ReferenceModel
 from huepose.perception.embedded import depth_steps
-from huepose.perception.planes import large_planes, standing_clear
+from huepose.perception.planes import BAND_M, BAND_PER_M, large_planes, standing_clear
 from huepose.perception.stretches import connected, written
 from huepose.propose.view_pictures import Pyramid
 from huepose.support.jit import jit
@@ -30,6 +32,10 @@ SPECK_M2 = 1e-4
 
 MARGIN_PX = 12.0
 """Margin of the crop round what is left."""
+
+THIN_M = 2.0 * (BAND_M + BAND_PER_M)
+"""An object that is thinner may be taken away with the plane it lies on: at a metre, a plane's noise reaches
+half as far."""
 
 WIDE_PX = 1.5
 """From this standard deviation on, a blur is computed at half the resolution."""
@@ -68,6 +74,16 @@ class ClearView:
             taken=mine,
         )
 
+    def given_back(self, poses: Sequence[Float64], model: ReferenceModel) -> ClearView:
+        """The same view in which what an object explains of a plane, at poses T_cam_obj (4, 4), is clear, as
+        if it stood out of the plane."""
+        c = self.crop
+        h, w = c.depth.shape
+        mine = taken_by(model, self.frame, poses)[c.y0 : c.y0 + h, c.x0 : c.x0 + w] & (self.depth > 0.0)
+        return replace(
+            self, crop=replace(c, depth=np.where(mine, self.depth, c.depth)), clear=self.clear | mine
+        )
+
     def free(self, pixels: Float) -> Bool:
         """Which of pixels (N, 2) of the crop belong to nothing that is known."""
         if self.taken is None:
@@ -90,24 +106,43 @@ class ClearView:
         )
 
 
+def thin(model: ReferenceModel) -> bool:
+    """Whether an object may be taken away with the plane it lies on."""
+    return model.thickness_m < THIN_M
+
+
 def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     """The view of a frame without planes larger than the square of the largest object's diameter, metres;
     None if nothing is left."""
-    planes = large_planes(frame.depth, frame.camera, largest_m**2)
-    standing = standing_clear(frame.depth, frame.camera, planes, largest_m)
-    clear, pieces = _pieces(frame.depth, standing, frame.camera.fx)
+    clear, pieces = _standing(frame, largest_m)
     bounds = Box.of_mask(clear)
     if bounds is None:
         return None
     width, height = frame.camera.width, frame.camera.height
-    rows, columns = bounds.grown(0.0, MARGIN_PX).slices(width, height)
+    return _part(frame, clear, pieces, *bounds.grown(0.0, MARGIN_PX).slices(width, height))
+
+
+def whole_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
+    """`clear_view` of all of a frame, even if nothing is left; None if it has no depth."""
+    if not (frame.depth > 0.0).any():
+        return None
+    return _part(frame, *_standing(frame, largest_m), slice(0, None), slice(0, None))
+
+
+def _standing(frame: RgbdFrame, largest_m: float) -> tuple[Bool, Float64]:
+    """Mask (H, W) of what stands clear of large planes, and its pieces (P, 4)."""
+    planes = large_planes(frame.depth, frame.camera, largest_m**2)
+    return _pieces(frame.depth, standing_clear(frame.depth, frame.camera, planes, largest_m), frame.camera.fx)
+
+
+def _part(frame: RgbdFrame, clear: Bool, pieces: Float64, rows: slice, columns: slice) -> ClearView:
     measured, clear = frame.depth[rows, columns].copy(), np.ascontiguousarray(clear[rows, columns])
     depth = np.where(clear | (measured <= 0.0), measured, np.float32(FAR_M))
     color = np.ascontiguousarray(frame.color[rows, columns])
     camera: Camera = frame.camera.cropped(columns.start, rows.start, depth.shape[1], depth.shape[0])
     crop = Crop(camera, columns.start, rows.start, color, depth, saturated(color))
     pieces[:, :2] -= columns.start, rows.start
-    colors = _smoothed(color, camera.fx / median(depth[clear]))
+    colors = _smoothed(color, camera.fx / median(depth[clear if clear.any() else depth > 0.0]))
     return ClearView(frame, crop, clear, colors, pieces, measured, Pyramid(color))
 
 

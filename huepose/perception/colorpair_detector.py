@@ -27,11 +27,12 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours
 from huepose.judge.silhouette import taken_by
 from huepose.model.types import ReferenceModel, ReferenceModels
-from huepose.perception.clear_view import ClearView, clear_view
+from huepose.perception.clear_view import ClearView, clear_view, thin, whole_view
 from huepose.perception.config import DetectorConfig
+from huepose.perception.lying import Lying
 from huepose.perception.memory import Memory, features_of, looking
 from huepose.perception.presence import sights_of
-from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose
+from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose, seen_part
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.perception.windows import WindowsBySize
@@ -109,6 +110,11 @@ class ColorPairDetector:
             seen = unveiled(frame)
         with stage("clear view"):
             view = clear_view(seen, largest_m)
+        by_keypoints = "keypoints" in self.config.sources
+        turns = names if thorough is None else thorough
+        flat = {name for name in names if by_keypoints and name in turns and thin(models[name])}
+        if view is None and flat:
+            view = whole_view(seen, largest_m)
         if view is None:
             return []
         proposals = self.config.proposals
@@ -118,6 +124,7 @@ class ColorPairDetector:
             with stage("memory"):
                 memory = looking(self._memory, frame)
         features, windows = _FeaturesOnce(self._features, view, memory), WindowsBySize(view, memory)
+        lying = Lying(self._features, seen, largest_m)
 
         def places_of(name: str) -> list[Proposal]:
             model, known = models[name], (followed or {}).get(name, ())
@@ -129,10 +136,15 @@ class ColorPairDetector:
                 windows.of(model.diameter_m),
                 most,
                 self._efforts(name, thorough),
-                partial(self._guessed, model, free, features) if "keypoints" in self.config.sources else None,
+                partial(self._guessed, model, free, features) if by_keypoints else None,
             )
             with stage("presence"):
-                return _rated(free, model, proposed)
+                rated = _rated(free, model, proposed)
+            if name in flat and (found := lying.places(model, self._keypoints_of(model), known, most)):
+                raised, proposed = found
+                with stage("presence"):
+                    rated += _rated(raised, model, [_supported(free, model, p) for p in proposed])
+            return rated
 
         places = dict(zip(names, self._pool.map(places_of, names), strict=True))
         if memory is not None:
@@ -232,6 +244,13 @@ class _FeaturesOnce:
         last = np.array([shown.shape[1] - 1, shown.shape[0] - 1])
         within = np.asarray(((pixels >= 0) & (pixels <= last)).all(1))
         return replace(found, pixels=pixels)[within]
+
+
+def _supported(view: ClearView, model: ReferenceModel, proposal: Proposal) -> Proposal:
+    """A proposal from another view of the frame, with its support as it is counted in this one."""
+    measured = replace(view, crop=replace(view.crop, depth=view.depth))
+    seen = seen_part(model, measured, proposal.T_cam_obj)
+    return replace(proposal, support=np.zeros(0, np.int64) if seen is None else seen[1])
 
 
 def _rated(view: ClearView, model: ReferenceModel, proposals: Sequence[Proposal]) -> list[Proposal]:

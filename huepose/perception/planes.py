@@ -54,6 +54,9 @@ UNDER, OFF, TOP = 1, 2, 0.5
 lie side by side where depth falls from more than so much of its edge, by less than the diameter of the
 largest object, to what they lie on. From a table it falls farther, or not at all."""
 
+SOME = 4
+"""Of a large piece one pixel in so many of a row is asked what is beside it, with time in mind."""
+
 BESIDE_PX, BOUNDED = 3, 0.25
 """A small piece of a plane is the plane's where, of what is so far beside it, so much more stands in front of
 it or is the plane again than lies behind it. The floor, continued, also cuts through what stands on a table,
@@ -260,7 +263,7 @@ def _take_away(on: UInt8, depth: Float32, front: Int8, edge: UInt8, larger_than:
         for u in range(first, last):
             size[piece] += depth[v, u] ** 3
     for v, first, last, piece in stretches:
-        for u in range(first, last):
+        for u in range(first, last, 1 if size[piece] < larger_than else SOME):
             for q in range(4):
                 b, a = v + BESIDE_PX * ((q == 0) - (q == 1)), u + BESIDE_PX * ((q == 2) - (q == 3))
                 if not (0 <= b < height and 0 <= a < width):

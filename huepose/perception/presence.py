@@ -15,7 +15,7 @@ from huepose.judge.borders import Contours, continuation_many, continued
 from huepose.judge.region import ModelArrays, Region, model_arrays, projected, shown_range
 from huepose.judge.terms import CLOSE_SAMPLES, Terms, score_many
 from huepose.model.types import ReferenceModel
-from huepose.perception.clear_view import ClearView
+from huepose.perception.clear_view import ClearView, thin
 from huepose.perception.scouting import SEEN_M
 from huepose.perception.verification import Pictures, verified
 from huepose.propose.templates import SPAN
@@ -94,9 +94,10 @@ def alike(
 def outlined(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, sights: Sequence[Sight]
 ) -> list[Sight]:
-    """The evidence with the term of the outline."""
+    """The evidence with the term of the outline; of a thin object the depth says nothing there, since it may
+    lie on something."""
     return [
-        replace(s, goes_on=continued(Contours.of(models[name]), T, view.frame))
+        s if thin(models[name]) else replace(s, goes_on=continued(Contours.of(models[name]), T, view.frame))
         for s, (name, T) in zip(sights, poses, strict=True)
     ]
 

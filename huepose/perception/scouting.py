@@ -144,6 +144,12 @@ def propose(
         return _thinned(model, view, poses, rated, count)
 
 
+def proposals_from(model: ReferenceModel, view: ClearView, guesses: Float64, count: int) -> list[Proposal]:
+    """The poses of an object at its `count` best places in a view, from guessed ones (K, 4, 4) alone."""
+    found = _followed(model, view, guesses)
+    return _thinned(model, view, found.poses, found.rated, count)
+
+
 def _followed(model: ReferenceModel, view: ClearView, guesses: Float64) -> Found:
     """Poses from guessed ones (K, 4, 4): as they are, aligned, and refined."""
     if not len(guesses):

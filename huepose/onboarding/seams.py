@@ -17,6 +17,9 @@ ALONG = np.array([0.1, 0.3, 0.5, 0.7, 0.9])
 WELDED, APART = 1e-5, 1e-3
 """Vertices so near, in largest sides of the mesh, are one; at a seam texture coordinates differ by more."""
 
+MOST = 20_000
+"""Seams that are looked at, evenly taken, with time in mind."""
+
 CLEAR, TIMES = 8.0, 3.0
 """A texture is upside down where colours along seams differ by more than this, in grey levels of 255, and by
 so many times what they differ by if it is turned over; and where those of different seams then do as well,
@@ -37,7 +40,6 @@ def upside_down(mesh: RawMesh) -> bool:
     one, other, lengths = _seams(mesh, uv)
     if not lengths.sum() > 0.0:
         return False
-
     here, there = _colors(mesh, uv, one), _colors(mesh, uv, other)
     here_turned, there_turned = _colors(mesh, uv, one, True), _colors(mesh, uv, other, True)
 
@@ -53,9 +55,10 @@ def upside_down(mesh: RawMesh) -> bool:
 def _seams(mesh: RawMesh, uv: Float32) -> tuple[Int64, Int64, Float64]:
     """Pairs of edges at which two triangles meet with different texture coordinates: the one and the other
     (E, 2) as corners of `faces`, flattened, in the same direction, and lengths (E,)."""
-    side = float(np.ptp(mesh.vertices, axis=0).max())
-    cells = np.round(mesh.vertices / (WELDED * side)).astype(np.int64)
-    welded: Int64 = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+    side, low = float(np.ptp(mesh.vertices, axis=0).max()), mesh.vertices.min(0)
+    x, y, z = np.round((mesh.vertices - low) / (WELDED * side)).astype(np.int64).T
+    cells = round(1.0 / WELDED) + 1  # along each axis; numbered, for rows of a table are sorted slowly
+    welded: Int64 = np.unique((x * cells + y) * cells + z, return_inverse=True)[1].ravel()
     corners = np.arange(3 * len(mesh.faces)).reshape(-1, 3)
     edges = np.concatenate([corners[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
     ends = welded[mesh.faces.ravel()[edges]]
@@ -65,9 +68,10 @@ def _seams(mesh: RawMesh, uv: Float32) -> tuple[Int64, Int64, Float64]:
     same = np.flatnonzero(keys[order[1:]] == keys[order[:-1]])
     one, other = edges[order[same]], edges[order[same + 1]]
     coordinates = uv.reshape(-1, 2)
-    apart = np.abs(coordinates[one] - coordinates[other]).max((1, 2)) > APART
-    places = mesh.vertices[mesh.faces.ravel()[one[apart]]]
-    return one[apart], other[apart], np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
+    apart = np.flatnonzero(np.abs(coordinates[one] - coordinates[other]).max((1, 2)) > APART)
+    one, other = (edges[apart[:: -(-len(apart) // MOST) or 1]] for edges in (one, other))
+    places = mesh.vertices[mesh.faces.ravel()[one]]
+    return one, other, np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
 
 
 def _colors(mesh: RawMesh, uv: Float32, edges: Int64, turned_over: bool = False) -> Float32:

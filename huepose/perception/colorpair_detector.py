@@ -48,6 +48,9 @@ from huepose.support.stages import stage
 COMPETING = 3
 """Places of each object, at least, that compete with those of the others. Chosen for time."""
 
+AT_ONCE = 6
+"""Most places of one object that are proposed at once. Chosen for time: each takes an estimate."""
+
 HOLE_PX = 9
 """Pixels without depth this near to the clear part may belong to it: sheen leaves holes."""
 
@@ -97,12 +100,14 @@ class ColorPairDetector:
         names: Sequence[str],
         thorough: Collection[str] | None = None,
         followed: Mapping[str, Sequence[Float64]] | None = None,
+        wanted: Mapping[str, int] | None = None,
     ) -> list[Detection]:
         """Boxes of the named objects, best first. Raises InputError for an unknown name.
 
         thorough: the objects that get the full search if a first one does not find them; default all. The
         others take a third of the time. followed: poses T_cam_obj (4, 4) of instances that are known already,
-        by object: others of it are looked for beside them."""
+        by object: others of it are looked for beside them. wanted: how many new instances of an object are
+        looked for, one by default: so many places are proposed at least, up to AT_ONCE."""
         with self._lock:
             models = {name: self._models[name] for name in names}
             largest_m = max((model.diameter_m for model in self._models.values()), default=0.0)
@@ -117,8 +122,8 @@ class ColorPairDetector:
             view = whole_view(seen, largest_m)
         if view is None:
             return []
-        proposals = self.config.proposals
-        most = max(proposals, COMPETING) if len(names) > 1 else proposals
+        several = {name: min((wanted or {}).get(name, 1), AT_ONCE) for name in names}
+        proposals = {name: max(self.config.proposals, several[name]) for name in names}
         memory = None
         if self.config.remembering:
             with stage("memory"):
@@ -128,6 +133,7 @@ class ColorPairDetector:
 
         def places_of(name: str) -> list[Proposal]:
             model, known = models[name], (followed or {}).get(name, ())
+            most = max(proposals[name], COMPETING) if len(names) > 1 else proposals[name]
             free = view.without(taken_by(model, seen, known)) if known else view
             proposed = propose(
                 model,
@@ -137,6 +143,7 @@ class ColorPairDetector:
                 most,
                 self._efforts(name, thorough),
                 partial(self._guessed, model, free, features) if by_keypoints else None,
+                several[name],
             )
             with stage("presence"):
                 rated = _rated(free, model, proposed)
@@ -155,7 +162,7 @@ class ColorPairDetector:
         found = [
             Detection(name, p.box, probability(p.score), p.T_cam_obj)
             for name, mine in places.items()
-            for p in mine[:proposals]
+            for p in mine[: proposals[name]]
         ]
         return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
 

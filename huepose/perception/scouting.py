@@ -4,7 +4,7 @@ depth, refined and reduced to the best at a few places."""
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,6 +64,15 @@ class Effort:
     searched: int
     with_near_symmetries: int
 
+    def at(self, places: int) -> Effort:
+        """The same with enough poses for so many places."""
+        return replace(
+            self,
+            looks=max(self.looks, places * self.looks_each),
+            aligned=max(self.aligned, places * self.aligned_each),
+            searched=max(self.searched, places),
+        )
+
 
 EFFORTS = (Effort(20, 20, 36, 6, 6, 2, 2, 0), Effort(300, 20, 128, 6, 40, 3, 8, 2))
 """The first effort, and the second one if no place is sure after it. The second takes nearly all windows,
@@ -118,8 +127,10 @@ def propose(
     count: int,
     efforts: Sequence[Effort] = EFFORTS,
     guessed: Callable[[], Float64] | None = None,
+    several: int = 1,
 ) -> list[Proposal]:
-    """The poses of an object at its `count` best places in a view. windows: of the object's size.
+    """The poses of an object at its `count` best places in a view. windows: of the object's size; several: so
+    many instances of it are looked for.
 
     Views with the first effort, then with more; after the first of them in which a window looks like the
     object, keypoints; the search ends when a place is sure. Without the last of EFFORTS, which looks at all
@@ -131,7 +142,7 @@ def propose(
             order = promising(table, windows)
             order = order[view.free(windows.pixels[order])]
     for effort in efforts:
-        by_views = _tried(model, table, view, windows, order[: effort.windows], effort)
+        by_views = _tried(model, table, view, windows, order[: effort.windows], effort.at(several))
         if guessed is not None and not by_views.sure and by_views.likeness >= UNLIKE:
             by_keypoints, guessed = _followed(model, view, guessed()), None
         if by_views.sure or by_keypoints.sure:

@@ -53,7 +53,9 @@ class Looks:
             for asked in objects
             if asked.others
         }
-        seen = self._detector.detect(frame, names, self.turn(names), followed) if names else []
+        wanted = {asked.object: asked.wanted for asked in missing}
+        turn = self.turn(names) if names else []
+        seen = self._detector.detect(frame, names, turn, followed, wanted) if names else []
         tracked = [(a.object, box) for a, box in zip(objects, predicted, strict=True) if box is not None]
         return [
             [Place(d.box, d.score) for d in chosen(seen, asked.object, asked.wanted, tracked)]

@@ -24,6 +24,7 @@ from huepose.perception.windows import WindowsBySize
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
 from tests.boxes import box_of
+from tests.conftest import standing_pose
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -235,6 +236,22 @@ def test_objects_may_come_and_go_while_it_looks(
     assert [(d.box, d.score) for d in found] == [(d.box, d.score) for d in expected]
     other = ColorPairDetector({"tea_box": replace(soup_can, name="tea_box")}).detect(frame, ["tea_box"])
     assert [d.score for d in detector.detect(frame, ["tea_box"])] == [d.score for d in other]
+
+
+def test_one_look_finds_as_many_instances_as_are_wanted(
+    tea_box: ReferenceModel, take_picture: TakePicture
+) -> None:
+    boxes = [standing_pose(0.4 * k, x, 0.0) for k, x in enumerate((-0.25, -0.08, 0.09, 0.26))]
+    frame = take_picture([(tea_box.mesh, T) for T in boxes])
+    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(proposals=2))
+
+    def found(wanted: int) -> set[int]:
+        seen = detector.detect(frame, ["tea_box"], wanted={"tea_box": wanted})
+        poses = [d.T_cam_obj for d in seen if d.score > 0.5]
+        return {int(np.argmin([np.linalg.norm((T - box)[:3, 3]) for box in boxes])) for T in poses}
+
+    assert len(found(1)) <= 2
+    assert found(4) == {0, 1, 2, 3}
 
 
 def test_a_pose_nearby_is_brought_onto_the_depth(

@@ -23,7 +23,7 @@ class Seer:
     def __init__(self, *detections):
         self.detections, self.asked, self.thorough, self.followed = detections, [], [], {}
 
-    def detect(self, frame, names, thorough=(), followed=None):
+    def detect(self, frame, names, thorough=(), followed=None, wanted=None):
         self.asked.append(tuple(names))
         self.followed = followed
         self.thorough.append(list(thorough))

@@ -118,7 +118,8 @@ def call(arguments: argparse.Namespace) -> int:
         # To explain, the places that are not worth an estimate are kept, too.
         config = replace(settings.detector, min_score=0.0 if arguments.explain else least, threads=THREADS)
         detector = ColorPairDetector(models, config)
-        proposed = detector.detect(frame, names)
+        most = arguments.instances
+        proposed = detector.detect(frame, names, wanted=dict.fromkeys(names, most))
         queries = _queries(proposed, least)
     estimator.prepare([query.object for query in queries])
     estimator.estimate(frame, queries[:1])  # loads the kernels, so that `seconds` is the time of an answer
@@ -126,14 +127,15 @@ def call(arguments: argparse.Namespace) -> int:
     led = _each(estimator, frame, queries)
     answers = [answer for answer, _ in led]
     if box is None:
-        found = _several(answers, names, arguments.instances)
+        found = _several(answers, names, most)
         while found:
-            more = detector.detect(frame, list(found), followed=found)
+            left = {name: most - len(mine) for name, mine in found.items()}
+            more = detector.detect(frame, list(found), followed=found, wanted=left)
             queries = _queries(more, least, found)
             proposed, before = [*proposed, *more], len(answers)
             led += _each(estimator, frame, queries)
             answers = [answer for answer, _ in led]
-            found = _several(answers, found, arguments.instances, before)
+            found = _several(answers, found, most, before)
         answers, pages = _standing(arguments, frame, models, names, answers, proposed)
     given, answers = answers, [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
     reasons = [answer.reason for answer in answers]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.datasets.bop_writer import BopWriter, Label
+from huepose.datasets.bop_writer import BopWriter
 from huepose.geometry import Mesh, se3
 from huepose.geometry.arrays import Float64, Rng
 from huepose.model.io import model_path, save_model
@@ -24,9 +24,9 @@ from huepose.onboarding.onboard import onboard_mesh
 from huepose.scenes import textures
 from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.charts import blocks, revolved
-from huepose.scenes.frame import shoot, silhouette
+from huepose.scenes.frame import shoot
 from huepose.scenes.heap import resting_turns
-from huepose.scenes.rendered import T_ROOM_TABLE, SceneRanges, heaped_stage
+from huepose.scenes.rendered import T_ROOM_TABLE, SceneRanges, heaped_stage, labelled
 from huepose.scenes.shapes import printed
 from huepose.support.progress import progress
 
@@ -36,20 +36,8 @@ THINGS, EACH = 12, 3
 THICK_M, WIDE_M, LONG_M = (0.003, 0.018), (0.06, 0.13), (0.07, 0.2)
 APART_M = 0.24
 RANGES = SceneRanges(objects=(EACH, EACH), distance_m=(0.45, 1.1), elevation_deg=(35.0, 85.0))
-WORDS = (
-    "ATLAS",
-    "MENU",
-    "COCOA",
-    "TRAVEL",
-    "NOTES",
-    "RADIO",
-    "LEMON",
-    "PUZZLE",
-    "CARDS",
-    "GARDEN",
-    "PILOT",
-    "SNACK",
-)
+WORDS = ("ATLAS", "MENU", "COCOA", "TRAVEL", "NOTES", "RADIO",
+         "LEMON", "PUZZLE", "CARDS", "GARDEN", "PILOT", "SNACK")  # fmt: skip
 
 
 def thing(number: int, seed: int) -> Mesh:
@@ -116,11 +104,7 @@ def main() -> None:
         T_room = stage.T_room_mesh.copy()
         T_room[:EACH] = lying([meshes[name] for name in shown], rng)[:, None]
         shot = shoot(replace(stage, T_room_mesh=T_room), 1, number, COLOR, STEREO)
-        labels = []
-        for k, name in enumerate(shown):
-            T = shot.labels.T_cam_obj[k]
-            pixels, box = silhouette(meshes[name], T, stage.camera)
-            labels.append(Label(names[name], T, np.asarray(shot.owner == k), pixels, box))
+        labels = labelled(shot, stage.camera, [(names[name], meshes[name]) for name in shown])
         writer.add(number, shot.color, shot.depth, stage.camera, labels)
 
 

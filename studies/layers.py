@@ -18,16 +18,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from huepose.datasets.bop_writer import BopWriter, Label
+from huepose.datasets.bop_writer import BopWriter
 from huepose.geometry import Mesh, se3
 from huepose.geometry.arrays import Float64, Rng, UInt8
 from huepose.model import load_models
 from huepose.scenes import textures
 from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.charts import OPEN_TOP, blocks
-from huepose.scenes.frame import Stage, shoot, silhouette
+from huepose.scenes.frame import Stage, shoot
 from huepose.scenes.heap import resting_turns
-from huepose.scenes.rendered import T_ROOM_TABLE, SceneRanges, heaped_stage
+from huepose.scenes.rendered import T_ROOM_TABLE, SceneRanges, heaped_stage, labelled
 from huepose.scenes.shapes import printed
 from huepose.support.progress import progress
 
@@ -73,7 +73,7 @@ def carton(size: Float64, rng: Rng) -> Mesh:
 
 
 def _plain(rng: Rng, height: int, width: int, colors: textures.Palette) -> UInt8:
-    return np.full((height, width, 3), colors.base, np.uint8)
+    return textures.plain(height, width, colors.base)
 
 
 def layer(mesh: Mesh, place: str, seed: int, number: int) -> tuple[Stage, int]:
@@ -121,11 +121,7 @@ def main() -> None:
         model = models[names[number % len(names)]]
         stage, count = layer(model.mesh, given.place, given.seed, number)
         shot = shoot(stage, 1, number, COLOR, STEREO)
-        labels = []
-        for k in range(count):
-            T = shot.labels.T_cam_obj[k]
-            pixels, box = silhouette(model.mesh, T, stage.camera)
-            labels.append(Label(model.object_id or 0, T, np.asarray(shot.owner == k), pixels, box))
+        labels = labelled(shot, stage.camera, [(model.object_id or 0, model.mesh)] * count)
         writer.add(number, shot.color, shot.depth, stage.camera, labels)
 
 

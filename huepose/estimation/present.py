@@ -83,7 +83,7 @@ class PresenceIn:
 
     @cached_property
     def _whole(self) -> ClearView | None:
-        return whole_view(self._frame, self._largest_m)
+        return whole_view(self._frame, self._largest_m) if self._view is None else self._view.whole
 
 
 def _chance(logit: float, answer: PoseEstimate, method: Method) -> float:

@@ -33,6 +33,9 @@ SPECK_M2 = 1e-4
 MARGIN_PX = 12.0
 """Margin of the crop round what is left."""
 
+WHOLE = slice(0, None), slice(0, None)
+"""Rows and columns."""
+
 THIN_M = 2.0 * (BAND_M + BAND_PER_M)
 """An object that is thinner may be taken away with the plane it lies on: at a metre, a plane's noise reaches
 half as far."""
@@ -97,6 +100,15 @@ class ClearView:
         return Region.whole(self.crop, self.clear, self.colors, diameter_m, 1.0)
 
     @cached_property
+    def whole(self) -> ClearView:
+        """The same view of the whole frame."""
+        c, clear = self.crop, np.zeros(self.frame.depth.shape, bool)
+        if self.clear.shape == clear.shape:
+            return self
+        clear[c.y0 : c.y0 + self.clear.shape[0], c.x0 : c.x0 + self.clear.shape[1]] = self.clear
+        return _part(self.frame, clear, self.pieces + np.array([c.x0, c.y0, 0.0, 0.0]), *WHOLE)
+
+    @cached_property
     def with_planes(self) -> ClearView:
         """The same view to judge poses that were found: planes have their depth, negative, and say nothing of
         a surface that lies in them. A thin thing on a table is within the table's noise."""
@@ -126,7 +138,7 @@ def whole_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     """`clear_view` of all of a frame, even if nothing is left; None if it has no depth."""
     if not (frame.depth > 0.0).any():
         return None
-    return _part(frame, *_standing(frame, largest_m), slice(0, None), slice(0, None))
+    return _part(frame, *_standing(frame, largest_m), *WHOLE)
 
 
 def _standing(frame: RgbdFrame, largest_m: float) -> tuple[Bool, Float64]:

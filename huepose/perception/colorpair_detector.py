@@ -129,7 +129,7 @@ class ColorPairDetector:
             with stage("memory"):
                 memory = looking(self._memory, frame)
         features, windows = _FeaturesOnce(self._features, view, memory), WindowsBySize(view, memory)
-        lying = Lying(self._features, seen, largest_m)
+        lying = Lying(self._features, view)
 
         def places_of(name: str) -> list[Proposal]:
             model, known = models[name], (followed or {}).get(name, ())

@@ -10,13 +10,10 @@ import threading
 from collections.abc import Sequence
 from functools import cached_property
 
-import numpy as np
-
 from huepose.geometry.arrays import Float64
-from huepose.geometry.frame import RgbdFrame
 from huepose.judge.silhouette import taken_by
 from huepose.model.types import ReferenceModel
-from huepose.perception.clear_view import ClearView, whole_view
+from huepose.perception.clear_view import ClearView
 from huepose.perception.scouting import Proposal, proposals_from
 from huepose.propose.features import FeatureSource
 from huepose.propose.keypoints import ModelKeypoints, PictureFeatures, consensus_poses, match
@@ -24,11 +21,10 @@ from huepose.support.stages import stage
 
 
 class Lying:
-    """What lies on the planes of one frame, looked at when first asked for; thread-safe. largest_m: diameter
-    of the largest known object."""
+    """What lies on the planes of one frame, looked at when first asked for; thread-safe. view: of it."""
 
-    def __init__(self, source: FeatureSource, frame: RgbdFrame, largest_m: float) -> None:
-        self._source, self._frame, self._largest_m = source, frame, largest_m
+    def __init__(self, source: FeatureSource, view: ClearView) -> None:
+        self._source, self._cropped, self._frame = source, view, view.frame
         self._lock = threading.Lock()
 
     def places(
@@ -37,9 +33,7 @@ class Lying:
         """The view in which an object's places were found, and at most `count` of these, none where it is
         `known` to be (poses T_cam_obj, 4 x 4). None where its keypoints are not found."""
         with self._lock:
-            view, seen = self._view, self._spots
-        if view is None:
-            return None
+            view, seen = self._cropped.whole, self._spots
         free = view.without(taken_by(model, self._frame, known)) if known else view
         with stage("keypoints"):
             if known:
@@ -51,11 +45,6 @@ class Lying:
         return raised, proposals_from(model, raised, poses, count)
 
     @cached_property
-    def _view(self) -> ClearView | None:
-        with stage("clear view"):
-            return whole_view(self._frame, self._largest_m)
-
-    @cached_property
     def _spots(self) -> PictureFeatures:
         with stage("features"):
-            return PictureFeatures.of(self._source.extract(np.ascontiguousarray(self._frame.color)))
+            return PictureFeatures.of(self._source.extract(self._frame.color))

@@ -49,10 +49,13 @@ than so many times as far off stands in front of it."""
 NOISE_SIGMAS = 2.0
 """Depth within so many standard deviations of a plane's own noise lies on it, too: far walls are noisy."""
 
-UNDER, OFF, TOP = 1, 2, 0.5
-"""Depth beside a plane: a little behind it, or elsewhere. A large piece of a plane is the top of objects that
-lie side by side where depth falls from more than so much of its edge, by less than the diameter of the
-largest object, to what they lie on. From a table it falls farther, or not at all."""
+IN_FRONT, UNDER, BELOW = 1, -1, -2
+"""Depth beside a plane: in front of it, behind it by less than the diameter of the largest object, and
+farther behind."""
+
+TOP = 0.5
+"""A large piece of a plane is the top of objects that lie side by side where depth falls UNDER it from more
+than so much of its edge, to what they lie on. From a table it falls farther, or not at all."""
 
 SOME = 4
 """Of a large piece one pixel in so many of a row is asked what is beside it, with time in mind."""
@@ -196,15 +199,14 @@ def standing_clear(depth: Float32, camera: Camera, planes: Sequence[Plane], larg
     than the square of the largest object's diameter, and what of it is seen between things that stand on it;
     but not the tops of objects side by side, at whose edge depth falls by less than that diameter."""
     clear = depth > 0
-    on, edge = np.empty((2, *depth.shape), np.uint8)
-    front = np.empty(depth.shape, np.int8)
+    on, side = np.empty(depth.shape, np.uint8), np.empty(depth.shape, np.int8)
     for plane in planes:
         n, offset = plane.normal, float(plane.point @ plane.normal)
         rows = np.array([n[0] / camera.fx, n[1] / camera.fy, n[2]])
         rows[2] -= rows[0] * camera.cx + rows[1] * camera.cy
-        _sorted(depth, clear, rows, offset, NOISE_SIGMAS * plane.noise, largest_m, on, front, edge)
+        _sorted(depth, clear, rows, offset, NOISE_SIGMAS * plane.noise, largest_m, on, side)
         # A pixel sees z^3 / (fx fy |offset|) of a plane.
-        _take_away(on, depth, front, edge, largest_m**2 * camera.fx * camera.fy * abs(offset), clear)
+        _take_away(on, depth, side, largest_m**2 * camera.fx * camera.fy * abs(offset), clear)
     return np.asarray(clear)
 
 
@@ -217,13 +219,11 @@ def _sorted(
     noise_per_m: float,
     reach_m: float,
     on: UInt8,
-    front: Int8,
-    edge: UInt8,
+    side: Int8,
 ) -> None:
-    """Fill three pictures (H, W) about a plane. on: 1 where what is clear lies on it, else 0. front: 1 on it,
-    in front of it and where planes before took what is there, -1 behind it, 0 between. edge, whatever was
-    taken: UNDER where depth is behind the plane by less than `reach_m`, OFF where it is farther behind or in
-    front, 0 on the plane, near it, and without depth.
+    """Fill two pictures (H, W) about a plane. on: 1 where what is clear lies on it, else 0. side, also of
+    what was taken: IN_FRONT of it, UNDER it by less than `reach_m`, BELOW that, 0 on it, near it or without
+    depth.
 
     rows (3,): the product of a pixel's ray with the normal is rows @ (u, v, 1); noise_per_m: noise that lies
     on it."""
@@ -238,22 +238,19 @@ def _sorted(
             usual = np.float32(BAND_M) + np.float32(BAND_PER_M) * square
             band = max(usual, np.float32(noise_per_m) * square)
             on[v, u] = clear[v, u] and abs(height) <= band
-            beyond = np.float32(BEYOND) * band
-            if z <= 0.0 or abs(height) <= beyond:
-                edge[v, u] = 0
+            if z <= 0.0 or abs(height) <= np.float32(BEYOND) * band:
+                side[v, u] = 0
+            elif height > 0.0:
+                side[v, u] = IN_FRONT
             else:
-                edge[v, u] = UNDER if -reach_m < height < 0.0 else OFF
-            if on[v, u] or not clear[v, u]:
-                front[v, u] = 1
-            else:
-                front[v, u] = np.int8(height > beyond) - np.int8(height < -beyond)
+                side[v, u] = UNDER if height > -reach_m else BELOW
 
 
 @jit
-def _take_away(on: UInt8, depth: Float32, front: Int8, edge: UInt8, larger_than: float, clear: Bool) -> None:
+def _take_away(on: UInt8, depth: Float32, side: Int8, larger_than: float, clear: Bool) -> None:
     """Clear away the connected pieces of a plane (`on`) that are large (their sums of depth cubed), unless
-    most of what is beside them lies a little under them, and those that what has depth beside them bounds, by
-    the mean of `front` there."""
+    most of what is beside them lies a little under them, and those that what has depth beside them bounds:
+    more of it is in front, the plane again or taken before than is behind."""
     height, width = on.shape
     stretches, count = connected(on)
     size, beside, seen, bounded, falls = np.zeros((5, count))
@@ -270,9 +267,10 @@ def _take_away(on: UInt8, depth: Float32, front: Int8, edge: UInt8, larger_than:
                     beside[piece] += 1.0
                 elif pieces[b, a] != piece and depth[b, a] > 0.0:
                     seen[piece] += 1.0
-                    bounded[piece] += front[b, a]
-                    beside[piece] += edge[b, a] != 0
-                    falls[piece] += edge[b, a] == UNDER
+                    again = on[b, a] or not clear[b, a]
+                    bounded[piece] += 1.0 if again else np.sign(side[b, a])
+                    beside[piece] += side[b, a] != 0
+                    falls[piece] += side[b, a] == UNDER
     for v, first, last, piece in stretches:
         if size[piece] >= larger_than:
             taken = falls[piece] <= TOP * beside[piece]

@@ -88,12 +88,12 @@ class Sight:
     def answer(self, request: Request, seen: Seen) -> list[PoseEstimate]:
         """Estimates of what was asked for, where a detector worker would look."""
         frame = seen.frame
-        places = self._looks.places(frame, request.objects)
+        places = self._looks.places(frame, request.objects, request.waiting)
         return self._estimator.estimate(
             frame,
             [
                 query_of(asked, place.box, frame.stamp_ns)
-                for asked, mine in zip(request.objects, places, strict=True)
+                for asked, mine in zip((*request.objects, *request.waiting), places, strict=True)
                 for place in mine
             ],
         )

@@ -27,6 +27,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours
 from huepose.judge.silhouette import taken_by
 from huepose.model.types import ReferenceModel, ReferenceModels
+from huepose.perception.attention import Attention, attended
 from huepose.perception.clear_view import ClearView, clear_view, thin, whole_view
 from huepose.perception.config import DetectorConfig
 from huepose.perception.lying import Lying
@@ -78,6 +79,7 @@ class ColorPairDetector:
         self._keypoints: dict[str, _Of[ModelKeypoints]] = {}
         self._lock = threading.Lock()
         self._memory: Memory | None = None
+        self._attention = Attention()
         self._pool = Pool(self.config.threads)
         for model in models.values():
             self.add(model)
@@ -101,34 +103,40 @@ class ColorPairDetector:
         thorough: Collection[str] | None = None,
         followed: Mapping[str, Sequence[Float64]] | None = None,
         wanted: Mapping[str, int] | None = None,
+        waiting: Sequence[str] = (),
     ) -> list[Detection]:
         """Boxes of the named objects, best first. Raises InputError for an unknown name.
 
         thorough: the objects that get the full search if a first one does not find them; default all. The
         others take a third of the time. followed: poses T_cam_obj (4, 4) of instances that are known already,
         by object: others of it are looked for beside them. wanted: how many new instances of an object are
-        looked for, one by default: so many places are proposed at least, up to AT_ONCE."""
+        looked for, one by default: so many places are proposed at least, up to AT_ONCE. waiting: further
+        objects; those of them that something new in the picture looks like are looked for as well, by a first
+        search, if one camera is remembered."""
         with self._lock:
-            models = {name: self._models[name] for name in names}
+            models = {name: self._models[name] for name in (*names, *waiting)}
             largest_m = max((model.diameter_m for model in self._models.values()), default=0.0)
         with stage("veil"):
             seen = unveiled(frame)
         with stage("clear view"):
             view = clear_view(seen, largest_m)
         by_keypoints = "keypoints" in self.config.sources
-        turns = names if thorough is None else thorough
+        turns = list(names) if thorough is None else thorough
         flat = {name for name in names if by_keypoints and name in turns and thin(models[name])}
         if view is None and flat:
             view = whole_view(seen, largest_m)
         if view is None:
             return []
-        several = {name: min((wanted or {}).get(name, 1), AT_ONCE) for name in names}
-        proposals = {name: max(self.config.proposals, several[name]) for name in names}
         memory = None
         if self.config.remembering:
             with stage("memory"):
                 memory = looking(self._memory, frame)
         features, windows = _FeaturesOnce(self._features, view, memory), WindowsBySize(view, memory)
+        if memory is not None and waiting:
+            with stage("attention"):
+                names = [*names, *self._noticed(memory, windows, names, waiting)]
+        several = {name: min((wanted or {}).get(name, 1), AT_ONCE) for name in names}
+        proposals = {name: max(self.config.proposals, several[name]) for name in names}
         lying = Lying(self._features, view)
 
         def places_of(name: str) -> list[Proposal]:
@@ -165,6 +173,19 @@ class ColorPairDetector:
             for p in mine[: proposals[name]]
         ]
         return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
+
+    def _noticed(
+        self, memory: Memory, windows: WindowsBySize, searched: Sequence[str], waiting: Sequence[str]
+    ) -> list[str]:
+        """Which of the waiting objects are searched for as well as the others."""
+        with self._lock:
+            missing = [self._models[name] for name in dict.fromkeys((*searched, *waiting))]
+        before = self._attention if memory.look else Attention()
+        views = [(model.name, model.diameter_m, self._table(model)) for model in missing]
+        seen = attended(before, memory, windows, views)
+        picked = seen.picked(waiting)
+        self._attention = seen.after({*searched, *picked}, [model.name for model in missing])
+        return picked
 
     def _guessed(self, model: ReferenceModel, view: ClearView, features: _FeaturesOnce) -> Float64:
         """Poses (K, 4, 4) of an object from its keypoints in a view."""

@@ -10,6 +10,10 @@ from huepose.support.errors import InputError
 Source = Literal["keypoints", "views"]
 SOURCES: tuple[Source, ...] = get_args(Source)
 
+PICKED = 4
+"""Most objects that a look searches for beside those that it was asked for, because something new in the
+picture looks like them. Chosen for time."""
+
 
 @dataclass(frozen=True)
 class DetectorConfig:

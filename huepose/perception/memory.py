@@ -92,12 +92,12 @@ class Memory:
         same = np.zeros(len(kept.look), bool)
         for look in np.unique(kept.look):
             if look in self.tiles:
-                mine, changed = kept.look == look, self._changed_since(int(look))
+                mine, changed = kept.look == look, self.changed_since(int(look))
                 same[mine] = changed_shares(changed, kept.pixels[mine], kept.span_px[mine]) <= CHANGED
         return kept[same & (kept.until >= self.look)]
 
-    def _changed_since(self, look: int) -> Bool:
-        """Tiles (h, w) that have changed since a look; shared by windows of all sizes."""
+    def changed_since(self, look: int) -> Bool:
+        """Tiles (h, w) that have changed since a look that is remembered."""
         if look not in self._changed:
             self._changed[look] = self.tiles[self.look].changed(self.tiles[look])
         return self._changed[look]

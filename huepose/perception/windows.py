@@ -78,6 +78,16 @@ class Windows:
     def __len__(self) -> int:
         return len(self.pixels)
 
+    @property
+    def frame_pixels(self) -> Float64:
+        """Their centres (W, 2) in the frame."""
+        crop = self._view.crop
+        return self.pixels + np.array([crop.x0, crop.y0])
+
+    def uncoded(self, index: Int64) -> int:
+        """How many of windows (K,) have no codes yet."""
+        return int((~self._coded[index]).sum())
+
     def places_diameters(self, index: Int64) -> Float64:
         """Centres (K, 3) of windows (K,) in space, in diameters; depth is halved, as in the grid of
         windows."""
@@ -100,9 +110,9 @@ class Windows:
 
     def kept(self) -> KeptWindows:
         """The windows whose codes were computed."""
-        crop, some = self._view.crop, self._coded
+        some = self._coded
         return KeptWindows(
-            self.pixels[some] + [crop.x0, crop.y0], self.depth_m[some], self.span_px[some],
+            self.frame_pixels[some], self.depth_m[some], self.span_px[some],
             self._codes[some], self._look[some], self._until[some],
         )  # fmt: skip
 
@@ -147,12 +157,19 @@ class WindowsBySize:
 
     def of(self, diameter_m: float) -> Windows:
         """The windows for an object of this diameter."""
-        step = log(SIZES)
-        size = round(log(diameter_m) / step)
+        return self.at(self.size_of(diameter_m))
+
+    @staticmethod
+    def size_of(diameter_m: float) -> int:
+        """The number of the size that suits an object of this diameter."""
+        return round(log(diameter_m) / log(SIZES))
+
+    def at(self, size: int) -> Windows:
+        """The windows of a size."""
         with self._lock:
             if size not in self._of:
                 with stage("windows"):
-                    memory, diameter_m = self._memory, float(np.exp(size * step))
+                    memory, diameter_m = self._memory, float(np.exp(size * log(SIZES)))
                     self._of[size] = (
                         Windows(self._view, diameter_m)
                         if memory is None

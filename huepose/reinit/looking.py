@@ -43,25 +43,33 @@ class Looks:
         self._detector, self._box_of = detector, box_of
         self._turns: list[str] = []
 
-    def places(self, frame: RgbdFrame, objects: Sequence[RequestedObject]) -> list[list[Place]]:
-        """Of each object, best first."""
-        predicted = [self._predicted(asked, frame) for asked in objects]
-        missing = [a for a, box in zip(objects, predicted, strict=True) if box is None]
+    def places(
+        self,
+        frame: RgbdFrame,
+        objects: Sequence[RequestedObject],
+        waiting: Sequence[RequestedObject] = (),
+    ) -> list[list[Place]]:
+        """Of each object, best first, and then of those that are waiting: these are looked for where
+        something new in the picture looks like them."""
+        predicted = [self._predicted(asked, frame) for asked in objects] + [None] * len(waiting)
+        every = [*objects, *waiting]
+        missing = [a for a, box in zip(objects, predicted, strict=False) if box is None]
         names = list(dict.fromkeys(asked.object for asked in missing))
         followed = {
             asked.object: [other.predicted(frame.stamp_ns) for other in asked.others]
-            for asked in objects
+            for asked in every
             if asked.others
         }
-        wanted = {asked.object: asked.wanted for asked in missing}
+        wanted = {asked.object: asked.wanted for asked in (*missing, *waiting)}
         turn = self.turn(names) if names else []
-        seen = self._detector.detect(frame, names, turn, followed, wanted) if names else []
-        tracked = [(a.object, box) for a, box in zip(objects, predicted, strict=True) if box is not None]
+        others = [asked.object for asked in waiting]
+        seen = self._detector.detect(frame, names, turn, followed, wanted, others) if wanted else []
+        tracked = [(a.object, box) for a, box in zip(every, predicted, strict=True) if box is not None]
         return [
             [Place(d.box, d.score) for d in chosen(seen, asked.object, asked.wanted, tracked)]
             if box is None
             else [Place(box)]
-            for asked, box in zip(objects, predicted, strict=True)
+            for asked, box in zip(every, predicted, strict=True)
         ]
 
     def turn(self, names: Sequence[str]) -> list[str]:

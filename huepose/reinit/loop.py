@@ -11,11 +11,12 @@ looks for is in `searching`.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
+from huepose.perception.config import PICKED
 from huepose.reinit.answered import Answered, Frame, held
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import acquires, assign, denies_turn, judge_tracked, near, pose_of, usable
@@ -32,6 +33,7 @@ from huepose.reinit.schedule import (
     choose,
     doubtful,
     missing,
+    waiting,
 )
 from huepose.reinit.sightings import Sightings
 from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
@@ -134,13 +136,13 @@ class ReinitLoop:
         if self._in_flight is not None or now_ns < self._next_ns:
             return None
         elsewhere = self._elsewhere.names(now_ns, self._tracks, self._looked_ns, self.config)
-        wanted = self._wanted(now_ns)
+        counts = self._missing()
+        wanted = self._wanted(now_ns, counts)
         unsettled = self._unsettled.keys(now_ns, self._tracks, self.config)
         sighted = self._sightings.due()
         slots = list(self._slots.values())
         options = candidates(slots, self._tracks, wanted, self._looked_ns, elsewhere, sighted, unsettled)
-        counted = self.counters
-        chosen = choose(now_ns, options, self.config, counted.requests, answers=counted.answers > 0)
+        chosen = choose(now_ns, options, self.config, self.counters.requests)
         if not chosen:
             return None
         for asked in chosen:
@@ -154,21 +156,26 @@ class ReinitLoop:
         self.counters.requests += 1
         self._asked_ns = now_ns
         self._pace.asked(self.counters.requests, now_ns)
-        more = max(0, len(chosen) - self.config.objects_per_request)
+        others = waiting(slots, self._tracks, counts, chosen)
+        more = max(0, len(chosen) - self.config.objects_per_request) + min(len(others), PICKED)
         deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms, more) * 1e9)
         # One of the missing objects of a request is searched for everywhere, by turns; one turn is to spare.
         seen = self._answered.seen(chosen, self.config.objects_per_request + 1)
         self._in_flight = Request(
-            self.counters.requests, self._newest.epoch, deadline_ns, tuple(chosen), seen
+            self.counters.requests, self._newest.epoch, deadline_ns, tuple(chosen), seen, others
         )
         return self._in_flight
 
-    def _wanted(self, now_ns: int) -> dict[str, int]:
+    def _missing(self) -> dict[str, int]:
+        """How many instances of each object are missing."""
+        arriving = self._arriving()
+        return {name: missing(slot, self._tracks, arriving) for name, slot in self._slots.items()}
+
+    def _wanted(self, now_ns: int, counts: Mapping[str, int]) -> dict[str, int]:
         """How many missing instances of each object may be asked for now: none of one that rests, unless a
         first uncertain sighting of it waits for a second one."""
-        arriving, out = self._arriving(), {}
-        for name, slot in self._slots.items():
-            count = missing(slot, self._tracks, arriving)
+        out = {}
+        for name, count in counts.items():
             looked_ns = self._looked_ns.get((name, None), NEVER)
             rests = self._patience.rests(now_ns, name, count, looked_ns, self.config)
             out[name] = 0 if rests and not self._sightings.recent(name, now_ns) else count

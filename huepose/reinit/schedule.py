@@ -103,6 +103,36 @@ class Patience:
         self._since.pop(name, None)
 
 
+def waiting(
+    slots: Sequence[ObjectSlot],
+    tracks: Mapping[Key, TrackedPose],
+    counts: Mapping[str, int],
+    chosen: Sequence[RequestedObject],
+) -> tuple[RequestedObject, ...]:
+    """What is missing and not looked for in this request. counts: how many instances of each are missing."""
+    asked = {one.object for one in chosen if one.instance is None}
+    return tuple(
+        _anew(slot.object, counts[slot.object], _followed(slot.object, tracks))
+        for slot in slots
+        if counts.get(slot.object, 0) > 0 and slot.object not in asked
+    )
+
+
+def _followed(name: str, tracks: Mapping[Key, TrackedPose]) -> dict[TrackedPose, Prior]:
+    """The instances of an object that have a pose."""
+    return {
+        t: Prior(t.T_cam_obj, t.velocity, t.covariance, t.stamp_ns)
+        for key, t in tracks.items()
+        if key[0] == name and t.T_cam_obj is not None
+    }
+
+
+def _anew(name: str, count: int, followed: Mapping[TrackedPose, Prior]) -> RequestedObject:
+    """So many new instances of an object are looked for, beside those that are followed."""
+    others = tuple(prior for t, prior in followed.items() if t.state is State.TRACKING)
+    return RequestedObject(name, None, None, count, others=others)
+
+
 def candidates(
     slots: Sequence[ObjectSlot],
     tracks: Mapping[Key, TrackedPose],
@@ -119,15 +149,9 @@ def candidates(
     decide = {*sighted, *lost}
     out = []
     for slot in slots:
-        followed = {
-            t: Prior(t.T_cam_obj, t.velocity, t.covariance, t.stamp_ns)
-            for key, t in tracks.items()
-            if key[0] == slot.object and t.T_cam_obj is not None
-        }
-        others = tuple(prior for t, prior in followed.items() if t.state is State.TRACKING)
-        count = wanted.get(slot.object, 0)
+        followed, count = _followed(slot.object, tracks), wanted.get(slot.object, 0)
         if count > 0 or slot.object in elsewhere:
-            asked = RequestedObject(slot.object, None, None, max(count, 1), others=others)
+            asked = _anew(slot.object, max(count, 1), followed)
             rank = 0 if count > 0 else 1
             looked = looked_ns.get((slot.object, None), NEVER)
             out.append(Candidate(rank, looked, asked, count > 0 and slot.object in decide))
@@ -139,31 +163,21 @@ def candidates(
     return out
 
 
-NEW = 3
-"""So 20 known objects have their first look in four requests instead of ten. All in one would keep those that
-are found first waiting for the others, a second long (docs/detection_measured.md)."""
-
-
 def choose(
-    now_ns: int, options: Sequence[Candidate], config: ReinitConfig, before: int, *, answers: bool
+    now_ns: int, options: Sequence[Candidate], config: ReinitConfig, before: int
 ) -> list[RequestedObject]:
     """Lost objects first, then doubtful ones, then those not looked at for longest; ties go to the longest
     wait.
 
-    Of those that were never looked for a request takes NEW times as many, if perception `answers`, so that
-    what is in the picture from the start is found soon. So that objects that cannot be found do not starve
-    the others, one that was not looked at for `stale_ms` gets the last place, and the only one in every other
-    request; before: how many requests there were. Those of which another look decides come before all others,
-    as many of them as of the others.
+    So that objects that cannot be found do not starve the others, one that was not looked at for `stale_ms`
+    gets the last place, and the only one in every other request; before: how many requests there were. Those
+    of which another look decides come before all others, as many of them as of the others.
     """
     order = sorted(
         options, key=lambda c: (c.rank, c.looked_ns, c.requested.object, c.requested.instance or 0)
     )
     deciding = [c for c in order if c.decides][: config.objects_per_request]
     others = [c for c in order if c not in deciding]
-    new = [c for c in others if c.looked_ns == NEVER] if answers else []
-    if len(new) > config.objects_per_request:
-        return [c.requested for c in (*deciding, *new[: NEW * config.objects_per_request])]
     usual = others[: config.objects_per_request]
     due = [c for c in others if c.rank > 0 and now_ns - c.looked_ns >= config.stale_ms * 1e6]
     starving = [c for c in due if c not in usual]

@@ -110,13 +110,15 @@ class Request:
     """What perception shall look at next. `number` counts requests; an answer repeats it.
 
     epoch is that of the newest tracked frame, None before the first. The chain has until `deadline_ns`. seen:
-    camera epoch and number of a frame about which all was answered, so that a newer one is waited for."""
+    camera epoch and number of a frame about which all was answered, so that a newer one is waited for.
+    waiting: what else is missing; where something new in the picture looks like it, it is looked for, too."""
 
     number: int
     epoch: int | None
     deadline_ns: int
     objects: tuple[RequestedObject, ...]
     seen: tuple[int, int] | None = None
+    waiting: tuple[RequestedObject, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

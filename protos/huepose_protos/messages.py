@@ -108,7 +108,8 @@ class RequestedObject(Struct, frozen=True, kw_only=True):
 class PerceptionRequest(Message, frozen=True, kw_only=True):
     """Which objects to look at in the newest frame. `seq` counts requests; camera_epoch is that of the
     newest tracked frame, null before the first. An answer after deadline_ns is not waited for. `seen`: epoch
-    and number of a frame about which all was answered: where it is still the newest, wait for the next."""
+    and number of a frame about which all was answered: where it is still the newest, wait for the next.
+    `waiting`: what else is missing; it is looked for where something new looks like it."""
 
     max_bytes: ClassVar[int] = 1024 * KIB
     seq: Count
@@ -116,6 +117,7 @@ class PerceptionRequest(Message, frozen=True, kw_only=True):
     deadline_ns: Stamp
     objects: Annotated[list[RequestedObject], Meta(max_length=64)]
     seen: tuple[Epoch, Count] | None = None
+    waiting: Annotated[list[RequestedObject], Meta(max_length=256)] = field(default_factory=list)
 
 
 class Look(Message, frozen=True, kw_only=True):

@@ -51,7 +51,8 @@ class BoxFinder:
         self._outlines.pop(name, None)
 
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
-        """Boxes, in the request's order. pixels: called by those who look at the frame."""
+        """Boxes, in the request's order; of what waits, only where it seems to be. pixels: called by those
+        who look at the frame."""
         raise NotImplementedError
 
     def prior_box(self, name: str, prior: Prior | None, header: FrameHeader, camera: Camera) -> Box | None:
@@ -74,7 +75,7 @@ class BoxFinder:
             if (box := self.prior_box(wanted.object, prior, header, camera)) is not None
         ]
         found: list[DetectedObject] = []
-        for wanted in request.objects:
+        for wanted in (*request.objects, *request.waiting):
             mine = [d for d in detections if d.object == wanted.object]
             if wanted.instance is None:
                 new = chosen(mine, wanted.object, wanted.wanted, tracked)
@@ -100,7 +101,8 @@ class SeenBoxes(BoxFinder):
 
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order."""
-        frame, names = pixels(), list(dict.fromkeys(wanted.object for wanted in request.objects))
+        asked = (*request.objects, *request.waiting)
+        frame, names = pixels(), list(dict.fromkeys(wanted.object for wanted in asked))
         return self.given_out(self._detector.detect(frame, names) if names else [], header, request)
 
 
@@ -124,11 +126,16 @@ class SearchedBoxes(BoxFinder):
 
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order."""
-        known = [wanted for wanted in request.objects if wanted.object in self._outlines]
-        places = self._looks.places(pixels(), [requested_from_wire(wanted) for wanted in known])
+        asked, waiting = (
+            [wanted for wanted in some if wanted.object in self._outlines]
+            for some in (request.objects, request.waiting)
+        )
+        places = self._looks.places(
+            pixels(), list(map(requested_from_wire, asked)), list(map(requested_from_wire, waiting))
+        )
         return [
             detected(wanted, place.box, place.score)
-            for wanted, mine in zip(known, places, strict=True)
+            for wanted, mine in zip((*asked, *waiting), places, strict=True)
             for place in mine
         ]
 

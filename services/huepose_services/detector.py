@@ -135,7 +135,7 @@ class DetectorWork(Work):
         seen = {wanted.object: 0.0 for wanted in request.objects if wanted.prior is None}
         for box in found:
             if box.request.prior is None:
-                seen[box.request.object] = max(seen[box.request.object], box.score)
+                seen[box.request.object] = max(seen.get(box.request.object, 0.0), box.score)
         order = finder.order_of_channels(pixels(), names, seen)
         self._asked, self._ask_ns = (epoch, asks + 1, order.right), now_ns() + ASK_EVERY_NS
         if order.right or order.exchanged:

@@ -14,6 +14,7 @@ from huepose.model import ReferenceModel
 from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
 from huepose.reinit.newest_frame import Began, NewestFrame
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
+from huepose.reinit.types import RequestedObject as Requested
 from huepose.support.errors import InputError
 from huepose.support.words import listed
 from huepose.tracking.types import Correction, TrackedPose, Verdict
@@ -198,9 +199,12 @@ class ReinitWork(Work):
             # In its picture or later: an older pose is of a tracker that has died since.
             tracks = (t for t in self._tracks.values() if t.stamp_ns >= answer.capture_ns)
             followed = {t.object for t in tracks if t.T_cam_obj is not None}
-            sought = self._sought.get(answer.request_seq, ())
+            sought = self._sought.get(answer.request_seq)
+            if sought is not None:
+                new = (e.object for e in answer.estimates if e.instance is None)
+                sought = tuple(dict.fromkeys((*sought, *new)))
             advice = IF_IN_PLAIN_VIEW if self._in_vain(answer) else ""
-            self._reasons |= reasons_not_seen(sought, answer, acquired, followed, advice)
+            self._reasons |= reasons_not_seen(sought or (), answer, acquired, followed, advice)
             if bool(answer.picture) != self._picture_blamed:
                 self._picture_blamed = bool(answer.picture)
                 self._next_objects_ns = now_ns()
@@ -377,16 +381,26 @@ def result_from_wire(message: Estimates) -> PerceptionResult:
 
 def request_to_wire(request: Request) -> PerceptionRequest:
     """The message of a request."""
-    objects = [
-        to_wire(
-            RequestedObject,
-            item,
-            prior=None if item.prior is None else to_wire(Prior, item.prior),
-            others=[to_wire(Prior, other) for other in item.others],
-        )
-        for item in request.objects
-    ]
-    return to_wire(PerceptionRequest, request, publish_ns=now_ns(), seq=request.number, objects=objects)
+    objects, waiting = (
+        [_requested_to_wire(one) for one in some] for some in (request.objects, request.waiting)
+    )
+    return to_wire(
+        PerceptionRequest,
+        request,
+        publish_ns=now_ns(),
+        seq=request.number,
+        objects=objects,
+        waiting=waiting,
+    )
+
+
+def _requested_to_wire(asked: Requested) -> RequestedObject:
+    return to_wire(
+        RequestedObject,
+        asked,
+        prior=None if asked.prior is None else to_wire(Prior, asked.prior),
+        others=[to_wire(Prior, other) for other in asked.others],
+    )
 
 
 def correction_to_wire(correction: Correction, camera: str = "") -> CorrectionMessage:

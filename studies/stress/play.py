@@ -67,7 +67,8 @@ def followed(
         if perception is not None and request is not None:
             found = tuple(perception.answer(request, seen))
             answer = PerceptionResult(request.number, frame.epoch, frame.frame_id, frame.stamp_ns, found)
-            takes_s = CHAIN_S + EACH_MORE_S * max(0, len(request.objects) - 2)
+            asked = {one.object for one in request.objects} | {estimate.object for estimate in found}
+            takes_s = CHAIN_S + EACH_MORE_S * max(0, len(asked) - 2)
             due.append((now_ns + round(takes_s * 1e9), answer))
         yield seen, poses
 

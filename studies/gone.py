@@ -109,27 +109,41 @@ def shown(frame: RgbdFrame, number: int, rng: Rng) -> RgbdFrame:
     return RgbdFrame(color, depth.astype(np.float32), frame.camera, number, round(number * 1e9 / HZ))
 
 
-def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) -> list[Seen]:
-    """An object of a frame that is seen, covered, gone, and back; empty where nothing of its size is beside
-    it."""
-    box, T_cam_obj = truth_box(label, model.mesh, frame.camera), label.T_cam_obj
-    if box is None or T_cam_obj is None:
-        return []
+Part = tuple[slice, slice]
+"""Rows and columns of a picture."""
+
+
+def part_and_beside(
+    frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng
+) -> tuple[Part, Part] | None:
+    """The part of a frame with an object, and as large a part beside it; None where there is none."""
+    box = truth_box(label, model.mesh, frame.camera)
+    if box is None:
+        return None
     here = box.grown(AROUND).clipped(frame.camera.width, frame.camera.height)
     x, y, w, h = int(here.x), int(here.y), int(here.w), int(here.h)
     places = [(x + w + BESIDE, y), (x - w - BESIDE, y), (x, y - h - BESIDE), (x, y + h + BESIDE)]
     rows, columns = frame.depth.shape
     places = [(a, b) for a, b in places if 0 <= a <= columns - w and 0 <= b <= rows - h]
     if not places or w < 1 or h < 1:
-        return []
+        return None
     a, b = places[int(rng.integers(len(places)))]
-    hole = slice(y, y + h), slice(x, x + w)
+    return (slice(y, y + h), slice(x, x + w)), (slice(b, b + h), slice(a, a + w))
+
+
+def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) -> list[Seen]:
+    """An object of a frame that is seen, covered, gone, and back; empty where nothing of its size is beside
+    it."""
+    parts, T_cam_obj = part_and_beside(frame, label, model, rng), label.T_cam_obj
+    if parts is None or T_cam_obj is None:
+        return []
+    hole, beside = parts
     covered, gone, back, end = (HZ * seconds for seconds in PARTS_S)
     out = []
     for number in range(end):
         color, depth = frame.color.copy(), frame.depth.copy()
         if gone <= number < back:
-            color[hole], depth[hole] = (m[b : b + h, a : a + w] for m in (frame.color, frame.depth))
+            color[hole], depth[hole] = (m[beside] for m in (frame.color, frame.depth))
         elif covered <= number < gone:
             color[hole], depth[hole] = GRAY, max(float(np.median(depth[depth > 0])) - NEARER_M, 0.2)
         noisy = shown(replace(frame, color=color, depth=depth), number, rng)

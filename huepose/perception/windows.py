@@ -82,7 +82,7 @@ class Windows:
     def frame_pixels(self) -> Float64:
         """Their centres (W, 2) in the frame."""
         crop = self._view.crop
-        return self.pixels + np.array([crop.x0, crop.y0])
+        return np.asarray(self.pixels + np.array([crop.x0, crop.y0]))
 
     def uncoded(self, index: Int64) -> int:
         """How many of windows (K,) have no codes yet."""

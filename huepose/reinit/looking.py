@@ -62,8 +62,8 @@ class Looks:
         }
         wanted = {asked.object: asked.wanted for asked in (*missing, *waiting)}
         turn = self.turn(names) if names else []
-        others = [asked.object for asked in waiting]
-        seen = self._detector.detect(frame, names, turn, followed, wanted, others) if wanted else []
+        also = [asked.object for asked in waiting]
+        seen = self._detector.detect(frame, names, turn, followed, wanted, also) if wanted else []
         tracked = [(a.object, box) for a, box in zip(every, predicted, strict=True) if box is not None]
         return [
             [Place(d.box, d.score) for d in chosen(seen, asked.object, asked.wanted, tracked)]

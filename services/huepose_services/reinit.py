@@ -201,8 +201,8 @@ class ReinitWork(Work):
             followed = {t.object for t in tracks if t.T_cam_obj is not None}
             sought = self._sought.get(answer.request_seq)
             if sought is not None:
-                new = (e.object for e in answer.estimates if e.instance is None)
-                sought = tuple(dict.fromkeys((*sought, *new)))
+                found = (e.object for e in answer.estimates if e.instance is None)
+                sought = tuple(dict.fromkeys((*sought, *found)))
             advice = IF_IN_PLAIN_VIEW if self._in_vain(answer) else ""
             self._reasons |= reasons_not_seen(sought or (), answer, acquired, followed, advice)
             if bool(answer.picture) != self._picture_blamed:

@@ -18,16 +18,20 @@ LEFT, RIGHT = Box(50, 200, 60, 60), Box(500, 200, 60, 60)
 
 
 class Seer:
-    """Sees what it was told, of those objects that are asked for, and remembers what was asked."""
+    """Sees what it was told, of those objects that are asked for or that are waiting and noticed, and
+    remembers what was asked."""
 
-    def __init__(self, *detections):
+    def __init__(self, *detections, noticed=()):
         self.detections, self.asked, self.thorough, self.followed = detections, [], [], {}
+        self.waiting, self.noticed = [], noticed
 
-    def detect(self, frame, names, thorough=(), followed=None, wanted=None):
+    def detect(self, frame, names, thorough=(), followed=None, wanted=None, waiting=()):
         self.asked.append(tuple(names))
         self.followed = followed
         self.thorough.append(list(thorough))
-        return [d for d in self.detections if d.object in names]
+        self.waiting.append(tuple(waiting))
+        seen = {*names, *(name for name in waiting if name in self.noticed)}
+        return [d for d in self.detections if d.object in seen]
 
 
 def outlines(*names):
@@ -35,7 +39,7 @@ def outlines(*names):
     return {name: Outline(CORNERS, 0.17) for name in names}
 
 
-def answer(finder, *objects):
+def answer(finder, *objects, waiting=()):
     """What a finder of boxes answers to a request about a picture."""
     depth = np.ones((480, 640), np.float32)
     frame = RgbdFrame(np.zeros((480, 640, 3), np.uint8), depth, CAMERA, 7, STAMP, 1)
@@ -50,7 +54,12 @@ def answer(finder, *objects):
         buffers=[BufferSpec(name="color", dtype="uint8", shape=(480, 640, 3), offset=0)],
     )
     request = PerceptionRequest(
-        publish_ns=STAMP, seq=1, camera_epoch=1, deadline_ns=STAMP * 2, objects=list(objects)
+        publish_ns=STAMP,
+        seq=1,
+        camera_epoch=1,
+        deadline_ns=STAMP * 2,
+        objects=list(objects),
+        waiting=list(waiting),
     )
     return finder.find(header, request, lambda: frame)
 

@@ -9,8 +9,8 @@ from huepose_services.boxes import SearchedBoxes
 from tests.services.one_cube import LEFT, MIDDLE, RIGHT, Seer, answer, new, outlines, tracked
 
 
-def _find(detector, *objects):
-    return answer(SearchedBoxes(outlines("cube", "can"), detector), *objects)
+def _find(detector, *objects, waiting=()):
+    return answer(SearchedBoxes(outlines("cube", "can"), detector), *objects, waiting=waiting)
 
 
 def test_what_is_tracked_is_not_searched_for():
@@ -54,6 +54,22 @@ def test_a_new_instance_is_searched_for_beside_the_others():
     assert places == [[0.0, 0.0, 1.0], [pytest.approx(0.2), 0.0, 1.0]], "where they are in this frame"
     _find(detector, new("can"))
     assert not detector.followed
+
+
+def test_what_waits_gets_boxes_where_it_is_noticed():
+    seen = Detection("cube", LEFT, 0.9), Detection("can", RIGHT, 0.8), Detection("can", MIDDLE, 0.7)
+    detector = Seer(*seen, noticed=["can"])
+    found = _find(detector, new(), waiting=[new("can", 2), new("bowl")])
+    assert [(d.request.object, d.request.wanted, d.box) for d in found] == [
+        ("cube", 1, LEFT),
+        ("can", 2, RIGHT),
+        ("can", 2, MIDDLE),
+    ]
+    assert detector.waiting == [("can",)], "and what has no model here is not asked about"
+    assert [d.request.object for d in _find(detector, waiting=[new("cube"), new("can")])] == ["can"]
+    assert detector.thorough[-1] == [], "nobody's turn"
+    _find(detector, tracked(), waiting=[new("can")])
+    assert detector.waiting[-1] == ("can",), "also where all that is asked for is tracked"
 
 
 def test_an_object_whose_model_is_not_here_yet_gets_nothing():

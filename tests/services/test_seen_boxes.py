@@ -40,6 +40,13 @@ def test_a_look_alike_that_is_tracked_does_not_hide_what_may_be_there_instead():
     assert [(d.request.object, d.box) for d in found] == [("cube", MIDDLE), ("can", MIDDLE), ("can", LEFT)]
 
 
+def test_what_waits_gets_what_is_seen_of_it():
+    detector = Seer(Detection("cube", LEFT, 0.9), Detection("can", RIGHT, 0.8), noticed=["can"])
+    found = answer(SeenBoxes(outlines("cube"), detector), new(), waiting=[new("can")])
+    assert [(d.request.object, d.box) for d in found] == [("cube", LEFT), ("can", RIGHT)]
+    assert detector.asked == [("cube", "can")], "one look sees all"
+
+
 def test_what_is_not_seen_gets_nothing():
     assert _find(Seer(), new(), tracked()) == []
 

@@ -1,0 +1,35 @@
+"""What is put before a camera is TRACKING soon, though its turn would come late: two in a request, five
+requests a second, seventeen objects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from huepose.datasets.types import GroundTruth
+from studies.arriving import SECONDS_BEFORE, Row, film, report, watched
+from studies.gone import HZ
+
+
+def test_it_is_there_after_six_seconds_and_found_soon_among_many(
+    tea_box, soup_can, take_picture, standing
+) -> None:
+    frame = take_picture([(tea_box.mesh, standing)])
+    label = GroundTruth(0, standing, 1, visib_fract=1.0)
+    frames = film(frame, label, tea_box, 2, np.random.default_rng(0))
+    assert len(frames) == HZ * (SECONDS_BEFORE + 2)
+    changed = np.abs(frames[-1].frame.depth - frames[0].frame.depth) > 0.02
+    assert 0.02 < changed.mean() < 0.3
+    models = {f"a{k:02d}": replace(soup_can, name=f"a{k:02d}") for k in range(16)}
+    found_s, _, count = watched(frames, {**models, "tea_box": tea_box}, {"tea_box": standing}, "tea_box")
+    assert found_s is not None
+    assert found_s < 0.9
+    assert count == round((SECONDS_BEFORE + found_s) * HZ) + 1
+
+
+def test_the_report_counts_what_was_soon() -> None:
+    times = (0.5, 1.5, None)
+    text = report([Row("1", 0, "can", t, k, 100) for k, t in enumerate(times)])
+    assert text.startswith("2 of 3 TRACKING and right, within 1 s, 2 s: 1, 2; median, 90 %: 1.0 s, 1.4 s")
+    assert text.endswith("3 of 300 frames")

@@ -8,14 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.geometry import RgbdFrame, se3
+from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception import windows
-from huepose.perception.attention import Attention
+from huepose.perception.attention import AT_ONCE, EACH, EARNED, Attention, attended
+from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import PICKED, DetectorConfig
-from huepose.perception.window_table import LIKE
+from huepose.perception.memory import looking
+from huepose.perception.window_table import LIKE, window_table
+from huepose.perception.windows import SIZES, WindowsBySize
 from huepose.propose.view_codes import codes_of_windows
+from huepose.scenes.shapes import demo_objects
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -53,6 +57,19 @@ def watching(tea_box: ReferenceModel, soup_can: ReferenceModel) -> ColorPairDete
 BOTH = ("soup_can", "tea_box")
 
 
+@pytest.fixture
+def coded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many windows were coded in each call of the network."""
+    counts: list[int] = []
+
+    def counted(colors: np.ndarray, reliefs: np.ndarray) -> np.ndarray:
+        counts.append(len(colors))
+        return codes_of_windows(colors, reliefs)
+
+    monkeypatch.setattr(windows, "codes_of_windows", counted)
+    return counts
+
+
 def test_what_is_put_there_is_searched_for_in_the_same_look(
     watching: ColorPairDetector, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
@@ -74,15 +91,8 @@ def test_what_stands_still_is_compared_once(
     tea_box: ReferenceModel,
     take_picture: TakePicture,
     standing: np.ndarray,
-    monkeypatch: pytest.MonkeyPatch,
+    coded: list[int],
 ) -> None:
-    coded: list[int] = []
-
-    def counted(colors: np.ndarray, reliefs: np.ndarray) -> np.ndarray:
-        coded.append(len(colors))
-        return codes_of_windows(colors, reliefs)
-
-    monkeypatch.setattr(windows, "codes_of_windows", counted)
     picture = take_picture([(tea_box.mesh, standing)])
     watching.detect(noisy(picture, 0), [], waiting=BOTH)
     assert sum(coded) > 10
@@ -92,17 +102,26 @@ def test_what_stands_still_is_compared_once(
     assert sum(coded) == 0
 
 
-def test_before_a_camera_that_moves_it_is_done_once(
-    watching: ColorPairDetector, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+def test_where_everything_moves_objects_of_one_size_after_another_are_compared(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, coded: list[int]
 ) -> None:
-    found = []
-    for look in range(4):
-        moved = se3.make(se3.rotation_exp(np.array([0.0, 0.1 * look, 0.0])), np.zeros(3)) @ standing
-        frame = take_picture([(tea_box.mesh, moved)])
-        color = np.roll(frame.color, 60 * look, axis=1) // np.uint8(1 + look)
-        found.append(watching.detect(replace(frame, color=color), [], waiting=BOTH))
-    assert found[0]
-    assert found[2:] == [[], []]
+    table, scene = window_table(tea_box), [(mesh, standing) for mesh in demo_objects(1).values()]
+    missing = [(f"o{k}", 0.06 * SIZES**k, table) for k in range(16)]
+    frame, memory, seen, each = take_picture(scene), None, Attention(), []
+    for look in range(14):
+        shift = (look % 5) * 24
+        moved = replace(
+            frame, color=np.roll(frame.color, shift, axis=1), depth=np.roll(frame.depth, shift, axis=1)
+        )
+        memory, view = looking(memory, moved), clear_view(moved, 0.6)
+        assert view is not None
+        coded.clear()
+        seen = attended(seen, memory, WindowsBySize(view, memory), missing)
+        each.append(sum(coded))
+    assert AT_ONCE <= each[0] < AT_ONCE + EACH
+    assert np.mean(each[1:]) < EARNED + EACH
+    assert len(seen.looks) == 16
+    assert min(seen.looks.values()) >= 14 - 8, "every size in turn"
 
 
 def test_without_a_memory_nothing_is_new(

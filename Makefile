@@ -1,5 +1,5 @@
 # Every target does its own set-up on a machine that has only Python, pip and apt.
-.PHONY: help setup demo test lint docs bench dist bundle audit clean
+.PHONY: help packages setup demo test lint docs bench dist bundle audit clean
 
 help:
 	@echo "make demo    the whole pipeline on a built-in scene, with accuracy and latency at the end"
@@ -12,8 +12,12 @@ help:
 	@echo "make audit   known holes in what it depends on (asks the network)"
 	@echo "make bench   time of every stage"
 
-setup:
+# Without what setup compiles and draws, which takes minutes.
+packages:
 	@./deploy/setup.sh
+
+setup: packages
+	@./deploy/first_time.sh
 
 demo: setup
 	@.venv/bin/huepose demo
@@ -22,23 +26,23 @@ test: setup
 	@.venv/bin/pytest -n auto --dist worksteal -m "not live"
 	@.venv/bin/pytest -m live
 
-lint: setup
+lint: packages
 	@.venv/bin/ruff check .
 	@.venv/bin/ruff format --check .
 	@.venv/bin/mypy
 	@.venv/bin/lint-imports
 	@git ls-files -z | xargs -0 .venv/bin/detect-secrets-hook --no-verify --exclude-lines 'sha256|"[0-9a-f]{64}"'
 
-docs: setup
+docs: packages
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 
-dist: setup
+dist: packages
 	@./deploy/try_wheel.sh
 
-bundle: setup
+bundle: packages
 	@./deploy/bundle.sh $(TARGETS)
 
-audit: setup
+audit: packages
 	@./deploy/audit.sh
 
 bench: setup

@@ -1,4 +1,8 @@
 # Every target does its own set-up on a machine that has only Python, pip and apt.
+
+# Where containers set it, every process would compile its imports anew, for more than a second.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help packages setup demo test lint docs bench dist bundle audit clean
 
 help:
@@ -22,9 +26,11 @@ setup: packages
 demo: setup
 	@.venv/bin/huepose demo
 
+# One thread for the libraries of each process: those of several would wait spinning for each other.
 test: setup
-	@.venv/bin/pytest -n auto --dist worksteal -m "not live"
-	@.venv/bin/pytest -m live
+	@OMP_NUM_THREADS=1 .venv/bin/pytest -n auto --dist worksteal -m "not live"
+	@.venv/bin/pytest -n 2 --dist loadfile -m "live and not alone"
+	@.venv/bin/pytest -m alone
 
 lint: packages
 	@.venv/bin/ruff check .

@@ -7,9 +7,7 @@ cd "$(dirname "$0")/.."
 # Compiled for the code as it is: again where a file of it is newer.
 if [ ! -e .venv/.compiled ] || [ -n "$(find huepose services -name '*.py' -newer .venv/.compiled -print -quit)" ]; then
     echo "setup: compiling, learning the built-in objects and drawing their scene: three to five minutes of a processor, once for each computer and version"
-    # Python's own bytecode is kept as well, also where PYTHONDONTWRITEBYTECODE is set, as containers do: every command
-    # would compile its imports anew, for more than a second.
-    env -u PYTHONDONTWRITEBYTECODE .venv/bin/python -m huepose_services.first_time
+    .venv/bin/python -m huepose_services.first_time
     touch .venv/.compiled
 fi
 if [ ! -e .venv/.welcomed ]; then

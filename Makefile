@@ -1,5 +1,9 @@
 # Every target does its own set-up on a machine that has only Python, pip and apt.
-.PHONY: help setup demo test lint docs bench dist bundle audit clean
+
+# Where containers set it, every process would compile its imports anew, for more than a second.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: help packages setup demo test lint docs bench dist bundle audit clean
 
 help:
 	@echo "make demo    the whole pipeline on a built-in scene, with accuracy and latency at the end"
@@ -12,33 +16,39 @@ help:
 	@echo "make audit   known holes in what it depends on (asks the network)"
 	@echo "make bench   time of every stage"
 
-setup:
+# Without what setup compiles and draws, which takes minutes.
+packages:
 	@./deploy/setup.sh
+
+setup: packages
+	@./deploy/first_time.sh
 
 demo: setup
 	@.venv/bin/huepose demo
 
+# One thread for the libraries of each process: those of several would wait spinning for each other.
 test: setup
-	@.venv/bin/pytest -n auto --dist worksteal -m "not live"
-	@.venv/bin/pytest -m live
+	@OMP_NUM_THREADS=1 .venv/bin/pytest -n auto --dist worksteal -m "not live"
+	@.venv/bin/pytest -n 2 --dist loadfile -m "live and not alone"
+	@.venv/bin/pytest -m alone
 
-lint: setup
+lint: packages
 	@.venv/bin/ruff check .
 	@.venv/bin/ruff format --check .
 	@.venv/bin/mypy
 	@.venv/bin/lint-imports
 	@git ls-files -z | xargs -0 .venv/bin/detect-secrets-hook --no-verify --exclude-lines 'sha256|"[0-9a-f]{64}"'
 
-docs: setup
+docs: packages
 	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict
 
-dist: setup
+dist: packages
 	@./deploy/try_wheel.sh
 
-bundle: setup
+bundle: packages
 	@./deploy/bundle.sh $(TARGETS)
 
-audit: setup
+audit: packages
 	@./deploy/audit.sh
 
 bench: setup

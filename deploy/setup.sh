@@ -55,19 +55,3 @@ export UV_PYTHON_DOWNLOADS=never
 [ ! -e /etc/ssl/certs/ca-certificates.crt ] || export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-true}"
 "$UV/bin/uv" sync --frozen --quiet --python "$python" \
     --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra secure --extra ros2 --extra docs --group dev
-# Compiled for the code as it is: again where a file of it is newer.
-if [ ! -e .venv/.compiled ] || [ -n "$(find huepose services -name '*.py' -newer .venv/.compiled -print -quit)" ]; then
-    echo "setup: compiling, learning the built-in objects and drawing their scene: three to five minutes of a processor, once for each computer and version"
-    # Python's own bytecode is kept as well, also where PYTHONDONTWRITEBYTECODE is set, as containers do: every command
-    # would compile its imports anew, for more than a second.
-    env -u PYTHONDONTWRITEBYTECODE .venv/bin/python -m huepose_services.first_time
-    touch .venv/.compiled
-fi
-if [ ! -e .venv/.welcomed ]; then
-    touch .venv/.welcomed
-    cat <<'NEXT'
-setup: done. `huepose` is .venv/bin/huepose; put it on your path for this shell with: source .venv/bin/activate
-  huepose demo                        the whole pipeline on a built-in scene, with its accuracy
-  huepose new tea_box examples/tea_box.obj   start with an object of your own: reference model, test frame, pipeline.yaml
-NEXT
-fi

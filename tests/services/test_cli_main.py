@@ -366,7 +366,8 @@ called_back = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
 
 def command():
     called_back()
-    time.sleep(10.0)
+    for _ in range(1000):
+        time.sleep(0.01)
     return 0
 
 sys.modules[name].main = command

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import msgspec
@@ -335,7 +334,10 @@ def test_who_waits_finds_a_pipeline_that_starts_at_another_port(
     assert any("waiting for a pipeline" in line for line in said)
     huepose("run", "camera", path)
     assert any("which runs from" in line for line in said)
-    time.sleep(8.0)
+    # What it writes grows.
+    file = Path("out.mcap" if verb == "record" else "v.rrd")
+    begun = until(lambda: file.exists() and file.stat().st_size, 60.0)
+    until(lambda: file.stat().st_size > 2 * begun, 60.0)
     waiting.send_signal(signal.SIGINT)
     _, err = waiting.communicate(timeout=30.0)
     assert waiting.returncode == 0, err

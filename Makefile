@@ -29,8 +29,7 @@ demo: setup
 # One thread for the libraries of each process: those of several would wait spinning for each other.
 test: setup
 	@OMP_NUM_THREADS=1 .venv/bin/pytest -n auto --dist worksteal -m "not live"
-	@.venv/bin/pytest -n 2 --dist loadfile -m "live and not alone"
-	@.venv/bin/pytest -m alone
+	@.venv/bin/pytest -m live
 
 lint: packages
 	@.venv/bin/ruff check .

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import os
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
 from huepose.scenes.shapes import demo_objects
 from tests import onboarded
-from tests.side_by_side import NUMBER
 
 CAMERA = Camera(600.0, 605.0, 318.5, 241.0, 640, 480)
 
@@ -26,22 +24,6 @@ TakePicture = Callable[..., RgbdFrame]
 def _shelf(tmp_path_factory: pytest.TempPathFactory) -> None:
     own = tmp_path_factory.getbasetemp()
     onboarded.shelf = (own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "shelf"
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _own_pipelines() -> Iterator[None]:
-    """The first of the processes of a run has its sockets where a user's are. Each of the others has a folder
-    for temporary files of its own, with them in it, and sees only the pipelines that it starts."""
-    if NUMBER == 0:
-        yield
-        return
-    with tempfile.TemporaryDirectory(prefix="huepose-") as folder, pytest.MonkeyPatch.context() as patch:
-        os.chmod(folder, 0o1777)  # as that for all is: some tests become another user
-        patch.setenv("TMPDIR", folder)
-        patch.setattr(tempfile, "tempdir", folder)
-        for name in ("HUEPOSE_RUN", "XDG_RUNTIME_DIR"):
-            patch.delenv(name, raising=False)
-        yield
 
 
 @pytest.fixture(scope="session")

@@ -34,7 +34,6 @@ measured_here = pytest.mark.skipif(
 
 
 @pytest.mark.live
-@pytest.mark.alone
 @measured_here
 def test_no_stage_became_slower():
     code, found = _speed()
@@ -42,7 +41,6 @@ def test_no_stage_became_slower():
 
 
 @pytest.mark.live
-@pytest.mark.alone
 @measured_here
 def test_a_stage_that_is_slower_by_half_is_noticed():
     code, found = _speed("--only", "track", "--slowed", "0.5")

@@ -1,7 +1,7 @@
 """What a computer does once, when HuePose is set up: it compiles the numeric kernels, so that no command
 afterwards is silent for a minute, learns the objects of the built-in scene, and draws that scene.
 
-`python -m huepose_services.first_time`, as deploy/setup.sh calls it.
+`python -m huepose_services.first_time`, as deploy/first_time.sh calls it.
 """
 
 from __future__ import annotations

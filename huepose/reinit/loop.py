@@ -156,7 +156,8 @@ class ReinitLoop:
         self.counters.requests += 1
         self._asked_ns = now_ns
         self._pace.asked(self.counters.requests, now_ns)
-        others = waiting(slots, self._tracks, counts, chosen)
+        # Until perception has answered nobody may be listening: then a request is made again soon.
+        others = waiting(slots, self._tracks, counts, chosen) if self.counters.answers else ()
         more = max(0, len(chosen) - self.config.objects_per_request) + min(len(others), PICKED)
         deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms, more) * 1e9)
         # One of the missing objects of a request is searched for everywhere, by turns; one turn is to spare.

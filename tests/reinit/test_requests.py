@@ -270,21 +270,27 @@ def test_what_is_most_likely_another_thing_is_looked_for_elsewhere_now_and_then(
 def test_what_is_missing_and_not_asked_for_waits_in_the_same_request() -> None:
     loop = ReinitLoop(objects=[("a", 1), ("b", 1), ("c", 2), ("d", 1), ("e", 1)])
     tracks = [track("d", 0, State.TRACKING), track("c", 0, State.TRACKING, T=pose(0.3))]
-    request = loop.tick(0, tracks)
+    first = loop.tick(0, tracks)
+    assert first is not None
+    assert asked(first) == [("a", None), ("b", None)]
+    assert first.waiting == (), "nobody may be listening yet"
+    assert first.deadline_ns == 600 * MS
+    loop.answer(100 * MS, result(first, 0))
+    request = loop.tick(200 * MS, tracks)
     assert request is not None
-    assert asked(request) == [("a", None), ("b", None)]
+    assert asked(request) == [("c", None), ("e", None)], "by turns"
     assert [(one.object, one.instance, one.wanted) for one in request.waiting] == [
-        ("c", None, 1),
-        ("e", None, 1),
+        ("a", None, 1),
+        ("b", None, 1),
     ]
-    (other,) = request.waiting[0].others
-    np.testing.assert_array_equal(other.T_cam_obj, tracks[1].T_cam_obj)
-    assert request.deadline_ns == (600 + 2 * 150) * MS, "it may take longer"
-    loop.answer(100 * MS, result(request, 0))
-    again = loop.tick(200 * MS, tracks)
+    assert request.deadline_ns - 200 * MS == (600 + 2 * 150) * MS, "it may take longer"
+    loop.answer(300 * MS, result(request, 200))
+    again = loop.tick(400 * MS, tracks)
     assert again is not None
-    assert asked(again) == [("c", None), ("e", None)], "by turns"
-    assert {one.object for one in again.waiting} == {"a", "b"}
+    assert asked(again) == [("a", None), ("b", None)]
+    assert [one.object for one in again.waiting] == ["c", "e"]
+    (other,) = again.waiting[0].others
+    np.testing.assert_array_equal(other.T_cam_obj, tracks[1].T_cam_obj)
 
 
 def test_what_waits_is_acquired_where_perception_finds_it() -> None:

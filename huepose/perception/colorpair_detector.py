@@ -121,8 +121,8 @@ class ColorPairDetector:
         with stage("clear view"):
             view = clear_view(seen, largest_m)
         by_keypoints = "keypoints" in self.config.sources
-        turns = list(names) if thorough is None else thorough
-        flat = {name for name in names if by_keypoints and name in turns and thin(models[name])}
+        thorough = list(names) if thorough is None else thorough
+        flat = {name for name in names if by_keypoints and name in thorough and thin(models[name])}
         if view is None and flat:
             view = whole_view(seen, largest_m)
         if view is None:
@@ -131,6 +131,8 @@ class ColorPairDetector:
         if self.config.remembering:
             with stage("memory"):
                 memory = looking(self._memory, frame)
+            if memory.look == 0:
+                self._attention = Attention()
         features, windows = _FeaturesOnce(self._features, view, memory), WindowsBySize(view, memory)
         if memory is not None and waiting:
             with stage("attention"):
@@ -180,9 +182,8 @@ class ColorPairDetector:
         """Which of the waiting objects are searched for as well as the others."""
         with self._lock:
             missing = [self._models[name] for name in dict.fromkeys((*searched, *waiting))]
-        before = self._attention if memory.look else Attention()
         views = [(model.name, model.diameter_m, self._table(model)) for model in missing]
-        seen = attended(before, memory, windows, views)
+        seen = attended(self._attention, memory, windows, views)
         picked = seen.picked(waiting)
         self._attention = seen.after({*searched, *picked}, [model.name for model in missing])
         return picked
@@ -237,10 +238,10 @@ class ColorPairDetector:
             found = build_keypoints(model.mesh, model.diameter_m, self._features)
         return ModelKeypoints.of(found)
 
-    def _efforts(self, name: str, thorough: Collection[str] | None) -> tuple[Effort, ...]:
+    def _efforts(self, name: str, thorough: Collection[str]) -> tuple[Effort, ...]:
         if "views" not in self.config.sources:
             return ()
-        return EFFORTS if thorough is None or name in thorough else EFFORTS[:1]
+        return EFFORTS if name in thorough else EFFORTS[:1]
 
 
 class _FeaturesOnce:

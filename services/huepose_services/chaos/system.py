@@ -59,9 +59,6 @@ sys.exit(main(["up", sys.argv[2]]))
 """`huepose up` that ends with the process that started it, however that one ended."""
 
 
-_JUST_NOW_S = 0.3
-
-
 @dataclass(frozen=True)
 class SeenPose:
     """A pose message as it arrived: `age_ms` when it was published, `late_ms` when it arrived; `error` is
@@ -124,7 +121,6 @@ class LivePipeline:
         """Of the camera of this pipeline, as it says itself."""
         self.corrections: deque[CorrectionMessage] = deque(maxlen=_OLD_CORRECTIONS)
         self._truth: dict[tuple[int, int, str], TruthObject] = {}
-        self._steady_at = -_JUST_NOW_S
         self._stopping = False
 
     def __enter__(self) -> LivePipeline:
@@ -166,7 +162,6 @@ class LivePipeline:
 
     def forget(self) -> None:
         """What subscribers saw until now."""
-        self._steady_at = -_JUST_NOW_S
         for seen in (self.poses, self.truths, self.estimates):
             seen.clear()
 
@@ -225,16 +220,13 @@ class LivePipeline:
 
     def wait_until_steady(self, objects: int, within_s: float, for_s: float = 2.0) -> bool:
         """Until all workers said that they work, and so many objects were TRACKING for a while; whether that
-        came about. What was so just now need not be waited for again."""
+        came about."""
         start = time.monotonic()
-        if start - self._steady_at < _JUST_NOW_S and len(self.tracking_now()) >= objects:
-            return True
         until, since = start + within_s, None
         while time.monotonic() < until:
             if self._all_work(start) and len(self.tracking_now()) >= objects:
                 since = since or time.monotonic()
                 if time.monotonic() - since > for_s:
-                    self._steady_at = time.monotonic()
                     return True
             else:
                 since = None

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import msgspec
@@ -313,8 +312,9 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
 
 
 @pytest.mark.live
+@pytest.mark.parametrize("verb", ["record", "view"])
 def test_who_waits_finds_a_pipeline_that_starts_at_another_port(
-    pipeline, huepose, tea_box, tmp_path, monkeypatch
+    verb, pipeline, huepose, tea_box, tmp_path, monkeypatch
 ):
     """In a folder that says nothing of it."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
@@ -325,22 +325,22 @@ def test_who_waits_finds_a_pipeline_that_starts_at_another_port(
     path.write_text(json.dumps(json.loads(path.read_text()) | own))
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
-    waiting = {Path("out.mcap"): huepose("record", "out", "--free", "0")}
-    if find_spec("rerun") is not None:
-        waiting[Path("v.rrd")] = huepose("view", "--save", "v.rrd")
-    said = {file: iter(process.stderr.readline, "") for file, process in waiting.items()}
-    for lines in said.values():
-        assert any("waiting for a pipeline" in line for line in lines)
+    if verb == "view":
+        pytest.importorskip("rerun")
+    waiting = huepose(
+        *(["record", "out", "--free", "0"] if verb == "record" else ["view", "--save", "v.rrd"])
+    )
+    said = iter(waiting.stderr.readline, "")
+    assert any("waiting for a pipeline" in line for line in said)
     huepose("run", "camera", path)
-    for file, lines in said.items():
-        assert any("which runs from" in line for line in lines)
-        # What it writes grows.
-        begun = until(lambda file=file: file.exists() and file.stat().st_size, 60.0)
-        until(lambda file=file, begun=begun: file.stat().st_size > 2 * begun, 60.0)
-    for process in waiting.values():
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=30.0)
-        assert process.returncode == 0, err
+    assert any("which runs from" in line for line in said)
+    # What it writes grows.
+    file = Path("out.mcap" if verb == "record" else "v.rrd")
+    begun = until(lambda: file.exists() and file.stat().st_size, 60.0)
+    until(lambda: file.stat().st_size > 2 * begun, 60.0)
+    waiting.send_signal(signal.SIGINT)
+    _, err = waiting.communicate(timeout=30.0)
+    assert waiting.returncode == 0, err
 
 
 @pytest.mark.live

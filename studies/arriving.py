@@ -26,7 +26,7 @@ from huepose.profiles import profile
 from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose.tracking import Tracker
-from studies.gone import HZ, Sight, filmed, parser_of, part_and_beside, shown
+from studies.gone import HZ, Sight, filmed, images_of, parser_of, part_and_beside, shown
 from studies.still import NOWHERE, kinds_of
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
@@ -81,7 +81,7 @@ def watched(
 def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.Namespace) -> Iterator[Row]:
     """All objects that can be put there, of at most so many frames of a scene as are given."""
     targets = Targets(models)
-    for image in scene.image_ids[:: -(-len(scene.image_ids) // given.images)]:
+    for image in images_of(scene, given.images):
         frame, labels = scene.frame(image), scene.truths(image)
         kinds = kinds_of(labels, targets)
         for label in labels:

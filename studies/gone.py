@@ -151,9 +151,14 @@ def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) 
     return out
 
 
+def images_of(scene: BopScene, most: int) -> list[int]:
+    """At most so many frames of a scene, spread evenly."""
+    return list(scene.image_ids[:: -(-len(scene.image_ids) // most)])
+
+
 def rows(scene: BopScene, targets: Targets, most: int, seed: int) -> Iterator[Row]:
     """All objects that can be taken away, of at most so many frames of a scene, spread evenly."""
-    for image in scene.image_ids[:: -(-len(scene.image_ids) // most)]:
+    for image in images_of(scene, most):
         frame, labels = scene.frame(image), scene.truths(image)
         kinds = [label.object_id for label in labels]
         for label in labels:

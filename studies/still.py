@@ -33,7 +33,7 @@ from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import ObjectSlot, Request, RequestedObject
 from huepose.scenes.rendered import write_rendered_set
 from huepose.tracking import Tracker
-from studies.gone import HZ, Sight, filmed, parser_of, shown
+from studies.gone import HZ, Sight, filmed, images_of, parser_of, shown
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
 
@@ -112,7 +112,7 @@ def kinds_of(labels: Sequence[GroundTruth], targets: Targets) -> dict[str, list[
 def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.Namespace) -> Iterator[Row]:
     """Of at most so many frames of a scene as are `given`, spread evenly."""
     targets = Targets(models)
-    for image in scene.image_ids[:: -(-len(scene.image_ids) // given.images)]:
+    for image in images_of(scene, given.images):
         frame, labels = scene.frame(image), [] if given.strangers else scene.truths(image)
         kinds = kinds_of(labels, targets)
         rng = np.random.default_rng([given.seed, image])

@@ -24,7 +24,7 @@ from huepose.profiles import profile
 from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose.tracking import TrackedPose, Tracker
-from studies.gone import HZ, Sight, filmed, parser_of, shown
+from studies.gone import HZ, Sight, filmed, images_of, parser_of, shown
 from studies.still import NOWHERE, SOON_S, kinds_of
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
@@ -52,7 +52,7 @@ def rows(
 ) -> Iterator[Row]:
     """Of at most so many frames of a scene, spread evenly."""
     targets = Targets(models)
-    for image in scene.image_ids[:: -(-len(scene.image_ids) // images)]:
+    for image in images_of(scene, images):
         frame, kinds = scene.frame(image), kinds_of(scene.truths(image), targets)
         rng = np.random.default_rng([seed, image])
         films = [Seen(shown(frame, n, rng), NOWHERE, 1.0) for n in range(HZ * seconds)]

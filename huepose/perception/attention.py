@@ -20,7 +20,7 @@ from huepose.perception.stillness import changed_shares
 from huepose.perception.window_table import LIKE, WindowTable, compared, promising
 from huepose.perception.windows import Windows, WindowsBySize
 
-EACH, AT_ONCE, EARNED = 20, 240, 60
+EACH, CODED, EARNED = 20, 240, 60
 """Windows that are compared with one object, those on pieces of their own or with its hues first, as in a
 first search; windows that are coded for this in one look at most, nearly (0.1 CPU seconds); and by how many
 that grows from look to look. Chosen for time."""
@@ -35,7 +35,7 @@ class Attention:
     looks: Mapping[int, int] = field(default_factory=dict)
     likeness: Mapping[str, float] = field(default_factory=dict)
     searched: Mapping[str, float] = field(default_factory=dict)
-    left: int = AT_ONCE
+    left: int = CODED
 
     def picked(self, waiting: Collection[str]) -> list[str]:
         """Those of the waiting objects that are searched for now, likeliest first: something new looks like
@@ -63,9 +63,11 @@ def attended(
     """After a look at what is new. missing: objects, their diameters in metres and their views. Sizes that it
     has no time for come first in the next look."""
     looks, likeness = dict(before.looks), dict(before.likeness)
-    left = min(before.left + EARNED, AT_ONCE)
-    sizes = {windows.size_of(diameter_m) for _, diameter_m, _ in missing}
-    for size in sorted(sizes, key=lambda size: (looks.get(size, -1), size)):
+    left = min(before.left + EARNED, CODED)
+    of_size: dict[int, list[tuple[str, WindowTable]]] = {}
+    for name, diameter_m, table in missing:
+        of_size.setdefault(windows.size_of(diameter_m), []).append((name, table))
+    for size in sorted(of_size, key=lambda size: (looks.get(size, -1), size)):
         if left <= 0:
             break
         here = windows.at(size)
@@ -73,9 +75,7 @@ def attended(
         looks[size] = memory.look
         if not new.any():
             continue
-        for name, diameter_m, table in missing:
-            if windows.size_of(diameter_m) != size:
-                continue
+        for name, table in of_size[size]:
             order = promising(table, here)
             some = order[new[order]][:EACH]
             left -= here.uncoded(some)

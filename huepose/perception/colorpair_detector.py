@@ -136,7 +136,7 @@ class ColorPairDetector:
         features, windows = _FeaturesOnce(self._features, view, memory), WindowsBySize(view, memory)
         if memory is not None and waiting:
             with stage("attention"):
-                names = [*names, *self._noticed(memory, windows, names, waiting)]
+                names = [*names, *self._noticed(memory, windows, models, waiting)]
         several = {name: min((wanted or {}).get(name, 1), AT_ONCE) for name in names}
         proposals = {name: max(self.config.proposals, several[name]) for name in names}
         lying = Lying(self._features, view)
@@ -177,15 +177,17 @@ class ColorPairDetector:
         return sorted((d for d in found if d.score >= self.config.min_score), key=lambda d: -d.score)
 
     def _noticed(
-        self, memory: Memory, windows: WindowsBySize, searched: Sequence[str], waiting: Sequence[str]
+        self,
+        memory: Memory,
+        windows: WindowsBySize,
+        missing: Mapping[str, ReferenceModel],
+        waiting: Sequence[str],
     ) -> list[str]:
-        """Which of the waiting objects are searched for as well as the others."""
-        with self._lock:
-            missing = [self._models[name] for name in dict.fromkeys((*searched, *waiting))]
-        views = [(model.name, model.diameter_m, self._table(model)) for model in missing]
+        """Which of the waiting objects are searched for as well as the other missing ones."""
+        views = [(name, model.diameter_m, self._table(model)) for name, model in missing.items()]
         seen = attended(self._attention, memory, windows, views)
         picked = seen.picked(waiting)
-        self._attention = seen.after({*searched, *picked}, [model.name for model in missing])
+        self._attention = seen.after((set(missing) - set(waiting)).union(picked), missing)
         return picked
 
     def _guessed(self, model: ReferenceModel, view: ClearView, features: _FeaturesOnce) -> Float64:

@@ -51,16 +51,16 @@ class Looks:
     ) -> list[list[Place]]:
         """Of each object, best first, and then of those that are waiting: these are looked for where
         something new in the picture looks like them."""
-        predicted = [self._predicted(asked, frame) for asked in objects] + [None] * len(waiting)
         every = [*objects, *waiting]
-        missing = [a for a, box in zip(objects, predicted, strict=False) if box is None]
+        predicted = [self._predicted(asked, frame) for asked in every]
+        missing = (a for a, box in zip(objects, predicted, strict=False) if box is None)
         names = list(dict.fromkeys(asked.object for asked in missing))
         followed = {
             asked.object: [other.predicted(frame.stamp_ns) for other in asked.others]
             for asked in every
             if asked.others
         }
-        wanted = {asked.object: asked.wanted for asked in (*missing, *waiting)}
+        wanted = {a.object: a.wanted for a, box in zip(every, predicted, strict=True) if box is None}
         turn = self.turn(names) if names else []
         also = [asked.object for asked in waiting]
         seen = self._detector.detect(frame, names, turn, followed, wanted, also) if wanted else []

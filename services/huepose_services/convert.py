@@ -160,6 +160,12 @@ def requested_from_wire(asked: WireRequested) -> RequestedObject:
     return from_wire(RequestedObject, asked, prior=prior, others=tuple(map(prior_from_wire, asked.others)))
 
 
+def requested_to_wire(asked: RequestedObject) -> WireRequested:
+    """The same for a message."""
+    prior = None if asked.prior is None else to_wire(WirePrior, asked.prior)
+    return to_wire(WireRequested, asked, prior=prior, others=[to_wire(WirePrior, o) for o in asked.others])
+
+
 def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:
     """The frame of a header and its payload. Raises WireError where they do not fit together."""
     color, depth = frame_images(header, payload)

@@ -14,7 +14,6 @@ from huepose.model import ReferenceModel
 from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
 from huepose.reinit.newest_frame import Began, NewestFrame
 from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
-from huepose.reinit.types import RequestedObject as Requested
 from huepose.support.errors import InputError
 from huepose.support.words import listed
 from huepose.tracking.types import Correction, TrackedPose, Verdict
@@ -29,11 +28,9 @@ from huepose_protos.messages import (
     ObjectsMessage,
     PerceptionRequest,
     PoseMessage,
-    Prior,
-    RequestedObject,
 )
 from huepose_services import models
-from huepose_services.convert import from_wire, to_wire
+from huepose_services.convert import from_wire, requested_to_wire, to_wire
 from huepose_services.following import Retired, recall
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, check_number, now_ns
@@ -382,7 +379,7 @@ def result_from_wire(message: Estimates) -> PerceptionResult:
 def request_to_wire(request: Request) -> PerceptionRequest:
     """The message of a request."""
     objects, waiting = (
-        [_requested_to_wire(one) for one in some] for some in (request.objects, request.waiting)
+        [requested_to_wire(one) for one in some] for some in (request.objects, request.waiting)
     )
     return to_wire(
         PerceptionRequest,
@@ -391,15 +388,6 @@ def request_to_wire(request: Request) -> PerceptionRequest:
         seq=request.number,
         objects=objects,
         waiting=waiting,
-    )
-
-
-def _requested_to_wire(asked: Requested) -> RequestedObject:
-    return to_wire(
-        RequestedObject,
-        asked,
-        prior=None if asked.prior is None else to_wire(Prior, asked.prior),
-        others=[to_wire(Prior, other) for other in asked.others],
     )
 
 

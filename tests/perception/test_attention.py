@@ -10,24 +10,17 @@ import pytest
 
 from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
-from huepose.perception import windows
-from huepose.perception.attention import AT_ONCE, EACH, EARNED, Attention, attended
+from huepose.perception.attention import CODED, EACH, EARNED, Attention, attended
 from huepose.perception.clear_view import clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import PICKED, DetectorConfig
 from huepose.perception.memory import looking
 from huepose.perception.window_table import LIKE, window_table
 from huepose.perception.windows import SIZES, WindowsBySize
-from huepose.propose.view_codes import codes_of_windows
 from huepose.scenes.shapes import demo_objects
+from tests.perception.conftest import noisy
 
 TakePicture = Callable[..., RgbdFrame]
-
-
-def noisy(frame: RgbdFrame, seed: int) -> RgbdFrame:
-    """The same view with other noise."""
-    noise = np.random.default_rng(seed).normal(0.0, 2.0, frame.color.shape)
-    return replace(frame, color=np.clip(frame.color + noise, 0, 255).astype(np.uint8))
 
 
 def test_the_likeliest_come_first_and_few_at_once() -> None:
@@ -57,33 +50,19 @@ def watching(tea_box: ReferenceModel, soup_can: ReferenceModel) -> ColorPairDete
 BOTH = ("soup_can", "tea_box")
 
 
-@pytest.fixture
-def coded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many windows were coded in each call of the network."""
-    counts: list[int] = []
-
-    def counted(colors: np.ndarray, reliefs: np.ndarray) -> np.ndarray:
-        counts.append(len(colors))
-        return codes_of_windows(colors, reliefs)
-
-    monkeypatch.setattr(windows, "codes_of_windows", counted)
-    return counts
-
-
 def test_what_is_put_there_is_searched_for_in_the_same_look(
     watching: ColorPairDetector, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     beside = standing.copy()
     beside[0, 3] += 0.16
-    before, after = take_picture([(tea_box.mesh, beside)]), take_picture([(tea_box.mesh, beside)])
-    hidden = take_picture([])
+    empty, there = take_picture([]), take_picture([(tea_box.mesh, beside)])
     for look in range(3):
-        watching.detect(noisy(hidden, look), [], waiting=BOTH)
-    found = watching.detect(noisy(before, 3), [], waiting=BOTH)
+        watching.detect(noisy(empty, look), [], waiting=BOTH)
+    found = watching.detect(noisy(there, 3), [], waiting=BOTH)
     assert found[0].object == "tea_box"
     assert found[0].T_cam_obj is not None
     assert np.linalg.norm(found[0].T_cam_obj[:3, 3] - beside[:3, 3]) < 0.02
-    assert watching.detect(noisy(after, 4), [], waiting=BOTH) == [], "nothing is new any more"
+    assert watching.detect(noisy(there, 4), [], waiting=BOTH) == [], "nothing is new any more"
 
 
 def test_what_stands_still_is_compared_once(
@@ -118,7 +97,7 @@ def test_where_everything_moves_objects_of_one_size_after_another_are_compared(
         coded.clear()
         seen = attended(seen, memory, WindowsBySize(view, memory), missing)
         each.append(sum(coded))
-    assert AT_ONCE <= each[0] < AT_ONCE + EACH
+    assert CODED <= each[0] < CODED + EACH
     assert np.mean(each[1:]) < EARNED + EACH
     assert len(seen.looks) == 16
     assert min(seen.looks.values()) >= 14 - 8, "every size in turn"

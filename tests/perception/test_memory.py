@@ -10,24 +10,15 @@ import pytest
 
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.model import ReferenceModel
-from huepose.perception import windows
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
 from huepose.perception.memory import FEWEST, MOST, KeptWindows, features_of, looking, matched, until
 from huepose.perception.stillness import TILE_PX, Tiles, changed_shares
 from huepose.propose.features import Sift
-from huepose.propose.view_codes import codes_of_windows
+from tests.perception.conftest import noisy
 
 TakePicture = Callable[..., RgbdFrame]
-
-
-def noisy(frame: RgbdFrame, seed: int) -> RgbdFrame:
-    """The same view with other noise."""
-    rng = np.random.default_rng(seed)
-    color = np.clip(frame.color + rng.normal(0.0, 3.0, frame.color.shape), 0, 255).astype(np.uint8)
-    depth = frame.depth * (1.0 + rng.normal(0.0, 0.002, frame.depth.shape)).astype(np.float32)
-    return replace(frame, color=color, depth=depth)
 
 
 def plain() -> RgbdFrame:
@@ -69,19 +60,6 @@ def test_places_are_matched_with_the_nearest_none_twice() -> None:
     mine, theirs = matched(places, kept)
     assert list(zip(mine, theirs, strict=True)) == [(0, 0), (2, 1)]
     assert len(matched(places[:0], kept)[0]) == len(matched(places, kept[:0])[0]) == 0
-
-
-@pytest.fixture
-def coded(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many windows were coded in each call of the network."""
-    counts: list[int] = []
-
-    def counted(colors: np.ndarray, reliefs: np.ndarray) -> np.ndarray:
-        counts.append(len(colors))
-        return codes_of_windows(colors, reliefs)
-
-    monkeypatch.setattr(windows, "codes_of_windows", counted)
-    return counts
 
 
 def test_what_stands_still_is_not_coded_again(

@@ -8,8 +8,6 @@ points, each with its class and that confidence as its weight.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from huepose.colorpair.similarity import parameters, shapes
@@ -18,54 +16,44 @@ from huepose.geometry.arrays import Float32, UInt8
 from huepose.paper.cloud import ClassifiedCloud, decoupled
 from huepose.support.jit import jit
 
+MODEL_PAIRS = 600
+"""Most pairs of the model that are compared."""
 
-@dataclass(frozen=True)
-class ClassConfig:
-    """model_pairs: most that are compared; sharpness: exponent on the similarity of a vote; least: confidence
-    under which a pair is not used."""
+SHARPNESS = 3.0
+"""Exponent on the similarity of a vote."""
 
-    model_pairs: int = 600
-    sharpness: float = 3.0
-    least: float = 0.1
+LEAST_CONFIDENCE = 0.1
+"""Confidence under which a pair is not used."""
 
 
 def classified(
-    scene: SurfacePairs,
-    model: SurfacePairs,
-    side_classes: UInt8,
-    classes: int,
-    offset_m: float,
-    config: ClassConfig | None = None,
+    scene: SurfacePairs, model: SurfacePairs, side_classes: UInt8, classes: int, offset_m: float
 ) -> ClassifiedCloud:
     """The classified cloud of a scene whose colours (N, 2, 3) are those under the model's light.
 
     model pairs with side_classes (M, 2) in 0..classes-1; the side points lie `offset_m` off the edge.
     """
-    config = config or ClassConfig()
-    chosen, confidence = classify(scene.colors, model.colors, side_classes, classes, config)
-    sure = confidence >= config.least
+    chosen, confidence = classify(scene.colors, model.colors, side_classes, classes)
+    sure = confidence >= LEAST_CONFIDENCE
     weights = np.repeat(confidence[sure][:, None], 2, 1)
     return decoupled(
         scene.points[sure], scene.normals[sure], scene.tangents[sure], chosen[sure], weights, offset_m
     )
 
 
-def classify(
-    scene: Float32, model: Float32, side_classes: UInt8, classes: int, config: ClassConfig | None = None
-) -> tuple[UInt8, Float32]:
+def classify(scene: Float32, model: Float32, side_classes: UInt8, classes: int) -> tuple[UInt8, Float32]:
     """Classes (N, 2) of the sides of scene pairs (N, 2, 3), and confidences (N,) in 0..1: the similarity of
     the nearest model pair times how far the winning classes are ahead of the second."""
-    config = config or ClassConfig()
     if not len(scene) or not len(model):
         return np.zeros((len(scene), 2), np.uint8), np.zeros(len(scene), np.float32)
-    step = -(-len(model) // config.model_pairs)
+    step = -(-len(model) // MODEL_PAIRS)
     return _classify(
         shapes(scene),
         shapes(model[::step]),
         np.ascontiguousarray(side_classes[::step]),
         classes,
         *parameters(),
-        config.sharpness,
+        SHARPNESS,
     )
 
 

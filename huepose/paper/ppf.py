@@ -5,12 +5,10 @@ no rigid motion changes; together with a scene point pair, an entry of the table
 about the normal open, which is voted for per model point. Here both points also carry their colour class, so
 flat objects, whose pairs all have the same angles, still tell something; pairs that lie in one plane *and*
 have one class are left out. The method is covered by EP 2385483 and US 8830229 in some countries:
-`PpfConfig` can be None wherever poses are asked for, and then none is voted for here.
+wherever poses are asked for, it can be switched off.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,48 +17,47 @@ from huepose.paper.cloud import MAX_BINS, MAX_CLASSES, ClassifiedCloud, sparse
 from huepose.propose.types import Votes
 from huepose.support.jit import jit
 
+BIN, ANGLES = 0.05, 12
+"""Of the distance, in diameters; bins of half a turn."""
 
-@dataclass(frozen=True)
-class PpfConfig:
-    """bin: of the distance, in diameters; angles: bins of half a turn; points: most model points; rows:
-    most table rows; min_distance: of a pair, in diameters; references: scene reference points; partners:
-    scene points paired with each; peaks: share of the highest vote that another needs to count."""
+MIN_DISTANCE = 0.15
+"""Of the points of a pair, in diameters."""
 
-    bin: float = 0.05
-    angles: int = 12
-    points: int = 700
-    rows: int = 150_000
-    min_distance: float = 0.15
-    references: int = 40
-    partners: int = 100
-    peaks: float = 0.9
+MODEL_POINTS, ROWS = 700, 150_000
+"""Most points of the model that make pairs, and most rows of the table."""
+
+REFERENCES, PARTNERS = 40, 100
+"""Reference points of a scene, and points paired with each."""
+
+PEAKS = 0.9
+"""Share of the highest vote that another needs to count."""
 
 
-def build_ppf(cloud: ClassifiedCloud, diameter_m: float, config: PpfConfig) -> tuple[Int64, Int32, Float32]:
+def build_ppf(cloud: ClassifiedCloud, diameter_m: float) -> tuple[Int64, Int32, Float32]:
     """Keys (Q,) int64, sorted; pairs (Q, 2) int32 into the cloud; alpha (Q,) float32 radians.
 
-    A pair is made of points that one camera can see together; when there are more than `rows`, an even
+    A pair is made of points that one camera can see together; when there are more than `ROWS`, an even
     random share of them is kept.
     """
     rng = np.random.default_rng(0)
     spacing = 0.03
     chosen: Int = np.arange(len(cloud))
-    while len(chosen) > config.points:
+    while len(chosen) > MODEL_POINTS:
         chosen = sparse(cloud, spacing * diameter_m)
         spacing *= 1.2
     i, j = (a.ravel() for a in np.meshgrid(chosen, chosen, indexing="ij"))
     distance = np.linalg.norm(cloud.points[i] - cloud.points[j], axis=1)
     facing = (cloud.normals[i] * cloud.normals[j]).sum(1)
-    usable = (distance > config.min_distance * diameter_m) & (facing > -0.5)
+    usable = (distance > MIN_DISTANCE * diameter_m) & (facing > -0.5)
     d = (cloud.points[j] - cloud.points[i]) / np.maximum(distance, 1e-12)[:, None]
     flat = (facing > 0.95) & (np.abs((d * cloud.normals[i]).sum(1)) < 0.1)
     usable &= ~(flat & (cloud.classes[i] == cloud.classes[j]))
     rows = np.flatnonzero(usable)
-    if len(rows) > config.rows:
-        rows = np.sort(rng.choice(rows, config.rows, replace=False))
+    if len(rows) > ROWS:
+        rows = np.sort(rng.choice(rows, ROWS, replace=False))
     first, second = i[rows].astype(np.int32), j[rows].astype(np.int32)
     keys, alpha = _features(
-        cloud.points, cloud.normals, cloud.classes, first, second, config.bin * diameter_m, config.angles
+        cloud.points, cloud.normals, cloud.classes, first, second, BIN * diameter_m, ANGLES
     )
     order = np.argsort(keys, kind="stable")
     return keys[order], np.stack([first, second], 1)[order].astype(np.int32), alpha[order]
@@ -74,16 +71,15 @@ def ppf_votes(
     alpha: Float32,
     bin_m: float,
     diameter_m: float,
-    config: PpfConfig,
     rng: np.random.Generator,
 ) -> Votes:
     """Poses from the peaks of the votes of some scene reference points (camera axes)."""
     if not len(keys) or len(scene) < 2:
         return Votes.empty()
     p = np.maximum(scene.weights.astype(np.float64), 1e-6)
-    count = min(config.references, len(scene))
+    count = min(REFERENCES, len(scene))
     references = rng.choice(len(scene), count, replace=False, p=p / p.sum()).astype(np.int32)
-    partners = rng.choice(len(scene), min(config.partners, len(scene)), replace=False, p=p / p.sum())
+    partners = rng.choice(len(scene), min(PARTNERS, len(scene)), replace=False, p=p / p.sum())
     R, t, w, f = _vote(
         scene.points,
         scene.normals,
@@ -97,10 +93,10 @@ def ppf_votes(
         pairs,
         alpha,
         bin_m,
-        config.angles,
-        config.min_distance * diameter_m,
+        ANGLES,
+        MIN_DISTANCE * diameter_m,
         1.05 * diameter_m,
-        config.peaks,
+        PEAKS,
     )
     return Votes(R, t, w, f)
 

@@ -16,11 +16,11 @@ from huepose.colorpair.types import ColorPairs, SurfacePairs
 from huepose.geometry.arrays import Bool
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import PairReference, ReferenceModel, reference_pairs
-from huepose.paper.classes import ClassConfig, classified
+from huepose.paper.classes import classified
 from huepose.paper.cloud import ClassifiedCloud
-from huepose.paper.ppf import PpfConfig, ppf_votes
+from huepose.paper.ppf import ppf_votes
 from huepose.paper.tables import reference_cloud, tables_of
-from huepose.paper.triangles import TriangleConfig, triangle_votes
+from huepose.paper.triangles import triangle_votes
 from huepose.propose.types import Votes
 
 NEEDED_CLASSES, NEEDED_POINTS = 3, 30
@@ -39,14 +39,12 @@ def extract_at_model_scale(pairs: PairReference, frame: RgbdFrame, mask: Bool) -
     return extract(frame.color, mask, scale=min(scale, 1.0))
 
 
-def classified_scene(
-    model: ReferenceModel, scene: SurfacePairs, config: ClassConfig | None = None
-) -> ClassifiedCloud:
+def classified_scene(model: ReferenceModel, scene: SurfacePairs) -> ClassifiedCloud:
     """The classified cloud of a scene's pairs on their surface, camera axes. Raises InputError for a model
     without the tables of the paper's method."""
     tables, reference = tables_of(model), reference_pairs(model.pairs)
     return classified(
-        scene, reference, tables.side_classes, len(tables.centers), tables.parameters["side_offset_m"], config
+        scene, reference, tables.side_classes, len(tables.centers), tables.parameters["side_offset_m"]
     )
 
 
@@ -56,9 +54,10 @@ def classes_in_sight(cloud: ClassifiedCloud) -> int:
 
 
 def votes_of_triangles(
-    model: ReferenceModel, cloud: ClassifiedCloud, config: TriangleConfig, rng: np.random.Generator
+    model: ReferenceModel, cloud: ClassifiedCloud, facing: float, rng: np.random.Generator
 ) -> Votes:
-    """Poses from the triangles of a scene's classified cloud."""
+    """Poses from the triangles of a scene's classified cloud; facing: smallest mean cosine between matched
+    normals."""
     tables = tables_of(model)
     return triangle_votes(
         cloud,
@@ -66,22 +65,20 @@ def votes_of_triangles(
         tables.triangle_keys,
         tables.triangles,
         tables.parameters["triangle_bin_m"],
-        config,
+        facing,
         rng,
     )
 
 
-def warm_up_point_pairs(models: Sequence[ReferenceModel], config: PpfConfig | None) -> None:
+def warm_up_point_pairs(models: Sequence[ReferenceModel]) -> None:
     """Compile the fallback, which most pictures do without, on the cloud of the first model that has a table
     for it."""
     model = next((m for m in models if len(tables_of(m).ppf_keys)), None)
-    if model is not None and config is not None:
-        votes_of_point_pairs(model, reference_cloud(tables_of(model)), config, np.random.default_rng(0))
+    if model is not None:
+        votes_of_point_pairs(model, reference_cloud(tables_of(model)), np.random.default_rng(0))
 
 
-def votes_of_point_pairs(
-    model: ReferenceModel, cloud: ClassifiedCloud, config: PpfConfig, rng: np.random.Generator
-) -> Votes:
+def votes_of_point_pairs(model: ReferenceModel, cloud: ClassifiedCloud, rng: np.random.Generator) -> Votes:
     """Poses from the point pair features of a scene's classified cloud."""
     tables = tables_of(model)
     return ppf_votes(
@@ -92,6 +89,5 @@ def votes_of_point_pairs(
         tables.ppf_alpha,
         tables.parameters["ppf_bin_m"],
         model.diameter_m,
-        config,
         rng,
     )

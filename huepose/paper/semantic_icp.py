@@ -36,20 +36,24 @@ from huepose.support.jit import jit
 STEP_TOLERANCE_M = 2e-6  # a step that moves no point by more has converged
 
 
-@dataclass(frozen=True)
-class SemanticIcpConfig:
-    """gates: of the levels, in diameters of the model's cloud, wide to narrow; strides, model_strides: every
-    how many-th scene and model point a level uses; iterations: of a level; semantic, aggregate: weights of
-    the two kinds of correspondences; sliding: weight of the residual along the surface against that across
-    it, for points of one class."""
+SEMANTIC, AGGREGATE = 1.0, 0.5
+"""Weights of the correspondences within a class and over all classes."""
 
-    gates: tuple[float, ...] = (0.35, 0.15, 0.06, 0.02)
-    strides: tuple[int, ...] = (4, 3, 2, 1)
-    model_strides: tuple[int, ...] = (8, 4, 2, 1)
-    iterations: tuple[int, ...] = (10, 8, 6, 6)
-    semantic: float = 1.0
-    aggregate: float = 0.5
-    sliding: float = 0.1
+SLIDING = 0.1
+"""Weight of the residual along the surface against that across it, for points of one class."""
+
+
+class _Level(NamedTuple):
+    """gate: in diameters of the model's cloud; stride, model_stride: every how many-th scene and model point
+    is used."""
+
+    gate: float
+    stride: int
+    model_stride: int
+    iterations: int
+
+
+LEVELS = (_Level(0.35, 4, 8, 10), _Level(0.15, 3, 4, 8), _Level(0.06, 2, 2, 6), _Level(0.02, 1, 1, 6))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +90,7 @@ class _Cloud(NamedTuple):
 
 
 class _Shares(NamedTuple):
-    """What of the configuration is the same for all levels."""
+    """`SEMANTIC`, `AGGREGATE` and `SLIDING`, as kernels read them."""
 
     semantic: float
     aggregate: float
@@ -105,13 +109,9 @@ class SemanticAlignment:
 
 
 def semantic_icp_many(
-    reference: PaperTables,
-    scene: ClassifiedScene,
-    poses: Float,
-    config: SemanticIcpConfig | None = None,
+    reference: PaperTables, scene: ClassifiedScene, poses: Float
 ) -> list[SemanticAlignment]:
-    """`semantic_icp` from each of the poses (M, 4, 4): what does not depend on the pose is made once."""
-    config = config or SemanticIcpConfig()
+    """Refine each of the poses (M, 4, 4): what does not depend on the pose is made once."""
     model = np.ascontiguousarray(reference.cloud_points, np.float64)
     T = np.array(poses, dtype=np.float64)
     points = np.ascontiguousarray(scene.points_cam, np.float64)
@@ -121,16 +121,15 @@ def semantic_icp_many(
     centre = 0.5 * (low + model.max(0))
     radius = float(np.linalg.norm(model - centre, axis=1).max())
     done, reports = np.zeros(len(T), np.int64), np.zeros((len(T), 2))
-    shares, body = _Shares(config.semantic, config.aggregate, config.sliding), Body(centre, radius)
-    levels = (config.gates, config.strides, config.model_strides, config.iterations)
-    for share, stride, thinner, rounds in zip(*levels, strict=True):
+    shares, body = _Shares(SEMANTIC, AGGREGATE, SLIDING), Body(centre, radius)
+    for level in LEVELS:
         seen = _Scene(
-            points[::stride],
-            np.ascontiguousarray(scene.classes[::stride]),
-            np.ascontiguousarray(scene.weights[::stride], np.float64),
+            points[:: level.stride],
+            np.ascontiguousarray(scene.classes[:: level.stride]),
+            np.ascontiguousarray(scene.weights[:: level.stride], np.float64),
         )
-        cloud = _cloud(reference, thinner, 2.0 * radius * share)
-        _align_all(T, seen, cloud, shares, body, rounds, reports, done)
+        cloud = _cloud(reference, level.model_stride, 2.0 * radius * level.gate)
+        _align_all(T, seen, cloud, shares, body, level.iterations, reports, done)
     return [
         SemanticAlignment(se3.orthonormalised(pose), int(n), int(matched), float(rms))
         for pose, n, (matched, rms) in zip(T, done, reports, strict=True)

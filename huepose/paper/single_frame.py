@@ -33,7 +33,7 @@ What the paper leaves open, and what is done here:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -42,9 +42,7 @@ from huepose.colorpair.lifting import lift
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import PaperTables, ReferenceModel
-from huepose.paper.classes import ClassConfig
 from huepose.paper.cloud import ClassifiedCloud
-from huepose.paper.ppf import PpfConfig
 from huepose.paper.scene import (
     NEEDED_CLASSES,
     classes_in_sight,
@@ -54,10 +52,10 @@ from huepose.paper.scene import (
     votes_of_triangles,
     warm_up_point_pairs,
 )
-from huepose.paper.semantic_icp import ClassifiedScene, SemanticIcpConfig, semantic_icp_many
+from huepose.paper.semantic_icp import AGGREGATE, SEMANTIC, ClassifiedScene, semantic_icp_many
 from huepose.paper.tables import tables_of
-from huepose.paper.triangles import TriangleConfig
-from huepose.paper.voting import VotingConfig, cluster
+from huepose.paper.triangles import ANY_FACING
+from huepose.paper.voting import cluster
 from huepose.propose.evidence import Evidence
 from huepose.propose.types import Votes
 from huepose.select.distinct import Ranked
@@ -70,18 +68,17 @@ GATE = 0.06
 ICP's four gates, which bears the noise of depth. Not fitted."""
 
 
+REFINED = 30
+"""Initial alignments that are refined, the paper's "small, consistent set"."""
+
+
 @dataclass(frozen=True)
 class PaperConfig:
-    """refined: initial alignments that are refined, the paper's "small, consistent set"; triangles, ppf: None
-    to do without that source of votes (see `paper.ppf` for why one may not want point pair features, which
-    are always asked where triangles are not); the rest: of the steps."""
+    """triangles, ppf: which sources of votes there are (see `paper.ppf` for why one may not want point pair
+    features, which are always asked where triangles are not)."""
 
-    refined: int = 30
-    classes: ClassConfig = field(default_factory=ClassConfig)
-    triangles: TriangleConfig | None = field(default_factory=TriangleConfig)
-    ppf: PpfConfig | None = field(default_factory=PpfConfig)
-    voting: VotingConfig = field(default_factory=VotingConfig)
-    icp: SemanticIcpConfig = field(default_factory=SemanticIcpConfig)
+    triangles: bool = True
+    ppf: bool = True
 
 
 class PaperMethod:
@@ -99,7 +96,8 @@ class PaperMethod:
 
     def warm_up(self, models: Sequence[ReferenceModel]) -> None:
         """Compile what the first picture may do without and a later one needs."""
-        warm_up_point_pairs(models, self.config.ppf)
+        if self.config.ppf:
+            warm_up_point_pairs(models)
 
     def poses(self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator) -> Ranked:
         """Poses by their fitness in 0..1, best first; none without pairs."""
@@ -112,45 +110,42 @@ class PaperMethod:
     ) -> tuple[Float64, Float64]:
         """The same for a frame and the object's mask (H, W) in it. Raises InputError for a model without
         tables."""
-        config, tables = self.config, tables_of(model)
+        tables = tables_of(model)
         with stage("extract"):
             pairs = extract_at_model_scale(model.pairs, frame, mask)
             seen, _ = lift(pairs, frame.depth, mask, frame.camera)
         if not len(seen):
             return NO_POSES
         with stage("classes"):
-            cloud = classified_scene(model, seen, config.classes)
+            cloud = classified_scene(model, seen)
         with stage("votes"):
             votes = self._votes(model, cloud, rng)
-            found = cluster(votes, model.mesh.centre, model.diameter_m, "paper", config.voting)
+            found = cluster(votes, model.mesh.centre, model.diameter_m, "paper")
         if not found:
             return NO_POSES
-        starts = np.stack([h.T_cam_obj for h in found[: config.refined]])
+        starts = np.stack([h.T_cam_obj for h in found[:REFINED]])
         with stage("semantic_icp"):
             scene = ClassifiedScene(cloud.points, cloud.classes, cloud.weights)
-            poses = np.stack([a.T_cam_obj for a in semantic_icp_many(tables, scene, starts, config.icp)])
+            poses = np.stack([a.T_cam_obj for a in semantic_icp_many(tables, scene, starts)])
         with stage("judge"):
-            fitness = fitness_of(tables, scene, poses, config.icp)
+            fitness = fitness_of(tables, scene, poses)
         order = np.argsort(-fitness, kind="stable")
         return poses[order], fitness[order]
 
     def _votes(self, model: ReferenceModel, cloud: ClassifiedCloud, rng: np.random.Generator) -> Votes:
         """Of triangles; of point pairs where too few classes are in sight for them."""
-        triangles, ppf = self.config.triangles, self.config.ppf
-        if triangles is not None and (ppf is None or classes_in_sight(cloud) >= NEEDED_CLASSES):
-            return votes_of_triangles(model, cloud, triangles, rng)
-        return Votes.empty() if ppf is None else votes_of_point_pairs(model, cloud, ppf, rng)
+        config = self.config
+        if config.triangles and (not config.ppf or classes_in_sight(cloud) >= NEEDED_CLASSES):
+            return votes_of_triangles(model, cloud, ANY_FACING, rng)
+        return votes_of_point_pairs(model, cloud, rng) if config.ppf else Votes.empty()
 
 
-def fitness_of(
-    tables: PaperTables, scene: ClassifiedScene, poses: Float64, config: SemanticIcpConfig | None = None
-) -> Float64:
+def fitness_of(tables: PaperTables, scene: ClassifiedScene, poses: Float64) -> Float64:
     """How well a classified scene lies on a model's classified cloud: what semantic ICP makes better.
 
     Share (M,) of the scene's weight that has a partner at poses T_cam_obj (M, 4, 4), each point by Tukey's
     biweight of its distance: to the nearest model point of its class and to the nearest of any, weighed as in
     the ICP. 0 without points."""
-    config = config or SemanticIcpConfig()
     model = np.asarray(tables.cloud_points, np.float64)
     weights = np.asarray(scene.weights, np.float64)
     if not len(model) or weights.sum() <= 0.0:
@@ -159,12 +154,12 @@ def fitness_of(
     gate_m = GATE * 2.0 * float(np.linalg.norm(model - centre, axis=1).max())
     R, t = poses[:, :3, :3], poses[:, :3, 3]
     points = (np.asarray(scene.points_cam, np.float64)[None] - t[:, None]) @ R  # object axes (M, N, 3)
-    total = config.aggregate * _kernel(cKDTree(model), points, gate_m)
+    total = AGGREGATE * _kernel(cKDTree(model), points, gate_m)
     for kind in np.unique(scene.classes):
         same, of_kind = tables.cloud_classes == kind, scene.classes == kind
         if same.any():
-            total[:, of_kind] += config.semantic * _kernel(cKDTree(model[same]), points[:, of_kind], gate_m)
-    return np.asarray(total @ weights / (weights.sum() * (config.semantic + config.aggregate)))
+            total[:, of_kind] += SEMANTIC * _kernel(cKDTree(model[same]), points[:, of_kind], gate_m)
+    return np.asarray(total @ weights / (weights.sum() * (SEMANTIC + AGGREGATE)))
 
 
 def _kernel(tree: cKDTree, points: Float64, gate_m: float) -> Float64:

@@ -13,9 +13,8 @@ import numpy as np
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Int32
 from huepose.model.types import PaperTables, ReferenceModel
+from huepose.paper import ppf, triangles
 from huepose.paper.cloud import ClassifiedCloud, color_classes, decoupled, nearest_class, sparse
-from huepose.paper.ppf import PpfConfig, build_ppf
-from huepose.paper.triangles import TriangleConfig, build_triangles
 from huepose.support.errors import InputError
 
 SURE_VIEWS, SURE_CONTRAST = 3.0, 25.0
@@ -35,7 +34,6 @@ def build_tables(pairs: SurfacePairs, seen: Int32, diameter_m: float) -> PaperTa
     pairs: its coarse colour pairs (N), in the object's frame; seen (N,): how many views saw each. Without
     pairs all tables are empty. Deterministic.
     """
-    for_triangles, for_pairs = TriangleConfig(), PpfConfig()
     if len(pairs):
         centers = color_classes(pairs.colors.reshape(-1, 3), CLASSES)
     else:
@@ -48,8 +46,8 @@ def build_tables(pairs: SurfacePairs, seen: Int32, diameter_m: float) -> PaperTa
     sides = np.stack([weights, weights], 1)
     cloud = decoupled(pairs.points, pairs.normals, pairs.tangents, classes, sides, offset_m)
     cloud = cloud[sparse(cloud, CLOUD_SPACING * diameter_m)]
-    triangle_keys, triangles = build_triangles(cloud, diameter_m, for_triangles)
-    ppf_keys, ppf, ppf_alpha = build_ppf(cloud, diameter_m, for_pairs)
+    triangle_keys, corners = triangles.build_triangles(cloud, diameter_m)
+    pair_keys, point_pairs, alpha = ppf.build_ppf(cloud, diameter_m)
     return PaperTables(
         centers=centers,
         side_classes=classes,
@@ -58,14 +56,14 @@ def build_tables(pairs: SurfacePairs, seen: Int32, diameter_m: float) -> PaperTa
         cloud_classes=cloud.classes,
         cloud_weights=cloud.weights,
         triangle_keys=triangle_keys,
-        triangles=triangles,
-        ppf_keys=ppf_keys,
-        ppf=ppf,
-        ppf_alpha=ppf_alpha,
+        triangles=corners,
+        ppf_keys=pair_keys,
+        ppf=point_pairs,
+        ppf_alpha=alpha,
         parameters={
             "side_offset_m": offset_m,
-            "triangle_bin_m": for_triangles.bin * diameter_m,
-            "ppf_bin_m": for_pairs.bin * diameter_m,
+            "triangle_bin_m": triangles.BIN * diameter_m,
+            "ppf_bin_m": ppf.BIN * diameter_m,
         },
     )
 

@@ -11,8 +11,6 @@ points.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8
@@ -20,31 +18,36 @@ from huepose.paper.cloud import MAX_BINS, MAX_CLASSES, ClassifiedCloud
 from huepose.propose.types import Votes
 from huepose.support.jit import jit
 
+BIN = 0.035
+"""Of the sides, in diameters."""
 
-@dataclass(frozen=True)
-class TriangleConfig:
-    """bin: of the sides, in diameters; min_height: smallest height of a triangle, in bins; area,
-    eccentricity: weights of the two terms of quality; candidates: drawn offline; rows: kept;
-    scene_triangles: drawn online; per_key: entries taken from one key; tolerance: on the sides, in bins;
-    facing: smallest mean cosine between matched normals; -1 for any, as in the paper."""
+MIN_HEIGHT = 3.0
+"""Smallest height of a triangle, in bins."""
 
-    bin: float = 0.035
-    min_height: float = 3.0
-    area: float = 1.0
-    eccentricity: float = 0.05
-    candidates: int = 600_000
-    rows: int = 15_000
-    scene_triangles: int = 1800
-    per_key: int = 3
-    tolerance: float = 1.0
-    facing: float = -1.0
+ECCENTRICITY = 0.05
+"""Weight of the distance of a triangle's centroid against that of its area, which is 1."""
+
+CANDIDATES, ROWS = 600_000, 15_000
+"""Triangles that are drawn offline, and those of them that are kept."""
+
+SCENE_TRIANGLES = 1800
+"""Triangles of a scene."""
+
+PER_KEY = 3
+"""Entries taken from one key."""
+
+TOLERANCE = 1.0
+"""On the sides, in bins."""
+
+ANY_FACING = -1.0
+"""Matched normals need not agree, as in the paper."""
 
 
-def build_triangles(cloud: ClassifiedCloud, diameter_m: float, config: TriangleConfig) -> tuple[Int64, Int32]:
+def build_triangles(cloud: ClassifiedCloud, diameter_m: float) -> tuple[Int64, Int32]:
     """Keys (T,) int64, sorted, and corners (T, 3) int32 into the cloud in class order; under one key the
     entries are in order of the distance between centroid and object centre."""
     rng = np.random.default_rng(0)
-    corners = draw_triples(cloud, config.candidates, rng)
+    corners = draw_triples(cloud, CANDIDATES, rng)
     p = cloud.points[corners].astype(np.float64)
     n = cloud.normals[corners].astype(np.float64)
     normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
@@ -52,15 +55,15 @@ def build_triangles(cloud: ClassifiedCloud, diameter_m: float, config: TriangleC
     sides = np.stack([np.linalg.norm(p[:, (k + 1) % 3] - p[:, k], axis=1) for k in range(3)], 1)
     mean = n.sum(1)
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
-    bin_m = config.bin * diameter_m
+    bin_m = BIN * diameter_m
     height = 2 * area / np.maximum(sides.max(1), 1e-12)
     together = ((n * mean[:, None]).sum(2) > 0.25).all(1)  # some camera sees all three corners
-    usable = together & (height > config.min_height * bin_m) & (sides.max(1) < (MAX_BINS - 2) * bin_m)
+    usable = together & (height > MIN_HEIGHT * bin_m) & (sides.max(1) < (MAX_BINS - 2) * bin_m)
     centre = 0.5 * (cloud.points.min(0) + cloud.points.max(0)) if len(cloud) else np.zeros(3)
     distance = np.linalg.norm(p.mean(1) - centre, axis=1)
-    quality = config.area * area / diameter_m**2 + config.eccentricity * distance / diameter_m
+    quality = area / diameter_m**2 + ECCENTRICITY * distance / diameter_m
     rows = np.flatnonzero(usable)
-    rows = rows[np.argsort(-quality[rows], kind="stable")][: config.rows]
+    rows = rows[np.argsort(-quality[rows], kind="stable")][:ROWS]
     chirality = (normal[rows] * mean[rows]).sum(1) > 0
     classes = cloud.classes[corners[rows]].astype(np.int64)
     keys = pack(classes, np.floor(sides[rows] / bin_m).astype(np.int64), chirality)
@@ -97,14 +100,15 @@ def triangle_votes(
     keys: Int64,
     triangles: Int32,
     bin_m: float,
-    config: TriangleConfig,
+    facing: float,
     rng: np.random.Generator,
 ) -> Votes:
-    """Poses from matching triangles of the scene's classified cloud (camera axes) with the table."""
+    """Poses from matching triangles of the scene's classified cloud (camera axes) with the table; facing:
+    smallest mean cosine between matched normals."""
     if not len(keys) or len(scene) < 3:
         return Votes.empty()
     # about two in three draws have three different classes and a useful shape
-    triples = draw_triples(scene, 3 * config.scene_triangles, rng)
+    triples = draw_triples(scene, 3 * SCENE_TRIANGLES, rng)
     R, t, w, f = _look_up(
         scene.points,
         scene.normals,
@@ -116,11 +120,11 @@ def triangle_votes(
         keys,
         triangles,
         bin_m,
-        config.min_height,
-        config.scene_triangles,
-        config.per_key,
-        config.tolerance,
-        config.facing,
+        MIN_HEIGHT,
+        SCENE_TRIANGLES,
+        PER_KEY,
+        TOLERANCE,
+        facing,
     )
     return Votes(R, t, w, f)
 

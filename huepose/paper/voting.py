@@ -14,8 +14,6 @@ would be neither.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from huepose.geometry import se3
@@ -24,23 +22,20 @@ from huepose.paper.modes import distinct_modes, modes_of
 from huepose.propose.types import Hypothesis, Votes
 from huepose.support.jit import jit
 
+CELL, ANGLE_DEG = 0.1, 20.0
+"""Radii of a mode's support, in diameters and degrees; the first is also a cell of the centre's position."""
 
-@dataclass(frozen=True)
-class VotingConfig:
-    """cell: of the centre's position, and radius of a mode's support, in diameters; angle_deg: radius of a
-    mode's support; cells: searched; modes: of one cell; seeds: tried in one cell; members: votes looked at
-    in one cell; distinct_deg, distinct: hypotheses nearer than both (degrees, diameters) are one;
-    hypotheses: returned."""
+CELLS, MEMBERS = 8, 2500
+"""Cells that are searched, and votes that are looked at in one."""
 
-    cell: float = 0.1
-    angle_deg: float = 20.0
-    cells: int = 8
-    modes: int = 10
-    seeds: int = 120
-    members: int = 2500
-    distinct_deg: float = 15.0
-    distinct: float = 0.07
-    hypotheses: int = 60
+SEEDS, MODES = 120, 10
+"""Seeds that are tried in one cell, and modes that it can have."""
+
+DISTINCT, DISTINCT_DEG = 0.07, 15.0
+"""Hypotheses nearer than both (diameters, degrees) are one."""
+
+HYPOTHESES = 60
+"""Most that are returned."""
 
 
 def cluster(
@@ -48,7 +43,6 @@ def cluster(
     centre_obj: Float,
     diameter_m: float,
     source: str,
-    config: VotingConfig | None = None,
     equivalents: Float | None = None,
 ) -> list[Hypothesis]:
     """The densest poses among the votes, best first; `centre_obj` (3,) is the point whose position is voted
@@ -57,7 +51,6 @@ def cluster(
     The score is the summed weight of a mode's supporters, each scene feature counted once. Of equal poses
     one is returned.
     """
-    config = config or VotingConfig()
     if not len(votes):
         return []
     turns = np.eye(4)[None] if equivalents is None else np.asarray(equivalents, np.float64)
@@ -65,11 +58,11 @@ def cluster(
     c = np.asarray(turns[:, :3, :3] @ np.asarray(centre_obj, np.float64) + turns[:, :3, 3]).mean(0)
     centres = votes.rotations @ c.astype(np.float32) + votes.translations
     quaternions = np.stack([_quaternions(votes.rotations @ t[:3, :3].astype(np.float32)) for t in turns])
-    cell_m, angle = config.cell * diameter_m, float(np.radians(config.angle_deg))
+    cell_m, angle = CELL * diameter_m, float(np.radians(ANGLE_DEG))
     found = []
-    for members in dense_cells(centres, votes.weights, votes.features, cell_m, config.cells):
-        if len(members) > config.members:
-            members = members[:: -(-len(members) // config.members)]
+    for members in dense_cells(centres, votes.weights, votes.features, cell_m, CELLS):
+        if len(members) > MEMBERS:
+            members = members[:: -(-len(members) // MEMBERS)]
         found.append(
             modes_of(
                 np.ascontiguousarray(quaternions[:, members]),
@@ -78,8 +71,8 @@ def cluster(
                 votes.features[members],
                 cell_m,
                 angle,
-                config.seeds,
-                config.modes,
+                SEEDS,
+                MODES,
             )
         )
     if not found:
@@ -91,9 +84,9 @@ def cluster(
     kept = distinct_modes(
         _products(rotations, by_turns),
         places,
-        float(np.radians(config.distinct_deg)),
-        config.distinct * diameter_m,
-        config.hypotheses,
+        float(np.radians(DISTINCT_DEG)),
+        DISTINCT * diameter_m,
+        HYPOTHESES,
     )
     out = []
     for k in kept:

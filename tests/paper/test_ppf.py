@@ -9,12 +9,11 @@ import pytest
 
 from huepose.geometry import se3
 from huepose.paper.cloud import ClassifiedCloud
-from huepose.paper.ppf import PpfConfig, build_ppf, onto_x, ppf_votes
+from huepose.paper.ppf import BIN, build_ppf, onto_x, ppf_votes
 from huepose.paper.voting import cluster
 from huepose.propose.types import Hypothesis
 
 DIAMETER = 0.156
-CONFIG = PpfConfig()
 T = se3.make(se3.rotation_exp(np.array([-0.5, 0.9, 0.4])), np.array([-0.02, 0.04, 0.7]))
 
 Table = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -22,12 +21,12 @@ Table = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @pytest.fixture(scope="module")
 def table(painted: ClassifiedCloud) -> Table:
-    return build_ppf(painted, DIAMETER, CONFIG)
+    return build_ppf(painted, DIAMETER)
 
 
 def found(scene: ClassifiedCloud, model: ClassifiedCloud, table: Table) -> list[Hypothesis]:
     rng = np.random.default_rng(0)
-    votes = ppf_votes(scene, model, *table, CONFIG.bin * DIAMETER, DIAMETER, CONFIG, rng)
+    votes = ppf_votes(scene, model, *table, BIN * DIAMETER, DIAMETER, rng)
     return cluster(votes, np.zeros(3), DIAMETER, "ppf")
 
 
@@ -61,7 +60,7 @@ def test_two_classes_are_enough(painted: ClassifiedCloud, seen_from: Callable[..
     merged = ClassifiedCloud(
         painted.points, painted.normals, (painted.classes % 2).astype(np.uint8), painted.weights
     )
-    best = found(seen_from(merged, T), merged, build_ppf(merged, DIAMETER, CONFIG))[0].T_cam_obj
+    best = found(seen_from(merged, T), merged, build_ppf(merged, DIAMETER))[0].T_cam_obj
     assert np.degrees(se3.rotation_angle(best, T)) < 8.0
 
 
@@ -85,4 +84,4 @@ def test_a_wrong_scene_gets_few_votes(
 def test_one_plane_of_one_class_tells_nothing(painted: ClassifiedCloud) -> None:
     top = painted[painted.normals[:, 2] > 0.5]
     even = ClassifiedCloud(top.points, top.normals, np.zeros(len(top), np.uint8), top.weights)
-    assert len(build_ppf(even, DIAMETER, CONFIG)[0]) == 0
+    assert len(build_ppf(even, DIAMETER)[0]) == 0

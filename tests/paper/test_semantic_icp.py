@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from huepose.geometry import se3
 from huepose.model.types import PaperTables, ReferenceModel
-from huepose.paper.semantic_icp import (
-    ClassifiedScene,
-    SemanticAlignment,
-    SemanticIcpConfig,
-    semantic_icp_many,
-)
+from huepose.paper import semantic_icp as icp
+from huepose.paper.semantic_icp import ClassifiedScene, SemanticAlignment, semantic_icp_many
 from huepose.paper.tables import tables_of
 from tests.paper.conftest import on_a_box
 
@@ -25,11 +19,10 @@ def semantic_icp(
     classes: np.ndarray,
     weights: np.ndarray,
     T_cam_obj: np.ndarray,
-    config: SemanticIcpConfig | None = None,
 ) -> SemanticAlignment:
     """From one pose."""
     scene = ClassifiedScene(points_cam, classes, weights)
-    return semantic_icp_many(reference, scene, T_cam_obj[None], config)[0]
+    return semantic_icp_many(reference, scene, T_cam_obj[None])[0]
 
 
 def bare_reference(points: np.ndarray, normals: np.ndarray, classes: np.ndarray) -> PaperTables:
@@ -93,7 +86,7 @@ def test_noise_and_wrong_classes_are_borne(painted_box: PaperTables) -> None:
     assert np.linalg.norm(result.T_cam_obj[:3, 3] - T_true[:3, 3]) < 1e-3
 
 
-def test_classes_turn_what_shape_cannot() -> None:
+def test_classes_turn_what_shape_cannot(monkeypatch: pytest.MonkeyPatch) -> None:
     """A cylinder with stripes: only the classes tell how far it is turned about its axis."""
     rng = np.random.default_rng(2)
     angle, z = rng.uniform(-np.pi, np.pi, 3000), rng.uniform(-0.06, 0.06, 3000)
@@ -108,9 +101,8 @@ def test_classes_turn_what_shape_cannot() -> None:
     ones = np.ones(len(scene))
     seen = semantic_icp(can, scene, can.cloud_classes[front], ones, start)
     assert np.degrees(se3.rotation_angle(seen.T_cam_obj, T_true)) < 0.5
-    blind = semantic_icp(
-        can, scene, can.cloud_classes[front], ones, start, replace(SemanticIcpConfig(), semantic=0.0)
-    )
+    monkeypatch.setattr(icp, "SEMANTIC", 0.0)
+    blind = semantic_icp(can, scene, can.cloud_classes[front], ones, start)
     assert np.degrees(se3.rotation_angle(blind.T_cam_obj, T_true)) > 8.0
 
 

@@ -68,8 +68,8 @@ def test_point_pairs_are_asked_only_where_triangles_cannot_be(
     for classes, config, expected in (
         (3, PaperConfig(), "votes_of_triangles"),
         (2, PaperConfig(), "votes_of_point_pairs"),
-        (2, PaperConfig(ppf=None), "votes_of_triangles"),
-        (3, PaperConfig(triangles=None), "votes_of_point_pairs"),
+        (2, PaperConfig(ppf=False), "votes_of_triangles"),
+        (3, PaperConfig(triangles=False), "votes_of_point_pairs"),
     ):
         asked.clear()
         monkeypatch.setattr(single_frame, "classes_in_sight", lambda cloud, n=classes: n)
@@ -78,7 +78,7 @@ def test_point_pairs_are_asked_only_where_triangles_cannot_be(
         assert len(poses) == len(fitness) > 0
         assert (np.diff(fitness) <= 0.0).all()
     asked.clear()
-    silent = PaperMethod(PaperConfig(triangles=None, ppf=None))
+    silent = PaperMethod(PaperConfig(triangles=False, ppf=False))
     assert not len(silent.in_mask(tea_box, frame, outline, np.random.default_rng(0))[0])
     assert not asked
 

@@ -3,27 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from huepose.geometry import kabsch, se3
 from huepose.geometry.se3 import angles_to
+from huepose.paper import triangles
 from huepose.paper.cloud import ClassifiedCloud
-from huepose.paper.extended.hypotheses import HypothesesConfig
-from huepose.paper.single_frame import PaperConfig
-from huepose.paper.triangles import TriangleConfig, _fit, build_triangles, draw_triples, pack, triangle_votes
+from huepose.paper.extended.hypotheses import FACING
+from huepose.paper.triangles import (
+    ANY_FACING,
+    BIN,
+    MIN_HEIGHT,
+    _fit,
+    build_triangles,
+    draw_triples,
+    pack,
+    triangle_votes,
+)
 from huepose.paper.voting import cluster
 
 DIAMETER = 0.156
-CONFIG = TriangleConfig(candidates=200_000, rows=20_000)
 T = se3.make(se3.rotation_exp(np.array([0.7, -0.4, 1.1])), np.array([0.03, -0.02, 0.65]))
 
 
 @pytest.fixture(scope="module")
 def table(painted: ClassifiedCloud) -> tuple[np.ndarray, np.ndarray]:
-    return build_triangles(painted, DIAMETER, CONFIG)
+    """Of more and smaller triangles than a model's, as the cloud is thin."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(triangles, "CANDIDATES", 200_000)
+        patch.setattr(triangles, "ROWS", 20_000)
+        return build_triangles(painted, DIAMETER)
 
 
 def test_draws_have_three_classes_in_order(painted: ClassifiedCloud) -> None:
@@ -42,7 +53,7 @@ def test_the_table_is_sorted_and_its_triangles_are_large(
     p = painted.points[triangles].astype(float)
     sides = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2)
     area = 0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
-    assert (2 * area / sides.max(1) > CONFIG.min_height * CONFIG.bin * DIAMETER * 0.999).all()
+    assert (2 * area / sides.max(1) > MIN_HEIGHT * BIN * DIAMETER * 0.999).all()
     # what is kept is larger than what can be drawn
     drawn = painted.points[draw_triples(painted, 20_000, np.random.default_rng(1))].astype(float)
     all_areas = 0.5 * np.linalg.norm(np.cross(drawn[:, 1] - drawn[:, 0], drawn[:, 2] - drawn[:, 0]), axis=1)
@@ -69,7 +80,7 @@ def test_the_closed_form_is_kabschs(painted: ClassifiedCloud) -> None:
         np.testing.assert_allclose(t, expected[:3, 3], atol=1e-6)
 
 
-@pytest.mark.parametrize(("facing", "least"), [(-1.0, 0.04), (0.8, 0.05)])
+@pytest.mark.parametrize(("facing", "least"), [(ANY_FACING, 0.04), (FACING, 0.05)])
 def test_a_moved_copy_is_found(
     facing: float,
     least: float,
@@ -78,8 +89,7 @@ def test_a_moved_copy_is_found(
     seen_from: Callable[..., ClassifiedCloud],
 ) -> None:
     scene = seen_from(painted, T)
-    bin_m, config = CONFIG.bin * DIAMETER, replace(CONFIG, facing=facing)
-    votes = triangle_votes(scene, painted, *table, bin_m, config, np.random.default_rng(0))
+    votes = triangle_votes(scene, painted, *table, BIN * DIAMETER, facing, np.random.default_rng(0))
     right = (angles_to(votes.rotations, T[:3, :3]) < np.radians(8)) & (
         np.linalg.norm(votes.translations - T[:3, 3], axis=1) < 0.012
     )
@@ -96,9 +106,10 @@ def test_a_mirrored_scene_is_not_found(
     scene = seen_from(painted, T)
     flip = np.array([-1, 1, 1], np.float32)
     mirrored = ClassifiedCloud(scene.points * flip, scene.normals * flip, scene.classes, scene.weights)
-    bin_m = CONFIG.bin * DIAMETER
-    real = triangle_votes(scene, painted, *table, bin_m, CONFIG, np.random.default_rng(0))
-    fake = triangle_votes(mirrored, painted, *table, bin_m, CONFIG, np.random.default_rng(0))
+    real, fake = (
+        triangle_votes(seen, painted, *table, BIN * DIAMETER, ANY_FACING, np.random.default_rng(0))
+        for seen in (scene, mirrored)
+    )
     best_real = cluster(real, np.zeros(3), DIAMETER, "triangles")[0].score
     best_fake = cluster(fake, np.zeros(3), DIAMETER, "triangles")
     assert not best_fake or best_fake[0].score < 0.5 * best_real
@@ -112,11 +123,8 @@ def test_normals_that_are_wrong_do_not_speak_against_a_match_of_the_papers_metho
     towards = -scene.points / np.linalg.norm(scene.points, axis=1, keepdims=True)
     blind = ClassifiedCloud(scene.points, towards, scene.classes, scene.weights)
     right = []
-    for config in (PaperConfig().triangles, HypothesesConfig().triangles):
-        assert config is not None
-        votes = triangle_votes(
-            blind, painted, *table, CONFIG.bin * DIAMETER, config, np.random.default_rng(0)
-        )
+    for facing in (ANY_FACING, FACING):
+        votes = triangle_votes(blind, painted, *table, BIN * DIAMETER, facing, np.random.default_rng(0))
         near = angles_to(votes.rotations, T[:3, :3]) < np.radians(8)
         near &= np.linalg.norm(votes.translations - T[:3, 3], axis=1) < 0.012
         right.append(int(near.sum()))
@@ -126,7 +134,7 @@ def test_normals_that_are_wrong_do_not_speak_against_a_match_of_the_papers_metho
 
 def test_two_classes_have_no_triangles(painted: ClassifiedCloud) -> None:
     two = painted[painted.classes < 2]
-    keys, triangles = build_triangles(two, DIAMETER, CONFIG)
+    keys, triangles = build_triangles(two, DIAMETER)
     assert len(keys) == 0
-    votes = triangle_votes(two, two, keys, triangles, 0.005, CONFIG, np.random.default_rng(0))
+    votes = triangle_votes(two, two, keys, triangles, 0.005, ANY_FACING, np.random.default_rng(0))
     assert len(votes) == 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
-from huepose.paper.voting import VotingConfig, cluster
+from huepose.paper.voting import DISTINCT, DISTINCT_DEG, cluster
 from huepose.propose.types import Votes
 
 DIAMETER = 0.2
@@ -74,8 +74,7 @@ def test_hypotheses_are_different_and_in_order() -> None:
     first = se3.make(np.eye(3), np.array([0.0, 0.0, 0.6]))
     second = se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.pi])), np.array([0.0, 0.0, 0.6]))
     poses = np.concatenate([around(first, 50, 4.0, 0.003, rng), around(second, 30, 4.0, 0.003, rng)])
-    config = VotingConfig()
-    found = cluster(votes_of(poses), np.zeros(3), DIAMETER, "pairs", config)
+    found = cluster(votes_of(poses), np.zeros(3), DIAMETER, "pairs")
     assert np.degrees(se3.rotation_angle(found[0].T_cam_obj, first)) < 3.0
     assert np.degrees(se3.rotation_angle(found[1].T_cam_obj, second)) < 3.0
     scores = [h.score for h in found]
@@ -84,7 +83,7 @@ def test_hypotheses_are_different_and_in_order() -> None:
         for b in found[:i]:
             turn = np.degrees(se3.rotation_angle(a.T_cam_obj, b.T_cam_obj))
             move = np.linalg.norm(a.T_cam_obj[:3, 3] - b.T_cam_obj[:3, 3])
-            assert turn >= config.distinct_deg - 1e-6 or move >= config.distinct * DIAMETER - 1e-9
+            assert turn >= DISTINCT_DEG - 1e-6 or move >= DISTINCT * DIAMETER - 1e-9
 
 
 def test_order_of_votes_does_not_matter_to_the_winner() -> None:

@@ -44,22 +44,26 @@ CORRELATED, AGREED = 0.5, 0.5
 counts as nothing (`judge.texture_evidence.agreement_many`): chosen on drawn heaps."""
 
 
+REFINED, SHAPES = 30, 20
+"""Hypotheses of a mask that are registered, and how many of them may be starts from shape alone, where
+colours propose too few."""
+
+KEPT, WITH_NEAR_SYMMETRIES = 8, 5
+"""Different ones after that, and how many of them have their near-symmetric rotations tried."""
+
+SEARCHED, FINISHED = 8, 3
+"""Poses of a mask that are searched, and those that are searched finely in the end."""
+
+ALTERNATIVES = 6
+"""Different poses that are returned."""
+
+
 @dataclass(frozen=True)
 class ColorpairPathConfig:
-    """How much the colour-pair path tries. refined: hypotheses a mask that are registered; shapes: of them
-    starts from shape alone, at most, where colours propose too few, 0 for none; kept: different ones after
-    that; with_near_symmetries: of them whose near-symmetric rotations are tried; searched: poses a mask that
-    are searched; finished: poses searched finely in the end; alternatives: different poses that are returned.
-    semantic: whether semantic ICP adds a pose to each of the best different ones; hypotheses: what votes,
-    and under which lights."""
+    """shapes: whether shape alone may give starts; semantic: whether semantic ICP adds a pose to each of the
+    best different ones; hypotheses: what votes, and under which lights."""
 
-    refined: int = 30
-    shapes: int = 20
-    kept: int = 8
-    with_near_symmetries: int = 5
-    searched: int = 8
-    finished: int = 3
-    alternatives: int = 6
+    shapes: bool = True
     semantic: bool = True
     hypotheses: HypothesesConfig = field(default_factory=HypothesesConfig)
 
@@ -78,7 +82,8 @@ class ColorpairMethod:
 
     def warm_up(self, models: Sequence[ReferenceModel]) -> None:
         """Compile what the first picture may do without and a later one needs."""
-        warm_up_point_pairs(models, self.config.hypotheses.ppf)
+        if self.config.hypotheses.ppf:
+            warm_up_point_pairs(models)
 
     def poses(self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator) -> Ranked:
         """See `estimate_by_pairs`."""
@@ -100,7 +105,7 @@ def estimate_by_pairs(
     if not len(poses):
         return NONE
     with stage("turns"):
-        poses = _with_near_symmetries(model, region, picture, poses, config)
+        poses = _with_near_symmetries(model, region, picture, poses)
     with stage("search"):
         searched, _ = search_pairs(model, region, picture, poses, (8.0, 4.0, 2.0, 1.0))
     with stage("icp"):
@@ -108,16 +113,16 @@ def estimate_by_pairs(
         poses = np.concatenate([searched, registered])
     with stage("judge"):
         terms = _judge(model, region, picture, poses)
-        most = config.alternatives + config.finished
+        most = ALTERNATIVES + FINISHED
         best = different_poses(model, poses, terms[:, 0], most, FINAL_TURN_RAD, FINAL_SHIFT)
         poses, terms = poses[best], terms[best]
     with stage("search"):
         fine, _ = search_pairs(
-            model, region, picture, poses[: config.finished], (3.0, 1.5, 0.7), SEARCH_PAIRS, SEARCH_SAMPLES
+            model, region, picture, poses[:FINISHED], (3.0, 1.5, 0.7), SEARCH_PAIRS, SEARCH_SAMPLES
         )
         poses = np.concatenate([poses, fine])
         terms = np.concatenate([terms, _judge(model, region, picture, fine)])
-        best = different_poses(model, poses, terms[:, 0], config.alternatives, FINAL_TURN_RAD, FINAL_SHIFT)
+        best = different_poses(model, poses, terms[:, 0], ALTERNATIVES, FINAL_TURN_RAD, FINAL_SHIFT)
     with stage("decide"):
         return _decided(model, region, picture, poses[best], terms[best])
 
@@ -153,9 +158,9 @@ def _proposed(
         pairs = extract_at_model_scale(model.pairs, part, mask)
     with stage("hypotheses"):
         readings = read_scene(model, pairs, part, mask, config.hypotheses, rng)
-        found = hypotheses_of(model, readings, part, mask, config.hypotheses, rng)[: config.refined]
-        missing = min(config.refined - len(found), config.shapes)
-        found += shape_hypotheses(model, part, mask, missing)
+        found = hypotheses_of(model, readings, part, mask, config.hypotheses, rng)[:REFINED]
+        if config.shapes:
+            found += shape_hypotheses(model, part, mask, min(REFINED - len(found), SHAPES))
     if not found:
         return np.zeros((0, 4, 4))
     poses = np.stack([h.T_cam_obj for h in found])
@@ -163,7 +168,7 @@ def _proposed(
         poses = align_many(model.surface, model.grid, points_cam, poses, 0.15 * model.diameter_m, 0.008, 25)
     with stage("judge"):
         totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
-        poses = poses[different_poses(model, poses, totals, config.kept)]
+        poses = poses[different_poses(model, poses, totals, KEPT)]
     if config.semantic and readings:
         with stage("semantic_icp"):
             seen = readings[0].cloud
@@ -174,19 +179,19 @@ def _proposed(
 
 
 def _with_near_symmetries(
-    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64, config: ColorpairPathConfig
+    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64
 ) -> Float64:
     """The best different ones among poses (N, 4, 4) and the near-symmetric rotations of the best of them."""
     totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
-    best = different_poses(model, poses, totals, config.kept)
+    best = different_poses(model, poses, totals, KEPT)
     poses, totals = poses[best], totals[best]
     near_symmetric = np.einsum(
-        "nij,mjk->nmik", poses[: config.with_near_symmetries], model.near_symmetries[1:]
+        "nij,mjk->nmik", poses[:WITH_NEAR_SYMMETRIES], model.near_symmetries[1:]
     ).reshape(-1, 4, 4)
     if len(near_symmetric):
         more = pair_score_many(model, region, picture, near_symmetric, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
         poses, totals = np.concatenate([poses, near_symmetric]), np.concatenate([totals, more])
-    return np.asarray(poses[different_poses(model, poses, totals, config.searched)])
+    return np.asarray(poses[different_poses(model, poses, totals, SEARCHED)])
 
 
 def _decided(

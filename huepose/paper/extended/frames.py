@@ -9,8 +9,6 @@ pairs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from huepose.colorpair.similarity import parameters, shapes
@@ -20,25 +18,24 @@ from huepose.paper.classes import exchange, pair_cost
 from huepose.propose.types import Votes
 from huepose.support.jit import jit
 
+MODEL_PAIRS = 2500
+"""Most pairs of the model that are compared."""
 
-@dataclass(frozen=True)
-class FrameConfig:
-    """model_pairs: most that are compared; matches: most of one scene pair; least: similarity
-    under which a match is not counted; sharpness: exponent on the similarity where matches share a pair's
-    vote."""
+MATCHES = 80
+"""Most matches of one scene pair."""
 
-    model_pairs: int = 2500
-    matches: int = 80
-    least: float = 0.3
-    sharpness: float = 3.0
+LEAST_SIMILARITY = 0.3
+"""Similarity under which a match is not counted."""
+
+SHARPNESS = 3.0
+"""Exponent on the similarity where matches share a pair's vote."""
 
 
-def frame_votes(scene: SurfacePairs, model: SurfacePairs, config: FrameConfig | None = None) -> Votes:
+def frame_votes(scene: SurfacePairs, model: SurfacePairs) -> Votes:
     """Poses T_cam_obj from single matches; `scene` in camera axes, `model` in the object's."""
-    config = config or FrameConfig()
     if not len(scene) or not len(model):
         return Votes.empty()
-    model = model[:: -(-len(model) // config.model_pairs)]
+    model = model[:: -(-len(model) // MODEL_PAIRS)]
     return Votes(
         *_vote(
             shapes(scene.colors),
@@ -48,9 +45,9 @@ def frame_votes(scene: SurfacePairs, model: SurfacePairs, config: FrameConfig | 
             _frames(model),
             model.points,
             *parameters(),
-            config.matches,
-            config.least,
-            config.sharpness,
+            MATCHES,
+            LEAST_SIMILARITY,
+            SHARPNESS,
         )
     )
 

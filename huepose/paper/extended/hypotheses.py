@@ -9,7 +9,7 @@ explain the scene's colours, weighed by whether depth allows them, and clustered
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,12 +18,10 @@ from huepose.colorpair.types import ColorPairs, SurfacePairs
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel, reference_pairs
-from huepose.paper.classes import ClassConfig
 from huepose.paper.cloud import ClassifiedCloud
-from huepose.paper.extended.frames import FrameConfig, frame_votes
-from huepose.paper.extended.light import LightConfig, lights_of, relit
+from huepose.paper.extended.frames import frame_votes
+from huepose.paper.extended.light import lights_of, relit
 from huepose.paper.extended.plausible import plausible
-from huepose.paper.ppf import PpfConfig
 from huepose.paper.scene import (
     NEEDED_CLASSES,
     classes_in_sight,
@@ -31,24 +29,25 @@ from huepose.paper.scene import (
     votes_of_point_pairs,
     votes_of_triangles,
 )
-from huepose.paper.triangles import TriangleConfig
-from huepose.paper.voting import VotingConfig, cluster
+from huepose.paper.voting import cluster
 from huepose.propose.types import Hypothesis, Votes
+
+SCENE_PAIRS = 220
+"""Most pairs of a scene that are used."""
+
+FACING = 0.8
+"""Smallest mean cosine between the normals of matched triangles; the paper's need not agree."""
 
 
 @dataclass(frozen=True)
 class HypothesesConfig:
-    """scene_pairs: most that are used; light: None to take the scene's colours as they are; each source of
-    votes can be switched off with None (`ppf`, the fallback, for legal reasons: see its module). Triangles
-    have to agree with the surface's normals; the paper's need not."""
+    """light: False to take the scene's colours as they are; each source of votes can be switched off (`ppf`,
+    the fallback, for legal reasons: see its module)."""
 
-    scene_pairs: int = 220
-    light: LightConfig | None = field(default_factory=LightConfig)
-    classes: ClassConfig = field(default_factory=ClassConfig)
-    frames: FrameConfig | None = field(default_factory=FrameConfig)
-    triangles: TriangleConfig | None = field(default_factory=lambda: TriangleConfig(facing=0.8))
-    ppf: PpfConfig | None = field(default_factory=PpfConfig)
-    voting: VotingConfig = field(default_factory=VotingConfig)
+    light: bool = True
+    frames: bool = True
+    triangles: bool = True
+    ppf: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +79,11 @@ def hypotheses_of(
     first = [v for r in readings for v in _first_votes(model, r, config, rng)]
     votes = plausible(Votes.joined(first), model.surface, frame.depth, mask, frame.camera, model.diameter_m)
     in_sight = max(classes_in_sight(r.cloud) for r in readings)
-    if config.ppf is not None and (not first or in_sight < NEEDED_CLASSES):
-        fallback = Votes.joined([votes_of_point_pairs(model, r.cloud, config.ppf, rng) for r in readings])
+    if config.ppf and (not first or in_sight < NEEDED_CLASSES):
+        fallback = Votes.joined([votes_of_point_pairs(model, r.cloud, rng) for r in readings])
         more = plausible(fallback, model.surface, frame.depth, mask, frame.camera, model.diameter_m)
         votes = Votes.joined([votes, more])
-    return cluster(votes, model.mesh.centre, model.diameter_m, "pairs", config.voting, model.equivalents)
+    return cluster(votes, model.mesh.centre, model.diameter_m, "pairs", model.equivalents)
 
 
 def read_scene(
@@ -103,14 +102,14 @@ def read_scene(
     reference = reference_pairs(model.pairs)
     if not len(scene) or not len(reference):
         return []
-    scene = scene[rng.permutation(len(scene))[: config.scene_pairs]]
+    scene = scene[rng.permutation(len(scene))[:SCENE_PAIRS]]
     lights = [(np.ones(3), 0.0)]
-    if config.light is not None:
-        lights = lights_of(scene.colors, reference.colors, rng, config.light)
+    if config.light:
+        lights = lights_of(scene.colors, reference.colors, rng)
     readings = []
     for light, share in lights:
         relit_scene = replace(scene, colors=relit(scene.colors, 1.0 / light))
-        cloud = classified_scene(model, relit_scene, config.classes)
+        cloud = classified_scene(model, relit_scene)
         readings.append(Reading(light, share, relit_scene, cloud))
     return readings
 
@@ -119,8 +118,8 @@ def _first_votes(
     model: ReferenceModel, reading: Reading, config: HypothesesConfig, rng: np.random.Generator
 ) -> list[Votes]:
     votes = []
-    if config.frames is not None:
-        votes.append(frame_votes(reading.pairs, reference_pairs(model.pairs), config.frames))
-    if config.triangles is not None:
-        votes.append(votes_of_triangles(model, reading.cloud, config.triangles, rng))
+    if config.frames:
+        votes.append(frame_votes(reading.pairs, reference_pairs(model.pairs)))
+    if config.triangles:
+        votes.append(votes_of_triangles(model, reading.cloud, FACING, rng))
     return votes

@@ -14,8 +14,6 @@ roots and applied to them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float32, Float64
@@ -44,52 +42,51 @@ def relit(lab: Float, gain: Float) -> Float32:
     return lab_of(cube_roots(lab) * np.asarray(gain, np.float64))
 
 
-@dataclass(frozen=True)
-class LightConfig:
-    """exposures, reds, blues: the grid, as gains of all, of X and of Z; scene_pairs, model_pairs: most that
-    are compared; sigma: distance of alike pairs, CIELAB units, L weighted by `lightness`; starts: refined;
-    rounds: of refinement; prior: pull towards the start, per pair; distinct: difference of two lights in any
-    log gain; lights: returned."""
+EXPOSURES = (0.6, 0.7, 0.82, 0.95, 1.1, 1.28, 1.5)
+REDS, BLUES = (0.97, 1.03), (0.88, 1.0, 1.12)
+"""The grid, as gains of all, of X and of Z."""
 
-    exposures: tuple[float, ...] = (0.6, 0.7, 0.82, 0.95, 1.1, 1.28, 1.5)
-    reds: tuple[float, ...] = (0.97, 1.03)
-    blues: tuple[float, ...] = (0.88, 1.0, 1.12)
-    scene_pairs: int = 120
-    model_pairs: int = 200
-    sigma: float = 8.0
-    lightness: float = 0.6
-    starts: int = 6
-    rounds: int = 6
-    prior: float = 0.02
-    distinct: float = 0.12
-    lights: int = 2
+SCENE_PAIRS, MODEL_PAIRS = 120, 200
+"""Most that are compared."""
+
+SIGMA, LIGHTNESS = 8.0, 0.6
+"""Distance of alike pairs, CIELAB units, and the weight of L in it."""
+
+STARTS, ROUNDS = 6, 6
+"""Points of the grid that are refined, and how often."""
+
+PRIOR = 0.02
+"""Pull towards the start, per pair."""
+
+DISTINCT = 0.12
+"""Difference of two lights in any log gain."""
+
+LIGHTS = 2
+"""Most that are returned."""
 
 
-def lights_of(
-    scene: Float32, model: Float32, rng: np.random.Generator, config: LightConfig | None = None
-) -> list[tuple[Float64, float]]:
+def lights_of(scene: Float32, model: Float32, rng: np.random.Generator) -> list[tuple[Float64, float]]:
     """Lights as gains (3,) on the cube roots of XYZ, from model to scene, and the share of pairs explained
     (0..1).
 
     scene (N, 2, 3), model (M, 2, 3) CIELAB. Best first; no light change when either is empty.
     """
-    config = config or LightConfig()
     if not len(scene) or not len(model):
         return [(np.ones(3), 0.0)]
-    s = cube_roots(scene[_some(len(scene), config.scene_pairs, rng)])
-    m = _coordinates(cube_roots(model[_some(len(model), config.model_pairs, rng)]), config.lightness)
-    grid = [np.array([e * r, e, e * b]) for e in config.exposures for r in config.reds for b in config.blues]
-    coarse = [_fit(s, m, g, config.sigma, config.lightness, 0, 0.0)[0] for g in grid]
+    s = cube_roots(scene[_some(len(scene), SCENE_PAIRS, rng)])
+    m = _coordinates(cube_roots(model[_some(len(model), MODEL_PAIRS, rng)]), LIGHTNESS)
+    grid = [np.array([e * r, e, e * b]) for e in EXPOSURES for r in REDS for b in BLUES]
+    coarse = [_fit(s, m, g, SIGMA, LIGHTNESS, 0, 0.0)[0] for g in grid]
     fine = []
-    for k in np.argsort(coarse)[::-1][: config.starts]:
-        share, gain = _fit(s, m, grid[k], config.sigma, config.lightness, config.rounds, config.prior)
+    for k in np.argsort(coarse)[::-1][:STARTS]:
+        share, gain = _fit(s, m, grid[k], SIGMA, LIGHTNESS, ROUNDS, PRIOR)
         fine.append((gain, float(share)))
     fine.sort(key=lambda light: -light[1])
     kept: list[tuple[Float64, float]] = []
     for gain, share in fine:
-        if all(np.abs(np.log(gain / other)).max() > config.distinct for other, _ in kept):
+        if all(np.abs(np.log(gain / other)).max() > DISTINCT for other, _ in kept):
             kept.append((gain, share))
-    return kept[: config.lights]
+    return kept[:LIGHTS]
 
 
 def _some(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:

@@ -80,7 +80,7 @@ def test_totals_are_scores_and_behind_says_how_far_the_others_are(
 
 
 def test_starts_from_shape_are_a_source_of_their_own(tea_box: ReferenceModel, evidence: Evidence) -> None:
-    nothing_votes = HypothesesConfig(frames=None, triangles=None, ppf=None)
+    nothing_votes = HypothesesConfig(frames=False, triangles=False, ppf=False)
     counts = {
         shapes: len(
             estimate_by_pairs(
@@ -90,7 +90,7 @@ def test_starts_from_shape_are_a_source_of_their_own(tea_box: ReferenceModel, ev
                 np.random.default_rng(0),
             )
         )
-        for shapes in (0, 20)
+        for shapes in (False, True)
     }
-    assert counts[0] == 0
-    assert counts[20] > 0
+    assert counts[False] == 0
+    assert counts[True] > 0

@@ -60,13 +60,7 @@ def nearest(hypotheses: list[Hypothesis], T: np.ndarray) -> tuple[int, float, fl
 def test_the_pose_is_among_the_first(
     tea_box: ReferenceModel, standing: np.ndarray, frame: RgbdFrame, mask: np.ndarray, sources: str
 ) -> None:
-    config = HypothesesConfig()
-    if sources != "all":
-        only = {
-            name: getattr(config, name) if name == sources else None
-            for name in ("frames", "triangles", "ppf")
-        }
-        config = HypothesesConfig(**only)
+    config = HypothesesConfig(**{name: sources in ("all", name) for name in ("frames", "triangles", "ppf")})
     pairs = extract_at_model_scale(tea_box.pairs, frame, mask)
     found = from_pairs(tea_box, pairs, frame, mask, config)
     rank, _, _ = nearest(found, standing)
@@ -95,7 +89,7 @@ def test_point_pairs_are_asked_where_fewer_than_three_classes_are_in_sight(
     for given, chosen, times in (
         (readings, config, 0),
         (poor, config, len(poor)),
-        (poor, HypothesesConfig(ppf=None), 0),
+        (poor, HypothesesConfig(ppf=False), 0),
     ):
         asked.clear()
         hypotheses_of(tea_box, given, frame, mask, chosen, rng)
@@ -113,7 +107,7 @@ def test_the_light_is_read(tea_box: ReferenceModel, frame: RgbdFrame, mask: np.n
     distance = np.linalg.norm(read[:, None] - known[None, ::5], axis=2).min(1)
     assert np.median(distance) < 8.0
     (as_seen,) = read_scene(
-        tea_box, pairs, frame, mask, HypothesesConfig(light=None), np.random.default_rng(0)
+        tea_box, pairs, frame, mask, HypothesesConfig(light=False), np.random.default_rng(0)
     )
     np.testing.assert_array_equal(as_seen.light, np.ones(3))
     seen = {tuple(pair) for pair in pairs.colors.reshape(-1, 6).round(2)}

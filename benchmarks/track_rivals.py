@@ -22,7 +22,7 @@ from huepose.geometry.arrays import Float64, Int32
 from huepose.model import ReferenceModel
 from huepose.model.types import Surface
 from huepose.paper.correspondences import match
-from huepose.paper.relative_pose import RobustKabsch, lift_matches
+from huepose.paper.relative_pose import lift_matches, robust_kabsch
 from huepose.propose import flow as optical_flow
 from huepose.rendering import render_depth
 from huepose.tracking.types import Applied, Correction, TrackedPose
@@ -176,5 +176,5 @@ def flow_pairs(model: ReferenceModel, T: Float64, before: RgbdFrame | None, fram
     if flow is None:
         return T
     matches = match(before.color, frame.color, mask, flow)
-    motion = RobustKabsch().estimate(lift_matches(before, frame, matches))
-    return T if motion is None else motion.T_b_a @ T
+    motion = robust_kabsch(lift_matches(before, frame, matches))
+    return T if motion is None else motion @ T

@@ -9,7 +9,7 @@ consistent           of `flow` what flow backwards confirms and what ends on the
 consistent filtered  of these, those whose two colours are still the same pair: the filter, nothing else
 colorpair            all that the tracker does: also points on the ridges of colour pairs, and weights
 
-and by different estimators behind the `RelativePose` protocol: `kabsch`, weighted least squares over all of
+and by different estimators, each a `RelativePose`: `kabsch`, weighted least squares over all of
 them, `robust`, RANSAC and reweighting, `residual`, a network that corrects the rotation of the robust one,
 and `direct`, a network that gives the whole rotation.
 """
@@ -17,7 +17,6 @@ and `direct`, a network that gives the whole rotation.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -33,7 +32,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
 from huepose.model.types import ReferenceModel
 from huepose.paper.correspondences import MIN_SIMILARITY, Correspondences, match, side_color_similarity
-from huepose.paper.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch, lift_matches
+from huepose.paper.relative_pose import LiftedMatches, RelativePose, lift_matches, robust_kabsch
 from huepose.paper.rotation_network import learned
 from huepose.propose.flow import Flow, compute
 from huepose.rendering import render_depth
@@ -54,21 +53,14 @@ WINDOW_GROWTH, WINDOW_PX = 0.3, 8.0
 """Flow is computed where the object is in either frame, and this much around it."""
 
 
-@dataclass(frozen=True)
-class PlainKabsch:
+def plain_kabsch(matches: LiftedMatches) -> Float64 | None:
     """A RelativePose by weighted least squares over every match, wrong ones included."""
-
-    min_matches: int = kabsch.MIN_INLIERS
-
-    def estimate(self, matches: LiftedMatches) -> Motion | None:
-        """See RelativePose."""
-        if len(matches) < self.min_matches or matches.weights.sum() <= 0.0:
-            return None
-        T = kabsch.fit(matches.points_a, matches.points_b, matches.weights)
-        return Motion(T, len(matches), len(matches))
+    if len(matches) < kabsch.MIN_INLIERS or matches.weights.sum() <= 0.0:
+        return None
+    return kabsch.fit(matches.points_a, matches.points_b, matches.weights)
 
 
-ESTIMATORS: Mapping[str, RelativePose] = {"kabsch": PlainKabsch(), "robust": RobustKabsch()}
+ESTIMATORS: Mapping[str, RelativePose] = {"kabsch": plain_kabsch, "robust": robust_kabsch}
 
 
 def with_networks() -> dict[str, RelativePose]:
@@ -156,8 +148,8 @@ def compare(
         epe_px = endpoint_error_px(matches, surface, camera, true_motion)
         lifted = lift_matches(a.frame, b.frame, matches)
         for name, estimator in estimators.items():
-            motion = estimator.estimate(lifted)
-            rotation, translation = (None, None) if motion is None else errors(motion.T_b_a, T_a, T_b)
+            motion = estimator(lifted)
+            rotation, translation = (None, None) if motion is None else errors(motion, T_a, T_b)
             out.append((f"{choice}/{name}", rotation, translation, epe_px, len(lifted)))
     return out
 
@@ -200,8 +192,7 @@ def _all_flow(mask: Bool, flow: Flow) -> Correspondences:
     moved, _ = flow.at(pixels)
     ends = pixels + moved
     inside = (ends >= 0).all(1) & (ends <= np.array(mask.shape[::-1]) - 1).all(1)
-    ones = np.ones(int(inside.sum()))
-    return Correspondences(pixels[inside], ends[inside], ones, ones)
+    return Correspondences(pixels[inside], ends[inside], np.ones(int(inside.sum())))
 
 
 def errors(T_b_a: Float64, T_a: Float64, T_b: Float64) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 """Rigid registration of corresponding points: Kabsch with weights, and a robust version.
 
-Kabsch 1976 (doi 10.1107/S0567739476001873); the robust fit is RANSAC over three pairs, followed by
+Kabsch 1976 (doi 10.1107/S0567739476001873); the robust version is RANSAC over three pairs, followed by
 iteratively reweighted least squares with Tukey's biweight.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry import se3
-from huepose.geometry.arrays import Bool, Float, Float64
+from huepose.geometry.arrays import Float, Float64
 
 REFINEMENTS = 5
 """Rounds of reweighting after the best triple."""
@@ -36,51 +36,32 @@ def fit(source: Float, target: Float, weights: Float | None = None) -> Float64:
     return se3.make(R, q0 - R @ p0)
 
 
-def robust_fit(
-    source: Float,
-    target: Float,
-    weights: Float | None = None,
-    *,
-    inlier_m: float,
-    rng: np.random.Generator,
-    trials: int = 100,
-) -> tuple[Float64, Bool, Float64]:
-    """Rigid fit of paired points (N, 3) with wrong pairs among them.
+def motion(source: Float, target: Float, weights: Float | None = None) -> Float64 | None:
+    """The motion T_target_source (4, 4) of one surface between two frames from paired points (N, 3), wrong
+    ones among them; None where fewer than MIN_INLIERS agree with it.
 
-    Returns T_target_source (4, 4), the inliers (N,) bool (residual under `inlier_m`, metres), and the final
-    weights (N,). Triples are drawn in proportion to `weights`. With fewer than three pairs the result is the
-    identity with no inlier.
+    Triples are drawn in proportion to `weights` (N,). The same pairs give the same motion.
     """
     p, q = np.asarray(source, np.float64), np.asarray(target, np.float64)
     n = len(p)
     w0 = np.ones(n) if weights is None else np.asarray(weights, np.float64)
-    if n < 3 or np.count_nonzero(w0) < 3:
-        return np.eye(4), np.zeros(n, bool), np.zeros(n)
-    draws = rng.choice(n, (trials, 3), p=w0 / w0.sum())
+    if np.count_nonzero(w0) < 3:
+        return None
+    draws = np.random.default_rng(0).choice(n, (TRIALS, 3), p=w0 / w0.sum())
     R, t = fit_triples(p[draws], q[draws])
     errors = np.linalg.norm(np.einsum("kij,nj->kni", R, p) + t[:, None] - q, axis=2)
-    support = (np.maximum(1.0 - (errors / inlier_m) ** 2, 0.0) * w0).sum(1)
+    support = (np.maximum(1.0 - (errors / INLIER_M) ** 2, 0.0) * w0).sum(1)
     best = int(np.argmax(support))
     T = se3.make(R[best], t[best])
     w = w0
     for _ in range(REFINEMENTS):
         e = np.linalg.norm(se3.apply(T, p) - q, axis=1)
-        w = w0 * np.maximum(1.0 - (e / inlier_m) ** 2, 0.0) ** 2
+        w = w0 * np.maximum(1.0 - (e / INLIER_M) ** 2, 0.0) ** 2
         if np.count_nonzero(w) < 3:
             break
         T = fit(p, q, w)
     e = np.linalg.norm(se3.apply(T, p) - q, axis=1)
-    return T, e < inlier_m, w
-
-
-def motion(source: Float, target: Float, weights: Float | None = None) -> tuple[Float64, int] | None:
-    """The motion (4, 4) of one surface between two frames from paired points (N, 3), wrong ones among them,
-    and how many agree with it; None where fewer than MIN_INLIERS do. The same pairs give the same motion."""
-    T_target_source, inliers, _ = robust_fit(
-        source, target, weights, inlier_m=INLIER_M, rng=np.random.default_rng(0), trials=TRIALS
-    )
-    count = int(inliers.sum())
-    return (T_target_source, count) if count >= MIN_INLIERS else None
+    return T if (e < INLIER_M).sum() >= MIN_INLIERS else None
 
 
 def fit_triples(p: Float64, q: Float64) -> tuple[Float64, Float64]:

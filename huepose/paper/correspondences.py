@@ -30,22 +30,18 @@ SIDE_PX = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Correspondences:
-    """pixels_a, pixels_b (N, 2): the same surface points in two frames; weights (N,) in 0..1; similarity
-    (N,): of their colour pairs."""
+    """pixels_a, pixels_b (N, 2): the same surface points in two frames; weights (N,) in 0..1."""
 
     pixels_a: Float64
     pixels_b: Float64
     weights: Float64
-    similarity: Float64
 
     def __len__(self) -> int:
         return len(self.pixels_a)
 
     def __getitem__(self, chosen: Bool) -> Correspondences:
         """The correspondences selected by a mask (N,)."""
-        return Correspondences(
-            self.pixels_a[chosen], self.pixels_b[chosen], self.weights[chosen], self.similarity[chosen]
-        )
+        return Correspondences(self.pixels_a[chosen], self.pixels_b[chosen], self.weights[chosen])
 
 
 def lab_of(color: UInt8) -> Float32:
@@ -82,7 +78,7 @@ def match(
     pixels = np.concatenate([ridge.pixels, grid]).astype(np.float32)
     if not len(pixels):
         none = np.zeros((0, 2))
-        return Correspondences(none, none, np.zeros(0), np.zeros(0))
+        return Correspondences(none, none, np.zeros(0))
     offsets = np.concatenate(
         [
             np.stack([np.cos(ridge.directions), np.sin(ridge.directions)], 1)
@@ -104,7 +100,6 @@ def match(
         (pixels + corner)[good].astype(np.float64),
         (ends + corner)[good].astype(np.float64),
         (weights * similarity)[good],
-        similarity[good],
     )
 
 

@@ -7,9 +7,11 @@ closed form ("residual"). Training prepares its inputs with the functions of thi
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -17,18 +19,14 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.geometry.kabsch import INLIER_M, MIN_INLIERS
 from huepose.paper.canonical import FEATURES, Canonical, canonical
-from huepose.paper.relative_pose import LiftedMatches, Motion, RelativePose, RobustKabsch
+from huepose.paper.relative_pose import LiftedMatches, RelativePose, robust_kabsch
 from huepose.support.errors import InputError
 
 ROUNDS = 8
 
 
-class RotationRegressor(Protocol):
-    """Regresses a rotation from canonical features."""
-
-    def regress(self, features: Float32, weights: Float64) -> Float64:
-        """Rotation (3, 3) from the first canonical frame to the second, of features (N, 15)."""
-        ...
+Regressor = Callable[[Float32, Float64], Float64]
+"""Rotation (3, 3) from the first canonical frame to the second, of features (N, 15) and weights (N,)."""
 
 
 def translation_given(
@@ -48,28 +46,29 @@ def translation_given(
     return np.asarray(t)
 
 
-def motion_given(R_b_a: Float, matches: LiftedMatches) -> Motion | None:
-    """The motion with a known rotation (3, 3); None when too few matches agree with it (`kabsch.motion`)."""
+def motion_given(R_b_a: Float, matches: LiftedMatches) -> Float64 | None:
+    """The motion (4, 4) with a known rotation (3, 3); None when too few matches agree with it."""
     t = translation_given(R_b_a, matches.points_a, matches.points_b, matches.weights, INLIER_M)
     T = se3.orthonormalised(se3.make(R_b_a, t))
     miss = np.linalg.norm(se3.apply(T, matches.points_a) - matches.points_b, axis=1)
-    inliers = int((miss < INLIER_M).sum())
-    return Motion(T, inliers, len(matches)) if inliers >= MIN_INLIERS else None
+    return T if (miss < INLIER_M).sum() >= MIN_INLIERS else None
 
 
-@dataclass(frozen=True)
-class RotationFirst:
-    """A RelativePose by a regressor."""
+def rotation_first(regress: Regressor, matches: LiftedMatches) -> Float64 | None:
+    """A RelativePose by a regressor of the whole rotation."""
+    if len(matches) < MIN_INLIERS:
+        return None
+    seen = canonical(matches.points_a, matches.points_b, matches.weights)
+    return motion_given(seen.rotation(regress(seen.features, matches.weights)), matches)
 
-    regressor: RotationRegressor
 
-    def estimate(self, matches: LiftedMatches) -> Motion | None:
-        """See RelativePose."""
-        if len(matches) < MIN_INLIERS:
-            return None
-        seen = canonical(matches.points_a, matches.points_b, matches.weights)
-        R = seen.rotation(self.regressor.regress(seen.features, matches.weights))
-        return motion_given(R, matches)
+def residual_rotation(regress: Regressor, matches: LiftedMatches) -> Float64 | None:
+    """A RelativePose: closed form, then the residual rotation by a regressor, then the translation."""
+    question = posed(matches, "residual")
+    if question is None:
+        return None
+    left = question.seen.rotation(regress(question.seen.features, matches.weights))
+    return motion_given(left @ question.R_first, matches)
 
 
 Kind = Literal["residual", "direct"]
@@ -83,8 +82,8 @@ WEIGHTS = Path(__file__).parent / "weights"
 def learned(kind: Kind, file: Path | None = None) -> RelativePose:
     """A RelativePose with a network of a kind: from a file, else the one that is shipped. Raises InputError
     for a file that is missing or not such a network."""
-    regressor = OnnxRotation(WEIGHTS / f"{kind}.onnx" if file is None else file)
-    return ResidualRotation(regressor) if kind == "residual" else RotationFirst(regressor)
+    regress = OnnxRotation(WEIGHTS / f"{kind}.onnx" if file is None else file)
+    return partial(residual_rotation if kind == "residual" else rotation_first, regress)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,11 +100,11 @@ def posed(matches: LiftedMatches, kind: Kind) -> Posed | None:
     second before; None where it finds no motion."""
     if kind == "direct":
         return Posed(canonical(matches.points_a, matches.points_b, matches.weights), np.eye(3))
-    motion = RobustKabsch().estimate(matches)
-    if motion is None:
+    T_b_a = robust_kabsch(matches)
+    if T_b_a is None:
         return None
-    moved = se3.apply(motion.T_b_a, matches.points_a)
-    return Posed(canonical(moved, matches.points_b, matches.weights), motion.T_b_a[:3, :3])
+    moved = se3.apply(T_b_a, matches.points_a)
+    return Posed(canonical(moved, matches.points_b, matches.weights), T_b_a[:3, :3])
 
 
 def fixed_count(features: Float32, weights: Float) -> tuple[Float32, Float32]:
@@ -116,7 +115,7 @@ def fixed_count(features: Float32, weights: Float) -> tuple[Float32, Float32]:
 
 
 class OnnxRotation:
-    """A RotationRegressor from a file that `huepose train rotation` made; one thread.
+    """A Regressor from a file that `huepose train rotation` made; one thread.
 
     The file takes `features` (1, 128, 15) and `weights` (1, 128) and gives `rotation` (1, 3, 3), all float32.
     Raises InputError for a file that is not there or is something else.
@@ -147,24 +146,8 @@ class OnnxRotation:
                 fix="use a network by `huepose train rotation` of this version",
             )
 
-    def regress(self, features: Float32, weights: Float64) -> Float64:
-        """See RotationRegressor."""
+    def __call__(self, features: Float32, weights: Float64) -> Float64:
+        """See Regressor."""
         rows, heavy = fixed_count(features, weights)
         (R,) = self._session.run(["rotation"], {"features": rows[None], "weights": heavy[None]})
         return np.asarray(R[0], np.float64)
-
-
-@dataclass(frozen=True)
-class ResidualRotation:
-    """A RelativePose: closed form, then the network's residual rotation, then the translation."""
-
-    regressor: RotationRegressor
-
-    def estimate(self, matches: LiftedMatches) -> Motion | None:
-        """See RelativePose."""
-        question = posed(matches, "residual")
-        if question is None:
-            return None
-        left = question.seen.rotation(self.regressor.regress(question.seen.features, matches.weights))
-        R = left @ question.R_first
-        return motion_given(R, matches)

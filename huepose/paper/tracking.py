@@ -37,7 +37,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.judge.silhouette import projected_box, visible_mask
 from huepose.model.types import ReferenceModel
 from huepose.paper.correspondences import match, propagate
-from huepose.paper.relative_pose import RelativePose, RobustKabsch, lift_matches
+from huepose.paper.relative_pose import RelativePose, lift_matches, robust_kabsch
 from huepose.paper.rotation_network import learned
 from huepose.propose import flow as optical_flow
 from huepose.refine.point_to_plane import align
@@ -71,7 +71,7 @@ class PaperStep:
     ) -> PaperStep:
         """With a network for the rotation (the one of a file, else the one that comes with the library), or
         with the closed form alone. Raises InputError for a file that is no such network."""
-        return PaperStep(RobustKabsch() if rotation == "kabsch" else learned(rotation, model), flow)
+        return PaperStep(robust_kabsch if rotation == "kabsch" else learned(rotation, model), flow)
 
     def __call__(
         self,
@@ -91,8 +91,8 @@ class PaperStep:
         if mask is None:
             mask = visible_mask(model, before, T_cam_obj, VISIBLE_M)
         matches = lift_matches(before, after, match(before.color, after.color, mask, flow))
-        motion = self.relative_pose.estimate(matches)
-        T = T_cam_obj if motion is None else se3.compose(motion.T_b_a, T_cam_obj)
+        T_b_a = self.relative_pose(matches)
+        T = T_cam_obj if T_b_a is None else se3.compose(T_b_a, T_cam_obj)
         points = _depth_points(after, propagate(mask, flow))
         return align(model.surface, model.grid, points, T, GATE_START_M, GATE_END_M, ITERATIONS).T_cam_obj
 

@@ -67,7 +67,7 @@ def test_what_is_exported_answers_as_what_was_trained(tmp_path):
     assert b".py" not in (tmp_path / "rotation.onnx").read_bytes()  # nothing of where the sources lay
     rng = np.random.default_rng(0)
     features, weights = rng.normal(size=(128, 15)).astype(np.float32), np.linspace(1.0, 0.5, 128)
-    R = OnnxRotation(tmp_path / "rotation.onnx").regress(features, weights)
+    R = OnnxRotation(tmp_path / "rotation.onnx")(features, weights)
     with torch.no_grad():
         expected = net(torch.from_numpy(features)[None], torch.from_numpy(weights.astype(np.float32))[None])
     assert pytest.approx(expected[0].numpy(), abs=1e-4) == R

@@ -147,7 +147,7 @@ def followed(last: RgbdFrame, mask: Bool, T_cam_obj: Float64, frame: RgbdFrame) 
     b, known_b = lift(frame.depth, frame.camera, pixels + by)
     k = ok & known_a & known_b
     motion = kabsch.motion(a[k], b[k])
-    return None if motion is None else motion[0] @ T_cam_obj
+    return None if motion is None else motion @ T_cam_obj
 
 
 SIGMA_M = 0.0015

@@ -97,30 +97,16 @@ class _Shares(NamedTuple):
     sliding: float
 
 
-@dataclass(frozen=True, eq=False)
-class SemanticAlignment:
-    """T_cam_obj (4, 4); iterations done; matched: correspondences with weight in the last iteration, of both
-    kinds; rms_m: their weighted root mean square residual."""
-
-    T_cam_obj: Float64
-    iterations: int
-    matched: int
-    rms_m: float
-
-
-def semantic_icp_many(
-    reference: PaperTables, scene: ClassifiedScene, poses: Float
-) -> list[SemanticAlignment]:
-    """Refine each of the poses (M, 4, 4): what does not depend on the pose is made once."""
+def semantic_icp_many(reference: PaperTables, scene: ClassifiedScene, poses: Float) -> Float64:
+    """Each of the poses T_cam_obj (M, 4, 4) refined; what does not depend on the pose is made once."""
     model = np.ascontiguousarray(reference.cloud_points, np.float64)
     T = np.array(poses, dtype=np.float64)
     points = np.ascontiguousarray(scene.points_cam, np.float64)
     if not len(model) or not len(points):
-        return [SemanticAlignment(start, 0, 0, 0.0) for start in T]
+        return T
     low = model.min(0)
     centre = 0.5 * (low + model.max(0))
     radius = float(np.linalg.norm(model - centre, axis=1).max())
-    done, reports = np.zeros(len(T), np.int64), np.zeros((len(T), 2))
     shares, body = _Shares(SEMANTIC, AGGREGATE, SLIDING), Body(centre, radius)
     for level in LEVELS:
         seen = _Scene(
@@ -129,11 +115,8 @@ def semantic_icp_many(
             np.ascontiguousarray(scene.weights[:: level.stride], np.float64),
         )
         cloud = _cloud(reference, level.model_stride, 2.0 * radius * level.gate)
-        _align_all(T, seen, cloud, shares, body, level.iterations, reports, done)
-    return [
-        SemanticAlignment(se3.orthonormalised(pose), int(n), int(matched), float(rms))
-        for pose, n, (matched, rms) in zip(T, done, reports, strict=True)
-    ]
+        _align_all(T, seen, cloud, shares, body, level.iterations)
+    return np.stack([se3.orthonormalised(pose) for pose in T])
 
 
 def _cloud(reference: PaperTables, thinner: int, gate: float) -> _Cloud:
@@ -189,55 +172,29 @@ def _nearest(q0: float, q1: float, q2: float, kind: int, cloud: _Cloud) -> int:
 
 @jit
 def _align_all(
-    poses: Float64,
-    scene: _Scene,
-    cloud: _Cloud,
-    shares: _Shares,
-    body: Body,
-    rounds: int,
-    reports: Float64,
-    done: Int64,
+    poses: Float64, scene: _Scene, cloud: _Cloud, shares: _Shares, body: Body, rounds: int
 ) -> None:
+    """Move the poses on one level."""
     equations = normal_equations(6)
     for m in range(poses.shape[0]):
-        done[m] += _align(poses[m], scene, cloud, shares, body, rounds, reports[m], equations)
-
-
-@jit
-def _align(
-    T: Float64,
-    scene: _Scene,
-    cloud: _Cloud,
-    shares: _Shares,
-    body: Body,
-    rounds: int,
-    report: Float64,
-    equations: NormalEquations,
-) -> int:
-    """Move a pose on one level; returns the iterations done."""
-    for iteration in range(rounds):
-        clear(equations)
-        matched, weight, squares = _add_semantic(T, scene, cloud, shares, body, equations)
-        report[0] = matched
-        report[1] = np.sqrt(squares / weight) if weight > 0.0 else 0.0
-        if matched < FEWEST_FOR_A_STEP:
-            return iteration
-        largest = advance(T, equations, body, DAMPING * weight)
-        if largest < 0.0:
-            return iteration
-        if largest < STEP_TOLERANCE_M:
-            return iteration + 1
-    return rounds
+        for _ in range(rounds):
+            clear(equations)
+            matched, weight = _add_semantic(poses[m], scene, cloud, shares, body, equations)
+            if matched < FEWEST_FOR_A_STEP:
+                break
+            # Negative where the system has no solution.
+            if advance(poses[m], equations, body, DAMPING * weight) < STEP_TOLERANCE_M:
+                break
 
 
 @jit
 def _add_semantic(
     T: Float64, scene: _Scene, cloud: _Cloud, shares: _Shares, body: Body, equations: NormalEquations
-) -> tuple[int, float, float]:
-    """Factor: add the residuals of both kinds of correspondences; returns how many there are, their weight,
-    and the weighted squares of the distances along normals."""
+) -> tuple[int, float]:
+    """Factor: add the residuals of both kinds of correspondences; returns how many there are and their
+    weight."""
     points, model, normals = scene.points, cloud.points, cloud.normals
-    matched, total, squares = 0, 0.0, 0.0
+    matched, total = 0, 0.0
     for i in range(points.shape[0]):
         p0, p1, p2 = points[i, 0] - T[0, 3], points[i, 1] - T[1, 3], points[i, 2] - T[2, 3]
         q0 = T[0, 0] * p0 + T[1, 0] * p1 + T[2, 0] * p2
@@ -256,7 +213,6 @@ def _add_semantic(
             add_residual(equations, w, across, motion_row(q0, q1, q2, n0, n1, n2, body))
             matched += 1
             total += w
-            squares += w * across * across
             if which == 0 and shares.sliding > 0.0:
                 # The residual along the surface, axis by axis.
                 for a in range(3):
@@ -267,4 +223,4 @@ def _add_semantic(
                     along = e0 * u0 + e1 * u1 + e2 * u2
                     row = motion_row(q0, q1, q2, u0, u1, u2, body)
                     add_residual(equations, w * shares.sliding, along, row)
-    return matched, total, squares
+    return matched, total

@@ -126,7 +126,7 @@ class PaperMethod:
         starts = np.stack([h.T_cam_obj for h in found[:REFINED]])
         with stage("semantic_icp"):
             scene = ClassifiedScene(cloud.points, cloud.classes, cloud.weights)
-            poses = np.stack([a.T_cam_obj for a in semantic_icp_many(tables, scene, starts)])
+            poses = semantic_icp_many(tables, scene, starts)
         with stage("judge"):
             fitness = fitness_of(tables, scene, poses)
         order = np.argsort(-fitness, kind="stable")

@@ -173,8 +173,7 @@ def _proposed(
         with stage("semantic_icp"):
             seen = readings[0].cloud
             scene = ClassifiedScene(seen.points, seen.classes, seen.weights)
-            slid = semantic_icp_many(tables_of(model), scene, poses)
-            poses = np.concatenate([poses, [a.T_cam_obj for a in slid]])
+            poses = np.concatenate([poses, semantic_icp_many(tables_of(model), scene, poses)])
     return np.asarray(poses)
 
 

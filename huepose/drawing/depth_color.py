@@ -8,16 +8,13 @@ import numpy as np
 from huepose.geometry.arrays import Float, UInt8
 
 
-def depth_to_color(depth: Float, near_m: float | None = None, far_m: float | None = None) -> UInt8:
-    """Picture (H, W, 3) uint8 RGB of depth (H, W) metres: near blue, far red, no reading black.
-
-    Without limits, the 1st and the 99th percentile of what was read.
-    """
+def depth_to_color(depth: Float) -> UInt8:
+    """Picture (H, W, 3) uint8 RGB of depth (H, W) metres: no reading black, the 1st percentile of what was
+    read blue, the 99th red."""
     known = np.asarray(depth) > 0
     if not known.any():
         return np.zeros((*depth.shape, 3), np.uint8)
-    low = float(np.percentile(depth[known], 1)) if near_m is None else near_m
-    high = float(np.percentile(depth[known], 99)) if far_m is None else far_m
+    low, high = float(np.percentile(depth[known], 1)), float(np.percentile(depth[known], 99))
     return np.where(known[..., None], heat(depth, low, high), 0).astype(np.uint8)
 
 

@@ -30,7 +30,7 @@ def nearest_alike(T_cam_obj: Float64, turns: Float64, T_near: Float64) -> Float6
     return np.asarray(poses[np.einsum("ij,kij->k", T_near[:3, :3], poses[:, :3, :3]).argmax()])
 
 
-def sampled(entry: Mapping[str, Any], step_rad: float = np.pi / 36, unit_m: float = 0.001) -> Float64:
+def sampled(entry: Mapping[str, Any], step_rad: float, unit_m: float = 0.001) -> Float64:
     """Turns (S, 4, 4), identity first, of one object's entry in `models_info.json`.
 
     step_rad: the largest angle between neighbouring samples of a continuous symmetry; unit_m: metres per unit

@@ -120,7 +120,7 @@ def onboard_one(
     )
 
 
-def onboard_many(jobs: Sequence[Job], bundles_dir: Path, processes: int = 2) -> Generator[Event, None, None]:
+def onboard_many(jobs: Sequence[Job], bundles_dir: Path, processes: int) -> Generator[Event, None, None]:
     """Onboard objects in worker processes, yielding what happens.
 
     A mesh that cannot be used is a `Failed` event; the others go on. When the consumer stops early (Ctrl-C

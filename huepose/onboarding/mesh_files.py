@@ -36,7 +36,7 @@ class MeshFiles:
     asked for; else they are black, of one texel, and only their sizes are looked at; of those that may be
     transparent the texels that are so are white."""
 
-    def __init__(self, mesh: Path, textured: bool = True) -> None:
+    def __init__(self, mesh: Path, textured: bool) -> None:
         self.mesh, self.textured = mesh, textured
         self._bytes_left, self._texels_left = LARGEST_BYTES, LARGEST_TEXTURES
         self._textures: dict[Path, UInt8] = {}

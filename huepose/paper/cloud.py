@@ -17,6 +17,9 @@ from huepose.support.jit import jit
 LIGHTNESS = 0.5
 """Weight of L against a and b where colours are compared to classes: light changes it most."""
 
+ROUNDS = 25
+"""Of k-means."""
+
 MAX_CLASSES, MAX_BINS = 16, 64
 """Most classes, and steps of a length, that a key of a triangle or of a point pair can tell apart."""
 
@@ -39,7 +42,7 @@ class ClassifiedCloud:
         )
 
 
-def color_classes(colors: Float32, count: int, rounds: int = 25) -> Float32:
+def color_classes(colors: Float32, count: int) -> Float32:
     """Prototypes (K, 3) of CIELAB colours (N, 3), K <= count: k-means, deterministic, darkest first.
 
     Starts from the colours farthest from those already chosen, so that rare but distinct colours get a class.
@@ -57,7 +60,7 @@ def color_classes(colors: Float32, count: int, rounds: int = 25) -> Float32:
         centers.append(x[k])
     centers = centers[1:] or centers
     c = np.stack(centers)
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         nearest = nearest_class(x / scale, c / scale)
         c = np.stack([x[nearest == k].mean(0) if (nearest == k).any() else c[k] for k in range(len(c))])
     c = c / scale

@@ -10,7 +10,7 @@ from huepose.drawing.depth_color import depth_to_color, heat
 def test_no_reading_is_black_near_is_blue_far_is_red() -> None:
     depth = np.zeros((10, 30), np.float32)
     depth[:, 10:20], depth[:, 20:] = 0.5, 1.5
-    picture = depth_to_color(depth, 0.4, 1.6)
+    picture = depth_to_color(depth)
     assert not picture[:, :10].any()
     assert picture[0, 15, 2] > picture[0, 15, 0]
     assert picture[0, 25, 0] > picture[0, 25, 2]

@@ -16,6 +16,7 @@ from huepose.colorpair.ridges import Ridges, find_ridges, unified_gradient
 from huepose.colorpair.sampling import sample_sides
 from huepose.colorpair.types import ColorPairs
 from huepose.geometry.arrays import Bool, Float32, Int, UInt8
+from huepose.geometry.box import Box
 from huepose.support.jit import jit
 
 DENOISE_PX = 5
@@ -114,21 +115,25 @@ def extract(
     With a `scale` under 1 the image is made smaller by that factor first, so that an object has edges of
     the same kind near and far; positions and widths are given in pixels of `color` all the same.
     """
-    x0, y0, x1, y1 = (0, 0, color.shape[1], color.shape[0]) if mask is None else bounds(mask, MARGIN)
-    part = color[y0:y1, x0:x1]
+    box = Box(0, 0, color.shape[1], color.shape[0]) if mask is None else Box.of_mask(mask)
+    if box is None:
+        return ColorPairs.empty()
+    rows, columns = box.grown(0.0, MARGIN).slices(color.shape[1], color.shape[0])
+    part = color[rows, columns]
+    whole = part.shape[1::-1]
     if scale < 1.0 and part.size:
-        size = (max(round((x1 - x0) * scale), LEAST_SIDE_PX), max(round((y1 - y0) * scale), LEAST_SIDE_PX))
+        size = tuple(max(round(side * scale), LEAST_SIDE_PX) for side in whole)
         part = np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA), np.uint8)
     height, width = part.shape[:2]
     if height < LEAST_SIDE_PX or width < LEAST_SIDE_PX:
         return ColorPairs.empty()
     inside = np.ones((height, width), np.bool_)
     if mask is not None:
-        area = mask[y0:y1, x0:x1].astype(np.uint8) * np.uint8(255)
+        area = mask[rows, columns].astype(np.uint8) * np.uint8(255)
         inside = np.asarray(cv2.resize(area, (width, height), interpolation=cv2.INTER_AREA) > MASK_SHARE)
     pairs = _extract(denoise(part), inside, spacing, max_pairs)
-    steps = np.array([(x1 - x0) / width, (y1 - y0) / height])
-    pixels = (pairs.pixels + 0.5) * steps - 0.5 + np.array([x0, y0])
+    steps = np.array(whole) / part.shape[1::-1]
+    pixels = (pairs.pixels + 0.5) * steps - 0.5 + np.array([columns.start, rows.start])
     return replace(
         pairs, pixels=pixels.astype(np.float32), widths=(pairs.widths * steps.mean()).astype(np.float32)
     )
@@ -159,20 +164,6 @@ def thinned(pixels: Float32, height: int, width: int, spacing: float, limit: int
         if int(kept.sum()) <= limit:
             return kept
         spacing *= 1.25
-
-
-def bounds(mask: Bool, margin: int) -> tuple[int, int, int, int]:
-    """Left, top, right, bottom of a mask (H, W), grown by a margin and cut at the image; zeros when empty."""
-    height, width = mask.shape
-    rows, columns = np.flatnonzero(mask.any(1)), np.flatnonzero(mask.any(0))
-    if not len(rows):
-        return 0, 0, 0, 0
-    return (
-        max(int(columns[0]) - margin, 0),
-        max(int(rows[0]) - margin, 0),
-        min(int(columns[-1]) + 1 + margin, width),
-        min(int(rows[-1]) + 1 + margin, height),
-    )
 
 
 def _take(ridges: Ridges, index: np.ndarray) -> Ridges:

@@ -150,11 +150,6 @@ class FastYcbSequence:
         stems = [path.stem for path in self.path.glob("depth/*.float") if path.stem.isdecimal()]
         return {int(stem) for stem in stems if str(int(stem)) == stem}
 
-    @property
-    def labelled(self) -> bool:
-        """The sequence has ground truth, in a frame that is known."""
-        return len(self._poses) > 0 and self._offset is not None
-
     def _read_stamps(self) -> Float64 | None:
         """Seconds by frame number; None where `data.txt` has none that increase, or only counts."""
         lines = files.read_bytes(self.path / "data.txt").decode("utf-8", "replace").splitlines()

@@ -113,7 +113,6 @@ class Trial:
 
     distance_m: float
     size_px: float
-    visib_fract: float
     state: str
     quality: float
     right: bool
@@ -164,7 +163,6 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
         yield Trial(
             distance_m,
             drawn.camera.fx * model.diameter_m / distance_m,
-            float(labels.visib_fract[0]),
             answer.state,
             answer.quality,
             right,

@@ -51,7 +51,6 @@ class Onboarded:
     path: Path
     size_m: tuple[float, float, float]
     diameter_m: float
-    near_symmetries: int
     equivalents: int
     file_bytes: int
     seconds: float
@@ -111,7 +110,6 @@ def onboard_one(
         path,
         (x, y, z),
         model.diameter_m,
-        len(model.near_symmetries),
         len(model.equivalents),
         path.stat().st_size,
         time.monotonic() - start,

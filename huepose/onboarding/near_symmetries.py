@@ -96,12 +96,10 @@ _SAME_AXIS = np.cos(np.radians(7.0))  # cosine between directions of one axis
 
 @dataclass(frozen=True, eq=False)
 class NearSymmetries:
-    """transforms (M, 4, 4), identity first; errors (M,): mean distance to the own surface over the diameter;
-    axis, offset (3,): direction and a point of the axis of revolution, or None; flip (4, 4): a rotation that
-    reverses the axis, or None."""
+    """transforms (M, 4, 4), identity first; axis, offset (3,): direction and a point of the axis of
+    revolution, or None; flip (4, 4): a rotation that reverses the axis, or None."""
 
     transforms: Float64
-    errors: Float64
     axis: Float64 | None = None
     offset: Float64 | None = None
     flip: Float64 | None = None
@@ -119,23 +117,20 @@ def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> 
     order = np.argsort(rough, kind="stable")
     order = order[rough[order] < _MAX_ROUGH_ERROR]
     order = order[_distinct(fits[order], np.radians(8.0), 4 * MAX_ROTATIONS)]
-    transforms, errors = _sorted_by_error(fits[order], error)
+    transforms = _sorted_by_error(fits[order], error)
     axis = axis_of_revolution(transforms, centre, error)
     if axis is None:
         kept = transforms[_distinct(transforms, DISTINCT_RAD, MAX_ROTATIONS - 1)]
         polished = np.array([sided.polished(T, points, normals) for T in kept])
-        transforms, errors = _sorted_by_error(polished, error)
+        transforms = _sorted_by_error(polished, error)
         last = _distinct(transforms, DISTINCT_RAD, MAX_ROTATIONS - 1)
-        with_identity = np.concatenate([np.eye(4)[None], transforms[last]])
-        return NearSymmetries(with_identity, np.concatenate([[0.0], errors[last]]))
+        return NearSymmetries(np.concatenate([np.eye(4)[None], transforms[last]]))
     direction, offset = axis
     about = rotations_about(direction, offset, STEP_RAD)
     reversing = [T for T in transforms if T[:3, :3] @ direction @ direction < -_SAME_AXIS]
     flip = sided.polished(reversing[0], points, normals) if reversing else None
     all_transforms = about if flip is None else np.concatenate([about, flip @ about])
-    return NearSymmetries(
-        all_transforms, np.array([error(T) for T in all_transforms]), direction, offset, flip
-    )
+    return NearSymmetries(all_transforms, direction, offset, flip)
 
 
 def _measured_on(surface: Surface) -> tuple[Float64, Float64]:
@@ -155,13 +150,12 @@ def revolves(surface: Surface, diameter_m: float, direction: Float, offset: Floa
     return all(error(T) < MAX_ERROR_ABOUT_AXIS for T in rotations_about(direction, offset, STEP_RAD))
 
 
-def _sorted_by_error(transforms: Float64, error: Callable[[Float64], float]) -> tuple[Float64, Float64]:
-    """The transforms below `MAX_ERROR`, best first, and their errors."""
+def _sorted_by_error(transforms: Float64, error: Callable[[Float64], float]) -> Float64:
+    """The transforms below `MAX_ERROR`, best first."""
     transforms = transforms.reshape(-1, 4, 4)
     errors = np.array([error(T) for T in transforms]).reshape(-1)
     order = np.argsort(errors, kind="stable")
-    order = order[errors[order] < MAX_ERROR]
-    return transforms[order], errors[order]
+    return transforms[order[errors[order] < MAX_ERROR]]
 
 
 def rotations_about(axis: Float, offset: Float, step_rad: float) -> Float64:

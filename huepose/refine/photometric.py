@@ -139,11 +139,10 @@ class _Settings(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Refined:
     """T_cam_obj (4, 4) and information (6, 6) of it with respect to `se3.perturb`, as if the residuals'
-    errors were independent (`uncertainty` says what that is worth); iterations done."""
+    errors were independent (`uncertainty` says what that is worth)."""
 
     T_cam_obj: Float64
     information: Float64
-    iterations: int
 
 
 def refine(
@@ -153,9 +152,9 @@ def refine(
     T = np.array(T_cam_obj, np.float64, order="C")
     settings = _settings(schedule, surface, float(surface.centre_cam(T)[2]), region.camera.fx)
     A = np.zeros((6, 6))
-    done = _refine(T, surface.arrays, surface.steepest, region.arrays, settings, A)
+    _refine(T, surface.arrays, surface.steepest, region.arrays, settings, A)
     T = se3.orthonormalised(T)
-    return Refined(T, information(A, T, settings.body), int(done))
+    return Refined(T, information(A, T, settings.body))
 
 
 def refine_all(

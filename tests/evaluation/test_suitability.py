@@ -27,7 +27,7 @@ CROP = np.zeros((20, 30, 3), np.uint8)
 
 def trial(right: bool, size_px: float = 100.0, *, state: str = "TRACKING", shape: bool = True) -> Trial:
     turn = None if right or not shape else np.array([0.0, 0.0, np.pi])
-    return Trial(61.4 / size_px, size_px, 0.9, state, 0.9, right, right or shape, CROP, turn)
+    return Trial(61.4 / size_px, size_px, state, 0.9, right, right or shape, CROP, turn)
 
 
 def test_an_object_that_is_always_right_suits_without_reasons(tea_box: ReferenceModel) -> None:

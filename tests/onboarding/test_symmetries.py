@@ -65,7 +65,6 @@ def test_a_printed_box_has_flips_of_its_shape_only(bricks) -> None:
         assert angles_to(near.transforms[k : k + 1], half_turn(axis))[0] < 1.5
         centre = np.array([0.02, 0.0, -0.01])
         np.testing.assert_allclose(se3.apply(near.transforms[k], centre), centre, atol=1e-3)
-        assert near.errors[k] < 0.01
     assert len(equivalents) == 1
     np.testing.assert_array_equal(equivalents[0], np.eye(4))
 
@@ -78,7 +77,7 @@ def test_how_a_box_is_turned_about_an_axis_need_not_matter(bricks) -> None:
 
 
 def test_a_shape_that_has_no_such_rotation_says_so() -> None:
-    near = NearSymmetries(np.eye(4)[None], np.zeros(1))
+    near = NearSymmetries(np.eye(4)[None])
     with pytest.raises(InputError, match=r"no rotation about the object's z axis .* a file can declare"):
         rotations_about_own(None, near, 0.1, "z")
 
@@ -143,9 +142,7 @@ def test_a_ball_turns_about_every_axis() -> None:
     profile[0], profile[-1] = (0.0, -0.03), (0.0, 0.03)
     ball = solids.lathe(profile, np.full((8, 8, 3), (220, 120, 20), np.uint8))
     diameter, _, surface = surface_of(solids.moved(ball, (0.0, 0.05, 0.0)))
-    some_axis = NearSymmetries(
-        np.eye(4)[None], np.zeros(1), np.array([0.28, 0, 0.96]), np.array([0, 0.05, 0])
-    )
+    some_axis = NearSymmetries(np.eye(4)[None], np.array([0.28, 0, 0.96]), np.array([0, 0.05, 0]))
     for k, axis in enumerate("xyz"):
         turns = rotations_about_own(surface, some_axis, diameter, axis)
         assert len(turns) == 72

@@ -180,7 +180,7 @@ def test_what_was_seen_of_one_side_alone_tells_a_script(
     made = SimpleNamespace(
         mesh=BOX, frames=9, T_cam_obj={0: None}, views=1, directions=0.1, surface=surface, closing_m=None
     )
-    result = Onboarded("tea", tmp_path / "tea", (0.1, 0.1, 0.1), 0.2, 0, 1, 9, 1.0, False)
+    result = Onboarded("tea", tmp_path / "tea", (0.1, 0.1, 0.1), 0.2, 1, 9, 1.0, False)
     tests = []
     monkeypatch.setattr(onboard_video, "_scene", lambda path: None)
     monkeypatch.setattr(onboard_video, "_learned", lambda *_: made)

@@ -41,11 +41,10 @@ TURNS = np.radians([-24.0, -12.0, 12.0, 24.0])
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """T_cam_obj (4, 4); terms: what the pose explains; information (6, 6) as in `refine`."""
+    """T_cam_obj (4, 4); terms: what the pose explains."""
 
     T_cam_obj: Float64
     terms: Terms
-    information: Float64
 
 
 def surface_of(shape: Fused, views: Sequence[View], T_cam_obj: Float64) -> PreparedSurface | None:
@@ -115,10 +114,10 @@ def registered(surface: PreparedSurface, frame: RgbdFrame, guesses: Sequence[Flo
             continue
         coarse = refine(surface, region, guess, COARSE)
         for start in (guess, coarse.T_cam_obj):
-            found = refine(surface, region, start, FULL)
-            terms = look(surface, region, found.T_cam_obj)
+            T = refine(surface, region, start, FULL).T_cam_obj
+            terms = look(surface, region, T)
             if best is None or terms.total > best.terms.total:
-                best = Registered(found.T_cam_obj, terms, found.information)
+                best = Registered(T, terms)
     return best
 
 

@@ -13,8 +13,9 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float32, Float64, Int, Int32, Int64, UInt8
+from huepose.model.types import PaperTables
 from huepose.paper.cloud import MAX_BINS, MAX_CLASSES, ClassifiedCloud, sparse
-from huepose.propose.types import Votes
+from huepose.paper.votes import Votes
 from huepose.support.jit import jit
 
 BIN, ANGLES = 0.05, 12
@@ -64,17 +65,11 @@ def build_ppf(cloud: ClassifiedCloud, diameter_m: float) -> tuple[Int64, Int32, 
 
 
 def ppf_votes(
-    scene: ClassifiedCloud,
-    model: ClassifiedCloud,
-    keys: Int64,
-    pairs: Int32,
-    alpha: Float32,
-    bin_m: float,
-    diameter_m: float,
-    rng: np.random.Generator,
+    scene: ClassifiedCloud, tables: PaperTables, diameter_m: float, rng: np.random.Generator
 ) -> Votes:
-    """Poses from the peaks of the votes of some scene reference points (camera axes)."""
-    if not len(keys) or len(scene) < 2:
+    """Poses from the peaks of the votes of some reference points of the scene's classified cloud (camera
+    axes) for a model of that diameter."""
+    if not len(tables.ppf_keys) or len(scene) < 2:
         return Votes.empty()
     p = np.maximum(scene.weights.astype(np.float64), 1e-6)
     count = min(REFERENCES, len(scene))
@@ -87,12 +82,12 @@ def ppf_votes(
         scene.weights,
         references,
         partners.astype(np.int32),
-        model.points,
-        model.normals,
-        keys,
-        pairs,
-        alpha,
-        bin_m,
+        tables.cloud_points,
+        tables.cloud_normals,
+        tables.ppf_keys,
+        tables.ppf,
+        tables.ppf_alpha,
+        tables.parameters["ppf_bin_m"],
         ANGLES,
         MIN_DISTANCE * diameter_m,
         1.05 * diameter_m,

@@ -1,4 +1,4 @@
-"""Online: the classified point cloud of a scene, and the votes that it casts (paper, section III-C).
+"""Online: the classified point cloud of a scene (paper, section III-C).
 
 Colour pairs of the object's region are extracted, lifted onto their surface and classified by the model's
 database. The paper leaves open at which resolution pairs are compared: here the picture is brought to the
@@ -20,8 +20,6 @@ from huepose.paper.classes import classified
 from huepose.paper.cloud import ClassifiedCloud
 from huepose.paper.ppf import ppf_votes
 from huepose.paper.tables import reference_cloud, tables_of
-from huepose.paper.triangles import triangle_votes
-from huepose.propose.types import Votes
 
 NEEDED_CLASSES, NEEDED_POINTS = 3, 30
 """Triangles need three classes, each with so many points in sight; where fewer are, point pairs are asked."""
@@ -53,41 +51,10 @@ def classes_in_sight(cloud: ClassifiedCloud) -> int:
     return int((np.bincount(cloud.classes, minlength=1) >= NEEDED_POINTS).sum())
 
 
-def votes_of_triangles(
-    model: ReferenceModel, cloud: ClassifiedCloud, facing: float, rng: np.random.Generator
-) -> Votes:
-    """Poses from the triangles of a scene's classified cloud; facing: smallest mean cosine between matched
-    normals."""
-    tables = tables_of(model)
-    return triangle_votes(
-        cloud,
-        reference_cloud(tables),
-        tables.triangle_keys,
-        tables.triangles,
-        tables.parameters["triangle_bin_m"],
-        facing,
-        rng,
-    )
-
-
 def warm_up_point_pairs(models: Sequence[ReferenceModel]) -> None:
     """Compile the fallback, which most pictures do without, on the cloud of the first model that has a table
     for it."""
     model = next((m for m in models if len(tables_of(m).ppf_keys)), None)
     if model is not None:
-        votes_of_point_pairs(model, reference_cloud(tables_of(model)), np.random.default_rng(0))
-
-
-def votes_of_point_pairs(model: ReferenceModel, cloud: ClassifiedCloud, rng: np.random.Generator) -> Votes:
-    """Poses from the point pair features of a scene's classified cloud."""
-    tables = tables_of(model)
-    return ppf_votes(
-        cloud,
-        reference_cloud(tables),
-        tables.ppf_keys,
-        tables.ppf,
-        tables.ppf_alpha,
-        tables.parameters["ppf_bin_m"],
-        model.diameter_m,
-        rng,
-    )
+        tables = tables_of(model)
+        ppf_votes(reference_cloud(tables), tables, model.diameter_m, np.random.default_rng(0))

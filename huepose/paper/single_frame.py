@@ -43,25 +43,22 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import PaperTables, ReferenceModel
 from huepose.paper.cloud import ClassifiedCloud
+from huepose.paper.ppf import ppf_votes
 from huepose.paper.scene import (
     NEEDED_CLASSES,
     classes_in_sight,
     classified_scene,
     extract_at_model_scale,
-    votes_of_point_pairs,
-    votes_of_triangles,
     warm_up_point_pairs,
 )
 from huepose.paper.semantic_icp import AGGREGATE, SEMANTIC, ClassifiedScene, semantic_icp_many
 from huepose.paper.tables import tables_of
-from huepose.paper.triangles import ANY_FACING
-from huepose.paper.voting import cluster
+from huepose.paper.triangles import ANY_FACING, triangle_votes
+from huepose.paper.votes import Votes
+from huepose.paper.voting import NO_POSES, cluster
 from huepose.propose.evidence import Evidence
-from huepose.propose.types import Votes
 from huepose.select.distinct import Ranked
 from huepose.support.stages import stage
-
-NO_POSES = np.zeros((0, 4, 4)), np.zeros(0)
 
 GATE = 0.06
 """Distance from which two points are no correspondence, in diameters of the model's cloud: the third of the
@@ -120,13 +117,12 @@ class PaperMethod:
             cloud = classified_scene(model, seen)
         with stage("votes"):
             votes = self._votes(model, cloud, rng)
-            found = cluster(votes, model.mesh.centre, model.diameter_m, "paper")
-        if not found:
+            found, _ = cluster(votes, model.mesh.centre, model.diameter_m)
+        if not len(found):
             return NO_POSES
-        starts = np.stack([h.T_cam_obj for h in found[:REFINED]])
         with stage("semantic_icp"):
             scene = ClassifiedScene(cloud.points, cloud.classes, cloud.weights)
-            poses = semantic_icp_many(tables, scene, starts)
+            poses = semantic_icp_many(tables, scene, found[:REFINED])
         with stage("judge"):
             fitness = fitness_of(tables, scene, poses)
         order = np.argsort(-fitness, kind="stable")
@@ -136,8 +132,8 @@ class PaperMethod:
         """Of triangles; of point pairs where too few classes are in sight for them."""
         config = self.config
         if config.triangles and (not config.ppf or classes_in_sight(cloud) >= NEEDED_CLASSES):
-            return votes_of_triangles(model, cloud, ANY_FACING, rng)
-        return votes_of_point_pairs(model, cloud, rng) if config.ppf else Votes.empty()
+            return triangle_votes(cloud, tables_of(model), ANY_FACING, rng)
+        return ppf_votes(cloud, tables_of(model), model.diameter_m, rng) if config.ppf else Votes.empty()
 
 
 def fitness_of(tables: PaperTables, scene: ClassifiedScene, poses: Float64) -> Float64:

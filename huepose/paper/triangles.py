@@ -14,8 +14,9 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8
+from huepose.model.types import PaperTables
 from huepose.paper.cloud import MAX_BINS, MAX_CLASSES, ClassifiedCloud
-from huepose.propose.types import Votes
+from huepose.paper.votes import Votes
 from huepose.support.jit import jit
 
 BIN = 0.035
@@ -95,17 +96,11 @@ def pack(classes: Int64, bins: Int64, chirality: np.ndarray) -> Int64:
 
 
 def triangle_votes(
-    scene: ClassifiedCloud,
-    model: ClassifiedCloud,
-    keys: Int64,
-    triangles: Int32,
-    bin_m: float,
-    facing: float,
-    rng: np.random.Generator,
+    scene: ClassifiedCloud, tables: PaperTables, facing: float, rng: np.random.Generator
 ) -> Votes:
-    """Poses from matching triangles of the scene's classified cloud (camera axes) with the table; facing:
-    smallest mean cosine between matched normals."""
-    if not len(keys) or len(scene) < 3:
+    """Poses from matching triangles of the scene's classified cloud (camera axes) with those of a model;
+    facing: smallest mean cosine between matched normals."""
+    if not len(tables.triangle_keys) or len(scene) < 3:
         return Votes.empty()
     # about two in three draws have three different classes and a useful shape
     triples = draw_triples(scene, 3 * SCENE_TRIANGLES, rng)
@@ -115,11 +110,11 @@ def triangle_votes(
         scene.classes,
         scene.weights,
         triples,
-        model.points,
-        model.normals,
-        keys,
-        triangles,
-        bin_m,
+        tables.cloud_points,
+        tables.cloud_normals,
+        tables.triangle_keys,
+        tables.triangles,
+        tables.parameters["triangle_bin_m"],
         MIN_HEIGHT,
         SCENE_TRIANGLES,
         PER_KEY,

@@ -19,7 +19,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64
 from huepose.paper.modes import distinct_modes, modes_of
-from huepose.propose.types import Hypothesis, Votes
+from huepose.paper.votes import Votes
 from huepose.support.jit import jit
 
 CELL, ANGLE_DEG = 0.1, 20.0
@@ -37,22 +37,23 @@ DISTINCT, DISTINCT_DEG = 0.07, 15.0
 HYPOTHESES = 60
 """Most that are returned."""
 
+NO_POSES = np.zeros((0, 4, 4)), np.zeros(0)
+
 
 def cluster(
     votes: Votes,
     centre_obj: Float,
     diameter_m: float,
-    source: str,
     equivalents: Float | None = None,
-) -> list[Hypothesis]:
-    """The densest poses among the votes, best first; `centre_obj` (3,) is the point whose position is voted
-    for; `equivalents` (E, 4, 4), identity first: rotations after which shape and texture look the same.
+) -> tuple[Float64, Float64]:
+    """The densest poses (K, 4, 4) among the votes, best first, and their scores (K,).
 
-    The score is the summed weight of a mode's supporters, each scene feature counted once. Of equal poses
-    one is returned.
+    centre_obj (3,): the point whose position is voted for; equivalents (E, 4, 4), identity first: rotations
+    after which shape and texture look the same. The score is the summed weight of a mode's supporters, each
+    scene feature counted once. Of equal poses one is returned.
     """
     if not len(votes):
-        return []
+        return NO_POSES
     turns = np.eye(4)[None] if equivalents is None else np.asarray(equivalents, np.float64)
     # the one point that no equal pose moves
     c = np.asarray(turns[:, :3, :3] @ np.asarray(centre_obj, np.float64) + turns[:, :3, 3]).mean(0)
@@ -76,7 +77,7 @@ def cluster(
             )
         )
     if not found:
-        return []
+        return NO_POSES
     scores, rotations, places = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.argsort(-scores, kind="stable")
     scores, rotations, places = scores[order], rotations[order], places[order]
@@ -88,11 +89,11 @@ def cluster(
         DISTINCT * diameter_m,
         HYPOTHESES,
     )
-    out = []
+    poses = []
     for k in kept:
         R = se3.rotation_from_quaternion(rotations[k])
-        out.append(Hypothesis(se3.make(R, places[k] - R @ c), float(scores[k]), source))
-    return out
+        poses.append(se3.make(R, places[k] - R @ c))
+    return np.array(poses).reshape(-1, 4, 4), scores[kept]
 
 
 def _products(a: Float64, b: Float64) -> Float64:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from huepose.model.types import PaperTables
 from huepose.paper.cloud import ClassifiedCloud
 
 SeenFrom = Callable[..., ClassifiedCloud]
@@ -34,6 +36,24 @@ def painted() -> ClassifiedCloud:
     f = np.float32
     ones = np.ones(len(every), f)
     return ClassifiedCloud(every.astype(f), normals.astype(f), kinds.astype(np.uint8), ones)
+
+
+def bare_tables(cloud: ClassifiedCloud, **filled: object) -> PaperTables:
+    """Tables of which only the cloud is filled, and what is given."""
+    empty = PaperTables(
+        centers=np.zeros((int(cloud.classes.max()) + 1, 3), np.float32),
+        side_classes=np.zeros((0, 2), np.uint8),
+        cloud_points=cloud.points,
+        cloud_normals=cloud.normals,
+        cloud_classes=cloud.classes,
+        cloud_weights=cloud.weights,
+        triangle_keys=np.zeros(0, np.int64),
+        triangles=np.zeros((0, 3), np.int32),
+        ppf_keys=np.zeros(0, np.int64),
+        ppf=np.zeros((0, 2), np.int32),
+        ppf_alpha=np.zeros(0, np.float32),
+    )
+    return replace(empty, **filled)
 
 
 @pytest.fixture(scope="session")

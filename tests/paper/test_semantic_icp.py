@@ -8,9 +8,10 @@ import pytest
 from huepose.geometry import se3
 from huepose.model.types import PaperTables, ReferenceModel
 from huepose.paper import semantic_icp as icp
+from huepose.paper.cloud import ClassifiedCloud
 from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
 from huepose.paper.tables import tables_of
-from tests.paper.conftest import on_a_box
+from tests.paper.conftest import bare_tables, on_a_box
 
 
 def semantic_icp(
@@ -27,20 +28,9 @@ def semantic_icp(
 
 def bare_reference(points: np.ndarray, normals: np.ndarray, classes: np.ndarray) -> PaperTables:
     """A reference of which only the cloud is filled."""
-    f, none = np.float32, np.zeros(0, np.float32)
-    return PaperTables(
-        np.zeros((int(classes.max()) + 1, 3), f),
-        np.zeros((0, 2), np.uint8),
-        points.astype(f),
-        normals.astype(f),
-        classes.astype(np.uint8),
-        np.ones(len(points), f),
-        np.zeros(0, np.int64),
-        np.zeros((0, 3), np.int32),
-        np.zeros(0, np.int64),
-        np.zeros((0, 2), np.int32),
-        none,
-    )
+    f = np.float32
+    ones = np.ones(len(points), f)
+    return bare_tables(ClassifiedCloud(points.astype(f), normals.astype(f), classes.astype(np.uint8), ones))
 
 
 @pytest.fixture(scope="module")

@@ -60,16 +60,16 @@ def test_point_pairs_are_asked_only_where_triangles_cannot_be(
     tea_box: ReferenceModel, frame: RgbdFrame, outline: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
-    for name in ("votes_of_triangles", "votes_of_point_pairs"):
+    for name in ("triangle_votes", "ppf_votes"):
         real = getattr(single_frame, name)
         monkeypatch.setattr(
             single_frame, name, lambda *args, name=name, real=real: asked.append(name) or real(*args)
         )
     for classes, config, expected in (
-        (3, PaperConfig(), "votes_of_triangles"),
-        (2, PaperConfig(), "votes_of_point_pairs"),
-        (2, PaperConfig(ppf=False), "votes_of_triangles"),
-        (3, PaperConfig(triangles=False), "votes_of_point_pairs"),
+        (3, PaperConfig(), "triangle_votes"),
+        (2, PaperConfig(), "ppf_votes"),
+        (2, PaperConfig(ppf=False), "triangle_votes"),
+        (3, PaperConfig(triangles=False), "ppf_votes"),
     ):
         asked.clear()
         monkeypatch.setattr(single_frame, "classes_in_sight", lambda cloud, n=classes: n)

@@ -160,12 +160,12 @@ def _proposed(
         readings = read_scene(model, pairs, part, mask, config.hypotheses, rng)
         found = hypotheses_of(model, readings, part, mask, config.hypotheses, rng)[:REFINED]
         if config.shapes:
-            found += shape_hypotheses(model, part, mask, min(REFINED - len(found), SHAPES))
-    if not found:
-        return np.zeros((0, 4, 4))
-    poses = np.stack([h.T_cam_obj for h in found])
+            starts = shape_hypotheses(model, part, mask, min(REFINED - len(found), SHAPES))
+            found = np.concatenate([found, starts])
+    if not len(found):
+        return found
     with stage("icp"):
-        poses = align_many(model.surface, model.grid, points_cam, poses, 0.15 * model.diameter_m, 0.008, 25)
+        poses = align_many(model.surface, model.grid, points_cam, found, 0.15 * model.diameter_m, 0.008, 25)
     with stage("judge"):
         totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
         poses = poses[different_poses(model, poses, totals, KEPT)]

@@ -15,7 +15,7 @@ from huepose.colorpair.similarity import parameters, shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, Int32
 from huepose.paper.classes import exchange, pair_cost
-from huepose.propose.types import Votes
+from huepose.paper.votes import Votes
 from huepose.support.jit import jit
 
 MODEL_PAIRS = 2500

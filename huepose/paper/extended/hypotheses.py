@@ -22,15 +22,12 @@ from huepose.paper.cloud import ClassifiedCloud
 from huepose.paper.extended.frames import frame_votes
 from huepose.paper.extended.light import lights_of, relit
 from huepose.paper.extended.plausible import plausible
-from huepose.paper.scene import (
-    NEEDED_CLASSES,
-    classes_in_sight,
-    classified_scene,
-    votes_of_point_pairs,
-    votes_of_triangles,
-)
-from huepose.paper.voting import cluster
-from huepose.propose.types import Hypothesis, Votes
+from huepose.paper.ppf import ppf_votes
+from huepose.paper.scene import NEEDED_CLASSES, classes_in_sight, classified_scene
+from huepose.paper.tables import tables_of
+from huepose.paper.triangles import triangle_votes
+from huepose.paper.votes import Votes
+from huepose.paper.voting import NO_POSES, cluster
 
 SCENE_PAIRS = 220
 """Most pairs of a scene that are used."""
@@ -52,12 +49,9 @@ class HypothesesConfig:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The scene's pairs read under one light. light (3,): gains (see `paper.extended.light`); share: of the
-    pairs that it explains, 0..1; pairs: on the surface, camera axes, colours as under the model's light;
-    cloud: their two sides, classified."""
+    """The scene's pairs read under one light. pairs: on the surface, camera axes, colours as under the
+    model's light; cloud: their two sides, classified."""
 
-    light: Float64
-    share: float
     pairs: SurfacePairs
     cloud: ClassifiedCloud
 
@@ -69,21 +63,22 @@ def hypotheses_of(
     mask: Bool,
     config: HypothesesConfig,
     rng: np.random.Generator,
-) -> list[Hypothesis]:
-    """Likely poses of a model from the readings of a mask (H, W), best first, before any refinement.
+) -> Float64:
+    """Likely poses (K, 4, 4) of a model from the readings of a mask (H, W), best first, not yet refined.
 
-    Empty without readings: `paper.shape` has starts for that case.
+    Empty without readings: `paper.extended.shape` has starts for that case.
     """
     if not readings:
-        return []
+        return NO_POSES[0]
     first = [v for r in readings for v in _first_votes(model, r, config, rng)]
     votes = plausible(Votes.joined(first), model.surface, frame.depth, mask, frame.camera, model.diameter_m)
     in_sight = max(classes_in_sight(r.cloud) for r in readings)
     if config.ppf and (not first or in_sight < NEEDED_CLASSES):
-        fallback = Votes.joined([votes_of_point_pairs(model, r.cloud, rng) for r in readings])
+        tables = tables_of(model)
+        fallback = Votes.joined([ppf_votes(r.cloud, tables, model.diameter_m, rng) for r in readings])
         more = plausible(fallback, model.surface, frame.depth, mask, frame.camera, model.diameter_m)
         votes = Votes.joined([votes, more])
-    return cluster(votes, model.mesh.centre, model.diameter_m, "pairs", model.equivalents)
+    return cluster(votes, model.mesh.centre, model.diameter_m, model.equivalents)[0]
 
 
 def read_scene(
@@ -103,14 +98,14 @@ def read_scene(
     if not len(scene) or not len(reference):
         return []
     scene = scene[rng.permutation(len(scene))[:SCENE_PAIRS]]
-    lights = [(np.ones(3), 0.0)]
+    lights = [np.ones(3)]
     if config.light:
-        lights = lights_of(scene.colors, reference.colors, rng)
+        lights = [light for light, _ in lights_of(scene.colors, reference.colors, rng)]
     readings = []
-    for light, share in lights:
+    for light in lights:
         relit_scene = replace(scene, colors=relit(scene.colors, 1.0 / light))
         cloud = classified_scene(model, relit_scene)
-        readings.append(Reading(light, share, relit_scene, cloud))
+        readings.append(Reading(relit_scene, cloud))
     return readings
 
 
@@ -121,5 +116,5 @@ def _first_votes(
     if config.frames:
         votes.append(frame_votes(reading.pairs, reference_pairs(model.pairs)))
     if config.triangles:
-        votes.append(votes_of_triangles(model, reading.cloud, FACING, rng))
+        votes.append(triangle_votes(reading.cloud, tables_of(model), FACING, rng))
     return votes

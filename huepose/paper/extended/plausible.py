@@ -13,7 +13,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32
 from huepose.geometry.camera import Camera
 from huepose.model.types import Surface
-from huepose.propose.types import Votes
+from huepose.paper.votes import Votes
 from huepose.support.jit import jit
 
 SAMPLES = 40

@@ -18,7 +18,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.se3 import angles_to
 from huepose.model.types import ReferenceModel, Surface
 from huepose.paper.extended.plausible import plausible
-from huepose.propose.types import Hypothesis, Votes
+from huepose.paper.votes import Votes
 
 LEVEL, ROLLS = 1, 16
 """Views of the icosphere and rolls about the viewing ray: a rotation is at most about 20 degrees from one."""
@@ -30,11 +30,12 @@ POINTS = 400
 """Most pixels of a mask whose depth says where the object is."""
 
 
-def shape_hypotheses(model: ReferenceModel, frame: RgbdFrame, mask: Bool, count: int) -> list[Hypothesis]:
-    """The `count` most plausible different starts under a mask (H, W), best first; none without depth."""
+def shape_hypotheses(model: ReferenceModel, frame: RgbdFrame, mask: Bool, count: int) -> Float64:
+    """The `count` most plausible different starts (K, 4, 4) under a mask (H, W), best first; none without
+    depth."""
     v, u = np.nonzero(mask & (frame.depth > 0))
     if not len(v):
-        return []
+        return np.zeros((0, 4, 4))
     step = -(-len(v) // POINTS)
     chosen = np.stack([u[::step], v[::step]], 1)
     depths = frame.depth[chosen[:, 1], chosen[:, 0]]
@@ -49,17 +50,15 @@ def shape_hypotheses(model: ReferenceModel, frame: RgbdFrame, mask: Bool, count:
         np.arange(len(rotations), dtype=np.int32),
     )
     votes = plausible(votes, model.surface, frame.depth, mask, frame.camera, model.diameter_m)
-    out: list[Hypothesis] = []
+    out: list[Float64] = []
     for k in np.argsort(-votes.weights, kind="stable"):
         if len(out) >= count:
             break
         R = votes.rotations[k].astype(np.float64)
-        if out and angles_to(np.stack([h.T_cam_obj[:3, :3] for h in out]), R).min() < np.radians(
-            DISTINCT_DEG
-        ):
+        if out and angles_to(np.stack([T[:3, :3] for T in out]), R).min() < np.radians(DISTINCT_DEG):
             continue
-        out.append(Hypothesis(se3.make(R, votes.translations[k]), float(votes.weights[k]), "shape"))
-    return out
+        out.append(se3.make(R, votes.translations[k]))
+    return np.array(out).reshape(-1, 4, 4)
 
 
 @lru_cache(maxsize=1)

@@ -17,7 +17,7 @@ from huepose.paper.extended.hypotheses import HypothesesConfig, hypotheses_of, r
 from huepose.paper.extended.plausible import plausible
 from huepose.paper.extended.shape import shape_hypotheses
 from huepose.paper.scene import classes_in_sight, extract_at_model_scale
-from huepose.propose.types import Hypothesis, Votes
+from huepose.paper.votes import Votes
 from huepose.rendering.render import render_depth
 
 
@@ -40,17 +40,17 @@ def mask(tea_box: ReferenceModel, standing: np.ndarray, frame: RgbdFrame) -> np.
 
 def from_pairs(
     model: ReferenceModel, pairs: ColorPairs, frame: RgbdFrame, mask: np.ndarray, config: HypothesesConfig
-) -> list[Hypothesis]:
+) -> np.ndarray:
     rng = np.random.default_rng(0)
     readings = read_scene(model, pairs, frame, mask, config, rng)
     return hypotheses_of(model, readings, frame, mask, config, rng)
 
 
-def nearest(hypotheses: list[Hypothesis], T: np.ndarray) -> tuple[int, float, float]:
+def nearest(poses: np.ndarray, T: np.ndarray) -> tuple[int, float, float]:
     """Rank of the first hypothesis within 12 degrees and 2 cm, and how far off it is."""
-    for rank, h in enumerate(hypotheses):
-        turn = np.degrees(se3.rotation_angle(h.T_cam_obj, T))
-        move = float(np.linalg.norm(h.T_cam_obj[:3, 3] - T[:3, 3]))
+    for rank, pose in enumerate(poses):
+        turn = np.degrees(se3.rotation_angle(pose, T))
+        move = float(np.linalg.norm(pose[:3, 3] - T[:3, 3]))
         if turn < 12.0 and move < 0.02:
             return rank, turn, move
     return 999, 180.0, 1.0
@@ -84,8 +84,8 @@ def test_point_pairs_are_asked_where_fewer_than_three_classes_are_in_sight(
     readings = read_scene(tea_box, pairs, frame, mask, config, rng)
     poor = [replace(r, cloud=r.cloud[r.cloud.classes < 2]) for r in readings]
     asked = []
-    real = hypotheses.votes_of_point_pairs
-    monkeypatch.setattr(hypotheses, "votes_of_point_pairs", lambda *args: asked.append(1) or real(*args))
+    real = hypotheses.ppf_votes
+    monkeypatch.setattr(hypotheses, "ppf_votes", lambda *args: asked.append(1) or real(*args))
     for given, chosen, times in (
         (readings, config, 0),
         (poor, config, len(poor)),
@@ -99,7 +99,6 @@ def test_point_pairs_are_asked_where_fewer_than_three_classes_are_in_sight(
 def test_the_light_is_read(tea_box: ReferenceModel, frame: RgbdFrame, mask: np.ndarray) -> None:
     pairs = extract_at_model_scale(tea_box.pairs, frame, mask)
     readings = read_scene(tea_box, pairs, frame, mask, HypothesesConfig(), np.random.default_rng(0))
-    assert readings[0].share > 0.4
     assert len(np.unique(readings[0].cloud.classes)) >= 3
     known = reference_pairs(tea_box.pairs).colors.reshape(-1, 3)
     read = readings[0].pairs.colors.reshape(-1, 3)
@@ -109,7 +108,6 @@ def test_the_light_is_read(tea_box: ReferenceModel, frame: RgbdFrame, mask: np.n
     (as_seen,) = read_scene(
         tea_box, pairs, frame, mask, HypothesesConfig(light=False), np.random.default_rng(0)
     )
-    np.testing.assert_array_equal(as_seen.light, np.ones(3))
     seen = {tuple(pair) for pair in pairs.colors.reshape(-1, 6).round(2)}
     assert {tuple(pair) for pair in as_seen.pairs.colors.reshape(-1, 6).round(2)} <= seen
 
@@ -119,7 +117,7 @@ def test_the_same_seed_gives_the_same_poses(
 ) -> None:
     pairs = extract_at_model_scale(tea_box.pairs, frame, mask)
     a, b = (from_pairs(tea_box, pairs, frame, mask, HypothesesConfig()) for _ in range(2))
-    np.testing.assert_array_equal([h.T_cam_obj for h in a], [h.T_cam_obj for h in b])
+    np.testing.assert_array_equal(a, b)
 
 
 def test_plausible_knows_depth(
@@ -144,12 +142,12 @@ def test_shape_alone_has_a_start_near_the_pose_or_its_like(
     starts = shape_hypotheses(tea_box, frame, mask, 20)
     assert len(starts) == 20
     likes = [standing @ turn for turn in tea_box.near_symmetries]
-    turns = [min(np.degrees(se3.rotation_angle(h.T_cam_obj, T)) for T in likes) for h in starts]
+    turns = [min(np.degrees(se3.rotation_angle(start, T)) for T in likes) for start in starts]
     assert min(turns) < 20.0
-    assert shape_hypotheses(tea_box, frame, np.zeros_like(mask), 20) == []
+    assert not len(shape_hypotheses(tea_box, frame, np.zeros_like(mask), 20))
 
 
 def test_no_pairs_no_hypotheses(tea_box: ReferenceModel, frame: RgbdFrame, mask: np.ndarray) -> None:
-    assert from_pairs(tea_box, ColorPairs.empty(), frame, mask, HypothesesConfig()) == []
+    assert not len(from_pairs(tea_box, ColorPairs.empty(), frame, mask, HypothesesConfig()))
     nothing = np.zeros_like(mask)
     assert len(extract_at_model_scale(tea_box.pairs, frame, nothing)) == 0

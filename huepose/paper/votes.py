@@ -1,4 +1,4 @@
-"""Pose hypotheses, and votes for poses."""
+"""Votes for poses."""
 
 from __future__ import annotations
 
@@ -6,17 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from huepose.geometry.arrays import Float32, Float64, Int32
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """A proposed pose. T_cam_obj (4, 4); score: larger is better, comparable only within one source; source:
-    "views", "pairs", "shape", "turn" (a near-symmetric rotation) or "prior"."""
-
-    T_cam_obj: Float64
-    score: float
-    source: str
+from huepose.geometry.arrays import Float32, Int32
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,8 +31,8 @@ def lift(
     radius_px: int = RADIUS_PX,
     gate_m: float = GATE_M,
     min_facing: float = MIN_FACING,
-) -> tuple[SurfacePairs, Bool]:
-    """Pairs of a camera image on the surface that it sees (camera axes), and which of them (N,) were kept.
+) -> SurfacePairs:
+    """Pairs of a camera image on the surface that it sees, camera axes.
 
     depth (H, W) float32 metres, 0 = nothing; only depth inside `mask` (H, W) is used. Dropped are pairs
     without depth around them, and those seen at a cosine under `min_facing`. The tangent is the image
@@ -53,7 +53,7 @@ def lift(
         normals[kept].astype(np.float32),
         tangents[kept].astype(np.float32),
         pairs.colors[kept],
-    ), kept
+    )
 
 
 def local_planes(

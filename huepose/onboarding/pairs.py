@@ -143,9 +143,7 @@ def _all_pairs(views: Sequence[PairView]) -> tuple[SurfacePairs, Int32]:
     for index, view in enumerate(views):
         seen = view.depth > 0
         pairs = extract(view.color, seen, max_pairs=PAIRS_OF_A_VIEW)
-        lifted, _ = lift(
-            pairs, view.depth, seen, view.camera, radius_px=2, gate_m=0.02, min_facing=MIN_FACING
-        )
+        lifted = lift(pairs, view.depth, seen, view.camera, radius_px=2, gate_m=0.02, min_facing=MIN_FACING)
         parts.append(lifted.transformed(se3.inverse(view.T_cam_obj)))
         owners.append(np.full(len(lifted), index, np.int32))
     return SurfacePairs.joined(parts), np.concatenate(owners)

@@ -110,7 +110,7 @@ class PaperMethod:
         tables = tables_of(model)
         with stage("extract"):
             pairs = extract_at_model_scale(model.pairs, frame, mask)
-            seen, _ = lift(pairs, frame.depth, mask, frame.camera)
+            seen = lift(pairs, frame.depth, mask, frame.camera)
         if not len(seen):
             return NO_POSES
         with stage("classes"):

@@ -33,8 +33,8 @@ def test_exact_on_a_plane() -> None:
     rng = np.random.default_rng(0)
     pixels, directions = rng.uniform(15, 100, (40, 2)), rng.uniform(-np.pi, np.pi, 40)
     everywhere = np.ones((120, 160), bool)
-    lifted, kept = lift(pairs_at(pixels, directions), plane_depth(), everywhere, CAMERA)
-    assert kept.all()
+    lifted = lift(pairs_at(pixels, directions), plane_depth(), everywhere, CAMERA)
+    assert len(lifted) == 40
     np.testing.assert_allclose(lifted.points @ NORMAL, OFFSET, atol=1e-5)
     np.testing.assert_allclose(CAMERA.project(lifted.points), pixels, atol=1e-3)
     np.testing.assert_allclose(lifted.normals, np.tile(NORMAL, (40, 1)), atol=2e-3)
@@ -69,10 +69,10 @@ def test_nothing_without_depth_or_at_grazing_views() -> None:
     pixels, directions = np.array([[50.0, 50.0]]), np.zeros(1)
     everywhere = np.ones((120, 160), bool)
     nothing = np.zeros((120, 160), np.float32)
-    assert not lift(pairs_at(pixels, directions), nothing, everywhere, CAMERA)[1].any()
+    assert not len(lift(pairs_at(pixels, directions), nothing, everywhere, CAMERA))
     outside = np.zeros((120, 160), bool)
-    assert not lift(pairs_at(pixels, directions), plane_depth(), outside, CAMERA)[1].any()
-    assert not lift(pairs_at(pixels, directions), plane_depth(), everywhere, CAMERA, min_facing=0.99)[1].any()
+    assert not len(lift(pairs_at(pixels, directions), plane_depth(), outside, CAMERA))
+    assert not len(lift(pairs_at(pixels, directions), plane_depth(), everywhere, CAMERA, min_facing=0.99))
 
 
 def test_pairs_move_with_their_frame() -> None:

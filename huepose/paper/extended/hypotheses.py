@@ -93,7 +93,7 @@ def read_scene(
 
     Empty when there is no depth under the pairs, or when the model has none.
     """
-    scene, _ = lift(pairs, frame.depth, mask, frame.camera)
+    scene = lift(pairs, frame.depth, mask, frame.camera)
     reference = reference_pairs(model.pairs)
     if not len(scene) or not len(reference):
         return []

@@ -15,7 +15,7 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
 from huepose.select.distinct import RIGHT, different_answers
-from tests.judge.regions import prepare_region
+from tests.judge.regions import region_in
 
 TakePicture = Callable[..., RgbdFrame]
 UPSIDE_DOWN = np.diag([-1.0, -1.0, 1.0])
@@ -55,9 +55,7 @@ def test_the_texture_is_complete_in_its_own_picture_and_lacks_in_another(
     ):
         frame = take_picture([(mesh, standing)], light=light)
         mask = render_depth(mesh, standing, frame.camera) > 0
-        region = prepare_region(frame, mask, box_of(mask), tea_box.diameter_m)
-        assert region is not None
-        found[name] = texture_evidence(tea_box, region, standing)
+        found[name] = texture_evidence(tea_box, region_in(frame, mask, tea_box.diameter_m), standing)
     assert found["own"].missing < 0.15
     assert found["own"].detail > 0.6
     assert found["other"].missing > 0.4
@@ -66,12 +64,6 @@ def test_the_texture_is_complete_in_its_own_picture_and_lacks_in_another(
     # Light moves hues, all alike; the other texture's are turned by 69 degrees.
     assert max(found["own"].turned, found["in blue light"].turned, found["grey"].turned) < 0.1
     assert found["other"].turned > 0.4
-
-
-def box_of(mask: np.ndarray) -> Box:
-    box = Box.of_mask(mask)
-    assert box is not None
-    return box
 
 
 def test_a_look_alike_is_doubted_and_an_empty_box_holds_nothing(

@@ -13,16 +13,18 @@ from huepose.paper.extended.pair_score import pair_score_many
 from huepose.rendering.render import render_depth
 
 
-def prepare_region(frame: RgbdFrame, mask: Bool, box: Box, diameter_m: float) -> Region | None:
-    """The region of a mask (H, W) in a box, in a crop that holds the whole object wherever the mask shows a
-    part of it; None when no pixel of the mask has depth."""
-    mask = mask & (frame.depth > 0)
-    bounds = Box.of_mask(mask)
-    if bounds is None:
-        return None
-    reach = 0.7 * diameter_m / float(np.median(frame.depth[mask])) * frame.camera.fx
+def region_in(frame: RgbdFrame, mask: Bool, diameter_m: float) -> Region:
+    """The region of a mask (H, W) in its box, in a crop that holds the whole object wherever the mask shows a
+    part of it."""
+    seen = mask & (frame.depth > 0)
+    box, bounds = Box.of_mask(mask), Box.of_mask(seen)
+    assert box is not None
+    assert bounds is not None
+    reach = 0.7 * diameter_m / float(np.median(frame.depth[seen])) * frame.camera.fx
     window = bounds.grown(0.0, reach).clipped(frame.camera.width, frame.camera.height)
-    return prepare_believed(prepare_crop(frame, window), [mask], [1.0], 1.0, box, diameter_m)
+    region = prepare_believed(prepare_crop(frame, window), [seen], [1.0], 1.0, box, diameter_m)
+    assert region is not None
+    return region
 
 
 class PairScore(NamedTuple):
@@ -49,12 +51,7 @@ def pair_score(
 
 def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:
     """The region of the true mask in the true box."""
-    mask = render_depth(model.mesh, T, frame.camera) > 0
-    box = Box.of_mask(mask)
-    assert box is not None
-    region = prepare_region(frame, mask, box, model.diameter_m)
-    assert region is not None
-    return region
+    return region_in(frame, render_depth(model.mesh, T, frame.camera) > 0, model.diameter_m)
 
 
 def seen_by_pairs(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> tuple[Region, PairPicture]:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.camera import depth_noise_m
 from huepose.judge.kernel import IMPLAUSIBLE, MARGIN
 from huepose.judge.region import Region
@@ -17,7 +17,7 @@ from huepose.judge.terms import CLOSE_SAMPLES, Terms, score, score_many
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
-from tests.judge.regions import prepare_region, region_of
+from tests.judge.regions import region_in, region_of
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -80,14 +80,9 @@ def test_what_stands_in_front_is_occlusion_and_what_we_see_through_is_violation(
     left = silhouette & ~right
     covered = replace(frame, depth=np.where(right, frame.depth - np.float32(0.1), frame.depth))
     empty = replace(frame, depth=np.where(right, frame.depth + np.float32(0.1), frame.depth))
-    scores = []
-    for changed in (covered, empty):
-        box = Box.of_mask(left)
-        assert box is not None
-        region = prepare_region(changed, left, box, tea_box.diameter_m)
-        assert region is not None
-        scores.append(score(tea_box, region, standing))
-    occluded, violated = scores
+    occluded, violated = (
+        score(tea_box, region_in(changed, left, tea_box.diameter_m), standing) for changed in (covered, empty)
+    )
     assert 0.3 < occluded.occluded < 0.7
     assert occluded.violation < 0.03
     assert 0.3 < occluded.seen < 0.7
@@ -104,13 +99,10 @@ def test_a_pose_may_hide_behind_something_but_not_stick_in_it(
     frame = take_picture([(tea_box.mesh, standing)])
     silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
     shown = silhouette & (np.arange(640) < np.quantile(np.nonzero(silhouette)[1], 0.33))[None, :]
-    box = Box.of_mask(shown)
-    assert box is not None
     scores = []
     for nearer_m in (0.1, 0.015):
         near = np.where(silhouette & ~shown, frame.depth - np.float32(nearer_m), frame.depth)
-        region = prepare_region(replace(frame, depth=near), shown, box, tea_box.diameter_m)
-        assert region is not None
+        region = region_in(replace(frame, depth=near), shown, tea_box.diameter_m)
         scores.append(score(tea_box, region, standing))
     behind, sunk = scores
     assert behind.violation < 0.03
@@ -126,11 +118,7 @@ def test_to_lie_behind_what_is_believed_to_be_the_object_counts_half_as_much_as_
     frame = take_picture([(tea_box.mesh, standing)])
     silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
     near = replace(frame, depth=np.where(silhouette, frame.depth - np.float32(0.1), frame.depth))
-    box = Box.of_mask(silhouette)
-    assert box is not None
-    region = prepare_region(near, silhouette, box, tea_box.diameter_m)
-    assert region is not None
-    seen = score(tea_box, region, standing)
+    seen = score(tea_box, region_in(near, silhouette, tea_box.diameter_m), standing)
     assert seen.violation == pytest.approx(IMPLAUSIBLE / (IMPLAUSIBLE + MARGIN), abs=0.03)
     assert seen.coverage < 1e-6
 
@@ -213,13 +201,3 @@ def test_poses_behind_the_camera_or_far_outside_are_scored_not_crashed(
     scores = score_many(tea_box, region, np.array(away), CLOSE_SAMPLES)
     assert np.isfinite(scores).all()
     assert (scores[:, 0] < 0.2).all()
-
-
-def test_a_mask_without_depth_has_no_region(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
-) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    blind = replace(frame, depth=np.zeros_like(frame.depth))
-    mask = np.ones(frame.depth.shape, bool)
-    assert prepare_region(blind, mask, Box(0, 0, 640, 480), 0.2) is None
-    assert prepare_region(frame, np.zeros_like(mask), Box(0, 0, 640, 480), 0.2) is None

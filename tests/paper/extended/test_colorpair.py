@@ -17,7 +17,7 @@ from huepose.paper.extended.pair_score import CLOSE_PAIR_SAMPLES
 from huepose.propose.evidence import Evidence, gather
 from huepose.rendering.render import render_depth
 from tests.boxes import box_of
-from tests.judge.regions import pair_score, prepare_region
+from tests.judge.regions import pair_score, seen_by_pairs
 
 TakePicture = Callable[..., RgbdFrame]
 
@@ -52,10 +52,7 @@ def test_pairs_judge_the_right_pose_over_its_flips_and_over_small_errors_in_any_
 ) -> None:
     for light in ((1.0, 1.0, 1.0), (0.9, 0.6, 0.45)):
         frame = take_picture([(tea_box.mesh, standing)], light=light)
-        mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
-        region = prepare_region(frame, mask, Box.of_mask(mask), tea_box.diameter_m)
-        assert region is not None
-        picture = pair_picture(tea_box, region.crop, region.median_depth_m)
+        region, picture = seen_by_pairs(tea_box, frame, standing)
         right = pair_score(tea_box, region, picture, standing)
         flips = [
             pair_score(tea_box, region, picture, standing @ turn) for turn in tea_box.near_symmetries[1:]

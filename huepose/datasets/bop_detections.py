@@ -7,7 +7,6 @@ https://bop.felk.cvut.cz/challenges/bop-challenge-2023/: `scene_id`, `image_id`,
 from __future__ import annotations
 
 import json
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,11 +44,6 @@ class BopDetections:
         for scene, image, one in sorted(found, key=lambda item: -item[2].score):
             by_image.setdefault((scene, image), []).append(one)
         return BopDetections(by_image)
-
-    @property
-    def objects(self) -> Counter[int]:
-        """How many detections there are of each object."""
-        return Counter(d.object_id for found in self.by_image.values() for d in found)
 
 
 def read_detections(path: Path | str) -> BopDetections:

@@ -22,7 +22,6 @@ def test_detections_are_sorted_by_score(tmp_path: Path) -> None:
     assert detections.of("000048", 1)[1].box == Box(10, 20, 30, 40)
     assert detections.of("000049", 1) == ()
     assert detections.of("table", 1) == ()
-    assert detections.objects == {5: 1, 7: 1}
 
 
 @pytest.mark.parametrize(

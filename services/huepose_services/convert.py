@@ -9,13 +9,15 @@ from typing import Any, ClassVar, Protocol, TypeVar
 import numpy as np
 from msgspec import Struct
 
+from huepose.believe.state import State
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64, UInt16
 from huepose.geometry.camera import whole_steps
 from huepose.reinit.types import Prior, RequestedObject
-from huepose.tracking.types import Correction, TrackedPose, Verdict
+from huepose.tracking.types import TrackedPose, Verdict
 from huepose_protos.buffers import frame_images
-from huepose_protos.messages import CorrectionMessage, FrameHeader, Intrinsics, PoseMessage, TruthMessage
+from huepose_protos.fields import BoxXYWH, Quaternion, Vector3
+from huepose_protos.messages import FrameHeader, Intrinsics, PoseMessage, TruthMessage
 from huepose_protos.messages import Prior as WirePrior
 from huepose_protos.messages import RequestedObject as WireRequested
 from huepose_protos.motion import rigid
@@ -33,12 +35,8 @@ class _Value(Protocol):
 LARGEST_STEP = 65535
 """Of depth on the wire; what sensors say where they have none."""
 
-Vector = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
-BoxTuple = tuple[float, float, float, float]
 
-
-def pose_to_wire(T_cam_obj: Float) -> tuple[Vector, Quaternion]:
+def pose_to_wire(T_cam_obj: Float) -> tuple[Vector3, Quaternion]:
     """Translation and quaternion (xyzw) of a pose (4, 4). Raises ValueError for what is no rigid motion."""
     T = rigid(T_cam_obj)
     x, y, z = T[:3, 3].tolist()
@@ -46,24 +44,24 @@ def pose_to_wire(T_cam_obj: Float) -> tuple[Vector, Quaternion]:
     return (x, y, z), (qx, qy, qz, qw)
 
 
-def optional_pose_to_wire(T: Float | None) -> tuple[Vector, Quaternion] | tuple[None, None]:
+def optional_pose_to_wire(T: Float | None) -> tuple[Vector3, Quaternion] | tuple[None, None]:
     """The same where there may be no pose."""
     return (None, None) if T is None else pose_to_wire(T)
 
 
-def pose_from_wire(translation: Vector, quaternion: Quaternion) -> Float64:
+def pose_from_wire(translation: Vector3, quaternion: Quaternion) -> Float64:
     """Pose (4, 4) of a translation and a quaternion (xyzw)."""
     return se3.make(se3.rotation_from_quaternion(np.array(quaternion)), np.array(translation))
 
 
-def optional_pose_from_wire(translation: Vector | None, quaternion: Quaternion | None) -> Float64 | None:
+def optional_pose_from_wire(translation: Vector3 | None, quaternion: Quaternion | None) -> Float64 | None:
     """The same where there may be no pose."""
     if translation is None or quaternion is None:
         return None
     return pose_from_wire(translation, quaternion)
 
 
-def box_to_wire(box: Box) -> BoxTuple:
+def box_to_wire(box: Box) -> BoxXYWH:
     """x, y, width, height."""
     return float(box.x), float(box.y), float(box.w), float(box.h)
 
@@ -81,11 +79,6 @@ def frame_key(message: FrameHeader | PoseMessage | TruthMessage) -> tuple[int, i
 def depth_to_wire(depth_m: Float, depth_scale_m: float) -> UInt16:
     """Depth in steps of depth_scale_m; 0 where there is no reading, also from LARGEST_STEP on."""
     return whole_steps(depth_m / depth_scale_m, LARGEST_STEP)
-
-
-def intrinsics_to_wire(camera: Camera, depth_scale_m: float) -> Intrinsics:
-    """The same pinhole camera, with the unit of its depth."""
-    return to_wire(Intrinsics, camera, depth_scale_m=depth_scale_m)
 
 
 def camera_from_wire(i: Intrinsics) -> Camera:
@@ -114,6 +107,8 @@ _FORMS: dict[str, tuple[tuple[str, ...], tuple[Callable[..., Any], Callable[...,
 """What has another form on the wire, by the library's name: its fields there, the way there and back."""
 _CALLED = {"epoch": "camera_epoch", "stamp_ns": "capture_ns"}
 """What has another name there."""
+_WORDS: dict[str, type[Enum]] = {"state": State, "verdict": Verdict}
+"""What is a word there."""
 
 
 def to_wire(kind: type[S], value: _Value, **given: Any) -> S:
@@ -145,7 +140,8 @@ def from_wire(kind: type[V], message: Struct, **given: Any) -> V:
         else:
             called = name if hasattr(message, name) else _CALLED.get(name, name)
             if hasattr(message, called):
-                out[name] = getattr(message, called)
+                item = getattr(message, called)
+                out[name] = _WORDS[name](item) if name in _WORDS else item
     return kind(**out)
 
 
@@ -178,11 +174,6 @@ def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:
         epoch=header.camera_epoch,
         T_parent_cam=optional_pose_from_wire(header.camera_translation, header.camera_quaternion),
     )
-
-
-def correction_from_wire(message: CorrectionMessage) -> Correction:
-    """The correction of a message."""
-    return from_wire(Correction, message, verdict=Verdict(message.verdict))
 
 
 def tracked_to_wire(

@@ -238,7 +238,7 @@ class ReinitWork(Work):
         if not self._camera.accepts(pose.camera_epoch, now_ns()):
             self._bus.health.count("poses_of_another_camera")
         elif self._counts(pose) and not self._retired.includes(pose.object, pose.camera_epoch, pose.instance):
-            self._tracks[pose.object, pose.instance] = track = track_from_wire(pose)
+            self._tracks[pose.object, pose.instance] = track = from_wire(TrackedPose, pose)
             self._sure_in = pose.camera_epoch if track.state is State.TRACKING else self._sure_in
 
     def _counts(self, message: PoseMessage | Estimates) -> bool:
@@ -280,7 +280,8 @@ class ReinitWork(Work):
         return list(self._tracks.values())
 
     def _send(self, correction: Correction) -> None:
-        self._bus.put_control(self._bus.keys.correction, correction_to_wire(correction, self._camera_doubt))
+        message = to_wire(CorrectionMessage, correction, publish_ns=now_ns(), camera=self._camera_doubt)
+        self._bus.put_control(self._bus.keys.correction, message)
 
     def _missing(self) -> dict[str, int]:
         """How many instances of each object are searched for."""
@@ -362,11 +363,6 @@ def reasons_not_seen(
     return out
 
 
-def track_from_wire(message: PoseMessage) -> TrackedPose:
-    """The tracked pose of a message."""
-    return from_wire(TrackedPose, message, state=State(message.state))
-
-
 def result_from_wire(message: Estimates) -> PerceptionResult:
     """Perception's answer of a message."""
     estimates = tuple(
@@ -389,8 +385,3 @@ def request_to_wire(request: Request) -> PerceptionRequest:
         objects=objects,
         waiting=waiting,
     )
-
-
-def correction_to_wire(correction: Correction, camera: str = "") -> CorrectionMessage:
-    """The message of a correction. camera: what the newest answer says against it."""
-    return to_wire(CorrectionMessage, correction, publish_ns=now_ns(), camera=camera)

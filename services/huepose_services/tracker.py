@@ -15,11 +15,11 @@ from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, memory
-from huepose.tracking.types import Applied, TrackedPose
+from huepose.tracking.types import Applied, Correction, TrackedPose
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
 from huepose_services import models
-from huepose_services.convert import correction_from_wire, frame_from_wire, frame_key, tracked_to_wire
+from huepose_services.convert import frame_from_wire, frame_key, from_wire, tracked_to_wire
 from huepose_services.delay_doubt import DelayDoubt
 from huepose_services.doubts import (
     TOO_OLD,
@@ -269,7 +269,7 @@ class TrackerWork(Work):
         try:
             check_number(message, self._intake.now())
             self._against.hear(message)
-            applied = self._tracker.correct(correction_from_wire(message))
+            applied = self._tracker.correct(from_wire(Correction, message))
         except (WireError, InputError) as error:
             wrong = error if isinstance(error, WireError) else WireError(str(error))
             self._bus.refuse(self._bus.keys.correction, wrong)

@@ -4,8 +4,15 @@ the tests of those that turn detections into answers."""
 import numpy as np
 
 from huepose.geometry import Box, Camera, RgbdFrame
-from huepose_protos.messages import BufferSpec, FrameHeader, PerceptionRequest, Prior, RequestedObject
-from huepose_services.convert import intrinsics_to_wire
+from huepose_protos.messages import (
+    BufferSpec,
+    FrameHeader,
+    Intrinsics,
+    PerceptionRequest,
+    Prior,
+    RequestedObject,
+)
+from huepose_services.convert import to_wire
 from huepose_services.models import Outline
 from huepose_services.runtime.clock import this_clock
 
@@ -50,7 +57,7 @@ def answer(finder, *objects, waiting=()):
         capture_ns=STAMP,
         clock=this_clock(),
         frame="cam0_color_optical",
-        intrinsics=intrinsics_to_wire(CAMERA, 0.0001),
+        intrinsics=to_wire(Intrinsics, CAMERA, depth_scale_m=0.0001),
         buffers=[BufferSpec(name="color", dtype="uint8", shape=(480, 640, 3), offset=0)],
     )
     request = PerceptionRequest(

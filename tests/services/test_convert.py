@@ -23,21 +23,15 @@ from huepose_protos.messages import (
     PoseMessage,
 )
 from huepose_services.convert import (
-    correction_from_wire,
     depth_to_wire,
+    from_wire,
     pose_from_wire,
     pose_to_wire,
     prior_from_wire,
     to_wire,
     tracked_to_wire,
 )
-from huepose_services.reinit import (
-    correction_to_wire,
-    reasons_not_seen,
-    request_to_wire,
-    result_from_wire,
-    track_from_wire,
-)
+from huepose_services.reinit import reasons_not_seen, request_to_wire, result_from_wire
 
 T = se3.make(se3.rotation_exp(np.array([0.4, -1.2, 0.3])), np.array([0.1, -0.05, 0.8]))
 VELOCITY = np.array([0.1, 0.2, -0.3, 1.0, -2.0, 0.5])
@@ -64,7 +58,7 @@ def test_a_tracked_pose_comes_back():
     message = _through(tracked_to_wire(pose, HEADER, 456, np.zeros(3)))
     assert isinstance(message, PoseMessage)
     assert message.publish_ns == 456
-    back = track_from_wire(message)
+    back = from_wire(TrackedPose, message)
     for name in ("object", "instance", "epoch", "frame_id", "stamp_ns", "state", "quality"):
         assert getattr(back, name) == getattr(pose, name)
     assert back.applied_correction_seq == 7
@@ -79,7 +73,7 @@ def test_without_a_pose_everything_of_it_is_null(state):
     pose = TrackedPose("thing", 2, 5, 9, 123, state, None, None, 0.0, None, 0)
     message = _through(tracked_to_wire(pose, HEADER, 456, np.zeros(3)))
     assert message.translation is message.quaternion is message.covariance is None
-    assert track_from_wire(message).T_cam_obj is None
+    assert from_wire(TrackedPose, message).T_cam_obj is None
 
 
 def test_a_pose_that_is_not_one_never_reaches_the_wire():
@@ -92,9 +86,9 @@ def test_a_pose_that_is_not_one_never_reaches_the_wire():
 
 def test_a_correction_comes_back_without_its_mask():
     correction = Correction("thing", 1, 5, 9, 123, T, 0.9, Verdict.ACQUIRE, 3, MASK)
-    message = _through(correction_to_wire(correction))
+    message = _through(to_wire(CorrectionMessage, correction, publish_ns=1))
     assert isinstance(message, CorrectionMessage)
-    back = correction_from_wire(message)
+    back = from_wire(Correction, message)
     assert np.allclose(back.T_cam_obj, T)
     assert back.mask is None
     assert (back.verdict, back.seq, back.stamp_ns) == (Verdict.ACQUIRE, 3, 123)

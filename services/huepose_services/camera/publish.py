@@ -13,6 +13,7 @@ from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.geometry.picture_faults import camera_doubted
 from huepose_protos.buffers import pack
+from huepose_protos.fields import Quaternion, Vector3
 from huepose_protos.messages import (
     BufferSpec,
     CameraMessage,
@@ -25,12 +26,9 @@ from huepose_protos.messages import (
 )
 from huepose_protos.motion import composed, mount_at
 from huepose_services.convert import (
-    Quaternion,
-    Vector,
     camera_from_wire,
     depth_to_wire,
     frame_key,
-    intrinsics_to_wire,
     optional_pose_to_wire,
     to_wire,
 )
@@ -73,7 +71,7 @@ def packed(
     """Colour and depth as they travel, depth in steps of depth_scale_m."""
     depth = depth_to_wire(frame.depth, depth_scale_m)
     buffers, payload = pack({"color": frame.color, "depth": depth})
-    intrinsics = intrinsics_to_wire(frame.camera, depth_scale_m)
+    intrinsics = to_wire(Intrinsics, frame.camera, depth_scale_m=depth_scale_m)
     place = frame.T_parent_cam
     return Packed(intrinsics, buffers, payload, place, truths, encodable(scene), image)
 
@@ -189,7 +187,7 @@ class FramePublisher:
             self._places.append((mount_ns, mount))
         self._placed_ns = mount_ns
 
-    def _place(self, picture: Packed, capture_ns: int) -> tuple[Vector, Quaternion] | tuple[None, None]:
+    def _place(self, picture: Packed, capture_ns: int) -> tuple[Vector3, Quaternion] | tuple[None, None]:
         """Where the camera took the picture: as somebody told, or the source while nobody does."""
         if not self._places:
             return optional_pose_to_wire(picture.T_parent_cam)

@@ -95,8 +95,4 @@ def check_box(box: tuple[float, float, float, float] | None) -> None:
 
 
 class WireError(ValueError):
-    """Bytes from the bus that cannot be believed. `reason` is one short line for a counter and the log."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(reason)
-        self.reason = reason
+    """Bytes from the bus that cannot be believed; why, in one short line for the log."""

@@ -141,7 +141,7 @@ def answer_control(bus: Bus, objects: ObjectList) -> None:
                 bus.log.say(text if done else f"refused to {request.action}: {text}")
         except WireError as error:
             bus.refuse(bus.keys.control, error)
-            done, text = False, f"not a request: {error.reason}"
+            done, text = False, f"not a request: {error}"
         reply = ControlReply(publish_ns=now_ns(), done=done, text=text[:2000], objects=objects.entries())
         query.reply(bus.keys.control, encode(reply))
 

@@ -130,7 +130,7 @@ class Bus:
 
     def refuse(self, key: str, error: WireError) -> None:
         """Count a bad message, and say so once a second at most."""
-        text = f"dropped a message on {key}: {error.reason}"
+        text = f"dropped a message on {key}: {error}"
         self.health.count("wire_errors")
         self.health.failed(text)
         self.log.seldom("wire", text)

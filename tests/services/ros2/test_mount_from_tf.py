@@ -71,7 +71,7 @@ def test_one_transform_that_is_none_leaves_the_others() -> None:
     said: list[WireError] = []
     (left,) = transforms_in(data, said.append)
     assert left[1] == "tool"
-    assert ["wheel" in said[0].reason, "mimic" in said[1].reason] == [True, True]
+    assert ["wheel" in str(said[0]), "mimic" in str(said[1])] == [True, True]
 
 
 def test_bytes_that_are_no_message_are_refused_and_raise_nothing() -> None:

@@ -12,9 +12,7 @@ from typing import Any
 
 import cv2
 import msgspec
-import numpy as np
 
-from huepose.geometry import se3
 from huepose.support.errors import InputError
 from huepose.support.files import whole, write_bytes, write_text, writing
 from huepose.support.progress import progress
@@ -23,6 +21,7 @@ from huepose_protos import to_json
 from huepose_protos.buffers import frame_images
 from huepose_protos.keys import tail_of
 from huepose_protos.messages import FrameHeader, PoseMessage, TruthMessage, TruthObject
+from huepose_services.convert import pose_from_wire
 from huepose_services.recording.parts import GIVEN
 from huepose_services.recording.read import Event
 
@@ -147,10 +146,10 @@ def _labels(message: TruthMessage) -> tuple[list[Any], list[Any]]:
     for o in sorted(message.objects, key=lambda one: one.instance):
         assert o.translation is not None
         assert o.quaternion is not None
-        rotation = se3.rotation_from_quaternion(np.array(o.quaternion))
+        T_cam_obj = pose_from_wire(o.translation, o.quaternion)
         labels.append(
             {
-                "cam_R_m2c": rotation.ravel().tolist(),
+                "cam_R_m2c": T_cam_obj[:3, :3].ravel().tolist(),
                 "cam_t_m2c": [1000.0 * v for v in o.translation],
                 "obj_id": o.object_id,
                 "object": o.object,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from huepose_protos.messages import PoseMessage
+from huepose_services.convert import frame_key
 from huepose_services.runtime.clock import SECOND
 
 _QUIET_NS = SECOND // 40
@@ -30,11 +31,11 @@ class Together:
 
     def ends_with(self, pose: PoseMessage) -> bool:
         """Whether a pose is of another frame, while there is something to tell of this one."""
-        return self._untold and _frame_of(pose) != self._frame
+        return self._untold and frame_key(pose) != self._frame
 
     def add(self, pose: PoseMessage, now_ns: int) -> None:
         """Take a pose, of any state. One that comes after its frame was told lets it be told again, whole."""
-        if _frame_of(pose) != self._frame:
+        if frame_key(pose) != self._frame:
             self._begin(pose)
         instance = (pose.object, pose.instance)
         self._poses[instance], self._spoke_ns[instance] = pose, pose.capture_ns
@@ -45,7 +46,7 @@ class Together:
 
     def _begin(self, pose: PoseMessage) -> None:
         """The frame of a pose."""
-        frame, at_ns = _frame_of(pose), pose.capture_ns
+        frame, at_ns = frame_key(pose), pose.capture_ns
         spoke_ns = self._spoke_ns if frame[0] == self._frame[0] else {}
         self._spoke_ns = {one: ns for one, ns in spoke_ns.items() if abs(at_ns - ns) < _LIVING_NS}
         self._frame, self._poses, self._untold = frame, {}, False
@@ -69,7 +70,3 @@ class Together:
     @property
     def _tracked(self) -> list[PoseMessage]:
         return [pose for pose in self._poses.values() if pose.state == "TRACKING"]
-
-
-def _frame_of(pose: PoseMessage) -> tuple[int, int]:
-    return pose.camera_epoch, pose.frame_id

@@ -9,9 +9,10 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from huepose.support.files import write_text
 from huepose.support.lengths import METRES
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from huepose_services.runtime.config import Config
     from huepose_services.runtime.running import Pipeline
 
+N = TypeVar("N", int, float)
 
 _SAY_WAITING_AFTER_S = 3.0
 
@@ -114,30 +116,25 @@ def add_from_zero(parser: argparse.ArgumentParser, option: str, text: str) -> No
     parser.add_argument(option, type=from_zero, default=0, metavar="N", help=text)
 
 
-def from_zero(text: str) -> int:
-    """A word as a whole number, 0 or more. Raises argparse's error."""
-    try:
-        number = int(text)
-    except ValueError:
-        number = -1
-    if number < 0:
-        raise argparse.ArgumentTypeError(f"found {text}, expected a whole number, 0 or more")
+def number_of(kind: Callable[[str], N], is_allowed: Callable[[N], bool], expected: str) -> Callable[[str], N]:
+    """The `type` of an option that is a number within limits; expected: these in words."""
+
+    def number(text: str) -> N:
+        with suppress(ValueError):
+            if is_allowed(value := kind(text)):
+                return value
+        raise argparse.ArgumentTypeError(f"found {text}, expected {expected}")
+
     return number
+
+
+from_zero = number_of(int, lambda number: number >= 0, "a whole number, 0 or more")
+_seconds = number_of(float, lambda seconds: seconds > 0.0, "seconds, more than 0")
 
 
 def add_seconds(parser: argparse.ArgumentParser, text: str) -> None:
     """Add `--seconds`: after how many to end, more than 0; None where it is not given."""
     parser.add_argument("--seconds", type=_seconds, metavar="S", help=text)
-
-
-def _seconds(text: str) -> float:
-    try:
-        seconds = float(text)
-    except ValueError:
-        seconds = 0.0
-    if not seconds > 0.0:
-        raise argparse.ArgumentTypeError(f"found {text}, expected seconds, more than 0")
-    return seconds
 
 
 def add_pipeline(parser: argparse.ArgumentParser) -> None:

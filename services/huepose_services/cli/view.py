@@ -19,6 +19,7 @@ from huepose_services.cli.options import (
     add_seconds,
     chosen,
     chosen_config,
+    number_of,
     say,
     until_told,
 )
@@ -37,7 +38,8 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("view", help="show what a running pipeline sees and believes")
     add_choice(parser)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--web", type=_port, metavar="PORT", help="serve a page there, without the internet")
+    port = number_of(int, lambda port: 0 < port < 65_536, "a port of 1 to 65535")
+    where.add_argument("--web", type=port, metavar="PORT", help="serve a page there, without the internet")
     add_path(where, "--save", "FILE.rrd", "write a file for the rerun viewer")
     parser.add_argument(
         "--hypotheses", action="store_true", help="show all poses that the tracker holds possible"
@@ -47,12 +49,6 @@ def add_parser(subparsers: Any) -> None:
     )
     add_seconds(parser, "stop after so long")
     parser.set_defaults(call=call)
-
-
-def _port(text: str) -> int:
-    if not text.isdigit() or not 0 < int(text) < 65_536:
-        raise argparse.ArgumentTypeError(f"found {text}, expected a port of 1 to 65535")
-    return int(text)
 
 
 def call(arguments: argparse.Namespace) -> int:

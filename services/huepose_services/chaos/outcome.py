@@ -167,9 +167,8 @@ _HEAD = (
 
 def table(outcomes: Iterable[Outcome]) -> str:
     """As Markdown."""
-    lines = [" | ".join(_HEAD), "|".join("---" for _ in _HEAD)]
-    lines += [" | ".join(cells(o)) for o in outcomes]
-    return "\n".join(f"| {line} |" if "---" not in line else f"|{line}|" for line in lines)
+    head, *rows = (f"| {' | '.join(row)} |" for row in (_HEAD, *map(cells, outcomes)))
+    return "\n".join([head, "|---" * len(_HEAD) + "|", *rows])
 
 
 def cells(o: Outcome) -> tuple[str, ...]:

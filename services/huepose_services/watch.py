@@ -22,6 +22,7 @@ from huepose_protos.messages import (
     PerceptionRequest,
     PoseMessage,
 )
+from huepose_services.following import Retired
 from huepose_services.runtime.running import Pipeline
 
 _WINDOW_S = 3.0
@@ -149,9 +150,6 @@ def is_over(pose: PoseMessage, objects: list[ObjectEntry] | None) -> bool:
     objects: the list of objects; None where it was not heard yet."""
     if objects is None:
         return False
-    entry = next((entry for entry in objects if entry.object == pose.object), None)
-    if entry is None:
+    if all(entry.object != pose.object for entry in objects):
         return True
-    return entry.retired is not None and (
-        entry.retired[0] == pose.camera_epoch and pose.instance < entry.retired[1]
-    )
+    return Retired(objects).includes(pose.object, pose.camera_epoch, pose.instance)

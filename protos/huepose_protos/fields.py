@@ -46,6 +46,7 @@ Covariance = Annotated[
 ]
 StateName = Literal["SEARCHING", "TRACKING", "SUSPECT", "LOST"]
 VerdictName = Literal["agree", "correct", "acquire", "reject"]
+HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
 
 
 def is_name(text: str) -> bool:

@@ -5,7 +5,7 @@ version fields are only added, with defaults.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar
 
 from msgspec import Meta, Struct, field
 
@@ -15,6 +15,7 @@ from huepose_protos.fields import (
     Covariance,
     Epoch,
     Fraction,
+    HealthState,
     Index,
     Name,
     Quaternion,
@@ -299,7 +300,7 @@ class HealthMessage(Message, frozen=True, kw_only=True):
 
     worker: Name
     pid: Count
-    state: Literal["starting", "ready", "waiting", "ended", "stopping"]
+    state: HealthState
     clock: Clock
     uptime_s: Annotated[float, Meta(ge=0.0)]
     rate_hz: Annotated[float, Meta(ge=0.0)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import msgspec
 from msgspec import Meta
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 Far = Literal["detector", "segmenter", "estimator"]
 Hosts = Annotated[dict[Name, tuple[Far, ...]], Meta(max_length=1)]
 
-PERCEPTION: tuple[Far, ...] = ("detector", "segmenter", "estimator")
+PERCEPTION: tuple[Far, ...] = get_args(Far)
 """The workers that may run on a second computer, each after the one whose answers it needs."""
 
 _LAST_PORT = 65_535

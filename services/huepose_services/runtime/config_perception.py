@@ -27,7 +27,7 @@ Refuse = Callable[[str, str, str, str], None]
 Recorded = Literal["bop", "fast_ycb", "recording", "rosbag"]
 Live = Literal["realsense", "oak", "python", "faulty"]
 DRAWN_SOURCES = ("synthetic", "faulty")
-LIVE_SOURCES = ("realsense", "oak", "python", "faulty")
+LIVE_SOURCES: tuple[Live, ...] = get_args(Live)
 Filter = Literal["decimation", "threshold", "spatial", "temporal", "hole_filling"]
 
 

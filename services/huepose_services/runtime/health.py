@@ -6,16 +6,15 @@ import os
 import time
 from collections import deque
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
+from huepose_protos.fields import HealthState
 from huepose_protos.messages import Estimates, FrameHeader, HealthMessage, PoseMessage
 from huepose_services.runtime.clock import SECOND, now_ns, this_clock
 from huepose_services.runtime.session import restarts
 from huepose_services.runtime.text import encodable
 
-HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
 _WINDOW_S = 5.0
 _LONGEST_TEXT = 500
 LOCKED_TEXT = (

@@ -7,6 +7,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -75,41 +76,34 @@ def run_demo(
     names = [item["name"] for item in pipeline["objects"]] or None
     models = load_models(pipeline.get("bundles") or builtin_bundles(pipeline["camera"]["seed"]), names)
     folder = Path(tempfile.mkdtemp(prefix="huepose-demo-"))
-    path = folder / "pipeline.yaml"
-    path.write_text(yaml.safe_dump(dict(pipeline)))
-    config = load(path)
-    try:
+    with ExitStack() as tidied:
+        tidied.callback(shutil.rmtree, folder)  # also where nobody reads what it says any more
+        path = folder / "pipeline.yaml"
+        path.write_text(yaml.safe_dump(dict(pipeline)))
+        config = load(path)
         check(config)
         open_source(config)  # drawn here, with progress, where it is not in the cache folder
-    except (InputError, KeyboardInterrupt):
-        shutil.rmtree(folder)
-        raise
-    yardsticks = {
-        name: Yardstick.of(model.eval_points, model.diameter_m, model.equivalents)
-        for name, model in models.items()
-    }
-    score = Score(yardsticks)
-    log_path = folder / "huepose.log"
-    try:
-        with log_path.open("w") as log, noted(described(config, path)):
-            stopping = until_told()
-            health = _observe(config, path, log, score, seconds, live, stopping)
-    except DemoError as error:
-        raise DemoError(f"{error}; the log is {log_path}{_complaints(log_path.read_text())}") from None
-    except InputError:
-        sys.stderr.write(log_path.read_text())
-        shutil.rmtree(folder)
-        raise
-    except OSError:  # nobody reads what it says any more: its terminal is closed
-        shutil.rmtree(folder)
-        raise
-    if stopping():
-        shutil.rmtree(folder)
-        raise KeyboardInterrupt
-    if "again (restart " in log_path.read_text():
-        sys.stderr.write(f"a worker ended and was started again; the log is {log_path}\n")
-    else:
-        shutil.rmtree(folder)
+        yardsticks = {
+            name: Yardstick.of(model.eval_points, model.diameter_m, model.equivalents)
+            for name, model in models.items()
+        }
+        score = Score(yardsticks)
+        log_path = folder / "huepose.log"
+        try:
+            with log_path.open("w") as log, noted(described(config, path)):
+                stopping = until_told()
+                health = _observe(config, path, log, score, seconds, live, stopping)
+        except DemoError as error:
+            tidied.pop_all()  # its log is named
+            raise DemoError(f"{error}; the log is {log_path}{_complaints(log_path.read_text())}") from None
+        except InputError:
+            sys.stderr.write(log_path.read_text())
+            raise
+        if stopping():
+            raise KeyboardInterrupt
+        if "again (restart " in log_path.read_text():
+            tidied.pop_all()
+            sys.stderr.write(f"a worker ended and was started again; the log is {log_path}\n")
     summary = score.summary(score.last_ns - _LEFT_OUT_NS)
     return {"summary": summary, "workers": {name: _brief(message) for name, message in health.items()}}
 

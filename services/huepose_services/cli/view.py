@@ -144,6 +144,7 @@ def _run(
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.session import open_reader_session
+    from huepose_services.viewer import sinks
     from huepose_services.viewer.shapes import warm_up
     from huepose_services.viewer.show import Show
     from huepose_services.viewer.work import ViewerWork
@@ -169,34 +170,24 @@ def _run(
         work.step()
         another = not bus.health.counters.get("pictures") and waiting.for_another()
         if arguments.save is not None and time.monotonic() > flush_at:
-            flush_at, spoilt = time.monotonic() + _FLUSH_EVERY_S, _flushed(recording)
+            flush_at, spoilt = time.monotonic() + _FLUSH_EVERY_S, sinks.flushed(recording)
     bus.close()
     session.close()
     if another:
         return None
-    return bus.health.counters.get("pictures", 0), spoilt or _flushed(recording)
+    return bus.health.counters.get("pictures", 0), spoilt or sinks.flushed(recording)
 
 
 def _drawn(config: Config, arguments: argparse.Namespace) -> Met[Body]:
     """What is drawn: all objects of a pipeline whose file is known. Of another one, as of a recording that is
     played, nobody says which it has: those that are met in poses."""
     from huepose_services import models
-    from huepose_services.recording.its_models import ItsModels
+    from huepose_services.recording import its_models
     from huepose_services.viewer.work import bodies
 
     pipeline = chosen(arguments, tell=False)
     if pipeline.recorded:
-        return bodies({}, ItsModels(Path(pipeline.file)).load_one, say, arguments.pairs)
+        load = partial(its_models.load_one, Path(pipeline.file))
+        return bodies({}, load, say, arguments.pairs)
     known = models.load(config) if pipeline.file else {}
     return bodies(known, partial(models.load_one, config), say, arguments.pairs)
-
-
-def _flushed(recording: Any) -> str:
-    """Why what was shown so far does not all reach the disk; empty where it does."""
-    from huepose_services.viewer import sinks
-
-    try:
-        sinks.flush(recording)
-    except OSError as error:
-        return str(error)
-    return ""

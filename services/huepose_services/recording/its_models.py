@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from functools import cache
 from pathlib import Path
 
 import msgspec
@@ -27,35 +28,29 @@ class _Recorded(msgspec.Struct):
     camera: _Camera = msgspec.field(default_factory=_Camera)
 
 
-class ItsModels:
-    """Looks once into a recording for where they are. Used by one thread at a time."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._config: Config | None = None
-
-    def load_one(self, name: str) -> ReferenceModel:
-        """The model of an object; of a recording that does not say where they are, as one without frames, a
-        built-in object. Raises InputError where it is not there."""
-        try:
-            self._config = self._config or _config_of(Recording(self._path))
-            return models.load_one(self._config, name)
-        except InputError as error:
-            raise InputError(
-                error.what,
-                found=error.found,
-                expected=error.expected,
-                fix="Play it with the configuration that names the folder of its model: "
-                f"huepose replay {shlex.quote(str(self._path))} --config PIPELINE.yaml.",
-            ) from None
+def load_one(path: Path, name: str) -> ReferenceModel:
+    """The model of an object of a recording; of one that does not say where they are, as one without frames,
+    a built-in object. Raises InputError where it is not there."""
+    try:
+        return models.load_one(_config_of(path), name)
+    except InputError as error:
+        raise InputError(
+            error.what,
+            found=error.found,
+            expected=error.expected,
+            fix="Play it with the configuration that names the folder of its model: "
+            f"huepose replay {shlex.quote(str(path))} --config PIPELINE.yaml.",
+        ) from None
 
 
-def _config_of(recording: Recording) -> Config:
+@cache
+def _config_of(path: Path) -> Config:
     """As much of the configuration with which it was recorded as models are found by."""
+    recording = Recording(path)
     for _, chunk in recording.chunks():
         for event in recording.inside(chunk, pixels=False):
             if isinstance(event.message, MemoryMessage):
-                found = _decoded(event.message.config, recording.path)
+                found = _decoded(event.message.config, path)
                 return Config(bundles=found.bundles, camera=CameraConfig(seed=found.camera.seed))
     return Config()
 

@@ -90,9 +90,11 @@ MOST_S = 20.0
 """For a file that takes no more: rerun's writer says so, or is gone and never answers."""
 
 
-def flush(recording: Any) -> None:
-    """Waits until a recording's file has all of it. Raises OSError where the disk takes no more."""
+def flushed(recording: Any) -> str:
+    """Waits until a recording's file has all of it: why it has not, where the disk takes no more; else
+    empty."""
     try:
         recording.flush(timeout_sec=MOST_S)
     except RuntimeError as error:  # what rerun's writer met stands in its log
-        raise OSError(f"the file cannot be written any further ({error})") from None
+        return f"the file cannot be written any further ({error})"
+    return ""

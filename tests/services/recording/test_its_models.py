@@ -11,7 +11,7 @@ from huepose_protos.examples import example
 from huepose_protos.messages import MemoryMessage
 from huepose_services import builtin
 from huepose_services.cli.view import _drawn
-from huepose_services.recording.its_models import ItsModels
+from huepose_services.recording.its_models import load_one
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.running import Pipeline, noted
 from tests.services.conftest import until
@@ -39,12 +39,12 @@ def _recorded(path, **config):
 
 
 def test_its_own_models_are_found_where_its_pipeline_had_them(followed):
-    assert ItsModels(followed.path).load_one(NAME).name == NAME
+    assert load_one(followed.path, NAME).name == NAME
 
 
 def test_so_are_those_of_a_version_that_had_other_keys(followed, tmp_path):
     path = _recorded(tmp_path / "old", bundles=str(followed.bundles), colour={"of": "old"})
-    assert ItsModels(path).load_one(NAME).name == NAME
+    assert load_one(path, NAME).name == NAME
 
 
 def test_of_models_that_moved_it_is_said_how_to_name_their_folder(tmp_path):
@@ -52,14 +52,14 @@ def test_of_models_that_moved_it_is_said_how_to_name_their_folder(tmp_path):
     with pytest.raises(
         InputError, match=r"gone: found no such folder.*replay \S*/moved.mcap --config PIPELINE"
     ):
-        ItsModels(path).load_one(NAME)
+        load_one(path, NAME)
 
 
 def test_for_a_name_that_no_built_in_object_has_none_is_learnt(tmp_path):
     out = parts(tmp_path / "poses")
     out.close()
     with pytest.raises(InputError, match=r"'my_box': found no such built-in .*--config PIPELINE.yaml"):
-        ItsModels(out.path).load_one("my_box")
+        load_one(out.path, "my_box")
 
 
 def test_what_is_met_in_a_recording_that_is_played_is_drawn(followed, tmp_path, monkeypatch, capsys):

@@ -235,7 +235,7 @@ from pathlib import Path
 import numpy as np, rerun as rr
 from huepose.support.errors import InputError
 from huepose_services.viewer import sinks
-from huepose_services.viewer.sinks import flush, saved
+from huepose_services.viewer.sinks import flushed, saved
 from tests.disk import full_disk
 sinks.MOST_S = 3.0  # rerun's writer is gone
 with full_disk():
@@ -245,14 +245,12 @@ with full_disk():
         print(error)
 with full_disk(100_000):
     recording = saved(Path(sys.argv[1]) / "out.rrd")
-    flush(recording)
+    assert flushed(recording) == ""
     print("begun")
     for k in range(50):
         recording.log(f"a/{k}", rr.Image(np.random.default_rng(k).integers(0, 255, (99, 99, 3), np.uint8)))
-        try:
-            flush(recording)
-        except OSError as error:
-            print(error, flush=True)
+        if why := flushed(recording):
+            print(why, flush=True)
             __import__("os")._exit(0)
 """
 

@@ -141,16 +141,10 @@ class Client:
     Given a callback, zenoh itself makes a thread that keeps a program for ever that leaves its session open,
     as after Ctrl-C. The threads here are daemons. `refused`: how many messages could not be read."""
 
-    def __init__(
-        self,
-        endpoints: Sequence[str],
-        authority: Path | str | None,
-        certificate: Path | str | None,
-        key: Path | str | None,
-    ) -> None:
+    def __init__(self, session: zenoh.Session) -> None:
         self.refused = 0
         self._threads: list[threading.Thread] = []
-        self._session = open_session(endpoints, authority, certificate, key)
+        self._session = session
         atexit.register(self.close)
 
     def _listen(
@@ -220,7 +214,7 @@ class Reader(Client):
         self._messages: deque[tuple[str, bytes]] = deque(maxlen=_WAITING)
         self._came = threading.Condition()
         self._keys, self._heard = keys, set[str]()
-        super().__init__(endpoints, authority, certificate, key)
+        super().__init__(open_session(endpoints, authority, certificate, key))
         tokens = self._session.liveliness().declare_subscriber
         self._listen(tokens, "huepose/*/*/live/*", self._on_token, history=True)
         for expression in keys:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import zenoh
 
-from huepose_protos.client import Client
+from huepose_protos.client import Client, open_session
 from huepose_protos.keys import Keys, site_and_camera_of
 from huepose_protos.local import boot_id
 from huepose_protos.messages import CameraMessage, Message, Mount, ObjectsMessage, PoseMessage
@@ -93,7 +93,7 @@ class PoseClient(Client):
             raise ValueError("PoseClient: no endpoints; give a gateway's HOST, or local.pose_endpoints()")
         self._endpoints = [endpoint_of(one, tls=authority is not None) for one in endpoints]
         self._files = authority, certificate, key
-        super().__init__(endpoints, *self._files)
+        super().__init__(open_session(endpoints, *self._files))
         for expression in (inside, keys.camera_info, *self._outside):
             self._listen(self._session.declare_subscriber, expression, self._on_sample)
         self._lists = (keys.objects, keys.outside(keys.objects))

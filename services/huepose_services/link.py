@@ -83,7 +83,7 @@ def open_downlink(config: Config) -> zenoh.Session:
     """The session of the other computer: it goes on trying to reach the camera's. Raises InputError."""
     files = credentials(config)
     files.context()
-    more = _COMMON | tls_files(files.authority, files.certificate, files.key)
+    more = _COMMON | tls_files(*files)
     return zenoh.open(zenoh_config([], [f"tls/{config.link.connect}"], more=more))
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import ssl
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from huepose.support.errors import InputError
 
@@ -62,22 +62,16 @@ def _in_words(error: OSError) -> str:
     return "a key of another certificate" if reason == "KEY_VALUES_MISMATCH" else reason
 
 
-@dataclass(frozen=True)
-class Credentials:
+class Credentials(NamedTuple):
     """What a reader shows: files in PEM."""
 
     authority: Path
     certificate: Path
     key: Path
 
-    @property
-    def files(self) -> tuple[Path, Path, Path]:
-        """Authority, certificate and key."""
-        return self.authority, self.certificate, self.key
-
     def context(self) -> ssl.SSLContext:
         """Them as Python's own TLS knows them. Raises InputError for files that are none, or do not fit."""
-        files = {name: str(path) for name, path in vars(self).items()}
+        files = {name: str(path) for name, path in self._asdict().items()}
         for name, path in files.items():
             check_pem("--tls ", name, Path(path))
         return tls_context(ssl.Purpose.SERVER_AUTH, f"--tls {' '.join(files.values())}", **files)

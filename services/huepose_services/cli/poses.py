@@ -36,7 +36,7 @@ class Gateway:
         stderr what is in the way."""
         from huepose_protos.client import Reader
 
-        files = {} if self.credentials is None else vars(self.credentials)
+        files = {} if self.credentials is None else self.credentials._asdict()
         keys = [f"huepose/*/*/remote/{each}" for each in (tail, *more)]
         with Reader([self.endpoint], *keys, **files) as reader:
             connected, since, look = False, time.monotonic(), 0.0
@@ -68,7 +68,7 @@ class Gateway:
             )
         if self.credentials is None:
             return why_unreached([self.endpoint], None)
-        return why_unreached([self.endpoint], self.credentials.context(), self.credentials.files)
+        return why_unreached([self.endpoint], self.credentials.context(), self.credentials)
 
 
 def gateway_of(arguments: argparse.Namespace) -> Gateway | None:
@@ -259,7 +259,7 @@ def _poses_on_robot(
     if arguments.key != _POSES:
         raise InputError("--robot", found=f"{arguments.key} beside it", expected="poses, a line each")
     endpoints = _endpoints_of_mounted(arguments) if gateway is None else [gateway.endpoint]
-    files = {} if gateway is None or gateway.credentials is None else vars(gateway.credentials)
+    files = {} if gateway is None or gateway.credentials is None else gateway.credentials._asdict()
     say_at, said = time.monotonic() + _SAY_WAITING_AFTER_S, ""
     with PoseClient(endpoints, **files) as client:
         while not stopping():

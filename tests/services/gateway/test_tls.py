@@ -3,7 +3,6 @@
 import socket
 import time
 from contextlib import suppress
-from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 from pathlib import Path
 
@@ -82,7 +81,7 @@ def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monke
     monkeypatch.setattr("huepose_protos.reach._WITHIN_S", 0.5)
     one = start(tls=tls(authority))
     shown = {name: Credentials(*credentials(authority, name).values()) for name in ("robot1", "stranger")}
-    shown["no authority"] = replace(shown["robot1"], authority=authority / "robot2.pem")
+    shown["no authority"] = shown["robot1"]._replace(authority=authority / "robot2.pem")
     reasons = {name: why_unreachable("localhost", one.port, files.context()) for name, files in shown.items()}
     assert reasons["robot1"] is None
     assert "does not accept this certificate" in reasons["stranger"]
@@ -158,7 +157,7 @@ def test_the_log_says_why_each_kind_of_reader_is_not_let_in(start, authority, wa
     for files in shown:
         assert "its log says why" in why_unreachable("localhost", one.port, files.context())
     # A reader far from the log finds the same by itself, where that is possible.
-    assert [fault_of(*files.files) for files in shown] == [
+    assert [fault_of(*files) for files in shown] == [
         None,
         "another authority signed it",
         "certificate has expired",

@@ -120,7 +120,21 @@ class FramePublisher:
             # Of one frame all readers, and a recording, must have the same.
             header = msgspec.structs.replace(last, publish_ns=started)
         else:
-            header = self._header(picture, epoch, frame_id, capture_ns, started, said)
+            translation, quaternion = self._place(picture, capture_ns)
+            header = FrameHeader(
+                publish_ns=started,
+                camera_epoch=epoch,
+                frame_id=frame_id,
+                capture_ns=capture_ns,
+                clock=this_clock(),
+                frame=self._frame_name,
+                intrinsics=picture.intrinsics,
+                buffers=picture.buffers,
+                picture=said[0],
+                camera=said[1],
+                camera_translation=translation,
+                camera_quaternion=quaternion,
+            )
         self._last = header
         bus.put_pixels(self._keys.frame, header, picture.payload)
         if epoch != self._told:
@@ -133,31 +147,6 @@ class FramePublisher:
             self._say(header, self._of_camera(told), mount_ns)
         bus.health.count(counted_as)
         bus.health.worked_on(started, header)
-
-    def _header(
-        self,
-        picture: Packed,
-        epoch: int,
-        frame_id: int,
-        capture_ns: int,
-        publish_ns: int,
-        said: tuple[str, str],
-    ) -> FrameHeader:
-        translation, quaternion = self._place(picture, capture_ns)
-        return FrameHeader(
-            publish_ns=publish_ns,
-            camera_epoch=epoch,
-            frame_id=frame_id,
-            capture_ns=capture_ns,
-            clock=this_clock(),
-            frame=self._frame_name,
-            intrinsics=picture.intrinsics,
-            buffers=picture.buffers,
-            picture=said[0],
-            camera=said[1],
-            camera_translation=translation,
-            camera_quaternion=quaternion,
-        )
 
     def _tell(self, header: FrameHeader) -> None:
         """Which camera is open, for readers that take no frames: when it is new, and then once a second."""

@@ -31,7 +31,7 @@ class DownlinkWork(Work):
     def __init__(self, bus: Bus, config: Config, outside: zenoh.Session) -> None:
         self._bus, self._config, self._outside = bus, config, outside
         keys, inbox = bus.keys, bus.inbox
-        self._key, self._kind = taken_up(config, keys)
+        self._key, self._kind = taken_up(config)
         self._pixels = inbox.ring(keys.up(self._key), session=outside)
         self._objects = inbox.ring(keys.up(keys.objects), session=outside)
         self._answers = inbox.queue(keys.estimates)

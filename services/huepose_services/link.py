@@ -17,7 +17,6 @@ import zenoh
 
 from huepose.support.errors import InputError
 from huepose_protos.client import tls_files
-from huepose_protos.keys import Keys
 from huepose_protos.messages import Detections, Estimates, FrameHeader, Look, Masks
 from huepose_services.gateway_door import Door, check_door
 from huepose_services.gateway_session import allowed, open_behind_door, outside_settings
@@ -43,8 +42,9 @@ _COMMON: dict[str, object] = {
 }
 
 
-def taken_up(config: Config, keys: Keys) -> tuple[str, type[Look] | type[Detections] | type[Masks]]:
+def taken_up(config: Config) -> tuple[str, type[Look] | type[Detections] | type[Masks]]:
     """What goes up with its pixels: the input of the first worker of the other computer."""
+    keys = config.keys
     if config.far[0] == "detector":
         return keys.look, Look
     return (keys.detections, Detections) if config.far[0] == "segmenter" else (keys.masks, Masks)

@@ -43,7 +43,7 @@ class UplinkWork(Work):
         self._host = config.other_host
         self._far = {*config.far, "downlink"}
         keys, inbox = bus.keys, bus.inbox
-        self._found_key, self._kind = taken_up(config, keys)
+        self._found_key, self._kind = taken_up(config)
         self._requests = Requests(bus, looks=False) if self._kind is Look else None
         self._found = None if self._kind is Look else inbox.ring(self._found_key)
         self._objects = inbox.ring(keys.objects)

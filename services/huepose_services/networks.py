@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 import msgspec
@@ -55,15 +55,9 @@ def check(config: Config) -> None:
     or nothing that may run it is installed.
 
     It is opened on the processor: building engines for a GPU takes minutes, and is the worker's affair."""
-    workers = config.workers
-    networks: list[Callable[[Config], object]] = []
-    if "detector" in workers and config.detector.kind == "yolo":
-        networks.append(yolo)
-    if "segmenter" in workers and config.segmenter.kind == "sam":
-        networks.append(sam)
-    for opened_as in networks:
-        opened_as(on_processor(config))
-    if networks:
+    for worker in config.network_workers:
+        (yolo if worker == "detector" else sam)(on_processor(config))
+    if config.network_workers:
         providers_here(settings(config))
 
 

@@ -238,16 +238,9 @@ def _extra(config: Config, worker: str) -> str:
         service += _NETWORK if config.camera.source != "realsense" else ""
     if worker in ("gateway", "viewer", "ros2", "uplink", "downlink"):
         service += _NETWORK
-    if _uses_gpu(config, worker):
+    if worker in config.network_workers and {"cuda", "tensorrt"} & set(config.networks.providers):
         service += _GPU
     return f"[Service]\n{service}" if service else ""
-
-
-def _uses_gpu(config: Config, worker: str) -> bool:
-    network = (worker == "detector" and config.detector.kind == "yolo") or (
-        worker == "segmenter" and config.segmenter.kind == "sam"
-    )
-    return network and bool({"cuda", "tensorrt"} & set(config.networks.providers))
 
 
 def _quoted(path: PurePath) -> str:

@@ -118,7 +118,7 @@ def _limited(config: Config) -> list[str]:
 
 def _never_boxed(config: Config) -> list[str]:
     """A sentence where the detector's network knows only some of the objects."""
-    if config.detector.kind != "yolo" or "detector" not in config.workers:
+    if "detector" not in config.network_workers:
         return []
     from huepose_services import models, networks
 

@@ -140,7 +140,7 @@ def networks(config: Config | None) -> Iterator[Finding]:
     yield Finding("networks", "ok" if here else "none", f"{len(here)} in {catalogue.folder()}")
     for entry in here:
         yield from _refused(partial(check_file, entry.path, entry.network.sha256))
-    if config is not None and config.uses_networks:
+    if config is not None and config.network_workers:
         from huepose_services.networks import check
 
         yield from _refused(partial(check, config))

@@ -259,9 +259,10 @@ class Config(Section, frozen=True, kw_only=True):
         return not {"camera", "gateway", "uplink", "downlink"}.issuperset(self.workers)
 
     @property
-    def uses_networks(self) -> bool:
-        """Whether any part is configured that runs a network."""
-        return self.detector.kind == "yolo" or self.segmenter.kind == "sam"
+    def network_workers(self) -> list[WorkerName]:
+        """Those of the workers that run a network."""
+        runs = {"detector": self.detector.kind == "yolo", "segmenter": self.segmenter.kind == "sam"}
+        return [worker for worker in self.workers if runs.get(worker)]
 
     def port(self, worker: str) -> int:
         """The port of a worker: the name of its socket."""

@@ -68,7 +68,7 @@ def check(config: Config) -> None:
         if config.camera.source in _FOLDERS:
             # What its pictures lack, all of them mostly do: no depth, 8 bits, a packed form.
             source.frame(source.image_ids[0])
-    if config.uses_networks:
+    if config.network_workers:
         from huepose_services import networks
 
         # Once: a worker must not be the first to find that one is damaged.

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from huepose.geometry import Mesh
-from huepose.model import load_models
 from huepose.scenes.builtin import SyntheticScene, check_scene
+from huepose_services import models
 from huepose_services.runtime.config import Config
 
 
@@ -15,17 +13,15 @@ def open_source(config: Config) -> SyntheticScene:
     `bundles`, or without that, with its own. Raises InputError where they do not fit into one."""
     if config.bundles is None:
         return SyntheticScene(config.camera.seed)
-    return SyntheticScene(config.camera.seed, objects=_meshes(config, config.bundles))
+    return SyntheticScene(config.camera.seed, objects=_meshes(config))
 
 
 def check_source(config: Config) -> None:
     """Raises InputError where `open_source` does because its objects do not fit, without drawing anything."""
     if config.bundles is not None:
-        check_scene(_meshes(config, config.bundles), config.camera.seed)
+        check_scene(_meshes(config), config.camera.seed)
 
 
-def _meshes(config: Config, bundles: str) -> dict[str, Mesh]:
+def _meshes(config: Config) -> dict[str, Mesh]:
     """Of the objects, by name: the same ones are the same scene, in whichever order they are listed."""
-    names = [item.name for item in config.objects] or None
-    models = load_models(Path(bundles), names)
-    return {name: models[name].mesh for name in sorted(models)}
+    return {name: model.mesh for name, model in sorted(models.load(config).items())}

@@ -159,14 +159,14 @@ def bundles(config: Config | None) -> Iterator[Finding]:
     if config is None or config.bundles is None:
         yield Finding("reference models", "none", "none named: the built-in scene brings its own")
         return
-    from huepose.model import load_models
+    from huepose_services import models
 
     try:
-        models = load_models(Path(config.bundles), [item.name for item in config.objects] or None)
+        names = sorted(models.load(config))
     except InputError as error:
         yield Finding("reference models", "bad", str(error))
         return
-    yield Finding("reference models", "ok", f"{', '.join(sorted(models))} in {config.bundles}")
+    yield Finding("reference models", "ok", f"{', '.join(names)} in {config.bundles}")
 
 
 def versions() -> Iterator[Finding]:

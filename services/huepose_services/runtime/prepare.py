@@ -48,7 +48,7 @@ def check(config: Config) -> None:
     """Whether a configuration can be started, as far as that is known before workers are; changes nothing.
 
     Raises InputError, and ModuleNotFoundError where the extra of a worker is not installed."""
-    from huepose.model.io import load_models
+    from huepose_services import models
 
     for worker in config.workers:
         check_processors(config.cpus.get(worker, ()))
@@ -58,9 +58,9 @@ def check(config: Config) -> None:
         _check_builtin(config)
     elif config.bundles is not None and (config.objects or config.uses_models):
         # Once: else each worker would find, and say, that one is missing or damaged.
-        models = load_models(config.bundles, [item.name for item in config.objects] or None)
+        known = models.load(config)
         if config.estimator.method != "full" and "estimator" in config.workers:
-            _check_tables(config.estimator.method, models.values())
+            _check_tables(config.estimator.method, known.values())
     if config.camera.source != "synthetic" and "camera" in config.workers:
         from huepose_services.camera.sources import open_source
 

@@ -156,9 +156,9 @@ class ReinitLoop:
         self.counters.requests += 1
         self._asked_ns = now_ns
         self._pace.asked(self.counters.requests, now_ns)
-        # Until perception has answered nobody may be listening: then a request is made again soon.
-        others = waiting(slots, self._tracks, counts, chosen) if self.counters.answers else ()
-        more = max(0, len(chosen) - self.config.objects_per_request) + min(len(others), PICKED)
+        others, more = waiting(slots, self._tracks, counts, chosen), 0
+        if self.counters.answers:  # Until then nobody may be listening, so a request is made again soon.
+            more = max(0, len(chosen) - self.config.objects_per_request) + min(len(others), PICKED)
         deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms, more) * 1e9)
         # One of the missing objects of a request is searched for everywhere, by turns; one turn is to spare.
         seen = self._answered.seen(chosen, self.config.objects_per_request + 1)

@@ -273,8 +273,8 @@ def test_what_is_missing_and_not_asked_for_waits_in_the_same_request() -> None:
     first = loop.tick(0, tracks)
     assert first is not None
     assert asked(first) == [("a", None), ("b", None)]
-    assert first.waiting == (), "nobody may be listening yet"
-    assert first.deadline_ns == 600 * MS
+    assert [one.object for one in first.waiting] == ["c", "e"]
+    assert first.deadline_ns == 600 * MS, "nobody may be listening yet"
     loop.answer(100 * MS, result(first, 0))
     request = loop.tick(200 * MS, tracks)
     assert request is not None

@@ -9,6 +9,9 @@ kept farther apart than that, it goes from one to the next.
 How fast the object moves is not known at first. Where a long step loses it, the pursuit goes back to where it
 was and on to the next frame, then by strides that grow as its velocity gets known. It is given up when it is
 lost again no nearer to now, so it ends.
+
+What rests is likely still where it was much later: it is looked for there as far on as nobody can have turned
+it over meanwhile, and only where it is not found so, by strides.
 """
 
 from __future__ import annotations
@@ -20,6 +23,8 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.tracking.config import TrackerConfig
+from huepose.tracking.hypothesis import same_pose
+from huepose.tracking.orientation import REST_S, RESTS
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Correction
@@ -47,6 +52,7 @@ class Pursuit:
         self.poses: list[tuple[int, Float64]] = []
         self._config, self._stride = config, config.catch_up_stride
         self._lost_behind = np.inf
+        self._rests = False
 
     def arrived(self, newest: RgbdFrame) -> bool:
         """Whether it has reached that frame."""
@@ -73,13 +79,18 @@ class Pursuit:
                 return tried
         before, reached = self.track.copy(), self.track.frame
         assert reached is not None
-        ahead = _ahead(reached, kept)
-        frame = _next(reached, kept, self._stride)
-        tried += self.track.look(frame, tries - tried)
+        ahead, T_before = _ahead(reached, kept), self.track.T_cam_obj
+        assert T_before is not None
+        frame = self._following(reached, kept)
+        tried += self.track.look(frame, 0.0 if self._rests else tries - tried)
         if self.supported:
             self._stride = min(self._stride + 1, self._config.catch_up_stride)
+            T = self.track.T_cam_obj
+            self._rests = T is not None and same_pose(self.track.subject, T_before, T, RESTS)
             self.track.learn()
             self._remember(frame)
+        elif self._rests:
+            self.track, self._rests = before, False
         elif frame is not ahead[0] and len(ahead) < self._lost_behind:
             self.track, self._stride, self._lost_behind = before, 1, len(ahead)
         return tried
@@ -89,11 +100,19 @@ class Pursuit:
         apart_ns, reached = 0, self.track.frame
         if reached is None:
             apart_ns, reached = abs(kept[0].stamp_ns - self.correction.stamp_ns), kept[0]
-        if reached is not kept[-1]:
+        if reached is not kept[-1] and not self._rests:
             following = _next(reached, kept, self._stride)
             apart_ns = max(apart_ns, following.stamp_ns - reached.stamp_ns)
         normal_ns = self._config.catch_up_stride * _interval_ns(kept, self._config.catch_up_stride)
         return apart_ns > SLACK * normal_ns
+
+    def _following(self, reached: RgbdFrame, kept: Sequence[RgbdFrame]) -> RgbdFrame:
+        """The kept frame to go to."""
+        if not self._rests:
+            return _next(reached, kept, self._stride)
+        ahead = _ahead(reached, kept)
+        soon = [f for f in ahead if f.stamp_ns - reached.stamp_ns <= REST_S * 1e9]
+        return soon[-1] if soon else ahead[0]
 
     def _remember(self, frame: RgbdFrame) -> None:
         T = self.track.T_cam_obj

@@ -108,6 +108,26 @@ def test_an_answer_that_is_seconds_late_is_still_of_use(tea_box, shoot, path, lo
     assert tracker.correct(replace(correction, seq=2, stamp_ns=-1)) is Applied.REFUSED_OLD
 
 
+@pytest.mark.parametrize("rests_until", [60, 14])
+def test_what_rests_is_caught_up_in_a_few_looks(tea_box, shoot, path, monkeypatch, rests_until) -> None:
+    """Also where it was lifted meanwhile, of which the long looks ahead know nothing."""
+    look, looks = Track.look, []
+    monkeypatch.setattr(Track, "look", lambda track, *args: looks.append(track) or look(track, *args))
+    truth = [path(max(k - rests_until, 0)) for k in range(60)]
+    frames = [shoot([(tea_box.mesh, T)], k) for k, T in enumerate(truth)]
+    tracker = Tracker({"tea_box": tea_box}, LIVE)
+    for frame in frames[:36]:
+        tracker.step(frame)
+    tracker.correct(late(frames[0], truth[0]))
+    for number in range(36, 60):
+        poses = tracker.step(frames[number])
+        if poses:
+            break
+    assert poses[0].state is State.TRACKING
+    assert np.linalg.norm(poses[0].T_cam_obj[:3, 3] - truth[number][:3, 3]) < 2e-3
+    assert len(looks) <= (5 if rests_until == 60 else 16)
+
+
 def test_what_moves_too_fast_for_a_long_step_is_caught_up_all_the_same(tea_box, whirled, monkeypatch) -> None:
     """In a live frame there is time for two steps, as when none has to be taken back."""
     frames, truth, _ = whirled

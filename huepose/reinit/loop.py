@@ -156,12 +156,10 @@ class ReinitLoop:
         self.counters.requests += 1
         self._asked_ns = now_ns
         self._pace.asked(self.counters.requests, now_ns)
-        others = waiting(slots, self._tracks, counts, chosen)
-        more = max(0, len(chosen) - self.config.objects_per_request) + min(len(others), PICKED)
+        others, more = waiting(slots, self._tracks, counts, chosen), 0
+        if self.counters.answers:  # Until then nobody may be listening, so a request is made again soon.
+            more = max(0, len(chosen) - self.config.objects_per_request) + min(len(others), PICKED)
         deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms, more) * 1e9)
-        if not self.counters.answers:
-            # Nobody may be listening yet.
-            deadline_ns = now_ns + period_ns
         # One of the missing objects of a request is searched for everywhere, by turns; one turn is to spare.
         seen = self._answered.seen(chosen, self.config.objects_per_request + 1)
         self._in_flight = Request(

@@ -23,8 +23,7 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.hypothesis import same_pose
-from huepose.tracking.orientation import REST_S, RESTS
+from huepose.tracking.orientation import REST_S, at_rest
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.types import Correction
@@ -86,7 +85,7 @@ class Pursuit:
         if self.supported:
             self._stride = min(self._stride + 1, self._config.catch_up_stride)
             T = self.track.T_cam_obj
-            self._rests = T is not None and same_pose(self.track.subject, T_before, T, RESTS)
+            self._rests = T is not None and at_rest(self.track.subject, T_before, T)
             self.track.learn()
             self._remember(frame)
         elif self._rests:

@@ -128,7 +128,7 @@ class Orientation:
             limit, self.turned_ns = np.pi, frame.stamp_ns
         new = reached(turns, first.T_cam_obj, expected, limit)
         may_rest = new.any() and not sudden and seen_before
-        if may_rest and same_pose(self._subject, T, first.T_cam_obj, RESTS):
+        if may_rest and at_rest(self._subject, T, first.T_cam_obj):
             new = reached(turns, first.T_cam_obj, expected, 0.0)
         facing = self.facing or Facing.of(0.5, view, len(turns))
         if new.any():
@@ -172,8 +172,12 @@ def lead_to_turn(subject: Subject, anchor: Anchor, T_cam_obj: Float64, seconds: 
     has not turned: only what outweighs the belief in its turn says that it was wrong. 0 for what moves."""
     if seconds > REST_S or anchor.unseen_s > 0.0 or anchor.turn_odds <= 0.0 or not len(subject.other_turns):
         return 0.0
-    rests = same_pose(subject, anchor.first.T_cam_obj, T_cam_obj, RESTS)
-    return anchor.turn_odds / SHARPNESS if rests else 0.0
+    return anchor.turn_odds / SHARPNESS if at_rest(subject, anchor.first.T_cam_obj, T_cam_obj) else 0.0
+
+
+def at_rest(subject: Subject, T_before: Float64, T_cam_obj: Float64) -> bool:
+    """Whether an object lies where it did (`RESTS`), by its poses (4, 4) at most REST_S apart."""
+    return same_pose(subject, T_before, T_cam_obj, RESTS)
 
 
 SHARPNESS = 24.0

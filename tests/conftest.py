@@ -82,6 +82,12 @@ def standing() -> np.ndarray:
     return standing_pose(np.radians(35.0), 0.0, 0.0)
 
 
+@pytest.fixture(scope="session")
+def box_frame(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> RgbdFrame:
+    """The frame of the tea box that stands there. Nobody may write into it."""
+    return take_picture([(tea_box.mesh, standing)])
+
+
 def standing_pose(yaw: float, x: float, y: float) -> np.ndarray:
     """T_cam_obj of the tea box that stands at (x, y) of the table."""
     up = 0.075

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +14,9 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
 from huepose.select.distinct import RIGHT, different_answers
+from tests.conftest import TakePicture
 from tests.judge.regions import region_in
 
-TakePicture = Callable[..., RgbdFrame]
 UPSIDE_DOWN = np.diag([-1.0, -1.0, 1.0])
 
 

@@ -20,11 +20,10 @@ from track_rivals import LastPoseTracker, careful_icp, color_icp, flow_pairs
 from huepose.tracking.types import Correction
 
 
-def test_careful_icp_comes_back_from_a_centimetre_and_five_degrees(tea_box, take_picture, standing) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
+def test_careful_icp_comes_back_from_a_centimetre_and_five_degrees(tea_box, box_frame, standing) -> None:
     turned = se3.rotation_exp(np.radians([0.0, 4.0, 3.0])) @ standing[:3, :3]
     start = se3.make(turned, standing[:3, 3] + [0.006, -0.005, 0.006])
-    T = careful_icp(tea_box, start, None, frame)
+    T = careful_icp(tea_box, start, None, box_frame)
     assert metrics.adds(tea_box.eval_points, T, standing) < 0.001
     assert metrics.add(tea_box.eval_points, T, standing) < 0.002
 

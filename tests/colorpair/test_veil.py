@@ -22,12 +22,11 @@ def veiled(frame: RgbdFrame, light: float = LIGHT, lit: float = 1.0) -> RgbdFram
 
 
 @pytest.fixture(scope="module")
-def frame(tea_box, take_picture, standing) -> RgbdFrame:
+def frame(box_frame) -> RgbdFrame:
     """A tea box, and a thing in deep shadow."""
-    clear = take_picture([(tea_box.mesh, standing)])
-    color = clear.color.copy()
+    color = box_frame.color.copy()
     color[:40, :40] = 3
-    return replace(clear, color=color)
+    return replace(box_frame, color=color)
 
 
 def test_a_picture_with_something_dark_stays_what_it_is(frame) -> None:

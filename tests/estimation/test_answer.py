@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -15,8 +13,7 @@ from huepose.judge.terms import score
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from tests.boxes import box_of
-
-TakePicture = Callable[..., RgbdFrame]
+from tests.conftest import TakePicture
 
 
 def explained(model: ReferenceModel, frame: RgbdFrame, box: Box) -> tuple[PoseEstimate, Explanation]:
@@ -24,10 +21,9 @@ def explained(model: ReferenceModel, frame: RgbdFrame, box: Box) -> tuple[PoseEs
 
 
 def test_the_best_of_the_views_is_the_answer(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    answer, _ = explained(tea_box, frame, box_of(frame, tea_box, standing))
+    answer, _ = explained(tea_box, box_frame, box_of(box_frame, tea_box, standing))
     assert answer.T_cam_obj is not None
     assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.001
     assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(0.5)
@@ -43,13 +39,12 @@ def test_what_is_not_there_is_not_believed(
 
 
 def test_a_prior_is_judged_once_and_where_the_others_are(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    mask = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     query = ObjectQuery(tea_box.name, masks=(mask,), prior=PosePrior(standing))
     config = EstimatorConfig(look_anew_every=1)
-    answer, look = Estimator({tea_box.name: tea_box}, config).explain(frame, query)
+    answer, look = Estimator({tea_box.name: tea_box}, config).explain(box_frame, query)
     assert look.evidence is not None
     assert answer.prior_T_cam_obj is not None
     judged = score(tea_box, look.evidence.region, answer.prior_T_cam_obj).total

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -24,24 +23,19 @@ def seen_in(frame: RgbdFrame, model: ReferenceModel, true_frame: RgbdFrame, T: n
     return apparent_size(estimator.sizes_seen(frame, answers))
 
 
-@pytest.fixture(scope="module")
-def frame(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> RgbdFrame:
-    return take_picture([(tea_box.mesh, standing)])
-
-
 def test_a_right_camera_shows_objects_in_their_size(
-    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
+    box_frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
-    size = seen_in(frame, tea_box, frame, standing)
+    size = seen_in(box_frame, tea_box, box_frame, standing)
     assert abs(size.larger) <= 0.02
     assert not size.clear
 
 
 def test_a_focal_length_a_tenth_too_small_shows_them_larger(
-    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
+    box_frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
-    camera = replace(frame.camera, fx=0.9 * frame.camera.fx, fy=0.9 * frame.camera.fy)
-    size = seen_in(replace(frame, camera=camera), tea_box, frame, standing)
+    camera = replace(box_frame.camera, fx=0.9 * box_frame.camera.fx, fy=0.9 * box_frame.camera.fy)
+    size = seen_in(replace(box_frame, camera=camera), tea_box, box_frame, standing)
     assert size.clear
     assert size.larger == pytest.approx(1.0 / 0.9 - 1.0, abs=0.03)
     said = size.said(camera)
@@ -50,10 +44,10 @@ def test_a_focal_length_a_tenth_too_small_shows_them_larger(
 
 
 def test_depth_a_tenth_too_small_shows_them_smaller(
-    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
+    box_frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
-    near = replace(frame, depth=frame.depth * np.float32(0.93))
-    size = seen_in(near, tea_box, frame, standing)
+    near = replace(box_frame, depth=box_frame.depth * np.float32(0.93))
+    size = seen_in(near, tea_box, box_frame, standing)
     assert size.clear
     assert size.larger == pytest.approx(-0.07, abs=0.03)
 

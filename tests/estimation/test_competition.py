@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +15,8 @@ from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from tests.boxes import box_of
+from tests.conftest import TakePicture
 
-TakePicture = Callable[..., RgbdFrame]
 FRAME = RgbdFrame(
     np.zeros((40, 60, 3), np.uint8), np.ones((40, 60), np.float32), Camera(60, 60, 30, 20, 60, 40)
 )
@@ -109,11 +109,10 @@ def test_two_instances_in_one_box_are_both_found(
 
 
 def test_one_surface_is_not_given_to_two_objects(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    box = box_of(frame, tea_box, standing)
+    box = box_of(box_frame, tea_box, standing)
     models = {"tea_box": tea_box, "twin": replace(tea_box, name="twin")}
-    first, second = Estimator(models).estimate(frame, [ObjectQuery(name, box) for name in models])
+    first, second = Estimator(models).estimate(box_frame, [ObjectQuery(name, box) for name in models])
     assert first.quality > 0.9
     assert second.quality < 0.5

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,6 @@ from huepose.select.distinct import Ranked
 from huepose.support.stages import listening
 from tests.boxes import box_of
 
-TakePicture = Callable[..., RgbdFrame]
 NOT_IN_FULL = next(i for i in range(9) if not looks_in_full(i, 3))
 
 
@@ -29,9 +27,9 @@ def test_a_share_of_the_frames_is_looked_at_in_full_whatever_the_stride() -> Non
 
 
 def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=NOT_IN_FULL)
+    frame = replace(box_frame, frame_id=NOT_IN_FULL)
     box = box_of(frame, tea_box, standing)
     near = PosePrior(se3.perturb(standing, np.array([0.004, -0.003, 0.005, 0.04, -0.03, 0.03])))
     turned = PosePrior(se3.compose(standing, se3.make(np.diag([-1.0, 1.0, -1.0]), np.zeros(3))))
@@ -52,16 +50,13 @@ def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
 
 
 def test_a_prior_that_a_rotation_beats_in_its_light_is_not_confirmed(
-    tea_box: ReferenceModel,
-    take_picture: TakePicture,
-    standing: np.ndarray,
-    monkeypatch: pytest.MonkeyPatch,
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def beaten(model: ReferenceModel, region: Region, found: Ranked) -> tuple[Ranked, bool]:
         return Ranked(found.poses[::-1], found.totals[::-1], found.behind), True
 
     monkeypatch.setattr("huepose.estimation.answer.in_their_light", beaten)
-    frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=NOT_IN_FULL)
+    frame = replace(box_frame, frame_id=NOT_IN_FULL)
     query = ObjectQuery("tea_box", box_of(frame, tea_box, standing), prior=PosePrior(standing))
     with listening() as clock:
         Estimator({"tea_box": tea_box}).estimate(frame, [query])
@@ -69,9 +64,9 @@ def test_a_prior_that_a_rotation_beats_in_its_light_is_not_confirmed(
 
 
 def test_a_confirmed_prior_of_an_object_without_near_symmetries_is_an_answer_without_rivals(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=NOT_IN_FULL)
+    frame = replace(box_frame, frame_id=NOT_IN_FULL)
     box = box_of(frame, tea_box, standing)
     alone = replace(tea_box, near_symmetries=tea_box.near_symmetries[:1])
     (answer,) = Estimator({"tea_box": alone}).estimate(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from huepose.estimation.depth_delay import DepthDelay, Look, delay, look
-from huepose.geometry import se3
+from huepose.geometry import RgbdFrame, se3
 from huepose.judge.borders import Contours
 from huepose.model.types import ReferenceModel
 from tests.conftest import TakePicture, standing_pose
@@ -77,17 +77,19 @@ def test_one_way_at_one_speed_does_not_tell_late_from_beside(
 
 
 def test_what_rests_or_has_nothing_behind_it_says_nothing(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame, contours = take_picture([(tea_box.mesh, standing)]), Contours.of(tea_box)
+    contours = Contours.of(tea_box)
     moving = np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert look(contours, standing, moving, frame) is not None
-    assert look(contours, standing, np.zeros(6), frame) is None
-    assert look(contours, standing, moving, replace(frame, depth=np.zeros_like(frame.depth))) is None
-    assert look(contours, standing, moving, replace(frame, depth=np.full_like(frame.depth, 0.7))) is None
+    assert look(contours, standing, moving, box_frame) is not None
+    assert look(contours, standing, np.zeros(6), box_frame) is None
+    assert look(contours, standing, moving, replace(box_frame, depth=np.zeros_like(box_frame.depth))) is None
+    assert (
+        look(contours, standing, moving, replace(box_frame, depth=np.full_like(box_frame.depth, 0.7))) is None
+    )
     outside = standing.copy()
     outside[0, 3] += 2.0
-    assert look(contours, outside, moving, frame) is None
+    assert look(contours, outside, moving, box_frame) is None
 
 
 def test_few_looks_and_those_of_one_moment_say_nothing() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +10,11 @@ import pytest
 from huepose.estimation.depth_offset import DepthOffset, depth_offset
 from huepose.geometry import RgbdFrame
 from huepose.model.types import ReferenceModel
+from tests.conftest import TakePicture
 
 
 @pytest.fixture(scope="module")
-def frame(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> RgbdFrame:
+def frame(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> RgbdFrame:
     return take_picture([(tea_box.mesh, standing)], light=(0.9, 0.8, 0.6))
 
 

@@ -3,7 +3,6 @@ repetition."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from threading import Thread
 
@@ -18,8 +17,7 @@ from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 from tests.boxes import box_of
-
-TakePicture = Callable[..., RgbdFrame]
+from tests.conftest import TakePicture
 
 
 @pytest.fixture(scope="module")
@@ -71,10 +69,9 @@ def test_a_box_on_a_table_is_found_to_the_millimetre(
 
 
 def test_the_covariance_is_one(
-    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    estimator: Estimator, tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", box_of(frame, tea_box, standing))])
+    (answer,) = estimator.estimate(box_frame, [ObjectQuery("tea_box", box_of(box_frame, tea_box, standing))])
     assert answer.covariance is not None
     sigma = np.sqrt(np.diag(answer.covariance))
     assert np.array_equal(answer.covariance, answer.covariance.T) or np.allclose(
@@ -86,11 +83,10 @@ def test_the_covariance_is_one(
 
 
 def test_given_masks_are_used(
-    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    estimator: Estimator, tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    truth = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", masks=(truth,))])
+    truth = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
+    (answer,) = estimator.estimate(box_frame, [ObjectQuery("tea_box", masks=(truth,))])
     assert answer.T_cam_obj is not None
     assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.001
 
@@ -126,25 +122,23 @@ def test_results_repeat_in_any_order_and_with_threads(
 
 
 def test_no_thread_is_started_while_it_works(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without memory for its stack a new thread dies before it says that it runs, and is waited for."""
     threaded = Estimator({"tea_box": tea_box}, EstimatorConfig(threads=2))
     monkeypatch.setattr(Thread, "start", lambda _: pytest.fail("a thread is started"))
-    frame = take_picture([(tea_box.mesh, standing)])
-    query = ObjectQuery("tea_box", box_of(frame, tea_box, standing))
-    assert [answer.found for answer in threaded.estimate(frame, [query, query])] == [True, False]
+    query = ObjectQuery("tea_box", box_of(box_frame, tea_box, standing))
+    assert [answer.found for answer in threaded.estimate(box_frame, [query, query])] == [True, False]
 
 
 def test_a_prior_is_refined_and_scored_on_the_same_pixels(
-    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    estimator: Estimator, tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    box = box_of(frame, tea_box, standing)
+    box = box_of(box_frame, tea_box, standing)
     near = PosePrior(se3.perturb(standing, np.array([0.008, -0.006, 0.01, 0.08, -0.06, 0.05])))
     upside_down = PosePrior(se3.compose(standing, se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))))
-    (good,) = estimator.estimate(frame, [ObjectQuery("tea_box", box, prior=near)])
-    (bad,) = estimator.estimate(frame, [ObjectQuery("tea_box", box, prior=upside_down)])
+    (good,) = estimator.estimate(box_frame, [ObjectQuery("tea_box", box, prior=near)])
+    (bad,) = estimator.estimate(box_frame, [ObjectQuery("tea_box", box, prior=upside_down)])
     assert good.prior_score is not None
     assert bad.prior_score is not None
     assert good.prior_T_cam_obj is not None
@@ -156,31 +150,29 @@ def test_a_prior_is_refined_and_scored_on_the_same_pixels(
 
 
 def test_a_prior_alone_says_where_to_look(
-    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    estimator: Estimator, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
     prior = PosePrior(se3.perturb(standing, np.array([0.01, 0.0, 0.0, 0.0, 0.1, 0.0])))
-    (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", prior=prior)])
+    (answer,) = estimator.estimate(box_frame, [ObjectQuery("tea_box", prior=prior)])
     assert answer.T_cam_obj is not None
     assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.001
 
 
 def test_nothing_there_is_not_found(
-    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    estimator: Estimator, tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    blind = replace(frame, depth=np.zeros_like(frame.depth))
-    box = box_of(frame, tea_box, standing)
+    blind = replace(box_frame, depth=np.zeros_like(box_frame.depth))
+    box = box_of(box_frame, tea_box, standing)
     behind = PosePrior(se3.make(np.eye(3), np.array([0.0, 0.0, -1.0])))
-    millimetres = replace(frame, depth=frame.depth * np.float32(1000.0))
+    millimetres = replace(box_frame, depth=box_frame.depth * np.float32(1000.0))
     no_depth = "There is no depth in the box, so there is nothing to look at."
     for picture, query, why in (
         (blind, ObjectQuery("tea_box", box), "The frame has no depth (under 1 % of its pixels"),
         (blind, ObjectQuery("tea_box", box, prior=PosePrior(standing)), "The frame has no depth"),
         (millimetres, ObjectQuery("tea_box", box), "All depth is "),
-        (frame, ObjectQuery("tea_box", Box(-50, -50, 20, 20)), no_depth),
-        (frame, ObjectQuery("tea_box", prior=behind), "The box is empty (0 x 0 pixels), so"),
-        (frame, ObjectQuery("tea_box", Box(30, 30, 0, 20)), "The box is empty (0 x 20 pixels), so"),
+        (box_frame, ObjectQuery("tea_box", Box(-50, -50, 20, 20)), no_depth),
+        (box_frame, ObjectQuery("tea_box", prior=behind), "The box is empty (0 x 0 pixels), so"),
+        (box_frame, ObjectQuery("tea_box", Box(30, 30, 0, 20)), "The box is empty (0 x 20 pixels), so"),
     ):
         (answer,) = estimator.estimate(picture, [query])
         assert not answer.found
@@ -190,10 +182,9 @@ def test_nothing_there_is_not_found(
 
 
 def test_what_is_of_another_type_is_refused_at_the_door(
-    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    estimator: Estimator, tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    query = ObjectQuery("tea_box", box_of(frame, tea_box, standing))
+    query = ObjectQuery("tea_box", box_of(box_frame, tea_box, standing))
     with pytest.raises(InputError, match=r"found str; expected reference models.*load_models\(dir\)"):
         Estimator("bundles")  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"found tuple; expected a Box\. Make one: Box\(x, y, w, h\)"):
@@ -201,23 +192,20 @@ def test_what_is_of_another_type_is_refused_at_the_door(
     with pytest.raises(InputError, match=r"box of 'tea_box': found Box\(x=nan.*; expected finite numbers"):
         ObjectQuery("tea_box", Box(float("nan"), 2, 3, 4))
     with pytest.raises(InputError, match=r"queries: found ObjectQuery; expected a list of ObjectQuery"):
-        estimator.estimate(frame, query)  # type: ignore[arg-type]
+        estimator.estimate(box_frame, query)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"query: found str; expected an ObjectQuery"):
-        estimator.estimate(frame, ["tea_box"])  # type: ignore[list-item]
+        estimator.estimate(box_frame, ["tea_box"])  # type: ignore[list-item]
     with pytest.raises(InputError, match=r"frame: found None; expected an RgbdFrame"):
         estimator.estimate(None, [query])  # type: ignore[arg-type]
 
 
-def test_wrong_queries_say_what_to_do(
-    estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
-) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
+def test_wrong_queries_say_what_to_do(estimator: Estimator, box_frame: RgbdFrame) -> None:
     with pytest.raises(InputError, match="one of tea_box"):
-        estimator.estimate(frame, [ObjectQuery("teabox", Box(0, 0, 9, 9))])
+        estimator.estimate(box_frame, [ObjectQuery("teabox", Box(0, 0, 9, 9))])
     with pytest.raises(InputError, match="neither box, masks nor prior"):
-        estimator.estimate(frame, [ObjectQuery("tea_box")])
+        estimator.estimate(box_frame, [ObjectQuery("tea_box")])
     with pytest.raises(InputError, match="size of the frame"):
-        estimator.estimate(frame, [ObjectQuery("tea_box", masks=(np.ones((4, 4), bool),))])
+        estimator.estimate(box_frame, [ObjectQuery("tea_box", masks=(np.ones((4, 4), bool),))])
     with pytest.raises(InputError, match="colorpair"):
         EstimatorConfig(method="best")
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from huepose.estimation.panels import AGREES, SEEN_THROUGH, Panels
@@ -13,11 +11,10 @@ from tests.boxes import box_of
 
 
 def test_where_a_pose_agrees_is_green_and_where_it_is_in_the_air_red(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    box = box_of(frame, tea_box, standing)
-    panels = Panels.around(frame, box, [], 0.008)
+    box = box_of(box_frame, tea_box, standing)
+    panels = Panels.around(box_frame, box, [], 0.008)
     right = panels.judged(tea_box, standing)
     nearer = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -0.1]), standing)
     wrong = panels.judged(tea_box, nearer)

@@ -15,16 +15,15 @@ from huepose.estimation.types import PoseEstimate
 from tests.boxes import box_of
 
 
-def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, standing) -> None:
+def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, box_frame, standing) -> None:
     models = {"tea_box": tea_box}
-    frame = take_picture([(tea_box.mesh, standing)])
-    box = box_of(frame, tea_box, standing)
-    (there,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
+    box = box_of(box_frame, tea_box, standing)
+    (there,) = Estimator(models).estimate(box_frame, [ObjectQuery("tea_box", box)])
     beside = standing.copy()
     beside[0, 3] += 0.5 * tea_box.diameter_m
     other = beside.copy()
     claimed = replace(there, T_cam_obj=beside, alternatives=((other, 0.1),))
-    presence = PresenceIn(frame, models, "full")
+    presence = PresenceIn(box_frame, models, "full")
     right, wrong, none = (presence.asked(a) for a in (there, claimed, PoseEstimate("tea_box")))
     assert there.present is None
     assert right.present > 0.9
@@ -37,23 +36,21 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, take_picture, st
     assert (none.present, none.found, none.state) == (0.0, False, "LOST")
 
 
-def test_only_what_a_search_proposed_is_asked_whether_it_is_there(tea_box, take_picture, standing) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    box = box_of(frame, tea_box, standing)
+def test_only_what_a_search_proposed_is_asked_whether_it_is_there(tea_box, box_frame, standing) -> None:
+    box = box_of(box_frame, tea_box, standing)
     queries = [ObjectQuery("tea_box", box), ObjectQuery("tea_box", box, searched=True)]
     estimator = Estimator({"tea_box": tea_box})
-    given, searched = (estimator.estimate(frame, [query])[0] for query in queries)
+    given, searched = (estimator.estimate(box_frame, [query])[0] for query in queries)
     assert given.present is None
-    asked = PresenceIn(frame, {"tea_box": tea_box}, "full").asked(given)
+    asked = PresenceIn(box_frame, {"tea_box": tea_box}, "full").asked(given)
     assert searched.present == pytest.approx(asked.present)
     assert np.array_equal(given.T_cam_obj, searched.T_cam_obj)
 
 
-def test_a_fitness_stays_what_it_is(tea_box, take_picture, standing) -> None:
+def test_a_fitness_stays_what_it_is(tea_box, box_frame, standing) -> None:
     """The quality of the paper's method is no probability."""
-    frame = take_picture([(tea_box.mesh, standing)])
     fit = PoseEstimate("tea_box", found=True, T_cam_obj=standing, quality=0.7, state="SUSPECT")
-    asked = PresenceIn(frame, {"tea_box": tea_box}, "paper").asked(fit)
+    asked = PresenceIn(box_frame, {"tea_box": tea_box}, "paper").asked(fit)
     assert asked.present > 0.9
     assert asked.quality == 0.7
 
@@ -68,16 +65,15 @@ def test_a_shape_in_another_texture_is_another_thing(tea_box, take_picture, stan
     assert there.present < 0.5
 
 
-def test_another_texture_is_judged_by_the_method_that_answered(tea_box, take_picture, standing) -> None:
+def test_another_texture_is_judged_by_the_method_that_answered(tea_box, box_frame, standing) -> None:
     """Contrasts that point elsewhere speak against an answer by as much as its method's own fit says."""
     models = {"tea_box": tea_box}
-    frame = take_picture([(tea_box.mesh, standing)])
-    box = box_of(frame, tea_box, standing)
-    (answer,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
+    box = box_of(box_frame, tea_box, standing)
+    (answer,) = Estimator(models).estimate(box_frame, [ObjectQuery("tea_box", box)])
     lacking = replace(answer, terms=replace(answer.terms, turned=0.5, otherwise=0.9, agreed=0.0))
     left = {}
     for method in ("full", "colorpair"):
-        presence = PresenceIn(frame, models, method)
+        presence = PresenceIn(box_frame, models, method)
         own, other = (presence.asked(a).present for a in (answer, lacking))
         chance = quality_fits()[method].this_texture(features(lacking.terms))
         left[method] = other / own

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -24,11 +23,10 @@ def turned(T: np.ndarray, degrees: float, axis: int) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def looked(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> tuple[PoseEstimate, Explanation]:
-    frame = take_picture([(tea_box.mesh, standing)])
-    box = box_of(frame, tea_box, standing)
-    return Estimator({"tea_box": tea_box}).explain(frame, ObjectQuery("tea_box", box))
+    box = box_of(box_frame, tea_box, standing)
+    return Estimator({"tea_box": tea_box}).explain(box_frame, ObjectQuery("tea_box", box))
 
 
 def test_nothing_speaks_against_a_plain_view(

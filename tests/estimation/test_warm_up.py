@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -22,30 +21,29 @@ from tests.kernels import compiled
 
 @pytest.mark.parametrize("method", ["full", "colorpair"])
 def test_no_kernel_is_compiled_after_the_warm_up(
-    method: Method, tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    method: Method, tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     estimator = Estimator({"tea_box": tea_box}, EstimatorConfig(method=method))
     estimator.warm_up()
     before = compiled()
     if method == "colorpair":
         assert before["huepose.paper.ppf._vote"] >= 1  # asked only where few classes are in sight
-    frame = take_picture([(tea_box.mesh, standing)])
-    outline = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    outline = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     corner = outline.copy()
     corner[:, int(np.median(np.nonzero(outline)[1])) :] = False
     for mask in (outline, corner):
-        (answer,) = estimator.estimate(frame, [ObjectQuery("tea_box", Box.of_mask(mask))])
+        (answer,) = estimator.estimate(box_frame, [ObjectQuery("tea_box", Box.of_mask(mask))])
         assert answer.found
     assert compiled() == before
 
 
 def test_no_near_tie_and_no_prior_waits_for_the_compiler(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     estimator = Estimator({"tea_box": tea_box})
     estimator.warm_up()
     before = compiled()
-    frame = replace(take_picture([(tea_box.mesh, standing)]), frame_id=2)
+    frame = replace(box_frame, frame_id=2)
     box = box_of(frame, tea_box, standing)
     prior = PosePrior(se3.perturb(standing, np.full(6, 0.002)))
     _, seen = estimator.explain(frame, ObjectQuery("tea_box", box, prior=prior))
@@ -57,18 +55,17 @@ def test_no_near_tie_and_no_prior_waits_for_the_compiler(
 
 
 def test_a_frame_as_drivers_and_slices_give_it_waits_for_no_compiler(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     """Whole and short numbers in the camera, pictures that are views, pictures that nobody may write."""
     estimator = Estimator({"tea_box": tea_box})
     estimator.warm_up()
     before = compiled()
-    frame = take_picture([(tea_box.mesh, standing)])
-    c, depth = frame.camera, np.asfortranarray(frame.depth)
+    c, depth = box_frame.camera, np.asfortranarray(box_frame.depth)
     depth.setflags(write=False)
-    blue_first = np.ascontiguousarray(frame.color[..., ::-1])
+    blue_first = np.ascontiguousarray(box_frame.color[..., ::-1])
     whole = Camera(round(c.fx), round(c.fy), np.float32(c.cx), np.int64(c.cy), np.int64(c.width), c.height)
     given = RgbdFrame(blue_first[..., ::-1], depth, whole)
-    (answer,) = estimator.estimate(given, [ObjectQuery("tea_box", box_of(frame, tea_box, standing))])
+    (answer,) = estimator.estimate(given, [ObjectQuery("tea_box", box_of(box_frame, tea_box, standing))])
     assert answer.found
     assert compiled() == before

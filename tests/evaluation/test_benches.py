@@ -27,11 +27,10 @@ class Still:
         return (self._truth,)
 
 
-def test_every_stage_is_measured_and_the_missing_object_is_missing(tea_box, take_picture, standing) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
+def test_every_stage_is_measured_and_the_missing_object_is_missing(tea_box, box_frame, standing) -> None:
+    mask = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     truth = GroundTruth(0, standing, object="tea_box", box_visib=Box.of_mask(mask), mask_loader=lambda: mask)
-    stages = {s.name: s for s in bench_perception(Still(frame, truth), {"tea_box": tea_box}, frames=2)}
+    stages = {s.name: s for s in bench_perception(Still(box_frame, truth), {"tea_box": tea_box}, frames=2)}
     assert {
         "detect",
         "detect/clear view",
@@ -42,9 +41,9 @@ def test_every_stage_is_measured_and_the_missing_object_is_missing(tea_box, take
         "segment",
     } <= set(stages)
     assert all(s.cpu_ms_p50 > 0.0 for s in stages.values())
-    out = _taken_out(frame, truth)
+    out = _taken_out(box_frame, truth)
     assert not out.depth[mask].any()
-    assert np.array_equal(out.depth[~mask], frame.depth[~mask])
+    assert np.array_equal(out.depth[~mask], box_frame.depth[~mask])
 
 
 def test_percentiles_are_in_milliseconds():

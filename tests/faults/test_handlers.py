@@ -153,11 +153,11 @@ def _now(tree: Any, frame: FrameHeader) -> Any:
 
 
 @pytest.mark.parametrize("worker", ["tracker", "reinit", "detector", "segmenter", "estimator"])
-def test_nothing_that_comes_breaks_a_step(worker, tea_box, take_picture, standing):
+def test_nothing_that_comes_breaks_a_step(worker, tea_box, box_frame):
     rng = random.Random(SEED)
     bus, inbox = _bus(worker)
     work = _work(worker, bus, replace(tea_box, name="006_mustard_bottle"))
-    picture = packed(take_picture([(tea_box.mesh, standing)]), 1e-4)
+    picture = packed(box_frame, 1e-4)
     taken, until = 0, time.process_time() + SECONDS
     while taken < 100 or time.process_time() < until:
         frame = msgspec.structs.replace(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +13,10 @@ from huepose.judge.implied_light import Light, implied_lights, shading_gains
 from huepose.judge.region import Region, model_arrays, region_arrays
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
-from tests.conftest import standing_pose
+from tests.conftest import TakePicture, standing_pose
 from tests.judge.regions import region_of
 from tests.onboarded import onboarded
 from tests.onboarding import solids
-
-TakePicture = Callable[..., RgbdFrame]
 
 RED = (200, 30, 20)
 LAMP = np.array([0.75, -0.55, -0.35])

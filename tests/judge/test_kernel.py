@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,17 +9,20 @@ import pytest
 
 from huepose.geometry import RgbdFrame, icosphere, se3
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
-from huepose.judge.region import beside, model_arrays, nearest_view, region_arrays
+from huepose.judge.region import Region, beside, model_arrays, nearest_view, region_arrays
 from huepose.judge.terms import DEFAULT_WEIGHTS, Terms, score, score_many
 from huepose.model.types import ReferenceModel
 from tests.judge.regions import region_of
 
 
+@pytest.fixture(scope="module")
+def region(tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray) -> Region:
+    return region_of(box_frame, tea_box, standing)
+
+
 def test_a_needed_total_decides_as_the_whole_total_does(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, standing: np.ndarray, region: Region
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    region = region_of(frame, tea_box, standing)
     model, seen = model_arrays(tea_box), region_arrays(region)
     rng = np.random.default_rng(3)
     poses = [
@@ -44,9 +46,8 @@ def test_a_needed_total_decides_as_the_whole_total_does(
 
 
 def test_coverage_is_that_of_the_plain_formula(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, standing: np.ndarray, region: Region
 ) -> None:
-    region = region_of(take_picture([(tea_box.mesh, standing)]), tea_box, standing)
     model, seen = model_arrays(tea_box), region_arrays(region)
     rng = np.random.default_rng(4)
     for size in np.linspace(0.0, 5.0, 12):
@@ -80,9 +81,8 @@ def test_the_view_found_from_neighbour_to_neighbour_is_the_nearest_of_all(
 
 
 def test_in_a_plane_that_was_taken_away_a_surface_is_neither_seen_nor_seen_through(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, standing: np.ndarray, region: Region
 ) -> None:
-    region = region_of(take_picture([(tea_box.mesh, standing)]), tea_box, standing)
     half = np.zeros(region.crop.depth.shape, bool)
     half[:, : int(np.flatnonzero(region.mask.any(0)).mean())] = True
 

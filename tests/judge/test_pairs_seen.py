@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
-from huepose.geometry import RgbdFrame, se3
+from huepose.geometry import se3
 from huepose.judge.pairs_seen import pairs_seen
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
+from tests.conftest import TakePicture
 
 
 def test_the_right_pose_is_agreed_with_and_a_turned_one_is_not(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     upside_down = se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
     right, wrong = [], []
@@ -32,9 +31,7 @@ def test_the_right_pose_is_agreed_with_and_a_turned_one_is_not(
     assert min(wrong) > 0.4
 
 
-def test_what_is_outside_of_the_picture_has_none(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame]
-) -> None:
+def test_what_is_outside_of_the_picture_has_none(tea_box: ReferenceModel, take_picture: TakePicture) -> None:
     away = se3.make(np.eye(3), np.array([5.0, 0.0, 1.0]))
     pixels, elsewhere = pairs_seen(take_picture([]), tea_box, away)
     assert pixels.shape == (0, 2)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import Box, se3
 from huepose.judge.silhouette import projected_box
 from huepose.model.types import ReferenceModel
+from tests.conftest import TakePicture
 
 
 def test_the_projected_box_is_that_of_the_samples_pixels(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([])
     camera = frame.camera

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,15 +16,18 @@ from huepose.judge.terms import CLOSE_SAMPLES, Terms, score, score_many
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.scenes.shapes import demo_objects
+from tests.conftest import TakePicture
 from tests.judge.regions import region_in, region_of
-
-TakePicture = Callable[..., RgbdFrame]
 
 
 @pytest.fixture(scope="module")
-def seen(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> Terms:
-    frame = take_picture([(tea_box.mesh, standing)])
-    return score(tea_box, region_of(frame, tea_box, standing), standing)
+def region(tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray) -> Region:
+    return region_of(box_frame, tea_box, standing)
+
+
+@pytest.fixture(scope="module")
+def seen(tea_box: ReferenceModel, region: Region, standing: np.ndarray) -> Terms:
+    return score(tea_box, region, standing)
 
 
 def test_the_truth_scores_high_in_every_term(seen: Terms) -> None:
@@ -39,10 +41,8 @@ def test_the_truth_scores_high_in_every_term(seen: Terms) -> None:
 
 
 def test_the_truth_beats_every_other_pose(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, standing: np.ndarray, region: Region
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    region = region_of(frame, tea_box, standing)
     steps = [np.eye(6)[k] * s for k in range(3) for s in (-0.02, -0.006, 0.006, 0.02)]
     steps += [np.eye(6)[3 + k] * np.radians(s) for k in range(3) for s in (-90, -20, -5, 5, 20, 90, 180)]
     poses = np.array([standing] + [se3.perturb(standing, s) for s in steps])
@@ -71,15 +71,14 @@ def test_another_texture_on_the_same_shape_scores_lower(
 
 
 def test_what_stands_in_front_is_occlusion_and_what_we_see_through_is_violation(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    silhouette = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     middle = int(np.nonzero(silhouette)[1].mean())
     right = silhouette & (np.arange(640) > middle)[None, :]
     left = silhouette & ~right
-    covered = replace(frame, depth=np.where(right, frame.depth - np.float32(0.1), frame.depth))
-    empty = replace(frame, depth=np.where(right, frame.depth + np.float32(0.1), frame.depth))
+    covered = replace(box_frame, depth=np.where(right, box_frame.depth - np.float32(0.1), box_frame.depth))
+    empty = replace(box_frame, depth=np.where(right, box_frame.depth + np.float32(0.1), box_frame.depth))
     occluded, violated = (
         score(tea_box, region_in(changed, left, tea_box.diameter_m), standing) for changed in (covered, empty)
     )
@@ -92,17 +91,16 @@ def test_what_stands_in_front_is_occlusion_and_what_we_see_through_is_violation(
 
 
 def test_a_pose_may_hide_behind_something_but_not_stick_in_it(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     """Two thirds of an object are hidden: by what stands 10 cm in front of them, or, as when it sinks into
     its support, by what is seen 15 mm in front of them."""
-    frame = take_picture([(tea_box.mesh, standing)])
-    silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    silhouette = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     shown = silhouette & (np.arange(640) < np.quantile(np.nonzero(silhouette)[1], 0.33))[None, :]
     scores = []
     for nearer_m in (0.1, 0.015):
-        near = np.where(silhouette & ~shown, frame.depth - np.float32(nearer_m), frame.depth)
-        region = region_in(replace(frame, depth=near), shown, tea_box.diameter_m)
+        near = np.where(silhouette & ~shown, box_frame.depth - np.float32(nearer_m), box_frame.depth)
+        region = region_in(replace(box_frame, depth=near), shown, tea_box.diameter_m)
         scores.append(score(tea_box, region, standing))
     behind, sunk = scores
     assert behind.violation < 0.03
@@ -112,12 +110,11 @@ def test_a_pose_may_hide_behind_something_but_not_stick_in_it(
 
 
 def test_to_lie_behind_what_is_believed_to_be_the_object_counts_half_as_much_as_to_be_seen_through(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     """A mask on what stands 10 cm in front of the whole object: all of the surface lies behind it."""
-    frame = take_picture([(tea_box.mesh, standing)])
-    silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    near = replace(frame, depth=np.where(silhouette, frame.depth - np.float32(0.1), frame.depth))
+    silhouette = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
+    near = replace(box_frame, depth=np.where(silhouette, box_frame.depth - np.float32(0.1), box_frame.depth))
     seen = score(tea_box, region_in(near, silhouette, tea_box.diameter_m), standing)
     assert seen.violation == pytest.approx(IMPLAUSIBLE / (IMPLAUSIBLE + MARGIN), abs=0.03)
     assert seen.coverage < 1e-6
@@ -143,47 +140,43 @@ def test_noise_of_depth_is_not_taken_for_what_is_seen_through(
 
 
 def test_where_the_origin_of_a_mesh_lies_changes_no_tolerance(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray, region: Region
 ) -> None:
     """Seen a little behind its place, and its origin four metres behind it."""
-    frame, by = take_picture([(tea_box.mesh, standing)]), standing[:3, :3].T @ [0.0, 0.0, 4.0]
+    by = standing[:3, :3].T @ [0.0, 0.0, 4.0]
     mesh = replace(tea_box.mesh, vertices=(tea_box.mesh.vertices - by).astype(np.float32))
     surface = replace(tea_box.surface, points=(tea_box.surface.points - by).astype(np.float32))
     grid = replace(tea_box.grid, origin=tea_box.grid.origin - by)
     moved = replace(tea_box, mesh=mesh, surface=surface, grid=grid)
     nearer = se3.make(np.eye(3), np.array([0.0, 0.0, -0.015])) @ standing
-    region = region_of(frame, tea_box, standing)
     anywhere = Region.whole(region.crop, region.mask, region.colors, tea_box.diameter_m, 1.0)
     T = nearer @ se3.make(np.eye(3), by)
     assert score(moved, anywhere, T).through == pytest.approx(
         score(tea_box, anywhere, nearer).through, abs=0.02
     )
-    assert visible_mask(moved, frame, T, 0.009).sum() < 0.3 * region.mask.sum()
+    assert visible_mask(moved, box_frame, T, 0.009).sum() < 0.3 * region.mask.sum()
 
 
 def test_saturated_pixels_do_not_count(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, seen: Terms
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray, seen: Terms
 ) -> None:
     """A glare of pure white over a third of the object leaves the colour of the rest."""
-    frame = take_picture([(tea_box.mesh, standing)])
-    silhouette = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    silhouette = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     top = int(np.nonzero(silhouette)[0].mean())
-    glare = frame.color.copy()
+    glare = box_frame.color.copy()
     glare[top : top + 40] = 255
-    lit = score(tea_box, region_of(replace(frame, color=glare), tea_box, standing), standing)
+    lit = score(tea_box, region_of(replace(box_frame, color=glare), tea_box, standing), standing)
     assert lit.color > seen.color - 0.15
 
 
 def test_many_equal_one_by_one_and_repeat(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray, region: Region
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    region = region_of(frame, tea_box, standing)
     rng = np.random.default_rng(0)
     poses = np.array([se3.perturb(standing, rng.normal(0, 0.02, 6)) for _ in range(6)])
     many = score_many(tea_box, region, poses, CLOSE_SAMPLES)
     assert np.array_equal(
-        many, score_many(tea_box, region_of(frame, tea_box, standing), poses, CLOSE_SAMPLES)
+        many, score_many(tea_box, region_of(box_frame, tea_box, standing), poses, CLOSE_SAMPLES)
     )
     for row, T in zip(many, poses, strict=True):
         one = score(tea_box, region, T)
@@ -191,10 +184,8 @@ def test_many_equal_one_by_one_and_repeat(
 
 
 def test_poses_behind_the_camera_or_far_outside_are_scored_not_crashed(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, region: Region
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    region = region_of(frame, tea_box, standing)
     away = [
         se3.make(np.eye(3), np.array(t)) for t in ([0, 0, -1.0], [0, 0, 0.0], [9.0, 0, 0.1], [0, 0, 50.0])
     ]

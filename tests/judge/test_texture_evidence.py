@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -15,9 +14,8 @@ from huepose.judge.texture_evidence import agreement_many, contrast_disagreement
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.pair_score import pair_score_many
 from huepose.scenes.shapes import demo_objects
+from tests.conftest import TakePicture
 from tests.judge.regions import seen_by_pairs
-
-TakePicture = Callable[..., RgbdFrame]
 
 
 def _otherwise(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> float:
@@ -32,16 +30,15 @@ def test_hardly_any_contrast_of_the_same_texture_points_elsewhere_in_any_light(
 
 
 def test_of_a_texture_that_is_partly_out_of_date_that_part_does(
-    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
+    tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    right = _otherwise(tea_box, frame, standing)
+    right = _otherwise(tea_box, box_frame, standing)
     for share in (0.3, 0.6, 1.0):
         colors = tea_box.pairs.colors.copy()
         old = np.random.default_rng(0).random(len(colors)) < share
         colors[old, :, 1:] *= -2.0  # opposite hues, twice as strong
         model = replace(tea_box, pairs=replace(tea_box.pairs, colors=colors))
-        assert _otherwise(model, frame, standing) == pytest.approx(right + share * (1.0 - right), abs=0.1)
+        assert _otherwise(model, box_frame, standing) == pytest.approx(right + share * (1.0 - right), abs=0.1)
 
 
 def test_most_of_those_of_a_look_alike_do(
@@ -52,15 +49,12 @@ def test_most_of_those_of_a_look_alike_do(
 
 
 def test_nothing_speaks_against_a_texture_of_which_nothing_is_seen(
-    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
+    tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame
 ) -> None:
-    view = seen_by_pairs(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
+    view = seen_by_pairs(tea_box, box_frame, standing)
     away = standing.copy()
     away[2, 3] += 1.0
     assert contrast_disagreement(tea_box, *view, away) == 0.0
-
-
-TakePicture = Callable[..., RgbdFrame]
 
 
 def out_of_date(model: ReferenceModel, share: float) -> ReferenceModel:
@@ -72,10 +66,8 @@ def out_of_date(model: ReferenceModel, share: float) -> ReferenceModel:
 
 
 @pytest.fixture(scope="module")
-def view(
-    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
-) -> tuple[Region, PairPicture]:
-    return seen_by_pairs(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
+def view(tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame) -> tuple[Region, PairPicture]:
+    return seen_by_pairs(tea_box, box_frame, standing)
 
 
 def test_the_right_pose_agrees_nearly_wholly_in_any_light(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,26 +18,19 @@ from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
 from huepose.support.stages import listening
 
-TakePicture = Callable[..., RgbdFrame]
-
 
 @pytest.fixture(scope="module")
-def frame(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> RgbdFrame:
-    return take_picture([(tea_box.mesh, standing)])
-
-
-@pytest.fixture(scope="module")
-def outline(tea_box: ReferenceModel, standing: np.ndarray, frame: RgbdFrame) -> np.ndarray:
-    return render_depth(tea_box.mesh, standing, frame.camera) > 0
+def outline(tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame) -> np.ndarray:
+    return render_depth(tea_box.mesh, standing, box_frame.camera) > 0
 
 
 def test_the_box_is_found(
-    tea_box: ReferenceModel, frame: RgbdFrame, outline: np.ndarray, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, outline: np.ndarray, standing: np.ndarray
 ) -> None:
     estimator = Estimator({"tea_box": tea_box}, EstimatorConfig(method="paper"))
     query = ObjectQuery("tea_box", Box.of_mask(outline))
     with listening() as clock:
-        (answer,) = estimator.estimate(frame, [query])
+        (answer,) = estimator.estimate(box_frame, [query])
     assert answer.T_cam_obj is not None
     assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.005
     assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(3.0)
@@ -52,12 +44,12 @@ def test_the_box_is_found(
     steps = set(clock.totals())
     assert {"extract", "classes", "votes", "semantic_icp", "judge"} <= steps
     assert steps <= {"evidence", "masks", "extract", "classes", "votes", "semantic_icp", "judge", "answer"}
-    (again,) = estimator.estimate(frame, [query])
+    (again,) = estimator.estimate(box_frame, [query])
     np.testing.assert_array_equal(again.T_cam_obj, answer.T_cam_obj)
 
 
 def test_point_pairs_are_asked_only_where_triangles_cannot_be(
-    tea_box: ReferenceModel, frame: RgbdFrame, outline: np.ndarray, monkeypatch: pytest.MonkeyPatch
+    tea_box: ReferenceModel, box_frame: RgbdFrame, outline: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
     for name in ("triangle_votes", "ppf_votes"):
@@ -73,19 +65,19 @@ def test_point_pairs_are_asked_only_where_triangles_cannot_be(
     ):
         asked.clear()
         monkeypatch.setattr(single_frame, "classes_in_sight", lambda cloud, n=classes: n)
-        poses, fitness = PaperMethod(config).in_mask(tea_box, frame, outline, np.random.default_rng(0))
+        poses, fitness = PaperMethod(config).in_mask(tea_box, box_frame, outline, np.random.default_rng(0))
         assert asked == [expected]
         assert len(poses) == len(fitness) > 0
         assert (np.diff(fitness) <= 0.0).all()
     asked.clear()
     silent = PaperMethod(PaperConfig(triangles=False, ppf=False))
-    assert not len(silent.in_mask(tea_box, frame, outline, np.random.default_rng(0))[0])
+    assert not len(silent.in_mask(tea_box, box_frame, outline, np.random.default_rng(0))[0])
     assert not asked
 
 
-def test_nothing_in_the_mask_is_nothing_found(tea_box: ReferenceModel, frame: RgbdFrame) -> None:
-    nothing = np.zeros(frame.depth.shape, bool)
-    poses, fitness = PaperMethod().in_mask(tea_box, frame, nothing, np.random.default_rng(0))
+def test_nothing_in_the_mask_is_nothing_found(tea_box: ReferenceModel, box_frame: RgbdFrame) -> None:
+    nothing = np.zeros(box_frame.depth.shape, bool)
+    poses, fitness = PaperMethod().in_mask(tea_box, box_frame, nothing, np.random.default_rng(0))
     assert poses.shape == (0, 4, 4)
     assert len(fitness) == 0
 

@@ -16,6 +16,7 @@ from huepose.model.types import ReferenceModel
 from huepose.paper.relative_pose import LiftedMatches
 from huepose.paper.tracking import PaperStep
 from huepose.tracking.types import Applied, Correction, Verdict
+from tests.conftest import TakePicture
 
 PERIOD_NS = 33_333_333
 Take = Callable[[int], RgbdFrame]
@@ -28,7 +29,7 @@ def pose_at(standing: np.ndarray, number: int) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def film(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> Take:
+def film(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> Take:
     def take(number: int) -> RgbdFrame:
         shot = take_picture([(tea_box.mesh, pose_at(standing, number))], frame_id=number)
         return RgbdFrame(shot.color, shot.depth, shot.camera, number, number * PERIOD_NS, 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,9 +17,8 @@ from huepose.perception.memory import looking
 from huepose.perception.window_table import LIKE, window_table
 from huepose.perception.windows import SIZES, WindowsBySize
 from huepose.scenes.shapes import demo_objects
+from tests.conftest import TakePicture
 from tests.perception.conftest import noisy
-
-TakePicture = Callable[..., RgbdFrame]
 
 
 def test_the_likeliest_come_first_and_few_at_once() -> None:
@@ -66,18 +64,13 @@ def test_what_is_put_there_is_searched_for_in_the_same_look(
 
 
 def test_what_stands_still_is_compared_once(
-    watching: ColorPairDetector,
-    tea_box: ReferenceModel,
-    take_picture: TakePicture,
-    standing: np.ndarray,
-    coded: list[int],
+    watching: ColorPairDetector, box_frame: RgbdFrame, coded: list[int]
 ) -> None:
-    picture = take_picture([(tea_box.mesh, standing)])
-    watching.detect(noisy(picture, 0), [], waiting=BOTH)
+    watching.detect(noisy(box_frame, 0), [], waiting=BOTH)
     assert sum(coded) > 10
     coded.clear()
     for look in range(1, 4):
-        assert watching.detect(noisy(picture, look), [], waiting=BOTH) == []
+        assert watching.detect(noisy(box_frame, look), [], waiting=BOTH) == []
     assert sum(coded) == 0
 
 
@@ -103,8 +96,5 @@ def test_where_everything_moves_objects_of_one_size_after_another_are_compared(
     assert min(seen.looks.values()) >= 14 - 8, "every size in turn"
 
 
-def test_without_a_memory_nothing_is_new(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
-) -> None:
-    picture = take_picture([(tea_box.mesh, standing)])
-    assert ColorPairDetector({"tea_box": tea_box}).detect(picture, [], waiting=["tea_box"]) == []
+def test_without_a_memory_nothing_is_new(tea_box: ReferenceModel, box_frame: RgbdFrame) -> None:
+    assert ColorPairDetector({"tea_box": tea_box}).detect(box_frame, [], waiting=["tea_box"]) == []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +12,7 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.embedded import DepthSegmenter, color_cut, cut_pieces, depth_steps
 from huepose.perception.planes import NEAR_M, _near_plane, _outside, above_plane, find_support_plane
 from huepose.rendering.render import render_depth
-
-TakePicture = Callable[..., RgbdFrame]
+from tests.conftest import TakePicture
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:
@@ -22,11 +20,12 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
 
 
 @pytest.fixture(scope="module")
-def frame(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> RgbdFrame:
-    clean = take_picture([(tea_box.mesh, standing)])
+def frame(box_frame: RgbdFrame) -> RgbdFrame:
     rng = np.random.default_rng(0)
-    noise = rng.normal(0, 0.001, clean.depth.shape).astype(np.float32)
-    return replace(clean, depth=np.where(clean.depth > 0, clean.depth + noise, 0).astype(np.float32))
+    noise = rng.normal(0, 0.001, box_frame.depth.shape).astype(np.float32)
+    return replace(
+        box_frame, depth=np.where(box_frame.depth > 0, box_frame.depth + noise, 0).astype(np.float32)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +11,11 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.exchanged import Order, order_of_channels
 from huepose.perception.types import Detection
+from tests.conftest import TakePicture
 
 
 def test_the_order_of_the_channels_is_asked_for(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     detector = ColorPairDetector({"tea_box": tea_box})
     frame, empty = take_picture([(tea_box.mesh, standing)]), take_picture([])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +13,7 @@ from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.presence import agreeing_pixels, sights_of
 from huepose.rendering.render import render
-
-TakePicture = Callable[..., RgbdFrame]
+from tests.conftest import TakePicture
 
 
 def likely(view: ClearView, model: ReferenceModel, T: np.ndarray) -> float:
@@ -44,11 +42,13 @@ def test_an_object_is_there_less_likely_turned_or_without_its_texture_and_not_be
 
 
 def test_in_a_handful_of_pixels_nothing_is_believed(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    assert agreeing_pixels(tea_box, frame, standing) > 300
-    far = replace(frame, camera=replace(frame.camera, fx=frame.camera.fx / 40.0, fy=frame.camera.fy / 40.0))
+    assert agreeing_pixels(tea_box, box_frame, standing) > 300
+    far = replace(
+        box_frame,
+        camera=replace(box_frame.camera, fx=box_frame.camera.fx / 40.0, fy=box_frame.camera.fy / 40.0),
+    )
     speck = render([(tea_box.mesh, standing)], far.camera)
     pixels = int((speck.depth > 0).sum())
     assert 5 < pixels < 30

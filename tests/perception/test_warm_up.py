@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-
-import numpy as np
 
 from huepose.geometry import RgbdFrame
 from huepose.model.types import ReferenceModel
@@ -15,21 +12,18 @@ from huepose.perception.config import DetectorConfig
 from tests.kernels import compiled
 
 
-def test_no_kernel_is_compiled_after_the_warm_up(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
-) -> None:
+def test_no_kernel_is_compiled_after_the_warm_up(tea_box: ReferenceModel, box_frame: RgbdFrame) -> None:
     detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
     detector.warm_up()
     before = compiled()
-    wide = take_picture([(tea_box.mesh, standing)])
-    view = clear_view(wide, tea_box.diameter_m)
+    view = clear_view(box_frame, tea_box.diameter_m)
     assert view is not None
     crop = view.crop
     x, y, camera = crop.x0, crop.y0, crop.camera
-    depth = wide.depth[y : y + camera.height, x : x + camera.width].copy()
+    depth = box_frame.depth[y : y + camera.height, x : x + camera.width].copy()
     filled = RgbdFrame(crop.color, depth, camera)  # what stands reaches from side to side
-    wired = replace(wide, color=wide.color.copy())
+    wired = replace(box_frame, color=box_frame.color.copy())
     wired.color.flags.writeable = False  # as on a message
-    for frame in (wide, filled, wired):
+    for frame in (box_frame, filled, wired):
         assert detector.detect(frame, ["tea_box"])
     assert compiled() == before

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +16,8 @@ from huepose.support.stages import listening
 
 
 @pytest.fixture(scope="module")
-def view(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> ClearView:
-    seen = clear_view(take_picture([(tea_box.mesh, standing)]), 0.3)
+def view(box_frame: RgbdFrame) -> ClearView:
+    seen = clear_view(box_frame, 0.3)
     assert seen is not None
     return seen
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +13,8 @@ from huepose.propose import keypoint_reference
 from huepose.propose.features import Features, Sift
 from huepose.propose.keypoint_reference import PICTURE_PX, build_keypoints
 from huepose.propose.keypoints import Matches, ModelKeypoints, PictureFeatures, consensus_poses, match
+from tests.conftest import TakePicture
 
-TakePicture = Callable[..., RgbdFrame]
 CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
 
 import cv2
 import numpy as np
 import pytest
 
-from huepose.geometry import RgbdFrame, icosphere, se3
+from huepose.geometry import icosphere, se3
 from huepose.geometry.arrays import Float32
 from huepose.model.types import ReferenceModel
 from huepose.propose.view_codes import WEIGHTS, codes_of_views, codes_of_windows
@@ -30,8 +29,7 @@ from huepose.propose.view_pictures import (
     window_pictures,
 )
 from huepose.propose.views import onto_rays
-
-TakePicture = Callable[..., RgbdFrame]
+from tests.conftest import TakePicture
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,6 @@ when the mask is the whole box."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -24,8 +22,7 @@ from huepose.propose.quick_look import (
 from huepose.propose.templates import TemplateTable, build_table, coarse_views
 from huepose.propose.views import _centroid, retrieve
 from huepose.rendering.render import render_depth
-
-TakePicture = Callable[..., RgbdFrame]
+from tests.conftest import TakePicture
 
 
 @pytest.fixture(scope="module")
@@ -85,17 +82,16 @@ def test_half_a_view_is_enough(
 
 
 def test_the_whole_box_will_do_for_a_mask(
-    tea_box: ReferenceModel, table: TemplateTable, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, table: TemplateTable, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     """Nothing told from the table: with a wrong mask beside it, the right views still come from the box."""
-    frame = take_picture([(tea_box.mesh, standing)])
-    truth = render_depth(tea_box.mesh, standing, frame.camera) > 0
+    truth = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     box = Box.of_mask(truth)
     assert box is not None
     whole, wrong = np.zeros_like(truth), np.zeros_like(truth)
     whole[box.slices(640, 480)] = True
     wrong[400:440, 500:600] = True
-    views = retrieve(table, *picture_of(frame, truth), [wrong, whole], views=10)
+    views = retrieve(table, *picture_of(box_frame, truth), [wrong, whole], views=10)
     hits = near(views.poses, standing)
     assert any(hits[:3])
     assert views.masks[hits.index(True)] == 1
@@ -114,13 +110,10 @@ def test_views_are_different_and_repeat(
     assert np.array_equal(views.poses, retrieve(table, *picture_of(frame, mask), [mask], views=20).poses)
 
 
-def test_an_empty_mask_retrieves_nothing(
-    table: TemplateTable, take_picture: TakePicture, tea_box: ReferenceModel, standing: np.ndarray
-) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    empty = np.zeros(frame.depth.shape, bool)
+def test_an_empty_mask_retrieves_nothing(table: TemplateTable, box_frame: RgbdFrame) -> None:
+    empty = np.zeros(box_frame.depth.shape, bool)
     for masks in ([empty], []):
-        views = retrieve(table, *picture_of(frame, empty), masks, views=5)
+        views = retrieve(table, *picture_of(box_frame, empty), masks, views=5)
         assert views.poses.shape == (0, 4, 4)
         assert views.scores.shape == views.masks.shape == (0,)
 

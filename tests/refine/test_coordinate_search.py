@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
+import pytest
 
 from huepose.geometry import RgbdFrame, se3
+from huepose.judge.region import Region
 from huepose.judge.terms import CLOSE_SAMPLES, score_many
 from huepose.model.types import ReferenceModel
 from huepose.refine.coordinate_search import RACE, search
 from tests.judge.regions import region_of
 
 
-def test_search_climbs_to_the_truth(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
-) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    region = region_of(frame, tea_box, standing)
+@pytest.fixture(scope="module")
+def region(tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray) -> Region:
+    return region_of(box_frame, tea_box, standing)
+
+
+def test_search_climbs_to_the_truth(tea_box: ReferenceModel, standing: np.ndarray, region: Region) -> None:
     rng = np.random.default_rng(1)
     offsets = rng.normal(size=(6, 6))
     offsets[:, :3] *= 0.006 / np.linalg.norm(offsets[:, :3], axis=1, keepdims=True)
@@ -36,10 +37,8 @@ def test_search_climbs_to_the_truth(
 
 
 def test_a_pose_far_behind_its_rivals_is_left_as_it_is(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, standing: np.ndarray, region: Region
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    region = region_of(frame, tea_box, standing)
     near = se3.perturb(standing, np.array([0.004, -0.003, 0.002, 0.05, -0.03, 0.04]))
     upside_down = standing.copy()
     upside_down[:3, 0] *= -1.0

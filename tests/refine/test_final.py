@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +17,7 @@ from huepose.refine import final
 from huepose.refine.final import FLOOR_SIGMA, TEXTURE_SIGMA, covariance, refine_on_edges, scale_residual
 from huepose.refine.point_to_plane import Alignment
 from huepose.rendering.render import render_depth
+from tests.conftest import TakePicture
 from tests.judge.regions import region_of
 
 MIDDLE = np.zeros(3)
@@ -54,7 +54,7 @@ def fitted(information: np.ndarray) -> Alignment:
 
 
 def test_a_slide_is_undone_and_without_texture_or_mask_nothing_is(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)], light=(0.8, 0.7, 0.75))
     mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
@@ -69,14 +69,13 @@ def test_a_slide_is_undone_and_without_texture_or_mask_nothing_is(
     np.testing.assert_array_equal(refine_on_edges(tea_box, frame, np.zeros_like(mask), slid), slid)
 
 
-TakePicture = Callable[..., RgbdFrame]
 RADIUS_M = 0.06
 
 
 @pytest.fixture(scope="module")
-def region(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> Region:
+def region(tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray) -> Region:
     """The tea box as it is seen."""
-    return region_of(take_picture([(tea_box.mesh, standing)]), tea_box, standing)
+    return region_of(box_frame, tea_box, standing)
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -24,8 +23,7 @@ from huepose.refine.projective import (
 )
 from huepose.refine.solver import Body, advance, clear, normal_equations
 from huepose.rendering.render import render_depth
-
-TakePicture = Callable[..., RgbdFrame]
+from tests.conftest import TakePicture
 
 
 def fine_pairs(model: ReferenceModel) -> SurfacePairs:
@@ -58,15 +56,19 @@ def test_a_shift_along_the_faces_is_undone_in_any_light(
 
 
 def test_edges_of_the_other_contrast_hardly_match_and_none_leave_the_pose_alone(
-    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
-    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    edges = image_edges(extract(frame.color, mask))
+    mask = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
+    edges = image_edges(extract(box_frame.color, mask))
     inverted = ImageEdges(edges.pixels, edges.directions, -edges.contrasts)
     right, wrong, none = (
         align_edges(
-            model_edges(fine_pairs(tea_box)), tea_box.surface, seen, frame.depth, frame.camera, standing
+            model_edges(fine_pairs(tea_box)),
+            tea_box.surface,
+            seen,
+            box_frame.depth,
+            box_frame.camera,
+            standing,
         )
         for seen in (edges, inverted, image_edges(ColorPairs.empty()))
     )

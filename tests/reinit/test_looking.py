@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
-from huepose.geometry import Box, RgbdFrame
+from huepose.geometry import Box
 from huepose.model import ReferenceModel
 from huepose.perception.types import Detection
 from huepose.profiles import profile
@@ -20,6 +18,7 @@ from studies.gone import HZ, Sight, shown
 from studies.still import NOWHERE
 from studies.stress.films import Seen
 from studies.stress.play import followed
+from tests.conftest import TakePicture
 from tests.onboarded import onboarded
 
 HERE, BESIDE, THERE, AWAY = (Box(x, 50, 60, 60) for x in (50, 60, 200, 400))
@@ -48,7 +47,7 @@ def test_its_best_place_is_looked_at_even_where_another_object_is() -> None:
 
 @pytest.mark.parametrize("quality", [1.0, 0.5])
 def test_a_look_alike_gives_way_to_the_object_that_is_there(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray, quality: float
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, quality: float
 ) -> None:
     """It is followed first, at the place of a box of another print: alone it stays TRACKING or SUSPECT."""
     other = onboarded(demo_objects(1)["tea_box"], "other_box")

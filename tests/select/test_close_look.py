@@ -3,7 +3,6 @@ shape cannot tell apart the right one wins."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +15,7 @@ from huepose.judge.rendered_view import SHARP_PX, detail_colors, draw_rendered_v
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.select.near_ties import close_look
+from tests.conftest import TakePicture
 from tests.judge.regions import region_of
 
 UPSIDE_DOWN = se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
@@ -26,7 +26,7 @@ def moved(T: np.ndarray, x: float, y: float = 0.0) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def frame(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> RgbdFrame:
+def frame(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> RgbdFrame:
     return take_picture([(tea_box.mesh, standing)], light=(0.9, 0.7, 0.5))
 
 

@@ -2,25 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
-from huepose.geometry import RgbdFrame, se3
+from huepose.geometry import se3
 from huepose.judge.region import Region
 from huepose.judge.terms import totals as judge
 from huepose.model.types import ReferenceModel
 from huepose.select import near_ties
 from huepose.select.distinct import NONE, Ranked
 from huepose.select.near_ties import TERMS, WEIGHTS, WITHIN, contest, decided
+from tests.conftest import TakePicture
 from tests.judge.regions import region_of
 
 UPSIDE_DOWN = se3.make(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 
 
 @pytest.fixture(scope="module")
-def region(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> Region:
+def region(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> Region:
     frame = take_picture([(tea_box.mesh, standing)], light=(0.9, 0.7, 0.5))
     return region_of(frame, tea_box, standing)
 

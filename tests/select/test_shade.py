@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
-from huepose.geometry import RgbdFrame, se3
+from huepose.geometry import se3
 from huepose.judge.region import Region
 from huepose.judge.terms import totals
 from huepose.model.types import ReferenceModel
 from huepose.select.distinct import NONE, Ranked
 from huepose.select.near_ties import TERMS, contest
 from huepose.select.shade import REACH, in_their_light, rotated
-from tests.conftest import standing_pose
+from tests.conftest import TakePicture, standing_pose
 from tests.judge.regions import region_of
 from tests.judge.test_implied_light import RED, in_lamplight
 from tests.onboarded import onboarded
 from tests.onboarding import solids
-
-TakePicture = Callable[..., RgbdFrame]
 
 RIGHT = standing_pose(0.6, 0.0, 0.0)
 ABOUT_Z = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))

@@ -21,6 +21,7 @@ from huepose.support.errors import InputError
 from huepose_services.cli.estimate import in_words
 from huepose_services.cli.main import main
 from tests.boxes import box_of
+from tests.conftest import TakePicture
 from tests.services.conftest import Says
 
 
@@ -28,11 +29,10 @@ from tests.services.conftest import Says
 def files(
     tmp_path_factory: pytest.TempPathFactory,
     tea_box: ReferenceModel,
-    take_picture: Callable[..., RgbdFrame],
-    standing: np.ndarray,
+    box_frame: RgbdFrame,
 ) -> list[str]:
     """A frame and a bundle on disk, as the arguments that name them."""
-    return written(tmp_path_factory.mktemp("frame"), take_picture([(tea_box.mesh, standing)]), tea_box)
+    return written(tmp_path_factory.mktemp("frame"), box_frame, tea_box)
 
 
 def written(folder: Path, frame: RgbdFrame, *models: ReferenceModel) -> list[str]:
@@ -66,16 +66,15 @@ def beside(T: np.ndarray, *shifts: list[float]) -> list[np.ndarray]:
 
 
 @pytest.fixture(scope="module")
-def box(tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray) -> list[str]:
-    frame = take_picture([(tea_box.mesh, standing)])
-    bounds = box_of(frame, tea_box, standing)
+def box(tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray) -> list[str]:
+    bounds = box_of(box_frame, tea_box, standing)
     return ["--box", *(str(x) for x in bounds)]
 
 
 def test_so_many_instances_are_found_as_are_asked_for(
     tmp_path: Path,
     tea_box: ReferenceModel,
-    take_picture: Callable[..., RgbdFrame],
+    take_picture: TakePicture,
     standing: np.ndarray,
     printed: Says,
 ) -> None:
@@ -90,7 +89,7 @@ def test_so_many_instances_are_found_as_are_asked_for(
 def test_each_instance_has_its_explanation_and_no_more_are_given_than_are_asked_for(
     tmp_path: Path,
     tea_box: ReferenceModel,
-    take_picture: Callable[..., RgbdFrame],
+    take_picture: TakePicture,
     standing: np.ndarray,
     printed: Says,
 ) -> None:
@@ -227,7 +226,7 @@ def test_a_disk_that_takes_no_picture_does_not_cost_the_answer(
 def test_why_an_object_is_not_found_is_said_and_drawn(
     files: list[str],
     tea_box: ReferenceModel,
-    take_picture: Callable[..., RgbdFrame],
+    take_picture: TakePicture,
     standing: np.ndarray,
     tmp_path: Path,
     printed: Says,

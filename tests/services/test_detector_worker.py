@@ -17,33 +17,32 @@ from huepose_services.models import outline
 from tests.services.fake_bus import FakeBus, sent
 
 
-def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, take_picture, standing):
+def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, box_frame):
     now = [10 * ASK_EVERY_NS]
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
     bus = FakeBus("detector")
     finder = SearchedBoxes({"tea_box": outline(tea_box)}, ColorPairDetector({"tea_box": tea_box}))
     work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
-    frame = take_picture([(tea_box.mesh, standing)])
     wanted = [RequestedObject(object="tea_box", instance=None)]
     request = msgspec.structs.replace(example(PerceptionRequest), objects=wanted)
 
     def warned(color):
-        shot = replace(frame, color=np.ascontiguousarray(color))
+        shot = replace(box_frame, color=np.ascontiguousarray(color))
         arriving = sent(shot, 0.0002, capture_ns=now[0])
         bus.arriving |= {FrameHeader: [arriving], PerceptionRequest: [request]}
         work.step()
         return bus.health.message().warnings
 
-    assert warned(frame.color[:, :, ::-1]) == []  # it has only just begun
+    assert warned(box_frame.color[:, :, ::-1]) == []  # it has only just begun
     assert bus.said[-1].objects == [] or max(box.score for box in bus.said[-1].objects) < 0.7
     now[0] += ASK_EVERY_NS
-    (said,) = warned(frame.color[:, :, ::-1])
+    (said,) = warned(box_frame.color[:, :, ::-1])
     assert said.startswith("With red and blue exchanged, tea_box is in the picture")
     assert bus.logged["colours"] == [said]
-    warned(frame.color[:, :, ::-1])
+    warned(box_frame.color[:, :, ::-1])
     assert bus.said[-1].camera == said, "it goes on with the boxes, and to every pose"
     now[0] += ASK_EVERY_NS
-    assert warned(frame.color) == []
+    assert warned(box_frame.color) == []
     assert [box.request.object for box in bus.said[-1].objects] == ["tea_box"]
 
 
@@ -81,12 +80,11 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
     assert [asks_in(12, epoch) for epoch in (3, 3, 4)] == [1, 0, 1], "an object says that it is right"
 
 
-def test_an_object_that_was_removed_while_it_was_asked_about_stops_nothing(tea_box, take_picture, standing):
-    frame = take_picture([(tea_box.mesh, standing)])
+def test_an_object_that_was_removed_while_it_was_asked_about_stops_nothing(tea_box, box_frame):
     finder = SearchedBoxes({"tea_box": outline(tea_box)}, ColorPairDetector({"tea_box": tea_box}))
-    assert finder.order_of_channels(frame, ["removed", "tea_box"], {"removed": 0.0, "tea_box": 1.0}).right
+    assert finder.order_of_channels(box_frame, ["removed", "tea_box"], {"removed": 0.0, "tea_box": 1.0}).right
     finder.remove("tea_box")
-    assert finder.order_of_channels(frame, ["tea_box"], {"tea_box": 0.0}) == Order()
+    assert finder.order_of_channels(box_frame, ["tea_box"], {"tea_box": 0.0}) == Order()
 
 
 def test_a_request_about_a_frame_that_was_answered_waits_for_the_next_one():

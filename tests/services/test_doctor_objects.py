@@ -13,10 +13,11 @@ from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.model.types import ReferenceModel
 from huepose_services.doctor import pictures
 from huepose_services.doctor.pictures import objects_in
+from tests.conftest import TakePicture
 
 
 def test_objects_are_found_or_asked_about(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
     (found,) = objects_in(frame, {"tea_box": tea_box})
@@ -57,8 +58,8 @@ def test_of_several_objects_the_one_of_another_size_is_named(
 
 
 def test_where_depth_lies_beside_the_colours_no_object_is_called_right(
-    tea_box: ReferenceModel, take_picture: Callable[..., RgbdFrame], standing: np.ndarray
+    tea_box: ReferenceModel, box_frame: RgbdFrame
 ) -> None:
-    (found,) = objects_in(take_picture([(tea_box.mesh, standing)]), {"tea_box": tea_box}, aside=True)
+    (found,) = objects_in(box_frame, {"tea_box": tea_box}, aside=True)
     assert (found.state, found.found[:17]) == ("note", "tea_box TRACKING ")
     assert "BAD above" in found.fix

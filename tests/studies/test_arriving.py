@@ -13,11 +13,10 @@ from studies.gone import HZ
 
 
 def test_it_is_there_after_six_seconds_and_found_soon_among_many(
-    tea_box, soup_can, take_picture, standing
+    tea_box, soup_can, box_frame, standing
 ) -> None:
-    frame = take_picture([(tea_box.mesh, standing)])
     label = GroundTruth(0, standing, 1, visib_fract=1.0)
-    frames = film(frame, label, tea_box, 2, np.random.default_rng(0))
+    frames = film(box_frame, label, tea_box, 2, np.random.default_rng(0))
     assert len(frames) == HZ * (SECONDS_BEFORE + 2)
     changed = np.abs(frames[-1].frame.depth - frames[0].frame.depth) > 0.02
     assert 0.02 < changed.mean() < 0.3

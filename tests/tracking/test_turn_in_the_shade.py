@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
-from huepose.geometry import RgbdFrame
 from huepose.tracking.orientation import lead
 from huepose.tracking.refined import unmoved
 from huepose.tracking.subject import Subject
+from tests.conftest import TakePicture
 from tests.judge.test_implied_light import in_lamplight
 from tests.select.test_shade import ABOUT_Z, RIGHT, brick_with_a_dark_side
 
 
 @pytest.mark.parametrize("ambient", [0.03, 1.0])
-def test_the_right_pose_leads_in_the_shade_and_in_daylight(
-    ambient: float, take_picture: Callable[..., RgbdFrame]
-) -> None:
+def test_the_right_pose_leads_in_the_shade_and_in_daylight(ambient: float, take_picture: TakePicture) -> None:
     brick = brick_with_a_dark_side()
     surface = Subject.of(brick).surface
     frame = in_lamplight(take_picture([(brick.mesh, RIGHT)]), brick.mesh, RIGHT, ambient)

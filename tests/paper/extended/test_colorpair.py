@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -17,17 +15,15 @@ from huepose.paper.extended.pair_score import CLOSE_PAIR_SAMPLES
 from huepose.propose.evidence import Evidence, gather
 from huepose.rendering.render import render_depth
 from tests.boxes import box_of
+from tests.conftest import TakePicture
 from tests.judge.regions import pair_score, seen_by_pairs
-
-TakePicture = Callable[..., RgbdFrame]
 
 
 @pytest.fixture
-def evidence(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> Evidence:
+def evidence(tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray) -> Evidence:
     """Of the box as it stands on the table."""
-    frame = take_picture([(tea_box.mesh, standing)])
-    mask = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    found = gather(frame, [mask], Box.of_mask(mask), tea_box.diameter_m)
+    mask = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
+    found = gather(box_frame, [mask], Box.of_mask(mask), tea_box.diameter_m)
     assert found is not None
     return found
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from huepose.paper.extended.shape import shape_hypotheses
 from huepose.paper.scene import classes_in_sight, extract_at_model_scale
 from huepose.paper.votes import Votes
 from huepose.rendering.render import render_depth
+from tests.conftest import TakePicture
 
 
 @pytest.fixture(
@@ -28,7 +28,7 @@ def frame(
     request: pytest.FixtureRequest,
     tea_box: ReferenceModel,
     standing: np.ndarray,
-    take_picture: Callable[..., RgbdFrame],
+    take_picture: TakePicture,
 ) -> RgbdFrame:
     return take_picture([(tea_box.mesh, standing)], light=request.param)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -14,16 +13,13 @@ from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.pair_score import judged_on, pair_kernel, pair_score_many, scratch
 from huepose.paper.extended.pair_search import search_pairs
+from tests.conftest import TakePicture
 from tests.judge.regions import pair_score, seen_by_pairs
-
-TakePicture = Callable[..., RgbdFrame]
 
 
 @pytest.fixture(scope="module")
-def view(
-    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
-) -> tuple[Region, PairPicture]:
-    return seen_by_pairs(tea_box, take_picture([(tea_box.mesh, standing)]), standing)
+def view(tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame) -> tuple[Region, PairPicture]:
+    return seen_by_pairs(tea_box, box_frame, standing)
 
 
 def test_the_right_pose_nearly_correlates_fully(

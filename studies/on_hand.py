@@ -84,7 +84,7 @@ def drawn(models: Mapping[str, ReferenceModel], seed: int, number: int) -> Film:
     shots = (shoot(stage, i, seed * 1000 + number, COLOR, STEREO) for i in range(FRAMES))
     meshes = sha256(b"".join(models[name].mesh.content() for name in sorted(models))).hexdigest()[:8]
     path = cache_folder() / "on_hand" / f"{seed}-{number:03d}-{meshes}-{VERSION}.loop"
-    loop, truth = kept_loop(path, lambda: map(kept, shots), {"seed": seed, "number": number})
+    loop, truth = kept_loop(path, lambda: map(kept, shots))
     return names, stage, loop, truth
 
 

@@ -102,8 +102,7 @@ class SyntheticScene:
         self.seed, self.camera, self.rate_hz = seed, camera, RATE_HZ
         self._n_frames, self._depth_sensor = round(seconds * RATE_HZ), depth_sensor
         self.path = (cache or cache_folder()) / f"scene-{seed}-{self._key()}.loop"
-        facts = {"seed": seed, "objects": list(self.meshes)}
-        self._loop, self._rows = kept_loop(self.path, self._computed, facts)
+        self._loop, self._rows = kept_loop(self.path, self._computed)
         self.name, self.image_ids = f"synthetic-{seed}", tuple(range(len(self._loop)))
 
     def __len__(self) -> int:

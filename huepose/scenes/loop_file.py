@@ -37,10 +37,9 @@ _FACTS = "facts.json"
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """An opened loop: `facts` as they were stored, and the pictures. These are read, not mapped: a loop that
-    is played would lie whole in the process's memory."""
+    """The pictures of an opened loop. They are read, not mapped: a loop that is played would lie whole in the
+    process's memory."""
 
-    facts: dict[str, Any]
     _file: ZipFile
     _count: int
     _size: tuple[int, int]
@@ -60,10 +59,8 @@ class Loop:
         return raw.reshape(self._size) * np.float32(DEPTH_SCALE_M)
 
 
-def write_loop(
-    path: Path, frames: Iterable[tuple[UInt8, Float32, dict[str, Any]]], facts: dict[str, Any]
-) -> None:
-    """Write colour, depth and facts of every frame, and facts of the whole, then put the file in place.
+def write_loop(path: Path, frames: Iterable[tuple[UInt8, Float32, dict[str, Any]]]) -> None:
+    """Write colour, depth and facts of every frame, then put the file in place.
 
     Raises InputError where the folder cannot be written.
     """
@@ -83,7 +80,7 @@ def write_loop(
                 out.writestr(ZipInfo(f"{len(rows)}.depth"), raw.tobytes())
                 size = raw.shape
                 rows.append(row)
-            out.writestr(ZipInfo(_FACTS), json.dumps({"facts": facts, "rows": rows, "size": size}))
+            out.writestr(ZipInfo(_FACTS), json.dumps({"rows": rows, "size": size}))
 
 
 def _hold(file: ZipFile) -> None:
@@ -102,13 +99,13 @@ def _tidy(folder: Path) -> None:
 
 
 def kept_loop(
-    path: Path, draw: Callable[[], Iterable[tuple[UInt8, Float32, dict[str, Any]]]], facts: dict[str, Any]
+    path: Path, draw: Callable[[], Iterable[tuple[UInt8, Float32, dict[str, Any]]]]
 ) -> tuple[Loop, list[dict[str, Any]]]:
     """The loop in `path` and the facts of its frames; drawn and written first where there is none. Raises
     InputError where the folder cannot be written."""
     found = open_loop(path)
     if found is None:
-        write_loop(path, draw(), facts)
+        write_loop(path, draw())
         found = open_loop(path)
     if found is None:
         raise InputError(path, found="a file that changed while it was written", fix="Try again.")
@@ -129,6 +126,6 @@ def open_loop(path: Path) -> tuple[Loop, list[dict[str, Any]]] | None:
         if file.namelist() != [*names, _FACTS]:
             return None
         height, width = stored["size"]
-        return Loop(stored["facts"], file, len(stored["rows"]), (height, width)), stored["rows"]
+        return Loop(file, len(stored["rows"]), (height, width)), stored["rows"]
     except Exception:  # of what is damaged, zipfile trips over anything
         return None

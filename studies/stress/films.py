@@ -71,7 +71,7 @@ def drawn(
     path = cache / f"{name}-{VERSION}.loop"
     sensor, first = STEREO if number % 2 == 1 else None, seed * 1000 + number
     shots = (shoot(stage, i, first, COLOR, sensor) for i in range(_frames(kind)))
-    loop, rows = kept_loop(path, lambda: map(_kept_row, shots), {"name": name})
+    loop, rows = kept_loop(path, lambda: map(_kept_row, shots))
     frames = []
     for i, row in enumerate(rows):
         frame = RgbdFrame(loop.color(i), loop.depth(i), stage.camera, i, round(i * 1e9 / RATE_HZ), 1)

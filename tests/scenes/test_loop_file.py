@@ -30,11 +30,10 @@ def frames(n: int = 5) -> list:
 
 def test_round_trip(tmp_path: Path) -> None:
     path, made = tmp_path / "sub" / "a.loop", frames()
-    write_loop(path, made, {"seed": 3})
+    write_loop(path, made)
     opened = open_loop(path)
     assert opened is not None
     loop, rows = opened
-    assert loop.facts == {"seed": 3}
     assert rows == [{"number": k} for k in range(5)]
     assert len(loop) == 5
     for k, (color, depth, _) in enumerate(made):
@@ -52,7 +51,7 @@ def test_round_trip(tmp_path: Path) -> None:
 )
 def test_what_is_not_whole_is_not_opened(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "a.loop"
-    write_loop(path, frames(), {})
+    write_loop(path, frames())
     data = bytearray(path.read_bytes())
     if damage == "flip a bit of a picture":
         data[1000] ^= 4
@@ -74,7 +73,7 @@ def test_nothing_is_left_when_drawing_fails(tmp_path: Path) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_loop(tmp_path / "a.loop", broken(), {})
+        write_loop(tmp_path / "a.loop", broken())
     assert not list(tmp_path.iterdir())
     assert open_loop(tmp_path / "a.loop") is None
 
@@ -86,20 +85,20 @@ def not_asked_for(path: Path, days: float) -> None:
 def test_a_loop_that_nobody_asks_for_goes_and_one_that_plays_stays(tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}.loop" for name in ("old", "asked_for", "playing", "young")]
     for path in paths:
-        write_loop(path, frames(1), {})
+        write_loop(path, frames(1))
     (tmp_path / "notes.txt").write_text("not a loop")
     playing = open_loop(paths[2])
     for path in (*paths[:3], tmp_path / "notes.txt"):
         not_asked_for(path, UNUSED_DAYS + 1)
     not_asked_for(paths[3], UNUSED_DAYS - 1)
-    kept_loop(paths[1], list, {})
-    write_loop(tmp_path / "new.loop", frames(1), {})
+    kept_loop(paths[1], list)
+    write_loop(tmp_path / "new.loop", frames(1))
     left = {p.name for p in tmp_path.iterdir()}
     assert left == {"asked_for.loop", "playing.loop", "young.loop", "new.loop", "notes.txt"}
 
     del playing
     not_asked_for(paths[2], UNUSED_DAYS + 1)
-    write_loop(tmp_path / "new.loop", frames(1), {})
+    write_loop(tmp_path / "new.loop", frames(1))
     assert not paths[2].exists()
 
 
@@ -114,7 +113,7 @@ def drawn():
     print("ready", flush=True)
     sys.stdin.read()
 
-write_loop(Path(sys.argv[1]), drawn(), {})
+write_loop(Path(sys.argv[1]), drawn())
 """
 
 
@@ -123,18 +122,18 @@ def test_the_part_of_a_killed_writer_goes_and_that_of_a_living_one_stays(tmp_pat
     with subprocess.Popen(call, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
         assert writer.stdout is not None
         assert writer.stdout.readline() == b"ready\n"
-        write_loop(tmp_path / "other.loop", frames(1), {})
+        write_loop(tmp_path / "other.loop", frames(1))
         assert len(list(tmp_path.glob(".slow.loop.*.part"))) == 1
         writer.kill()
     assert len(list(tmp_path.glob(".slow.loop.*.part"))) == 1
-    write_loop(tmp_path / "other.loop", frames(1), {})
+    write_loop(tmp_path / "other.loop", frames(1))
     assert [p.name for p in tmp_path.iterdir()] == ["other.loop"]
 
 
 def test_a_folder_that_cannot_be_written_is_explained(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(InputError, match="XDG_CACHE_HOME"):
-        write_loop(tmp_path / "file" / "a.loop", frames(), {})
+        write_loop(tmp_path / "file" / "a.loop", frames())
 
 
 def test_the_cache_folder_follows_the_environment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

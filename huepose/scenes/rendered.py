@@ -47,8 +47,8 @@ MISALIGNED, SHIFT_PX = 0.25, 2
 class SceneRanges:
     """From what range each thing is drawn, evenly. objects, others: counts in a frame; spread_m: radius of
     the heap; distance_m, elevation_deg: of the camera from the heap; exposure: in stops; tint: natural
-    logarithm of red and blue against green; key, sky, gloss: see `synthetic_light.Light`; shake_px: motion
-    during the exposure, in every third frame; subpixel: see `synthetic_sensor.StereoSensor`; pile: whether
+    logarithm of red and blue against green; key, sky, gloss: see `scenes.light.Light`; shake_px: motion
+    during the exposure, in every third frame; subpixel: see `scenes.camera.StereoSensor`; pile: whether
     there are a second lamp, in every second frame an open box around the heap, in every fourth depth that
     lies up to 2 px off the picture, and always depth that is lost in the dark and in glare."""
 

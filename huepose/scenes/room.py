@@ -1,6 +1,6 @@
 """What stands around in the synthetic scene: a table, a wall, clutter on the table, a bar that passes by.
 
-Poses are in the frame `room`, as in `synthetic_motion`.
+Poses are in the frame `room`, as in `scenes.motion`.
 """
 
 from __future__ import annotations

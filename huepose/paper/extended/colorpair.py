@@ -1,7 +1,7 @@
 """The method `colorpair`: colour pairs alone, without templates and without dense colour, and with what was
 added to the paper's path.
 
-Per source mask: pairs > hypotheses (`paper.hypotheses`), with starts from shape where they are few >
+Per source mask: pairs > hypotheses (`paper.extended.hypotheses`), with starts from shape where they are few >
 registration on depth. Then together: near-symmetric rotations of the best > coordinate search by pairs >
 settling on depth > the best searched finely, and all judged by pairs.
 """

@@ -1,3 +1,5 @@
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -32,29 +34,28 @@ def paired_world(
     return hard.ravel(), (hard + changed).ravel()
 
 
+def share_held(
+    worlds: int, rng: np.random.Generator, units: int, boxes: int, drawn: Sequence[int], shift: float = -2.0
+) -> float:
+    """Of so many worlds, the share whose interval holds the true change; `drawn`: the unit of each row."""
+    held = 0
+    for world in range(worlds):
+        before, after = paired_world(rng, units, boxes, shift)
+        pairs = {"x": (Share.of(before), Share.of(after))}
+        low, high = difference_intervals(pairs, drawn, resamples=1000, seed=world)["x"]
+        held += low <= shift <= high
+    return held / worlds
+
+
 @pytest.mark.parametrize(("units", "least"), [(5, 0.88), (8, 0.92), (40, 0.92)])
 def test_intervals_of_a_change_hold_the_true_one_about_as_often_as_they_say(units: int, least: float) -> None:
     """In 95 % of draws; of five units in 92 %, where plain percentiles would in 85 %."""
-    rng, boxes, shift, worlds = np.random.default_rng(units), 3, -2.0, 500
-    number = np.repeat(np.arange(units), boxes).tolist()
-    held = 0
-    for world in range(worlds):
-        before, after = paired_world(rng, units, boxes, shift)
-        pairs = {"x": (Share.of(before), Share.of(after))}
-        low, high = difference_intervals(pairs, number, resamples=1000, seed=world)["x"]
-        held += low <= shift <= high
-    assert least < held / worlds < 0.98
+    number = np.repeat(np.arange(units), 3).tolist()
+    assert least < share_held(500, np.random.default_rng(units), units, 3, number) < 0.98
 
 
 def test_boxes_drawn_as_if_they_were_independent_promise_too_much() -> None:
-    rng, units, boxes, shift, worlds = np.random.default_rng(3), 12, 5, -2.0, 200
-    held = 0
-    for world in range(worlds):
-        before, after = paired_world(rng, units, boxes, shift)
-        pairs = {"x": (Share.of(before), Share.of(after))}
-        low, high = difference_intervals(pairs, range(units * boxes), resamples=1000, seed=world)["x"]
-        held += low <= shift <= high
-    assert held / worlds < 0.75
+    assert share_held(200, np.random.default_rng(3), 12, 5, range(60)) < 0.75
 
 
 def test_what_both_share_does_not_widen_the_interval_of_the_change() -> None:

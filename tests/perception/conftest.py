@@ -1,4 +1,5 @@
-"""Pictures with noise, and how many windows of them were coded: shared by the tests of what is remembered."""
+"""A second place, pictures with noise, and how many windows of them were coded: shared by the tests of what
+is searched and remembered."""
 
 from __future__ import annotations
 
@@ -7,9 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.geometry import RgbdFrame
+from huepose.geometry import RgbdFrame, se3
 from huepose.perception import windows
 from huepose.propose.view_codes import codes_of_windows
+
+
+@pytest.fixture(scope="session")
+def beside(standing: np.ndarray) -> np.ndarray:
+    """A second place on the same table, turned about the object's upright axis."""
+    moved = standing @ se3.make(se3.rotation_exp(np.array([0.0, 0.0, 2.0])), np.zeros(3))
+    moved[0, 3] += 0.17
+    return moved
 
 
 def noisy(frame: RgbdFrame, seed: int) -> RgbdFrame:

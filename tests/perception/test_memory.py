@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.model import ReferenceModel
@@ -16,23 +14,14 @@ from huepose.perception.config import DetectorConfig
 from huepose.perception.memory import FEWEST, MOST, KeptWindows, features_of, looking, matched, until
 from huepose.perception.stillness import TILE_PX, Tiles, changed_shares
 from huepose.propose.features import Sift
+from tests.conftest import TakePicture
 from tests.perception.conftest import noisy
-
-TakePicture = Callable[..., RgbdFrame]
 
 
 def plain() -> RgbdFrame:
     """A grey wall, one metre away."""
     camera = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
     return RgbdFrame(np.full((120, 160, 3), 120, np.uint8), np.full((120, 160), 1.0, np.float32), camera)
-
-
-@pytest.fixture(scope="module")
-def beside(standing: np.ndarray) -> np.ndarray:
-    """A second place on the same table."""
-    moved = standing @ se3.make(se3.rotation_exp(np.array([0.0, 0.0, 2.0])), np.zeros(3))
-    moved[0, 3] += 0.17
-    return moved
 
 
 def test_tiles_change_where_colour_or_depth_does_and_not_with_noise() -> None:

@@ -32,6 +32,14 @@ from tests.services.tracker_work import (
 WARM = (1.15, 1.0, 0.6)
 
 
+def said_of(work, bus, frame, **changes):
+    """State and reason that are published of a frame (header, payload) whose header is changed so."""
+    header, payload = frame
+    bus.arriving[FrameHeader] = [(msgspec.structs.replace(header, **changes), payload)]
+    work.step()
+    return bus.said[-1].state, bus.said[-1].reason
+
+
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
@@ -70,10 +78,7 @@ def test_a_camera_that_states_another_focal_length_is_doubted_until_it_states_th
     for _ in range(3):
         work.step()
     header, payload = changed_frame(4, 3, 3, fx=1.5 * fx)
-    bus.arriving[FrameHeader] = [
-        (msgspec.structs.replace(header, camera_epoch=header.camera_epoch + 1), payload)
-    ]
-    work.step()
+    said_of(work, bus, (header, payload), camera_epoch=header.camera_epoch + 1)
     work._publish_all(work._tracker.poses(), header, None)
     focused, back = changed_frame(5, 4, 4, fx=1.04 * fx), changed_frame(6, 5, 5, fx=1.04 * fx)
     bus.arriving[FrameHeader] = [focused, back]
@@ -97,10 +102,7 @@ def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
                     CORRECTION, camera_epoch=epoch, camera=camera, seq=CORRECTION.seq + next(seq)
                 )
             ]
-        header, payload = changed_frame(frame, frame, frame)
-        bus.arriving[FrameHeader] = [(msgspec.structs.replace(header, camera_epoch=epoch), payload)]
-        work.step()
-        return bus.said[-1].state, bus.said[-1].reason
+        return said_of(work, bus, changed_frame(frame, frame, frame), camera_epoch=epoch)
 
     said = "The picture shows objects 10 % larger."
     assert after(1)[0] == "TRACKING"
@@ -120,10 +122,7 @@ def test_an_object_that_perception_speaks_against_is_not_tracking_and_no_other_i
             changes = {"object": name, "instance": 0, "reason": reason, "seq": CORRECTION.seq + next(seq)}
             correction = msgspec.structs.replace(CORRECTION, camera_epoch=epoch, **changes)
             bus.arriving[CorrectionMessage] = [correction]
-        header, payload = changed_frame(frame, frame, frame)
-        bus.arriving[FrameHeader] = [(msgspec.structs.replace(header, camera_epoch=epoch), payload)]
-        work.step()
-        return bus.said[-1].state, bus.said[-1].reason
+        return said_of(work, bus, changed_frame(frame, frame, frame), camera_epoch=epoch)
 
     said = "The picture shows it about 12 % larger than its mesh."
     assert after(1, "cup", said) == ("TRACKING", "")
@@ -164,26 +163,19 @@ def test_who_takes_over_knows_what_perception_speaks_against(part, light_changes
 def test_no_pose_is_tracking_while_a_frame_says_that_its_camera_has_stopped():
     work, bus, _ = worker()
     said = "cam.py: its picture stands still"
-    for number, camera in enumerate(["", said, said, ""]):
-        header, payload = changed_frame(number + 1, number // 3, number // 3)
-        bus.arriving[FrameHeader] = [(msgspec.structs.replace(header, camera=camera), payload)]
-        work.step()
-    assert [(p.state, p.reason) for p in bus.said] == [
-        ("TRACKING", ""),
-        ("SUSPECT", said),
-        ("SUSPECT", said),
-        ("TRACKING", ""),
-    ]
+    frames = [changed_frame(number + 1, number // 3, number // 3) for number in range(4)]
+    cameras = ["", said, said, ""]
+    told = [said_of(work, bus, frame, camera=c) for frame, c in zip(frames, cameras, strict=True)]
+    assert told == [("TRACKING", ""), ("SUSPECT", said), ("SUSPECT", said), ("TRACKING", "")]
 
 
 def test_what_the_camera_knows_of_a_picture_is_the_reason_and_no_doubt_of_a_pose_that_is_sure():
     work, bus, _ = worker()
     said = "cam.py: depth looks like millimetres"
     # The second has no depth at all, which the tracker sees itself.
-    for header, payload in (changed_frame(1), changed_frame(2, 1, -1), changed_frame(3, 2, 2)):
-        bus.arriving[FrameHeader] = [(msgspec.structs.replace(header, picture=said), payload)]
-        work.step()
-    assert [(p.state, p.reason) for p in bus.said] == [("TRACKING", ""), ("SUSPECT", said), ("TRACKING", "")]
+    frames = changed_frame(1), changed_frame(2, 1, -1), changed_frame(3, 2, 2)
+    told = [said_of(work, bus, frame, picture=said) for frame in frames]
+    assert told == [("TRACKING", ""), ("SUSPECT", said), ("TRACKING", "")]
 
 
 def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_on():
@@ -192,10 +184,7 @@ def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_o
     work.step()
     header, payload = frame_of_age(2, 0.0)
     work._tracker.step = lambda frame: []
-    bus.arriving[FrameHeader] = [
-        (msgspec.structs.replace(header, camera_epoch=header.camera_epoch + 1), payload)
-    ]
-    work.step()
+    said_of(work, bus, (header, payload), camera_epoch=header.camera_epoch + 1)
     assert [(p.state, p.camera_epoch) for p in bus.said] == [
         ("TRACKING", header.camera_epoch),
         ("SUSPECT", header.camera_epoch),

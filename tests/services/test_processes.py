@@ -71,17 +71,29 @@ def test_a_recording_is_played_once_on_time_and_ends_the_pipeline(
     assert lines[-1]["counters"]["frames"] == 12
 
 
+@pytest.fixture
+def film(base_port, tmp_path, python_camera, recording):
+    """A function that writes cam.py, which gives so many pictures, 0.1 s apart, and then does something, and
+    pipeline.yaml, which plays it once to a tracker. It returns the path of the first."""
+
+    def write(pictures, then=""):
+        python_camera("pass", every_s=0.1)
+        path = tmp_path / "cam.py"
+        path.write_text(path.read_text().replace("while True", f"for _ in range({pictures})") + then)
+        (tmp_path / "pipeline.yaml").write_text(
+            f"bundles: {recording[0] / 'bundles'}\nworkers: [camera, tracker]\n"
+            f"bus: {{base_port: {base_port}}}\ncamera: {{source: python, path: cam.py, once: true}}\n"
+        )
+        return path
+
+    return write
+
+
 def test_a_film_of_a_python_file_is_played_once_to_the_workers_that_are_there_and_ends_the_pipeline(
-    huepose, base_port, tmp_path, python_camera, recording
+    huepose, base_port, tmp_path, film
 ):
     """Twelve pictures, 0.1 s apart: the tracker takes longer to start, and has read all of them."""
-    python_camera("pass", every_s=0.1)
-    film = tmp_path / "cam.py"
-    film.write_text(film.read_text().replace("while True", "for _ in range(12)"))
-    (tmp_path / "pipeline.yaml").write_text(
-        f"bundles: {recording[0] / 'bundles'}\nworkers: [camera, tracker]\nbus: {{base_port: {base_port}}}\n"
-        "camera: {source: python, path: cam.py, once: true}\n"
-    )
+    film(12)
     with Reader([endpoint(base_port), endpoint(base_port + 1)], "huepose/*/*/health/*") as reader:
         process = huepose("up", tmp_path / "pipeline.yaml")
         said = _messages(reader, HealthMessage, 60.0)
@@ -95,21 +107,14 @@ def test_a_film_of_a_python_file_is_played_once_to_the_workers_that_are_there_an
 
 
 def test_a_film_of_a_python_file_that_raises_is_not_begun_again_and_its_error_ends_the_pipeline(
-    huepose, base_port, tmp_path, python_camera, recording
+    huepose, tmp_path, film
 ):
-    python_camera("pass", every_s=0.1)
-    film = tmp_path / "cam.py"
-    text = film.read_text().replace("while True", "for _ in range(4)")
-    film.write_text(text + "    raise OSError('the disk is gone')\n")
-    (tmp_path / "pipeline.yaml").write_text(
-        f"bundles: {recording[0] / 'bundles'}\nworkers: [camera, tracker]\nbus: {{base_port: {base_port}}}\n"
-        "camera: {source: python, path: cam.py, once: true}\n"
-    )
+    path = film(4, "    raise OSError('the disk is gone')\n")
     process = huepose("up", tmp_path / "pipeline.yaml")
     _, err = process.communicate(timeout=60.0)
     assert process.returncode == 1, err
     assert "cam.py has ended after 4 pictures" in err
-    last = len(film.read_text().splitlines())
+    last = len(path.read_text().splitlines())
     assert err.count(f"OSError: the disk is gone, in cam.py, line {last};") == 1
     assert "the recording has ended, with an error" in err
     assert "starting camera again" not in err

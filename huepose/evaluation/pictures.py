@@ -103,16 +103,9 @@ def _millimetres(row: TrackRow) -> float:
     return 1000 * row.error.add_m if row.error is not None and row.T_cam_obj is not None else np.nan
 
 
-class PerceptionPictures:
-    """Writes SCENE_IMAGE.png into a folder: found labels green, missed ones yellow, false boxes red."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def frame(self, sample: Sample, figures: FrameFigures) -> None:
-        """Draw and write one frame."""
-        path = self._folder / f"{sample.scene}_{sample.image:06d}.png"
-        write_picture(path, draw_perception(sample, figures))
+def write_perception(folder: Path, sample: Sample, figures: FrameFigures) -> None:
+    """SCENE_IMAGE.png of one frame: found labels green, missed ones yellow, false boxes red."""
+    write_picture(folder / f"{sample.scene}_{sample.image:06d}.png", draw_perception(sample, figures))
 
 
 def draw_perception(sample: Sample, figures: FrameFigures) -> UInt8:

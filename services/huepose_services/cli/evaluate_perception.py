@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from huepose.estimation import Estimator
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
 from huepose.evaluation.perception_rows import FIRST
-from huepose.evaluation.pictures import PerceptionPictures
+from huepose.evaluation.pictures import write_perception
 from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
@@ -43,7 +44,6 @@ def call(arguments: argparse.Namespace) -> int:
     config = replace(settings.estimator, threads=arguments.threads, found_level=0.0)
     estimator = Estimator(models, config, segmenter)
     estimator.warm_up()
-    pictures = PerceptionPictures(arguments.plots) if arguments.plots else None
     result = evaluate_perception(
         scenes,
         targets,
@@ -51,7 +51,7 @@ def call(arguments: argparse.Namespace) -> int:
         segmenter,
         estimator,
         PerceptionOptions(judged, least, seed=arguments.seed),
-        on_frame=None if pictures is None else pictures.frame,
+        on_frame=partial(write_perception, arguments.plots) if arguments.plots else None,
     )
     record = result.as_json()
     how = {"detector": "colorpair", "sources": arguments.sources, "segmenter": "depth"}

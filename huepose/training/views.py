@@ -104,7 +104,7 @@ def draw_views(rng: Rng, mesh: Mesh, props: Props, growth: float, ranges: ViewRa
     camera = Camera(focal, focal, 319.5, 239.5, 640, 480)
     at = _carried(rng, camera, ranges)
     T_cam_obj = np.array([at(i) for i in range(FRAMES)])
-    boxes = [_box(mesh, T, camera) for T in T_cam_obj]
+    boxes = [Box.of_pixels(camera.project(se3.apply(T, mesh.vertices))) for T in T_cam_obj]
     rows, columns = Box.around(*(box.grown(growth) for box in boxes)).slices(camera.width, camera.height)
     window = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
     standing = _standing(rng, props, camera, T_cam_obj[FRAMES // 2][:3, 3], ranges)
@@ -224,9 +224,3 @@ def _somewhere(rng: Rng, camera: Camera, pixel: Float64, depth_m: float) -> Floa
     """A pose near a pixel (2,), at a depth."""
     point = camera.backproject((pixel + rng.normal(0.0, 90.0, 2))[None], np.array([depth_m]))[0]
     return se3.make(random_rotation(rng), point)
-
-
-def _box(mesh: Mesh, T_cam_obj: Float64, camera: Camera) -> Box:
-    pixels = camera.project(se3.apply(T_cam_obj, mesh.vertices))
-    low, high = np.nan_to_num(pixels.min(0)), np.nan_to_num(pixels.max(0))
-    return Box(*low, *(high - low + 1.0))

@@ -42,7 +42,7 @@ def test_the_library_example_finds_and_tracks_the_object(example, capsys):
     assert se3.rotation_angle(tracked.T_cam_obj, T_cam_obj) < np.radians(1.0)
 
 
-def test_a_look_alike_is_no_surer_in_the_tracker_than_in_its_estimate(example, capsys):
+def test_a_look_alike_is_no_surer_in_the_tracker_than_in_its_estimate(example):
     """The box of another seed: the same shape, another print."""
     code, _ = example
     write_frame(Path("tea_box"), first_shot({"tea_box": demo_objects(1)["tea_box"]}), CAMERA)

@@ -82,7 +82,7 @@ def test_only_the_first_pass_counts(models, tmp_path: Path) -> None:
     assert (summary["messages_of_first_pass"], summary["messages"]) == (10, 40)
 
 
-def test_a_first_pass_with_gaps_is_not_filled_from_the_second(models, tmp_path: Path) -> None:
+def test_a_first_pass_with_gaps_is_not_filled_from_the_second(tmp_path: Path) -> None:
     first = [message(i, motion(i)) for i in (0, 1, 8, 9)]
     again = [message(i, motion(i), capture_ns=message(20 + i, None)["capture_ns"]) for i in range(10)]
     messages = read_messages(written(tmp_path, *first, *again))

@@ -131,7 +131,7 @@ def test_names_of_textures_may_differ_in_case_and_folder(tmp_path: Path, printed
         assert_same(read_mesh(tmp_path / "m.obj"), printed_box)
 
 
-def test_a_mirrored_export_is_turned_outwards(tmp_path: Path, printed_box: Mesh) -> None:
+def test_a_mirrored_export_is_turned_outwards(tmp_path: Path) -> None:
     from huepose.scenes.shapes import demo_objects
 
     closed = next(iter(demo_objects(0).values()))

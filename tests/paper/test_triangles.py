@@ -72,7 +72,7 @@ def test_keys_do_not_move_but_know_mirror_images() -> None:
     assert key != pack(classes, bins[:, ::-1], np.array([True]))
 
 
-def test_the_closed_form_is_kabschs(painted: ClassifiedCloud) -> None:
+def test_the_closed_form_is_kabschs() -> None:
     rng = np.random.default_rng(2)
     R, t = np.empty((3, 3)), np.empty(3)
     for _ in range(20):

@@ -135,7 +135,7 @@ def test_poses_of_one_object_are_written_without_the_others(pose, tmp_path, monk
     assert "found objects beside it" in refused(["poses", "objects", "--csv", tmp_path / "b.csv"])
 
 
-def test_without_a_pose_no_file_is_in_the_way_of_the_next_try(pose, tmp_path, monkeypatch, capsys):
+def test_without_a_pose_no_file_is_in_the_way_of_the_next_try(pose, tmp_path, monkeypatch):
     for state, code in (("SUSPECT", 1), ("TRACKING", 0)):
         said = replace(pose, state=state)
         monkeypatch.setattr("huepose_services.cli.poses._messages", lambda *_, said=said: iter([said]))

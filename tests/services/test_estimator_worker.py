@@ -241,7 +241,7 @@ def test_a_camera_is_not_doubted_where_its_owner_is_sure(monkeypatch):
     assert [make(bus, config)._doubts is None for config in configs] == [False, True]
 
 
-def test_what_the_detector_says_against_the_camera_goes_on(monkeypatch):
+def test_what_the_detector_says_against_the_camera_goes_on():
     work, bus, _ = begun()
     message, payload = masks(1.0)
     bus.arriving[Masks] = [(replace(message, camera="Blue for red."), payload)]

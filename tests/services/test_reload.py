@@ -160,7 +160,7 @@ def test_a_terminal_that_is_closed_ends_it():
 
 
 @pytest.mark.live
-def test_a_running_pipeline_reads_its_file_again(pipeline, huepose, wait_until):
+def test_a_running_pipeline_reads_its_file_again(pipeline, huepose):
     path = pipeline(once=False, rate=20)
     process = huepose("up", path)
     said = []

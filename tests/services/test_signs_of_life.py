@@ -100,7 +100,7 @@ def test_the_supervisor_hears_the_pulse_through_a_pipe(monkeypatch):
     os.close(write_end)
 
 
-def test_a_kernel_that_is_compiled_late_is_told_while_it_is_compiled(monkeypatch, manager, capsys):
+def test_a_kernel_that_is_compiled_late_is_told_while_it_is_compiled(monkeypatch, manager):
     monkeypatch.setenv("WATCHDOG_USEC", "2000000")
     monkeypatch.setenv("WATCHDOG_PID", str(os.getpid()))
     read_end, write_end = os.pipe()

@@ -104,7 +104,7 @@ def test_a_time_in_which_others_had_the_processor_does_not_count(supervisor):
     assert child.heard <= time.monotonic(), "no patience is saved up"
 
 
-def test_the_log_of_a_worker_is_read_on_where_it_cannot_be_written(supervisor):
+def test_the_log_of_a_worker_is_read_on_where_it_cannot_be_written():
     """Who reads a pipe no more stops the one who writes into it."""
 
     class FullDisk(io.StringIO):

@@ -154,7 +154,7 @@ def test_a_rotation_under_which_the_object_looks_the_same_is_no_other_pose(tea_b
     assert distinct(Subject.of(tea_box), [one, same, other]) == (one, same, other)
 
 
-def test_what_looks_the_same_all_round_shows_no_new_side(tea_box, started, film) -> None:
+def test_what_looks_the_same_all_round_shows_no_new_side(tea_box, started) -> None:
     track = started._tracks["tea_box", 0]
     first, seen = track.hypotheses[0], track._view()
     round_ = replace(tea_box, equivalents=np.stack([turned(5 * k) for k in range(72)]))

@@ -239,7 +239,7 @@ def test_a_velocity_is_believed_only_if_the_image_agrees(tea_box, shoot, path) -
     assert errors(step.T_cam_obj, truth)[0] < 0.5
 
 
-def test_a_pose_outside_of_the_image_explains_nothing(tea_box, shoot, path) -> None:
+def test_a_pose_outside_of_the_image_explains_nothing(tea_box, shoot) -> None:
     surface = PreparedSurface.of(tea_box)
     away = se3.make(np.eye(3), np.array([3.0, 0.0, 0.6]))
     step = best_of(surface, shoot([]), [(away, "still")])

@@ -313,7 +313,7 @@ def test_the_same_film_gives_the_same_poses_bit_for_bit(tea_box, film, path) -> 
     assert run() == run()
 
 
-def test_objects_and_instances_come_and_go(tea_box, soup_can, started) -> None:
+def test_objects_and_instances_come_and_go(soup_can, started) -> None:
     started.add_object(soup_can)
     assert set(started.objects) == {"tea_box", "soup_can"}
     assert started.instances == (("tea_box", 0),)
@@ -324,7 +324,7 @@ def test_objects_and_instances_come_and_go(tea_box, soup_can, started) -> None:
     started.remove_object("never_known")
 
 
-def test_a_camera_without_readings_breaks_nothing(tea_box, path, started) -> None:
+def test_a_camera_without_readings_breaks_nothing(started) -> None:
     camera = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
     for k in range(6, 12):
         depth = np.full((240, 320), [0.0, np.nan, np.inf, -np.inf, 65.535, 0.0][k - 6], np.float32)

@@ -66,7 +66,7 @@ def reader_of():
         reader.close()
 
 
-def test_a_missing_camera_is_reported_at_once_and_picked_up_when_it_comes(reader_of, wait_until):
+def test_a_missing_camera_is_reported_at_once_and_picked_up_when_it_comes(reader_of):
     device = Device(_paced, plugged=False)
     reader = reader_of(device)
     assert reader.take(0.1) is None

@@ -118,7 +118,7 @@ def test_a_host_that_is_none_leaves_the_certificate_as_it_is(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("name", ["", "Arm", "../arm", "arm/..", "authority", "gateway", "revoked", "a" * 65])
-def test_what_is_no_readers_name_is_refused(tmp_path, name, capsys):
+def test_what_is_no_readers_name_is_refused(tmp_path, name):
     folder = tmp_path / "secure"
     Authority.make(folder, ["localhost"], 30)
     before = {path: path.read_bytes() for path in folder.iterdir()}

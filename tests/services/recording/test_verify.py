@@ -206,7 +206,7 @@ def test_jpeg_cannot_be_verified(followed):
         _verified(followed.rewritten(lambda e: e, jpeg=True))
 
 
-def test_other_reference_models_are_refused(followed, tea_box, tmp_path):
+def test_other_reference_models_are_refused(followed, tmp_path):
     other = tmp_path / "bundles"
     shutil.copytree(followed.bundles, other)
     assert _verified(followed.path, other).difference == ""

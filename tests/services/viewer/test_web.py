@@ -129,7 +129,6 @@ def test_a_browser_shows_frame_states_and_hypotheses(
     tmp_path: Path,
     base_port: int,
     huepose,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     frame = take_picture([(tea_box.mesh, SURE), (tea_box.mesh, DOUBTED)])
     view = ("view", "--config", tmp_path / "pipeline.yaml", "--web", base_port + 5, "--hypotheses")

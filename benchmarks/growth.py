@@ -52,14 +52,20 @@ from huepose_services.builtin import builtin_bundles
 
 CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
 COLUMNS, SPACING_M, AWAY_M, WALL_M = 5, 0.27, 1.5, 2.2
+"""Of the objects: how many in a row, how far apart, how far away, and how far the wall behind them is."""
+
 KNOWN, VISIBLE = (1, 2, 5, 10, 20, 50, 100), (1, 2, 5, 10, 20)
 SIZES = ((320, 240), (480, 360), (640, 480), (960, 720), (1280, 960))
 HALVINGS, READERS = (0, 1, 2, 3, 4), (1, 2, 5, 10, 20, 50, 100)
 """How often each edge of a mesh is halved, which makes four triangles of one."""
 
 IN_VIEW = 5
+"""Objects in view where their number is not what is varied."""
+
 WORKERS = ("tracker", "estimator", "detector")
 FRAMES, WARM = 24, 4
+"""Of a measurement; the first few are not counted."""
+
 PERIOD_NS = round(1e9 / 30.0)
 
 Curves = dict[str, list[tuple[float, float]]]

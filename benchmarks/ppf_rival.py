@@ -17,6 +17,7 @@ from huepose.model import ReferenceModel
 from huepose.support.errors import InputError
 
 _MM = np.array([1000.0] * 3 + [1.0] * 3)
+"""Of points and normals (6,): from metres to millimetres; normals stay as they are."""
 
 
 class PointPairFeatures:

@@ -19,7 +19,11 @@ from huepose_protos.messages import PoseMessage
 from huepose_services.runtime.session import zenoh_config
 
 POSES, RATE_HZ, SECONDS = 5, 30.0, 6.0
+"""Objects whose poses are published, how often, and for how long."""
+
 READERS_COME_S = 12.0
+"""Time for all readers to subscribe."""
+
 _KEY = "huepose/growth/pose"
 
 

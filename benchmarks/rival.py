@@ -20,6 +20,7 @@ from huepose.model import ReferenceModel
 from huepose.perception.embedded import DepthSegmenter
 
 FEWEST_POINTS = 30
+"""Of a mask with depth, for the rival to be asked."""
 
 
 @dataclass(frozen=True, eq=False)

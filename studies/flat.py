@@ -34,7 +34,11 @@ THINGS, EACH = 12, 3
 """How many there are, and how many are in a frame."""
 
 THICK_M, WIDE_M, LONG_M = (0.003, 0.018), (0.06, 0.13), (0.07, 0.2)
+"""Of the things: from that of a card to that of a book."""
+
 APART_M = 0.24
+"""Diameter of the circle on which the middles of a frame's things lie."""
+
 RANGES = SceneRanges(objects=(EACH, EACH), distance_m=(0.45, 1.1), elevation_deg=(35.0, 85.0))
 WORDS = ("ATLAS", "MENU", "COCOA", "TRAVEL", "NOTES", "RADIO",
          "LEMON", "PUZZLE", "CARDS", "GARDEN", "PILOT", "SNACK")  # fmt: skip

@@ -51,6 +51,7 @@ KNOWN = 0.8
 """Share of the questions in which baseline and light are known."""
 
 FAR_OFF = 99.0
+"""Diameters: stands for any error beyond it, and for that of an object that is not there."""
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,8 @@ from studies.stress.play import play
 R = TypeVar("R")
 
 NEARLY_WHOLE = 0.8
+"""Least share of an object that is seen, for it to be taken away."""
+
 SECONDS_SEEN, SECONDS_COVERED, SECONDS_GONE, SECONDS_BACK, HZ = 1, 1, 5, 3, 15
 PARTS_S = tuple(accumulate((SECONDS_SEEN, SECONDS_COVERED, SECONDS_GONE, SECONDS_BACK)))
 """When each part ends; frames in a second."""

@@ -39,6 +39,7 @@ CLOSE_SIDE_M = 0.55
 """What a camera that is so near sees of a layer."""
 
 GAP_M, RIM_M, WALL_M = 0.003, (0.01, 0.06), 0.006
+"""Widest gap between neighbours; by how much the carton stands above them; and how thick its walls are."""
 
 
 def row_of(mesh: Mesh, place: str, rng: Rng) -> tuple[Float64, Float64]:

@@ -15,6 +15,7 @@ RIDGE = 2.0
 """Of the squared factors, each in units of its feature's spread, against the sum of log likelihoods."""
 
 MOST_SHARPNESS, MOST_HANDICAP = 300.0, 3.0
+"""Upper bounds of what is fitted beside the factors."""
 
 
 def logistic(

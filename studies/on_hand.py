@@ -41,10 +41,14 @@ from studies.stress.play import error_of
 VERSION = 1  # raise it when any pixel changes
 FRAMES, HZ = 60, 30
 LATE_S = 0.015
+"""How old a late pose of the camera is."""
+
 NOISE = np.repeat([0.0005, 0.0015], 3)
 """Of a pose of the camera that is told: metres and radians along and about each axis."""
 
 MISFIXED = se3.make(se3.rotation_exp(np.radians([3.0, -4.0, 2.0])), np.array([0.02, -0.01, 0.015]))
+"""From where the camera is said to be to where it is: 5.4 degrees and 2.7 cm."""
+
 TOLD = ("not", "exactly", "noisy", "late", "misfixed", "inverse")
 
 

@@ -38,6 +38,7 @@ from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
 
 LEAST, SOON_S = 0.1, 2.0
+"""Quality from which on a first look finds an object; what counts as found soon."""
 
 KINDS, EACH = 2, 4
 """What is drawn: kinds in a scene, and instances of each."""

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _INFO = "sensor_msgs/msg/CameraInfo"
 _USUAL_NS = 1_000_000_000 // 30
+"""Between pictures of a camera at 30 Hz: taken where a recording holds one picture only."""
+
 _TRANSPORTS = ("/compressed", "/compressedDepth")
 _ALIGNED = (
     "Record depth in the pixels of colour: with realsense2_camera align_depth.enable:=true and its topic "

@@ -161,6 +161,7 @@ def worth(quality: Float64, judged: Judged, level: float, found: Bool | None = N
 
 
 CHANCE_DRAWS = 400
+"""Of `by_chance`: twenty of them lie above its 95 %."""
 
 
 def by_chance(quality: Float64, instances: Sequence[Hashable]) -> tuple[float, float] | None:

@@ -87,6 +87,7 @@ BLUE = (40, 110, 255)
 """Of the true pose where there is no answer."""
 
 VIEW_PX, CROP_PX = 220, 200
+"""Side of a drawn view; twice the least side of an object in the middle of a crop, which is larger."""
 
 STEP = 0.01
 """Share of an object's diameter by which a step in its surface is drawn in a view."""

@@ -33,7 +33,10 @@ from huepose.support.progress import progress
 from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
 
 PERIOD_NS = 200_000_000
+"""Between two requests, and from the frame that one looks at to its answer."""
+
 _TOLERANCE_NS = 1_000_000
+"""By which a frame may come early: stamps are rounded, and six frames of 30 Hz are just a period."""
 
 
 class Delivery(NamedTuple):

@@ -14,6 +14,8 @@ _COLOURLESS = (
 )
 _EXPORT = "Open it in its program, and export it as GLB with its texture."
 _LONGEST = 256
+"""Bytes at the beginning of a file by which its kind is told."""
+
 _GIT_LFS = b"version https://git-lfs"
 _WEB_PAGE = (b"<!doctype html", b"<html", b"<head", b"<script")
 

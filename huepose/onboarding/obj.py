@@ -27,7 +27,11 @@ from huepose.support.errors import InputError
 
 _MAP_OPTION_ARGUMENTS = {"-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1}
 _MAP_OPTION_ARGUMENTS |= {"-imfchan": 1, "-mm": 2, "-texres": 1, "-type": 1}
+"""Words that follow each option of a texture in a material file."""
+
 _GREY = (200, 200, 200)
+"""RGB of a material that states no colour."""
+
 _LIBRARY = "material file"
 
 

@@ -28,7 +28,11 @@ import numpy as np
 from huepose.geometry.arrays import Float, Float32, Float64
 
 FEATURES = 15
+"""Numbers of each match, as listed above."""
+
 UP = np.array([0.0, -1.0, 0.0])
+"""The paper's up vector, in camera axes."""
+
 TRIM = 3.0
 """Points farther from the centroid than this many median distances are left out of it, as wrong matches."""
 

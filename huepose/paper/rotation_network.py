@@ -23,7 +23,7 @@ from huepose.paper.relative_pose import LiftedMatches, RelativePose, robust_kabs
 from huepose.support.errors import InputError
 
 ROUNDS = 8
-
+"""Of the weighted mean, each of which sets the weights of the next."""
 
 Regressor = Callable[[Float32, Float64], Float64]
 """Rotation (3, 3) from the first canonical frame to the second, of features (N, 15) and weights (N,)."""

@@ -51,6 +51,8 @@ VISIBLE_M = 0.015
 """Depth may lie this far from the model's surface and still be the object's."""
 
 GATE_START_M, GATE_END_M, ITERATIONS, POINTS = 0.02, 0.008, 10, 1000
+"""Of the alignment to depth: how far points may be apart in the first and in the last of its iterations, and
+about how many of the mask's points are aligned."""
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,8 @@ _FAR_M = 200.0
 """Distance of the camera that takes the height maps: its rays are parallel to a part in a thousand."""
 
 _GAP_M = 0.0005
+"""Between what lies on each other, so that no surfaces cross."""
+
 _LYING_SHARE = 0.7
 _SAME_AREA = 9
 """Decimals, square metres: sides whose areas are equal so far keep their order on every processor."""

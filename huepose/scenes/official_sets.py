@@ -39,7 +39,10 @@ FIRST_ID = 101
 
 SCENES, FRAMES = 8, 5
 SEQUENCES, SEQUENCE_FRAMES = 24, 30
+"""Of the unseen objects: heaps in the layout of YCB-Video, and tracks in that of Fast-YCB."""
+
 SEED = 0
+"""Of the unseen objects and of their frames."""
 
 
 @dataclass(frozen=True, eq=False)

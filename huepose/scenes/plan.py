@@ -18,6 +18,8 @@ from huepose.scenes.room import bar, room
 from huepose.support.errors import InputError
 
 _ATTEMPTS = 12
+"""Most drafts of a plan, the best of which is taken."""
+
 _EVERY = 5  # frames between those that are looked at before a plan is taken
 
 

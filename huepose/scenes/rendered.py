@@ -36,11 +36,19 @@ HEAP_ROOM = -TABLE_M * UP_ROOM + 0.8 * AHEAD_ROOM
 T_ROOM_TABLE = se3.make(upright(0.0), HEAP_ROOM)
 
 LARGEST_M = 0.45
+"""Longest side, of the mesh's own axes, of an object that fits on the table."""
+
 _ROOMS = 8
+"""Rooms of a set: its frames take them in turn."""
 
 HEAP_PLACES, PILE_PLACES = 5, 24
+"""Places that are tried for each thing, of which it takes the lowest: piles are denser."""
+
 BOXED, BOX_HALF_SIDE_M, BOX_HEIGHT_M = 0.5, (0.13, 0.2), (0.06, 0.13)
+"""Share of the piles in an open box, and its size."""
+
 MISALIGNED, SHIFT_PX = 0.25, 2
+"""Share of the piles whose depth lies off the picture, and by how much at most along each axis."""
 
 
 @dataclass(frozen=True)

@@ -23,10 +23,17 @@ from huepose.propose.view_codes import CELLS, NUMBERS
 from huepose.propose.view_pictures import CHANNELS, SIDE
 
 NEIGHBOURS = 12
+"""Points, itself included, with which each has an edge."""
+
 EDGE_WIDTHS = (48, 64, 96)
 EMBEDDING = 128
+"""Numbers of each point after each edge convolution, and after all of them."""
+
 HEADS = 4
+"""Of the attention between the points, and of that by which they are pooled."""
+
 NEGATIVE_SLOPE = 0.2
+"""Of the leaky rectifiers, as in the published DGCNN."""
 
 
 class EdgeConvolution(nn.Module):

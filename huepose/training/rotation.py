@@ -42,6 +42,7 @@ CHUNK = 32
 """Samples that come from a process at a time."""
 
 REACH = {"residual": 0.1, "direct": 1.0}
+"""How far from no turn each kind of network begins: see `AttentionDgcnn`."""
 
 FIRST, SECOND, FIRST_UV, SECOND_UV = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 10)
 MOVED, MOVED_UV = slice(10, 13), slice(13, 15)

@@ -18,6 +18,8 @@ from huepose.scenes.shapes import printed
 from huepose.training.household import household_object, random_art, random_palette, sized
 
 RINGS, SPOKES = 18, 30
+"""Vertices of a shape from pole to pole, and round it."""
+
 MAX_PARTS = 4
 PART_PX = 512
 """Side of the texture of one part of a shape."""

@@ -36,7 +36,7 @@ TRIES = 3
 """Most windows drawn for each one that is kept; one that shows too little of the object is not."""
 
 WIDTH, HEIGHT = 640, 480
-
+"""Pixels of the camera's whole picture."""
 
 DIAMETER_M, DISTANCE_M, FOCAL_PX = (0.06, 0.35), (0.4, 1.0), (450.0, 950.0)
 """Bounds of what is drawn."""

@@ -22,6 +22,7 @@ from studies.presence.fit import FRAMES, chances, draw, fit_presence, seen_in
 from studies.quality.__main__ import bundles_of
 
 LEVELS = (0.3, 0.4, 0.5, 0.6, 0.7)
+"""Of presence from which on an object is found, in the table that is printed."""
 
 
 def main() -> None:

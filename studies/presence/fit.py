@@ -63,7 +63,10 @@ KINDS = {"apart": (APART, 7003), "heaps": (SceneRanges(), 7001), "piles": (PILES
 """From what ranges, and the seed of the first set."""
 
 FRAMES: dict[SetName, tuple[int, ...]] = {"fit": (70, 50, 40), "choose": (40, 30, 24), "report": (32, 16, 12)}
+"""Frames of each of `KINDS` in each set."""
+
 SEEDS_APART = 1000
+"""Between the seeds of two sets of a kind."""
 
 SMALLER = (1.0, 0.5, 1.0, 0.35)
 SPECKED = (False, False, True, True)

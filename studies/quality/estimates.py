@@ -17,7 +17,10 @@ from huepose.model import load_models
 from studies.absent import answers_where_absent, questions
 
 MIN_VISIB = 0.1
+"""Least share of an object that is seen, for it to be asked for."""
+
 ABSENT_PER_FRAME = 3
+"""Objects that are asked for in each frame and are not in it."""
 
 
 @dataclass(frozen=True)

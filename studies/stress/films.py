@@ -30,7 +30,11 @@ AWAY_AT = {"leaves": (FRAMES, 22, 36, 8), "put away": (120, 50, 70, 36)}
 frames it takes for ASIDE_M: thrown at 5 m/s, or carried at 1.1 m/s."""
 
 SWAPPED = 30
+"""The frame from which on the look-alike is in the object's place."""
+
 RESTS, LIFTED, SLIDES_M_S = 18, 32, 0.15
+"""The frames up to which the object slides on the plain ground and from which on it is carried; how fast it
+slides."""
 
 
 @dataclass(frozen=True, eq=False)

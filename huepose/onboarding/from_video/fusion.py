@@ -23,6 +23,7 @@ CELLS, FEW_CELLS = 128, 64
 with."""
 
 SMALLEST_CELL_M = 0.001
+"""The volume of a small object is made larger until its cells have this side."""
 
 MARGIN = 0.1
 """Empty margin around the object, over its size."""

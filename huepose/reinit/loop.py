@@ -167,6 +167,13 @@ class ReinitLoop:
         )
         return self._in_flight
 
+    def perception_begins(self) -> None:
+        """A part of perception listens from now on: it did not hear what was asked before, so the next tick
+        asks. Before the first answer, nothing was looked for in vain either."""
+        self._in_flight, self._next_ns = None, 0
+        if not self.counters.answers:
+            self._patience = Patience()
+
     def _missing(self) -> dict[str, int]:
         """How many instances of each object are missing."""
         arriving = self._arriving()

@@ -35,6 +35,7 @@ from huepose_services.following import Retired, recall
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, check_number, now_ns
 from huepose_services.runtime.config import Config, ObjectConfig
+from huepose_services.runtime.config_parts import PERCEPTION
 from huepose_services.runtime.one_camera import OneCamera
 from huepose_services.runtime.work import Work
 from huepose_services.steering import MOST_OBJECTS, ObjectList, answer_control
@@ -47,6 +48,8 @@ _SLOW_S = 1.5
 _FORGET_NS = 2 * SECOND
 # From the first answer about a camera: until then a right one has had objects found.
 _IN_VAIN_NS = 10 * SECOND
+# Which workers a request needs: with one that has begun, it is made anew.
+_LISTENERS = (*PERCEPTION, "uplink")
 # Bytes of an entry without its reason, and of the rest of a ControlReply, which has the list too: at most.
 _ENTRY_BYTES, _REST_BYTES = 200, 8192
 _UNCONFIRMED = "Something was found, but the tracker has not confirmed it."
@@ -132,6 +135,7 @@ class ReinitWork(Work):
         self._answers = bus.inbox.queue(bus.keys.estimates)
         self._cameras = bus.inbox.ring(bus.keys.camera_info, wakes=False)
         self._camera_health = bus.inbox.ring(bus.keys.health("camera"), wakes=False)
+        self._live = bus.inbox.liveliness(bus.keys.live())
         self._camera = OneCamera()
         self._newest = NewestFrame()
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
@@ -180,6 +184,9 @@ class ReinitWork(Work):
                 self._newest_frame = (health.camera_epoch, health.frame_id)
             if health.picture != self._camera_says:
                 self._camera_says, self._next_objects_ns = health.picture, now_ns()
+        while (worker := self._bus.take_begun(self._live)) is not None:
+            if worker in _LISTENERS:
+                self._loop.perception_begins()
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
             self._observe(pose)
         while (answer := self._bus.take(self._answers, Estimates)) is not None:

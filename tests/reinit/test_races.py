@@ -27,6 +27,36 @@ def test_a_silent_chain_is_counted_and_asked_anew() -> None:
     assert loop.counters.expired == 1
 
 
+def test_what_nobody_heard_is_asked_anew_as_soon_as_somebody_listens() -> None:
+    loop = ReinitLoop(objects=[("mug", 1)])
+    assert loop.tick(0, []) is not None
+    assert loop.tick(100 * MS, []) is None
+    loop.perception_begins()
+    request = loop.tick(133 * MS, [])
+    assert asked(request) == [("mug", None)]
+    assert loop.tick(333 * MS, []) is None, "one in flight"
+    (correction,) = loop.answer(400 * MS, result(request, 140, estimate()))
+    assert correction.verdict is Verdict.ACQUIRE
+    assert (loop.counters.late, loop.counters.expired) == (0, 0)
+
+
+@pytest.mark.parametrize("answered", [False, True])
+def test_until_the_first_answer_nothing_is_looked_for_in_vain(answered: bool) -> None:
+    loop = ReinitLoop(objects=[("mug", 1)])
+    for ms in range(0, 9_000, 600):
+        request = loop.tick(ms * MS, [])
+        if answered and request is not None:
+            loop.answer((ms + 50) * MS, result(request, ms))
+    loop.perception_begins()
+    looks = []
+    for ms in range(9_000, 11_000, 200):
+        request = loop.tick(ms * MS, [])
+        if request is not None:
+            looks.append(ms)
+            loop.answer((ms + 50) * MS, result(request, ms))
+    assert len(looks) == (2 if answered else 10), "once a second, or in every request"
+
+
 def test_corrections_are_repeated_until_applied() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
     request = loop.tick(0, [])

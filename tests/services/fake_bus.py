@@ -24,15 +24,16 @@ def _nothing(*_, **__):
 
 
 class FakeBus:
-    """Gives the messages in `arriving`, by their kind, and keeps what is published, logged and said of
-    health."""
+    """Gives the messages in `arriving`, by their kind, and the workers in `begun`; keeps what is published,
+    logged and said of health."""
 
     frames = staticmethod(_nothing)
 
     def __init__(self, worker, keys=None):
         self.keys, self.health = keys or Config().keys, Health(worker)
         self.arriving, self.said, self.healths, self.logged = defaultdict(list), [], [], defaultdict(list)
-        self.inbox = SimpleNamespace(queue=_nothing, ring=_nothing)
+        self.inbox = SimpleNamespace(queue=_nothing, ring=_nothing, liveliness=_nothing)
+        self.begun = []
         self.session = SimpleNamespace(declare_queryable=_nothing)
         self.log = SimpleNamespace(
             say=_nothing, seldom=lambda kind, text, **_: self.logged[kind].append(text)
@@ -42,6 +43,9 @@ class FakeBus:
         return self.arriving[kind].pop(0) if self.arriving[kind] else None
 
     take_with_payload = take
+
+    def take_begun(self, tokens):
+        return self.begun.pop(0) if self.begun else None
 
     def put(self, key, message, payload=b""):
         self.said.append(message)

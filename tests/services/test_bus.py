@@ -241,3 +241,21 @@ def test_an_older_frame_that_comes_later_takes_the_place_of_none(buses):
     until(lambda: tracker.health.counters.get("frames_out_of_order", 0) >= 2, act=tracker.say_health)
     header, _ = tracker.take_with_payload(ring, FrameHeader)
     assert header.frame_id == 6
+
+
+def test_workers_are_told_as_they_begin_those_that_are_there_first(buses):
+    camera, tracker = buses
+    there, gone = (camera.session.liveliness().declare_token(camera.keys.live(w)) for w in ("one", "gone"))
+    tokens, begun = tracker.inbox.liveliness(tracker.keys.live()), []
+
+    def heard():
+        begun.extend(iter(lambda: tracker.take_begun(tokens), None))
+        return set(begun)
+
+    until(lambda: heard() == {"one", "gone"})
+    gone.undeclare()
+    later = camera.session.liveliness().declare_token(camera.keys.live("later"))
+    until(lambda: "later" in heard())
+    assert sorted(begun) == ["gone", "later", "one"]
+    there.undeclare()
+    later.undeclare()

@@ -80,6 +80,22 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
     assert [asks_in(12, epoch) for epoch in (3, 3, 4)] == [1, 0, 1], "an object says that it is right"
 
 
+def test_a_request_that_comes_before_the_first_frame_waits_for_it():
+    finder = SearchedBoxes({}, ColorPairDetector({}))
+    finder.find = lambda *asked: []
+    bus = FakeBus("detector")
+    work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
+    request, header = example(PerceptionRequest), example(FrameHeader)
+    bus.arriving[PerceptionRequest] = [request]
+    assert work.due_ns() is None
+    work.step()
+    assert not bus.said
+    assert work.due_ns() is not None, "a frame does not wake the loop"
+    bus.arriving[FrameHeader] = [(header, (GOLDEN / "frame_payload.bin").read_bytes())]
+    work.step()
+    assert [(m.request_seq, m.frame) for m in bus.said] == [(request.seq, header)]
+
+
 def test_an_object_that_was_removed_while_it_was_asked_about_stops_nothing(tea_box, box_frame):
     finder = SearchedBoxes({"tea_box": outline(tea_box)}, ColorPairDetector({"tea_box": tea_box}))
     assert finder.order_of_channels(box_frame, ["removed", "tea_box"], {"removed": 0.0, "tea_box": 1.0}).right

@@ -130,6 +130,14 @@ def test_a_request_expires_only_where_the_camera_has_given_another_frame(
     assert {k for k, n in asdict(loop.counters).items() if n != before[k]} == {"requests", counted}
 
 
+@pytest.mark.parametrize(("worker", "requests"), [("segmenter", 2), ("uplink", 2), ("viewer", 1)])
+def test_a_request_is_made_anew_when_who_it_needs_begins(bus, step, worker, requests):
+    step()
+    bus.begun.append(worker)
+    step()
+    assert sum(isinstance(m, PerceptionRequest) for m in bus.said) == requests
+
+
 def test_what_is_said_against_the_camera_goes_on_with_every_correction(bus, step):
     step()
     bus.arriving[Estimates].append(answer(bus, estimates=[found()], camera="Too large."))

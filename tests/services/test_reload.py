@@ -109,17 +109,12 @@ def test_objects_come_and_go_with_the_file_and_those_added_by_hand_stay():
     entries = [ObjectEntry(object=name, max_instances=1, searching=0) for name in ("mug", "jar", "by hand")]
     objects = ObjectList(entries, slot)
     loop = SimpleNamespace(config=None)
-    bus = SimpleNamespace(
-        inbox=SimpleNamespace(queue=lambda *_, **__: None, ring=lambda *_, **__: None),
-        keys=Config().keys,
-        session=SimpleNamespace(declare_queryable=lambda *_: None),
-    )
 
     def config(**counts):
         items = [{"name": name, "max_instances": count} for name, count in counts.items()]
         return msgspec.convert({"objects": items, "reinit": {"rate_hz": 4}}, Config)
 
-    work = ReinitWork(bus, loop, objects, config(mug=1, jar=1).objects)
+    work = ReinitWork(FakeBus("reinit"), loop, objects, config(mug=1, jar=1).objects)
     (refused,) = work.reload(config(mug=3, lid=1, ghost=1))
     assert "ghost" in refused
     assert {e.object: e.max_instances for e in objects.entries()} == {"mug": 3, "lid": 1, "by hand": 1}

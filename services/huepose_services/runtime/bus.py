@@ -8,7 +8,7 @@ import msgspec
 import zenoh
 
 from huepose_protos import WireError, decode, encode
-from huepose_protos.keys import Keys
+from huepose_protos.keys import Keys, last
 from huepose_protos.messages import Message
 from huepose_services.runtime.clock import check_stamps, now_ns
 from huepose_services.runtime.health import Health
@@ -126,6 +126,14 @@ class Bus:
                 self.health.shared_memory = shared
                 self.health.count("frames_by_shared_memory" if shared else "frames_by_socket")
             return message, payload
+        return None
+
+    @staticmethod
+    def take_begun(tokens: Place) -> str | None:
+        """The next worker that has begun, of those that liveliness tokens tell; None for no more."""
+        while (sample := tokens.take()) is not None:
+            if sample.kind == zenoh.SampleKind.PUT:
+                return last(str(sample.key_expr))
         return None
 
     def refuse(self, key: str, error: WireError) -> None:

@@ -53,12 +53,12 @@ class Requests:
         self._waiting: PerceptionRequest | None = None
 
     def due_ns(self) -> int | None:
-        """Soon, while a request waits for a newer frame."""
+        """Soon, while a request waits for a frame."""
         return None if self._waiting is None else now_ns() + _SOON_NS
 
     def take(self) -> tuple[PerceptionRequest, FrameHeader, bytes] | None:
         """The newest request, once, with a frame and its pixels; None where there is none, or it waits for a
-        newer frame."""
+        frame, or for a newer one."""
         while (newer := self._bus.take(self._requests, PerceptionRequest)) is not None:
             self._waiting = newer
         brought = None if self._looks is None else self._bus.take_with_payload(self._looks, Look)
@@ -69,11 +69,9 @@ class Requests:
             return None
         self._frame = self._bus.take_with_payload(self._frames, FrameHeader) or self._frame
         if self._frame is None:
-            self._waiting = None
-            self._bus.health.count("requests_without_a_frame")
             return None
         header, payload = self._frame
         if request.seen == (header.camera_epoch, header.frame_id):
-            return None  # it waits for the next one
+            return None
         self._waiting = None
         return request, header, payload

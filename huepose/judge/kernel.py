@@ -1,10 +1,9 @@
-"""The dense score of one pose, compiled: computes `judge.terms.Terms` in three passes over the visible
-samples.
+"""The dense score of one pose, compiled: computes `judge.terms.Terms` in passes over the visible samples.
 
-The first pass projects all samples; the second compares them with depth and reads the picture's colours where
-depth fits; the third sums up. Each pass is a plain loop over rows of a scratch array, so that the compiler
-can vectorise it. A caller that only needs to know whether a pose is better than another passes `needed`, and
-the kernel stops as soon as the pose cannot reach it.
+They are projected, compared with depth, and where they fit their colours are compared with the picture's.
+Each pass is a plain loop over rows of a scratch array, with a weight in place of a branch, so that the
+compiler can vectorise it. A caller that only needs to know whether a pose is better than another passes
+`needed`, and the kernel stops as soon as the pose cannot reach it.
 """
 
 from __future__ import annotations
@@ -26,9 +25,10 @@ TERMS = 17
 """Length of the kernel's output: the fields of `terms.Terms` in order."""
 
 SCRATCH_ROWS = 23
-"""Rows of the scratch array. For all samples: 0 facing, 1..2 pixel, 3 depth, 4..6 normal in camera axes. For
-the fitting samples, compacted: 4..6 normal, 7 weight, 8..13 colours of the texture, 14..19 of the picture, 20
-index of the sample, 21..22 pixel."""
+"""Rows of the scratch array. For all samples: 0 facing, 1..2 pixel, 3 depth, 4..6 normal in camera axes, 7
+weight in colour, 8 reading, 9 belief, 10 whether the colour is known, 11 whether it is in the picture, then
+facing where it may show the object, 20 index of the pixel. For those with a weight, compacted: 4..6 normal, 7
+weight, 8..13 colours of the texture, 14..19 of the picture, 20 index of the sample, 21..22 pixel."""
 
 STICKING = 3.0
 """A surface that lies less than this many tolerances behind the measured one is not hidden by it but
@@ -48,6 +48,9 @@ GRAZING = 0.1
 SEEN_IN_COLOR = 0.02
 """Share of the surface that must be seen in colour for its colours to be compared."""
 
+
+FAR = 1e9
+"""Tolerances: how far behind a sample it is where a plane was taken away."""
 
 BLOCK = 64
 """Mask points per block in the coverage; between blocks it stops if the result is already decided."""
@@ -70,87 +73,16 @@ def score_kernel(
     If the total cannot exceed `needed`, the kernel may stop early. It then returns an upper bound of the
     total that is not over `needed`, and `out` is undefined.
     """
-    depth, belief, saturated = region.depth, region.belief, region.saturated
-    height, width = depth.shape
     c = model.centre
     away = T[2, 0] * c[0] + T[2, 1] * c[1] + T[2, 2] * c[2] + T[2, 3]
     tolerance = tolerance_at(region.tolerance, region.sigmas, away)
-    fit, near, violation, occluded, total, color_weight = 0.0, 0.0, 0.0, 0.0, 1e-9, 0.0
-    through, hidden, blind, outside, colored = 0.0, 0.0, 0.0, 0.0, 0.0
-    left, top, right, bottom = 1e9, 1e9, -1e9, -1e9
-
     view = nearest_view(T, model)
     first = model.offsets[view]
     seen = min(model.offsets[view + 1] - first, samples)
     _place(T, model, region, first, seen, scratch)
-    fitting = 0
-    for k in range(seen):
-        facing = scratch[0, k]
-        if facing < GRAZING:
-            continue
-        total += facing
-        uf, vf, z = scratch[1, k], scratch[2, k], scratch[3, k]
-        if uf < -0.5 or vf < -0.5 or uf >= width - 0.5 or vf >= height - 0.5:
-            outside += facing
-            continue
-        u, v = int(uf + 0.5), int(vf + 0.5)
-        observed = depth[v, u]
-        if observed < 0.0:
-            # Of a plane that is taken away: a surface that lies in it is not seen through, nor seen.
-            if abs(observed + z) * facing < tolerance:
-                blind += facing
-                continue
-            observed = np.inf
-        # Distance along the ray, measured across the surface: slanted surfaces forgive more.
-        gap = (observed - z) * facing
-        fits = abs(gap) < tolerance
-        if observed == 0.0 or fits:
-            left, right, top, bottom = min(left, uf), max(right, uf), min(top, vf), max(bottom, vf)
-        if observed == 0.0:
-            blind += facing
-            if region.blind == 0.0:
-                continue
-        if fits or observed == 0.0:
-            g = facing * (weights.outside + (1.0 - weights.outside) * belief[v, u])
-            if fits:
-                fit += g * (1.0 - (gap / tolerance) ** 2)
-                near += facing
-            else:
-                g *= region.blind
-            if saturated[v, u]:
-                continue
-            color_weight += g
-            colored += facing if fits else region.blind * facing
-            scratch[4, fitting], scratch[5, fitting] = scratch[4, k], scratch[5, k]
-            scratch[6, fitting], scratch[7, fitting] = scratch[6, k], g
-            scratch[20, fitting], scratch[21, fitting], scratch[22, fitting] = (
-                model.visible[first + k],
-                uf,
-                vf,
-            )
-            fitting += 1
-        elif gap > 0.0:
-            violation += facing  # Depth behind the surface: the camera sees through the model.
-            through += facing
-        else:
-            # What is in front hides the object, unless it is believed to be the object itself, or the object
-            # would stick in it.
-            hidden += facing
-            sticks = gap > -STICKING * tolerance
-            violation += facing * IMPLAUSIBLE * (1.0 if sticks else belief[v, u])
-            occluded += facing * (1.0 - belief[v, u])
-
-    out[1] = fit / (near + violation + MARGIN * total)
-    out[3] = violation / (near + violation + MARGIN * total)
-    out[5] = occluded / total
-    out[6] = near / total
-    out[7] = _box_iou(left, top, right, bottom, region.bounds)
-    out[8] = through / (near + through + MARGIN * total)
-    out[9] = hidden / total
-    out[10] = blind / total
-    out[11] = outside / total
+    _look_up(region, seen, scratch)
+    total, color_weight = _compare(region, seen, tolerance, weights.outside, scratch, out)
     out[12], out[13], out[14], out[15] = 0.0, 0.0, 0.0, 0.0
-    out[16] = colored / total
     known = (
         weights.depth_fit * out[1]
         - weights.violation * out[3]
@@ -163,6 +95,7 @@ def score_kernel(
     has_color = weights.color != 0.0 and color_weight > SEEN_IN_COLOR * total
     out[4] = 0.0
     if has_color:
+        fitting = _compacted(model, first, seen, scratch)
         _read_colors(model, region, fitting, scratch)
         out[4] = color_agreement(scratch, fitting, color_weight, weights, region, out[12:])
     known += weights.color * out[4]
@@ -210,6 +143,100 @@ def _place(
         inverse = 1.0 / depth[k]
         u[k] = u[k] * inverse * fx + cx
         v[k] = v[k] * inverse * fy + cy
+
+
+@jit_dividing
+def _look_up(region: RegionArrays, count: int, scratch: Float64) -> None:
+    """What the picture has at the samples: depth, belief, and whether the colour is known; whether they are
+    in the picture at all."""
+    height, width = region.depth.shape
+    depth, belief, saturated = region.depth.flat, region.belief.flat, region.saturated.flat
+    u, v, place, inside = scratch[1], scratch[2], scratch[20], scratch[11]
+    observed, believed, clear = scratch[8], scratch[9], scratch[10]
+    right, bottom = width - 0.5, height - 0.5
+    for k in range(count):
+        within = (u[k] >= -0.5) & (v[k] >= -0.5) & (u[k] < right) & (v[k] < bottom)
+        pixel = np.floor(v[k] + 0.5) * width + np.floor(u[k] + 0.5)
+        inside[k] = 1.0 if within else 0.0
+        place[k] = pixel if within else 0.0
+    for k in range(count):
+        p = np.uint64(place[k])
+        observed[k], believed[k] = depth[p], belief[p]
+        clear[k] = 0.0 if saturated[p] else 1.0
+
+
+@jit_dividing
+def _compare(
+    region: RegionArrays, count: int, tolerance: float, least: float, scratch: Float64, out: Float64
+) -> tuple[float, float]:
+    """Compare the samples with depth: writes their weights in colour, and the terms that depth decides.
+    Returns the sums of all samples' facing and of these weights. least: weight where nothing is believed."""
+    facings, u, v, depth = scratch[0], scratch[1], scratch[2], scratch[3]
+    weight, observed, believed, clear, inside = scratch[7], scratch[8], scratch[9], scratch[10], scratch[11]
+    each, of_blind = 1.0 / tolerance, region.blind
+    fit, near, violation, occluded, total, color_weight = 0.0, 0.0, 0.0, 0.0, 1e-9, 0.0
+    through, hidden, blind, outside, colored = 0.0, 0.0, 0.0, 0.0, 0.0
+    left, top, right, bottom = 1e9, 1e9, -1e9, -1e9
+    for k in range(count):
+        facing = facings[k] if facings[k] >= GRAZING else 0.0
+        total += facing
+        outside += facing * (1.0 - inside[k])
+        facing *= inside[k]
+        z, reading, belief = depth[k], observed[k], believed[k]
+        # Of a plane that is taken away: a surface that lies in it is not seen through, nor seen.
+        in_plane = (reading < 0.0) & (abs(reading + z) * facing < tolerance)
+        unread = reading == 0.0
+        # Distance along the ray, measured across the surface: slanted surfaces forgive more.
+        gap = (reading - z) * facing * each if reading >= 0.0 else FAR
+        fits = facing if (abs(gap) < 1.0) & ~unread else 0.0
+        untold = facing if unread else 0.0
+        behind = facing if (gap >= 1.0) & ~in_plane else 0.0
+        # What is in front hides the object, unless it is believed to be the object itself, or the object
+        # would stick in it.
+        front = facing if (gap <= -1.0) & ~unread else 0.0
+        near += fits
+        blind += facing if unread | in_plane else 0.0
+        through += behind
+        hidden += front
+        violation += behind + front * IMPLAUSIBLE * (1.0 if gap > -STICKING else belief)
+        occluded += front * (1.0 - belief)
+        trust = least + (1.0 - least) * belief
+        fit += fits * trust * (1.0 - gap * gap)
+        in_color = clear[k] * (fits + of_blind * untold)
+        colored += in_color
+        weight[k] = trust * in_color
+        color_weight += trust * in_color
+        inside[k] = fits + untold
+    # Apart: the compiler does not take a minimum of several numbers at once.
+    for k in range(count):
+        if inside[k] > 0.0:
+            left, right = min(left, u[k]), max(right, u[k])
+            top, bottom = min(top, v[k]), max(bottom, v[k])
+    out[1] = fit / (near + violation + MARGIN * total)
+    out[3] = violation / (near + violation + MARGIN * total)
+    out[5] = occluded / total
+    out[6] = near / total
+    out[7] = _box_iou(left, top, right, bottom, region.bounds)
+    out[8] = through / (near + through + MARGIN * total)
+    out[9] = hidden / total
+    out[10] = blind / total
+    out[11] = outside / total
+    out[16] = colored / total
+    return total, color_weight
+
+
+@jit_dividing
+def _compacted(model: ModelArrays, first: int, count: int, scratch: Float64) -> int:
+    """Move what is needed of the samples with a weight in colour together; returns how many these are."""
+    fitting = 0
+    for k in range(count):
+        weight = scratch[7, k]
+        scratch[4, fitting], scratch[5, fitting] = scratch[4, k], scratch[5, k]
+        scratch[6, fitting], scratch[7, fitting] = scratch[6, k], weight
+        scratch[20, fitting] = model.visible[first + k]
+        scratch[21, fitting], scratch[22, fitting] = scratch[1, k], scratch[2, k]
+        fitting += 1 if weight > 0.0 else 0
+    return fitting
 
 
 @jit_dividing

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from huepose.colorpair.opponents import DARKEST, LINEAR, SCALE
-from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
+from huepose.geometry.arrays import Float32, Float64, Int64, UInt8
 from huepose.propose.templates import AT_ONCE, MILLIMETRES, TemplateTable
 from huepose.support.jit import jit_dividing
 
@@ -60,19 +60,8 @@ def masked_cells(
     return out
 
 
-def known_cells(color: UInt8, depth: Float32, fine: int, middle_m: float) -> tuple[Float32, Float32, Bool]:
-    """Opponents (c, c, 3), relief (c, c) in millimetres and validity (c, c) of all samples (n, n) with depth.
-    Relief is the one reading in the middle of a cell: a mean across a depth step would lie on no surface."""
-    cells = len(depth) // fine
-    colors, relief = np.zeros((cells, cells, 3), np.float32), np.zeros((cells, cells), np.float32)
-    valid = np.zeros((cells, cells), bool)
-    smooth = np.asarray(cv2.medianBlur(depth, 3), dtype=np.float32)
-    _known(color, LINEAR, depth, smooth, fine, middle_m, colors, relief, valid)
-    return colors, relief, valid
-
-
 @jit_dividing
-def _opponents(red: float, green: float, blue: float, out: Float32) -> None:
+def write_opponents(red: float, green: float, blue: float, out: Float32) -> None:
     """Write the opponents (see `colorpair.opponents`) of linear values into out[:3]."""
     r, g, b = SCALE * np.log(red + DARKEST), SCALE * np.log(green + DARKEST), SCALE * np.log(blue + DARKEST)
     out[0] = (r + g + b) * (1.0 / 3.0)
@@ -108,38 +97,9 @@ def _masked(
                         behind += 1.0
             out[y, x, 5] = behind * each
             if known * each > MIN_SHARE:
-                _opponents(red / known, green / known, blue / known, out[y, x])
+                write_opponents(red / known, green / known, blue / known, out[y, x])
                 out[y, x, 3] = total / known * MILLIMETRES
                 out[y, x, 4] = known * each
-
-
-@jit_dividing
-def _known(
-    color: UInt8,
-    linear: Float32,
-    depth: Float32,
-    smooth: Float32,
-    fine: int,
-    middle_m: float,
-    colors: Float32,
-    relief: Float32,
-    valid: Bool,
-) -> None:
-    for y in range(relief.shape[0]):
-        for x in range(relief.shape[1]):
-            red, green, blue, known = 0.0, 0.0, 0.0, 0.0
-            for v in range(y * fine, (y + 1) * fine):
-                for u in range(x * fine, (x + 1) * fine):
-                    if depth[v, u] > 0.0:
-                        red += linear[color[v, u, 0]]
-                        green += linear[color[v, u, 1]]
-                        blue += linear[color[v, u, 2]]
-                        known += 1.0
-            z = smooth[y * fine + fine // 2, x * fine + fine // 2]
-            if z > 0.0 and known > MIN_SHARE * fine * fine:
-                valid[y, x] = True
-                relief[y, x] = (z - middle_m) * MILLIMETRES
-                _opponents(red / known, green / known, blue / known, colors[y, x])
 
 
 RELIEF_SIGMA = 0.05

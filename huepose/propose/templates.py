@@ -16,7 +16,7 @@ import numpy as np
 
 from huepose.colorpair.opponents import opponents_of_lab
 from huepose.geometry import icosphere, se3
-from huepose.geometry.arrays import Float, Float32, Float64, Int64, UInt8
+from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64, UInt8, UInt16
 from huepose.geometry.camera import Camera
 from huepose.geometry.icosphere import look_at
 from huepose.geometry.mesh import Mesh
@@ -97,12 +97,18 @@ COARSE_SIDE = 8
 AT_ONCE = 4
 """Cells that the quick look takes at once."""
 
+BESIDE = 8
+"""Cells that the close look takes at once."""
+
 MILLIMETRES = 1000.0
 COVERED = 0.5
 """Least coverage (0..1) of a cell that counts at the close look."""
 
 STEPS, RELIEF_STEPS = 100.0, 10.0
 """Integer steps per opponent unit and per millimetre in the stored values."""
+
+NOT_COVERED = np.int16(-32768)
+"""Stored relief of a cell that fills up a template."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,11 +118,12 @@ class TemplateTable:
     For the quick look, over the P of 8 * 8 cells that any template covers: used (P,) their indices; the cells
     that template i covers are begins[i] to begins[i + 1], filled up with cells without coverage to a multiple
     of AT_ONCE: cells (K,) uint8, indices in `used`; numbers (K, 5) float32: coverage, opponents and relief in
-    millimetres; area (N,) sum of coverage. For the close look: the covered cells of template i are starts[i]
-    to starts[i + 1]: places (M,) uint16 in the window of side * side, row * 256 + column; values (M, 4)
-    int16: opponents in 1 / STEPS, relief in 1 / RELIEF_STEPS millimetres. rotations (N, 3, 3), origins (N,
-    3): R_cam_obj and the object's origin as seen from the window's middle at median depth; span_m: the
-    window's side.
+    millimetres; area (N,) sum of coverage. For the close look: template i covers covered[i] cells, which are
+    starts[i] to starts[i + 1], filled up with NOT_COVERED to a multiple of BESIDE: places (M,) in the window
+    of side * side, row * 256 + column; values (4 * M,) int16, template by template: its three opponents in
+    1 / STEPS and its relief in 1 / RELIEF_STEPS millimetres, one after the other. rotations (N, 3, 3),
+    origins (N, 3): R_cam_obj and the object's origin as seen from the window's middle at median depth;
+    span_m: the window's side.
     """
 
     used: Int64
@@ -124,8 +131,9 @@ class TemplateTable:
     cells: UInt8
     numbers: Float32
     area: Float32
+    covered: Int32
     starts: Int64
-    places: np.ndarray
+    places: UInt16
     values: np.ndarray
     side: int
     rotations: Float64
@@ -142,7 +150,7 @@ def table_of(model: ReferenceModel) -> TemplateTable:
 
 def build_table(templates: ViewTemplates, diameter_m: float) -> TemplateTable:
     """Build the tables of a model (0.2 s, about 4 MB)."""
-    starts, places, listed = _listed(_planes(templates))
+    close = _listed(_planes(templates))
     coarse = coarse_views(templates)
     begins, cells, numbers = _filled_up(coarse)
     return TemplateTable(
@@ -151,9 +159,7 @@ def build_table(templates: ViewTemplates, diameter_m: float) -> TemplateTable:
         cells,
         numbers,
         coarse.coverage.sum(1),
-        starts,
-        places,
-        listed,
+        *close,
         templates.planes.shape[-1],
         *view_poses(templates),
         templates.span * diameter_m,
@@ -202,17 +208,23 @@ def _planes(templates: ViewTemplates) -> Float32:
     return templates.planes.reshape(-1, *templates.planes.shape[2:]).astype(np.float32)
 
 
-def _listed(planes: Float32) -> tuple[Int64, np.ndarray, np.ndarray]:
-    """List the covered cells of planes (N, 5, S, S): starts (N + 1,), places (M,), values (M, 4) as in
-    TemplateTable."""
+def _listed(planes: Float32) -> tuple[Int32, Int64, UInt16, np.ndarray]:
+    """The cells that planes (N, 5, S, S) cover, as in TemplateTable: covered (N,), starts (N + 1,), places
+    (M,) and values (4 * M,)."""
     which, row, column = np.nonzero(planes[:, 4] >= COVERED)
-    starts = np.concatenate([[0], np.cumsum(np.bincount(which, minlength=len(planes)))]).astype(np.int64)
-    places = (row << 8 | column).astype(np.uint16)
-    chosen = _values(planes[which, :4, row, column])
-    out = np.empty(chosen.shape, np.int16)
-    out[:, :3] = np.rint(chosen[:, :3] * STEPS)
-    out[:, 3] = np.rint(np.clip(chosen[:, 3] * RELIEF_STEPS, -32000, 32000))
-    return starts, places, out
+    counts = np.bincount(which, minlength=len(planes))
+    filled = -(-counts // BESIDE) * BESIDE
+    starts = np.concatenate([[0], np.cumsum(filled)]).astype(np.int64)
+    within = np.arange(len(which)) - (np.cumsum(counts) - counts)[which]
+    places = np.zeros(starts[-1], np.uint16)
+    places[starts[which] + within] = row << 8 | column
+    values = np.full(4 * starts[-1], NOT_COVERED, np.int16)
+    listed = _values(planes[which, :4, row, column])
+    at = 4 * starts[which] + within
+    for channel in range(3):
+        values[at + channel * filled[which]] = np.rint(listed[:, channel] * STEPS)
+    values[at + 3 * filled[which]] = np.rint(np.clip(listed[:, 3] * RELIEF_STEPS, -32000, 32000))
+    return counts.astype(np.int32), starts, places, values
 
 
 def _coverage_and_values(planes: Float) -> tuple[Float32, Float32]:

@@ -331,7 +331,7 @@ def _view(model: ReferenceModel, k: int) -> tuple[UInt8, str]:
     camera = Camera(8.0 * VIEW_PX, 8.0 * VIEW_PX, VIEW_PX / 2, VIEW_PX / 2, VIEW_PX, VIEW_PX)
     R = look_at(model.templates.directions[k])
     T = se3.make(R, np.array([0.0, 0.0, 9.0 * model.diameter_m]) - R @ model.mesh.centre)
-    seen = render([(model.mesh, T)], camera, normals=True)
+    seen = render([(model.mesh, T)], camera)
     pixel_m = 9.0 * model.diameter_m / camera.fx
     picture = shaded(seen.color, seen.depth, seen.normals_cam, pixel_m, STEP * model.diameter_m)
     facing = -model.pairs.normals @ R[2] > FACING

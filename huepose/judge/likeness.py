@@ -88,7 +88,7 @@ def likeness(
 
 def _seen(model: ReferenceModel, part: Part, T_cam_obj: Float64, light: Light | None) -> _Seen:
     T = np.ascontiguousarray(T_cam_obj)
-    picture = render([(model.mesh, T)], part.camera, normals=light is not None)
+    picture = render([(model.mesh, T)], part.camera)
     shown = picture.depth > 0
     fits = (part.depth == 0) | (np.abs(part.depth - picture.depth) < part.tolerance_m)
     return _Seen(drawn_colors(picture, T, light), shown & fits & ~part.saturated)

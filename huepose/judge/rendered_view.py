@@ -60,7 +60,7 @@ def draw_rendered_view(
     if window is None:
         return None
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
-    seen = render([(model.mesh, T)], window, normals=True, points=True)
+    seen = render([(model.mesh, T)], window)
     shown = seen.depth > 0
     rows, columns = _random_pixels(shown, samples)
     rim_rows, rim_columns, inward_px = _rim(shown)
@@ -75,15 +75,15 @@ def draw_rendered_view(
     first, count = len(base.points), len(rows)
     # Behind the samples of the surface, to which the distance grid refers.
     arrays = base._replace(
-        points=_joined(base.points, seen.points_obj[rows, columns]),
-        normals=_joined(base.normals, seen.normals_cam[rows, columns] @ R),
+        points=_joined(base.points, seen.points_at(rows, columns)),
+        normals=_joined(base.normals, seen.normals_at(rows, columns) @ R),
         colors=np.stack([_joined(base.colors[k], picked[k]) for k in range(2)]),
         directions=np.array([[0.0, 0.0, 1.0]], np.float32),
         beside=np.empty((1, 0), np.int32),
         visible=np.arange(first, first + count, dtype=np.int32),
         offsets=np.array([0, count], np.int32),
     )
-    points = seen.points_obj[rim_rows, rim_columns].astype(np.float64)
+    points = seen.points_at(rim_rows, rim_columns).astype(np.float64)
     return RenderedView(arrays, np.ascontiguousarray(points), inward @ R)
 
 

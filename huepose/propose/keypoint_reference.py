@@ -102,12 +102,12 @@ def _view_camera(
 
 
 def _view(mesh: Mesh, T_cam_obj: Float64, camera: Camera, source: FeatureSource) -> _View:
-    seen = render([(mesh, T_cam_obj)], camera, points=True, normals=True)
+    seen = render([(mesh, T_cam_obj)], camera)
     inner = cv2.erode((seen.depth > 0).astype(np.uint8), np.ones((EDGE_PX, EDGE_PX), np.uint8)) > 0
     features = source.extract(_on_background(seen, 128), inner)
     u, v = np.clip(np.rint(features.pixels), 0, camera.width - 1).astype(int).T
-    normals = seen.normals_cam[v, u].astype(np.float64) @ T_cam_obj[:3, :3]
-    return _View(features, seen.points_obj[v, u].astype(np.float64), normals)
+    normals = seen.normals_at(v, u).astype(np.float64) @ T_cam_obj[:3, :3]
+    return _View(features, seen.points_at(v, u).astype(np.float64), normals)
 
 
 def _on_background(seen: Rendering, background: int) -> UInt8:

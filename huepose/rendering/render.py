@@ -1,12 +1,13 @@
 """Pictures of textured meshes for any pinhole camera, crops included: depth, colour, surface coordinates.
 
-A scalar z-buffer rasteriser on the CPU: small, exact, and fast where objects are small in the image. Channels
-that were not asked for cost nothing. All kernels release the interpreter lock.
+A scalar z-buffer rasteriser on the CPU: small, exact, and fast where objects are small in the image. Normals
+and points are computed when they are read, of some pixels only where these are asked for. All kernels release
+the interpreter lock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,22 +23,6 @@ from huepose.support.jit import jit
 from huepose.support.kept import kept, once_for_each
 
 _SNAP = 2.0**20
-
-
-@dataclass(frozen=True, eq=False)
-class Rendering:
-    """What a camera sees of some meshes. Channels that were not asked for have shape (0, 0, 3).
-
-    depth (H, W) float32 metres, 0 = nothing; color (H, W, 3) uint8 RGB, 0 = nothing; normals_cam (H, W, 3)
-    float32 unit, towards the camera, 0 = nothing; points_obj (H, W, 3) float32 metres in the frame of the
-    object seen; object_index (H, W) int16, position in the scene, -1 = nothing.
-    """
-
-    depth: Float32
-    color: UInt8
-    normals_cam: Float32
-    points_obj: Float32
-    object_index: np.ndarray[tuple[int, ...], np.dtype[np.int16]]
 
 
 class _Prepared:
@@ -75,6 +60,60 @@ class _Prepared:
 _prepare = once_for_each(_Prepared)
 
 
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A mesh as it was drawn at a pose T (4, 4)."""
+
+    mesh: _Prepared
+    T: Float64
+    where: Drawn
+
+
+@dataclass(frozen=True, eq=False)
+class Rendering:
+    """What a camera sees of some meshes.
+
+    depth (H, W) float32 metres, 0 = nothing; color (H, W, 3) uint8 RGB, 0 = nothing, or (0, 0, 3) where it
+    was not asked for; object_index (H, W) int16, position in the scene, -1 = nothing.
+    """
+
+    depth: Float32
+    color: UInt8
+    object_index: np.ndarray[tuple[int, ...], np.dtype[np.int16]]
+    _parts: tuple[_Part, ...]
+
+    @cached_property
+    def normals_cam(self) -> Float32:
+        """(H, W, 3) float32, unit, towards the camera, 0 = nothing."""
+        return self._everywhere(self.normals_at)
+
+    @cached_property
+    def points_obj(self) -> Float32:
+        """(H, W, 3) float32 metres in the frame of the object seen, 0 = nothing."""
+        return self._everywhere(self.points_at)
+
+    def normals_at(self, rows: Int64, columns: Int64) -> Float32:
+        """The same of some pixels (N,) alone: (N, 3)."""
+        out = np.zeros((len(rows), 3), np.float32)
+        for part in self._parts:
+            locate(part.where, part.mesh.corner_normals, rows, columns, out)
+            turn_normals(part.where, np.ascontiguousarray(part.T[:3, :3]), rows, columns, out)
+        return out
+
+    def points_at(self, rows: Int64, columns: Int64) -> Float32:
+        """The same of some pixels (N,) alone: (N, 3)."""
+        out = np.zeros((len(rows), 3), np.float32)
+        for part in self._parts:
+            locate(part.where, part.mesh.corner_points, rows, columns, out)
+        return out
+
+    def _everywhere(self, at: Callable[[Int64, Int64], Float32]) -> Float32:
+        rows, columns = np.nonzero(self.object_index >= 0)
+        out = np.zeros((*self.depth.shape, 3), np.float32)
+        out[rows, columns] = at(rows, columns)
+        return out
+
+
 def is_closed(vertices: Float32, faces: Int32) -> bool:
     """Whether faces (F, 3) are the boundary of a solid, seen counter-clockwise from outside: each edge is
     there once in each direction, and the volume is positive."""
@@ -95,14 +134,7 @@ def _intrinsics(camera: Camera) -> tuple[tuple[float, float], tuple[float, float
     return (float(camera.fx), float(camera.fy)), (cx, cy)
 
 
-def render(
-    scene: Sequence[tuple[Mesh, Float]],
-    camera: Camera,
-    *,
-    color: bool = True,
-    normals: bool = False,
-    points: bool = False,
-) -> Rendering:
+def render(scene: Sequence[tuple[Mesh, Float]], camera: Camera, *, color: bool = True) -> Rendering:
     """Render meshes at poses `T_cam_obj` (4, 4) into one z-buffer.
 
     Colour is the bare texture (no light), filtered to the pixel. Normals are smooth over bends of less than
@@ -113,30 +145,21 @@ def render(
     face: Int32 = np.full(size, -1, np.int32)
     owner: Int32 = np.full(size, -1, np.int32)
     focal, centre = _intrinsics(camera)
-    drawn = []
+    parts = []
     for index, (mesh, T_cam_obj) in enumerate(scene):
         part = _prepare(mesh)
         T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
         points_cam = transform(part.vertices, T)
         closed = part.hides_its_far_side(points_cam, NEAR_M)
         bounds = rasterise(points_cam, part.faces, focal, centre, NEAR_M, closed, index, inverse, face, owner)
-        drawn.append((index, part, T, points_cam, bounds))
-
-    none_u8, none_f32 = np.empty((0, 0, 3), np.uint8), np.empty((0, 0, 3), np.float32)
-    color_out: UInt8 = np.zeros((*size, 3), np.uint8) if color else none_u8
-    normals_out: Float32 = np.zeros((*size, 3), np.float32) if normals else none_f32
-    points_out: Float32 = np.zeros((*size, 3), np.float32) if points else none_f32
-    for index, part, T, points_cam, bounds in drawn:
         where = Drawn(owner, face, index, bounds, points_cam, part.faces, focal, centre)
-        if color:
-            p = part.pyramid
-            paint(where, part.uv, p.texels, p.levels, color_out)
-        if points:
-            locate(where, part.corner_points, points_out)
-        if normals:
-            locate(where, part.corner_normals, normals_out)
-            turn_normals(where, np.ascontiguousarray(T[:3, :3]), normals_out)
-    return Rendering(depth_of(inverse), color_out, normals_out, points_out, owner.astype(np.int16))
+        parts.append(_Part(part, T, where))
+    color_out: UInt8 = np.zeros((*size, 3) if color else (0, 0, 3), np.uint8)
+    if color:
+        for drawn in parts:
+            p = drawn.mesh.pyramid
+            paint(drawn.where, drawn.mesh.uv, p.texels, p.levels, color_out)
+    return Rendering(depth_of(inverse), color_out, owner.astype(np.int16), tuple(parts))
 
 
 def render_depth(mesh: Mesh, T_cam_obj: Float, camera: Camera, *, near_m: float = NEAR_M) -> Float32:

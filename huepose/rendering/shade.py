@@ -127,52 +127,48 @@ def paint(drawn: Drawn, uv: Float32, texels: UInt8, levels: Int64, color: UInt8)
 
 
 @jit
-def locate(drawn: Drawn, corner_values: Float32, out: Float32) -> None:
-    """Interpolate values at face corners (F, 3, 3) over the pixels of a mesh into out (H, W, 3)."""
-    left, top, right, bottom = drawn.bounds
+def locate(drawn: Drawn, corner_values: Float32, rows: Int64, columns: Int64, out: Float32) -> None:
+    """Interpolate values at face corners (F, 3, 3) at those of the pixels (N,) that show the mesh, into
+    out (N, 3)."""
     focal, centre = drawn.focal, drawn.centre
     m, of, low, high = np.empty((4, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     last = -1
-    for row in range(top, bottom + 1):
-        y = (row - centre[1]) / focal[1]
-        for column in range(left, right + 1):
-            if drawn.owner[row, column] != drawn.number:
-                continue
-            f = drawn.faces_at[row, column]
-            if f != last:
-                last = f
-                _edges(drawn.points, drawn.faces[f], m)
-                for k in range(3):
-                    a, b, c = corner_values[f, 0, k], corner_values[f, 1, k], corner_values[f, 2, k]
-                    low[k], high[k] = min(a, b, c), max(a, b, c)
-                    for e in range(3):
-                        of[k, e] = a * m[0, e] + b * m[1, e] + c * m[2, e]
-            x = (column - centre[0]) / focal[0]
-            total = x * m[3, 0] + y * m[3, 1] + m[3, 2]
-            inverse = 1.0 / total if total != 0.0 else 0.0
+    for n in range(rows.shape[0]):
+        row, column = rows[n], columns[n]
+        if drawn.owner[row, column] != drawn.number:
+            continue
+        f = drawn.faces_at[row, column]
+        if f != last:
+            last = f
+            _edges(drawn.points, drawn.faces[f], m)
             for k in range(3):
-                value = (x * of[k, 0] + y * of[k, 1] + of[k, 2]) * inverse
-                out[row, column, k] = min(max(value, low[k]), high[k])
+                a, b, c = corner_values[f, 0, k], corner_values[f, 1, k], corner_values[f, 2, k]
+                low[k], high[k] = min(a, b, c), max(a, b, c)
+                for e in range(3):
+                    of[k, e] = a * m[0, e] + b * m[1, e] + c * m[2, e]
+        x, y = (column - centre[0]) / focal[0], (row - centre[1]) / focal[1]
+        total = x * m[3, 0] + y * m[3, 1] + m[3, 2]
+        inverse = 1.0 / total if total != 0.0 else 0.0
+        for k in range(3):
+            value = (x * of[k, 0] + y * of[k, 1] + of[k, 2]) * inverse
+            out[n, k] = min(max(value, low[k]), high[k])
 
 
 @jit
-def turn_normals(drawn: Drawn, R: Float64, normals: Float32) -> None:
-    """Model-frame normals of the pixels of a mesh into the camera frame, unit length, in place; negated where
-    the back of a face is seen."""
-    left, top, right, bottom = drawn.bounds
+def turn_normals(drawn: Drawn, R: Float64, rows: Int64, columns: Int64, normals: Float32) -> None:
+    """Model-frame normals (N, 3) of those of the pixels (N,) that show the mesh into the camera frame, unit
+    length, in place; negated where the back of a face is seen."""
     m = np.empty((4, 3))
     last, side = -1, 1.0
-    for row in range(top, bottom + 1):
-        for column in range(left, right + 1):
-            if drawn.owner[row, column] != drawn.number:
-                continue
-            f = drawn.faces_at[row, column]
-            if f != last:
-                last = f
-                side = -1.0 if _edges(drawn.points, drawn.faces[f], m) > 0 else 1.0
-            x = np.float64(normals[row, column, 0])
-            y = np.float64(normals[row, column, 1])
-            z = np.float64(normals[row, column, 2])
-            scale = side / max(math.sqrt(x * x + y * y + z * z), 1e-12)
-            for k in range(3):
-                normals[row, column, k] = scale * (R[k, 0] * x + R[k, 1] * y + R[k, 2] * z)
+    for n in range(rows.shape[0]):
+        row, column = rows[n], columns[n]
+        if drawn.owner[row, column] != drawn.number:
+            continue
+        f = drawn.faces_at[row, column]
+        if f != last:
+            last = f
+            side = -1.0 if _edges(drawn.points, drawn.faces[f], m) > 0 else 1.0
+        x, y, z = np.float64(normals[n, 0]), np.float64(normals[n, 1]), np.float64(normals[n, 2])
+        scale = side / max(math.sqrt(x * x + y * y + z * z), 1e-12)
+        for k in range(3):
+            normals[n, k] = scale * (R[k, 0] * x + R[k, 1] * y + R[k, 2] * z)

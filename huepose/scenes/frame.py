@@ -129,7 +129,7 @@ def shoot(
     for when, dx, dy in _INSTANTS:
         part = when * SHUTTER
         shifted = Camera(camera.fx, camera.fy, camera.cx - dx, camera.cy - dy, camera.width, camera.height)
-        seen = render(stage.in_camera(i, part), shifted, normals=True)
+        seen = render(stage.in_camera(i, part), shifted)
         glossy = (seen.object_index >= 0) & (seen.object_index < stage.labelled)
         _, T_cam_room = stage.poses(i, part)
         for light, shadow in zip(lights, shadows, strict=True):
@@ -147,7 +147,7 @@ def shoot(
     color = expose(total / np.float32(len(_INSTANTS)), color_sensor, rng)
 
     scene = stage.in_camera(i)
-    middle = render(scene, camera, color=False, normals=depth_sensor is not None)
+    middle = render(scene, camera, color=False)
     depth = middle.depth
     if depth_sensor is not None:
         depth = stereo_depth(depth, middle.normals_cam, camera, depth_sensor, rng)

@@ -139,7 +139,7 @@ class _Still:
     @staticmethod
     def seen(standing: list[tuple[Mesh, Float64]], camera: Camera, light: Light) -> _Still:
         """What a camera sees of it."""
-        seen = render(standing, camera, normals=True)
+        seen = render(standing, camera)
         return _Still(camera, light, shone(seen, camera, light, 0), seen.depth, seen.normals_cam)
 
     def lit_with(self, mesh: Mesh, T_cam_obj: Float64, box: Box) -> Float32:
@@ -165,7 +165,7 @@ class _Still:
         rows, columns = box.grown(0.0, MARGIN_PX).slices(self.camera.width, self.camera.height)
         size = (max(columns.stop - columns.start, 0), max(rows.stop - rows.start, 0))
         part = self.camera.cropped(columns.start, rows.start, *size)
-        return (rows, columns), part, render([(mesh, T_cam_obj)], part, color=color, normals=True)
+        return (rows, columns), part, render([(mesh, T_cam_obj)], part, color=color)
 
 
 def _ahead(depth: Float32, other: Float32) -> Bool:

@@ -121,7 +121,7 @@ def _window(
     alone = render([(mesh, T)], camera, color=False).depth
     inside = np.zeros(alone.shape, bool)
     inside[max(0, -top) : HEIGHT - top, max(0, -left) : WIDTH - left] = True
-    seen = render([(mesh, T), *_surroundings(rng, mesh, T, centre, diameter_m, props)], camera, normals=True)
+    seen = render([(mesh, T), *_surroundings(rng, mesh, T, centre, diameter_m, props)], camera)
     own = (alone > 0) & (np.abs(seen.depth - alone) < 1e-4) & inside
     if own.sum() < max(60, SHOWN * (alone > 0).sum()):
         return None

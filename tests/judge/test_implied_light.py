@@ -34,7 +34,7 @@ def brick() -> ReferenceModel:
 
 def in_lamplight(frame: RgbdFrame, mesh: Mesh, T_cam_obj: np.ndarray, ambient: float) -> RgbdFrame:
     """A frame in which the mesh at a pose (4, 4) is lit by the lamp, and by so much from everywhere."""
-    seen = render([(mesh, T_cam_obj)], frame.camera, normals=True)
+    seen = render([(mesh, T_cam_obj)], frame.camera)
     strength = ambient + (1.0 - ambient) * np.clip(seen.normals_cam @ LAMP / np.linalg.norm(LAMP), 0.0, 1.0)
     linear = np.clip(LINEAR[seen.color] * strength[..., None], 0.0, 1.0)
     lit = BYTES[(np.sqrt(linear) * 1023.0 + 0.5).astype(np.int64)]

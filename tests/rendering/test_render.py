@@ -55,7 +55,7 @@ def rays() -> np.ndarray:
 
 def test_tilted_plane_has_its_analytic_depth_and_points() -> None:
     T = se3.make(se3.rotation_exp(np.array([0.7, -0.4, 0.2])), np.array([0.02, -0.01, 0.8]))
-    drawn = render([(quad(), T)], CAMERA, points=True, normals=True)
+    drawn = render([(quad(), T)], CAMERA)
     normal, r = T[:3, 2], rays()
     depth = (normal @ T[:3, 3]) / (r @ normal)
     hit = (r * depth[..., None] - T[:3, 3]) @ T[:3, :3]
@@ -74,7 +74,7 @@ def test_colour_is_the_bilinear_texture_at_the_analytic_uv() -> None:
     ramp = np.zeros((256, 256, 3), np.uint8)
     ramp[..., 0], ramp[..., 1] = np.arange(256)[None], np.arange(256)[:, None]
     T = se3.make(se3.rotation_exp(np.array([0.5, 0.3, 0.0])), np.array([0.0, 0.0, 0.9]))
-    drawn = render([(quad(texture=ramp), T)], CAMERA, points=True)
+    drawn = render([(quad(texture=ramp), T)], CAMERA)
     texel = (drawn.points_obj[..., :2] + 0.5) * 256 - 0.5
     middle = (drawn.depth > 0) & ((texel > 3) & (texel < 252)).all(-1)
     assert middle.sum() > 30_000
@@ -121,7 +121,7 @@ def test_agrees_with_ray_casting() -> None:
 
 def test_points_and_depth_are_the_same_surface() -> None:
     mesh, T = blob(), se3.make(se3.rotation_exp(np.array([0.1, 2.0, 0.3])), np.array([-0.05, 0.03, 0.4]))
-    drawn = render([(mesh, T)], CAMERA, color=False, points=True)
+    drawn = render([(mesh, T)], CAMERA, color=False)
     seen = drawn.depth > 0
     points_cam = se3.apply(T, drawn.points_obj[seen])
     np.testing.assert_allclose(points_cam[:, 2], drawn.depth[seen], atol=2e-7)
@@ -138,7 +138,7 @@ def test_smooth_normals_of_a_ball() -> None:
         mesh.texture,
     )
     T = se3.make(se3.rotation_exp(np.array([1.0, 0.5, 0.0])), np.array([0, 0, 0.4]))
-    drawn = render([(ball, T)], CAMERA, normals=True, points=True)
+    drawn = render([(ball, T)], CAMERA)
     seen = drawn.depth > 0
     radial = drawn.points_obj[seen] @ T[:3, :3].T
     radial /= np.linalg.norm(radial, axis=1, keepdims=True)
@@ -153,8 +153,8 @@ def test_crop_is_the_sub_image(window: tuple[int, int, int, int]) -> None:
         (quad(), se3.make(se3.rotation_exp(np.array([1.0, 0.1, 0.0])), np.array([0, 0, 0.7]))),
     ]
     x0, y0, width, height = window
-    whole = render(scene, CAMERA, normals=True, points=True)
-    part = render(scene, CAMERA.cropped(*window), normals=True, points=True)
+    whole = render(scene, CAMERA)
+    part = render(scene, CAMERA.cropped(*window))
     rows, columns = slice(max(0, y0), min(480, y0 + height)), slice(max(0, x0), min(640, x0 + width))
     inner = (slice(rows.start - y0, rows.stop - y0), slice(columns.start - x0, columns.stop - x0))
     for name in ("depth", "color", "normals_cam", "points_obj", "object_index"):
@@ -174,7 +174,7 @@ def test_several_meshes_share_one_depth_buffer() -> None:
 
 def test_floor_that_passes_under_the_camera_is_clipped_at_the_near_plane() -> None:
     T = se3.make(se3.rotation_exp(np.array([np.pi / 2 - 0.2, 0, 0])), np.array([0, 0.1, 0.3]))
-    drawn = render([(quad(5.0), T)], CAMERA, points=True)
+    drawn = render([(quad(5.0), T)], CAMERA)
     normal, r = T[:3, 2], rays()
     depth = (normal @ T[:3, 3]) / (r @ normal)
     hit = (r * depth[..., None] - T[:3, 3]) @ T[:3, :3]
@@ -207,10 +207,21 @@ def test_shared_edges_leave_no_cracks() -> None:
     assert (render_depth(fan, T, CAMERA)[60:420, 120:500] > 0).all()
 
 
-def test_only_asked_channels_are_there() -> None:
+def test_without_colour_the_rest_is_there() -> None:
     drawn = render([(quad(), se3.make(np.eye(3), np.array([0, 0, 1.0])))], CAMERA, color=False)
-    assert drawn.color.size == drawn.normals_cam.size == drawn.points_obj.size == 0
+    assert drawn.color.size == 0
     assert drawn.depth.shape == (480, 640)
+
+
+def test_some_pixels_have_the_points_and_normals_of_all() -> None:
+    """Two meshes and nothing in one picture; pixels in any order."""
+    rng = np.random.default_rng(4)
+    T = se3.make(se3.rotation_exp(rng.normal(size=3)), np.array([-0.1, 0.0, 0.4]))
+    drawn = render([(blob(), T), (quad(), se3.make(np.eye(3), np.array([0.7, 0, 1.0])))], CAMERA)
+    assert set(np.unique(drawn.object_index)) == {-1, 0, 1}
+    rows, columns = rng.integers(0, 480, 500), rng.integers(0, 640, 500)
+    np.testing.assert_array_equal(drawn.points_at(rows, columns), drawn.points_obj[rows, columns])
+    np.testing.assert_array_equal(drawn.normals_at(rows, columns), drawn.normals_cam[rows, columns])
 
 
 @pytest.mark.parametrize("distance_m", [0.3, 0.1, 0.06])

@@ -16,7 +16,7 @@ WHITE = np.full((4, 4, 3), 255, np.uint8)
 
 
 def lit(scene: list, light: Light, gloss: int = 0) -> np.ndarray:
-    seen = render(scene, CAMERA, normals=True)
+    seen = render(scene, CAMERA)
     total = np.zeros((240, 320, 3), np.float32)
     glossy = np.full((240, 320), gloss, np.uint8)
     shine(

@@ -23,7 +23,7 @@ def test_clutter_stands_on_the_table_behind_the_objects() -> None:
 
 def test_the_room_fills_the_image_and_is_seen_from_the_right_side() -> None:
     placed = room(np.random.default_rng(1))
-    seen = render(placed, CAMERA, normals=True)
+    seen = render(placed, CAMERA)
     assert (seen.depth > 0).mean() > 0.999
     table = seen.object_index == 0
     assert table.mean() > 0.3

@@ -28,7 +28,7 @@ def followed(tea_box):
     for k in range(REST + 8):
         truth = at(-0.05 + 0.01 * max(0, k - REST + 1))
         if seen is None or k >= REST:
-            seen = render([(tea_box.mesh, truth)], CAMERA, normals=True)
+            seen = render([(tea_box.mesh, truth)], CAMERA)
         rng = np.random.default_rng([3, k])
         there = seen.depth > 0
         behind = np.where(there, seen.depth, np.float32(1.1))

@@ -88,6 +88,13 @@ def _fill(
 
 
 @jit
+def _between(a: float, b: float, c: float, middle: float) -> bool:
+    """Whether no whole number lies among three coordinates, which are from `middle` on: a triangle with such
+    corners lies between two rows or columns of pixels."""
+    return math.floor(max(a, b, c) + middle + EDGE) < min(a, b, c) + middle - EDGE
+
+
+@jit
 def rasterise(
     points: Float64,
     faces: Int32,
@@ -129,6 +136,10 @@ def rasterise(
             if across * (flat[c, 1] - flat[a, 1]) - down * (flat[c, 0] - flat[a, 0]) > 0.0:
                 continue
         if front == 3:
+            if _between(flat[a, 1], flat[b, 1], flat[c, 1], cy) or _between(
+                flat[a, 0], flat[b, 0], flat[c, 0], cx
+            ):
+                continue
             for k in range(3):
                 triangle[0, k], triangle[1, k], triangle[2, k] = flat[a, k], flat[b, k], flat[c, k]
             box = _fill(triangle, cx, cy, f, index, inverse, faces_out, owner)

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Int32
-from huepose.support.jit import jit
+from huepose.support.jit import jit, jit_dividing
 
 THRESHOLD, NOISE_FACTOR, MAX_THRESHOLD = 2.0, 3.0, 8.0
 """Smallest magnitude of a ridge, CIELAB units per pixel, on a clean image; on a noisy one it is so many times
@@ -101,14 +101,15 @@ def find_ridges(gradient: Gradient, mask: Bool | None = None) -> Ridges:
     offsets = _suppress(gradient.magnitude, gradient.direction, allowed, threshold)
     is_ridge = long_enough(~np.isnan(offsets))
     counts = _associate(gradient.magnitude, is_ridge, threshold, MEMBER_SHARE)
-    # rows one after the other also where there are none: kernels are compiled for a layout
-    cells = np.argwhere(is_ridge).astype(np.int32, order="C")
-    v, u = cells[:, 0], cells[:, 1]
-    directions = gradient.direction[v, u]
-    pixels = np.stack([u, v], 1).astype(np.float32) + offsets[v, u][:, None] * directions
+    flat = np.flatnonzero(is_ridge)
+    v, u = np.divmod(flat, is_ridge.shape[1])
+    cells = np.stack([v, u], 1).astype(np.int32)
+    directions = gradient.direction.reshape(-1, 2)[flat]
+    pixels = np.stack([u, v], 1).astype(np.float32) + offsets.ravel()[flat][:, None] * directions
     # a diagonal line has fewer ridge pixels to a length: each stands for more of the region
-    widths = _local_mean(counts, cells, SMOOTHING_PX) * np.abs(directions).max(1)
-    return Ridges(cells, pixels, directions, gradient.magnitude[v, u], widths)
+    across = np.abs(directions)
+    widths = _local_mean(counts, cells, SMOOTHING_PX) * np.maximum(across[:, 0], across[:, 1])
+    return Ridges(cells, pixels, directions, gradient.magnitude.ravel()[flat], widths)
 
 
 def _noise_threshold(magnitudes: Float32) -> float:
@@ -123,10 +124,9 @@ def _noise_threshold(magnitudes: Float32) -> float:
 
 def long_enough(is_ridge: Bool) -> Bool:
     """The ridge pixels (H, W) in 8-connected lines of at least MIN_LENGTH."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(is_ridge.astype(np.uint8), connectivity=8)
-    keep = stats[:, cv2.CC_STAT_AREA] >= MIN_LENGTH
-    keep[0] = False
-    return np.asarray(keep[labels])
+    count, labels = cv2.connectedComponents(is_ridge.view(np.uint8), connectivity=8)
+    lengths = np.bincount(labels[is_ridge], minlength=count)
+    return np.asarray((lengths >= MIN_LENGTH)[labels])
 
 
 @jit
@@ -165,52 +165,52 @@ def _suppress(magnitude: Float32, direction: Float32, allowed: Bool, threshold: 
     return out
 
 
+@jit_dividing
+def _strongest(magnitude: Float32, is_ridge: Bool) -> Int32:
+    """(H, W) int32: where the neighbour is that takes a pixel, in pixels of reading order from it; 0 where
+    none does and at the outermost pixels.
+
+    A ridge beside it that is as strong as every other neighbour takes it, else the strongest does, if it is
+    stronger than the pixel itself.
+    """
+    height, width = magnitude.shape
+    none = np.float32(-1.0)
+    # the ridges and the others, each without the rest: so nothing branches, and pixels are compared together
+    planes = np.empty((2, height, width), np.float32)
+    for v in range(height):
+        for u in range(width):
+            planes[0, v, u] = magnitude[v, u] if is_ridge[v, u] else none
+            planes[1, v, u] = none if is_ridge[v, u] else magnitude[v, u]
+    step = np.zeros((height, width), np.int32)
+    for v in range(1, height - 1):
+        for u in range(1, width - 1):
+            best, at = none, np.int32(0)
+            for p in range(2):
+                for k in (4, 0, 1, 2, 3, 5, 6, 7, 8):  # of equal ones the first counts: the pixel itself
+                    dv, du = k // 3 - 1, k % 3 - 1
+                    there = planes[p, v + dv, u + du]
+                    at = np.int32(dv * width + du) if there > best else at
+                    best = max(best, there)
+            step[v, u] = at
+    return step
+
+
 @jit
 def _associate(magnitude: Float32, is_ridge: Bool, threshold: float, member_share: float) -> Int32:
     """(H, W) int32: how many pixels end on each ridge point, itself included; 0 elsewhere."""
-    height, width = magnitude.shape
+    step = _strongest(magnitude, is_ridge).ravel()
+    strength, ridge = magnitude.ravel(), is_ridge.ravel()
     floor = threshold * member_share
-    target = np.full(height * width, -1, np.int32)
-    for v in range(1, height - 1):
-        for u in range(1, width - 1):
-            m = magnitude[v, u]
-            i = v * width + u
-            if is_ridge[v, u]:
-                target[i] = i
-                continue
-            if m < floor:
-                continue
-            # A ridge beside it that is as strong as every other neighbour takes it, else the strongest does.
-            best = m
-            best_ridge = np.float32(-1.0)
-            at_ridge = -1
-            at = -1
-            for y in range(v - 1, v + 2):
-                for x in range(u - 1, u + 2):
-                    n = magnitude[y, x]
-                    if is_ridge[y, x]:
-                        if n > best_ridge and n >= m:
-                            best_ridge = n
-                            at_ridge = y * width + x
-                    elif n > best:
-                        best = n
-                        at = y * width + x
-            if at_ridge >= 0 and best_ridge >= best:
-                target[i] = at_ridge
-            elif at >= 0:
-                target[i] = at
-    counts = np.zeros((height, width), np.int32)
-    for i in range(height * width):
-        j = target[i]
-        if j < 0:
+    counts = np.zeros(is_ridge.shape, np.int32)
+    ends = counts.ravel()
+    for i in range(len(step)):
+        if strength[i] < floor:
             continue
-        while j >= 0 and target[j] != j:
-            j = target[j]
-        if j < 0:
-            continue
-        y, x = j // width, j % width
-        if magnitude[i // width, i % width] >= member_share * magnitude[y, x]:
-            counts[y, x] += 1
+        j = i
+        while not ridge[j] and step[j] != 0:
+            j += step[j]
+        if ridge[j] and strength[i] >= member_share * strength[j]:
+            ends[j] += 1
     return counts
 
 

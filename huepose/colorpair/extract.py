@@ -35,9 +35,6 @@ MASK_SHARE = 200
 LEAST_SIDE_PX = 8
 """No pairs are looked for in a smaller picture."""
 
-MIN_CONTRAST = 6.0
-"""Smallest CIELAB distance of the two colours of a pair."""
-
 
 def to_lab(color: UInt8) -> Float32:
     """CIELAB (H, W, 3) float32, L 0..100, of an sRGB image (H, W, 3) uint8."""
@@ -142,28 +139,11 @@ def extract(
 def _extract(lab: Float32, mask: Bool, spacing: float, max_pairs: int) -> ColorPairs:
     """Colour pairs of a denoised CIELAB image (H, W, 3), in its own pixels."""
     ridges = find_ridges(unified_gradient(lab), mask)
-    order = np.argsort(-ridges.strengths, kind="stable")
-    ridges = _take(ridges, order)
-    colors, valid = sample_sides(lab, ridges, mask)
-    contrast = np.linalg.norm(colors[:, 1] - colors[:, 0], axis=1)
-    valid &= contrast >= MIN_CONTRAST
+    ridges = _take(ridges, np.argsort(-ridges.strengths, kind="stable"))
+    colors, valid = sample_sides(lab, ridges, mask, spacing, max_pairs)
     ridges, colors = _take(ridges, valid), colors[valid]
-    kept = thinned(ridges.pixels, lab.shape[0], lab.shape[1], spacing, max_pairs)
-    ridges, colors = _take(ridges, kept), colors[kept]
     angles = np.arctan2(ridges.directions[:, 1], ridges.directions[:, 0])
     return ColorPairs(ridges.pixels, angles.astype(np.float32), ridges.widths, colors)
-
-
-def thinned(pixels: Float32, height: int, width: int, spacing: float, limit: int) -> Bool:
-    """Which of the points (N, 2), best first, to keep so that none is nearer than `spacing` to a better one.
-
-    When more than `limit` are left, the spacing is made larger by a quarter until they are not.
-    """
-    while True:
-        kept = _thin(pixels, height, width, spacing)
-        if int(kept.sum()) <= limit:
-            return kept
-        spacing *= 1.25
 
 
 def _take(ridges: Ridges, index: np.ndarray) -> Ridges:
@@ -174,28 +154,3 @@ def _take(ridges: Ridges, index: np.ndarray) -> Ridges:
         ridges.strengths[index],
         ridges.widths[index],
     )
-
-
-@jit
-def _thin(pixels: Float32, height: int, width: int, spacing: float) -> Bool:
-    cell = spacing
-    rows, columns = int(height / cell) + 2, int(width / cell) + 2
-    head = np.full((rows, columns), -1, np.int32)
-    follow = np.full(pixels.shape[0], -1, np.int32)
-    kept = np.zeros(pixels.shape[0], np.bool_)
-    for i in range(pixels.shape[0]):
-        r, c = int(pixels[i, 1] / cell), int(pixels[i, 0] / cell)
-        free = True
-        for y in range(max(r - 1, 0), min(r + 2, rows)):
-            for x in range(max(c - 1, 0), min(c + 2, columns)):
-                j = head[y, x]
-                while j >= 0 and free:
-                    du, dv = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
-                    if du * du + dv * dv < spacing * spacing:
-                        free = False
-                    j = follow[j]
-        if free:
-            kept[i] = True
-            follow[i] = head[r, c]
-            head[r, c] = i
-    return kept

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.colorpair.ridges import Ridges
-from huepose.geometry.arrays import Bool, Float32, Float64
-from huepose.support.jit import jit
+from huepose.geometry.arrays import Bool, Float32, Float64, Int32
+from huepose.support.jit import jit_dividing
 
 DISTANCES = (0.6, 0.8, 1.0, 1.2, 1.4)
 """Of the candidates from the edge, in units of its thickness."""
@@ -31,58 +31,92 @@ FLOOR = 1.5
 MIN_CANDIDATES = 3
 """Fewest of a side that have to lie inside the mask."""
 
+MIN_CONTRAST = 6.0
+"""Smallest CIELAB distance of the two colours of a pair."""
 
-def sample_sides(lab: Float32, ridges: Ridges, mask: Bool | None = None) -> tuple[Float32, Bool]:
+
+def sample_sides(
+    lab: Float32,
+    ridges: Ridges,
+    mask: Bool | None = None,
+    spacing: float = 0.0,
+    limit: int | None = None,
+) -> tuple[Float32, Bool]:
     """Colours (N, 2, 3) float32 of the sides against and along each ridge's direction, and which are valid
-    (N,).
+    (N,): those of MIN_CONTRAST, none nearer than `spacing` pixels to a valid one before it.
 
-    `lab` (H, W, 3) float32 CIELAB; candidates outside the image or `mask` (H, W) are not used.
+    `lab` (H, W, 3) float32 CIELAB; candidates outside the image or `mask` (H, W) are not used. When more than
+    `limit` are valid, the spacing is made larger by a quarter until they are not.
     """
     allowed = np.ones(lab.shape[:2], np.bool_) if mask is None else np.ascontiguousarray(mask)
     widths = np.clip(ridges.widths, MIN_WIDTH_PX, MAX_WIDTH_PX).astype(np.float32)
-    return _sample(
-        np.ascontiguousarray(lab, np.float32),
-        allowed,
-        ridges.pixels,
-        ridges.directions,
-        widths,
-        np.asarray(DISTANCES, np.float32),
-        GATE_ALONG,
-        GATE_ACROSS,
-        FLOOR,
-        MIN_CANDIDATES,
-    )
+    while True:
+        colors, valid = _sample(
+            np.ascontiguousarray(lab, np.float32),
+            allowed,
+            ridges.pixels,
+            ridges.directions,
+            widths,
+            np.asarray(DISTANCES, np.float32),
+            spacing,
+        )
+        if limit is None or int(valid.sum()) <= limit:
+            return colors, valid
+        spacing *= 1.25
 
 
-@jit
+@jit_dividing
 def _median(values: Float64, n: int) -> float:
     """Median of the first n values, sorted in place."""
     for i in range(1, n):
         x = values[i]
-        j = i - 1
-        while j >= 0 and values[j] > x:
-            values[j + 1] = values[j]
-            j -= 1
-        values[j + 1] = x
+        # without a branch: there is no telling where x belongs
+        for j in range(i, 0, -1):
+            values[j], x = max(x, values[j - 1]), min(x, values[j - 1])
+        values[0] = x
     return float(0.5 * (values[(n - 1) // 2] + values[n // 2]))
 
 
-@jit
-def _whiten(cov: Float64, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Solve L w = (x, y, z) for the Cholesky factor L of a 3x3 covariance: the whitened vector."""
-    l00 = np.sqrt(cov[0, 0])
-    l10 = cov[1, 0] / l00
-    l20 = cov[2, 0] / l00
-    l11 = np.sqrt(cov[1, 1] - l10 * l10)
-    l21 = (cov[2, 1] - l20 * l10) / l11
-    l22 = np.sqrt(cov[2, 2] - l20 * l20 - l21 * l21)
-    w0 = x / l00
-    w1 = (y - l10 * w0) / l11
-    w2 = (z - l20 * w0 - l21 * w1) / l22
+@jit_dividing
+def _factor(cov: Float64, factor: Float64) -> None:
+    """The Cholesky factor L of a covariance (3, 3), as (6,): the inverses of its diagonal, then L10, L20,
+    L21."""
+    factor[0] = 1.0 / np.sqrt(cov[0, 0])
+    factor[3] = cov[1, 0] * factor[0]
+    factor[4] = cov[2, 0] * factor[0]
+    factor[1] = 1.0 / np.sqrt(cov[1, 1] - factor[3] * factor[3])
+    factor[5] = (cov[2, 1] - factor[4] * factor[3]) * factor[1]
+    factor[2] = 1.0 / np.sqrt(cov[2, 2] - factor[4] * factor[4] - factor[5] * factor[5])
+
+
+@jit_dividing
+def _whiten(factor: Float64, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Solve L w = (x, y, z) for a factor of `_factor`: the whitened vector."""
+    w0 = x * factor[0]
+    w1 = (y - factor[3] * w0) * factor[1]
+    w2 = (z - factor[4] * w0 - factor[5] * w1) * factor[2]
     return w0, w1, w2
 
 
-@jit
+@jit_dividing
+def _is_free(i: int, pixels: Float32, spacing: float, cell: float, head: Int32, follow: Int32) -> bool:
+    """Whether point i of (N, 2) is no nearer than `spacing` to any point that was put into the cells.
+
+    head (rows, columns): the last point of each cell; follow (N,): the one before each point; -1 for none.
+    """
+    r, c = int(pixels[i, 1] / cell), int(pixels[i, 0] / cell)
+    for y in range(max(r - 1, 0), min(r + 2, head.shape[0])):
+        for x in range(max(c - 1, 0), min(c + 2, head.shape[1])):
+            j = head[y, x]
+            while j >= 0:
+                du, dv = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
+                if du * du + dv * dv < spacing * spacing:
+                    return False
+                j = follow[j]
+    return True
+
+
+@jit_dividing
 def _sample(
     lab: Float32,
     allowed: Bool,
@@ -90,11 +124,9 @@ def _sample(
     directions: Float32,
     widths: Float32,
     distances: Float32,
-    gate_along: float,
-    gate_across: float,
-    floor: float,
-    min_candidates: int,
+    spacing: float,
 ) -> tuple[Float32, Bool]:
+    """See `sample_sides`; the colours of an edge beside a valid one are not looked for."""
     height, width = allowed.shape
     count, reach = pixels.shape[0], distances.shape[0]
     colors = np.zeros((count, 2, 3), np.float32)
@@ -104,10 +136,15 @@ def _sample(
     scratch = np.empty(2 * reach)
     medians = np.empty((2, 3))
     mean = np.empty(3)
-    cov = np.empty((3, 3))
+    cov, factor = np.empty((3, 3)), np.empty(6)
     along = np.empty((2, reach))
     across = np.empty((2, reach))
+    cell = max(spacing, 1.0)
+    head = np.full((int(height / cell) + 2, int(width / cell) + 2), -1, np.int32)
+    follow = np.full(count, -1, np.int32)
     for i in range(count):
+        if not _is_free(i, pixels, spacing, cell, head, follow):
+            continue
         usable = True
         for side in range(2):
             sign = -1.0 if side == 0 else 1.0
@@ -126,7 +163,7 @@ def _sample(
                     low = lab[v + 1, u, q] * (1 - fu) + lab[v + 1, u + 1, q] * fu
                     c[side, n[side], q] = top * (1 - fv) + low * fv
                 n[side] += 1
-            if n[side] < min_candidates:
+            if n[side] < MIN_CANDIDATES:
                 usable = False
                 break
         if not usable:
@@ -145,9 +182,13 @@ def _sample(
                 for side in range(2):
                     for k in range(n[side]):
                         s += (c[side, k, p] - mean[p]) * (c[side, k, q] - mean[q])
-                cov[p, q] = s / total + (floor * floor if p == q else 0.0)
+                cov[p, q] = s / total + (FLOOR * FLOOR if p == q else 0.0)
+        _factor(cov, factor)
         a0, a1, a2 = _whiten(
-            cov, medians[1, 0] - medians[0, 0], medians[1, 1] - medians[0, 1], medians[1, 2] - medians[0, 2]
+            factor,
+            medians[1, 0] - medians[0, 0],
+            medians[1, 1] - medians[0, 1],
+            medians[1, 2] - medians[0, 2],
         )
         separation = np.sqrt(a0 * a0 + a1 * a1 + a2 * a2)
         if separation < 1e-6:
@@ -156,7 +197,7 @@ def _sample(
             for k in range(n[side]):
                 # relative to the side's own median: 0 along the axis means "as the side is"
                 w0, w1, w2 = _whiten(
-                    cov,
+                    factor,
                     c[side, k, 0] - medians[side, 0],
                     c[side, k, 1] - medians[side, 1],
                     c[side, k, 2] - medians[side, 2],
@@ -167,9 +208,15 @@ def _sample(
             for q in range(3):
                 kept = 0
                 for k in range(n[side]):
-                    if along[side, k] <= gate_along and across[side, k] <= gate_across:
+                    if along[side, k] <= GATE_ALONG and across[side, k] <= GATE_ACROSS:
                         scratch[kept] = c[side, k, q]
                         kept += 1
                 colors[i, side, q] = _median(scratch, kept) if kept else medians[side, q]
-        valid[i] = True
+        contrast = np.float32(0.0)
+        for q in range(3):
+            contrast += (colors[i, 1, q] - colors[i, 0, q]) ** 2
+        if np.sqrt(contrast) >= MIN_CONTRAST:
+            valid[i] = True
+            row, column = int(pixels[i, 1] / cell), int(pixels[i, 0] / cell)
+            follow[i], head[row, column] = head[row, column], i
     return colors, valid

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from huepose.colorpair.extract import denoise, extract, joint_bilateral, thinned, to_lab
+from huepose.colorpair.extract import denoise, extract, joint_bilateral, to_lab
 
 
 def test_a_constant_image_stays_what_it_is() -> None:
@@ -88,14 +88,6 @@ def test_a_gain_of_light_leaves_places_alone() -> None:
     bright, dark = extract(color), extract(dim)
     assert len(dark) == pytest.approx(len(bright), rel=0.2)
     assert (distance_to_outline(dark.pixels) < 1.5).mean() > 0.95
-
-
-def test_thinning_keeps_the_best_and_the_limit() -> None:
-    pixels = np.array([[10, 10], [11, 10], [14, 10], [30, 30]], np.float32)
-    assert thinned(pixels, 50, 50, 2.0, 10).tolist() == [True, False, True, True]
-    many = np.random.default_rng(0).uniform(0, 100, (2000, 2)).astype(np.float32)
-    kept = thinned(many, 100, 100, 1.0, 200)
-    assert 100 < kept.sum() <= 200
 
 
 def test_tiny_pictures_have_no_pairs() -> None:

@@ -57,3 +57,24 @@ def test_both_sides_must_lie_in_the_mask() -> None:
     mask = np.ones((60, 60), bool)
     mask[:, 31:] = False
     assert not sample_sides(lab, ridges, mask)[1].any()
+
+
+def test_thinning_keeps_the_first_and_the_limit() -> None:
+    lab = step()
+    ridges = find_ridges(unified_gradient(lab))
+    every = sample_sides(lab, ridges)[1]
+    colors, kept = sample_sides(lab, ridges, spacing=3.5)
+    places = ridges.pixels[kept]
+    apart = np.linalg.norm(places[:, None] - places, axis=-1) + 100.0 * np.eye(len(places))
+    assert apart.min() >= 3.5
+    assert kept.argmax() == every.argmax()
+    assert np.linalg.norm(ridges.pixels[every][:, None] - places, axis=-1).min(1).max() < 3.5
+    np.testing.assert_array_equal(colors[kept], sample_sides(lab, ridges)[0][kept])
+    assert 5 < sample_sides(lab, ridges, spacing=3.5, limit=10)[1].sum() <= 10
+
+
+def test_two_colours_that_are_nearly_one_are_no_pair() -> None:
+    lab = step()
+    ridges = find_ridges(unified_gradient(lab))
+    faint = LEFT.astype(np.float32) + 0.05 * (lab - LEFT.astype(np.float32))
+    assert not sample_sides(faint, ridges)[1].any()

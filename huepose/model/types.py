@@ -37,6 +37,11 @@ class Surface:
     visible: Int32
     offsets: Int32
 
+    @cached_property
+    def bounds(self) -> Float32:
+        """Least and greatest coordinates (2, 3), which everyone shares: not to be written to."""
+        return np.stack([self.points.min(0), self.points.max(0)])
+
 
 @dataclass(frozen=True, eq=False)
 class DistanceGrid:

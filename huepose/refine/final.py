@@ -174,7 +174,7 @@ def align_edges(
     if not len(model.points):
         return EdgeAlignment(start, 0)
     T = start.copy()
-    low, high = surface.points.min(0).astype(np.float64), surface.points.max(0).astype(np.float64)
+    low, high = surface.bounds.astype(np.float64)
     factors = _Factors(
         model,
         edges,

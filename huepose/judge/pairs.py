@@ -13,7 +13,7 @@ import numpy as np
 
 from huepose.colorpair.lifting import MIN_FACING
 from huepose.colorpair.opponents import opponents_of_bytes, opponents_of_lab
-from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import PLAIN
 from huepose.judge.region import Crop, RegionArrays, tolerance_at
@@ -71,65 +71,87 @@ class PairPicture(NamedTuple):
     sv: float
 
 
+class PairsRead(NamedTuple):
+    """What a picture shows of a model's pairs: which (N,) of them; facing (N,): cosine between surface normal
+    and line of sight; colors (N, 2, 3): opponents of both sides."""
+
+    which: Int64
+    facing: Float64
+    colors: Float64
+
+
 @jit
-def read_pair(
-    T: Float64, i: int, region: RegionArrays, pairs: PairArrays, picture: PairPicture, read: Float64
-) -> float:
-    """Read the picture on both sides of pair `i` into `read` (2, 3). Returns the cosine between surface
-    normal and line of sight, 0 if the pair is not visible."""
+def room_for(pairs: PairArrays) -> PairsRead:
+    """To be filled by `read_pairs`."""
+    count = pairs.points.shape[0]
+    return PairsRead(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
+
+
+@jit
+def read_pairs(
+    T: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, found: PairsRead
+) -> int:
+    """Read the picture on both sides of all pairs that are visible at a pose (4, 4), into the first rows of
+    `found`; returns how many these are. All in one call: handing on so many arrays for each pair costs more
+    than reading it."""
     points, normals, tangents = pairs.points, pairs.normals, pairs.tangents
     depth, shown = region.depth, picture.colors
     height, width = depth.shape
     rows, columns = shown.shape[0], shown.shape[1]
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
-    p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
-    n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
-    x = r00 * p0 + r01 * p1 + r02 * p2 + t0
-    y = r10 * p0 + r11 * p1 + r12 * p2 + t1
-    z = r20 * p0 + r21 * p1 + r22 * p2 + t2
-    if z < NEAREST_M:
-        return 0.0
-    away = (
-        (r00 * n0 + r01 * n1 + r02 * n2) * x
-        + (r10 * n0 + r11 * n1 + r12 * n2) * y
-        + (r20 * n0 + r21 * n1 + r22 * n2) * z
-    )
-    facing = -away / np.sqrt(x * x + y * y + z * z)
-    if facing < MIN_FACING:
-        return 0.0
-    uf, vf = x / z * region.fx + region.cx, y / z * region.fy + region.cy
-    if uf < 0.0 or vf < 0.0 or uf > width - 1.0 or vf > height - 1.0:
-        return 0.0
-    observed = depth[int(vf + 0.5), int(uf + 0.5)]
-    if observed <= 0.0 or abs(observed - z) * facing > tolerance_at(region.tolerance, region.sigmas, z):
-        return 0.0
-    q0, q1, q2 = tangents[i, 0] * pairs.reach, tangents[i, 1] * pairs.reach, tangents[i, 2] * pairs.reach
-    s0 = r00 * q0 + r01 * q1 + r02 * q2
-    s1 = r10 * q0 + r11 * q1 + r12 * q2
-    s2 = r20 * q0 + r21 * q1 + r22 * q2
-    for side in range(2):
-        sign = -1.0 if side == 0 else 1.0
-        w = z + sign * s2
-        uf = (x + sign * s0) / w * region.fx + region.cx
-        vf = (y + sign * s1) / w * region.fy + region.cy
+    n = 0
+    for i in range(points.shape[0]):
+        p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
+        n0, n1, n2 = normals[i, 0], normals[i, 1], normals[i, 2]
+        x = r00 * p0 + r01 * p1 + r02 * p2 + t0
+        y = r10 * p0 + r11 * p1 + r12 * p2 + t1
+        z = r20 * p0 + r21 * p1 + r22 * p2 + t2
+        if z < NEAREST_M:
+            continue
+        away = (
+            (r00 * n0 + r01 * n1 + r02 * n2) * x
+            + (r10 * n0 + r11 * n1 + r12 * n2) * y
+            + (r20 * n0 + r21 * n1 + r22 * n2) * z
+        )
+        facing = -away / np.sqrt(x * x + y * y + z * z)
+        if facing < MIN_FACING:
+            continue
+        uf, vf = x / z * region.fx + region.cx, y / z * region.fy + region.cy
         if uf < 0.0 or vf < 0.0 or uf > width - 1.0 or vf > height - 1.0:
-            return 0.0
-        if region.saturated[int(vf + 0.5), int(uf + 0.5)]:
-            return 0.0
-        uf = (uf + 0.5) / picture.su - 0.5
-        vf = (vf + 0.5) / picture.sv - 0.5
-        u, v = min(max(int(uf), 0), columns - 2), min(max(int(vf), 0), rows - 2)
-        a, b = min(max(uf - u, 0.0), 1.0), min(max(vf - v, 0.0), 1.0)
-        c00, c01, c10, c11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
-        for c in range(3):
-            read[side, c] = (
-                c00 * shown[v, u, c]
-                + c01 * shown[v, u + 1, c]
-                + c10 * shown[v + 1, u, c]
-                + c11 * shown[v + 1, u + 1, c]
-            )
-    return float(facing)
+            continue
+        observed = depth[int(vf + 0.5), int(uf + 0.5)]
+        if observed <= 0.0 or abs(observed - z) * facing > tolerance_at(region.tolerance, region.sigmas, z):
+            continue
+        q0, q1, q2 = tangents[i, 0] * pairs.reach, tangents[i, 1] * pairs.reach, tangents[i, 2] * pairs.reach
+        s0 = r00 * q0 + r01 * q1 + r02 * q2
+        s1 = r10 * q0 + r11 * q1 + r12 * q2
+        s2 = r20 * q0 + r21 * q1 + r22 * q2
+        for side in range(2):
+            sign = -1.0 if side == 0 else 1.0
+            w = z + sign * s2
+            uf = (x + sign * s0) / w * region.fx + region.cx
+            vf = (y + sign * s1) / w * region.fy + region.cy
+            if uf < 0.0 or vf < 0.0 or uf > width - 1.0 or vf > height - 1.0:
+                break
+            if region.saturated[int(vf + 0.5), int(uf + 0.5)]:
+                break
+            uf = (uf + 0.5) / picture.su - 0.5
+            vf = (vf + 0.5) / picture.sv - 0.5
+            u, v = min(max(int(uf), 0), columns - 2), min(max(int(vf), 0), rows - 2)
+            a, b = min(max(uf - u, 0.0), 1.0), min(max(vf - v, 0.0), 1.0)
+            c00, c01, c10, c11 = (1 - a) * (1 - b), a * (1 - b), (1 - a) * b, a * b
+            for c in range(3):
+                found.colors[n, side, c] = (
+                    c00 * shown[v, u, c]
+                    + c01 * shown[v, u + 1, c]
+                    + c10 * shown[v + 1, u, c]
+                    + c11 * shown[v + 1, u + 1, c]
+                )
+        else:
+            found.which[n], found.facing[n] = i, facing
+            n += 1
+    return n
 
 
 def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPicture:

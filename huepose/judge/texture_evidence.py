@@ -30,7 +30,8 @@ from huepose.judge.pairs import (
     PairArrays,
     PairPicture,
     pair_arrays,
-    read_pair,
+    read_pairs,
+    room_for,
 )
 from huepose.judge.region import Region, RegionArrays, model_arrays, nearest_view, region_arrays, tolerance_at
 from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS
@@ -195,11 +196,9 @@ def _compare_contrasts(
 ) -> None:
     """Of each pair that is seen, how clear its contrast is on the texture and in the picture, how strong it
     is on the texture, and whether the picture's points elsewhere."""
-    read = np.empty((2, 3))
-    for i in range(pairs.points.shape[0]):
-        facing = read_pair(T, i, region, pairs, picture, read)
-        if facing == 0.0:
-            continue
+    found = room_for(pairs)
+    for k in range(read_pairs(T, region, pairs, picture, found)):
+        i, facing, read = found.which[k], found.facing[k], found.colors[k]
         mm, ss, dot = 1e-12, 0.0, 0.0
         for c in range(3):
             w = CONTRAST_LIGHTNESS if c == 0 else 1.0
@@ -247,17 +246,13 @@ def _agree_all(
     poses: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, out: Float64
 ) -> None:
     count = pairs.points.shape[0]
-    weights, model, seen = np.empty(count), np.empty((count, 2, 3)), np.empty((count, 2, 3))
+    found, model = room_for(pairs), np.empty((count, 2, 3))
     for m in range(poses.shape[0]):
-        n = 0
-        for i in range(count):
-            facing = read_pair(poses[m], i, region, pairs, picture, seen[n])
-            if facing > 0.0:
-                weights[n] = facing
-                model[n] = pairs.colors[i]
-                n += 1
+        n = read_pairs(poses[m], region, pairs, picture, found)
+        for k in range(n):
+            model[k] = pairs.colors[found.which[k]]
         if n >= FEWEST_PAIRS:
-            w, ours, theirs = weights[:n], model[:n], seen[:n]
+            w, ours, theirs = found.facing[:n], model[:n], found.colors[:n]
             shares = _agreed_contrasts(w, ours, theirs) + _agreed_colors(w, ours, theirs)
             out[m] = n / (n + PAIR_FEW) * shares
 

@@ -14,7 +14,15 @@ import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
-from huepose.judge.pairs import PAIR_WEIGHTS, PairArrays, PairPicture, PairWeights, pair_arrays, read_pair
+from huepose.judge.pairs import (
+    PAIR_WEIGHTS,
+    PairArrays,
+    PairPicture,
+    PairWeights,
+    pair_arrays,
+    read_pairs,
+    room_for,
+)
 from huepose.judge.region import ModelArrays, Region, RegionArrays, model_arrays, region_arrays
 from huepose.judge.terms import DEFAULT_WEIGHTS, ScoreWeights
 from huepose.model.types import ReferenceModel
@@ -91,13 +99,10 @@ def _read_pairs(
     """Sums over the visible pairs into `moments` (6, 5): rows 0..2 of both sides' channels (weight, model,
     image and so on as below), rows 3..5 of the differences between the sides. Returns how many were
     visible."""
-    colors, read = pairs.colors, np.empty((2, 3))
-    visible = 0
-    for i in range(pairs.points.shape[0]):
-        facing = read_pair(T, i, region, pairs, picture, read)
-        if facing == 0.0:
-            continue
-        visible += 1
+    colors, found = pairs.colors, room_for(pairs)
+    visible = read_pairs(T, region, pairs, picture, found)
+    for k in range(visible):
+        i, facing, read = found.which[k], found.facing[k], found.colors[k]
         for c in range(3):
             for side in range(2):
                 m, s = colors[i, side, c], read[side, c]

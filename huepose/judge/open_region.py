@@ -12,6 +12,7 @@ in an open region closely, `totals` many quickly."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -163,7 +164,12 @@ class PreparedSurface:
 
     def centre_cam(self, T_cam_obj: Float) -> Float64:
         """The object's centre (3,) in camera axes."""
-        return np.asarray(T_cam_obj[:3, :3] @ self.arrays.centre + T_cam_obj[:3, 3], np.float64)
+        return np.asarray(T_cam_obj[:3].dot(self._centre), np.float64)
+
+    @cached_property
+    def _centre(self) -> Float64:
+        """In object axes, homogeneous (4,): a pose takes it along in one product."""
+        return np.append(self.arrays.centre, 1.0)
 
     def view_of(self, T_cam_obj: Float) -> int:
         """The view of the model that is nearest to that of a pose."""

@@ -84,7 +84,8 @@ PLAINLY_RIGHT, CLEAR_MARGIN = 1.9, 0.12
 rotations are so much worse; its margin counts no more than that then. Chosen."""
 
 CONFIRM_TURNS, CONFIRM_DEG = 3, (3.0, 1.0)
-"""Near-symmetric rotations of a prior that are searched, and the steps in degrees. Chosen."""
+"""Near-symmetric rotations of a prior that are searched, each a pose of its own, and the steps in degrees.
+Chosen."""
 
 
 def answered(
@@ -251,18 +252,28 @@ def looks_in_full(frame_id: int, every: int) -> bool:
 
 def confirm(model: ReferenceModel, region: Region, prior: Ranked) -> Ranked:
     """The refined prior first, then its best different near-symmetric rotations; none when the prior is not
-    plainly right."""
+    plainly right. A search that leads back to the prior, or to a pose that looks the same, says nothing else,
+    be it a little better."""
     if prior.totals[0] < PLAINLY_RIGHT:
         return NONE
+    alike = prior.poses[0] @ model.equivalents
     rotated = prior.poses[0] @ model.near_symmetries[1:]
     first = score_many(model, region, rotated, COARSE_SAMPLES)[:, 0]
-    best = np.argsort(-first, kind="stable")[:CONFIRM_TURNS]
+    best = _others(model, alike, rotated, first)[:CONFIRM_TURNS]
     searched, totals = search(model, region, rotated[best], CONFIRM_DEG, CLOSE_SAMPLES, race=RACE)
-    poses, totals = np.concatenate([prior.poses, searched]), np.concatenate([prior.totals, totals])
-    order = different_poses(model, poses, totals, len(poses), FINAL_TURN_RAD, FINAL_SHIFT)
-    ranked, _ = in_their_light(model, region, Ranked.of(poses[order], totals[order]))
+    others = _others(model, alike, searched, totals)
+    found = np.concatenate([prior.poses, searched[others]]), np.append(prior.totals, totals[others])
+    ranked, _ = in_their_light(model, region, Ranked.of(*found))
     clear = len(ranked) == 1 or ranked.behind[1] >= CLEAR_MARGIN
     return ranked if clear and np.array_equal(ranked.poses[0], prior.poses[0]) else NONE
+
+
+def _others(model: ReferenceModel, known: Float64, poses: Float64, totals: Float64) -> Int64:
+    """Indices of those poses (N, 4, 4), best total first, that differ from the known ones (K, 4, 4) and from
+    all better ones."""
+    every, first = np.concatenate([known, poses]), np.append(np.full(len(known), np.inf), totals)
+    order = different_poses(model, every, first, len(every), FINAL_TURN_RAD, FINAL_SHIFT)
+    return order[order >= len(known)] - len(known)
 
 
 def _icp(

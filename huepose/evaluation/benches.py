@@ -12,7 +12,9 @@ import numpy as np
 
 from huepose.datasets.boxes import disturbed
 from huepose.datasets.types import GroundTruth
-from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
+from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery, PosePrior
+from huepose.estimation.answer import looks_in_full
+from huepose.geometry import se3
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
@@ -27,6 +29,9 @@ from huepose.tracking.types import Correction
 
 ESTIMATED, TRACKED = 12, 120
 """Frames that are measured."""
+
+TRACKED_SIGMA = np.repeat([0.002, 0.01], 3)
+"""How far the priors of tracked objects are off, metres and radians: about as far as those of a tracker."""
 
 AT_ONCE = 2
 """Objects that a running pipeline asks for at once, by default (reinit.objects_per_tick)."""
@@ -70,16 +75,21 @@ def bench_estimate(
     scene: SyntheticScene, models: Mapping[str, ReferenceModel], config: EstimatorConfig
 ) -> list[StageTime]:
     """All objects of the scene in disturbed true boxes, frame by frame: `estimate` as a whole on two threads,
-    then each of its stages on one, summed over the objects of a frame."""
+    then each of its stages on one, summed over the objects of a frame. `estimate tracked`: with priors near
+    their true poses instead of boxes, in a frame that is not one of those that are looked at in full."""
     estimator = Estimator(models, replace(config, threads=2))
     alone = Estimator(models, replace(config, threads=1))
-    rows: dict[str, list[tuple[float, float]]] = {"estimate": []}
+    rows: dict[str, list[tuple[float, float]]] = {"estimate": [], "estimate tracked": []}
     first_s = allocated = 0.0
+    rng, in_part = np.random.default_rng(0), _not_in_full(config.look_anew_every)
     steps = np.linspace(0, len(scene), ESTIMATED + 1, endpoint=False).astype(int)
     for k, i in enumerate(progress(steps, f"estimating ({config.method})")):
-        frame, queries = scene.frame(int(i)), []
+        frame, queries, tracked = scene.frame(int(i)), [], []
         for truth in scene.truths(int(i)):
             if truth.box_visib is not None and truth.object is not None:
+                if truth.T_cam_obj is not None:
+                    near = PosePrior(se3.perturb(truth.T_cam_obj, rng.normal(0.0, TRACKED_SIGMA)))
+                    tracked.append(ObjectQuery(truth.object, prior=near))
                 where = ("bench", int(i), truth.instance)
                 box = disturbed(truth.box_visib, "perturbed", 0, *where, frame.camera)
                 queries.append(ObjectQuery(truth.object, box))
@@ -90,10 +100,17 @@ def bench_estimate(
             first_s = whole[0]
             continue
         rows["estimate"].append(whole)
+        followed = partial(estimator.estimate, replace(frame, frame_id=in_part), tracked)
+        rows["estimate tracked"].append(_timed(followed))
         _collect(rows, "estimate", clock)
         if k == 1:
             allocated = _allocated_mib(partial(estimator.estimate, frame, queries))
     return _stages(rows, {"estimate": (first_s, allocated)})
+
+
+def _not_in_full(every: int) -> int:
+    """The number of a frame that is not looked at in full, if there are such frames."""
+    return next((k for k in range(every * every) if not looks_in_full(k, every)), 0)
 
 
 def bench_track(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from huepose.datasets.types import GroundTruth
-from huepose.evaluation.benches import StageTime, _taken_out, bench_perception
+from huepose.estimation import EstimatorConfig
+from huepose.evaluation.benches import StageTime, _taken_out, bench_estimate, bench_perception
 from huepose.geometry import Box
 from huepose.rendering.render import render_depth
 
@@ -44,6 +45,15 @@ def test_every_stage_is_measured_and_the_missing_object_is_missing(tea_box, box_
     out = _taken_out(box_frame, truth)
     assert not out.depth[mask].any()
     assert np.array_equal(out.depth[~mask], box_frame.depth[~mask])
+
+
+def test_tracked_objects_are_estimated_without_a_search(tea_box, box_frame, standing) -> None:
+    mask = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
+    truth = GroundTruth(0, standing, object="tea_box", box_visib=Box.of_mask(mask), mask_loader=lambda: mask)
+    timed = bench_estimate(Still(box_frame, truth), {"tea_box": tea_box}, EstimatorConfig())
+    stages = {stage.name: stage for stage in timed}
+    assert {"estimate", "estimate tracked", "estimate/retrieval", "estimate/answer"} <= set(stages)
+    assert 0.0 < stages["estimate tracked"].cpu_ms_p50 < stages["estimate"].cpu_ms_p50
 
 
 def test_percentiles_are_in_milliseconds():

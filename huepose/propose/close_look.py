@@ -37,8 +37,13 @@ COLOR_WEIGHT, BOX_WEIGHT, OCCLUDED_WEIGHT = 0.7, 1.4, 0.1
 CHANNEL_WEIGHTS = np.array([0.4, 1.0, 1.0])
 """Of the correlation of lightness, in which shading is, red-green and yellow-blue."""
 
-CHANNEL_FLOOR = 3.0
-"""Opponent units, added to the spreads of a channel: keeps the correlation of plain cells low."""
+CHANNEL_FLOOR, PLAIN = 3.0, 4.0
+"""Opponent units, added to the spreads of a channel and to the sum of the channels' weights: keep the
+correlation of plain cells low. Chosen."""
+
+MARGIN = 0.15
+"""Share of the covered cells, added in ratios to those that fit or are seen through: a template with little
+in view explains little. As `judge.kernel.MARGIN`."""
 
 TOLERANCE, MIN_TOLERANCE_MM = 0.05, 8.0
 """Largest difference of a fitting cell, the larger of this share of the diameter and these millimetres."""
@@ -49,8 +54,9 @@ MAX_OFFSET = 0.75
 BINS = 64
 """Of the histogram of depth offsets."""
 
-FEWEST = 4
-"""Cells that have to be known for a score, and to fit for a correlation."""
+FEWEST, NO_SCORE = 4, -9.0
+"""Cells that have to be known for a score, and to fit for a correlation; the score where fewer are known,
+which is under all others."""
 
 UNKNOWN_MM, KNOWN_MM = np.float32(1e9), np.float32(5e8)
 """Relief of a cell of which nothing is known; what is nearer than the second is known."""
@@ -158,7 +164,7 @@ def _check(
         first, count = starts[i], starts[i + 1] - starts[i]
         _find(places, first, count, wide, y * wide + x, scratch.where)
         if _differ(values, first, count, canvas.relief.reshape(-1), max_offset, scratch) < FEWEST:
-            scores[k] = -9.0
+            scores[k] = NO_SCORE
             continue
         offset = offsets[k] = _mode(scratch, count, tolerance, max_offset)
         fit, fitting, occluded, violated = _agreement(scratch, count, offset, tolerance)
@@ -168,7 +174,7 @@ def _check(
         box = 0.0
         if fitting > 0.0:
             box = _box_iou(places, first, count, scratch.near, side, x, y, canvas.bounds)
-        judged = fitting + violated + 0.15 * covered[i]
+        judged = fitting + violated + MARGIN * covered[i]
         scores[k] = (
             (FIT_WEIGHT * fit - VIOLATION_WEIGHT * violated) / judged
             + COLOR_WEIGHT * color
@@ -276,7 +282,7 @@ def _color(
         colors[n], colors[second + n] = shown[p], shown[p + np.uint64(1)]
         colors[third + n] = shown[p + np.uint64(2)]
     zero, each, unit = np.float32(0.0), np.float32(1.0 / fitting), np.float32(1.0 / STEPS)
-    agreed, weights = 0.0, 4.0
+    agreed, weights = 0.0, PLAIN
     for q in range(np.uint64(3)):
         row, seen = np.uint64(4 * first) + q * second, q * second
         s_t, s_i, s_tt, s_ii, s_ti = zero, zero, zero, zero, zero

@@ -64,7 +64,9 @@ class _Session:
 
     def __getattr__(self, name: str) -> Any:
         return lambda *_, **__: SimpleNamespace(
-            matching_status=SimpleNamespace(matching=False), put=lambda *_, **__: None
+            matching_status=SimpleNamespace(matching=False),
+            put=lambda *_, **__: None,
+            declare_subscriber=lambda *_, **__: None,
         )
 
 
@@ -83,6 +85,10 @@ class _Inbox(Inbox):
     def queue(self, key: str, *arguments: Any, **named: Any) -> Any:
         self._key = key
         return super().queue(key, *arguments, **named)
+
+    def liveliness(self, key: str) -> Any:
+        self._key = key
+        return super().liveliness(key)
 
     def _start(self, subscriber: Any, place: Any) -> None:
         self.places[place] = self._key

@@ -50,15 +50,10 @@ def sample_sides(
     """
     allowed = np.ones(lab.shape[:2], np.bool_) if mask is None else np.ascontiguousarray(mask)
     widths = np.clip(ridges.widths, MIN_WIDTH_PX, MAX_WIDTH_PX).astype(np.float32)
+    picture, distances = np.ascontiguousarray(lab, np.float32), np.asarray(DISTANCES, np.float32)
     while True:
         colors, valid = _sample(
-            np.ascontiguousarray(lab, np.float32),
-            allowed,
-            ridges.pixels,
-            ridges.directions,
-            widths,
-            np.asarray(DISTANCES, np.float32),
-            spacing,
+            picture, allowed, ridges.pixels, ridges.directions, widths, distances, spacing
         )
         if limit is None or int(valid.sum()) <= limit:
             return colors, valid

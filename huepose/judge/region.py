@@ -322,7 +322,7 @@ def model_arrays(model: ReferenceModel) -> ModelArrays:
         g.origin,
         float(g.step),
         g.nearest,
-        0.5 * (s.points.min(0) + s.points.max(0)).astype(np.float64),
+        s.centre,
     )
 
 

@@ -42,6 +42,11 @@ class Surface:
         """Least and greatest coordinates (2, 3), which everyone shares: not to be written to."""
         return np.stack([self.points.min(0), self.points.max(0)])
 
+    @cached_property
+    def centre(self) -> Float64:
+        """Middle of the bounds (3,), which everyone shares: not to be written to."""
+        return np.asarray(0.5 * (self.bounds[0] + self.bounds[1]), dtype=np.float64)
+
 
 @dataclass(frozen=True, eq=False)
 class DistanceGrid:

@@ -132,9 +132,14 @@ def check_templates(
     scores, offsets = np.zeros(len(templates)), np.zeros(len(templates))
     diameter_mm = table.diameter_m * MILLIMETRES
     capacity = table.side * table.side + BESIDE
-    numbers = [np.empty(size * capacity, np.float32) for size in (1, 1, 3)]
-    bins, histogram = np.empty(capacity, np.int32), np.empty(2 * (BINS + 2), np.int32)
-    scratch = _Scratch(np.empty(capacity, np.int64), numbers[0], bins, histogram, *numbers[1:])
+    scratch = _Scratch(
+        where=np.empty(capacity, np.int64),
+        differences=np.empty(capacity, np.float32),
+        bins=np.empty(capacity, np.int32),
+        histogram=np.empty(2 * (BINS + 2), np.int32),
+        near=np.empty(capacity, np.float32),
+        colors=np.empty(3 * capacity, np.float32),
+    )
     _check(
         table.starts, table.covered, table.places, table.values, table.side, canvas, templates, corners,
         max(TOLERANCE * diameter_mm, MIN_TOLERANCE_MM), MAX_OFFSET * diameter_mm, scratch, scores, offsets,

@@ -48,8 +48,7 @@ def depth_image(depth: Float32, camera: Camera) -> DepthImage:
 
 def depth_samples(surface: Surface, T_cam_obj: Float64, count: int, weight: float) -> DepthSamples:
     """At most `count` samples of a surface that a view from the camera's side shows."""
-    middle = 0.5 * (surface.bounds[0] + surface.bounds[1]).astype(np.float64)
-    looked = -T_cam_obj[:3, :3].T @ (T_cam_obj[:3, :3] @ middle + T_cam_obj[:3, 3])
+    looked = -T_cam_obj[:3, :3].T @ (T_cam_obj[:3, :3] @ surface.centre + T_cam_obj[:3, 3])
     view = int(np.argmax(surface.directions @ looked))
     shown = surface.visible[surface.offsets[view] : surface.offsets[view + 1]][:count]
     return DepthSamples(

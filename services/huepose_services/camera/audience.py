@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from huepose_protos.keys import last
 from huepose_protos.messages import HealthMessage, PoseMessage
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND
@@ -29,8 +28,8 @@ class Audience:
 
     def may_begin(self, impatient: bool) -> bool:
         """Whether every worker is there, or is waited for no longer."""
-        while self._live is not None and (sample := self._live.take()) is not None:
-            self.missing.discard(last(str(sample.key_expr)))
+        while self._live is not None and (worker := self._bus.take_begun(self._live)) is not None:
+            self.missing.discard(worker)
         if self.missing and impatient:
             self._bus.log.say(f"playing without {', '.join(sorted(self.missing))}")
             self.missing.clear()

@@ -272,4 +272,5 @@ class _Run:
             verdict=verdict,
             seq=self.correction_counts[key],
             mask=pose.mask,
+            present=None if pose.estimate is None else pose.estimate.present,
         )

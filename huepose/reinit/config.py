@@ -16,7 +16,8 @@ class ReinitConfig:
     stale_ms: a tracked object that was not looked at for this long gets a turn even while others are lost.
     eager_ms: an object that is missing is looked for in every request for this long.
     patient_ms: the time between two looks for it after that.
-    acquire_quality: quality from which one estimate is enough to acquire an object.
+    acquire_quality: quality from which an estimate without a comparison corrects a doubtful pose, and the
+    probability that an object is there from which one estimate is enough to acquire it.
     least_quality: estimates below are never used.
     correct_margin: how much better than the tracked pose (scores on the same pixels) a disagreeing estimate
     must be.

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from huepose.believe.state import State
+from huepose.estimation.standing import chance
 from huepose.estimation.types import PoseEstimate
 from huepose.perception.config import PICKED
 from huepose.reinit.answered import Answered, Frame, held
@@ -295,6 +296,7 @@ class ReinitLoop:
                 return None
             # Two looks from one place err alike: together they are no surer than the surer one.
             quality = max(quality, first.quality)
+            estimate = replace(estimate, present=max(chance(estimate), chance(first)))
         self._sightings.forget(slot.object)
         self._last_instance[slot.object] = max(self._last_instance.get(slot.object, -1), key[1])
         self._count(Verdict.ACQUIRE)
@@ -330,7 +332,16 @@ class ReinitLoop:
     ) -> Correction:
         seq = self._outbox.next_seq(key, self._now_ns)
         frame = (result.epoch, result.frame_id, result.stamp_ns)
-        return Correction(*key, *frame, pose_of(estimate), quality, verdict, seq, reason=estimate.reason)
+        return Correction(
+            *key,
+            *frame,
+            pose_of(estimate),
+            quality,
+            verdict,
+            seq,
+            reason=estimate.reason,
+            present=estimate.present,
+        )
 
     def _arriving(self) -> dict[str, int]:
         """How many instances of each object are acquired but have no published pose yet."""

@@ -71,8 +71,7 @@ class Pursuit:
         if self.track.frame is None:
             # Settled on its own frame first, or on the one next to it: so it is known how well it should fit.
             first = kept[0]
-            apart_s = abs(first.stamp_ns - self.correction.stamp_ns) * 1e-9
-            tried = self.track.start(self.correction.T_cam_obj, self.correction.quality, first, apart_s)
+            tried = self.track.start(self.correction, first)
             self._remember(first)
             if first is kept[-1] or not self.supported:
                 return tried

@@ -198,7 +198,8 @@ class Identity:
     """value: probability in 0..1; view (3,): direction from the object to the camera, object axes, from which
     it was last learnt; lost: the value before the tracker lost it and found something by itself, 0 where it
     did not; jump: what the motion model says of where it was found, 0 or less; said: the surest answer of
-    perception from this viewpoint; doubt: what was left before it."""
+    perception from this viewpoint; doubt: what was left before it; there: how sure perception was from this
+    viewpoint, at best, that the object is there at all, 1 where nobody asked."""
 
     value: float
     view: Float64
@@ -206,6 +207,7 @@ class Identity:
     jump: float = 0.0
     said: float = 0.0
     doubt: float = 1.0
+    there: float = 1.0
 
     @staticmethod
     def none() -> Identity:
@@ -213,28 +215,28 @@ class Identity:
         return Identity(0.0, np.zeros(3))
 
     @staticmethod
-    def of(quality: float, view: Float64) -> Identity:
-        """Of a pose that perception is that sure of."""
-        value = min(max(quality, 0.0), LARGEST)
-        return Identity(value, view, said=value)
+    def of(quality: float, view: Float64, there: float = 1.0) -> Identity:
+        """Of a pose that perception is that sure of, and of the object being there."""
+        value = min(max(quality, 0.0), LARGEST, there)
+        return Identity(value, view, said=value, there=there)
 
-    def agreed(self, quality: float, view: Float64) -> Identity:
-        """After perception found the same pose by itself, being that sure of it. From the same viewpoint it
-        would make the same mistake again, so there it leaves some of the doubt, whatever it says, and however
-        often it says so. Of what the tracker found by itself its first word counts most, however like it
-        looks."""
+    def agreed(self, quality: float, view: Float64, there: float = 1.0) -> Identity:
+        """After perception found the same pose by itself, being that sure of it, and of the object being
+        there. From the same viewpoint it would make the same mistake again, so there it leaves some of the
+        doubt about the pose, and all about the object, whatever it says, and however often it says so. Of
+        what the tracker found by itself its first word counts most, however like it looks."""
         if self.lost > 0.0:
             value = min(self.value, 1.0 - (1.0 - quality) * DOUBT_LEFT)
             value = min(value, quality) if quality < LIKELIER else max(value, quality)
-            return Identity.of(value, view)
+            return Identity.of(value, view, there)
         if quality < LIKELIER:
             return self
         if float(view @ self.view) > np.cos(NEW_VIEW):
-            said = max(self.said, quality)
-            most = 1.0 - self.doubt * (1.0 - said) * LEAST_LEFT
+            said, there = max(self.said, quality), max(self.there, there)
+            most = min(1.0 - self.doubt * (1.0 - said) * LEAST_LEFT, there)
             agreed = 1.0 - (1.0 - self.value) * max(1.0 - quality, DOUBT_LEFT)
             value = max(self.value, quality, min(agreed, most))
-            return replace(self, value=min(value, LARGEST), view=view, said=said)
+            return replace(self, value=min(value, LARGEST), view=view, said=said, there=there)
         value = 1.0 - (1.0 - self.value) * (1.0 - quality)
         return Identity(min(value, LARGEST), view, said=quality, doubt=1.0 - self.value)
 
@@ -256,7 +258,7 @@ class Identity:
         if terms.color < COLOR or float(view @ self.view) > np.cos(NEW_VIEW):
             return self
         value = min(1.0 - (1.0 - self.value) * DOUBT_LEFT, LARGEST)
-        return replace(self, value=value, view=view, jump=0.0, said=0.0, doubt=1.0 - value)
+        return replace(self, value=value, view=view, jump=0.0, said=0.0, doubt=1.0 - value, there=1.0)
 
     def leapt(self, view: Float64) -> Identity:
         """After another pose became likelier than the one that was followed: the view (3,) changed because

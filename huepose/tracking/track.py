@@ -41,7 +41,7 @@ from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, NEARBY
 from huepose.tracking.step import Advance, advance, found_nearby
 from huepose.tracking.subject import Subject
-from huepose.tracking.types import Doubt
+from huepose.tracking.types import Correction, Doubt
 from huepose.tracking.uncertainty import FIXED, uncertainty
 from huepose.tracking.usual import Usual
 
@@ -295,13 +295,14 @@ class Track:
         self.history.append(frame.frame_id, frame.stamp_ns, self.T_cam_obj)
         self.history.forget_before(since_ns)
 
-    def start(self, T_cam_obj: Float64, quality: float, frame: RgbdFrame, apart_s: float) -> float:
-        """Start from a pose of perception, taken `apart_s` seconds from `frame`. Returns the number of costly
-        proposals used."""
+    def start(self, said: Correction, frame: RgbdFrame) -> float:
+        """Start from a pose of perception, on its own frame or the one next to it. Returns the number of
+        costly proposals used."""
         surface, light = self.subject.surface, self.usual.light
-        found, searched = found_nearby(surface, T_cam_obj, frame, apart_s, light, self._config)
+        apart_s = abs(frame.stamp_ns - said.stamp_ns) * 1e-9
+        found, searched = found_nearby(surface, said.T_cam_obj, frame, apart_s, light, self._config)
         tried = float(searched)
-        first = weighed(self.subject, found, frame, self.usual, evidence.odds_of(quality))
+        first = weighed(self.subject, found, frame, self.usual, evidence.odds_of(said.quality))
         self.hypotheses, self.frame = (first,), frame
         self._looked_ns, self._camera = frame.stamp_ns, self._camera.at(frame)
         self.covariance, self._spread = uncertainty(self.subject, first, frame)
@@ -313,7 +314,7 @@ class Track:
             self._orientation.see(first, frame.stamp_ns)
         if self.evidence >= self._config.lost_quality:
             view = self._view()
-            self._orientation.begin(quality, view)
+            self._orientation.begin(said.quality, view)
             tried += self._orientation.ask(first, view, frame, light)
         known = self.usual.baseline
         self.learn()
@@ -332,7 +333,7 @@ class Track:
         if self.evidence >= self._config.suspect_quality and (tracking or better):
             self.usual = self.usual.after(self.terms, tracking, self._apart_s)
 
-    def place(self, verified: Track, quality: float, frame: RgbdFrame) -> None:
+    def place(self, verified: Track, said: Correction, frame: RgbdFrame) -> None:
         """Take over the pose that another track of the same object, made for a correction, found on
         `frame`."""
         self.hypotheses, self.covariance = verified.hypotheses[:1], verified.covariance
@@ -342,9 +343,10 @@ class Track:
         self.evidence, self.frame = verified.evidence, frame
         self._looked_ns, self._camera = frame.stamp_ns, verified._camera.at(frame)
         self._orientation.take_over(verified._orientation)
-        # Perception judged the same picture: this evidence may lower its quality, not raise it.
-        known = self._of_its_color(min(quality, probability(evidence.odds_of(quality) + self._told)))
-        self._identity, self._corrected_from = Identity.of(known, self._view()), None
+        # Perception judged the same picture: this evidence may lower its identity, not raise it.
+        identity, there = self._identity_by(said)
+        known = self._of_its_color(min(identity, probability(evidence.odds_of(identity) + self._told)))
+        self._identity, self._corrected_from = Identity.of(known, self._view(), there), None
         self._begin()
         self._supported_ns = frame.stamp_ns
         # A verified pose may be TRACKING at once.
@@ -396,45 +398,55 @@ class Track:
         """What was usual before the object was lost; less is asked the longer ago that was."""
         return self.usual.remembered((stamp_ns - self._supported_ns) * 1e-9)
 
-    def replay(self, stamp_ns: int, T_cam_obj: Float64, quality: float) -> None:
+    def replay(self, said: Correction) -> None:
         """Apply a correction of a past pose; the motion measured since then carries it to now. The pose
         before the correction stays as a hypothesis that the next frames may confirm.
 
         Raises ValueError where the history does not reach back unbroken."""
         before = self.hypotheses[0]
-        moved = self.subject.like(self.history.replay(stamp_ns, T_cam_obj), before.T_cam_obj)
+        moved = self.subject.like(self.history.replay(said.stamp_ns, said.T_cam_obj), before.T_cam_obj)
         velocity = same_motion(self.subject.surface, before.velocity, before.T_cam_obj, moved)
-        odds = max(evidence.odds_of(quality), before.log_odds)
+        odds = max(evidence.odds_of(said.quality), before.log_odds)
         corrected = replace(before, T_cam_obj=moved, velocity=velocity, source="correction", log_odds=odds)
         self.hypotheses, self._orientation.sure = (corrected, before), None
-        self._corrected_from = self._identity, quality
+        self._corrected_from = self._identity, said.quality
         if turned_over(before.T_cam_obj, moved):
-            self._identity = Identity.of(quality, self._view())
-            self._orientation.begin(quality, self._view())
+            identity, there = self._identity_by(said)
+            self._identity = Identity.of(identity, self._view(), there)
+            self._orientation.begin(said.quality, self._view())
         else:
-            self._identity = self._identity.agreed(self._of_its_color(quality), self._view())
-            self._orientation.assure(quality)
+            identity, there = self._identity_by(said)
+            self._identity = self._identity.agreed(self._of_its_color(identity), self._view(), there)
+            self._orientation.assure(said.quality)
 
-    def agree(self, quality: float, stamp_ns: int) -> None:
-        """Perception found the same pose, independently, in the frame of that stamp. A second look at one
-        frame says nothing new; a frame before the tracker found it elsewhere, nothing of what it found."""
-        again, self._agreed_ns = stamp_ns == self._agreed_ns, stamp_ns
-        if self.hypotheses and not again and not self.found_since(stamp_ns):
-            quality = self._of_its_color(quality)
-            self._identity = self._identity.agreed(quality, self._view())
-            if quality >= evidence.LIKELIER and not self.can_have_turned_since(stamp_ns):
+    def agree(self, said: Correction) -> None:
+        """Perception found the same pose, independently, in a past frame. A second look at one frame says
+        nothing new; a frame before the tracker found it elsewhere, nothing of what it found."""
+        again, self._agreed_ns = said.stamp_ns == self._agreed_ns, said.stamp_ns
+        if self.hypotheses and not again and not self.found_since(said.stamp_ns):
+            quality, (identity, there) = self._of_its_color(said.quality), self._identity_by(said)
+            self._identity = self._identity.agreed(self._of_its_color(identity), self._view(), there)
+            if quality >= evidence.LIKELIER and not self.can_have_turned_since(said.stamp_ns):
                 self.hypotheses = self.hypotheses[:1]
                 if self.evidence >= self._config.suspect_quality and not self._may_be_another:
                     # It is the frame of now that says what is usual, not the one that perception saw.
                     self.usual = self.usual.confirmed(self.terms)
                 self._orientation.assure(quality)
 
-    def disagree(self, quality: float, stamp_ns: int) -> None:
-        """Perception found the object there, but turned another way, in the frame of that stamp."""
-        again, self._agreed_ns = stamp_ns == self._agreed_ns, stamp_ns
-        known = not self.found_since(stamp_ns) and not self.can_have_turned_since(stamp_ns)
+    def disagree(self, said: Correction) -> None:
+        """Perception found the object there, but turned another way, in a past frame."""
+        again, self._agreed_ns = said.stamp_ns == self._agreed_ns, said.stamp_ns
+        known = not self.found_since(said.stamp_ns) and not self.can_have_turned_since(said.stamp_ns)
         if self.hypotheses and not again and known:
-            self._orientation.deny(self._of_its_color(quality))
+            self._orientation.deny(self._of_its_color(said.quality))
+
+    def _identity_by(self, said: Correction) -> tuple[float, float]:
+        """How sure perception makes the identity, and how sure it is that the object is there at all. Where
+        it is sure of the turn, both are one; else the pose is one of several that look alike, and waits for
+        another answer."""
+        there = 1.0 if said.present is None else said.present
+        sure_of_turn = said.present is not None and said.quality >= self._config.confirmed_turn
+        return there if sure_of_turn else said.quality, there
 
     def found_since(self, stamp_ns: int) -> bool:
         """Whether the tracker found it since where it was not expected: what is followed now may be another

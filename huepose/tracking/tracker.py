@@ -260,9 +260,9 @@ class Tracker:
             if track is None:
                 return Applied.REFUSED_OLD
             if correction.verdict is Verdict.AGREE:
-                track.agree(correction.quality, correction.stamp_ns)
+                track.agree(correction)
             else:
-                track.disagree(correction.quality, correction.stamp_ns)
+                track.disagree(correction)
         elif track is None and key not in self._pursuits and correction.verdict is Verdict.CORRECT:
             return Applied.REFUSED_OLD
         elif track is None or not self._same_surface(track, correction):
@@ -273,7 +273,7 @@ class Tracker:
             self._pursue(key)
             return Applied.APPLIED
         else:
-            track.replay(correction.stamp_ns, correction.T_cam_obj, correction.quality)
+            track.replay(correction)
             self._pursuits.pop(key, None)
         track.applied_seq = max(track.applied_seq, correction.seq)
         return Applied.APPLIED
@@ -343,7 +343,7 @@ class Tracker:
         elif track.T_cam_obj is not None and track.worth > found.worth:
             track.contradict(found, correction.quality)
             return
-        track.place(found, correction.quality, frame)
+        track.place(found, correction, frame)
         for loser in self._contested(frame):
             self._tracks[loser].give_way()
         for stamp_ns, T in pursuit.poses:

@@ -80,13 +80,16 @@ class Estimated(Protocol):
     def quality(self) -> float: ...
     @property
     def reason(self) -> str: ...
+    @property
+    def present(self) -> float | None: ...
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
     """A verdict on one instance at one (past) frame, named by epoch, frame_id and capture time stamp_ns
     (CLOCK_MONOTONIC). T_cam_obj (4, 4): object to camera, metres; quality in 0..1; `seq` counts per instance;
-    mask (H, W) bool at that frame, which the paper's tracker alone reads; reason: of the estimate behind it.
+    mask (H, W) bool at that frame, which the paper's tracker alone reads; reason and present: of the estimate
+    behind it.
     Raises InputError where T_cam_obj is no rigid transform (4, 4)."""
 
     object: str
@@ -100,6 +103,7 @@ class Correction:
     seq: int
     mask: Bool | None = None
     reason: str = ""
+    present: float | None = None
 
     @property
     def key(self) -> tuple[str, int]:
@@ -123,7 +127,7 @@ class Correction:
         if T is None:
             raise _no_pose(estimate.object, None, np.zeros(0))
         first = Correction.first(estimate.object, T, frame, estimate.quality)
-        return replace(first, instance=estimate.instance, reason=estimate.reason)
+        return replace(first, instance=estimate.instance, reason=estimate.reason, present=estimate.present)
 
     @staticmethod
     def first(name: str, T_cam_obj: Float64, frame: RgbdFrame, quality: float) -> Correction:

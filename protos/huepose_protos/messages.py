@@ -178,7 +178,8 @@ class EstimatedObject(Struct, frozen=True, kw_only=True):
     """The estimator's answer for one requested object; instance as it was requested.
 
     score judges the pose, prior_score the refined prior on the same pixels; prior_translation and
-    prior_quaternion are that refined prior. quality: the probability that the pose is right.
+    prior_quaternion are that refined prior. quality: the probability that the pose is right; present: that
+    the object is there at all, null where nobody asked.
     reason: why nothing was found; of what was found, why it is not to be acted on, else empty."""
 
     object: Name
@@ -197,6 +198,7 @@ class EstimatedObject(Struct, frozen=True, kw_only=True):
     box: BoxXYWH | None = None
     seconds: Annotated[float, Meta(ge=0.0)] = 0.0
     reason: Text = ""
+    present: Fraction | None = None
 
     def __post_init__(self) -> None:
         check_pose(self.translation, self.quaternion)
@@ -226,7 +228,7 @@ class Estimates(Message, frozen=True, kw_only=True):
 class CorrectionMessage(Message, frozen=True, kw_only=True):
     """A verdict of the re-initialisation loop on one instance at one past frame; `seq` counts for each.
     `camera`: why no pose of this camera is to be acted on, as in Estimates; `reason`: why none of this
-    instance is, as in its estimate."""
+    instance is, and `present`, as in its estimate."""
 
     object: Name
     instance: Index
@@ -240,6 +242,7 @@ class CorrectionMessage(Message, frozen=True, kw_only=True):
     seq: Count
     camera: Text = ""
     reason: Text = ""
+    present: Fraction | None = None
 
     def __post_init__(self) -> None:
         check_pose(self.translation, self.quaternion)

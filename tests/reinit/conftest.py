@@ -46,10 +46,11 @@ def estimate(
     score: float = 2.0,
     prior_score: float | None = None,
     found: bool = True,
+    present: float | None = None,
 ) -> PoseEstimate:
     return PoseEstimate(
         object_name, instance, found, (pose() if T is None else T) if found else None, quality, "TRACKING",
-        score, 0.3, None, None, None, prior_score, None, (), 0.1,
+        score, 0.3, None, None, None, prior_score, None, (), 0.1, present=present,
     )  # fmt: skip
 
 

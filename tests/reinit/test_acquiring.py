@@ -21,6 +21,20 @@ def test_a_sure_estimate_acquires_and_instances_get_new_numbers() -> None:
     assert all(c.frame_id == round(10 / 33.3) and c.epoch == EPOCH for c in found)
 
 
+@pytest.mark.parametrize(("quality", "present", "taken"), [
+    (0.6, 0.95, True), (0.6, 0.85, False), (0.6, None, False), (0.1, 0.95, False),
+])  # fmt: skip
+def test_one_estimate_is_enough_where_the_object_surely_is_there(
+    quality: float, present: float | None, taken: bool
+) -> None:
+    loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
+    request = loop.tick(0, [])
+    found = loop.answer(100 * MS, result(request, 10, estimate(quality=quality, present=present)))
+    assert [(c.verdict, c.quality, c.present) for c in found] == (
+        [(Verdict.ACQUIRE, quality, present)] if taken else []
+    )
+
+
 def test_no_more_instances_than_wanted() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
     request = loop.tick(0, [])
@@ -49,15 +63,16 @@ def test_the_same_sight_twice_is_one_instance() -> None:
 def test_an_unsure_estimate_waits_for_a_second_that_agrees() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
     request = loop.tick(0, [])
-    assert loop.answer(100 * MS, result(request, 10, estimate(quality=0.6))) == []
+    assert loop.answer(100 * MS, result(request, 10, estimate(quality=0.6, present=0.8))) == []
     assert loop.counters.unconfirmed == 1
     request = loop.tick(200 * MS, [])
     far = loop.answer(300 * MS, result(request, 210, estimate(T=pose(0.5), quality=0.6)))
     assert far == [], "somewhere else altogether"
     request = loop.tick(400 * MS, [])
-    found = loop.answer(500 * MS, result(request, 410, estimate(T=pose(0.01), quality=0.55)))
-    assert [c.verdict for c in found] == [Verdict.ACQUIRE]
-    assert found[0].quality == pytest.approx(0.6), "two looks from one place err alike"
+    second = estimate(T=pose(0.01), quality=0.55, present=0.7)
+    (found,) = loop.answer(500 * MS, result(request, 410, second))
+    assert found.verdict is Verdict.ACQUIRE
+    assert (found.quality, found.present) == (0.6, 0.8), "two looks from one place err alike"
 
 
 def test_nonsense_is_never_used() -> None:

@@ -85,13 +85,13 @@ def test_a_pose_that_is_not_one_never_reaches_the_wire():
 
 
 def test_a_correction_comes_back_without_its_mask():
-    correction = Correction("thing", 1, 5, 9, 123, T, 0.9, Verdict.ACQUIRE, 3, MASK)
+    correction = Correction("thing", 1, 5, 9, 123, T, 0.9, Verdict.ACQUIRE, 3, MASK, present=0.95)
     message = _through(to_wire(CorrectionMessage, correction, publish_ns=1))
     assert isinstance(message, CorrectionMessage)
     back = from_wire(Correction, message)
     assert np.allclose(back.T_cam_obj, T)
     assert back.mask is None
-    assert (back.verdict, back.seq, back.stamp_ns) == (Verdict.ACQUIRE, 3, 123)
+    assert (back.verdict, back.seq, back.stamp_ns, back.present) == (Verdict.ACQUIRE, 3, 123, 0.95)
 
 
 def test_a_request_and_its_priors_come_back():
@@ -109,8 +109,9 @@ def test_a_request_and_its_priors_come_back():
 @pytest.mark.parametrize("instance", [None, 3])
 def test_estimates_come_back(instance):
     found = PoseEstimate(
-        "thing", -1, True, T, 0.9, "TRACKING", 1.5, 0.2, COVARIANCE, MASK, Box(1, 2, 3, 4), 1.4, T, (), 0.1
-    )
+        "thing", -1, True, T, 0.9, "TRACKING", 1.5, 0.2, COVARIANCE, MASK, Box(1, 2, 3, 4), 1.4, T, (), 0.1,
+        present=0.96,
+    )  # fmt: skip
     lost = PoseEstimate(
         "thing",
         -1,
@@ -151,6 +152,7 @@ def test_estimates_come_back(instance):
     assert (back.score, back.prior_score, back.margin, back.quality) == (1.5, 1.4, 0.2, 0.9)
     assert not nothing.found
     assert nothing.T_cam_obj is None
+    assert (back.present, nothing.present) == (0.96, None)
     assert (back.reason, nothing.reason) == ("", "Hidden.")
 
 

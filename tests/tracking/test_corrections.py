@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -146,6 +148,21 @@ def test_a_doubtful_acquisition_is_suspect_until_perception_agrees(tea_box, film
     assert pose.quality > 0.8
 
 
+@pytest.mark.parametrize(("quality", "present", "state"), [
+    (0.91, 0.99, State.TRACKING),  # it is there, and no other turn fits as well
+    (0.91, 0.93, State.SUSPECT),   # one in fourteen times it is something else
+    (0.8, 0.99, State.SUSPECT),    # it is there, in one of several poses
+])  # fmt: skip
+def test_one_answer_is_enough_where_the_object_is_surely_there_and_its_turn_is_seen(
+    tea_box, film, path, quality, present, state
+) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(3)
+    tracker.correct(replace(correction(frames[0], path(0), quality=quality), present=present))
+    (pose,) = [tracker.step(frame)[0] for frame in frames][-1:]
+    assert pose.state is state
+
+
 def test_what_perception_doubts_again_and_again_stays_suspect(tea_box, film, path) -> None:
     tracker = Tracker({"tea_box": tea_box})
     frames = film(12)
@@ -156,6 +173,21 @@ def test_what_perception_doubts_again_and_again_stays_suspect(tea_box, film, pat
         (pose,) = tracker.step(frames[number])
         assert pose.state is State.SUSPECT, number
     assert pose.quality < 0.65
+
+
+@pytest.mark.parametrize(("present", "state"), [(0.9, State.SUSPECT), (0.97, State.TRACKING)])
+def test_one_viewpoint_says_no_more_of_the_object_than_its_surest_answer(
+    tea_box, film, path, present, state
+) -> None:
+    tracker = Tracker({"tea_box": tea_box})
+    frames = film(8)
+    for number in range(7):
+        verdict = Verdict.AGREE if number else Verdict.ACQUIRE
+        said = correction(frames[number], path(number), number + 1, verdict, quality=0.88)
+        tracker.correct(replace(said, present=present))
+        tracker.step(frames[number])
+    (pose,) = tracker.step(frames[7])
+    assert pose.state is state
 
 
 def test_a_second_look_at_one_frame_says_nothing_new(tea_box, film, path) -> None:
@@ -239,10 +271,11 @@ def test_numbers_of_any_kind_that_are_a_pose_start_an_object(tea_box, film, path
 
 def test_a_correction_of_an_estimate_is_as_sure_as_the_estimate(film, path) -> None:
     frame = film(3)[2]
-    found = PoseEstimate("tea_box", 4, True, path(2), quality=0.3, reason="Hidden.")
+    found = PoseEstimate("tea_box", 4, True, path(2), quality=0.3, reason="Hidden.", present=0.9)
     said = Correction.of(found, frame)
     assert (said.key, said.frame_id, said.stamp_ns) == (("tea_box", 4), 2, frame.stamp_ns)
     assert (said.quality, said.reason, said.verdict) == (0.3, "Hidden.", Verdict.ACQUIRE)
+    assert said.present == 0.9
     np.testing.assert_array_equal(said.T_cam_obj, path(2))
     with pytest.raises(InputError, match=r"Ask `pose\.found` first"):
         Correction.of(PoseEstimate("tea_box"), frame)

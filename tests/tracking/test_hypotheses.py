@@ -190,7 +190,7 @@ def test_a_wrong_correction_is_taken_back_by_the_image(tea_box, shoot, path) -> 
     tracker.correct(Correction.first("tea_box", path(0), frames[0], 1.0))
     for frame in frames[:5]:
         tracker.step(frame)
-    tracker._tracks["tea_box", 0].replay(frames[3].stamp_ns, path(3) @ FLIP, 0.95)
+    tracker._tracks["tea_box", 0].replay(Correction.first("tea_box", path(3) @ FLIP, frames[3], 0.95))
     poses = [tracker.step(frame)[0] for frame in frames[5:]]
     assert se3.rotation_angle(poses[-1].T_cam_obj, path(8)) < np.radians(1.0)
     assert poses[-1].state is State.TRACKING, "the picture shows that the other pose is wrong"
@@ -212,5 +212,5 @@ def test_where_perception_and_tracker_disagree_nobody_knows(
     assert started.step(frames[0])[0].state is state
     if state is State.SUSPECT:
         assert started.doubt("tea_box", 0) is Doubt.IDENTITY
-        track.agree(0.98, frames[0].stamp_ns)
+        track.agree(Correction.first("tea_box", track.T_cam_obj, frames[0], 0.98))
         assert started.step(frames[1])[0].state is State.TRACKING

@@ -26,15 +26,10 @@ def standing_answers(answers: Sequence[PoseEstimate]) -> list[PoseEstimate]:
     likely = [
         answer
         for answer in answers
-        if answer.found and chance(answer) >= PRESENT and (answer.mask is None or answer.mask.any())
+        if answer.found and answer.chance >= PRESENT and (answer.mask is None or answer.mask.any())
     ]
     surfaces = [pixels(answer.mask) for answer in likely]
-    return [likely[i] for i in standing(surfaces, [chance(answer) for answer in likely])]
-
-
-def chance(answer: PoseEstimate) -> float:
-    """The probability that an answer's object is there; where nobody asked, that its pose is right."""
-    return answer.quality if answer.present is None else answer.present
+    return [likely[i] for i in standing(surfaces, [answer.chance for answer in likely])]
 
 
 def why_none_stands(
@@ -50,12 +45,12 @@ def why_none_stands(
     if not mine:
         advice = f" {IF_IN_PLAIN_VIEW}" if advise else ""
         return f"The detector found no place in the frame that looks like the object.{advice}"
-    best, doubt = max(mine, key=lambda item: chance(item[0]))
+    best, doubt = max(mine, key=lambda item: item[0].chance)
     if not best.found:
         return best.reason
     places = "the only place" if len(mine) == 1 else f"the best of {len(mine)} places"
-    if chance(best) >= PRESENT:
+    if best.chance >= PRESENT:
         return f"Another object explains the surface at {places} better."
-    likely = f"with a probability of {under(chance(best), PRESENT)}, which is under {PRESENT:.2f}"
+    likely = f"with a probability of {under(best.chance, PRESENT)}, which is under {PRESENT:.2f}"
     said = f"At {places} the object is there {likely}"
     return f"{said}: {doubt}." if doubt else f"{said}."

@@ -93,3 +93,8 @@ class PoseEstimate:
     terms: QualityTerms | None = None
     reason: str = ""
     present: float | None = None
+
+    @property
+    def chance(self) -> float:
+        """The probability that its object is there; where nobody asked, that its pose is right."""
+        return self.quality if self.present is None else self.present

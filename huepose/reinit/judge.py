@@ -8,7 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from huepose.believe.state import State
-from huepose.estimation.standing import chance
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
@@ -98,7 +97,7 @@ def denies_turn(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: Obj
 
 def acquires(estimate: PoseEstimate, config: ReinitConfig) -> bool:
     """Whether one estimate is enough to acquire an object that has no pose."""
-    return usable(estimate, config) and chance(estimate) >= config.acquire_quality
+    return usable(estimate, config) and estimate.chance >= config.acquire_quality
 
 
 def pose_of(estimate: PoseEstimate) -> Float64:

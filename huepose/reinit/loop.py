@@ -15,7 +15,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from huepose.believe.state import State
-from huepose.estimation.standing import chance
 from huepose.estimation.types import PoseEstimate
 from huepose.perception.config import PICKED
 from huepose.reinit.answered import Answered, Frame, held
@@ -296,7 +295,8 @@ class ReinitLoop:
                 return None
             # Two looks from one place err alike: together they are no surer than the surer one.
             quality = max(quality, first.quality)
-            estimate = replace(estimate, present=max(chance(estimate), chance(first)))
+            known = [e.present for e in (estimate, first) if e.present is not None]
+            estimate = replace(estimate, present=max(known, default=None))
         self._sightings.forget(slot.object)
         self._last_instance[slot.object] = max(self._last_instance.get(slot.object, -1), key[1])
         self._count(Verdict.ACQUIRE)

@@ -252,7 +252,6 @@ def _explain(
 ) -> None:
     """Write what led to each answer, and of an object that was not found what led to its likeliest pose.
     reasons: why each answer is none, or is doubted."""
-    from huepose.estimation.standing import chance
     from huepose_services.cli.explain import SURE, write_explanation
 
     written: Counter[str] = Counter()
@@ -264,7 +263,7 @@ def _explain(
         written[answer.object] += 1
         number = written[answer.object]
         name = answer.object if number == 1 else f"{answer.object}_{number}"
-        likeliest = max(best, key=lambda one: chance(one[0]))
+        likeliest = max(best, key=lambda one: one[0].chance)
         stands = bool(of_it) and answer.found
         doubts = write_explanation(folder, name, frame, models[answer.object], *likeliest, stands, reason)
         against = "; ".join(doubts) or reason or SURE
@@ -297,7 +296,7 @@ def _standing(
     """The poses that stand at the proposed places; an object without any is not found, and where that is
     wanted there is a page about its places, by its name."""
     from huepose.estimation.present import PresenceIn
-    from huepose.estimation.standing import chance, standing_answers, why_none_stands
+    from huepose.estimation.standing import standing_answers, why_none_stands
     from huepose.estimation.types import PoseEstimate
     from huepose.geometry.picture_faults import bad_picture
 
@@ -322,7 +321,7 @@ def _standing(
             from huepose_services.cli.explain import draw_places
 
             tried = [
-                (a.T_cam_obj, chance(a), doubt)
+                (a.T_cam_obj, a.chance, doubt)
                 for a, doubt in zip(mine, said, strict=True)
                 if a.T_cam_obj is not None
             ]

@@ -96,8 +96,8 @@ def denies_turn(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: Obj
 
 
 def acquires(estimate: PoseEstimate, config: ReinitConfig) -> bool:
-    """Whether one estimate is enough to acquire an object that has no pose."""
-    return usable(estimate, config) and estimate.chance >= config.acquire_quality
+    """Whether one usable estimate is enough to acquire an object that has no pose."""
+    return estimate.chance >= config.acquire_quality
 
 
 def pose_of(estimate: PoseEstimate) -> Float64:

@@ -261,7 +261,7 @@ class ReinitLoop:
                     compared, priors[which], result.stamp_ns, slot
                 ):
                     key = (slot.object, track.instance)
-                    out.append(self._correction(key, estimate, result, verdict, estimate.quality))
+                    out.append(self._correction(key, estimate, result, verdict))
             elif any(near(pose_of(estimate), p.predicted(result.stamp_ns), slot) for p in priors):
                 # A second estimate of an instance that already has one.
                 self._count(Verdict.REJECT)
@@ -285,7 +285,6 @@ class ReinitLoop:
         if key is None:
             self._count(Verdict.REJECT)
             return None
-        quality = estimate.quality
         if not acquires(estimate, self.config):
             # Perception searches for one object with all effort in each request, by turns.
             wait_s = (2 + len(self._slots)) * self._pace.between_s(1e-3 * self.config.period_ms)
@@ -294,13 +293,13 @@ class ReinitLoop:
                 self.counters.unconfirmed += 1
                 return None
             # Two looks from one place err alike: together they are no surer than the surer one.
-            quality = max(quality, first.quality)
             known = [e.present for e in (estimate, first) if e.present is not None]
-            estimate = replace(estimate, present=max(known, default=None))
+            quality, present = max(estimate.quality, first.quality), max(known, default=None)
+            estimate = replace(estimate, quality=quality, present=present)
         self._sightings.forget(slot.object)
         self._last_instance[slot.object] = max(self._last_instance.get(slot.object, -1), key[1])
         self._count(Verdict.ACQUIRE)
-        return self._correction(key, estimate, result, Verdict.ACQUIRE, quality)
+        return self._correction(key, estimate, result, Verdict.ACQUIRE)
 
     def _free_instance(self, slot: ObjectSlot, taken: set[Key]) -> Key | None:
         """The instance that a new pose is of: one that is lost, the most recent first, else a new number
@@ -328,7 +327,7 @@ class ReinitLoop:
         return (slot.object, max(numbers) + 1)
 
     def _correction(
-        self, key: Key, estimate: PoseEstimate, result: PerceptionResult, verdict: Verdict, quality: float
+        self, key: Key, estimate: PoseEstimate, result: PerceptionResult, verdict: Verdict
     ) -> Correction:
         seq = self._outbox.next_seq(key, self._now_ns)
         frame = (result.epoch, result.frame_id, result.stamp_ns)
@@ -336,7 +335,7 @@ class ReinitLoop:
             *key,
             *frame,
             pose_of(estimate),
-            quality,
+            estimate.quality,
             verdict,
             seq,
             reason=estimate.reason,

@@ -198,8 +198,8 @@ class Identity:
     """value: probability in 0..1; view (3,): direction from the object to the camera, object axes, from which
     it was last learnt; lost: the value before the tracker lost it and found something by itself, 0 where it
     did not; jump: what the motion model says of where it was found, 0 or less; said: the surest answer of
-    perception from this viewpoint; doubt: what was left before it; there: how sure perception was from this
-    viewpoint, at best, that the object is there at all, 1 where nobody asked."""
+    perception from this viewpoint; doubt: what was left before it; there: how sure perception was, at best,
+    that the object is there at all: 1 where nobody asked, or where two viewpoints spoke for it."""
 
     value: float
     view: Float64

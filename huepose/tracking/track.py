@@ -415,8 +415,7 @@ class Track:
             self._identity = Identity.of(identity, self._view(), there)
             self._orientation.begin(said.quality, self._view())
         else:
-            identity, there = self._identity_by(said)
-            self._identity = self._identity.agreed(self._of_its_color(identity), self._view(), there)
+            self._identity = self._agreed(said)
             self._orientation.assure(said.quality)
 
     def agree(self, said: Correction) -> None:
@@ -424,8 +423,7 @@ class Track:
         nothing new; a frame before the tracker found it elsewhere, nothing of what it found."""
         again, self._agreed_ns = said.stamp_ns == self._agreed_ns, said.stamp_ns
         if self.hypotheses and not again and not self.found_since(said.stamp_ns):
-            quality, (identity, there) = self._of_its_color(said.quality), self._identity_by(said)
-            self._identity = self._identity.agreed(self._of_its_color(identity), self._view(), there)
+            self._identity, quality = self._agreed(said), self._of_its_color(said.quality)
             if quality >= evidence.LIKELIER and not self.can_have_turned_since(said.stamp_ns):
                 self.hypotheses = self.hypotheses[:1]
                 if self.evidence >= self._config.suspect_quality and not self._may_be_another:
@@ -447,6 +445,11 @@ class Track:
         there = 1.0 if said.present is None else said.present
         sure_of_turn = said.present is not None and said.quality >= self._config.confirmed_turn
         return there if sure_of_turn else said.quality, there
+
+    def _agreed(self, said: Correction) -> Identity:
+        """The identity after perception found the same pose by itself."""
+        identity, there = self._identity_by(said)
+        return self._identity.agreed(self._of_its_color(identity), self._view(), there)
 
     def found_since(self, stamp_ns: int) -> bool:
         """Whether the tracker found it since where it was not expected: what is followed now may be another

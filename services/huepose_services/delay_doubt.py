@@ -20,7 +20,7 @@ LOOKS = 60
 """Newest looks that count."""
 
 LOOK_EVERY_NS, BLOCK_NS = SECOND // 20, SECOND // 6
-"""From one look at an object to the next, at the least; looks at one object within a block err alike."""
+"""From one look to the next, at the least; looks at one object within a block err alike."""
 
 REST, REST_NS = 0.3, SECOND
 """An object at rest moves less than so many of its diameters a second, and has done so for so long."""
@@ -49,8 +49,9 @@ class DelayDoubt(msgspec.Struct, array_like=True):
         return "" if self.found is None else DepthDelay(*self.found).said()
 
     def look(self, frame: RgbdFrame, poses: Sequence[TrackedPose], tracker: Tracker) -> str | None:
-        """Look at one object of a frame: of those that move by the poses that the tracker has there, that
-        which was looked at least lately. Returns what is wrong with the camera, and what to do."""
+        """Look at one object of a frame, LOOK_EVERY_NS after the last look: of those that move by the poses
+        that the tracker has there, that which was looked at least lately. Returns what is wrong with the
+        camera, and what to do."""
         if frame.epoch != self.epoch:
             self.epoch, self.found = frame.epoch, None
             self.looks, self.blocks, self.looked_ns, self.moved_ns = [], [], {}, {}
@@ -61,7 +62,7 @@ class DelayDoubt(msgspec.Struct, array_like=True):
         self.moved_ns |= dict.fromkeys(moving, now)
         since = {key: abs(now - self.looked_ns.get(key, now - SECOND)) for key in moving}
         key = max(since, key=lambda key: since[key], default="")
-        if key and since[key] >= LOOK_EVERY_NS:
+        if key and min(since.values()) >= LOOK_EVERY_NS:
             self.looked_ns[key] = now
             self._look_at(frame, moving[key], tracker)
         return f"{self.text} {WAY_OUT}" if self.text else None
@@ -71,11 +72,12 @@ class DelayDoubt(msgspec.Struct, array_like=True):
         assert pose.velocity is not None
         one = look(tracker.contours(pose.object), pose.T_cam_obj, pose.velocity, frame)
         if one is not None:
-            self._add(one, f"{_key(pose)} {frame.stamp_ns // BLOCK_NS}")
+            self._add(one, _key(pose), str(frame.stamp_ns // BLOCK_NS))
 
-    def _add(self, one: Look, block: str) -> None:
-        begun = block not in self.blocks
-        self.looks, self.blocks = [*self.looks, one][-LOOKS:], [*self.blocks, block][-LOOKS:]
+    def _add(self, one: Look, key: str, time: str) -> None:
+        """The delay is fitted anew when a block of time begins."""
+        begun = not self.blocks or self.blocks[-1].rpartition(" ")[2] != time
+        self.looks, self.blocks = [*self.looks, one][-LOOKS:], [*self.blocks, f"{key} {time}"][-LOOKS:]
         fit = delay(self.looks, self.blocks) if begun else None
         if fit is not None and fit.clear:
             self.found = (fit.seconds, fit.error_s, fit.share)

@@ -1,12 +1,15 @@
 """A camera on a hand moves fast over a heap of objects that stand still: what does the tracker gain where it
 is told where the camera is?
 
-    .venv/bin/python -m studies.on_hand --bundles DIR --json OUT.json
+    .venv/bin/python -m studies.on_hand --bundles DIR --json OUT.json [--search]
 
 Each film is drawn once and kept: 2 s at 30 Hz, up to 0.8 m/s and 90 degrees a second. All objects start at
 their true poses; then the tracker is alone, as it runs live. `told`: not at all; exactly; with noise (0.5 mm
 and 0.09 degrees an axis); 15 ms late; of a camera that is fixed 2.7 cm and 5.4 degrees from where it is said
 to be; all wrong (the inverse of the pose).
+
+With `--search` nothing is known at first: live perception looks for all objects of the bundles, and its answers
+come a chain time late. Each film is played to and fro, 4 s, all frames.
 """
 
 from __future__ import annotations
@@ -28,6 +31,8 @@ from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Float32, Float64, Rng, UInt8
 from huepose.model import ReferenceModel, load_models
 from huepose.profiles import profile
+from huepose.reinit.loop import ReinitLoop
+from huepose.reinit.types import ObjectSlot
 from huepose.scenes.camera import COLOR, STEREO
 from huepose.scenes.frame import Shot, Stage, shoot
 from huepose.scenes.loop_file import Loop, kept_loop
@@ -36,7 +41,10 @@ from huepose.scenes.rendered import SceneRanges, heaped_stage
 from huepose.support.files import cache_folder
 from huepose.support.progress import progress
 from huepose.tracking import Correction, Tracker
-from studies.stress.play import error_of
+from studies.gone import Sight
+from studies.still import NOWHERE
+from studies.stress.films import Seen
+from studies.stress.play import error_of, followed
 
 VERSION = 1  # raise it when any pixel changes
 FRAMES, HZ = 60, 30
@@ -60,6 +68,20 @@ class Row:
     film: int
     every: int
     told: str
+    visible: int
+    right: int
+    wrong: int
+
+
+@dataclass(frozen=True)
+class Found:
+    """Of an object of one film that is visible by 30 % for a second or more. after_s: for how long it was visible
+    until it was TRACKING and right, None where it never was; visible, right, wrong: as of a `Row`."""
+
+    film: int
+    told: str
+    object: str
+    after_s: float | None
     visible: int
     right: int
     wrong: int
@@ -144,14 +166,63 @@ def played(
     return Row(number, every, told, visible, right, wrong)
 
 
-def rows(given: argparse.Namespace) -> Iterator[Row]:
+def searched(
+    models: Mapping[str, ReferenceModel], film: Film, number: int, told: str, rng: Rng
+) -> Iterator[Found]:
+    """The objects of one film, tracked from nothing: all of the models are searched for."""
+    names, stage, loop, truth = film
+    order = [*range(FRAMES), *reversed(range(FRAMES))]
+    frames = (
+        RgbdFrame(
+            loop.color(i), loop.depth(i), stage.camera, k, round(k * 1e9 / HZ), 1, said(told, stage, i, rng)
+        )
+        for k, i in enumerate(order)
+    )
+    tracker = Tracker(models, profile("live").tracker)
+    asked = ReinitLoop(objects=[ObjectSlot.of(model) for model in models.values()])
+    films = (Seen(frame, NOWHERE, 1.0) for frame in frames)
+    states: dict[str, list[tuple[bool, bool, bool]]] = {name: [] for name in names}
+    for i, (_, poses) in zip(order, followed(films, tracker, asked, Sight(*models.values())), strict=True):
+        of = {pose.object: pose for pose in poses if pose.state is State.TRACKING}
+        for name, T, seen in zip(names, np.array(truth[i]["T"]), truth[i]["seen"], strict=True):
+            error = error_of(models[name], of[name].T_cam_obj, T) if name in of else np.inf
+            right = error < metrics.RECALL_FRACTION
+            states[name].append((seen >= VISIBLE, right, name in of and not right))
+    for name, told_of in states.items():
+        visible, right, wrong = np.array(told_of).T
+        if visible.sum() >= HZ:
+            good = np.flatnonzero(right[visible])
+            after_s = float(good[0] + 1) / HZ if len(good) else None
+            yield Found(
+                number,
+                told,
+                name,
+                after_s,
+                int(visible.sum()),
+                int((visible & right).sum()),
+                int(wrong.sum()),
+            )
+
+
+def rows(given: argparse.Namespace) -> Iterator[Row | Found]:
     """All films, at each rate, told in each way."""
     models = load_models(given.bundles)
     for number in progress(range(given.films), "films"):
         film = drawn(models, given.seed, number)
-        for every, told in product(given.every, given.told):
+        for every, told in product([1] if given.search else given.every, given.told):
             rng = np.random.default_rng([given.seed, number])
-            yield played(models, film, number, every, told, rng)
+            if given.search:
+                yield from searched(models, film, number, told, rng)
+            else:
+                yield played(models, film, number, every, told, rng)
+
+
+def _found_so(told: str, some: list[Found]) -> str:
+    """What became of the objects of films that were told so."""
+    times = [one.after_s for one in some if one.after_s is not None]
+    soon = ", ".join(f"{sum(t <= s for t in times)} in {s} s" for s in (1, 2, 4))
+    sums = [sum(getattr(one, name) for one in some) for name in ("right", "visible", "wrong")]
+    return f"{told}: {soon} of {len(some)}; right in {sums[0]} of {sums[1]} frames, wrong in {sums[2]}"
 
 
 def main() -> None:
@@ -164,11 +235,20 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=901)
     parser.add_argument("--every", type=int, nargs="+", default=[1, 3, 5, 10])
     parser.add_argument("--told", nargs="+", choices=TOLD, default=TOLD)
+    parser.add_argument("--search", action="store_true", help="from nothing, by live perception")
     given = parser.parse_args()
     done: list[Row] = []
+    found: list[Found] = []
     for row in rows(given):
-        done.append(row)
-        write_json(given.json, {"rows": [vars(one) for one in done]})
+        if isinstance(row, Found):
+            found.append(row)
+        else:
+            done.append(row)
+        write_json(given.json, {"rows": [vars(one) for one in done or found]})
+    for told in given.told if found else ():
+        print(_found_so(told, [one for one in found if one.told == told]))
+    if found:
+        return
     print("every told      visible right wrong")
     for every in given.every:
         for told in given.told:

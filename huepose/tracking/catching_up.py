@@ -23,6 +23,7 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.tracking.config import TrackerConfig
+from huepose.tracking.lost import MORE, seen_share
 from huepose.tracking.orientation import REST_S, at_rest
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
@@ -38,7 +39,8 @@ class Pursuit:
     through.
 
     before: the track of the object until now. How well it usually fits, and in which light, is known from
-    it."""
+    it. turned_away: a camera of which it is known how it moved does not show any more where the object stood;
+    the track is that of the last frame that showed it."""
 
     def __init__(
         self, correction: Correction, subject: Subject, config: TrackerConfig, before: Track | None = None
@@ -51,7 +53,7 @@ class Pursuit:
         self.poses: list[tuple[int, Float64]] = []
         self._config, self._stride = config, config.catch_up_stride
         self._lost_behind = np.inf
-        self._rests = False
+        self._rests = self.turned_away = False
 
     def arrived(self, newest: RgbdFrame) -> bool:
         """Whether it has reached that frame."""
@@ -77,16 +79,18 @@ class Pursuit:
                 return tried
         before, reached = self.track.copy(), self.track.frame
         assert reached is not None
-        ahead, T_before = _ahead(reached, kept), self.track.T_cam_obj
-        assert T_before is not None
-        frame = self._following(reached, kept)
+        ahead, frame = _ahead(reached, kept), self._following(reached, kept)
+        T_stood = before.stood_in(frame)
+        assert T_stood is not None
         tried += self.track.look(frame, 0.0 if self._rests else tries - tried)
         if self.supported:
             self._stride = min(self._stride + 1, self._config.catch_up_stride)
             T = self.track.T_cam_obj
-            self._rests = T is not None and at_rest(self.track.subject, T_before, T)
+            self._rests = T is not None and at_rest(self.track.subject, T_stood, T)
             self.track.learn()
             self._remember(frame)
+        elif frame.T_parent_cam is not None and seen_share(before.subject.surface, T_stood, frame) <= MORE:
+            self.track, self.turned_away = before, True
         elif self._rests:
             self.track, self._rests = before, False
         elif frame is not ahead[0] and len(ahead) < self._lost_behind:

@@ -174,6 +174,11 @@ class Track:
         elif before.moved is None:
             self.hypotheses = tuple(replace(h, velocity=None) for h in self.hypotheses)
 
+    def stood_in(self, frame: RgbdFrame) -> Float64 | None:
+        """Its pose (4, 4) in the axes of a later frame if it did not move; None without a pose."""
+        T, T_new_old = self.T_cam_obj, self._camera.after(frame, self._looked_ns)[1]
+        return T if T is None or T_new_old is None else se3.compose(T_new_old, T)
+
     def _carry(self, T_new_old: Float64) -> None:
         """Take it to other axes (4, 4)."""
         self.hypotheses = tuple(h.seen_from(T_new_old) for h in self.hypotheses)
@@ -352,6 +357,13 @@ class Track:
         # A verified pose may be TRACKING at once.
         self._standing = Standing(State.TRACKING)
         self._judge()
+
+    def stand(self, seen: Track, said: Correction) -> None:
+        """Take over what another track, made for a correction, saw of the object before the camera turned
+        away from it: it is looked for where it stood."""
+        assert seen.frame is not None
+        self.place(seen, said, seen.frame)
+        self.lose()
 
     def contradict(self, other: Track, quality: float) -> None:
         """Perception found the pose of another track, being that sure of it; this one explains more."""

@@ -321,7 +321,7 @@ class Tracker:
             self._pursuit_waits = True
             return
         self._tries -= pursuit.follow(kept, self._whole_tries)
-        if pursuit.supported and not pursuit.arrived(newest):
+        if pursuit.supported and not pursuit.arrived(newest) and not pursuit.turned_away:
             return
         del self._pursuits[key]
         self._arrive(key, pursuit, newest)
@@ -334,13 +334,17 @@ class Tracker:
         track = self._tracks.get(key)
         if track is not None:
             track.applied_seq = max(track.applied_seq, correction.seq)
-        if not pursuit.supported or self._held(key, found):
+        stands = track is None or track.T_cam_obj is None
+        if not pursuit.supported or (not stands if pursuit.turned_away else self._held(key, found)):
             return
         if track is None:
             track = Track(self._subjects[key[0]], *key, self.config)
             self._tracks[key] = track
             track.history.append(frame.frame_id, frame.stamp_ns, None)
-        elif track.T_cam_obj is not None and track.worth > found.worth:
+        if pursuit.turned_away:
+            track.stand(found, correction)
+            return
+        if track.T_cam_obj is not None and track.worth > found.worth:
             track.contradict(found, correction.quality)
             return
         track.place(found, correction, frame)

@@ -11,6 +11,7 @@ from huepose.believe.state import State
 from huepose.geometry import Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Float64
 from huepose.tracking import TrackedPose, Tracker, TrackerConfig
+from huepose.tracking.track import Track
 from tests.tracking.conftest import correction, errors
 
 T_BASE_OBJ = se3.make(se3.rotation_exp(np.array([1.9, 0.3, 0.4])), np.array([0.4, -0.2, 0.1]))
@@ -114,19 +115,30 @@ def test_one_frame_of_which_nobody_knows_from_where_it_was_taken_does_no_harm(te
         assert _right(pose), number
 
 
-@pytest.mark.parametrize(
-    ("untold", "back"), [((), True), ((25, 27), True), (range(25, 29), True), (range(46), False)]
-)
-def test_what_the_camera_looks_away_from_is_back_at_once(tea_box, shoot, untold, back) -> None:
-    """It turns by 60 degrees to one side and back, with no time for any search."""
-    tracker, states = Tracker({"tea_box": tea_box}, TrackerConfig(tries_per_s=0.0)), []
+@pytest.fixture
+def turning(tea_box, shoot):
+    """A function of a frame number: the frame of a camera that turns by 60 degrees to one side and back in
+    45 frames, and the pose of the box in it."""
     T_base_obj = se3.make(T_BASE_OBJ[:3, :3], np.array([0.0, 0.0, 0.55]))
-    for number in range(46):
+
+    def take(number: int, told: bool) -> tuple[RgbdFrame, Float64]:
         angle = np.radians(60.0) * np.sin(np.pi * number / 45.0) ** 2
         T_base_cam = se3.make(se3.rotation_exp(np.array([0.0, angle, 0.0])), np.zeros(3))
         T_cam_obj = se3.compose(se3.inverse(T_base_cam), T_base_obj)
         frame = shoot([(tea_box.mesh, T_cam_obj)], number)
-        frame = replace(frame, T_parent_cam=None if number in untold else T_base_cam)
+        return replace(frame, T_parent_cam=T_base_cam if told else None), T_cam_obj
+
+    return take
+
+
+@pytest.mark.parametrize(
+    ("untold", "back"), [((), True), ((25, 27), True), (range(25, 29), True), (range(46), False)]
+)
+def test_what_the_camera_looks_away_from_is_back_at_once(tea_box, turning, untold, back) -> None:
+    """With no time for any search."""
+    tracker, states = Tracker({"tea_box": tea_box}, TrackerConfig(tries_per_s=0.0)), []
+    for number in range(46):
+        frame, T_cam_obj = turning(number, number not in untold)
         if number == 0:
             tracker.correct(correction(frame, T_cam_obj))
         (pose,) = tracker.step(frame)
@@ -137,6 +149,43 @@ def test_what_the_camera_looks_away_from_is_back_at_once(tea_box, shoot, untold,
         mm, degrees = errors(pose, T_cam_obj)
         assert mm < 2.0
         assert degrees < 1.0
+
+
+@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("behind", [22, 35])
+def test_what_it_looked_away_from_before_an_answer_came_is_found_where_it_stood(
+    tea_box, turning, told, behind
+) -> None:
+    """The answer comes while it is out of view, or when it is in view again."""
+    tracker, known = Tracker({"tea_box": tea_box}), []
+    first, T_first = turning(0, told)
+    for number in range(46):
+        frame, T_cam_obj = turning(number, told)
+        known = tracker.step(frame)
+        if number == behind:
+            tracker.correct(correction(first, T_first))
+    assert bool(known) == told
+    if told:
+        assert known[0].state is State.TRACKING
+        mm, degrees = errors(known[0], T_cam_obj)
+        assert mm < 2.0
+        assert degrees < 1.0
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_what_rests_is_caught_up_in_a_few_looks(tea_box, filmed, monkeypatch, told) -> None:
+    look, looks = Track.look, []
+    monkeypatch.setattr(Track, "look", lambda track, *args: looks.append(track) or look(track, *args))
+    tracker = Tracker({"tea_box": tea_box})
+    frames = [filmed(number, told) for number in range(45)]
+    for number, frame in enumerate(frames):
+        poses = tracker.step(frame)
+        if number == 30:
+            tracker.correct(correction(frames[0], seen_at(0)))
+        if poses:
+            break
+    assert _right(poses[0])
+    assert (len(looks) <= 5) == told
 
 
 @pytest.mark.parametrize("jump_m", [0.3, 5.0, 1e7])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -96,6 +97,12 @@ class RgbdFrame:
         if not (np.isfinite(self.depth.min()) and np.isfinite(self.depth.max())):
             known = np.where(np.isfinite(self.depth), self.depth, np.float32(0.0))
             object.__setattr__(self, "depth", known)
+
+    def seen_from(self, T_parent_cam: Float64 | None) -> RgbdFrame:
+        """The same frame of a camera that was there, a rigid transform (4, 4)."""
+        other = copy(self)  # nothing of it has to be asked again
+        object.__setattr__(other, "T_parent_cam", T_parent_cam)
+        return other
 
     def without(self, pixels: Bool) -> RgbdFrame:
         """The same frame without the depth of some pixels (H, W)."""

@@ -28,7 +28,9 @@ class TrackerConfig:
     near-symmetric rotations) all objects together may make in a second of the frames' time, None for as many
     as they need. They cost 5 to 18 ms each, and a live step that takes longer than its frame makes the next
     one larger: so many take half of the time, and a step that is late is not given more than a third of a
-    second's."""
+    second's.
+
+    odometry: where nobody tells how the camera moves, it is measured (`tracking.odometry`)."""
 
     history_frames: int = 20
     older_frames: int = 24
@@ -49,6 +51,7 @@ class TrackerConfig:
     tries_per_s: float | None = 30.0
     max_search_m_s: float = 0.8
     max_search_rad_s: float = 7.0
+    odometry: bool = False
 
     def __post_init__(self) -> None:
         if not self.history_frames >= 2:

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from huepose.believe.state import State
+from huepose.geometry import se3
+from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.terms import Terms
 from huepose.support.errors import InputError
@@ -27,6 +29,7 @@ from huepose.tracking.evidence import Identity, Standing
 from huepose.tracking.history import Entry, FrameHistory, PoseHistory, _Stretch
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import Reach
+from huepose.tracking.odometry import Keyframe, Odometry
 from huepose.tracking.orientation import Facing, Orientation
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
@@ -37,8 +40,21 @@ from huepose.tracking.usual import Usual
 _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
-        *(CameraPlace, Correction, Effort, Entry, Facing, FrameHistory, Hypothesis, Identity, PoseHistory),
-        *(Orientation, Pursuit, Reach, Standing, Terms, Track, TrackedPose, Usual, _Stretch),
+        *(Camera, CameraPlace, Correction, Effort, Entry, Facing, FrameHistory, Hypothesis, Identity),
+        *(
+            Keyframe,
+            Odometry,
+            PoseHistory,
+            Orientation,
+            Pursuit,
+            Reach,
+            Standing,
+            Terms,
+            Track,
+            TrackedPose,
+            Usual,
+            _Stretch,
+        ),
     )
 }
 _ENUMS: dict[str, type[Enum]] = {"State": State, "Verdict": Verdict}
@@ -47,6 +63,27 @@ _DTYPES = ("<f8", "<f4", "<i8", "<i4", "|u1", "|b1")
 _GIVEN = ("config", "_subjects")
 
 FrameOf = Callable[[int, int], RgbdFrame | None]
+
+
+class _Frames:
+    """Frames as a tracker keeps them, from where each camera was (None: not known). One is made of each:
+    a tracker tells them apart by identity."""
+
+    def __init__(self, frame_of: FrameOf) -> None:
+        self._frame_of = frame_of
+        self._made: dict[tuple[int, int], RgbdFrame] = {}
+
+    def __call__(self, epoch: int, frame_id: int, T_parent_cam: Any) -> RgbdFrame:
+        if (epoch, frame_id) not in self._made:
+            frame = self._frame_of(epoch, frame_id)
+            if frame is None:
+                raise ValueError(f"frame {frame_id} of epoch {epoch} is not there")
+            if T_parent_cam is not None:
+                if not se3.is_rigid(T_parent_cam, se3.ROUNDED):
+                    raise ValueError(f"frame {frame_id} is seen from what is no rigid transform")
+                frame = frame.seen_from(T_parent_cam)
+            self._made[epoch, frame_id] = frame
+        return self._made[epoch, frame_id]
 
 
 def told(tracker: Tracker) -> dict[str, Any]:
@@ -58,7 +95,7 @@ def frames_of(memory: Any) -> Iterator[tuple[int, int]]:
     """(epoch, frame_id) of the frames that are named in what `told` gave."""
     if isinstance(memory, dict):
         if isinstance(memory.get("frame"), list):
-            epoch, frame_id = memory["frame"]
+            epoch, frame_id, _ = memory["frame"]
             yield epoch, frame_id
         memory = list(memory.values())
     if isinstance(memory, list):
@@ -72,7 +109,8 @@ def taken_over(tracker: Tracker, memory: Any, frame_of: FrameOf) -> None:
     learnt = [name for name in vars(tracker) if name not in _GIVEN]
     if not isinstance(memory, dict):
         memory = {}
-    vars(tracker).update({name: restored(memory.get(name, {}), tracker, frame_of) for name in learnt})
+    frames = _Frames(frame_of)
+    vars(tracker).update({name: _checked(memory.get(name, {}), tracker, frames) for name in learnt})
 
 
 def plain(value: Any, tracker: Tracker) -> Any:
@@ -82,8 +120,12 @@ def plain(value: Any, tracker: Tracker) -> Any:
 
 def restored(plain: Any, tracker: Tracker, frame_of: FrameOf) -> Any:
     """What `plain` was given. Raises InputError for what it did not give."""
+    return _checked(plain, tracker, _Frames(frame_of))
+
+
+def _checked(plain: Any, tracker: Tracker, frames: _Frames) -> Any:
     try:
-        return _restored(plain, tracker, frame_of)
+        return _restored(plain, tracker, frames)
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
         raise InputError(
             "the tracker's memory",
@@ -121,7 +163,7 @@ def _plain(value: Any, names: dict[int, str]) -> Any:
         case None | bool() | int() | float() | str():
             return value
         case RgbdFrame():
-            return {"frame": [value.epoch, value.frame_id]}
+            return {"frame": [value.epoch, value.frame_id, _plain(value.T_parent_cam, names)]}
         case Subject():
             return {"subject": names[id(value)]}
         case TrackerConfig():
@@ -135,9 +177,9 @@ def _plain(value: Any, names: dict[int, str]) -> Any:
     return {"class": type(value).__name__, "has": {k: _plain(v, names) for k, v in vars(value).items()}}
 
 
-def _restored(plain: Any, tracker: Tracker, frame_of: FrameOf) -> Any:
+def _restored(plain: Any, tracker: Tracker, frames: _Frames) -> Any:
     def each(values: list[Any]) -> Iterator[Any]:
-        return (_restored(one, tracker, frame_of) for one in values)
+        return (_restored(one, tracker, frames) for one in values)
 
     match plain:
         case None | bool() | int() | float() | str():
@@ -149,11 +191,8 @@ def _restored(plain: Any, tracker: Tracker, frame_of: FrameOf) -> Any:
                 raise ValueError(f"an array of {dtype} {shape} in {len(data)} bytes")
             array = np.frombuffer(data, dtype).reshape(shape, order=order).copy(order)
             return array[()] if plain["scalar"] else array
-        case {"frame": [epoch, frame_id]}:
-            frame = frame_of(epoch, frame_id)
-            if frame is None:
-                raise ValueError(f"frame {frame_id} of epoch {epoch} is not there")
-            return frame
+        case {"frame": [epoch, frame_id, place]}:
+            return frames(epoch, frame_id, _restored(place, tracker, frames))
         case {"subject": str(name)}:
             return tracker._subjects[name]
         case {"config": True}:
@@ -169,6 +208,6 @@ def _restored(plain: Any, tracker: Tracker, frame_of: FrameOf) -> Any:
         case {"class": str(name), "has": dict(attributes)}:
             made: Any = object.__new__(_CLASSES[name])
             for attribute, value in attributes.items():
-                object.__setattr__(made, attribute, _restored(value, tracker, frame_of))
+                object.__setattr__(made, attribute, _restored(value, tracker, frames))
             return made
     raise ValueError(f"{str(plain)[:60]}")

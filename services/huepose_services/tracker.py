@@ -80,6 +80,7 @@ def tracker_of(config: Config, known: Mapping[str, ReferenceModel]) -> Tracker:
         profile(config.profile).tracker,
         history_frames=config.tracker.history_frames,
         older_frames=config.tracker.older_frames,
+        odometry=config.tracker.odometry,
     )
     return Tracker(known, settings)
 

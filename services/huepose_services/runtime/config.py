@@ -80,11 +80,13 @@ class EstimatorConfig(Section, frozen=True, kw_only=True):
 
 
 class TrackerConfig(Section, frozen=True, kw_only=True):
-    """How far back a late correction may reach, and how old a pose may be that is acted on."""
+    """How far back a late correction may reach, how old a pose may be that is acted on, and whether it is
+    measured how a camera moves that nobody tells of."""
 
     history_frames: Annotated[int, Meta(ge=2, le=300)] = 20
     older_frames: Annotated[int, Meta(ge=0, le=300)] = 24
     max_age_ms: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 300.0
+    odometry: bool = False
 
 
 class ReinitConfig(Section, frozen=True, kw_only=True):

@@ -1,0 +1,182 @@
+"""How a camera moves that nobody tells of, from its own pictures: visual odometry.
+
+Corners of a keyframe, with their depth, are followed from picture to picture (Lucas and Kanade, pyramidal);
+the pose of the camera is the one that most of them agree on (EPnP in RANSAC, then least squares). A camera
+stands as long as some corners are where they were in the keyframe, so one at rest does not drift. Where the
+motion cannot be measured, the camera is taken to have stood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+
+from huepose.geometry import se3
+from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
+from huepose.geometry.box import Box
+from huepose.geometry.camera import NEAR_M, Camera
+from huepose.geometry.frame import RgbdFrame
+
+WIDTH_PX = 320
+"""Corners are followed in pictures of this width."""
+
+CORNERS, APART_PX, WORST = 300, 7, 0.01
+"""Most corners of a keyframe, their least distance, and the least strength of one as a share of the best."""
+
+WINDOW_PX, LEVELS = 15, 4
+"""Of Lucas and Kanade: side of a window, and levels of the pyramids: corners are found again up to some
+hundred pixels off."""
+
+PROBES, CELL_PX, STANDS_PX, STANDING = 40, 40, 0.12, 0.5
+"""The camera stands if, of so many corners, spread over cells of the picture, that share is no farther than
+this from where it was in the keyframe. What moves before a camera at rest seldom covers so many."""
+
+OFF_PX = 0.75
+"""Most that a corner may lie off where the pose puts it."""
+
+FEWEST, MAJORITY = 25, 0.33
+"""Corners that have to agree on a motion, and their share of those that were found again."""
+
+VOTE, FEWEST_OF_ROOM = 5, 10
+"""A part of the picture agrees with a motion if so many of its corners do, and more than stand still. The
+parts are tracked objects and the room, what lies outside of them. The room has to agree, or if it has fewer
+corners than the last, two objects."""
+
+WORN = 0.9
+"""A new keyframe is begun where less than this share of a keyframe's corners is left: what is followed from
+picture to picture drifts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Keyframe:
+    """grey (h, w): the picture; points (N, 3): corners in its camera's axes, metres; pixels (N, 2), strongest
+    first; parts (N,): which tracked object each shows, 0 for the room; probes (P,): those that tell whether
+    the camera stands; T_room_cam (4, 4)."""
+
+    grey: UInt8
+    points: Float64
+    pixels: Float32
+    parts: Int64
+    probes: Int64
+    T_room_cam: Float64
+
+
+class Odometry:
+    """Where one camera is, frame by frame, in the axes that it had in the first."""
+
+    def __init__(self) -> None:
+        self._camera: Camera | None = None
+        self._key: Keyframe | None = None
+        self._T_room_cam: Float64 = np.eye(4)
+        # The last picture, the corners of the keyframe that are followed there, and where they are.
+        self._grey: UInt8 = np.zeros((0, 0), np.uint8)
+        self._alive: Int64 = np.zeros(0, np.int64)
+        self._pixels: Float32 = np.zeros((0, 2), np.float32)
+
+    def place(self, frame: RgbdFrame, objects: Sequence[Box]) -> Float64:
+        """T_parent_cam (4, 4) of the next frame. objects: boxes of tracked objects in the frame before."""
+        factor = WIDTH_PX / frame.camera.width
+        camera, grey = frame.camera.scaled(factor), _grey(frame, factor)
+        key = self._key
+        if key is None or self._camera != frame.camera:
+            self._begin(frame, camera, grey, objects)
+        elif _stands(key, grey):
+            self._T_room_cam = key.T_room_cam
+            self._grey, self._alive, self._pixels = grey, np.arange(len(key.pixels)), key.pixels
+        else:
+            T_cam_key = self._followed(key, camera, grey)
+            if T_cam_key is not None:
+                self._T_room_cam = se3.compose(key.T_room_cam, se3.inverse(T_cam_key))
+            if T_cam_key is None or len(self._alive) < WORN * len(key.pixels):
+                self._begin(frame, camera, grey, objects)
+        return self._T_room_cam
+
+    def _begin(self, frame: RgbdFrame, camera: Camera, grey: UInt8, objects: Sequence[Box]) -> None:
+        """Make a keyframe of a frame; camera: of the smaller picture."""
+        corners: Any = cv2.goodFeaturesToTrack(grey, CORNERS, WORST, APART_PX)
+        pixels: Float32 = np.zeros((0, 2), np.float32) if corners is None else corners.reshape(-1, 2)
+        inside = (pixels + 0.5) * (frame.camera.width / camera.width) - 0.5
+        last = frame.camera.width - 1, frame.camera.height - 1
+        columns, rows = np.clip(np.rint(inside).astype(np.int64), 0, last).T
+        depth = frame.depth[rows, columns]
+        known = depth > NEAR_M
+        pixels, inside = np.ascontiguousarray(pixels[known]), inside[known]
+        parts = np.zeros(len(pixels), np.int64)
+        for number, box in enumerate(objects, 1):
+            parts[((inside >= (box.x, box.y)) & (inside <= (box.x1, box.y1))).all(1)] = number
+        points = camera.backproject(pixels, depth[known])
+        self._camera = frame.camera
+        self._key = Keyframe(grey, points, pixels, parts, _probes(pixels, parts), self._T_room_cam)
+        self._grey, self._alive, self._pixels = grey, np.arange(len(pixels)), pixels
+
+    def _followed(self, key: Keyframe, camera: Camera, grey: UInt8) -> Float64 | None:
+        """From the keyframe's axes to those of the camera now (4, 4); None where too few corners agree."""
+        pixels, found = _flowed(self._grey, grey, self._pixels, LEVELS)
+        alive, pixels = self._alive[found], pixels[found]
+        self._grey, self._alive, self._pixels = grey, alive, pixels
+        if len(alive) < FEWEST:
+            return None
+        points, seen = key.points[alive], pixels.astype(np.float64)
+        fits, turn, shift, inliers = cv2.solvePnPRansac(
+            points, seen, camera.K, None, reprojectionError=OFF_PX, flags=cv2.SOLVEPNP_EPNP
+        )
+        agree = np.zeros(len(alive), bool)
+        if fits and inliers is not None:
+            agree[np.asarray(inliers).ravel()] = True
+        stand = np.linalg.norm(pixels - key.pixels[alive], axis=1) <= STANDS_PX
+        if agree.sum() < FEWEST or agree.mean() < MAJORITY or not _by_all(key.parts[alive], agree, stand):
+            return None
+        turn, shift = cv2.solvePnPRefineLM(points[agree], seen[agree], camera.K, None, turn, shift)
+        # What moves by itself is not followed on.
+        self._alive, self._pixels = alive[agree], pixels[agree]
+        R: Any = cv2.Rodrigues(turn)[0]
+        return se3.make(R, np.asarray(shift, np.float64).ravel())
+
+
+def _grey(frame: RgbdFrame, factor: float) -> UInt8:
+    """The picture in grey, made smaller by a factor."""
+    grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
+    size = round(frame.camera.width * factor), round(frame.camera.height * factor)
+    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _flowed(before: UInt8, now: UInt8, pixels: Float32, levels: int) -> tuple[Float32, Bool]:
+    """Where points (N, 2) of one picture are in another (N, 2), and which were found again (N,); with more
+    levels of the pyramids, farther off."""
+    if not len(pixels):
+        return pixels, np.zeros(0, bool)
+    there: Any = np.zeros((len(pixels), 1, 2), np.float32)
+    there, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, now, pixels[:, None], there, winSize=(WINDOW_PX,) * 2, maxLevel=levels
+    )
+    return np.asarray(there, np.float32)[:, 0], np.asarray(found).ravel() > 0
+
+
+def _probes(pixels: Float32, parts: Int64) -> Int64:
+    """Indices (P,) of corners (N, 2): those of the room first, and of them the strongest of each cell."""
+    cells = (pixels // CELL_PX).astype(np.int64) @ (1, WIDTH_PX)
+    by_cell = np.argsort(cells, kind="stable")
+    _, first, count = np.unique(cells[by_cell], return_index=True, return_counts=True)
+    rank = np.empty(len(pixels), np.int64)
+    rank[by_cell] = np.arange(len(pixels)) - np.repeat(first, count)
+    return np.lexsort((rank, parts > 0))[:PROBES]
+
+
+def _stands(key: Keyframe, grey: UInt8) -> bool:
+    """Whether a picture is taken from where the keyframe was."""
+    there = key.pixels[key.probes]
+    pixels, found = _flowed(key.grey, grey, there, 1)
+    stand = found & (np.linalg.norm(pixels - there, axis=1) <= STANDS_PX)
+    return bool(stand.sum() >= max(1.0, STANDING * len(there)))
+
+
+def _by_all(parts: Int64, agree: Bool, stand: Bool) -> bool:
+    """Whether the parts (N,) of a picture agree with a motion, by the corners (N,) that agree with it and
+    those that stand still."""
+    corners, agreeing, standing = (np.bincount(parts, one, minlength=1) for one in (None, agree, stand))
+    votes = (agreeing >= VOTE) & (agreeing > standing)
+    return bool(votes[0] if corners[0] >= FEWEST_OF_ROOM else votes[1:].sum() >= 2)

@@ -1,0 +1,143 @@
+"""The motion of a camera of which nobody tells, from its pictures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from huepose.believe.state import State
+from huepose.geometry import Box, Mesh, se3
+from huepose.geometry.arrays import Float64
+from huepose.tracking import Tracker, TrackerConfig
+from huepose.tracking.memory import checksum, taken_over, told
+from huepose.tracking.odometry import Odometry
+from tests.tracking.conftest import correction, errors
+
+T_ROOM_BOX = se3.make(se3.rotation_exp(np.array([1.9, 0.3, 0.4])), np.array([0.0, 0.0, 0.55]))
+CONFIG = TrackerConfig(odometry=True)
+SKEW = np.array([0.3, -0.2, 0.0])
+
+
+@pytest.fixture(scope="module")
+def wall() -> tuple[Mesh, Float64]:
+    """A wall of printed tiles, 1 m ahead and aslant, and its pose T_room_mesh."""
+    corners = np.array([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)[faces]
+    tiles = np.random.default_rng(3).integers(20, 235, (48, 48, 3)).astype(np.uint8)
+    print_ = np.repeat(np.repeat(tiles, 8, 0), 8, 1)
+    return Mesh(corners, faces, uv, print_), se3.make(se3.rotation_exp(SKEW), np.array([0.0, 0.0, 1.0]))
+
+
+def camera_at(number: float) -> Float64:
+    """T_room_cam of a hand: up to 0.4 m/s and 40 degrees a second."""
+    t = number / 30.0
+    turn = se3.rotation_exp(np.array([0.1 * np.sin(4.0 * t), 0.12 * np.sin(3.5 * t), 0.15 * np.sin(3.0 * t)]))
+    return se3.make(turn, np.array([0.06 * np.sin(5.0 * t), 0.05 * np.sin(4.0 * t), 0.03 * np.sin(6.0 * t)]))
+
+
+@pytest.fixture
+def walked(tea_box, wall, shoot):
+    """A function of a frame number: the frame of that camera, and the pose of a box that stands still."""
+
+    def take(number: int):
+        T_cam_room = se3.inverse(camera_at(number))
+        mesh, T_room_mesh = wall
+        T_cam_box = se3.compose(T_cam_room, T_ROOM_BOX)
+        return shoot(
+            [(mesh, se3.compose(T_cam_room, T_room_mesh)), (tea_box.mesh, T_cam_box)], number
+        ), T_cam_box
+
+    return take
+
+
+@pytest.mark.parametrize(("step", "mm", "degrees"), [(1, 6.0, 0.5), (3, 6.0, 0.5)])
+def test_a_camera_that_is_carried_about_knows_where_it_is(walked, step, mm, degrees) -> None:
+    odometry = Odometry()
+    for number in range(0, 45, step):
+        T_room_cam = odometry.place(walked(number)[0], [])
+        off = se3.compose(se3.inverse(camera_at(number)), T_room_cam)
+        assert 1e3 * np.linalg.norm(off[:3, 3]) < mm
+        assert np.degrees(se3.rotation_angle(off, np.eye(4))) < degrees
+    assert np.linalg.norm(T_room_cam[:3, 3]) > 0.05
+
+
+def test_a_camera_at_rest_does_not_move_whatever_passes_before_it(tea_box, wall, shoot, path) -> None:
+    odometry = Odometry()
+    for number in range(30):
+        T_room_cam = odometry.place(shoot([wall, (tea_box.mesh, path(number))], number), [])
+        np.testing.assert_array_equal(T_room_cam, np.eye(4))
+
+
+def test_what_is_tracked_does_not_speak_for_the_camera(tea_box, shoot, path) -> None:
+    """Before a wall without a corner the printed box is all that moves."""
+    bare = [(Mesh(*_bare_wall()), se3.make(np.eye(3), np.array([0.0, 0.0, 1.0])))]
+    places = {}
+    for tracked in (True, False):
+        odometry = Odometry()
+        for number in range(6):
+            T = path(2 * number)
+            T[2, 3] = 0.3
+            frame = shoot([*bare, (tea_box.mesh, T)], number, noise=0.3)
+            box = [Box(0.0, 0.0, 320.0, 240.0)] if tracked else []
+            places[tracked] = odometry.place(frame, box)
+    np.testing.assert_array_equal(places[True], np.eye(4))
+    assert np.linalg.norm(places[False][:3, 3]) > 0.01, "it looks as if the camera had moved"
+
+
+def _bare_wall():
+    corners = np.array([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)[faces]
+    return corners, faces, uv, np.full((4, 4, 3), 120, np.uint8)
+
+
+def test_a_picture_that_shows_nothing_says_nothing(shoot, walked) -> None:
+    odometry = Odometry()
+    black = replace(shoot([]), color=np.zeros((240, 320, 3), np.uint8))
+    no_depth = replace(shoot([]), depth=np.zeros((240, 320), np.float32))
+    for frame in (black, no_depth, walked(0)[0], black, no_depth, black):
+        np.testing.assert_array_equal(odometry.place(frame, []), np.eye(4))
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+def test_at_large_steps_before_a_moving_camera_what_stands_still_is_followed(
+    tea_box, walked, odometry
+) -> None:
+    tracker, good = Tracker({"tea_box": tea_box}, replace(CONFIG, odometry=odometry, tries_per_s=0.0)), 0
+    for number in range(0, 90, 5):
+        frame, T_cam_box = walked(number)
+        if number == 0:
+            tracker.correct(correction(frame, T_cam_box))
+        (pose,) = tracker.step(frame)
+        good += pose.state is State.TRACKING and errors(pose, T_cam_box)[0] < 3.0
+    assert (good >= 15) == odometry
+
+
+def test_what_is_told_and_what_is_measured_are_not_mixed(tea_box, walked) -> None:
+    tracker = Tracker({"tea_box": tea_box}, CONFIG)
+    for number in range(6):
+        frame, _ = walked(number)
+        tracker.step(replace(frame, T_parent_cam=camera_at(number)) if number == 2 else frame)
+        newest = tracker._frames.newest
+        assert newest is not None
+        assert (newest.T_parent_cam is not None) == (number <= 2)
+
+
+def test_another_tracker_goes_on_from_where_the_camera_is(tea_box, walked) -> None:
+    first, other = (Tracker({"tea_box": tea_box}, CONFIG) for _ in range(2))
+    frames = {}
+    for number in range(16):
+        frame, T_cam_box = walked(number)
+        frames[frame.epoch, number] = frame
+        for tracker in [first] if number <= 8 else [first, other]:
+            if number in (2, 12):
+                tracker.correct(correction(frames[1, number - 2], walked(number - 2)[1], number))
+            tracker.step(frame)
+        if number == 8:
+            taken_over(other, told(first), lambda epoch, frame_id: frames.get((epoch, frame_id)))
+        if number >= 8:
+            assert checksum(first) == checksum(other)
+    assert errors(other.poses()[0], T_cam_box)[0] < 3.0

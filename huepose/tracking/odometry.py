@@ -41,10 +41,13 @@ OFF_PX = 0.75
 FEWEST, MAJORITY = 25, 0.33
 """Corners that have to agree on a motion, and their share of those that were found again."""
 
-VOTE, FEWEST_OF_ROOM = 5, 10
+VOTE, FEWEST_OF_ROOM = 3, 10
 """A part of the picture agrees with a motion if so many of its corners do, and more than stand still. The
 parts are tracked objects and the room, what lies outside of them. The room has to agree, or if it has fewer
 corners than the last, two objects."""
+
+BESIDE_PX = 5.0
+"""So far outside of its box a corner may be an object's outline."""
 
 WORN = 0.9
 """A new keyframe is begun where less than this share of a keyframe's corners is left: what is followed from
@@ -54,13 +57,11 @@ picture to picture drifts."""
 @dataclass(frozen=True, eq=False)
 class Keyframe:
     """grey (h, w): the picture; points (N, 3): corners in its camera's axes, metres; pixels (N, 2), strongest
-    first; parts (N,): which tracked object each shows, 0 for the room; probes (P,): those that tell whether
-    the camera stands; T_room_cam (4, 4)."""
+    first; probes (P,): those that tell whether the camera stands; T_room_cam (4, 4)."""
 
     grey: UInt8
     points: Float64
     pixels: Float32
-    parts: Int64
     probes: Int64
     T_room_cam: Float64
 
@@ -81,22 +82,23 @@ class Odometry:
         """T_parent_cam (4, 4) of the next frame. objects: boxes of tracked objects in the frame before."""
         factor = WIDTH_PX / frame.camera.width
         camera, grey = frame.camera.scaled(factor), _grey(frame, factor)
+        boxes = [_scaled(box, factor) for box in objects]
         key = self._key
         if key is None or self._camera != frame.camera:
-            self._begin(frame, camera, grey, objects)
+            self._begin(frame, camera, grey, boxes)
         elif _stands(key, grey):
             self._T_room_cam = key.T_room_cam
             self._grey, self._alive, self._pixels = grey, np.arange(len(key.pixels)), key.pixels
         else:
-            T_cam_key = self._followed(key, camera, grey)
+            T_cam_key = self._followed(key, camera, grey, boxes)
             if T_cam_key is not None:
                 self._T_room_cam = se3.compose(key.T_room_cam, se3.inverse(T_cam_key))
             if T_cam_key is None or len(self._alive) < WORN * len(key.pixels):
-                self._begin(frame, camera, grey, objects)
+                self._begin(frame, camera, grey, boxes)
         return self._T_room_cam
 
-    def _begin(self, frame: RgbdFrame, camera: Camera, grey: UInt8, objects: Sequence[Box]) -> None:
-        """Make a keyframe of a frame; camera: of the smaller picture."""
+    def _begin(self, frame: RgbdFrame, camera: Camera, grey: UInt8, boxes: Sequence[Box]) -> None:
+        """Make a keyframe of a frame; camera, boxes: in the smaller picture."""
         corners: Any = cv2.goodFeaturesToTrack(grey, CORNERS, WORST, APART_PX)
         pixels: Float32 = np.zeros((0, 2), np.float32) if corners is None else corners.reshape(-1, 2)
         inside = (pixels + 0.5) * (frame.camera.width / camera.width) - 0.5
@@ -104,17 +106,16 @@ class Odometry:
         columns, rows = np.clip(np.rint(inside).astype(np.int64), 0, last).T
         depth = frame.depth[rows, columns]
         known = depth > NEAR_M
-        pixels, inside = np.ascontiguousarray(pixels[known]), inside[known]
-        parts = np.zeros(len(pixels), np.int64)
-        for number, box in enumerate(objects, 1):
-            parts[((inside >= (box.x, box.y)) & (inside <= (box.x1, box.y1))).all(1)] = number
-        points = camera.backproject(pixels, depth[known])
+        pixels = np.ascontiguousarray(pixels[known])
+        points, probes = camera.backproject(pixels, depth[known]), _probes(pixels, _parts(pixels, boxes))
         self._camera = frame.camera
-        self._key = Keyframe(grey, points, pixels, parts, _probes(pixels, parts), self._T_room_cam)
+        self._key = Keyframe(grey, points, pixels, probes, self._T_room_cam)
         self._grey, self._alive, self._pixels = grey, np.arange(len(pixels)), pixels
 
-    def _followed(self, key: Keyframe, camera: Camera, grey: UInt8) -> Float64 | None:
-        """From the keyframe's axes to those of the camera now (4, 4); None where too few corners agree."""
+    def _followed(self, key: Keyframe, camera: Camera, grey: UInt8, boxes: Sequence[Box]) -> Float64 | None:
+        """From the keyframe's axes to those of the camera now (4, 4); None where too few corners agree.
+        boxes: of tracked objects in the last picture."""
+        parts = _parts(self._pixels, boxes)
         pixels, found = _flowed(self._grey, grey, self._pixels, LEVELS)
         alive, pixels = self._alive[found], pixels[found]
         self._grey, self._alive, self._pixels = grey, alive, pixels
@@ -128,7 +129,7 @@ class Odometry:
         if fits and inliers is not None:
             agree[np.asarray(inliers).ravel()] = True
         stand = np.linalg.norm(pixels - key.pixels[alive], axis=1) <= STANDS_PX
-        if agree.sum() < FEWEST or agree.mean() < MAJORITY or not _by_all(key.parts[alive], agree, stand):
+        if agree.sum() < FEWEST or agree.mean() < MAJORITY or not _by_all(parts[found], agree, stand):
             return None
         turn, shift = cv2.solvePnPRefineLM(points[agree], seen[agree], camera.K, None, turn, shift)
         # What moves by itself is not followed on.
@@ -142,6 +143,19 @@ def _grey(frame: RgbdFrame, factor: float) -> UInt8:
     grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
     size = round(frame.camera.width * factor), round(frame.camera.height * factor)
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _scaled(box: Box, factor: float) -> Box:
+    """An object's box in a picture made smaller by a factor, with what may be the object's beside it."""
+    return Box(*(factor * x for x in (box.x, box.y, box.w, box.h))).grown(0.0, BESIDE_PX)
+
+
+def _parts(pixels: Float32, boxes: Sequence[Box]) -> Int64:
+    """Which part of the picture each corner (N, 2) shows (N,): the number of its box, 0 for the room."""
+    parts = np.zeros(len(pixels), np.int64)
+    for number, box in enumerate(boxes, 1):
+        parts[((pixels >= (box.x, box.y)) & (pixels <= (box.x1, box.y1))).all(1)] = number
+    return parts
 
 
 def _flowed(before: UInt8, now: UInt8, pixels: Float32, levels: int) -> tuple[Float32, Bool]:

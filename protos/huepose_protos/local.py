@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,8 @@ from typing import NamedTuple
 FOLDER = "HUEPOSE_RUN"
 BASE_PORT = 17447
 """The first port where `bus.base_port` says nothing else."""
+_LOOK_EVERY_NS = 1_000_000_000
+"""For the pipeline of a camera, which may be started later or again."""
 _START_TIME = 19
 """Of the fields after a process's name in /proc/PID/stat: `starttime` (proc(5), number 22), in clock ticks
 since the boot."""
@@ -57,12 +60,12 @@ def pose_endpoints(base_port: int | None = None, folder: Path | str | None = Non
 def _only_port(folder: Path) -> int:
     running = sorted(set(_noted(folder)))
     if len(running) > 1:
-        listed = ", ".join(f"{n.site}/{n.camera} at port {n.base_port} ({n.file})" for n in running)
         port, site, camera, _ = running[0]
-        raise ValueError(
-            f"pose_endpoints: found {len(running)} pipelines that run here: {listed}; expected one. Say "
-            f'which: pose_endpoints({port}), or pose_endpoints(base_port_of("{site}", "{camera}"))'
-        )
+        fix = f"pose_endpoints({port})"
+        if sum(note.is_of(site, camera) for note in running) == 1:
+            fix += f', or PoseClient(None, site="{site}", camera="{camera}")'
+        found = f"found {len(running)} pipelines that run here: {_listed(running)}"
+        raise ValueError(f"pose_endpoints: {found}; expected one. Say which: {fix}")
     return running[0].base_port if running else BASE_PORT
 
 
@@ -102,6 +105,14 @@ class _Note(NamedTuple):
     camera: str
     file: str
 
+    def is_of(self, site: str, camera: str) -> bool:
+        """Whether it is this camera's; `*` is any."""
+        return site in ("*", self.site) and camera in ("*", self.camera)
+
+
+def _listed(notes: Iterable[_Note]) -> str:
+    return ", ".join(f"{n.site}/{n.camera} at port {n.base_port} ({n.file})" for n in notes)
+
 
 def _noted(folder: Path) -> Iterator[_Note]:
     """The pipelines that run with their sockets there; one whose workers run by themselves comes once for
@@ -113,11 +124,60 @@ def _noted(folder: Path) -> Iterator[_Note]:
                 yield _Note(port, str(said["site"]), str(said["camera"]), str(said.get("file", "")))
 
 
+class Whereabouts:
+    """Where the pipeline of a camera runs on this machine as this user, by what it notes of itself; it may be
+    started later or again. A second camera's pipeline has another port.
+
+    site, camera: `*` is any. `port`: its first; where no pipeline runs at all the usual one, None where only
+    others do. Raises ValueError where several pipelines are meant."""
+
+    def __init__(self, site: str, camera: str) -> None:
+        self._site, self._camera = site, camera
+        self.port: int | None = None
+        self._look()
+        if self.port is None and self._meant():
+            fix = f"Say which: by site and camera, or by its port, as {self._meant()[0].base_port}"
+            raise ValueError(f"{self.absence()}; expected one. {fix}")
+
+    def has_moved(self) -> bool:
+        """Whether it runs at another port now; looks once a second."""
+        before = self.port
+        if time.monotonic_ns() >= self._look_ns:
+            self._look()
+        return self.port != before
+
+    def absence(self) -> str | None:
+        """That other pipelines run here, or several that are meant, in words, as of the last look; None where
+        that is not what is in the way."""
+        meant, name = self._meant(), f"{self._site}/{self._camera}"
+        ports = {note.base_port for note in meant}
+        if len(ports) > 1 and self.port not in ports:
+            return f"{len(ports)} pipelines of {name} run here: {_listed(meant)}"
+        if meant or (self.port is not None and not self._running):
+            return None
+        others = f", only {_listed(self._running)}" if self._running else ""
+        return f"no pipeline of {name} runs here{others}"
+
+    def _look(self) -> None:
+        self._look_ns = time.monotonic_ns() + _LOOK_EVERY_NS
+        self._running = sorted(set(_noted(run_folder())))
+        ports = {note.base_port for note in self._meant()}
+        if len(ports) == 1:
+            (self.port,) = ports
+        elif self.port is None and not self._running:
+            self.port = BASE_PORT
+
+    def _meant(self) -> list[_Note]:
+        return [note for note in self._running if note.is_of(self._site, self._camera)]
+
+
 def base_port_of(site: str, camera: str) -> int:
-    """The first port of the pipeline of a camera that runs on this machine as this user, by what it notes of
-    itself; where none does, the one that is usual. A second camera's pipeline has another one."""
-    ports = (n.base_port for n in _noted(run_folder()) if (n.site, n.camera) == (site, camera))
-    return next(ports, BASE_PORT)
+    """The first port of the pipeline of a camera that runs on this machine as this user; where none runs at
+    all the usual one. Raises ValueError where only others run, or several of this camera."""
+    place = Whereabouts(site, camera)
+    if place.port is None:
+        raise ValueError(f"{place.absence()}; PoseClient(None, site=..., camera=...) waits for it")
+    return place.port
 
 
 def note_of(base_port: int, folder: Path) -> str | None:

@@ -9,35 +9,33 @@ from __future__ import annotations
 
 import time
 
+import zenoh
 from numpy.typing import ArrayLike
 
 from huepose_protos.client import open_session
 from huepose_protos.codec import encode
 from huepose_protos.keys import Keys
-from huepose_protos.local import base_port_of, endpoint
+from huepose_protos.local import Whereabouts, endpoint
 from huepose_protos.messages import MountMessage
 from huepose_protos.motion import SECOND, mount_of, quaternion_from, rigid
 
 _OLDEST_NS = 10 * SECOND
 """What is told of an arm is a few milliseconds old: an older stamp is of another clock."""
-_LOOK_EVERY_NS = SECOND
-"""For the pipeline of the camera, which may be started later or again."""
 
 
 class MountSender:
     """To the camera of a pipeline that says `camera.moving`; it may be made before that one runs.
 
     parent: the frame of the robot or room that the transforms are in; site, camera: whose pipeline;
-    base_port: its `bus.base_port`, by default that of the pipeline of this camera that runs here."""
+    base_port: its `bus.base_port`, by default that of the pipeline of this camera that runs here, looked up
+    again every second. Raises ValueError where several of that name run."""
 
     def __init__(
         self, parent: str, site: str = "local", camera: str = "cam0", base_port: int | None = None
     ) -> None:
         self._parent, self._key = parent, Keys(site, camera).mount
-        self._whose = None if base_port is not None else (site, camera)
-        self._port = base_port_of(site, camera) if base_port is None else base_port
-        self._session = open_session([endpoint(self._port)])
-        self._look_ns = time.monotonic_ns() + _LOOK_EVERY_NS
+        self._place = Whereabouts(site, camera) if base_port is None else None
+        self._session = _session_at(base_port if self._place is None else self._place.port)
 
     def tell(self, T_parent: ArrayLike, stamp_ns: int | None = None) -> None:
         """The pose (4, 4) in `parent` of what `camera.mount` is fixed to, or without that of the camera's
@@ -51,17 +49,11 @@ class MountSender:
                 "time.monotonic_ns() at which the robot was there, not time.time_ns()"
             )
         mount = mount_of(self._parent, T[:3, 3], quaternion_from(T[:3, :3]))
-        if self._whose is not None and now > self._look_ns:
-            self._follow(*self._whose, now)
+        if self._place is not None and self._place.has_moved():
+            self._session.close()
+            self._session = _session_at(self._place.port)
         message = MountMessage(publish_ns=now, capture_ns=stamp_ns, mount=mount)
         self._session.put(self._key, encode(message))
-
-    def _follow(self, site: str, camera: str, now: int) -> None:
-        """To the camera's pipeline where that runs at another port now."""
-        self._look_ns = now + _LOOK_EVERY_NS
-        if (port := base_port_of(site, camera)) != self._port:
-            self._session.close()
-            self._port, self._session = port, open_session([endpoint(port)])
 
     def close(self) -> None:
         """Leave the bus."""
@@ -72,3 +64,7 @@ class MountSender:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+def _session_at(port: int | None) -> zenoh.Session:
+    return open_session([] if port is None else [endpoint(port)])

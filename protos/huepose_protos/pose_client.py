@@ -22,7 +22,7 @@ import zenoh
 
 from huepose_protos.client import Client, open_session
 from huepose_protos.keys import Keys, site_and_camera_of
-from huepose_protos.local import boot_id
+from huepose_protos.local import Whereabouts, boot_id, pose_endpoints
 from huepose_protos.messages import CameraMessage, Message, Mount, ObjectsMessage, PoseMessage
 from huepose_protos.motion import PoseAt, carried, mount_at, pose_at
 from huepose_protos.reach import endpoint_of, why_unreached
@@ -53,20 +53,22 @@ class PoseClient(Client):
     """Subscribes to poses at a gateway or, on the pipeline's own machine, at `local.pose_endpoints()`.
 
     endpoints: `HOST`, `HOST:PORT`, `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS the files in PEM of
-    `open_session`. It may be made before the pipeline runs, and finds it again when it was gone; each time it
-    asks for the latest poses. Where none come, `why_silent()` says what is in the way. Left open,
+    `open_session`. None: on this machine where the pipeline of `site` and `camera` runs, which is looked up
+    again every second. It may be made before the pipeline runs, and finds it again when it was gone; each
+    time it asks for the latest poses. Where none come, `why_silent()` says what is in the way. Left open,
     it is closed at the program's end.
-    camera: the only one whose poses are read, else all, each for itself: `pose.frame` says which camera's a
-    pose is; where two sites have a camera of one name, make a client for each site. object: the only one that
-    is of interest, else all. Can be used from several threads.
-    Raises ValueError for endpoints or files that cannot be used, FileNotFoundError for a missing file.
+    site, camera: the only one whose poses are read, else all, each for itself: `pose.frame` says which
+    camera's a pose is; where two sites have a camera of one name, make a client for each site. object: the
+    only one that is of interest, else all. Can be used from several threads.
+    Raises ValueError for endpoints or files that cannot be used and where several pipelines are meant,
+    FileNotFoundError for a missing file.
 
     `missed`: poses that were dropped because the iterator was not read for too long (`latest` and `at` always
     know the newest)."""
 
     def __init__(
         self,
-        endpoints: str | Sequence[str] = "tcp/127.0.0.1:7447",
+        endpoints: str | Sequence[str] | None = "tcp/127.0.0.1:7447",
         *,
         site: str = "*",
         camera: str = "*",
@@ -88,20 +90,38 @@ class PoseClient(Client):
         keys = Keys(site, camera)
         inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
         self._outside = (keys.outside(inside), keys.outside(keys.camera_info))
-        endpoints = [endpoints] if isinstance(endpoints, str) else list(endpoints)
-        if not endpoints:
-            raise ValueError("PoseClient: no endpoints; give a gateway's HOST, or local.pose_endpoints()")
-        self._endpoints = [endpoint_of(one, tls=authority is not None) for one in endpoints]
-        self._files = authority, certificate, key
-        super().__init__(open_session(endpoints, *self._files))
-        for expression in (inside, keys.camera_info, *self._outside):
-            self._listen(self._session.declare_subscriber, expression, self._on_sample)
+        self._expressions = (inside, keys.camera_info, *self._outside)
         self._lists = (keys.objects, keys.outside(keys.objects))
+        self._place: Whereabouts | None = None
+        if endpoints is None:
+            self._place = Whereabouts(site, camera)
+            endpoints = _endpoints_of(self._place)
+        elif not endpoints:
+            raise ValueError("PoseClient: no endpoints; give a gateway's HOST, or local.pose_endpoints()")
+        given = [endpoints] if isinstance(endpoints, str) else list(endpoints)
+        self._endpoints = [endpoint_of(one, tls=authority is not None) for one in given]
+        self._files = authority, certificate, key
+        super().__init__(open_session(given, *self._files))
+        self._subscribe()
         self._asker.start()
+
+    def _subscribe(self) -> None:
+        for expression in self._expressions:
+            self._listen(self._session.declare_subscriber, expression, self._on_sample)
+
+    def _follow(self, place: Whereabouts) -> None:
+        """To where the pipeline runs now."""
+        self._endpoints = _endpoints_of(place)
+        before, self._session = self._session, open_session(self._endpoints)
+        before.close()
+        self._threads = [thread for thread in self._threads if thread.is_alive()]
+        self._subscribe()
 
     def _ask_whoever_is_new(self) -> None:
         known: set[str] = set()
         while not self._closed.wait(_LOOK_EVERY_S):
+            if self._place is not None and self._place.has_moved():
+                self._follow(self._place)
             peers = {str(zid) for zid in self._session.info.peers_zid()}
             if peers - known:
                 for expression in self._outside:
@@ -173,6 +193,8 @@ class PoseClient(Client):
     def why_silent(self) -> str:
         """Why no pose comes, in a sentence, as far as this can be found out here; may take seconds. Of a
         client that was just made it waits for a pose, up to a second, before it says that none comes."""
+        if self._place is not None and (absence := self._place.absence()) is not None:
+            return f"waiting for a pipeline: {absence}"
         with self._changed:
             new_s = self._made + _SETTLES_S - time.monotonic()
             self._changed.wait_for(lambda: self._arrived or self._closed.is_set(), max(0.0, new_s))
@@ -303,3 +325,7 @@ def _offset_ns(pose: PoseMessage) -> int:
     if pose.clock_id == boot_id():
         return time.time_ns() - time.monotonic_ns()
     return pose.realtime_offset_ns
+
+
+def _endpoints_of(place: Whereabouts) -> list[str]:
+    return [] if place.port is None else pose_endpoints(place.port)

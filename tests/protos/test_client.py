@@ -1,13 +1,17 @@
 """What the clients keep of what they hear, and of whom they take it to be."""
 
+import json
+import os
 from types import SimpleNamespace
 
 import msgspec
 import pytest
+import zenoh
 
 from huepose_protos import PoseClient, encode
-from huepose_protos.client import Reader
+from huepose_protos.client import Reader, peer
 from huepose_protos.examples import example
+from huepose_protos.local import endpoint
 from huepose_protos.messages import CameraMessage, Clock, Mount, PoseMessage
 
 NOBODY = "tcp/127.0.0.1:1"
@@ -89,3 +93,36 @@ def test_a_reader_that_is_not_read_keeps_the_newest_messages_and_counts_the_othe
             reader._on_sample(pose("lab", 1, SECOND, frame_id=number))
         assert (reader.pending, reader.missed) == (3, 2)
         assert [message.frame_id for message in heard(reader)] == [2, 3, 4]
+
+
+def note(folder, camera, port):
+    said = {"site": "local", "camera": camera, "file": "pipeline.yaml"}
+    (folder / f"{os.getpid()}-{port}.json").write_text(json.dumps(said))
+
+
+def say(session, camera):
+    message = msgspec.structs.replace(example(PoseMessage), object="mug", instance=0)
+    session.put(f"huepose/local/{camera}/pose/mug/0", encode(message))
+
+
+def test_who_names_a_camera_waits_for_it_and_hears_no_other(monkeypatch, tmp_path):
+    """Also where another one has the port that is usual."""
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
+    monkeypatch.setattr("huepose_protos.local._LOOK_EVERY_NS", 0)
+    with PoseClient(None, site="local", camera="right") as client, zenoh.open(at(17447)) as left:
+        note(tmp_path, "left", 17447)
+        others = "no pipeline of local/right runs here, only local/left at port 17447 (pipeline.yaml)"
+        assert f"waiting for a pipeline: {others}" in (client.why_silent() for _ in range(5))
+        with zenoh.open(at(17467)) as right:
+            note(tmp_path, "right", 17467)
+            for _ in range(200):
+                say(left, "left")
+                say(right, "right")
+                if (pose := client.next(0.1)) is not None:
+                    break
+            assert pose.object == "mug"
+            assert {camera for camera, *_ in client._history} == {"local/right"}
+
+
+def at(port):
+    return peer([], listen=[endpoint(port)])

@@ -7,6 +7,7 @@ import pytest
 
 from huepose_protos.local import (
     BASE_PORT,
+    Whereabouts,
     base_port_of,
     boot_id,
     born_of,
@@ -72,6 +73,45 @@ def test_of_several_pipelines_it_is_asked_which(tmp_path, monkeypatch):
     assert str(error.value) == (
         "pose_endpoints: found 2 pipelines that run here: lab/left at port 18100 (/etc/left.yaml), lab/right "
         "at port 18120 (/etc/right.yaml); expected one. Say which: pose_endpoints(18100), or "
-        'pose_endpoints(base_port_of("lab", "left"))'
+        'PoseClient(None, site="lab", camera="left")'
     )
     assert pose_endpoints(base_port_of("lab", "right")) == [endpoint(18121), endpoint(18120)]
+
+
+def test_the_port_of_a_camera_is_never_that_of_another(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
+    _run(tmp_path, "left", 17447)
+    with pytest.raises(ValueError) as error:
+        base_port_of("lab", "rigth")
+    assert str(error.value) == (
+        "no pipeline of lab/rigth runs here, only lab/left at port 17447 (/etc/left.yaml); "
+        "PoseClient(None, site=..., camera=...) waits for it"
+    )
+
+
+def test_of_two_pipelines_of_one_name_none_is_taken(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
+    _run(tmp_path, "left", 18120)
+    _run(tmp_path, "left", 18100)
+    with pytest.raises(ValueError) as error:
+        base_port_of("lab", "left")
+    assert str(error.value) == (
+        "2 pipelines of lab/left run here: lab/left at port 18100 (/etc/left.yaml), lab/left at port 18120 "
+        "(/etc/left.yaml); expected one. Say which: by site and camera, or by its port, as 18100"
+    )
+    with pytest.raises(ValueError, match=r"Say which: pose_endpoints\(18100\)$"):
+        pose_endpoints()
+
+
+def test_a_camera_is_followed_to_where_it_runs(tmp_path, monkeypatch):
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
+    monkeypatch.setattr("huepose_protos.local._LOOK_EVERY_NS", 0)
+    _run(tmp_path, "left", 18100)
+    place = Whereabouts("lab", "right")
+    assert (place.port, place.has_moved()) == (None, False)
+    _run(tmp_path, "right", 18120)
+    assert (place.has_moved(), place.port, place.absence()) == (True, 18120, None)
+    _run(tmp_path, "right", 18140)  # where it is stays known
+    assert (place.has_moved(), place.port, place.absence()) == (False, 18120, None)
+    (tmp_path / f"{os.getpid()}-18120.json").unlink()
+    assert (place.has_moved(), place.port) == (True, 18140)

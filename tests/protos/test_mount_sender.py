@@ -64,7 +64,7 @@ def test_a_motion_that_is_rigid_to_a_thousandth_is_told(sender):
 def test_it_finds_the_pipeline_of_a_second_camera_also_one_that_starts_later(monkeypatch, tmp_path):
     """Which listens at other sockets: what went to those of the first camera nobody would hear."""
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
-    monkeypatch.setattr("huepose_protos.mount_sender._LOOK_EVERY_NS", 0)
+    monkeypatch.setattr("huepose_protos.local._LOOK_EVERY_NS", 0)
     said = queue.SimpleQueue()
     with MountSender("base_link", camera="right") as sender, zenoh.open(listening_at(17467)) as camera:
         camera.declare_subscriber("huepose/local/right/mount", said.put)

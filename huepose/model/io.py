@@ -150,7 +150,8 @@ def load_model(path: Path | str) -> ReferenceModel:
 def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> dict[str, ReferenceModel]:
     """Reference models of a folder by name: all of them in alphabetical order, or the named ones.
 
-    Raises InputError for a folder without models, and for an unknown name, listing the known ones.
+    Raises InputError for a folder without models, for an unknown name, listing the known ones, and for a file
+    that was renamed.
     """
     folder = Path(bundles_dir)
     known = model_names(folder)
@@ -165,7 +166,20 @@ def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> 
             expected=f"one of {', '.join(known)}",
             fix=did_you_mean(unknown[0], known) or "Correct the name, or onboard the object.",
         )
-    return {name: load_model(model_path(folder, name)) for name in wanted}
+    return {name: _named(model_path(folder, name), name) for name in wanted}
+
+
+def _named(path: Path, name: str) -> ReferenceModel:
+    """The model in a file, which has the name of the file: all else says the model's own."""
+    model = load_model(path)
+    if model.name != name:
+        raise InputError(
+            path,
+            found=f"the model '{model.name}'",
+            expected=f"the model '{name}', as the file is named",
+            fix=f"Rename the file to {model.name}{SUFFIX}, or onboard the object under the new name.",
+        )
+    return model
 
 
 def _no_models(folder: Path) -> InputError:

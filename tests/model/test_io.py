@@ -172,6 +172,16 @@ def test_models_are_found_by_name(saved: Path, tea_box: ReferenceModel, tmp_path
         load_models(tmp_path, ["a_one", "cup"])
 
 
+def test_a_file_that_was_renamed_is_refused_with_both_ways_out(saved: Path, tmp_path: Path) -> None:
+    (tmp_path / "my_part.huepose").write_bytes(saved.read_bytes())
+    with pytest.raises(InputError) as error:
+        load_models(tmp_path)
+    assert str(error.value) == (
+        f"{tmp_path / 'my_part.huepose'}: found the model 'tea_box'; expected the model 'my_part', as the "
+        "file is named. Rename the file to tea_box.huepose, or onboard the object under the new name."
+    )
+
+
 def test_empty_and_missing_folders_are_told_apart(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no reference models"):
         load_models(tmp_path)

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from huepose.model import save_model
 from huepose.support.errors import InputError
 from huepose_protos import decode, encode
 from huepose_protos.examples import example
@@ -423,6 +424,15 @@ def test_what_a_worker_would_refuse_as_it_starts_is_refused_before(tmp_path, ref
         said = refused([verb, path])
         assert said.startswith(f"huepose {verb}: "), "no worker was started to say so"
         assert says in said
+
+
+def test_a_renamed_model_is_refused_before_a_worker_finds_it(tmp_path, tea_box, pipeline, refused):
+    save_model(tea_box, tmp_path / "bundles" / "my_part.huepose")
+    path, told = pipeline(), {"bundles": "bundles", "workers": ["camera", "tracker", "estimator"]}
+    path.write_text(json.dumps(json.loads(path.read_text()) | told))
+    said = "bundles/my_part.huepose: found the model 'tea_box'; expected the model 'my_part'"
+    for verb in ("validate", "up"):
+        assert said in refused([verb, path])
 
 
 def test_a_worker_that_does_not_run_here_is_not_asked_about(validated):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -86,7 +87,7 @@ def test_an_object_that_is_added_later_has_its_box(
     tea_box: ReferenceModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in ("can", "tea_box"):
-        save_model(tea_box, model_path(tmp_path, name))
+        save_model(replace(tea_box, name=name), model_path(tmp_path, name))
     monkeypatch.setattr(ros2_work, "Router", lambda ros2: _Router())
     bus = FakeBus("ros2")
     said: list[str] = []

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 
 import cv2
 import msgspec
@@ -397,7 +398,7 @@ def test_an_object_that_is_added_later_is_drawn_with_its_colour_pairs(tea_box, t
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     for name in ("can", "tea_box"):
-        save_model(tea_box, model_path(tmp_path / "bundles", name))
+        save_model(replace(tea_box, name=name), model_path(tmp_path / "bundles", name))
     config = Config(bundles=str(tmp_path / "bundles"), objects=[ObjectConfig(name="can")])
     arguments = Namespace(config=None, pipeline=None, pairs=True)
     with noted(Pipeline(base_port=29347, file=str(tmp_path / "pipeline.yaml"), workers=("camera",))):

@@ -268,6 +268,24 @@ def test_what_chaos_is_told_is_more_than_none(
     assert capsys.readouterr().err == f"huepose chaos: {option}: found {number}; expected more than 0.\n"
 
 
+ONE = "estimate --color c --depth d --camera k --bundles b"
+
+
+@pytest.mark.parametrize(
+    ("line", "dest", "given"),
+    [
+        (ONE, "object", None),
+        (f"{ONE} --object a --object b c", "object", list("abc")),
+        ("demo", "object", []),
+        ("demo --object a --object b", "object", ["a", "b"]),
+        ("eval tables --out o", "every", [1, 5]),
+        ("eval tables --out o --every 2 --every 3", "every", [2, 3]),
+    ],
+)
+def test_an_option_that_takes_several_adds_up(line: str, dest: str, given: list[str] | None) -> None:
+    assert getattr(command_line.build_parser().parse_args(line.split()), dest) == given
+
+
 def test_a_shell_is_told_what_may_come_next(tmp_path: Path) -> None:
     def choices(line: str) -> set[str]:
         asked = {

@@ -66,6 +66,20 @@ def add_path(
     parser.add_argument(option, type=Path, required=required, metavar=metavar, help=text)
 
 
+class _Several(argparse.Action):
+    """Each use of the option adds to what those before gave; the first one takes the place of the default."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        before = getattr(namespace, self.dest)
+        setattr(namespace, self.dest, [*([] if before is self.default else before), *values])
+
+
 def add_several(
     parser: argparse.ArgumentParser,
     option: str,
@@ -76,9 +90,17 @@ def add_several(
     kind: Callable[[str], Any] = Path,
     required: bool = False,
 ) -> None:
-    """Add an option that takes one or more files or folders, or what `kind` makes of a word."""
+    """Add an option that takes one or more files or folders, or what `kind` makes of a word; given again it
+    adds to them."""
     parser.add_argument(
-        option, type=kind, nargs="+", default=default, required=required, metavar=metavar, help=text
+        option,
+        action=_Several,
+        type=kind,
+        nargs="+",
+        default=default,
+        required=required,
+        metavar=metavar,
+        help=text,
     )
 
 
@@ -91,7 +113,9 @@ def add_some_of(
     parser: argparse.ArgumentParser, option: str, names: Sequence[str], text: str, default: Sequence[str] = ()
 ) -> None:
     """Add an option that takes some of these names, all of them by default."""
-    parser.add_argument(option, nargs="+", choices=names, default=[*(default or names)], help=text)
+    parser.add_argument(
+        option, action=_Several, nargs="+", choices=names, default=[*(default or names)], help=text
+    )
 
 
 def add_box(parser: argparse.ArgumentParser, text: str) -> None:

@@ -59,6 +59,10 @@ _EVERY_ROW = 16
 _EVERY = 4
 """Each such pixel of a row and column is looked at: enough for shares of a whole picture."""
 
+_ONE_OF = 17
+"""So much of depth is looked at: readings may be missing in every second row or column, or third, and no such
+lattice is one of this number."""
+
 
 def dark(color: UInt8) -> Bool:
     """Pixels (...) of colours (..., 3) that are too dark to tell which."""
@@ -106,13 +110,18 @@ def same(one: UInt8 | Float32, other: UInt8 | Float32) -> bool:
     return np.array_equal(one[::_EVERY_ROW], other[::_EVERY_ROW]) and np.array_equal(one, other)
 
 
+def some_of(depth: Float32) -> Float32:
+    """Values (N,) of a depth picture (H, W): enough of them for shares, in all rows and columns."""
+    return np.asarray(depth.reshape(-1)[::_ONE_OF])
+
+
 def depth_share(depth: Float32, farthest_m: float = np.inf) -> float:
     """Share of a depth picture (H, W) with a reading; less than `LEAST_DEPTH` is none.
 
     >>> depth_share(np.full((48, 64), np.nan, np.float32))
     0.0
     """
-    return float(readings(depth[::_EVERY, ::_EVERY], farthest_m).mean())
+    return float(readings(some_of(depth), farthest_m).mean())
 
 
 def camera_doubted(camera: Camera) -> str | None:
@@ -196,5 +205,5 @@ def _brightest(color: UInt8) -> UInt8:
 
 def _readings_of(frame: RgbdFrame) -> Float32:
     """The depth readings of a frame (N,), metres: enough of them for shares."""
-    depth = frame.depth[::_EVERY, ::_EVERY]
+    depth = some_of(frame.depth)
     return depth[readings(depth)]

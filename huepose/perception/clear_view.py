@@ -19,6 +19,7 @@ from huepose.judge.region import Crop, Region, saturated
 from huepose.judge.silhouette import taken_by
 from huepose.model.types import COLOR_SCALES_M, ReferenceModel
 from huepose.perception.embedded import depth_steps
+from huepose.perception.filled import filled
 from huepose.perception.planes import BAND_M, BAND_PER_M, large_planes, standing_clear
 from huepose.perception.stretches import connected, written
 from huepose.propose.view_pictures import Pyramid
@@ -46,7 +47,7 @@ WIDE_PX = 1.5
 
 @dataclass(frozen=True, eq=False)
 class ClearView:
-    """The part of a frame in which something stands. frame: the whole, as it came; crop: the part, with
+    """The part of a frame in which something stands. frame: the whole, `filled`; crop: the part, with
     planes at FAR_M; clear (h, w): pixels that belong to no plane; colors (2, h, w, 3) float32: opponents at
     two scales, as in `judge.region`; pieces (P, 4): connected parts without a depth step: centre pixel, mean
     depth, and longer side in metres; depth (h, w): of the part as measured, planes included, metres; pyramid:
@@ -126,6 +127,7 @@ def thin(model: ReferenceModel) -> bool:
 def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     """The view of a frame without planes larger than the square of the largest object's diameter, metres;
     None if nothing is left."""
+    frame = filled(frame)
     clear, pieces = _standing(frame, largest_m)
     bounds = Box.of_mask(clear)
     if bounds is None:
@@ -138,6 +140,7 @@ def whole_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
     """`clear_view` of all of a frame, even if nothing is left; None if it has no depth."""
     if not (frame.depth > 0.0).any():
         return None
+    frame = filled(frame)
     return _part(frame, *_standing(frame, largest_m), *WHOLE)
 
 

@@ -15,6 +15,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.suppression import first_different
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
+from huepose.perception.filled import filled
 from huepose.perception.window_table import WindowTable, compared, look, promising
 from huepose.perception.windows import Windows
 from huepose.tracking.motion import Reach
@@ -46,7 +47,7 @@ def likeliest_place(
 ) -> Reach | None:
     """The place and rotations of highest similarity among one part of the windows; None if nothing stands
     there."""
-    view = clear_view(_smaller(frame), model.diameter_m)
+    view = clear_view(_smaller(filled(frame)), model.diameter_m)
     if view is None:
         return None
     windows = Windows(view, model.diameter_m)

@@ -14,6 +14,7 @@ from huepose.geometry.picture_faults import (
     bad_picture,
     camera_doubted,
     depth_doubted,
+    depth_share,
     why_nothing_is_found,
 )
 
@@ -34,6 +35,19 @@ def test_a_good_frame_has_nothing_wrong_with_it(good: RgbdFrame) -> None:
     assert bad_picture(replace(good, depth=mostly_holes), DIAMETER_M) is None
 
 
+@pytest.mark.parametrize("period", [2, 3, 4])
+@pytest.mark.parametrize("read", [0, 1])
+def test_depth_in_every_second_row_or_column_is_depth(good: RgbdFrame, period: int, read: int) -> None:
+    """As where that of a smaller picture was registered into a larger one."""
+    for axis in (0, 1):
+        kept = np.zeros_like(good.depth)
+        some = [slice(None), slice(None)]
+        some[axis] = slice(read, None, period)
+        kept[tuple(some)] = good.depth[tuple(some)]
+        assert depth_share(kept) == pytest.approx(1.0 / period, abs=0.05)
+        assert bad_picture(replace(good, depth=kept), DIAMETER_M) is None
+
+
 def test_no_depth_and_depth_of_another_unit_are_named(good: RgbdFrame) -> None:
     empty = bad_picture(replace(good, depth=np.zeros_like(good.depth)), DIAMETER_M)
     far = bad_picture(replace(good, depth=10.0 * good.depth), DIAMETER_M)
@@ -51,7 +65,7 @@ def test_depth_a_tenth_of_what_it_is_is_asked_about(good: RgbdFrame) -> None:
     assert depth_doubted(good) is None
     said = depth_doubted(replace(good, depth=good.depth / np.float32(10.0)))
     assert said is not None
-    assert said.startswith("Half of all depth is nearer than 0.098 m: is that so")
+    assert said.startswith("Half of all depth is nearer than 0.1 m: is that so")
     assert depth_doubted(replace(good, depth=np.zeros_like(good.depth))) is None
 
 

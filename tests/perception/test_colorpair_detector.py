@@ -60,6 +60,16 @@ def test_of_a_pose_that_is_turned_the_wrong_way_the_right_turn_is_the_likeliest(
     assert len(likeliest_near_symmetries(tea_box, region, np.zeros((0, 4, 4)))) == 0
 
 
+@pytest.mark.parametrize("holes", [np.s_[::2], np.s_[1::2], np.s_[:, 1::2]])
+def test_an_object_is_found_in_depth_with_a_grid_of_holes(
+    frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, holes: slice
+) -> None:
+    depth = frame.depth.copy()
+    depth[holes] = 0.0
+    found = ColorPairDetector({"tea_box": tea_box}).detect(replace(frame, depth=depth), ["tea_box"])
+    assert max(d.box.iou(box_of(frame, tea_box, standing)) for d in found) > 0.7
+
+
 def test_both_of_a_kind_are_found_where_they_are(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray
 ) -> None:

@@ -25,6 +25,7 @@ from huepose.geometry.picture_faults import (
     dark,
     depth_doubted,
     readings,
+    some_of,
 )
 from huepose.model import ReferenceModel
 from huepose.perception.colorpair_detector import ColorPairDetector
@@ -148,7 +149,7 @@ def brightness(frames: Sequence[RgbdFrame]) -> Finding:
 
 def depth(frames: Sequence[RgbdFrame], camera: CameraConfig) -> Iterator[Finding]:
     """Whether there is depth, in the right unit, and within what can be sent."""
-    values = np.stack([frame.depth[::4, ::4] for frame in frames])
+    values = np.stack([some_of(frame.depth) for frame in frames])
     there = readings(values)
     share = float(there.mean())
     if share < LEAST_DEPTH:
@@ -240,7 +241,7 @@ def _strength(frame: RgbdFrame) -> Float32:
 
 def distance(frames: Sequence[RgbdFrame], config: Config) -> Iterator[Finding]:
     """Whether the objects are large enough in the picture, as far as most of it is."""
-    values = np.stack([frame.depth[::4, ::4] for frame in frames])
+    values = np.stack([some_of(frame.depth) for frame in frames])
     if config.bundles is None or not (values > 0.0).any():
         return
     median_m, camera = float(np.median(values[values > 0.0])), frames[0].camera

@@ -14,8 +14,9 @@ from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64, UInt16
 from huepose.geometry.camera import whole_steps
 from huepose.reinit.types import Prior, RequestedObject
+from huepose.support.errors import InputError
 from huepose.tracking.types import TrackedPose, Verdict
-from huepose_protos.buffers import frame_images
+from huepose_protos.buffers import MAX_PAYLOAD, frame_images
 from huepose_protos.fields import BoxXYWH, Quaternion, Vector3
 from huepose_protos.messages import FrameHeader, Intrinsics, PoseMessage, TruthMessage
 from huepose_protos.messages import Prior as WirePrior
@@ -34,6 +35,20 @@ class _Value(Protocol):
 
 LARGEST_STEP = 65535
 """Of depth on the wire; what sensors say where they have none."""
+
+MOST_PIXELS = MAX_PAYLOAD // 5
+"""Of a picture on the wire, where each has three bytes of colour and two of depth."""
+
+
+def check_size(camera: Camera) -> None:
+    """Raises InputError for pictures that are too large for the wire."""
+    if camera.width * camera.height > MOST_PIXELS:
+        raise InputError(
+            "picture",
+            found=f"{camera.width} x {camera.height} pixels",
+            expected=f"at most {MOST_PIXELS / 1e6:.1f} million of them",
+            fix="Set a smaller mode of the camera, or scale its pictures, and fx, fy, cx, cy with them.",
+        )
 
 
 def pose_to_wire(T_cam_obj: Float) -> tuple[Vector3, Quaternion]:

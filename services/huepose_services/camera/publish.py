@@ -27,6 +27,7 @@ from huepose_protos.messages import (
 from huepose_protos.motion import composed, mount_at
 from huepose_services.convert import (
     camera_from_wire,
+    check_size,
     depth_to_wire,
     frame_key,
     optional_pose_to_wire,
@@ -68,7 +69,9 @@ def packed(
     scene: str = "",
     image: int = 0,
 ) -> Packed:
-    """Colour and depth as they travel, depth in steps of depth_scale_m."""
+    """Colour and depth as they travel, depth in steps of depth_scale_m. Raises InputError for a picture that
+    is too large to."""
+    check_size(frame.camera)
     depth = depth_to_wire(frame.depth, depth_scale_m)
     buffers, payload = pack({"color": frame.color, "depth": depth})
     intrinsics = to_wire(Intrinsics, frame.camera, depth_scale_m=depth_scale_m)

@@ -15,6 +15,7 @@ from typing import TypeVar
 
 from huepose.support.words import rounded
 from huepose_services.camera.live import CameraError, FilmOver, LiveCamera, LiveSource, Shot
+from huepose_services.convert import check_size
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.text import encodable
 
@@ -142,6 +143,8 @@ class Reader:
         last: Shot | None = None
         while not self._stopping.is_set():
             shot = self._timed("reading", partial(camera.read, _READ_S))
+            if shot is not None:
+                check_size(shot.camera)
             if shot is not None and last is not None and _is_repeated(shot, last, camera):
                 # Some cameras give their last picture for ever once they are unplugged, some with new stamps.
                 self.repeated += 1

@@ -66,8 +66,10 @@ def check(config: Config) -> None:
 
         source = open_source(config)
         if config.camera.source in _FOLDERS:
+            from huepose_services.convert import check_size
+
             # What its pictures lack, all of them mostly do: no depth, 8 bits, a packed form.
-            source.frame(source.image_ids[0])
+            check_size(source.frame(source.image_ids[0]).camera)
     if config.network_workers:
         from huepose_services import networks
 

@@ -61,6 +61,16 @@ def test_where_every_picture_is_refused_it_says_that_none_comes_and_why(ingest_o
     assert bus.headers == []
 
 
+def test_where_every_picture_is_too_large_to_be_sent_it_says_so_and_which_is_not(ingest_of, monkeypatch):
+    monkeypatch.setattr("huepose_services.convert.MOST_PIXELS", 2_000)
+    ingest, bus = ingest_of("pass")
+    said = _picture(ingest, bus)
+    assert (
+        "cam.py: picture: found 64 x 48 pixels; expected at most 0.0 million of them. Set a smaller" in said
+    )
+    assert bus.headers == []
+
+
 @pytest.mark.parametrize("change", ["pass", "depth[0] = np.nan", "depth[0, :9] = np.inf"])
 def test_of_good_pictures_nothing_is_said(ingest_of, change):
     ingest, bus = ingest_of(change)

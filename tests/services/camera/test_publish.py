@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
 
 from huepose.geometry import Camera, RgbdFrame, se3
+from huepose.support.errors import InputError
+from huepose_protos.buffers import MAX_PAYLOAD
 from huepose_protos.messages import CameraMessage, Mount, MountMessage
 from huepose_services.camera.publish import FramePublisher, packed
-from huepose_services.convert import frame_from_wire
+from huepose_services.convert import MOST_PIXELS, check_size, frame_from_wire
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import load
 from tests.services.fake_bus import FakeBus
@@ -120,3 +123,11 @@ def test_a_frame_that_is_published_again_has_the_header_that_it_had(publisher_of
     assert again.publish_ns > first.publish_ns
     assert msgspec.structs.replace(again, publish_ns=first.publish_ns) == first
     assert other.frame_id == 4
+
+
+def test_the_largest_picture_is_one_that_the_wire_takes():
+    assert 5 * MOST_PIXELS <= MAX_PAYLOAD < 5 * (MOST_PIXELS + 1)
+    wide = Camera(20.0, 20.0, 3.5, 2.5, MOST_PIXELS // 2, 2)
+    check_size(wide)
+    with pytest.raises(InputError, match=r"found 6710887 x 2 pixels; expected at most 13\.4 million of them"):
+        check_size(replace(wide, width=wide.width + 1))

@@ -17,7 +17,7 @@ from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader
 from huepose_services.cli.main import main
 from huepose_services.cli.validate import _unread
-from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all
+from huepose_services.runtime.config import WORKERS, Config, Section, load, load_all, parse_all
 from huepose_services.runtime.config_perception import DetectorConfig
 from tests.services.conftest import parse
 
@@ -141,6 +141,23 @@ GOOD = "camera: {truth: true}\n"
             "gateway: {listen: 'localhost:65535'}\ncameras: [{name: a}, {name: b}]",
             ["gateway.listen", "localhost:65536", "1 to 65535"],
         ),
+        (
+            "workers: [camera, viewer]\nviewer: {web_port: 9197, grpc_port: 9197}",
+            ["viewer.grpc_port: found 9197; expected another port than that of viewer.web_port."],
+        ),
+        (
+            "workers: [camera, gateway, viewer]\ngateway: {listen: '0.0.0.0:9876'}",
+            ["viewer.grpc_port: found 9876; expected another port than that of gateway.listen."],
+        ),
+        (
+            "workers: [camera, viewer]\nviewer: {grpc_port: 9091}\ncameras: [{name: a}, {name: b}]",
+            ["viewer.web_port of b: found 9091; expected another port than that of viewer.grpc_port of a."],
+        ),
+        (
+            "workers: [camera, gateway, detector, segmenter, estimator]\nlink: {connect: 'desk:7448'}\n"
+            "gateway: {listen: 'localhost:7448'}\nhosts: {desk: [estimator]}",
+            ["link.listen: found 7448; expected another port than that of gateway.listen."],
+        ),
         ("- 1", ["the whole file", "found [1]"]),
         ("camera: [", ["YAML", "line 1"]),
         ("site: a\n\tworkers: [camera]", ["line 2", "\\t"]),
@@ -155,10 +172,23 @@ GOOD = "camera: {truth: true}\n"
 )
 def test_an_error_names_path_value_and_what_is_allowed(text, parts):
     with pytest.raises(InputError) as error:
-        parse(text, Path("deploy.yaml"))
+        parse_all(text, Path("deploy.yaml"))
     message = str(error.value)
     assert message.count("\n") == 0
     assert all(part in message for part in ["deploy.yaml", *parts]), message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "workers: [camera, viewer]\nviewer: {grpc_port: 7447}\ngateway: {listen: '127.0.0.1:7447'}",
+        "workers: [camera, gateway, viewer]\ngateway: {listen: '192.0.2.1:9090'}",
+        "workers: [camera, gateway, viewer]\ncameras: [{name: a}, {name: b}, {name: c}]",
+    ],
+    ids=["one that is not started", "at another address", "several cameras"],
+)
+def test_ports_at_which_nobody_meets_are_good(text):
+    assert parse_all(text, Path("deploy.yaml"))
 
 
 def test_relative_paths_start_at_the_file(tmp_path):

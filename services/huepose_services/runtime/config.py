@@ -17,6 +17,7 @@ from huepose_services.runtime.config_parts import (
     PERCEPTION,
     Hosts,
     check_hosts,
+    check_listeners,
     check_ports,
     check_ros2,
     of_cameras,
@@ -337,6 +338,7 @@ def for_each_camera(written: Config, data: Any, path: Path) -> list[Config]:
         raise InputError(f"{path}: a path in it", found=str(error)[:200], expected="a path") from None
     for one in configs:
         _check(one, refuse)
+    check_listeners(configs, refuse)
     return configs
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import msgspec
@@ -20,6 +21,8 @@ PERCEPTION: tuple[Far, ...] = get_args(Far)
 """The workers that may run on a second computer, each after the one whose answers it needs."""
 
 _LAST_PORT = 65_535
+
+_ANY = ("0.0.0.0", "[::]")  # noqa: S104  # every address of the computer
 
 PORTS_OF_A_CAMERA = 20
 """Between the first ports of two cameras of a file: room for workers to come."""
@@ -91,6 +94,40 @@ def check_ports(config: Config, refuse: Refuse) -> None:
             f"another port than the router's of ROS 2 (ros2.connect: {config.ros2.connect})",
             "Give the gateway one of its own: {listen: 127.0.0.1:7457}, for example.",
         )
+
+
+def check_listeners(configs: Sequence[Config], refuse: Refuse) -> None:
+    """Nobody listens where another does, of all cameras of a file."""
+    taken: list[tuple[str, str]] = []
+    for config in configs:
+        of_which = f" of {config.camera.name}" if len(configs) > 1 else ""
+        for key, address in _listeners(config):
+            for other, there in taken:
+                if _meet(address, there):
+                    fix = "Each needs a port of its own; of several cameras each gets the next ones."
+                    expected = f"another port than that of {other}"
+                    refuse(f"{key}{of_which}", address.rpartition(":")[2], expected, fix)
+            taken.append((key + of_which, address))
+
+
+def _listeners(config: Config) -> Iterator[tuple[str, str]]:
+    """The keys by which the workers listen, and where each does."""
+    if "gateway" in config.workers:
+        yield "gateway.listen", config.gateway.listen
+    if "viewer" in config.workers:
+        yield "viewer.web_port", f"{config.viewer.bind}:{config.viewer.web_port}"
+        yield "viewer.grpc_port", f"{config.viewer.bind}:{config.viewer.grpc_port}"
+    if config.hosts:
+        yield "link.listen", config.link.listen
+
+
+def _meet(one: str, other: str) -> bool:
+    """Whether only one can listen at these addresses: the port is the same, and an address of both."""
+    (host, port), (other_host, other_port) = (
+        address.replace("localhost", "127.0.0.1").rsplit(":", 1) for address in (one, other)
+    )
+    same_host = host == other_host or not {host, other_host}.isdisjoint(_ANY)
+    return same_host and int(port) == int(other_port)
 
 
 def check_ros2(config: Config, refuse: Refuse) -> None:

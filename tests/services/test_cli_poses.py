@@ -249,3 +249,10 @@ def test_why_no_pose_comes_names_the_workers_that_are_not_there():
         reader = SimpleNamespace(seen=True, live={f"huepose/local/cam0/live/{worker}" for worker in there})
         assert _silence(reader, pipeline, pipeline.key("pose/**")).startswith(said)
     assert "without tracker, detector" in _silence(reader, pipeline, pipeline.key("pose/mug/**"))
+
+
+def test_why_no_truth_comes_names_the_key_of_the_file_that_it_takes():
+    pipeline = Pipeline(base_port=17447, site="local", camera="cam0", workers=("camera",), folder="/run")
+    reader = SimpleNamespace(seen=True, live=set())
+    said = "nothing is said on huepose/local/cam0/truth: it takes `camera.truth: true`"
+    assert said in _silence(reader, pipeline, pipeline.key("truth"))

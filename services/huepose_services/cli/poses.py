@@ -359,6 +359,8 @@ def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
         if away:
             return f"the pipeline runs without {', '.join(away)}: starting, or ended; its log says which"
         what = "no object has been found yet" if key.endswith(_POSES) else what
+    elif key.endswith("/truth"):
+        what = f"nothing is said on {key}: it takes `camera.truth: true`, and a source that knows the truth"
     return f"the pipeline runs, but {what}; `huepose status` says how it is"
 
 

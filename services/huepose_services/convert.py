@@ -16,6 +16,7 @@ from huepose.geometry.camera import whole_steps
 from huepose.reinit.types import Prior, RequestedObject
 from huepose.support.errors import InputError
 from huepose.tracking.types import TrackedPose, Verdict
+from huepose_protos import WireError
 from huepose_protos.buffers import MAX_PAYLOAD, frame_images
 from huepose_protos.fields import BoxXYWH, Quaternion, Vector3
 from huepose_protos.messages import FrameHeader, Intrinsics, PoseMessage, TruthMessage
@@ -178,17 +179,21 @@ def requested_to_wire(asked: RequestedObject) -> WireRequested:
 
 
 def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:
-    """The frame of a header and its payload. Raises WireError where they do not fit together."""
+    """The frame of a header and its payload. Raises WireError where they do not fit together, or are no frame
+    of a camera."""
     color, depth = frame_images(header, payload)
-    return RgbdFrame(
-        color=color,
-        depth=depth.astype(np.float32) * np.float32(header.intrinsics.depth_scale_m),
-        camera=camera_from_wire(header.intrinsics),
-        frame_id=header.frame_id,
-        stamp_ns=header.capture_ns,
-        epoch=header.camera_epoch,
-        T_parent_cam=optional_pose_from_wire(header.camera_translation, header.camera_quaternion),
-    )
+    try:
+        return RgbdFrame(
+            color=color,
+            depth=depth.astype(np.float32) * np.float32(header.intrinsics.depth_scale_m),
+            camera=camera_from_wire(header.intrinsics),
+            frame_id=header.frame_id,
+            stamp_ns=header.capture_ns,
+            epoch=header.camera_epoch,
+            T_parent_cam=optional_pose_from_wire(header.camera_translation, header.camera_quaternion),
+        )
+    except InputError as error:
+        raise WireError(str(error)) from None
 
 
 def tracked_to_wire(

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace as replace_fields
 
 from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, se3
 from huepose.reinit.types import Prior, Request, RequestedObject
 from huepose.tracking.types import Correction, TrackedPose, Verdict
-from huepose_protos import decode, encode
-from huepose_protos.examples import example
+from huepose_protos import WireError, decode, encode
+from huepose_protos.buffers import pack
+from huepose_protos.examples import example, images
 from huepose_protos.messages import (
     CorrectionMessage,
     EstimatedObject,
@@ -24,6 +26,7 @@ from huepose_protos.messages import (
 )
 from huepose_services.convert import (
     depth_to_wire,
+    frame_from_wire,
     from_wire,
     pose_from_wire,
     pose_to_wire,
@@ -187,3 +190,16 @@ def test_why_objects_that_are_sought_are_not_seen():
 def test_depth_is_rounded_to_its_unit_and_what_it_cannot_hold_is_no_reading():
     depth = np.array([[0.0, 0.50004, 6.5534, 6.5535, 6.6, -1.0, np.nan, np.inf]], np.float32)
     assert depth_to_wire(depth, 1e-4).tolist() == [[0, 5000, 65534, 0, 0, 0, 0, 0]]
+
+
+def test_what_no_camera_can_have_taken_is_refused_as_other_bad_input_is():
+    specs, payload = pack(images())
+    far_off = replace_fields(HEADER.intrinsics, cx=1.5e308, cy=1.5e308)
+    header = _through(replace_fields(HEADER, intrinsics=far_off, buffers=specs))
+    with pytest.raises(WireError, match="principal point"):
+        frame_from_wire(header, payload)
+    specs, payload = pack({name: pixels[:, :1] for name, pixels in images().items()})
+    thin = replace_fields(HEADER.intrinsics, width=1)
+    header = _through(replace_fields(HEADER, intrinsics=thin, buffers=specs))
+    with pytest.raises(WireError, match="sides of 2 pixels"):
+        frame_from_wire(header, payload)

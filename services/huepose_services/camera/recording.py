@@ -7,6 +7,7 @@ from pathlib import Path
 from huepose.datasets.types import GroundTruth, Scene
 from huepose.geometry import RgbdFrame
 from huepose.support.errors import InputError
+from huepose_protos import WireError
 from huepose_protos.keys import tail_of
 from huepose_protos.messages import FrameHeader, TruthMessage
 from huepose_services.convert import frame_from_wire, frame_key, from_wire
@@ -59,11 +60,14 @@ class RecordedScene:
         key = frame_key(self._frames[image])
         if key not in self._near:
             chunk = self._recording.chunk(self._places[image])
-            self._near = {
-                frame_key(event.message): frame_from_wire(event.message, event.payload)
-                for event in self._recording.inside(chunk)
-                if isinstance(event.message, FrameHeader)
-            }
+            try:
+                self._near = {
+                    frame_key(event.message): frame_from_wire(event.message, event.payload)
+                    for event in self._recording.inside(chunk)
+                    if isinstance(event.message, FrameHeader)
+                }
+            except WireError as error:
+                raise InputError(self._recording.path, found=str(error)) from None
         return self._near[key]
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:

@@ -160,6 +160,16 @@ def test_it_is_a_camera(tmp_path):
         RecordedScene(mcap_of(tmp_path / "x.mcap", topic="/other"))
 
 
+def test_a_recording_of_what_no_camera_can_have_taken_is_refused(tmp_path):
+    out = parts(tmp_path / "out")
+    header, color, depth = tiny_frame(4)
+    far_off = msgspec.structs.replace(header.intrinsics, cx=1.5e308, cy=1.5e308)
+    out.frame(msgspec.structs.replace(header, intrinsics=far_off), color, depth, KEY + "frame")
+    out.close()
+    with pytest.raises(InputError, match=r"out\.mcap: found .*principal point"):
+        RecordedScene(out.path).frame(0)
+
+
 class _Bus:
     """Keeps what is put."""
 

@@ -269,12 +269,13 @@ class TrackerWork(Work):
             return
         try:
             check_number(message, self._intake.now())
-            self._against.hear(message)
             applied = self._tracker.correct(from_wire(Correction, message))
         except (WireError, InputError) as error:
             wrong = error if isinstance(error, WireError) else WireError(str(error))
             self._bus.refuse(self._bus.keys.correction, wrong)
             return
+        if applied is not Applied.REFUSED_EPOCH:
+            self._against.hear(message)
         self._bus.health.count(f"corrections_{applied.value}")
         if applied in (Applied.APPLIED, Applied.CATCHING_UP):
             self._bus.health.warn_while("late", None)

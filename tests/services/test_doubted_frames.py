@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from huepose import tracking
+from huepose.tracking.types import Applied
 from huepose_protos.messages import CorrectionMessage, FrameHeader
 from huepose_services.convert import frame_from_wire
 from huepose_services.doubts import DISAGREES, RELIT
@@ -109,6 +110,18 @@ def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
     assert [after(2, said), after(3), after(4, said)] == [("SUSPECT", said)] * 3
     assert after(5, "")[0] == "TRACKING"
     assert [after(6, said)[0], after(7, epoch=epoch + 1)[0]] == ["SUSPECT", "TRACKING"]
+
+
+def test_a_late_correction_of_a_camera_that_was_opened_anew_takes_nothing_back():
+    work, bus, _ = worker()
+    present = msgspec.structs.replace(
+        CORRECTION, camera_epoch=frame_of_age(1, 0.0)[0].camera_epoch, camera="Blue for red."
+    )
+    late = msgspec.structs.replace(present, camera_epoch=present.camera_epoch - 1, camera="")
+    for number, (message, answer) in enumerate([(present, Applied.APPLIED), (late, Applied.REFUSED_EPOCH)]):
+        work._tracker.answer = answer
+        bus.arriving[CorrectionMessage] = [message]
+        assert said_of(work, bus, changed_frame(number + 1, number + 1)) == ("SUSPECT", "Blue for red.")
 
 
 def test_an_object_that_perception_speaks_against_is_not_tracking_and_no_other_is_doubted():

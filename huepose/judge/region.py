@@ -162,7 +162,9 @@ def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
     """Opponents (2, h, w, 3) smoothed at both scales, weighted by belief: inside the mask colours mix only
     with the mask's, outside it with the surroundings'."""
     weight = np.maximum(belief, np.float32(OUTSIDE_WEIGHT))
-    sigmas = [max(0.5, sigma_m / depth_m * crop.camera.fx) for sigma_m in COLOR_SCALES_M]
+    # Of what is too near to be anything no more is averaged than there is.
+    widest = float(max(crop.depth.shape))
+    sigmas = [min(max(0.5, sigma_m / depth_m * crop.camera.fx), widest) for sigma_m in COLOR_SCALES_M]
     return smoothed_opponents(crop.color, weight, sigmas)
 
 

@@ -120,7 +120,8 @@ def features_of(memory: Memory, view: ClearView, shown: Bool, source: FeatureSou
     in_frame = np.zeros(view.frame.depth.shape, bool)
     in_frame[crop.y0 : crop.y0 + shown.shape[0], crop.x0 : crop.x0 + shown.shape[1]] = shown
     shares = _shares(in_frame, now.known.shape)
-    if kept is not None and kept.until >= memory.look:
+    # A picture that is smaller than a tile has none in which something could have changed.
+    if kept is not None and kept.until >= memory.look and now.known.size:
         appeared = (shares > SHOWN) & (kept.shown < NOT_SHOWN)
         anew = _together((now.changed(kept.tiles) & (shares > 0)) | appeared)
         parts = _parts(anew, in_frame.shape)

@@ -76,8 +76,12 @@ def close_look(
     model: ReferenceModel, region: Region, poses: Float64, lights: Sequence[Light | None]
 ) -> CloseLook | None:
     """A close look at each of the poses (K, 4, 4), whose textures are compared in its light (K) where it is
-    given; None where one shows too little of the object, or is too near for a picture of it."""
-    rows, columns = _window(model, region, poses)
+    given; None where one shows too little of the object, or is too near for a picture of it, and where all of
+    them lie beside the crop."""
+    window = _window(model, region, poses)
+    if window is None:
+        return None
+    rows, columns = window
     weight = np.maximum(region.belief[rows, columns], np.float32(OUTSIDE_WEIGHT))
     color = region.crop.color[rows, columns]
     colors, edges = np.zeros_like(region.colors), np.zeros((*region.belief.shape, 3), np.float32)
@@ -109,15 +113,17 @@ def _part(region: Region, rows: slice, columns: slice, colors: Float32) -> Part:
     )
 
 
-def _window(model: ReferenceModel, region: Region, poses: Float64) -> tuple[slice, slice]:
-    """Rows and columns of the crop that the poses cover, with some room."""
+def _window(model: ReferenceModel, region: Region, poses: Float64) -> tuple[slice, slice] | None:
+    """Rows and columns of the crop that the poses cover, with some room; None where they lie beside it."""
     camera = region.crop.camera
     points = model.surface.points[:HULL_POINTS]
     placed = np.concatenate([points @ T[:3, :3].T + T[:3, 3] for T in poses])
     ahead = placed[placed[:, 2] > NEAR_M]
     if not len(ahead):
         return slice(0, camera.height), slice(0, camera.width)
-    return Box.of_pixels(camera.project(ahead)).grown(0.1, ROOM_PX).slices(camera.width, camera.height)
+    window = Box.of_pixels(camera.project(ahead)).grown(0.1, ROOM_PX)
+    shown = window.clipped(camera.width, camera.height).area > 0.0
+    return window.slices(camera.width, camera.height) if shown else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from huepose.geometry import Camera, Mesh, RgbdFrame, se3
+from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
+from huepose.judge.region import prepare_crop
 from huepose.model import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.colorpair_detector import ColorPairDetector
@@ -14,6 +15,7 @@ from huepose.perception.config import DetectorConfig
 from huepose.perception.memory import FEWEST, MOST, KeptWindows, features_of, looking, matched, until
 from huepose.perception.stillness import TILE_PX, Tiles, changed_shares
 from huepose.propose.features import Sift
+from huepose.propose.view_pictures import Pyramid
 from tests.conftest import TakePicture
 from tests.perception.conftest import noisy
 
@@ -127,6 +129,18 @@ def test_features_are_kept_where_nothing_changed_and_sought_where_it_did(
     apart = np.linalg.norm(pixels[:, None] - merged.pixels[None], axis=2).min(1)
     assert len(every) > 1.5 * len(kept.features)
     assert (apart < 1.0).mean() > 0.9
+
+
+def test_a_picture_that_is_smaller_than_a_tile_is_looked_at_anew() -> None:
+    camera = Camera(300.0, 300.0, 79.5, 3.0, 160, TILE_PX - 1)
+    color = np.random.default_rng(0).integers(0, 255, (camera.height, camera.width, 3), dtype=np.uint8)
+    low = RgbdFrame(color, np.ones(color.shape[:2], np.float32), camera)
+    crop = prepare_crop(low, Box(0.0, 0.0, 160.0, 7.0))
+    view = ClearView(low, crop, ~crop.saturated, np.zeros((2, *color.shape), np.float32),
+                     np.zeros((0, 4)), low.depth, Pyramid(color))  # fmt: skip
+    memory = looking(None, low)
+    for _ in range(2):
+        memory = looking(replace(memory, features=features_of(memory, view, view.clear, Sift())), low)
 
 
 def shown_in(frame: RgbdFrame) -> tuple[ClearView, np.ndarray]:

@@ -123,3 +123,10 @@ def test_of_what_is_too_near_or_out_of_view_there_is_no_portrait(
     behind = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -2.0]), standing)
     assert draw_rendered_view(tea_box, behind, camera, 200) is None
     assert close_look(tea_box, region, behind[None], [None]) is None
+
+
+def test_poses_beside_the_crop_are_not_looked_at(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    beside = np.stack([moved(standing, x=3.0), moved(standing, x=3.1)])
+    assert close_look(tea_box, region, beside, [None, None]) is None

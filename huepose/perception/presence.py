@@ -9,7 +9,7 @@ import numpy as np
 
 from huepose.believe.presence import MOST_ALIKE, MOST_VERIFIED, Sight, logits_of
 from huepose.geometry.arrays import Float32, Float64
-from huepose.geometry.camera import NEAREST_M
+from huepose.geometry.camera import NEAR_M, NEAREST_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours, continuation_many, continued
 from huepose.judge.region import ModelArrays, Region, model_arrays, projected, shown_range
@@ -129,15 +129,17 @@ def pictures_of(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Named
 ) -> tuple[Pictures, Pictures]:
     """The windows at each named object's pose T_cam_obj (4, 4), one or more, and the models drawn in these
-    poses."""
+    poses. What would be nearer than NEAR_M, or behind the camera, is taken to be there."""
     clean, middles = [], []
     for name, T in poses:
         model = models[name]
         centre = T[:3, :3] @ model.mesh.centre + T[:3, 3]
+        centre[2] = max(centre[2], NEAR_M)
         turn = onto_rays(centre[None] / centre[2])[0]
         clean.append(clean_view(model.mesh, model.diameter_m, turn.T @ T[:3, :3]))
         middles.append(centre + turn @ clean[-1].middle_m)
     middle, diameters = np.stack(middles), np.array([models[name].diameter_m for name, _ in poses])
+    middle[:, 2] = np.maximum(middle[:, 2], NEAR_M)
     span_px = SPAN * diameters / middle[:, 2] * view.crop.camera.fx
     place = view.crop.camera.project(middle), middle[:, 2], span_px
     windows = window_pictures(view.pyramid, view.depth, *place, diameters)

@@ -11,7 +11,8 @@ from huepose.believe.presence import logits_of
 from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
-from huepose.perception.presence import agreeing_pixels, sights_of
+from huepose.perception.presence import agreeing_pixels, pictures_of, sights_of
+from huepose.propose.view_pictures import NEAR
 from huepose.rendering.render import render
 from tests.conftest import TakePicture
 
@@ -76,3 +77,18 @@ def test_a_rough_pose_is_not_verified_and_a_refined_one_with_another_print_is_do
     (doubted,) = sights_of(repainted, models, poses, verifying=True)
     assert doubted.verified is not None
     assert doubted.verified < refined.verified - 2.0
+
+
+def test_of_a_pose_in_or_behind_the_camera_there_is_a_picture_that_shows_nothing_of_it(
+    tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+) -> None:
+    view = clear_view(take_picture([(tea_box.mesh, standing)]), 0.3)
+    assert view is not None
+    centres = np.array([[0.0, 0.03, z] for z in (0.06, 0.04, 0.01, 0.0, -0.3)])
+    turns = [se3.rotation_exp(np.array([0.0, angle, 0.0])) for angle in (0.0, 0.7, 1.5)]
+    poses = [("tea_box", se3.make(R, c - R @ tea_box.mesh.centre)) for R in turns for c in centres]
+    sights = sights_of(view, {"tea_box": tea_box}, poses, verifying=False)
+    assert (logits_of(sights) < 0.0).all()
+    (colors, reliefs), _ = pictures_of(view, {"tea_box": tea_box}, poses)
+    assert len(colors) == len(poses)
+    assert not (np.abs(reliefs) < NEAR).any()

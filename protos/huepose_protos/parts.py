@@ -162,6 +162,7 @@ class TruthObject(Struct, frozen=True, kw_only=True):
 class ObjectEntry(Struct, frozen=True, kw_only=True):
     """An object that the pipeline looks for; `searching`: how many of its instances were never seen yet.
 
+    `added`: which addition to the running list it is, counted, 0 for what was there from the beginning;
     `resets`: how often it was told to be searched for anew; `retired`: [camera epoch, number], instances of
     that epoch below that number are over for that reason, null when there are none; `box`: where it was said
     to be at the last time, null when nothing was said; `reason`: why it is not seen, as far as camera and
@@ -170,6 +171,7 @@ class ObjectEntry(Struct, frozen=True, kw_only=True):
     object: Name
     max_instances: Annotated[int, Meta(ge=1, le=64)]
     searching: Count
+    added: Count = 0
     resets: Count = 0
     retired: tuple[Epoch, Index] | None = None
     box: BoxXYWH | None = None

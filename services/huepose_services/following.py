@@ -47,8 +47,8 @@ class Follower(Generic[T]):
         self._list = bus.inbox.ring(bus.keys.objects, wakes=False)
         self._known: dict[str, ObjectEntry | None] = dict.fromkeys(known)
         self._loading: set[str] = set()
-        # What was loaded, and whether to leave it at that.
-        self._loaded: queue.SimpleQueue[tuple[str, T | None, bool]] = queue.SimpleQueue()
+        # What was loaded for an entry, and whether to leave it at that.
+        self._loaded: queue.SimpleQueue[tuple[ObjectEntry, T | None, bool]] = queue.SimpleQueue()
         self._newest: dict[str, ObjectEntry] = {}
 
     def changes(self) -> list[Change[T]]:
@@ -60,21 +60,29 @@ class Follower(Generic[T]):
                 self._memory.keep(message)
             self._newest = {entry.object: entry for entry in message.objects}
             out += self._gone() + self._anew()
-            for name in self._newest:
+            for name, entry in self._newest.items():
                 if name not in self._known and name not in self._loading:
-                    threading.Thread(target=self._load_one, args=(name,), daemon=True).start()
+                    threading.Thread(target=self._load_one, args=(entry,), daemon=True).start()
                     self._loading.add(name)
         while not self._loaded.empty():
-            name, item, settled = self._loaded.get()
-            self._loading.discard(name)
-            entry = self._newest.get(name)
-            if entry is not None and settled:
-                self._known[name] = entry
+            asked, item, settled = self._loaded.get()
+            self._loading.discard(asked.object)
+            if settled and self._goes_on(asked):
+                entry = self._known[asked.object] = self._newest[asked.object]
                 out += [] if item is None else [Change(entry, added=item)]
         return out
 
+    def _goes_on(self, entry: ObjectEntry) -> bool:
+        """Whether it is looked for, and was not removed and added again, maybe with another model, since."""
+        newest = self._newest.get(entry.object)
+        return newest is not None and newest.added == entry.added
+
     def _gone(self) -> list[Change[T]]:
-        gone = [name for name in self._known if name not in self._newest]
+        gone = [
+            name
+            for name, before in self._known.items()
+            if not (name in self._newest if before is None else self._goes_on(before))
+        ]
         for name in gone:
             del self._known[name]
         return [Change(ObjectEntry(object=n, max_instances=1, searching=0), removed=True) for n in gone]
@@ -89,8 +97,8 @@ class Follower(Generic[T]):
             self._known[name] = entry
         return out
 
-    def _load_one(self, name: str) -> None:
-        item, settled = None, False
+    def _load_one(self, entry: ObjectEntry) -> None:
+        name, item, settled = entry.object, None, False
         try:
             item, settled = self._load(name), True
         except InputError as error:
@@ -100,7 +108,7 @@ class Follower(Generic[T]):
             # Memory or files may be short for a moment: it is tried again with the next list.
             self._fail(f"{name} is not loaded yet: {type(error).__name__} {error}".rstrip())
         finally:
-            self._loaded.put((name, item, settled))
+            self._loaded.put((entry, item, settled))
 
     def _fail(self, text: str) -> None:
         self._bus.health.failed(text)

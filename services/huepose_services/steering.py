@@ -48,6 +48,7 @@ class ObjectList:
 
     def __init__(self, entries: list[ObjectEntry], load: Callable[[str, int], ObjectSlot]) -> None:
         self._entries = {entry.object: entry for entry in entries}
+        self._added = max((entry.added for entry in entries), default=0)
         self._load = load
         self._lock = threading.Lock()
         self._orders: list[Order] = []
@@ -116,8 +117,9 @@ class ObjectList:
             slot = self._load(name, count)
         except InputError as error:
             return False, str(error)
-        fresh = ObjectEntry(object=name, max_instances=count, searching=count)
+        fresh = ObjectEntry(object=name, max_instances=count, searching=count, added=self._added + 1)
         entry = msgspec.structs.replace(known or fresh, max_instances=count, box=request.box)
+        self._added = max(self._added, entry.added)
         self._accept(Order(name, entry, slot))
         return True, f"{name} is looked for, up to {count} of it"
 

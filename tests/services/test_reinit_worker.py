@@ -341,6 +341,7 @@ def test_a_list_of_objects_fits_its_message_whatever_the_reason(bus):
             object=f"{k:064d}",
             max_instances=64,
             searching=2**63 - 1,
+            added=2**63 - 1,
             resets=2**31 - 1,
             retired=(2**63 - 1, 2**31 - 1),
             box=(0.1, 0.2, 0.3, 0.4),

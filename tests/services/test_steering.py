@@ -70,7 +70,7 @@ def test_what_may_be_done_is_done(objects):
     assert objects.decide(order("remove", "jar"))[0]
     mug = entry("mug", searching=1, resets=1, box=(1.0, 2.0, 3.0, 4.0))
     assert objects.entries() == [mug]
-    jar = entry("jar", max_instances=2, searching=2)
+    jar = entry("jar", max_instances=2, searching=2, added=1)
     assert objects.orders() == [
         Order("jar", jar, ObjectSlot("jar", 2)),
         Order("mug", mug, anew=True),
@@ -143,6 +143,56 @@ def test_a_worker_follows_the_list():
     assert (anew.entry.object, anew.added, anew.removed) == ("mug", None, False)
     bus.arriving[ObjectsMessage] = [ObjectsMessage(publish_ns=3, objects=[entry("mug", resets=6)])]
     assert follower.changes() == []
+
+
+def lists(objects, *orders):
+    """The list of objects after these orders, as it is published."""
+    for action in orders:
+        assert objects.decide(order(action, "mug"))[0]
+    return [ObjectsMessage(publish_ns=1, objects=objects.entries())]
+
+
+def both(follower):
+    """That an object is gone, and, once it was read, that it is there again."""
+    gone, *new = _changes(follower)
+    return [gone, *(new or _changes(follower))]
+
+
+def test_a_worker_that_was_busy_loads_anew_what_was_removed_and_added_meanwhile(objects):
+    bus, models = FakeBus("worker"), iter(["of Tuesday", "of Wednesday"])
+    follower = Follower(bus, lambda name: next(models), ["mug"])
+    bus.arriving[ObjectsMessage] = lists(objects)
+    assert follower.changes() == []
+    bus.arriving[ObjectsMessage] = lists(objects, "remove", "add")
+    gone, new = both(follower)
+    assert (gone.entry.object, gone.removed) == ("mug", True)
+    assert (new.entry, new.added) == (objects.entries()[0], "of Tuesday")
+    bus.arriving[ObjectsMessage] = lists(objects, "reset")
+    (anew,) = follower.changes()
+    assert (anew.added, anew.removed) == (None, False), "a reset reads no model"
+    # Who publishes the list was started anew, and has it as it was published.
+    objects = ObjectList(objects.entries(), load)
+    bus.arriving[ObjectsMessage] = lists(objects, "remove", "add")
+    assert [change.added for change in both(follower)] == [None, "of Wednesday"]
+
+
+def test_what_was_read_before_an_object_was_removed_and_added_is_not_taken(objects):
+    bus, reading, go_on = FakeBus("worker"), iter(["of Monday", "of Tuesday"]), threading.Event()
+
+    def read(name):
+        model = next(reading)
+        assert go_on.wait(5.0)
+        return model
+
+    follower = Follower(bus, read, [])
+    bus.arriving[ObjectsMessage] = lists(objects)
+    assert follower.changes() == []
+    bus.arriving[ObjectsMessage] = lists(objects, "remove", "add")
+    assert follower.changes() == []
+    go_on.set()
+    assert _changes(follower, 0.1) == []
+    bus.arriving[ObjectsMessage] = lists(objects)
+    assert [change.added for change in _changes(follower)] == ["of Tuesday"]
 
 
 def test_an_object_that_could_not_be_loaded_for_want_of_memory_is_loaded_with_the_next_list():

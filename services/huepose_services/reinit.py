@@ -307,9 +307,9 @@ class ReinitWork(Work):
             # The camera knows best why its pictures show nothing.
             reason = self._camera_says or (self._reasons.get(name, "") if count else "")
             self._objects.tell(name, count, self._retired.below.get(name), shortened(reason, len(entries)))
-        self._bus.put(
-            self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=self._objects.entries())
-        )
+        # What is ordered in this moment is published with the next step, which does it.
+        if (settled := self._objects.settled()) is not None:
+            self._bus.put(self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=settled))
 
 
 def _order(action: Literal["add", "remove"], name: str, count: int = 1) -> ControlRequest:

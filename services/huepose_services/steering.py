@@ -58,6 +58,12 @@ class ObjectList:
         with self._lock:
             return list(self._entries.values())
 
+    def settled(self) -> list[ObjectEntry] | None:
+        """The same, where the loop has taken all that was accepted; None while it has not. What it is yet to
+        do is not told as done: an entry of a reset names the instances that are over by it."""
+        with self._lock:
+            return None if self._orders else list(self._entries.values())
+
     def orders(self) -> list[Order]:
         """The changes that were accepted since the last call."""
         with self._lock:

@@ -237,6 +237,27 @@ def test_a_box_is_looked_at_in_the_camera_s_picture(bus, objects, step):
     assert (done, f"{width} x {height}" in text) == (False, True)
 
 
+def test_a_reset_that_comes_within_a_step_is_told_with_the_instances_that_are_over(
+    bus, objects, step, monkeypatch
+):
+    bus.arriving[PoseMessage].append(pose(4))
+    step()
+    take, resets = objects.orders, [ControlRequest(publish_ns=1, action="reset", object="mug")]
+
+    def orders():
+        taken = take()
+        if resets:
+            assert objects.decide(resets.pop())[0]
+        return taken
+
+    monkeypatch.setattr(objects, "orders", orders)
+    bus.work._next_objects_ns = 0
+    step()
+    step()
+    told = [message.objects[0] for message in bus.said if isinstance(message, ObjectsMessage)]
+    assert {(mug.resets, mug.retired) for mug in told} == {(0, None), (1, (EPOCH, 5))}
+
+
 def test_a_reset_forgets_the_reason_of_the_search_before(bus, objects, step):
     step()
     bus.arriving[Estimates].append(answer(bus))

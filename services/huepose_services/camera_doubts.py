@@ -67,10 +67,28 @@ class CameraDoubts:
         if due:
             self._look_at(frame, min(due, key=lambda answer: self._looks[_key(answer)]), at_ns)
 
+    def forget(self, name: str) -> None:
+        """What was seen of an object says nothing any more: it has another model, or was searched anew."""
+        for key in [key for key in self._found_ns if key[0] == name]:
+            del self._found_ns[key]
+            for looks in (self._sure, self._doubtful):
+                looks.pop(key, None)
+            for number in (self._looks, self._due_ns):
+                number.pop(key, None)
+        self._judge()
+
     def _look_at(self, frame: RgbdFrame, answer: PoseEstimate, at_ns: int) -> None:
         key = _key(answer)
         seen = self._sure if answer.state == "TRACKING" else self._doubtful
         seen[key] += self._sizes_seen(frame, [answer])
+        self._looks[key] += 1
+        self._judge()
+        if self._looks[key] >= FEWEST_LOOKS:
+            soon = self._looks[key] < EARLY or self._size is not None or key in self._objects
+            self._due_ns[key] = at_ns + (LOOK_EVERY_NS if soon else LATER_EVERY_NS)
+
+    def _judge(self) -> None:
+        """What all looks together say against the camera, or else against objects."""
         # Where sure poses are too few, those that are followed though doubtful are asked, too.
         each = dict(self._sure)
         for k, doubtful in self._doubtful.items():
@@ -79,10 +97,6 @@ class CameraDoubts:
         enough = sum(map(len, self._sure.values())) >= FEWEST_LOOKS
         size = doubted_camera(self._sure if enough else each, FEWEST_LOOKS)
         self._size, self._objects = size, {} if size else doubted_objects(each, FEWEST_LOOKS)
-        self._looks[key] += 1
-        if self._looks[key] >= FEWEST_LOOKS:
-            soon = self._looks[key] < EARLY or size is not None or key in self._objects
-            self._due_ns[key] = at_ns + (LOOK_EVERY_NS if soon else LATER_EVERY_NS)
 
     @property
     def offset(self) -> str:
@@ -104,10 +118,10 @@ class CameraDoubts:
         return {key: self._objects[key].said_of_one() for key in here}
 
     def of(self, name: str, instance: int | None) -> str:
-        """What is wrong with an instance, empty where nothing is; of a new one (None) what is of any of that
-        name, until there are looks at it."""
-        sizes = [size for key, size in self._objects.items() if key[0] == name and instance in (None, key[1])]
-        return sizes[0].said_of_one() if sizes else ""
+        """What is wrong with an instance that is in the picture, empty where nothing is; of a new one (None)
+        what is of any of that name, until there are looks at it."""
+        said = [text for key, text in self.objects.items() if key[0] == name and instance in (None, key[1])]
+        return said[0] if said else ""
 
     def _begin(self, epoch: int) -> None:
         self._epoch = epoch

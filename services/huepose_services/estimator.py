@@ -50,6 +50,8 @@ class EstimatorWork(Work):
     def step(self) -> None:
         """Estimate what is in the newest masks."""
         for change in self._objects.changes():
+            if self._doubts is not None:
+                self._doubts.forget(change.entry.object)
             if change.removed:
                 self._estimator.remove_object(change.entry.object)
             elif change.added is not None:

@@ -11,11 +11,12 @@ from huepose.estimation.depth_offset import DepthOffset
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame
 from huepose_protos.examples import example
-from huepose_protos.messages import Estimates, Masks, Prior
+from huepose_protos.messages import Estimates, Masks, ObjectEntry, Prior
 from huepose_services import camera_doubts
 from huepose_services import estimator as worker
 from huepose_services.camera_doubts import LOOK_EVERY_NS
 from huepose_services.estimator import EstimatorWork, make
+from huepose_services.following import Change
 from huepose_services.runtime.config import CameraConfig, Config, EstimatorConfig
 from tests.services.fake_bus import FakeBus, sent
 
@@ -31,6 +32,12 @@ class _Estimator:
     def estimate(self, frame, queries):
         self.asked = queries
         return list(self.answers)
+
+    def add_object(self, model):
+        self.objects = (*self.objects, model)
+
+    def remove_object(self, name):
+        self.objects = ()
 
     larger = 0.0  # by what share the picture shows a cup
     others = ()  # instances of it that fit
@@ -136,7 +143,12 @@ def warned_after(monkeypatch):
         estimator.answers = before
         return [item.reason for item in bus.said[-1].estimates]
 
-    warned.estimator, warned.asked = estimator, asked
+    def told(*changes):
+        """With the next picture the list of objects changes so."""
+        left = list(changes)
+        work._objects.changes = lambda: [left.pop(0) for _ in changes if left]
+
+    warned.estimator, warned.asked, warned.told = estimator, asked, told
     warned.warnings = lambda: bus.health.message().warnings
     return warned
 
@@ -197,6 +209,7 @@ def test_what_has_another_size_than_the_others_is_doubted_alone(warned_after):
     all_three, estimator.answers = estimator.answers, (cup("TRACKING", 0),)
     warned_after(20.0)
     assert warned_after.warnings() == [], "it was taken away"
+    assert warned_after.asked(None) == [""]
     estimator.answers = all_three
     warned_after(0.3)
     assert len(warned_after.warnings()) == 1, "and is known when it comes back"
@@ -205,6 +218,29 @@ def test_what_has_another_size_than_the_others_is_doubted_alone(warned_after):
     for _ in range(40):
         warned_after(0.3)
     assert (warned_after.asked(0, 1, 2, None), warned_after.warnings()) == ([""] * 4, [])
+
+
+CUP = ObjectEntry(object="cup", max_instances=1, searching=1)
+
+
+@pytest.mark.parametrize(
+    "changes", [[Change(CUP)], [Change(CUP, removed=True)], [Change(CUP, removed=True), Change(CUP, "cup")]]
+)
+def test_what_was_said_of_an_object_is_forgotten_with_it(warned_after, changes):
+    """Of the camera, too, where its mesh alone was the cause; what others say goes on."""
+    estimator = warned_after.estimator
+    estimator.answers = (cup("TRACKING"),)
+    estimator.larger = 0.1
+    assert [warned_after(0.2) for _ in range(3)][-1] != ""
+    warned_after.told(Change(replace(CUP, object="jar")))
+    estimator.answers = ()
+    assert warned_after(0.2) != ""
+    warned_after.told(*changes)
+    assert warned_after(0.2) == ""
+    if estimator.objects:
+        estimator.answers, estimator.larger = (cup("TRACKING", 1),), 0.0
+        assert [warned_after(0.2) for _ in range(3)] == [""] * 3
+        assert warned_after.asked(1, None) == ["", ""]
 
 
 def test_each_object_is_looked_at_in_its_turn_and_later_seldom(warned_after):

@@ -255,6 +255,8 @@ class TrackerWork(Work):
             name = change.entry.object
             self._retired.add(name, change.entry.retired)
             self._believed = [pose for pose in self._believed if pose.object != name]
+            self._bus.forget(self._bus.keys.of_tail(f"pose/{name}"))
+            self._told.forget(name)
             if change.removed:
                 self._tracker.remove_object(name)
             elif change.added is not None:

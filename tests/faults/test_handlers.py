@@ -66,6 +66,7 @@ class _Session:
         return lambda *_, **__: SimpleNamespace(
             matching_status=SimpleNamespace(matching=False),
             put=lambda *_, **__: None,
+            undeclare=lambda: None,
             declare_subscriber=lambda *_, **__: None,
         )
 

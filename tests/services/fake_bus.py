@@ -33,7 +33,7 @@ class FakeBus:
         self.keys, self.health = keys or Config().keys, Health(worker)
         self.arriving, self.said, self.healths, self.logged = defaultdict(list), [], [], defaultdict(list)
         self.inbox = SimpleNamespace(queue=_nothing, ring=_nothing, liveliness=_nothing)
-        self.begun = []
+        self.begun, self.forgotten = [], []
         self.session = SimpleNamespace(declare_queryable=_nothing)
         self.log = SimpleNamespace(
             say=_nothing, seldom=lambda kind, text, **_: self.logged[kind].append(text)
@@ -51,6 +51,9 @@ class FakeBus:
         self.said.append(message)
 
     put_control = put_pixels = put
+
+    def forget(self, under):
+        self.forgotten.append(under)
 
     def say_health(self):
         self.healths.append(self.health.message())

@@ -110,6 +110,18 @@ def test_a_queue_keeps_everything_in_order(buses):
     assert queue.skipped == 0
 
 
+def test_publishers_below_a_key_end_and_begin_again_when_needed(buses):
+    camera, tracker = buses
+    queue = tracker.inbox.queue("t/**")
+    _until_heard(lambda m: camera.put("t/x/1", m), queue, tracker)
+    for key in ("t/x/2", "t/xy/1"):
+        camera.put(key, _numbered(1))
+    camera.forget("t/x")
+    assert list(camera._publishers) == ["t/xy/1"]
+    camera.put("t/x/1", _numbered(2))
+    assert [_next_pose(tracker, queue).frame_id for _ in range(3)] == [1, 1, 2]
+
+
 def test_bad_bytes_are_counted_and_the_next_good_message_is_read(buses, capfd):
     camera, tracker = buses
     queue = tracker.inbox.queue("t/bad")

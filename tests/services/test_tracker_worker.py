@@ -85,6 +85,21 @@ def test_a_correction_of_an_instance_that_is_over_is_not_applied():
     assert bus.health.counters["corrections_of_retired"] == 1
 
 
+@pytest.mark.parametrize("removed", [True, False])
+def test_of_instances_that_are_over_nothing_is_kept(removed, monkeypatch):
+    work, bus, objects = worker()
+    monkeypatch.setattr(work._tracker, "remove_object", lambda name: None, raising=False)
+    bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
+    work.step()
+    assert list(work._told._now) == ["mug/0"]
+    work._told._told["mug/0"] = ("TRACKING", 0.0)
+    work._told.note("mugs/0", "TRACKING")
+    objects.next = [Change(ObjectEntry(object="mug", max_instances=1, searching=1), removed=removed)]
+    work.step()
+    assert bus.forgotten == [bus.keys.pose("mug", 0).removesuffix("/0")]
+    assert (list(work._told._now), list(work._told._told)) == (["mugs/0"], [])
+
+
 def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     work, bus, _ = worker()
     header, payload = frame_of_age(1, 0.0)

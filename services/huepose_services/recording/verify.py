@@ -378,6 +378,9 @@ class ReplayBus:
         """Keep a pose for comparison."""
         self.poses.append(message)
 
+    def forget(self, under: str) -> None:
+        """Nothing to do: nothing is published."""
+
     def put_aside(self, key: str, message: Message) -> None:
         """Keep the log of the step for comparison."""
         if isinstance(message, IntakeMessage):

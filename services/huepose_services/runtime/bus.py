@@ -195,6 +195,11 @@ class Bus:
             )
         return self._publishers[key]
 
+    def forget(self, under: str) -> None:
+        """End the publishers of all keys below this one."""
+        for key in [key for key in self._publishers if key.startswith(f"{under}/")]:
+            self._publishers.pop(key).undeclare()
+
     def close(self) -> None:
         """End all subscriptions and publishers."""
         self.inbox.close()

@@ -145,6 +145,12 @@ class StateChanges:
         since = time.monotonic() if before is None or before[0] != state else before[2]
         self._now[name] = (state, detail, since)
 
+    def forget(self, under: str) -> None:
+        """All whose names are below this one, `under/...`, are over."""
+        for known in (self._now, self._told):
+            for name in [name for name in known if name.startswith(f"{under}/")]:
+                del known[name]
+
     def flush(self) -> None:
         """Write what is due; to be called often."""
         now = time.monotonic()

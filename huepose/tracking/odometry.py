@@ -22,7 +22,7 @@ from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
 
 WIDTH_PX = 320
-"""Corners are followed in pictures of this width."""
+"""Corners are followed in pictures of this width, or of a camera's own if that is less."""
 
 CORNERS, APART_PX, WORST = 300, 7, 0.01
 """Most corners of a keyframe, their least distance, and the least strength of one as a share of the best."""
@@ -80,7 +80,7 @@ class Odometry:
 
     def place(self, frame: RgbdFrame, objects: Sequence[Box]) -> Float64:
         """T_parent_cam (4, 4) of the next frame. objects: boxes of tracked objects in the frame before."""
-        factor = WIDTH_PX / frame.camera.width
+        factor = min(1.0, WIDTH_PX / frame.camera.width)
         camera, grey = frame.camera.scaled(factor), _grey(frame, factor)
         boxes = [_scaled(box, factor) for box in objects]
         key = self._key
@@ -101,7 +101,7 @@ class Odometry:
         """Make a keyframe of a frame; camera, boxes: in the smaller picture."""
         corners: Any = cv2.goodFeaturesToTrack(grey, CORNERS, WORST, APART_PX)
         pixels: Float32 = np.zeros((0, 2), np.float32) if corners is None else corners.reshape(-1, 2)
-        inside = (pixels + 0.5) * (frame.camera.width / camera.width) - 0.5
+        inside = (pixels + 0.5) * (frame.camera.fx / camera.fx) - 0.5
         last = frame.camera.width - 1, frame.camera.height - 1
         columns, rows = np.clip(np.rint(inside).astype(np.int64), 0, last).T
         depth = frame.depth[rows, columns]
@@ -141,7 +141,7 @@ class Odometry:
 def _grey(frame: RgbdFrame, factor: float) -> UInt8:
     """The picture in grey, made smaller by a factor."""
     grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
-    size = round(frame.camera.width * factor), round(frame.camera.height * factor)
+    size = tuple(max(1, round(side * factor)) for side in (frame.camera.width, frame.camera.height))
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 

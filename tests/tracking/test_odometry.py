@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.believe.state import State
-from huepose.geometry import Box, Mesh, se3
+from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Float64
 from huepose.tracking import Tracker, TrackerConfig
 from huepose.tracking.memory import checksum, taken_over, told
@@ -99,6 +99,16 @@ def test_a_picture_that_shows_nothing_says_nothing(shoot, walked) -> None:
     black = replace(shoot([]), color=np.zeros((240, 320, 3), np.uint8))
     no_depth = replace(shoot([]), depth=np.zeros((240, 320), np.float32))
     for frame in (black, no_depth, walked(0)[0], black, no_depth, black):
+        np.testing.assert_array_equal(odometry.place(frame, []), np.eye(4))
+
+
+@pytest.mark.parametrize(("width", "height"), [(2, 2), (1280, 2), (2, 720), (40, 30)])
+def test_pictures_of_any_size_do(width, height) -> None:
+    odometry = Odometry()
+    for number in range(4):
+        color = np.random.default_rng(number).integers(0, 255, (height, width, 3)).astype(np.uint8)
+        camera = Camera(300.0, 300.0, width / 2, height / 2, width, height)
+        frame = RgbdFrame(color, np.ones((height, width), np.float32), camera, number, number * 33_000_000)
         np.testing.assert_array_equal(odometry.place(frame, []), np.eye(4))
 
 

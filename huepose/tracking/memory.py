@@ -41,20 +41,8 @@ _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
         *(Camera, CameraPlace, Correction, Effort, Entry, Facing, FrameHistory, Hypothesis, Identity),
-        *(
-            Keyframe,
-            Odometry,
-            PoseHistory,
-            Orientation,
-            Pursuit,
-            Reach,
-            Standing,
-            Terms,
-            Track,
-            TrackedPose,
-            Usual,
-            _Stretch,
-        ),
+        *(Keyframe, Odometry, Orientation, PoseHistory, Pursuit, Reach, Standing, Terms, Track),
+        *(TrackedPose, Usual, _Stretch),
     )
 }
 _ENUMS: dict[str, type[Enum]] = {"State": State, "Verdict": Verdict}

@@ -2,8 +2,8 @@
 
 Corners of a keyframe, with their depth, are followed from picture to picture (Lucas and Kanade, pyramidal);
 the pose of the camera is the one that most of them agree on (EPnP in RANSAC, then least squares). A camera
-stands as long as some corners are where they were in the keyframe, so one at rest does not drift. Where the
-motion cannot be measured, the camera is taken to have stood.
+stands as long as half of the corners are where they were in the keyframe, so one at rest does not drift. If
+the motion cannot be measured, the camera is taken to have stood.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ class Odometry:
     def place(self, frame: RgbdFrame, objects: Sequence[Box]) -> Float64:
         """T_parent_cam (4, 4) of the next frame. objects: boxes of tracked objects in the frame before."""
         factor = min(1.0, WIDTH_PX / frame.camera.width)
-        camera, grey = frame.camera.scaled(factor), _grey(frame, factor)
+        camera = frame.camera.scaled(factor)
+        grey = _grey(frame, camera)
         boxes = [_scaled(box, factor) for box in objects]
         key = self._key
         if key is None or self._camera != frame.camera:
@@ -138,10 +139,10 @@ class Odometry:
         return se3.make(R, np.asarray(shift, np.float64).ravel())
 
 
-def _grey(frame: RgbdFrame, factor: float) -> UInt8:
-    """The picture in grey, made smaller by a factor."""
+def _grey(frame: RgbdFrame, camera: Camera) -> UInt8:
+    """The picture in grey, as small as that of a camera, with a pixel at least on each side."""
     grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
-    size = tuple(max(1, round(side * factor)) for side in (frame.camera.width, frame.camera.height))
+    size = max(1, camera.width), max(1, camera.height)
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 

@@ -323,8 +323,8 @@ class Tracker:
             self._pursue(oldest)
 
     def _pursue(self, key: Key) -> None:
-        """Advance one pursuit. When it reaches the newest frame its pose is verified, and taken or
-        dropped."""
+        """Advance one pursuit. When it reaches the newest frame its pose is verified, and taken or dropped;
+        where the camera has turned away from the object, it ends there."""
         newest, pursuit = self._frames.newest, self._pursuits[key]
         assert newest is not None
         reached = pursuit.track.frame
@@ -339,26 +339,29 @@ class Tracker:
         if pursuit.supported and not pursuit.arrived(newest) and not pursuit.turned_away:
             return
         del self._pursuits[key]
-        self._arrive(key, pursuit, newest)
+        track = self._tracks.get(key)
+        if track is not None:
+            track.applied_seq = max(track.applied_seq, pursuit.correction.seq)
+        if not pursuit.turned_away:
+            self._arrive(key, pursuit, newest)
+        elif track is None or track.T_cam_obj is None:
+            self._track_of(key, newest).stand(pursuit.track, pursuit.correction)
+
+    def _track_of(self, key: Key, frame: RgbdFrame) -> Track:
+        """The track of an instance; a new one, without a pose on `frame`, where there was none."""
+        if key not in self._tracks:
+            self._tracks[key] = track = Track(self._subjects[key[0]], *key, self.config)
+            track.history.append(frame.frame_id, frame.stamp_ns, None)
+        return self._tracks[key]
 
     def _arrive(self, key: Key, pursuit: Pursuit, frame: RgbdFrame) -> None:
         """Take the pose of a pursuit that reached the newest frame if the frame supports it, no other
         instance holds its surface, and it is better than the instance's own pose. Else it is dropped. What
         held its surface until now is not believed any more."""
         correction, found = pursuit.correction, pursuit.track
-        track = self._tracks.get(key)
-        if track is not None:
-            track.applied_seq = max(track.applied_seq, correction.seq)
-        stands = track is None or track.T_cam_obj is None
-        if not pursuit.supported or (not stands if pursuit.turned_away else self._held(key, found)):
+        if not pursuit.supported or self._held(key, found):
             return
-        if track is None:
-            track = Track(self._subjects[key[0]], *key, self.config)
-            self._tracks[key] = track
-            track.history.append(frame.frame_id, frame.stamp_ns, None)
-        if pursuit.turned_away:
-            track.stand(found, correction)
-            return
+        track = self._track_of(key, frame)
         if track.T_cam_obj is not None and track.worth > found.worth:
             track.contradict(found, correction.quality)
             return

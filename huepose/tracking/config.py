@@ -30,7 +30,7 @@ class TrackerConfig:
     one larger: so many take half of the time, and a step that is late is not given more than a third of a
     second's.
 
-    odometry: where nobody tells how the camera moves, it is measured (`tracking.odometry`)."""
+    odometry: where nobody tells how a camera in haste moves, it is measured (`tracking.odometry`)."""
 
     history_frames: int = 20
     older_frames: int = 24
@@ -51,7 +51,7 @@ class TrackerConfig:
     tries_per_s: float | None = 30.0
     max_search_m_s: float = 0.8
     max_search_rad_s: float = 7.0
-    odometry: bool = False
+    odometry: bool = True
 
     def __post_init__(self) -> None:
         if not self.history_frames >= 2:

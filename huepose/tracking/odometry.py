@@ -4,11 +4,14 @@ Corners of a keyframe, with their depth, are followed from picture to picture (L
 the pose of the camera is the one that most of them agree on (EPnP in RANSAC, then least squares). A camera
 stands as long as half of the corners are where they were in the keyframe, so one at rest does not drift. If
 the motion cannot be measured, the camera is taken to have stood.
+
+Nothing of this is done before a camera that moves slowly: a track follows what is seen to move by little just
+as well. How far the whole picture moves is measured by phase correlation of two pictures of thumbnail size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +23,10 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
+
+THUMBNAIL_PX, HASTE, CALM_S = 80, 1 / 160, 1.0
+"""Width of a thumbnail; the shift of a picture from frame to frame, as a share of its width, from which on a
+camera is in haste (4 of 640 pixels, some 10 degrees a second at 30 Hz); and for how long it then counts so."""
 
 WIDTH_PX = 320
 """Corners are followed in pictures of this width, or of a camera's own if that is less."""
@@ -67,10 +74,14 @@ class Keyframe:
 
 
 class Odometry:
-    """Where one camera is, frame by frame, in the axes that it had in the first."""
+    """Where one camera is, frame by frame: where it is told to be, else (unless not `on`) where it is measured
+    to be, in the axes that it had in the first frame. What is told only later is taken to these axes."""
 
-    def __init__(self) -> None:
-        self._camera: Camera | None = None
+    def __init__(self, on: bool = True) -> None:
+        self._on = on
+        self._T_room_parent: Float64 | None = None
+        self._before: RgbdFrame | None = None
+        self._haste_ns: int | None = None
         self._key: Keyframe | None = None
         self._T_room_cam: Float64 = np.eye(4)
         # The last picture, the corners of the keyframe that are followed there, and where they are.
@@ -78,27 +89,53 @@ class Odometry:
         self._alive: Int64 = np.zeros(0, np.int64)
         self._pixels: Float32 = np.zeros((0, 2), np.float32)
 
-    def place(self, frame: RgbdFrame, objects: Sequence[Box]) -> Float64:
-        """T_parent_cam (4, 4) of the next frame. objects: boxes of tracked objects in the frame before."""
+    def placed(self, frame: RgbdFrame, objects: Callable[[], Sequence[Box]]) -> RgbdFrame:
+        """The next frame from where its camera was. objects: gives the boxes of tracked objects in the frame
+        before."""
+        told = frame.T_parent_cam
+        if told is not None and self._before is None:
+            self._on = False
+        if self._on:
+            self._go_on(frame, objects)
+            self._before = frame.seen_from(self._T_room_cam)
+            if told is None:
+                return self._before
+            self._on, self._before, self._key = False, None, None
+            self._T_room_parent = se3.compose(self._T_room_cam, se3.inverse(told))
+        if told is None or self._T_room_parent is None:
+            return frame
+        return frame.seen_from(se3.compose(self._T_room_parent, told))
+
+    def _go_on(self, frame: RgbdFrame, objects: Callable[[], Sequence[Box]]) -> None:
+        """Find out where the camera is, if it is in haste or was a moment ago."""
+        before, now_ns = self._before, frame.stamp_ns
+        if before is None or before.camera != frame.camera:
+            self._haste_ns = None
+        elif _in_haste(before, frame):
+            self._haste_ns = now_ns
+        if before is None or self._haste_ns is None or not 0 <= now_ns - self._haste_ns <= CALM_S * 1e9:
+            self._key = None
+        else:
+            self._measure(before, frame, objects())
+
+    def _measure(self, before: RgbdFrame, frame: RgbdFrame, objects: Sequence[Box]) -> None:
+        """Find out where the camera of a frame was; objects: as above."""
         factor = min(1.0, WIDTH_PX / frame.camera.width)
         camera = frame.camera.scaled(factor)
         grey = _grey(frame, camera)
         boxes = [_scaled(box, factor) for box in objects]
-        key = self._key
-        if key is None or self._camera != frame.camera:
-            self._begin(frame, camera, grey, boxes)
-        elif _stands(key, grey):
+        key = self._key or self._begin(before, camera, _grey(before, camera), boxes)
+        if _stands(key, grey):
             self._T_room_cam = key.T_room_cam
             self._grey, self._alive, self._pixels = grey, np.arange(len(key.pixels)), key.pixels
-        else:
-            T_cam_key = self._followed(key, camera, grey, boxes)
-            if T_cam_key is not None:
-                self._T_room_cam = se3.compose(key.T_room_cam, se3.inverse(T_cam_key))
-            if T_cam_key is None or len(self._alive) < WORN * len(key.pixels):
-                self._begin(frame, camera, grey, boxes)
-        return self._T_room_cam
+            return
+        T_cam_key = self._followed(key, camera, grey, boxes)
+        if T_cam_key is not None:
+            self._T_room_cam = se3.compose(key.T_room_cam, se3.inverse(T_cam_key))
+        if T_cam_key is None or len(self._alive) < WORN * len(key.pixels):
+            self._begin(frame, camera, grey, boxes)
 
-    def _begin(self, frame: RgbdFrame, camera: Camera, grey: UInt8, boxes: Sequence[Box]) -> None:
+    def _begin(self, frame: RgbdFrame, camera: Camera, grey: UInt8, boxes: Sequence[Box]) -> Keyframe:
         """Make a keyframe of a frame; camera, boxes: in the smaller picture."""
         corners: Any = cv2.goodFeaturesToTrack(grey, CORNERS, WORST, APART_PX)
         pixels: Float32 = np.zeros((0, 2), np.float32) if corners is None else corners.reshape(-1, 2)
@@ -109,9 +146,9 @@ class Odometry:
         known = depth > NEAR_M
         pixels = np.ascontiguousarray(pixels[known])
         points, probes = camera.backproject(pixels, depth[known]), _probes(pixels, _parts(pixels, boxes))
-        self._camera = frame.camera
-        self._key = Keyframe(grey, points, pixels, probes, self._T_room_cam)
+        self._key = key = Keyframe(grey, points, pixels, probes, self._T_room_cam)
         self._grey, self._alive, self._pixels = grey, np.arange(len(pixels)), pixels
+        return key
 
     def _followed(self, key: Keyframe, camera: Camera, grey: UInt8, boxes: Sequence[Box]) -> Float64 | None:
         """From the keyframe's axes to those of the camera now (4, 4); None where too few corners agree.
@@ -137,6 +174,18 @@ class Odometry:
         self._alive, self._pixels = alive[agree], pixels[agree]
         R: Any = cv2.Rodrigues(turn)[0]
         return se3.make(R, np.asarray(shift, np.float64).ravel())
+
+
+def _in_haste(before: RgbdFrame, frame: RgbdFrame) -> bool:
+    """Whether the whole picture moved far from one frame to the next of the same camera."""
+    size = THUMBNAIL_PX, max(2, round(THUMBNAIL_PX * frame.camera.height / frame.camera.width))
+    thumbnails = [
+        cv2.cvtColor(cv2.resize(f.color, size, interpolation=cv2.INTER_NEAREST), cv2.COLOR_RGB2GRAY)
+        for f in (before, frame)
+    ]
+    edge = cv2.createHanningWindow(size, cv2.CV_32F)
+    shift, alike = cv2.phaseCorrelate(*(np.asarray(t, np.float32) for t in thumbnails), edge)
+    return bool(alike > 0.0 and np.hypot(*shift) > HASTE * THUMBNAIL_PX)
 
 
 def _grey(frame: RgbdFrame, camera: Camera) -> UInt8:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
 from huepose.believe.state import State
+from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours
 from huepose.judge.open_region import PreparedSurface
@@ -66,7 +68,7 @@ class Tracker:
         self._seen_seq: dict[Key, int] = {}
         self._waiting: list[Correction] = []
         self._frames = FrameHistory(self.config.history_frames, self.config.older_frames)
-        self._odometry = Odometry() if self.config.odometry else None
+        self._odometry = Odometry(self.config.odometry)
         self._whose_turn, self._tries, self._pursuit_waits, self._no_time = 0, 1.0, False, 0
         for model in ReferenceModels(models).values():
             self.add_object(model)
@@ -165,7 +167,8 @@ class Tracker:
                 self._set_back(newest.stamp_ns - frame.stamp_ns + CLOCK_GAP_NS)
                 newest = None
         self._earn(0.0 if newest is None else (frame.stamp_ns - newest.stamp_ns) * 1e-9)
-        frame = self._placed(frame)
+        with stage("odometry"):
+            frame = self._odometry.placed(frame, partial(self._boxes, frame))
         self._frames.append(frame)
         oldest = self._frames.oldest or frame
         with stage("follow"):
@@ -178,17 +181,11 @@ class Tracker:
             self._catch_up()
         return self.poses()
 
-    def _placed(self, frame: RgbdFrame) -> RgbdFrame:
-        """The frame with the place of its camera: what is told, else what odometry measures. Both are not
-        mixed in one epoch, since they are in different axes."""
-        if frame.T_parent_cam is not None:
-            self._odometry = None
-        if self._odometry is None:
-            return frame
-        with stage("odometry"):
-            posed = [(t.subject.surface, T) for t in self._tracks.values() if (T := t.T_cam_obj) is not None]
-            boxes = (surface.box(T, frame.camera) for surface, T in posed)
-            return frame.seen_from(self._odometry.place(frame, [box for box in boxes if box is not None]))
+    def _boxes(self, frame: RgbdFrame) -> list[Box]:
+        """Boxes of what is tracked in the picture, by the poses of the frame before."""
+        posed = [(t.subject.surface, T) for t in self._tracks.values() if (T := t.T_cam_obj) is not None]
+        boxes = (surface.box(T, frame.camera) for surface, T in posed)
+        return [box for box in boxes if box is not None]
 
     def _look(self, frame: RgbdFrame) -> None:
         """Update every instance, beginning after the last one that used a costly proposal, so that all get
@@ -409,7 +406,7 @@ class Tracker:
         self._pursuits.clear()
         self._seen_seq.clear()
         self._waiting.clear()
-        self._odometry = Odometry() if self.config.odometry else None
+        self._odometry = Odometry(self.config.odometry)
         self._whose_turn, self._tries, self._pursuit_waits, self._no_time = 0, 1.0, False, 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -42,8 +43,8 @@ def camera_at(number: float) -> Float64:
 def walked(tea_box, wall, shoot):
     """A function of a frame number: the frame of that camera, and the pose of a box that stands still."""
 
-    def take(number: int):
-        T_cam_room = se3.inverse(camera_at(number))
+    def take(number: int, pace: float = 1.0):
+        T_cam_room = se3.inverse(camera_at(pace * number))
         mesh, T_room_mesh = wall
         T_cam_box = se3.compose(T_cam_room, T_ROOM_BOX)
         return shoot(
@@ -57,7 +58,7 @@ def walked(tea_box, wall, shoot):
 def test_a_camera_that_is_carried_about_knows_where_it_is(walked, step, mm, degrees) -> None:
     odometry = Odometry()
     for number in range(0, 45, step):
-        T_room_cam = odometry.place(walked(number)[0], [])
+        T_room_cam = odometry.placed(walked(number)[0], list).T_parent_cam
         off = se3.compose(se3.inverse(camera_at(number)), T_room_cam)
         assert 1e3 * np.linalg.norm(off[:3, 3]) < mm
         assert np.degrees(se3.rotation_angle(off, np.eye(4))) < degrees
@@ -67,7 +68,7 @@ def test_a_camera_that_is_carried_about_knows_where_it_is(walked, step, mm, degr
 def test_a_camera_at_rest_does_not_move_whatever_passes_before_it(tea_box, wall, shoot, path) -> None:
     odometry = Odometry()
     for number in range(30):
-        T_room_cam = odometry.place(shoot([wall, (tea_box.mesh, path(number))], number), [])
+        T_room_cam = odometry.placed(shoot([wall, (tea_box.mesh, path(number))], number), list).T_parent_cam
         np.testing.assert_array_equal(T_room_cam, np.eye(4))
 
 
@@ -82,7 +83,7 @@ def test_what_is_tracked_does_not_speak_for_the_camera(tea_box, shoot, path) -> 
             T[2, 3] = 0.3
             frame = shoot([*bare, (tea_box.mesh, T)], number, noise=0.3)
             box = [Box(0.0, 0.0, 320.0, 240.0)] if tracked else []
-            places[tracked] = odometry.place(frame, box)
+            places[tracked] = odometry.placed(frame, partial(list, box)).T_parent_cam
     np.testing.assert_array_equal(places[True], np.eye(4))
     assert np.linalg.norm(places[False][:3, 3]) > 0.01, "it looks as if the camera had moved"
 
@@ -99,7 +100,7 @@ def test_a_picture_that_shows_nothing_says_nothing(shoot, walked) -> None:
     black = replace(shoot([]), color=np.zeros((240, 320, 3), np.uint8))
     no_depth = replace(shoot([]), depth=np.zeros((240, 320), np.float32))
     for frame in (black, no_depth, walked(0)[0], black, no_depth, black):
-        np.testing.assert_array_equal(odometry.place(frame, []), np.eye(4))
+        np.testing.assert_array_equal(odometry.placed(frame, list).T_parent_cam, np.eye(4))
 
 
 @pytest.mark.parametrize(("width", "height"), [(2, 2), (1280, 2), (2, 720), (40, 30)])
@@ -109,7 +110,7 @@ def test_pictures_of_any_size_do(width, height) -> None:
         color = np.random.default_rng(number).integers(0, 255, (height, width, 3)).astype(np.uint8)
         camera = Camera(300.0, 300.0, width / 2, height / 2, width, height)
         frame = RgbdFrame(color, np.ones((height, width), np.float32), camera, number, number * 33_000_000)
-        np.testing.assert_array_equal(odometry.place(frame, []), np.eye(4))
+        np.testing.assert_array_equal(odometry.placed(frame, list).T_parent_cam, np.eye(4))
 
 
 @pytest.mark.parametrize("odometry", [True, False])
@@ -126,14 +127,32 @@ def test_at_large_steps_before_a_moving_camera_what_stands_still_is_followed(
     assert (good >= 15) == odometry
 
 
-def test_what_is_told_and_what_is_measured_are_not_mixed(tea_box, walked) -> None:
-    tracker = Tracker({"tea_box": tea_box}, CONFIG)
-    for number in range(6):
+def test_before_a_camera_that_moves_slowly_nothing_is_measured(walked) -> None:
+    odometry = Odometry()
+    for number in range(30):
+        seen = odometry.placed(walked(number, 0.1)[0], partial(pytest.fail, "it was asked for objects"))
+        np.testing.assert_array_equal(seen.T_parent_cam, np.eye(4))
+
+
+def test_what_is_told_only_later_is_in_the_axes_of_what_was_measured(walked) -> None:
+    odometry, T_base_room = Odometry(), se3.make(se3.rotation_exp(SKEW), np.array([3.0, 0.0, 1.0]))
+    for number in range(30):
         frame, _ = walked(number)
-        tracker.step(replace(frame, T_parent_cam=camera_at(number)) if number == 2 else frame)
-        newest = tracker._frames.newest
-        assert newest is not None
-        assert (newest.T_parent_cam is not None) == (number <= 2)
+        if number > 15:
+            frame = replace(frame, T_parent_cam=se3.compose(T_base_room, camera_at(number)))
+        T_room_cam = odometry.placed(frame, list).T_parent_cam
+        off = se3.compose(se3.inverse(camera_at(number)), T_room_cam)
+        assert 1e3 * np.linalg.norm(off[:3, 3]) < 6.0
+        assert np.degrees(se3.rotation_angle(off, np.eye(4))) < 0.5
+
+
+def test_a_camera_that_is_told_from_the_first_is_where_it_is_told_to_be(walked) -> None:
+    odometry = Odometry()
+    for number in range(0, 12, 3):
+        frame = replace(walked(number)[0], T_parent_cam=camera_at(number))
+        assert odometry.placed(frame, list) is frame
+    frame, _ = walked(12)
+    assert odometry.placed(frame, list) is frame, "nobody knows where it is"
 
 
 def test_another_tracker_goes_on_from_where_the_camera_is(tea_box, walked) -> None:

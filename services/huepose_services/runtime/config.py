@@ -87,7 +87,7 @@ class TrackerConfig(Section, frozen=True, kw_only=True):
     history_frames: Annotated[int, Meta(ge=2, le=300)] = 20
     older_frames: Annotated[int, Meta(ge=0, le=300)] = 24
     max_age_ms: Annotated[float, Meta(gt=0.0, le=10_000.0)] = 300.0
-    odometry: bool = False
+    odometry: bool = True
 
 
 class ReinitConfig(Section, frozen=True, kw_only=True):

@@ -337,12 +337,13 @@ class Tracker:
             return
         del self._pursuits[key]
         track = self._tracks.get(key)
-        if track is not None:
-            track.applied_seq = max(track.applied_seq, pursuit.correction.seq)
         if not pursuit.turned_away:
             self._arrive(key, pursuit, newest)
         elif track is None or track.T_cam_obj is None:
             self._track_of(key, newest).stand(pursuit.track, pursuit.correction)
+        track = self._tracks.get(key)
+        if track is not None:
+            track.applied_seq = max(track.applied_seq, pursuit.correction.seq)
 
     def _track_of(self, key: Key, frame: RgbdFrame) -> Track:
         """The track of an instance; a new one, without a pose on `frame`, where there was none."""
@@ -367,7 +368,6 @@ class Tracker:
             self._tracks[loser].give_way()
         for stamp_ns, T in pursuit.poses:
             track.history.put(stamp_ns, T)
-        track.applied_seq = max(track.applied_seq, correction.seq)
 
     def _held(self, key: Key, found: Track) -> bool:
         """Whether another instance explains the same surface better. An instance of the same object that is

@@ -163,7 +163,9 @@ def test_what_it_looked_away_from_before_an_answer_came_is_found_where_it_stood(
         frame, T_cam_obj = turning(number, told)
         known = tracker.step(frame)
         if number == behind:
-            tracker.correct(correction(first, T_first))
+            tracker.correct(correction(first, T_first, seq=7))
+        if number == 33 and behind == 22:
+            assert [pose.applied_correction_seq for pose in known] == [7] * told, "it is not sent again"
     assert bool(known) == told
     if told:
         assert known[0].state is State.TRACKING

@@ -5,8 +5,9 @@ the pose of the camera is the one that most of them agree on (EPnP in RANSAC, th
 stands as long as half of the corners are where they were in the keyframe, so one at rest does not drift. If
 the motion cannot be measured, the camera is taken to have stood.
 
-Nothing of this is done before a camera that moves slowly: a track follows what is seen to move by little just
-as well. How far the whole picture moves is measured by phase correlation of two pictures of thumbnail size.
+Nothing of this is done for a camera that moves slowly: a track follows what is seen to move by little just as
+well. How far the whole picture moves is told by phase correlation of two thumbnails. That is also where the
+corners are first looked for.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
 
 THUMBNAIL_PX, HASTE, CALM_S = 80, 1 / 160, 1.0
-"""Width of a thumbnail; the shift of a picture from frame to frame, as a share of its width, from which on a
-camera is in haste (4 of 640 pixels, some 10 degrees a second at 30 Hz); and for how long it then counts so."""
+"""Width of a thumbnail; the least shift of a picture from frame to frame, as a share of its width, of a
+camera in haste (4 of 640 pixels, some 10 degrees a second at 30 Hz); and for how long it then counts so."""
 
 WIDTH_PX = 320
 """Corners are followed in pictures of this width, or of a camera's own if that is less."""
@@ -74,8 +75,8 @@ class Keyframe:
 
 
 class Odometry:
-    """Where one camera is, frame by frame: where it is told to be, else (unless not `on`) where it is measured
-    to be, in the axes that it had in the first frame. What is told only later is taken to these axes."""
+    """Where one camera is, frame by frame: where it is told to be, else, if `on`, where it is measured to be,
+    in the axes that it had in the first frame. What is told only later is taken to these axes."""
 
     def __init__(self, on: bool = True) -> None:
         self._on = on
@@ -110,16 +111,18 @@ class Odometry:
         """Find out where the camera is, if it is in haste or was a moment ago."""
         before, now_ns = self._before, frame.stamp_ns
         if before is None or before.camera != frame.camera:
-            self._haste_ns = None
-        elif _in_haste(before, frame):
+            self._haste_ns = self._key = None
+            return
+        shift = _shift(before, frame)
+        if np.hypot(*shift) > HASTE:
             self._haste_ns = now_ns
-        if before is None or self._haste_ns is None or not 0 <= now_ns - self._haste_ns <= CALM_S * 1e9:
+        if self._haste_ns is None or not 0 <= now_ns - self._haste_ns <= CALM_S * 1e9:
             self._key = None
         else:
-            self._measure(before, frame, objects())
+            self._measure(before, frame, shift, objects())
 
-    def _measure(self, before: RgbdFrame, frame: RgbdFrame, objects: Sequence[Box]) -> None:
-        """Find out where the camera of a frame was; objects: as above."""
+    def _measure(self, before: RgbdFrame, frame: RgbdFrame, shift: Float64, objects: Sequence[Box]) -> None:
+        """Find out where the camera of a frame was; shift (2,): of its picture; objects: as above."""
         factor = min(1.0, WIDTH_PX / frame.camera.width)
         camera = frame.camera.scaled(factor)
         grey = _grey(frame, camera)
@@ -129,7 +132,8 @@ class Odometry:
             self._T_room_cam = key.T_room_cam
             self._grey, self._alive, self._pixels = grey, np.arange(len(key.pixels)), key.pixels
             return
-        T_cam_key = self._followed(key, camera, grey, boxes)
+        guess = (self._pixels + shift * camera.width).astype(np.float32)
+        T_cam_key = self._followed(key, camera, grey, guess, boxes)
         if T_cam_key is not None:
             self._T_room_cam = se3.compose(key.T_room_cam, se3.inverse(T_cam_key))
         if T_cam_key is None or len(self._alive) < WORN * len(key.pixels):
@@ -150,11 +154,13 @@ class Odometry:
         self._grey, self._alive, self._pixels = grey, np.arange(len(pixels)), pixels
         return key
 
-    def _followed(self, key: Keyframe, camera: Camera, grey: UInt8, boxes: Sequence[Box]) -> Float64 | None:
+    def _followed(
+        self, key: Keyframe, camera: Camera, grey: UInt8, guess: Float32, boxes: Sequence[Box]
+    ) -> Float64 | None:
         """From the keyframe's axes to those of the camera now (4, 4); None where too few corners agree.
-        boxes: of tracked objects in the last picture."""
+        guess (N, 2): about where the corners are now; boxes: of tracked objects in the last picture."""
         parts = _parts(self._pixels, boxes)
-        pixels, found = _flowed(self._grey, grey, self._pixels, LEVELS)
+        pixels, found = _flowed(self._grey, grey, self._pixels, guess, LEVELS)
         alive, pixels = self._alive[found], pixels[found]
         self._grey, self._alive, self._pixels = grey, alive, pixels
         if len(alive) < FEWEST:
@@ -176,8 +182,9 @@ class Odometry:
         return se3.make(R, np.asarray(shift, np.float64).ravel())
 
 
-def _in_haste(before: RgbdFrame, frame: RgbdFrame) -> bool:
-    """Whether the whole picture moved far from one frame to the next of the same camera."""
+def _shift(before: RgbdFrame, frame: RgbdFrame) -> Float64:
+    """By how much the whole picture moved from one frame to the next of the same camera (2,), right and down,
+    as shares of its width; zero where the two have nothing in common."""
     size = THUMBNAIL_PX, max(2, round(THUMBNAIL_PX * frame.camera.height / frame.camera.width))
     thumbnails = [
         cv2.cvtColor(cv2.resize(f.color, size, interpolation=cv2.INTER_NEAREST), cv2.COLOR_RGB2GRAY)
@@ -185,7 +192,7 @@ def _in_haste(before: RgbdFrame, frame: RgbdFrame) -> bool:
     ]
     edge = cv2.createHanningWindow(size, cv2.CV_32F)
     shift, alike = cv2.phaseCorrelate(*(np.asarray(t, np.float32) for t in thumbnails), edge)
-    return bool(alike > 0.0 and np.hypot(*shift) > HASTE * THUMBNAIL_PX)
+    return np.array(shift) / THUMBNAIL_PX if alike > 0.0 else np.zeros(2)
 
 
 def _grey(frame: RgbdFrame, camera: Camera) -> UInt8:
@@ -208,14 +215,20 @@ def _parts(pixels: Float32, boxes: Sequence[Box]) -> Int64:
     return parts
 
 
-def _flowed(before: UInt8, now: UInt8, pixels: Float32, levels: int) -> tuple[Float32, Bool]:
-    """Where points (N, 2) of one picture are in another (N, 2), and which were found again (N,); with more
-    levels of the pyramids, farther off."""
+def _flowed(before: UInt8, now: UInt8, pixels: Float32, guess: Float32, levels: int) -> tuple[Float32, Bool]:
+    """Where points (N, 2) of one picture are in another (N, 2), and which were found again (N,); guess
+    (N, 2): about where; with more levels of the pyramids, farther off that."""
     if not len(pixels):
         return pixels, np.zeros(0, bool)
-    there: Any = np.zeros((len(pixels), 1, 2), np.float32)
+    there: Any = guess[:, None].copy()
     there, found, _ = cv2.calcOpticalFlowPyrLK(
-        before, now, pixels[:, None], there, winSize=(WINDOW_PX,) * 2, maxLevel=levels
+        before,
+        now,
+        pixels[:, None],
+        there,
+        winSize=(WINDOW_PX,) * 2,
+        maxLevel=levels,
+        flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
     return np.asarray(there, np.float32)[:, 0], np.asarray(found).ravel() > 0
 
@@ -233,7 +246,7 @@ def _probes(pixels: Float32, parts: Int64) -> Int64:
 def _stands(key: Keyframe, grey: UInt8) -> bool:
     """Whether a picture is taken from where the keyframe was."""
     there = key.pixels[key.probes]
-    pixels, found = _flowed(key.grey, grey, there, 1)
+    pixels, found = _flowed(key.grey, grey, there, there, 1)
     stand = found & (np.linalg.norm(pixels - there, axis=1) <= STANDS_PX)
     return bool(stand.sum() >= max(1.0, STANDING * len(there)))
 

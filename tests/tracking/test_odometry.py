@@ -54,14 +54,14 @@ def walked(tea_box, wall, shoot):
     return take
 
 
-@pytest.mark.parametrize(("step", "mm", "degrees"), [(1, 6.0, 0.5), (3, 6.0, 0.5)])
-def test_a_camera_that_is_carried_about_knows_where_it_is(walked, step, mm, degrees) -> None:
+@pytest.mark.parametrize("step", [1, 3, 5, 8])
+def test_a_camera_that_is_carried_about_knows_where_it_is(walked, step) -> None:
     odometry = Odometry()
     for number in range(0, 45, step):
         T_room_cam = odometry.placed(walked(number)[0], list).T_parent_cam
         off = se3.compose(se3.inverse(camera_at(number)), T_room_cam)
-        assert 1e3 * np.linalg.norm(off[:3, 3]) < mm
-        assert np.degrees(se3.rotation_angle(off, np.eye(4))) < degrees
+        assert 1e3 * np.linalg.norm(off[:3, 3]) < 6.0
+        assert np.degrees(se3.rotation_angle(off, np.eye(4))) < 0.5
     assert np.linalg.norm(T_room_cam[:3, 3]) > 0.05
 
 

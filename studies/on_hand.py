@@ -4,9 +4,9 @@ is told where the camera is?
     .venv/bin/python -m studies.on_hand --bundles DIR --json OUT.json [--search]
 
 Each film is drawn once and kept: 2 s at 30 Hz, up to 0.8 m/s and 90 degrees a second. All objects start at
-their true poses; then the tracker is alone, as it runs live. `told`: not at all; exactly; with noise (0.5 mm
-and 0.09 degrees an axis); 15 ms late; of a camera that is fixed 2.7 cm and 5.4 degrees from where it is said
-to be; all wrong (the inverse of the pose); or not told, but measured by odometry.
+their true poses; then the tracker is alone, as it runs live. `told`: not at all, nor measured; not told, but
+measured by odometry; exactly; with noise (0.5 mm and 0.09 degrees an axis); 15 ms late; of a camera that is
+fixed 2.7 cm and 5.4 degrees from where it is said to be; all wrong (the inverse of the pose).
 
 With `--search` nothing is known at first: live perception looks for all objects of the bundles, and its
 answers come a chain time late. Each film is played to and fro, 4 s, all frames.

@@ -27,6 +27,7 @@ from huepose_services.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
     from huepose_services.met import Met
+    from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.config import Config
     from huepose_services.viewer.shapes import Body
 
@@ -151,7 +152,7 @@ def _run(
 
     session = open_reader_session([config.endpoint(worker) for worker in config.workers])
     bus = Bus(session, config.keys, "view")
-    drawn = _drawn(config, arguments)
+    drawn = _drawn(bus, config, arguments)
     warm_up()
     work = ViewerWork(
         bus,
@@ -178,7 +179,7 @@ def _run(
     return bus.health.counters.get("pictures", 0), spoilt or sinks.flushed(recording)
 
 
-def _drawn(config: Config, arguments: argparse.Namespace) -> Met[Body]:
+def _drawn(bus: Bus, config: Config, arguments: argparse.Namespace) -> Met[Body]:
     """What is drawn: all objects of a pipeline whose file is known. Of another one, as of a recording that is
     played, nobody says which it has: those that are met in poses."""
     from huepose_services import models
@@ -188,6 +189,6 @@ def _drawn(config: Config, arguments: argparse.Namespace) -> Met[Body]:
     pipeline = chosen(arguments, tell=False)
     if pipeline.recorded:
         load = partial(its_models.load_one, Path(pipeline.file))
-        return bodies({}, load, say, arguments.pairs)
+        return bodies(bus, {}, load, say, arguments.pairs)
     known = models.load(config) if pipeline.file else {}
-    return bodies(known, partial(models.load_one, config), say, arguments.pairs)
+    return bodies(bus, known, partial(models.load_one, config), say, arguments.pairs)

@@ -44,7 +44,7 @@ _MOST_NAMES = 12
 def make(bus: Bus, config: Config) -> Ros2Work:
     """The ros2 worker's work, with all message types loaded."""
     begins = {name: model.mesh.bounds.copy() for name, model in models.load(config).items()}
-    bounds = Met(begins, partial(_bounds, config), bus.log.warn, "has an empty box in the detections")
+    bounds = Met(bus, begins, partial(_bounds, config), bus.log.warn, "has an empty box in the detections")
     for kind in (messages.POSE, messages.TRANSFORMS, messages.DETECTIONS, messages.CAMERA):
         messages.type_hash(kind)
     mount = None if config.camera.tf is None else MountFromTf(bus, config.camera.tf)

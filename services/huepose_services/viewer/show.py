@@ -66,7 +66,7 @@ class Show:
         self._recording = recording
         self._bodies = bodies
         self._drawn: set[Instance] = set()
-        self._in_space: set[Instance] = set()
+        self._in_space: dict[Instance, Body] = {}
         self._colours: dict[Instance, Colour] = {}
         self._trails: dict[Instance, deque[Float]] = {}
         self._camera: Camera | None = None
@@ -224,9 +224,10 @@ class Show:
             name = f"{instance[0]} {instance[1]}"
             line = rr.SeriesLines(colors=[self.colour_of(instance)], widths=[1.5], names=[name])
             self._log(_path(place.QUALITY, instance), line, static=True)
-        # A model may come later than the first pose.
-        if instance not in self._in_space and (body := self._bodies.get(instance[0])) is not None:
-            self._in_space.add(instance)
+        # A model may come later than the first pose, and another one in its place.
+        body = self._bodies.get(instance[0])
+        if body is not None and body is not self._in_space.get(instance):
+            self._in_space[instance] = body
             self._log(f"{path}/mesh", rr.Mesh3D(**drawable(body.mesh)), static=True)
 
     def latency(self, milliseconds: float) -> None:

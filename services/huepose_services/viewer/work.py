@@ -45,7 +45,7 @@ def make(bus: Bus, config: Config) -> ViewerWork:
     from huepose_services.viewer.show import Show
     from huepose_services.viewer.sinks import served
 
-    known = bodies(models.load(config), partial(models.load_one, config), bus.log.warn)
+    known = bodies(bus, models.load(config), partial(models.load_one, config), bus.log.warn)
     warm_up()
     recording, address = served(config.viewer)
     bus.log.say(f"the page is {address}")
@@ -53,19 +53,20 @@ def make(bus: Bus, config: Config) -> ViewerWork:
 
 
 def bodies(
+    bus: Bus,
     known: Mapping[str, ReferenceModel],
     load: Callable[[str], ReferenceModel],
     tell: Callable[[str], None],
     whole: bool = False,
 ) -> Met[Body]:
-    """What is drawn of each object; load, tell: of those that are first met in a pose, as for `Met`. whole:
-    keeps whole models; else the rest of them is let go."""
+    """What is drawn of each object; load, tell: of those that are first met in a pose, or added again, as
+    for `Met`. whole: keeps whole models; else the rest of them is let go."""
 
     def body(model: ReferenceModel) -> Body:
         return Body(model.mesh, model.diameter_m, model if whole else None)
 
     begins = {name: body(model) for name, model in known.items()}
-    return Met(begins, lambda name: body(load(name)), tell, "is not drawn")
+    return Met(bus, begins, lambda name: body(load(name)), tell, "is not drawn")
 
 
 class ViewerWork(Work):
@@ -170,7 +171,7 @@ class ViewerWork(Work):
 
     def _picture(self, header: FrameHeader, payload: bytes) -> None:
         try:
-            color, depth = frame_images(header, payload)
+            frame, (color, depth) = frame_from_wire(header, payload), frame_images(header, payload)
         except WireError as error:
             self._bus.refuse(self._bus.keys.frame, error)
             return
@@ -185,7 +186,7 @@ class ViewerWork(Work):
             self._held = {t: held for t, held in self._held.items() if t > at_ns}
         self._begun = True
         if self._pairs is not None:
-            self._show_pairs(self._pairs, frame_from_wire(header, payload), poses)
+            self._show_pairs(self._pairs, frame, poses)
         self._pictures += 1
         self._bus.health.count("pictures")
 

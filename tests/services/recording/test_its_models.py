@@ -15,6 +15,7 @@ from huepose_services.recording.its_models import load_one
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.running import Pipeline, noted
 from tests.services.conftest import until
+from tests.services.fake_bus import FakeBus
 
 from .conftest import KEY, NAME, parts
 
@@ -67,7 +68,7 @@ def test_what_is_met_in_a_recording_that_is_played_is_drawn(followed, tmp_path, 
     monkeypatch.chdir(tmp_path)
     arguments = argparse.Namespace(config=None, pipeline=None, pairs=False)
     with noted(Pipeline(base_port=29347, site="lab", camera="cam0", file=str(followed.path))):
-        drawn = _drawn(Config(), arguments)
+        drawn = _drawn(FakeBus("view"), Config(), arguments)
         assert list(drawn) == []
         until(lambda: drawn.get(NAME) and not drawn.get("my_box"))
         said = until(lambda: capsys.readouterr().err)

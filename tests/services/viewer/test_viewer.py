@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from huepose.geometry import Camera, se3
 from huepose.scenes.shapes import demo_objects
+from huepose_protos.buffers import pack
 from huepose_protos.examples import example, images
 from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
 from huepose_services.viewer.shapes import (
@@ -29,8 +30,17 @@ from huepose_services.viewer.shapes import (
     yuv,
 )
 from tests.services.conftest import until
+from tests.services.fake_bus import FakeBus
 
 CAMERA = Camera(100.0, 100.0, 50.0, 40.0, 101, 81)
+SIZE = msgspec.structs.replace(example(FrameHeader).intrinsics, width=4, height=2)
+
+
+def _frame(intrinsics=SIZE, **fields):
+    """A small frame as it is sent."""
+    specs, payload = pack(images())
+    fields |= {"intrinsics": intrinsics, "buffers": specs}
+    return msgspec.structs.replace(example(FrameHeader), **fields), payload
 
 
 def _box():
@@ -146,10 +156,9 @@ def test_frames_poses_and_changes_are_in_the_file(shown):
     from rerun.chunk import RrdReader
 
     show = shown({"006_mustard_bottle": Body(_box(), 0.2)})
-    header, pose = example(FrameHeader), example(PoseMessage)
-    size = msgspec.structs.replace(header.intrinsics, width=4, height=2)
+    (header, _), pose = _frame(), example(PoseMessage)
     show.at(10**18, 42)
-    show.frame(msgspec.structs.replace(header, intrinsics=size), *images().values(), with_cloud=True)
+    show.frame(header, *images().values(), with_cloud=True)
     show.pose(pose)
     show.beliefs([pose])
     show.hypotheses(example(HypothesesMessage))
@@ -268,21 +277,20 @@ def test_a_full_disk_is_said_where_a_file_begins_and_once_it_takes_no_more(tmp_p
 
 
 @pytest.mark.parametrize("begins_with_picture", [True, False])
-def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_picture, monkeypatch):
+def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_picture):
     from unittest.mock import MagicMock
 
     from huepose_services.viewer import work
 
-    monkeypatch.setattr(work, "frame_images", lambda header, payload: tuple(images().values()))
-    poses, headers = [example(PoseMessage)], []
+    poses, frames = [example(PoseMessage)], []
     bus, show = MagicMock(), MagicMock()
     bus.take = lambda source, kind: poses.pop() if poses else None
-    bus.take_with_payload = lambda source, kind: (headers.pop(), b"") if headers else None
+    bus.take_with_payload = lambda source, kind: frames.pop() if frames else None
     bus.inbox.liveliness.return_value.take = lambda: None
     viewer = work.ViewerWork(bus, show, 1e6, begins_with_picture=begins_with_picture)
     viewer.step()
     assert show.pose.called is not begins_with_picture
-    headers.append(msgspec.structs.replace(example(FrameHeader), capture_ns=example(PoseMessage).capture_ns))
+    frames.append(_frame(capture_ns=example(PoseMessage).capture_ns))
     viewer.step()
     assert show.frame.called
     later = msgspec.structs.replace(example(PoseMessage), capture_ns=example(PoseMessage).capture_ns + 1)
@@ -295,6 +303,27 @@ def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_p
     )
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [{"cx": 1.5e308, "cy": 1.5e308}, {"width": 5}],
+    ids=["no camera has it", "does not fit its pixels"],
+)
+def test_a_frame_of_no_camera_is_refused_and_the_next_one_is_shown(wrong):
+    from unittest.mock import MagicMock
+
+    from huepose_services.viewer.work import ViewerWork
+
+    frames = [_frame(), _frame(msgspec.structs.replace(SIZE, **wrong))]
+    bus, show = MagicMock(), MagicMock()
+    bus.take = lambda source, kind: None
+    bus.take_with_payload = lambda source, kind: frames.pop() if frames else None
+    bus.inbox.liveliness.return_value.take = lambda: None
+    viewer = ViewerWork(bus, show, 1e9)
+    until(lambda: viewer.step() or show.frame.called)
+    assert bus.refuse.call_count == 1
+    assert [told.args[0].intrinsics for told in show.frame.call_args_list] == [SIZE]
+
+
 def _rows(path, entity, column):
     """What of a column was logged at an entity, by its times."""
     from rerun.chunk import RrdReader
@@ -303,39 +332,40 @@ def _rows(path, entity, column):
     for chunk in RrdReader(path).stream():
         if str(chunk.entity_path) == entity:
             batch = chunk.to_record_batch()
-            times = [at.value for at in batch.column("time")] if "time" in batch.schema.names else [0]
+            timed = "time" in batch.schema.names
+            times = [at.value for at in batch.column("time")] if timed else range(batch.num_rows)
             for name in batch.schema.names:
                 if column in name:
                     out += zip(times, batch.column(name).to_pylist(), strict=True)
     return [value for _, value in sorted(out, key=lambda one: one[0])]
 
 
-def test_what_comes_later_than_its_first_pose_is_drawn(shown):
+def test_what_comes_later_than_its_first_pose_or_in_its_place_is_drawn(shown):
     bodies = {}
     show, pose = shown(bodies), example(PoseMessage)
     show.at(10**18, 1)
     show.pose(pose)
-    bodies[pose.object] = Body(_box(), 0.2)
-    for frame in (2, 3):
-        show.at(10**18 + frame, frame)
-        show.pose(pose)
+    can = demo_objects()["soup_can"]
+    for first, mesh in ((2, _box()), (4, can)):
+        bodies[pose.object] = Body(mesh, 0.2)
+        for frame in (first, first + 1):
+            show.at(10**18 + frame, frame)
+            show.pose(pose)
     mesh = f"/world/objects/{pose.object}_{pose.instance}/mesh"
-    assert len(_rows(shown.written(), mesh, "vertex_positions")) == 1
+    drawn = _rows(shown.written(), mesh, "vertex_positions")
+    assert [len(rows) for rows in drawn] == [len(drawable(m)["vertex_positions"]) for m in (_box(), can)]
 
 
-def _viewer(show, monkeypatch):
+def _viewer(show):
     """A viewer, and what it is shown a picture and poses with, at a time in seconds."""
     from unittest.mock import MagicMock
 
     from huepose_services.viewer import work
 
-    monkeypatch.setattr(work, "frame_images", lambda header, payload: tuple(images().values()))
-    size = msgspec.structs.replace(example(FrameHeader).intrinsics, width=4, height=2)
-    header = msgspec.structs.replace(example(FrameHeader), intrinsics=size)
     arrived = {PoseMessage: [], FrameHeader: []}
     bus = MagicMock()
     bus.take = lambda source, kind: arrived[kind].pop(0) if arrived.get(kind) else None
-    bus.take_with_payload = lambda source, kind: (arrived[kind].pop(), b"") if arrived[kind] else None
+    bus.take_with_payload = lambda source, kind: arrived[kind].pop() if arrived[kind] else None
     bus.inbox.liveliness.return_value.take = lambda: None
     viewer = work.ViewerWork(bus, show, 1e9)
 
@@ -344,7 +374,7 @@ def _viewer(show, monkeypatch):
         arrived[PoseMessage] += [msgspec.structs.replace(pose, capture_ns=at_ns) for pose in poses]
         viewer.step()
         if picture:
-            arrived[FrameHeader].append(msgspec.structs.replace(header, capture_ns=at_ns))
+            arrived[FrameHeader].append(_frame(capture_ns=at_ns))
             while arrived[FrameHeader] or viewer._waiting is not None:
                 viewer.step()
 
@@ -353,7 +383,7 @@ def _viewer(show, monkeypatch):
 
 def test_who_is_silent_for_a_second_of_pictures_leaves_no_ghost(shown, monkeypatch):
     monkeypatch.setattr("huepose_services.viewer.work._PATIENCE_NS", 0)
-    step = _viewer(shown({}), monkeypatch)
+    step = _viewer(shown({}))
     stays = example(PoseMessage)
     goes = msgspec.structs.replace(stays, object="can", instance=0)
     for k in range(30):
@@ -376,7 +406,7 @@ def test_whose_poses_come_late_is_no_ghost(monkeypatch):
 
     monkeypatch.setattr("huepose_services.viewer.work._PATIENCE_NS", 0)
     show = MagicMock()
-    step = _viewer(show, monkeypatch)
+    step = _viewer(show)
     for k in range(40):
         step(10.0 + 0.1 * k)
         if k >= 15:
@@ -402,7 +432,7 @@ def test_an_object_that_is_added_later_is_drawn_with_its_colour_pairs(tea_box, t
     config = Config(bundles=str(tmp_path / "bundles"), objects=[ObjectConfig(name="can")])
     arguments = Namespace(config=None, pipeline=None, pairs=True)
     with noted(Pipeline(base_port=29347, file=str(tmp_path / "pipeline.yaml"), workers=("camera",))):
-        drawn = _drawn(config, arguments)
+        drawn = _drawn(FakeBus("view"), config, arguments)
     assert list(drawn) == ["can"]
     body = until(lambda: drawn.get("tea_box"))
     assert body.whole is not None

@@ -1,4 +1,5 @@
-"""That a pose in a frame is right: one logistic in what the judge sees at it, without any mask.
+"""That a pose in a frame is right: a logistic in what the judge sees at it, without any mask, lowered where
+hardly anything is there, or has a colour that no light gives it.
 
 The weights are fitted on poses that tracking reached on drawn sequences (`believe.logistic`).
 """

@@ -1,5 +1,5 @@
-"""How beliefs are made: a probability that is logistic in a constant plus a factor times each named term; and
-the fitted numbers of all of them, in one file, each with where it comes from.
+"""What beliefs are made of: a probability that is logistic in a constant plus a factor times each named term;
+and the fitted numbers of all of them, in one file, each with where it comes from.
 
 `fits.json` has one entry for each question: `quality` (is the pose of a single frame right? by method),
 `frame` (is a tracked pose right in this frame?), `presence` (is the object there at all?) and `place` (the

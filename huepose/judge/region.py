@@ -148,7 +148,7 @@ def prepare_believed(
 
 
 def tolerance_m(diameter_m: float, depth_m: float) -> float:
-    """Tolerance of depth, metres: 6 to 12 mm by the object's size, more at far depth."""
+    """Tolerance of depth, metres: 6 to 12 mm by the object's size, 2 more beyond 1.1 m."""
     return max(0.006, min(0.012, 0.05 * diameter_m)) + (0.002 if depth_m > 1.1 else 0.0)
 
 

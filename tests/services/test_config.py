@@ -142,6 +142,14 @@ GOOD = "camera: {truth: true}\n"
             ["gateway.listen", "localhost:65536", "1 to 65535"],
         ),
         (
+            "viewer: {web_port: 65535}\ncameras: [{name: a}, {name: b}]",
+            ["viewer.web_port: found 65536; expected a port of 1 to 65535. Give another one"],
+        ),
+        (
+            "viewer: {grpc_port: 65534}\ncameras: [{name: a}, {name: b}, {name: c}]",
+            ["viewer.grpc_port: found 65536; expected a port of 1 to 65535. Give another one"],
+        ),
+        (
             "workers: [camera, viewer]\nviewer: {web_port: 9197, grpc_port: 9197}",
             ["viewer.grpc_port: found 9197; expected another port than that of viewer.web_port."],
         ),

@@ -79,10 +79,12 @@ def check_ports(config: Config, refuse: Refuse) -> None:
         "gateway.listen": config.gateway.listen,
         "link.listen": config.link.listen,
         "link.connect": config.link.connect,
+        "viewer.web_port": str(config.viewer.web_port),
+        "viewer.grpc_port": str(config.viewer.grpc_port),
     }
     for key, address in addresses.items():
         if address is not None and not 0 < int(address.rpartition(":")[2]) <= _LAST_PORT:
-            fix = "Where there are several cameras, each gets the next port."
+            fix = "Give another one; of several cameras each further one gets the next."
             refuse(key, address, f"a port of 1 to {_LAST_PORT}", fix)
     router = config.ros2.connect.partition("/")[2]
     host, _, port = router.rpartition(":")

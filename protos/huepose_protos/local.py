@@ -47,8 +47,8 @@ def pose_endpoints(base_port: int | None = None, folder: Path | str | None = Non
     """Where poses are read on the pipeline's own machine, by its own user: at the tracker, and at the camera,
     which says where it is.
 
-    base_port: its first port; without it that of the only pipeline that runs, where none does the usual one.
-    Raises ValueError where several run.
+    base_port: its first port; without it that of the only pipeline that runs, where none does the usual one:
+    of several cameras that are started later it is the first one's. Raises ValueError where several run.
 
     >>> pose_endpoints(folder="/run/huepose")
     ['unixsock-stream//run/huepose/17448', 'unixsock-stream//run/huepose/17447']

@@ -44,7 +44,8 @@ class View:
     """Workers that are there, or should be, and say nothing."""
     missing: tuple[str, ...]
     """Workers of the configuration that are not there."""
-    objects: list[ObjectEntry]
+    objects: list[ObjectEntry] | None
+    """None where nobody has said yet what is looked for."""
     poses: dict[tuple[str, int], PoseMessage]
     rates: dict[str, float] = field(default_factory=dict)
 
@@ -135,8 +136,8 @@ class Watch:
             if now - when < _STALE_S and not is_over(m, self._objects)
         }
         health = {w: m for w, (_, m) in self._health.items() if w in there or w in fresh}
-        seen, objects = bool(self._reader.live), self._objects or []
-        return View(self.pipeline, seen, health, silent, missing, objects, poses, rates)
+        seen = bool(self._reader.live)
+        return View(self.pipeline, seen, health, silent, missing, self._objects, poses, rates)
 
     def __enter__(self) -> Watch:
         return self

@@ -223,6 +223,12 @@ def test_status_says_once_what_is_said_of_several_objects() -> None:
     assert said == ["mug", "jar", "These", "can", "cup", "tin", "No"]
 
 
+def test_status_says_that_nothing_is_looked_for_once_that_is_known() -> None:
+    for heard, said in (([], True), (None, False), ([entry("mug")], False)):
+        view = View(PIPELINE, True, {}, frozenset(), (), heard, {})
+        assert ("nothing is looked for" in as_text(view)) == said
+
+
 def test_status_does_not_call_a_worker_gone_that_may_be_starting() -> None:
     view = View(PIPELINE, True, {}, frozenset(), ("estimator",), [], {})
     (line,) = [text for text in as_text(view).splitlines() if text.startswith("estimator")]

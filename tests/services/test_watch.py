@@ -63,20 +63,20 @@ def test_a_worker_that_was_killed_and_started_again_is_not_ready_until_it_says_s
     assert camera.after(["camera"], says(2, "starting")) == (2, "starting")
 
 
-@pytest.mark.parametrize(("ends", "poses", "objects"), [("tracker", 0, 1), ("reinit", 1, 0)])
+@pytest.mark.parametrize(("ends", "poses", "objects"), [("tracker", 0, [ENTRY]), ("reinit", 1, None)])
 def test_poses_end_with_their_tracker_and_the_list_of_objects_with_its_worker(
-    ends: str, poses: int, objects: int
+    ends: str, poses: int, objects: list[ObjectEntry] | None
 ) -> None:
     there = ("tracker", "reinit")
     said = POSE, msgspec.structs.replace(example(ObjectsMessage), objects=[ENTRY])
     pipeline = Watched(PIPELINE)
     pipeline.after(there, *said)
     view = pipeline.watch.view()
-    assert (len(view.poses), len(view.objects)) == (1, 1)
+    assert (len(view.poses), view.objects) == (1, [ENTRY])
     pipeline.after([worker for worker in there if worker != ends])
     pipeline.after(there)
     view = pipeline.watch.view()
-    assert (len(view.poses), len(view.objects)) == (poses, objects)
+    assert (len(view.poses), view.objects) == (poses, objects)
 
 
 def test_a_recording_that_is_played_says_how_workers_were_that_are_not_there() -> None:

@@ -81,7 +81,7 @@ def _as_json(view: View) -> str:
             "missing": view.missing,
             "silent": sorted(view.silent),
             "workers": view.health,
-            "objects": view.objects,
+            "objects": view.objects or [],
             "poses": list(view.poses.values()),
             "rates_hz": view.rates,
         }
@@ -151,7 +151,9 @@ def as_text(view: View, width: int | None = None) -> str:
     camera = view.health.get("camera")
     rows = [(_pose(pose), _cause(pose, camera)) for pose in view.poses.values()]
     with_poses = {name for name, _ in view.poses}
-    for entry in view.objects:
+    if view.objects == []:
+        lines.append("nothing is looked for; `huepose objects add NAME` changes that")
+    for entry in view.objects or []:
         if entry.searching:
             text = f"SEARCHING  {entry.searching} of {entry.max_instances} not found yet"
         elif entry.object not in with_poses:

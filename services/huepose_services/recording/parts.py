@@ -93,6 +93,7 @@ class Parts:
         number = f"_{self._number:04d}" if self._number else ""
         path = self.path.with_name(f"{self.path.stem}{number}{SUFFIX}")
         try:
+            self._check_free()
             file = path.open("xb")
             if self._number:  # the file before is whole
                 self._done.append((self._path, self._size))
@@ -113,7 +114,7 @@ class Parts:
                 raise
             there = isinstance(error, FileExistsError)
             found = "a file of that name" if there else error.strerror or str(error)
-            raise InputError(path, found=found, expected="a new file") from None
+            raise InputError(path, found=found, expected="a new file, in a folder with room") from None
 
     @property
     def _size(self) -> int:
@@ -220,12 +221,7 @@ class Parts:
         self._pending, self._due = 0, time.monotonic() + _CHUNK_S
         if time.monotonic() >= self._look_at:
             self._look_at = time.monotonic() + _LOOK_EVERY_S
-            free = shutil.disk_usage(self.path.parent).free
-            if free < self._limits.free:
-                left = self._limits.free >> 20
-                raise DiskFullError(
-                    f"{free >> 20} MiB are free on the disk, and {left} are to be left (--free)"
-                )
+            self._check_free()
         if self._size >= self._limits.part:
             self.close()
             self._number += 1
@@ -235,6 +231,13 @@ class Parts:
             path, size = self._done.popleft()
             path.unlink(missing_ok=True)
             kept -= size
+
+    def _check_free(self) -> None:
+        free, left = shutil.disk_usage(self.path.parent).free, self._limits.free
+        if free < left:
+            raise DiskFullError(
+                f"{free >> 20} MiB are free on the disk, and {left >> 20} are to be left (--free)"
+            )
 
     def close(self) -> None:
         """Write the index, and all that is left; nothing where that is done."""

@@ -163,7 +163,13 @@ def test_it_goes_on_in_new_files_and_deletes_the_oldest(tmp_path):
 
 
 def test_it_ends_before_the_disk_is_full(tmp_path):
-    out = parts(tmp_path / "out", Limits(2**40, None, free=2**60))
+    with pytest.raises(
+        InputError, match=r"out\.mcap: found \d+ MiB are free on the disk, and \d+ are to be left"
+    ):
+        parts(tmp_path / "out", Limits(2**40, None, free=2**60))
+    assert not list(tmp_path.iterdir())
+    out = parts(tmp_path / "out")
+    out._limits = Limits(2**40, None, free=2**60)
     out.frame(*tiny_frame(0), KEY + "frame")
     out._due = 0.0
     with pytest.raises(DiskFullError, match="are to be left"):

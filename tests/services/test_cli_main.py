@@ -334,6 +334,15 @@ def test_an_answer_as_json_is_all_that_is_printed(tmp_path: Path, printed: Says)
     answer = json.loads(printed(["validate", path, "--json"]))
     assert answer["keys"] == "huepose/here/cam0/..."
     assert list(answer["ports"]) == answer["workers"]
+    assert answer["listens"] == {}
+
+
+def test_it_is_said_where_each_camera_is_reached(tmp_path: Path, printed: Says) -> None:
+    path = tmp_path / "pipeline.yaml"
+    path.write_text("workers: [camera, gateway, viewer]\ncameras: [{name: left}, {name: right}]\n")
+    said = [line.split() for line in printed(["validate", path]).splitlines() if "listens" in line]
+    assert [line[1:3] for line in said] == [["gateway.listen", f"127.0.0.1:{p},"] for p in (7447, 7448)]
+    assert said[1][3:5] == ["viewer.web_port", "127.0.0.1:9091,"]
 
 
 def test_ctrl_c_while_a_command_line_is_still_read_is_a_line_and_no_traceback(

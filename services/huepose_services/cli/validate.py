@@ -57,6 +57,7 @@ def _described(config: Config, written: Config, path: Path) -> tuple[dict[str, A
     import msgspec
 
     from huepose_protos.local import run_folder
+    from huepose_services.runtime.config_parts import listeners
 
     ports = {worker: config.port(worker) for worker in config.workers}
     answer: dict[str, Any] = {
@@ -67,6 +68,7 @@ def _described(config: Config, written: Config, path: Path) -> tuple[dict[str, A
         "keys": f"huepose/{config.site}/{config.camera.name}/...",
         "run_folder": str(run_folder()),
         "ports": ports,
+        "listens": dict(listeners(config)),
         "mount": None if config.camera.mount is None else msgspec.to_builtins(config.camera.mount),
         "frames": _way_of_frames(config),
         "hosts": {host: list(workers) for host, workers in config.hosts.items()},
@@ -77,6 +79,8 @@ def _described(config: Config, written: Config, path: Path) -> tuple[dict[str, A
   keys     {answer["keys"]}
   ports    in {run_folder()}: {", ".join(f"{worker} {port}" for worker, port in ports.items())}
   frames   {answer["frames"]}"""
+    if answer["listens"]:
+        summary += f"\n  listens  {', '.join(f'{key} {place}' for key, place in answer['listens'].items())}"
     notes = (*_limited(config), *_never_boxed(config), *_never_found(config), *_unread(config))
     for note in (*notes, *_unused(config, written)):
         summary += f"\n  NOTE     {note}"

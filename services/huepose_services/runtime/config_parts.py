@@ -103,7 +103,7 @@ def check_listeners(configs: Sequence[Config], refuse: Refuse) -> None:
     taken: list[tuple[str, str]] = []
     for config in configs:
         of_which = f" of {config.camera.name}" if len(configs) > 1 else ""
-        for key, address in _listeners(config):
+        for key, address in listeners(config):
             for other, there in taken:
                 if _meet(address, there):
                     fix = "Each needs a port of its own; of several cameras each gets the next ones."
@@ -112,7 +112,7 @@ def check_listeners(configs: Sequence[Config], refuse: Refuse) -> None:
             taken.append((key + of_which, address))
 
 
-def _listeners(config: Config) -> Iterator[tuple[str, str]]:
+def listeners(config: Config) -> Iterator[tuple[str, str]]:
     """The keys by which the workers listen, and where each does."""
     if "gateway" in config.workers:
         yield "gateway.listen", config.gateway.listen

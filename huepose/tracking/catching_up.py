@@ -89,7 +89,7 @@ class Pursuit:
             self._rests = T is not None and at_rest(self.track.subject, T_stood, T)
             self.track.learn()
             self._remember(frame)
-        elif frame.T_parent_cam is not None and seen_share(before.subject.surface, T_stood, frame) <= MORE:
+        elif _camera_moved(before, T_stood) and seen_share(before.subject.surface, T_stood, frame) <= MORE:
             self.track, self.turned_away = before, True
         elif self._rests:
             self.track, self._rests = before, False
@@ -120,6 +120,12 @@ class Pursuit:
         T = self.track.T_cam_obj
         if T is not None:
             self.poses.append((frame.stamp_ns, T))
+
+
+def _camera_moved(track: Track, T_stood: Float64) -> bool:
+    """Whether a camera is known to have moved since a track's last frame. T_stood (4, 4): the track's pose in
+    the axes that the camera has now."""
+    return track.T_cam_obj is not None and not np.array_equal(track.T_cam_obj, T_stood)
 
 
 def _next(reached: RgbdFrame, kept: Sequence[RgbdFrame], stride: int) -> RgbdFrame:

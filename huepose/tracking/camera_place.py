@@ -33,9 +33,9 @@ class CameraPlace:
         return replace(self, T_parent_cam=frame.T_parent_cam, told_ns=frame.stamp_ns)
 
     def after(self, frame: RgbdFrame, looked_ns: int) -> tuple[CameraPlace, Float64 | None]:
-        """Its place in the next frame, the last one being that of `looked_ns`; and from the axes it had when
-        it was told last to those of now (4, 4), None where that is not known. After frames of which nobody
-        told, only what was measured before them is in axes that are known."""
+        """The place in the next frame, and the transform from the camera's axes at the last known place to
+        those of now (4, 4), None if unknown. Velocities need the place in the frame just before, which is
+        that of `looked_ns`."""
         seconds = (frame.stamp_ns - self.told_ns) * 1e-9
         T_new_old = _moved(self.T_parent_cam, frame.T_parent_cam, seconds)
         moved = None if T_new_old is None or self.told_ns != looked_ns else (T_new_old, seconds)

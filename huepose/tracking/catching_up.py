@@ -68,7 +68,7 @@ class Pursuit:
 
     def follow(self, kept: Sequence[RgbdFrame], tries: float = np.inf) -> float:
         """One step towards the newest of the kept frames (oldest first, none before the correction's); says
-        how many of at most `tries` dear proposals that took."""
+        how many of at most `tries` costly proposals that took."""
         tried = 0.0
         if self.track.frame is None:
             # Settled on its own frame first, or on the one next to it: so it is known how well it should fit.
@@ -89,7 +89,7 @@ class Pursuit:
             self._rests = T is not None and at_rest(self.track.subject, T_stood, T)
             self.track.learn()
             self._remember(frame)
-        elif _camera_moved(before, T_stood) and seen_share(before.subject.surface, T_stood, frame) <= MORE:
+        elif _camera_moved(reached, frame) and seen_share(before.subject.surface, T_stood, frame) <= MORE:
             self.track, self.turned_away = before, True
         elif self._rests:
             self.track, self._rests = before, False
@@ -122,10 +122,10 @@ class Pursuit:
             self.poses.append((frame.stamp_ns, T))
 
 
-def _camera_moved(track: Track, T_stood: Float64) -> bool:
-    """Whether a camera is known to have moved since a track's last frame. T_stood (4, 4): the track's pose in
-    the axes that the camera has now."""
-    return track.T_cam_obj is not None and not np.array_equal(track.T_cam_obj, T_stood)
+def _camera_moved(before: RgbdFrame, frame: RgbdFrame) -> bool:
+    """Whether a camera is known to have moved from one frame to the other."""
+    T, T_now = before.T_parent_cam, frame.T_parent_cam
+    return T is not None and T_now is not None and not np.array_equal(T, T_now)
 
 
 def _next(reached: RgbdFrame, kept: Sequence[RgbdFrame], stride: int) -> RgbdFrame:

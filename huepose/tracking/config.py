@@ -24,13 +24,13 @@ class TrackerConfig:
     doubt: so is one this much under its baseline, long_doubt: after more than long_step_s, when there
     is time for a search, as there is when it moved by more than surprising_m; hidden: share of the surface
     behind something from which there is nothing to look for. max_search_m_s, max_search_rad_s: the fastest
-    motion that the search covers; tries_per_s: how many dear proposals (a search or a part of a wide one,
+    motion that the search covers; tries_per_s: how many costly proposals (a search or a part of a wide one,
     near-symmetric rotations) all objects together may make in a second of the frames' time, None for as many
     as they need. They cost 5 to 18 ms each, and a live step that takes longer than its frame makes the next
     one larger: so many take half of the time, and a step that is late is not given more than a third of a
     second's.
 
-    odometry: where nobody tells how a camera in haste moves, it is measured (`tracking.odometry`)."""
+    odometry: fast motion of the camera is measured where its pose is not given (`tracking.odometry`)."""
 
     history_frames: int = 20
     older_frames: int = 24

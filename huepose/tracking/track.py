@@ -159,8 +159,8 @@ class Track:
         return tried
 
     def _look_from(self, frame: RgbdFrame) -> None:
-        """Take all that is remembered of where the object was to where it would be seen now if it had not
-        moved. Of a camera of which nobody knows how it moved, that is where it was seen."""
+        """Transform remembered poses to the camera's present axes, as if the object stood still. If the
+        camera's motion is unknown, they stay as they are."""
         before, (self._camera, T_new_old) = self._camera, self._camera.after(frame, self._looked_ns)
         self._looked_ns = frame.stamp_ns
         if T_new_old is None:
@@ -276,7 +276,7 @@ class Track:
 
     def _check_orientation(self, anchor: Anchor, frame: RgbdFrame, hurry: bool) -> float:
         """Test a pose that has support against its near-symmetric rotations, but for in a hurry. Returns the
-        dear proposals that it took."""
+        costly proposals that it took."""
         if self.evidence < self._config.lost_quality:
             return 0.0
         return self._orientation.check(anchor, self.hypotheses[0], self._view(), frame, hurry)

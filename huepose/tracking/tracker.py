@@ -283,7 +283,7 @@ class Tracker:
             if newest is None or correction.stamp_ns < newest.stamp_ns:
                 return Applied.CATCHING_UP
             self._pursue(key)
-            return Applied.APPLIED
+            return Applied.CATCHING_UP if key in self._pursuits else Applied.APPLIED
         else:
             track.replay(correction)
             self._pursuits.pop(key, None)

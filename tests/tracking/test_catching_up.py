@@ -164,6 +164,20 @@ def test_a_step_that_lost_the_object_is_taken_back_and_strides_grow_again(tea_bo
     assert stamps == sorted(set(stamps))
 
 
+@pytest.mark.parametrize("moved", [False, True])
+def test_only_a_camera_that_moved_has_turned_away(tea_box, whirled, moved) -> None:
+    """A hand before a camera that stands hides the place as well."""
+    frames, truth, empty = whirled
+    T_room_cam = se3.make(np.eye(3), np.array([0.0, 0.001 * moved, 0.0]))
+    hidden = [
+        replace(f, depth=np.full_like(f.depth, 0.2), T_parent_cam=T_room_cam) for f in empty[1 : LATE + 1]
+    ]
+    film = [replace(frames[0], T_parent_cam=np.eye(4)), *hidden]
+    pursuit = Pursuit(late(frames[0], truth[0]), Subject.of(tea_box), LIVE)
+    pursuit.follow(film)
+    assert pursuit.turned_away == moved
+
+
 def test_what_is_lost_again_and_again_is_given_up(tea_box, whirled) -> None:
     """It vanishes on the way, and a second long step comes no nearer to now."""
     frames, truth, empty = whirled

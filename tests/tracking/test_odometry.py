@@ -95,6 +95,33 @@ def _bare_wall():
     return corners, faces, uv, np.full((4, 4, 3), 120, np.uint8)
 
 
+@pytest.mark.parametrize("sigma", [1.0, 2.0, 3.0, 6.0])
+def test_noise_before_a_smooth_wall_is_no_motion(sigma) -> None:
+    """It alone looks like corners that go anywhere."""
+    odometry, rng = Odometry(), np.random.default_rng(5)
+    camera = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
+    grey = np.broadcast_to(120.0 + np.linspace(-40.0, 40.0, 640)[:, None], (480, 640, 1))
+    depth = np.broadcast_to(np.linspace(1.0, 1.1, 640, dtype=np.float32), (480, 640))
+    for number in range(30):
+        color = (grey + rng.normal(0.0, sigma, (480, 640, 3))).clip(0, 255).astype(np.uint8)
+        frame = RgbdFrame(color, depth.copy(), camera, number, round(number * 1e9 / 30))
+        np.testing.assert_array_equal(odometry.placed(frame, list).T_parent_cam, np.eye(4))
+
+
+def test_what_passes_before_a_tracked_object_at_rest_does_not_move_the_camera(tea_box, wall, shoot) -> None:
+    tiles = wall[0]
+    board = replace(tiles, vertices=0.3 * tiles.vertices)
+    T_box = se3.make(se3.rotation_exp(np.array([1.9, 0.3, 0.4])), np.array([0.0, 0.05, 0.45]))
+    around = Box(90.0, 70.0, 140.0, 140.0)
+    for tracked in (True, False):
+        odometry = Odometry()
+        for number in range(20):
+            T_board = se3.make(np.eye(3), np.array([-0.8 + 0.04 * number, 0.0, 0.8]))
+            frame = shoot([(board, T_board), (tea_box.mesh, T_box)], number, noise=0.3)
+            T_room_cam = odometry.placed(frame, partial(list, [around] * tracked)).T_parent_cam
+        assert (np.linalg.norm(T_room_cam[:3, 3]) < 1e-3) == tracked
+
+
 def test_a_picture_that_shows_nothing_says_nothing(shoot, walked) -> None:
     odometry = Odometry()
     black = replace(shoot([]), color=np.zeros((240, 320, 3), np.uint8))

@@ -81,8 +81,8 @@ class EstimatorConfig(Section, frozen=True, kw_only=True):
 
 
 class TrackerConfig(Section, frozen=True, kw_only=True):
-    """How far back a late correction may reach, how old a pose may be that is acted on, and whether it is
-    measured how a camera moves fast that nobody tells of."""
+    """How far back a late correction may reach, how old a pose may be that is acted on, and whether fast
+    motion of the camera is measured where its pose is not given."""
 
     history_frames: Annotated[int, Meta(ge=2, le=300)] = 20
     older_frames: Annotated[int, Meta(ge=0, le=300)] = 24

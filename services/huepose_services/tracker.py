@@ -300,7 +300,7 @@ class TrackerWork(Work):
             self._bus.log.seldom("refused", text, _REFUSED_EVERY_S, "warn" if fault else "info")
 
     def _track(self, header: FrameHeader, payload: bytes) -> bool:
-        """Track a frame. Returns False for a repeated or malformed one."""
+        """Track a frame. Returns False for a repeated, older or malformed one."""
         started, health, before = now_ns(), self._bus.health, self._header
         if before is not None and frame_key(before) == frame_key(header):
             health.count("frames_repeated")
@@ -317,12 +317,16 @@ class TrackerWork(Work):
             self._cache.frame(header, payload, frame, self._intake.recorded)
         complaint = complaint_about(frame, self._pixels) or lens_doubted(frame, self._fx_of_size)
         believed, pixels = {p.key for p in self._believed}, self._pixels
-        self._pixels, self._believed, self._complaint = frame, [], complaint
         health.warn_while("frame", complaint)
-        self._published.clear()
         self._intake.frame = header
         with self._intake.stages(self._tracker):
             poses = self._tracker.step(frame)
+        if not poses and self._tracker.poses():
+            # It is older than one that is tracked already: what was published of that one still counts.
+            health.count("frames_older")
+            return False
+        self._pixels, self._believed, self._complaint = frame, [], complaint
+        self._published.clear()
         if self._config.camera.check:
             health.warn_while("delay", self._delay.look(frame, poses, self._tracker))
         doubted = {p.key for p in poses if p.state is not State.TRACKING}

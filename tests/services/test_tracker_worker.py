@@ -1,6 +1,7 @@
 """What the tracker worker lets out: no old pose to act on, nothing that is no pose, nothing that is over."""
 
 import time
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -266,6 +267,32 @@ def test_who_comes_after_the_camera_stopped_hears_once_a_second_that_it_has(once
     work.step()
     assert bus.said[1:] == said, "nothing is said of an object that is gone"
     assert work.due_ns() is None
+
+
+@pytest.mark.parametrize("raises", [True, False])
+def test_poses_are_withdrawn_where_the_frames_that_come_are_not_tracked(raises, monkeypatch):
+    at = [now_ns()]
+    work, bus, _ = worker(clock=lambda: at[0])
+    bus.arriving[FrameHeader] = [frame_of_age(5, 0.0), frame_of_age(2, 200.0)]
+    work.step()
+    believed = work._tracker.step(SimpleNamespace(epoch=1, frame_id=5, stamp_ns=at[0]))
+
+    def step(frame):
+        if raises:
+            raise ValueError("broken")
+        return []  # an older one
+
+    monkeypatch.setattr(work._tracker, "step", step)
+    monkeypatch.setattr(work._tracker, "poses", lambda: believed)
+    if raises:
+        with pytest.raises(ValueError, match="broken"):
+            work.step()
+    else:
+        work.step()
+    assert bus.health.counters.get("frames_older", 0) == (not raises)
+    at[0] += SECOND
+    work.step()
+    assert [(p.state, p.frame_id) for p in bus.said] == [("TRACKING", 5), ("SUSPECT", 5)]
 
 
 def test_the_first_frame_of_a_recording_stands_for_as_long_as_it_takes():

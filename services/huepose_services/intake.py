@@ -136,8 +136,11 @@ class InputCache:
     def frame(self, header: FrameHeader, payload: bytes, frame: RgbdFrame, recorded: bool) -> None:
         """Keep a frame that the tracker took. recorded: whether somebody records."""
         key = frame_key(header)
+        if key in self._frames:
+            return
         self._frames[key] = (header, payload)
-        weakref.finalize(frame, self._frames.pop, key, None).atexit = False
+        # The tracker may keep a copy, from where the camera was: copies share the picture.
+        weakref.finalize(frame.color, self._frames.pop, key, None).atexit = False
         self._newest.append(frame)
         self._newest_bytes += len(payload)
         while self._newest and self._newest_bytes > (_NEWEST_BYTES if recorded else 0):

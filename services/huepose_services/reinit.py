@@ -158,16 +158,19 @@ class ReinitWork(Work):
         before, after = self._of_file, {item.name: item.max_instances for item in config.objects}
         if self._names_objects != bool(after):
             return ["a change that waits for the next start: objects (from all models to some, or back)"]
-        self._of_file = after
         now = {entry.object: entry.max_instances for entry in self._objects.entries()}
-        orders = [_order("remove", name) for name in before if name not in after and name in now]
-        orders += [
-            _order("add", name, count)
+        orders = {name: _order("remove", name) for name in before if name not in after and name in now}
+        orders |= {
+            name: _order("add", name, count)
             for name, count in after.items()
             if count not in (before.get(name), now.get(name))
-        ]
-        told = [self._objects.decide(order) for order in orders]
-        return [text for done, text in told if not done]
+        }
+        told = {name: self._objects.decide(order) for name, order in orders.items()}
+        refused = {name: text for name, (done, text) in told.items() if not done}
+        # What was refused is asked for again when the file is read again: its model may be there by then.
+        self._of_file = {name: count for name, count in after.items() if name not in refused}
+        self._of_file |= {name: before[name] for name in refused if name in before}
+        return list(refused.values())
 
     def due_ns(self) -> int | None:
         """When to take poses, about once a frame; answers wake the loop."""

@@ -102,10 +102,11 @@ def test_every_key_that_is_live_is_one_of_the_configuration():
 
 def test_objects_come_and_go_with_the_file_and_those_added_by_hand_stay():
     def slot(name, count):
-        if name == "ghost":
+        if name in missing:
             raise InputError("object 'ghost'", found="no such reference model", expected="one of mug, jar")
         return ObjectSlot(name, count)
 
+    missing = {"ghost"}
     entries = [ObjectEntry(object=name, max_instances=1, searching=0) for name in ("mug", "jar", "by hand")]
     objects = ObjectList(entries, slot)
     loop = SimpleNamespace(config=None)
@@ -119,6 +120,11 @@ def test_objects_come_and_go_with_the_file_and_those_added_by_hand_stay():
     assert "ghost" in refused
     assert {e.object: e.max_instances for e in objects.entries()} == {"mug": 3, "lid": 1, "by hand": 1}
     assert loop.config.period_ms == 250.0
+    missing.clear()
+    assert work.reload(config(mug=3, lid=1, ghost=1)) == [], "it is asked for again"
+    assert {e.object for e in objects.entries()} == {"mug", "lid", "ghost", "by hand"}
+    assert work.reload(config(mug=3, lid=1)) == []
+    assert {e.object for e in objects.entries()} == {"mug", "lid", "by hand"}
     assert "objects" in work.reload(Config())[0]
 
 

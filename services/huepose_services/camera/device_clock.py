@@ -23,8 +23,8 @@ _DRIFT_NEEDS_NS = 5 * SECOND
 class DeviceClock:
     """Feed it every picture; it answers with the capture time on CLOCK_MONOTONIC.
 
-    Stamps never decrease and are never later than the arrival. A device clock that jumps or starts anew
-    begins a new line and counts in `restarts`.
+    Stamps increase, and are never later than the arrival where the arrivals increase. A device clock that
+    jumps or starts anew begins a new line and counts in `restarts`.
 
     >>> clock = DeviceClock()
     >>> clock.capture_ns(5_000, arrived_ns=105_000)
@@ -55,7 +55,10 @@ class DeviceClock:
         stamp = round(device + behind + self.drift * (device - at)) + self._origin[1]
         stamp = min(stamp, arrived_ns)
         if self._last is not None:
-            stamp = max(stamp, self._last[2])
+            # Where the line comes down, the last stamp was too late. Those behind it are nearer together
+            # until the line is reached: a tracker could make nothing of frames without time between them.
+            before_ns, last = self._last[0], self._last[2]
+            stamp = max(stamp, min(last + (device_ns - before_ns) // 2, arrived_ns), last + 1)
         self._last = (device_ns, arrived_ns, stamp)
         return stamp
 

@@ -15,6 +15,7 @@ from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, memory
+from huepose.tracking.subject import Subject
 from huepose.tracking.types import Applied, Correction, TrackedPose
 from huepose_protos import WireError
 from huepose_protos.messages import CorrectionMessage, FrameHeader, MemoryMessage
@@ -70,8 +71,15 @@ def make(bus: Bus, config: Config) -> TrackerWork:
     known = models.load(config)
     tracker = tracker_of(config, known)
     tracker.warm_up()
-    follower = Follower(bus, lambda name: models.load_one(config, name), known, remembers=True)
+    follower = Follower(bus, lambda name: _load_one(config, name), known, remembers=True)
     return TrackerWork(bus, tracker, follower, config, cache=InputCache(bus))
+
+
+def _load_one(config: Config, name: str) -> ReferenceModel:
+    """The model of one object, with all that the tracker prepares of it: no frame waits for that."""
+    model = models.load_one(config, name)
+    Subject.of(model).make_ready()  # its lines stay with the model, its views in the cache
+    return model
 
 
 def tracker_of(config: Config, known: Mapping[str, ReferenceModel]) -> Tracker:

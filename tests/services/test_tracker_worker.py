@@ -1,6 +1,7 @@
 """What the tracker worker lets out: no old pose to act on, nothing that is no pose, nothing that is over."""
 
 import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import msgspec
@@ -8,14 +9,31 @@ import numpy as np
 import pytest
 
 from huepose.geometry import se3
+from huepose.judge.borders import Contours
+from huepose.tracking import subject
 from huepose.tracking.types import Applied
 from huepose_protos.messages import CorrectionMessage, FrameHeader, ObjectEntry
-from huepose_services import first_frame
+from huepose_services import first_frame, models
 from huepose_services.doubts import TOO_OLD
 from huepose_services.following import Change
 from huepose_services.runtime.clock import SECOND, now_ns
+from huepose_services.runtime.config import Config
 from huepose_services.runtime.tied import SUPERVISOR
-from tests.services.tracker_work import CENTRE, CORRECTION, MS, frame_of_age, worker
+from huepose_services.tracker import make
+from tests.services.tracker_work import CENTRE, CORRECTION, MS, BusStandIn, frame_of_age, worker
+
+
+def test_an_object_that_is_added_is_made_ready_where_it_is_loaded(tea_box, monkeypatch):
+    added, listed = replace(tea_box), []
+    monkeypatch.setattr(subject, "window_table", listed.append)
+    monkeypatch.setattr(models, "load", lambda config: {})
+    monkeypatch.setattr(models, "load_one", lambda config, name: added)
+    bus = BusStandIn()
+    bus.session.declare_queryable = lambda *_: SimpleNamespace(handler=())
+    work = make(bus, Config())
+    assert work._objects._load("tea_box") is added
+    assert listed == [added]
+    assert "lines" in vars(Contours.of(added))
 
 
 def test_hypotheses_are_said_while_somebody_listens():

@@ -245,7 +245,7 @@ class ReinitWork(Work):
         except WireError as error:
             self._bus.refuse(self._bus.keys.poses, error)
             return
-        if not self._camera.accepts(pose.camera_epoch, now_ns()):
+        if not self._camera.accepts(pose.camera_epoch, pose.capture_ns, now_ns()):
             self._bus.health.count("poses_of_another_camera")
         elif self._counts(pose) and not self._retired.includes(pose.object, pose.camera_epoch, pose.instance):
             self._tracks[pose.object, pose.instance] = track = from_wire(TrackedPose, pose)

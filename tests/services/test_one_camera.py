@@ -1,18 +1,22 @@
 """Frames of a second camera epoch change nothing while the first one's come; a camera opened anew counts."""
 
+import pytest
+
 from huepose_services.runtime.one_camera import OneCamera
 
 SECOND = 1_000_000_000
 
 
-def heard(camera, *streams, until_s, start_s=0.0):
-    """(epoch, rate in Hz) at the same time; returns the epochs that counted, in order."""
+def heard(camera, *streams, until_s, start_s=0.0, poses=1):
+    """(epoch, rate in Hz) at the same time, so many poses of each frame; returns the epochs that counted, in
+    order."""
     times = sorted(
         (start_s + k / rate + 0.001 * number, epoch)
         for number, (epoch, rate) in enumerate(streams)
         for k in range(int((until_s - start_s) * rate))
     )
-    return [epoch for at_s, epoch in times if camera.accepts(epoch, int(at_s * SECOND))]
+    stamps = [(int(at_s * SECOND), epoch) for at_s, epoch in times for _ in range(poses)]
+    return [epoch for stamp_ns, epoch in stamps if camera.accepts(epoch, stamp_ns, stamp_ns)]
 
 
 def test_another_epoch_ten_times_a_second_never_counts():
@@ -37,10 +41,17 @@ def test_a_camera_that_is_opened_anew_counts_after_half_a_second():
     assert heard(camera, (1, 1.0), start_s=3.0, until_s=3.1) == []
 
 
-def test_a_slow_camera_is_waited_for():
+@pytest.mark.parametrize("poses", [1, 2])
+def test_a_slow_camera_is_waited_for(poses):
     camera = OneCamera()
-    heard(camera, (1, 1.0), until_s=3.0)
-    assert set(heard(camera, (1, 1.0), (2, 1.5), start_s=3.0, until_s=30.0)) == {1}
+    heard(camera, (1, 1.0), until_s=3.0, poses=poses)
+    assert set(heard(camera, (1, 1.0), (2, 1.5), start_s=3.0, until_s=30.0, poses=poses)) == {1}
+
+
+def test_a_frame_that_is_shown_again_twice_a_second_is_heard():
+    camera = OneCamera()
+    assert all(camera.accepts(1, 7, k * SECOND // 2) for k in range(20))
+    assert not camera.accepts(2, 8, 19 * SECOND // 2 + SECOND)
 
 
 def test_who_was_there_first_and_says_less_gives_way():

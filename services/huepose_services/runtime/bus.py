@@ -83,7 +83,7 @@ class Bus:
         if said is None:
             return True  # no header at all: refused and counted where it is taken
         now = now_ns()
-        if not self._camera.accepts(said.camera_epoch, now):
+        if not self._camera.accepts(said.camera_epoch, said.capture_ns, now):
             return False
         if said.camera_epoch == self._newest[0] and said.capture_ns < self._newest[1]:
             self._out_of_order += 1

@@ -25,21 +25,27 @@ class OneCamera:
         self.refused = 0
         self._epoch: int | None = None
         self._heard_ns, self._gap_ns = 0, 0
+        # Of its newest frame, and when that first came.
+        self._stamp_ns, self._came_ns = -1, 0
         self._arrived: deque[tuple[int, int]] = deque(maxlen=_MOST_KEPT)
 
-    def accepts(self, epoch: int, now_ns: int) -> bool:
-        """Whether a frame of that epoch counts that arrives now."""
+    def accepts(self, epoch: int, stamp_ns: int, now_ns: int) -> bool:
+        """Whether what is about a frame of that epoch, with that stamp, counts that arrives now."""
         while self._arrived and now_ns - self._arrived[0][0] > _WINDOW_NS:
             self._arrived.popleft()
         self._arrived.append((now_ns, epoch))
         if epoch == self._epoch:
-            self._gap_ns = now_ns - self._heard_ns
+            # A frame may come again, and several poses of one frame come at nearly the same time.
+            again = stamp_ns == self._stamp_ns
+            gap_ns = max(self._gap_ns, now_ns - self._heard_ns) if again else now_ns - self._came_ns
         elif self.agrees(epoch, now_ns) or self._is_heard_more(epoch):
-            self._epoch, self._gap_ns = epoch, 0
+            self._epoch, self._stamp_ns, gap_ns = epoch, -1, 0
         else:
             self.refused += 1
             return False
-        self._heard_ns = now_ns
+        if stamp_ns != self._stamp_ns:
+            self._stamp_ns, self._came_ns = stamp_ns, now_ns
+        self._heard_ns, self._gap_ns = now_ns, gap_ns
         return True
 
     def agrees(self, epoch: int, now_ns: int) -> bool:

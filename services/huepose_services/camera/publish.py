@@ -39,6 +39,8 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.text import encodable
 
 _LATE_NS = SECOND // 2
+_BACK_NS = SECOND // 2
+"""What was told of an earlier time than the last, by no more than this, came late and is left out."""
 _PLACES = 256
 """So many are remembered: of a robot that tells a thousand a second those of the last quarter of one."""
 _NOT_TOLD = (
@@ -172,12 +174,12 @@ class FramePublisher:
         return news
 
     def _remember(self, mount_ns: int, mount: Mount) -> None:
-        """That it was there; a stamp that goes back is of another clock or program, and begins anew."""
-        if self._places and mount_ns < self._places[-1][0]:
+        """That it was there; a stamp that goes far back is of another clock or program, and begins anew."""
+        if self._places and mount_ns < self._places[-1][0] - _BACK_NS:
             self._places.clear()
         if not self._places or mount_ns > self._places[-1][0]:
             self._places.append((mount_ns, mount))
-        self._placed_ns = mount_ns
+            self._placed_ns = mount_ns
 
     def _place(self, picture: Packed, capture_ns: int) -> tuple[Vector3, Quaternion] | tuple[None, None]:
         """Where the camera took the picture: as somebody told, or the source while nobody does."""

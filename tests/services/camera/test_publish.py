@@ -98,6 +98,14 @@ def test_the_place_of_another_clock_or_told_twice_begins_anew(publisher_of, back
     assert T[0, 3] == pytest.approx(0.25 if back_ms else (9.0 + 0.3) / 2)
 
 
+def test_what_is_told_a_little_late_changes_nothing(publisher_of):
+    publisher, bus = publisher_of(moving=True)
+    now = now_ns()
+    for stamp, x in ((now, 0.2), (now + 20 * MS, 0.3), (now + 10 * MS, 9.0)):
+        _told(bus, stamp, x)
+    assert _published(publisher, bus, now + 15 * MS).T_parent_cam[0, 3] == pytest.approx(0.275)
+
+
 def test_a_source_may_know_where_its_camera_was(publisher_of):
     publisher, bus = publisher_of()
     np.testing.assert_allclose(

@@ -123,9 +123,12 @@ class ObjectList:
             slot = self._load(name, count)
         except InputError as error:
             return False, str(error)
-        fresh = ObjectEntry(object=name, max_instances=count, searching=count, added=self._added + 1)
+        # Orders come from two threads.
+        with self._lock:
+            self._added += known is None
+            number = self._added
+        fresh = ObjectEntry(object=name, max_instances=count, searching=count, added=number)
         entry = msgspec.structs.replace(known or fresh, max_instances=count, box=request.box)
-        self._added = max(self._added, entry.added)
         self._accept(Order(name, entry, slot))
         return True, f"{name} is looked for, up to {count} of it"
 

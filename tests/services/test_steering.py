@@ -20,6 +20,7 @@ from huepose_protos.messages import (
     PoseMessage,
     RequestedObject,
 )
+from huepose_services import steering
 from huepose_services.boxes import Hints
 from huepose_services.following import Follower, Retired
 from huepose_services.steering import ObjectList, Order
@@ -113,6 +114,22 @@ def test_a_box_outside_of_the_picture_is_refused_once_its_size_is_known(objects,
 def test_another_number_of_a_known_object_is_no_refusal(objects):
     assert objects.decide(order("add", "mug", max_instances=3))[0]
     assert [(o.name, o.slot.max_instances) for o in objects.orders()] == [("mug", 3)]
+
+
+def test_two_objects_that_are_added_at_the_same_time_have_two_numbers(objects, monkeypatch):
+    both_are_at_it = threading.Barrier(2, timeout=5.0)
+
+    def made(**fields):
+        both_are_at_it.wait()
+        return ObjectEntry(**fields)
+
+    monkeypatch.setattr(steering, "ObjectEntry", made)
+    threads = [threading.Thread(target=objects.decide, args=(order("add", name),)) for name in ("jar", "lid")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert {e.added for e in objects.entries()} == {0, 1, 2}
 
 
 def _changes(follower, within_s=5.0):

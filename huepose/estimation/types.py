@@ -16,13 +16,10 @@ from huepose.support.errors import InputError, require
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """A tracked pose of the object predicted to the frame's stamp: refined and scored like any hypothesis.
-
-    T_cam_obj (4, 4); covariance (6, 6) or None (order tx ty tz rx ry rz, metres and radians, camera axes).
-    """
+    """A tracked pose T_cam_obj (4, 4) of the object predicted to the frame's stamp: refined and scored like
+    any hypothesis."""
 
     T_cam_obj: Float64
-    covariance: Float64 | None = None
 
 
 @dataclass(frozen=True, eq=False)

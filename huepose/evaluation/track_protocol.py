@@ -244,11 +244,7 @@ class _Run:
         known = {t.key: t for t in tracked if t.T_cam_obj is not None}
         priors = {}
         if self.judge is not None and delivery.looked_at > 0:
-            priors = {
-                key: PosePrior(t.T_cam_obj, t.covariance)
-                for key, t in known.items()
-                if t.T_cam_obj is not None
-            }
+            priors = {key: PosePrior(t.T_cam_obj) for key, t in known.items() if t.T_cam_obj is not None}
         for pose in self.sources.delayed.poses(sample, here, priors):
             before = known.get((pose.place.model.name, pose.place.ordinal))
             verdict = Verdict.ACQUIRE if before is None else Verdict.CORRECT

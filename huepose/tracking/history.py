@@ -62,10 +62,6 @@ class PoseHistory:
         while self._entries and self._entries[0].stamp_ns < stamp_ns:
             self._entries.popleft()
 
-    def covers(self, stamp_ns: int) -> bool:
-        """Whether a stamp lies between the oldest and the newest entry."""
-        return bool(self._entries) and self._entries[0].stamp_ns <= stamp_ns <= self._entries[-1].stamp_ns
-
     def at(self, stamp_ns: int) -> Float64 | None:
         """The pose at a stamp: that of its frame, or, where that frame was skipped, interpolated on SE(3)
         between its neighbours. None outside of the history, and where a needed pose is missing."""

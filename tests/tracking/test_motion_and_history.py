@@ -141,7 +141,6 @@ def test_what_the_history_does_not_know() -> None:
     h = history(5)
     assert h.at(-1) is None
     assert h.at(4001) is None
-    assert not h.covers(4001)
     h.append(105, 5000, None)
     assert h.at(4500) is None
     assert not h.unbroken_since(2000)

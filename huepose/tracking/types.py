@@ -87,9 +87,9 @@ class Estimated(Protocol):
 @dataclass(frozen=True, eq=False)
 class Correction:
     """A verdict on one instance at one (past) frame, named by epoch, frame_id and capture time stamp_ns
-    (CLOCK_MONOTONIC). T_cam_obj (4, 4): object to camera, metres; quality in 0..1; `seq` counts per instance;
-    mask (H, W) bool at that frame, which the paper's tracker alone reads; reason and present: of the estimate
-    behind it.
+    (CLOCK_MONOTONIC). T_cam_obj (4, 4): object to camera, metres; quality in 0..1; seq: the time at which it
+    was made, ns, or another number that grows for each instance; mask (H, W) bool at that frame, which the
+    paper's tracker alone reads; reason and present: of the estimate behind it.
     Raises InputError where T_cam_obj is no rigid transform (4, 4)."""
 
     object: str

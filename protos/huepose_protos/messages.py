@@ -226,9 +226,9 @@ class Estimates(Message, frozen=True, kw_only=True):
 
 
 class CorrectionMessage(Message, frozen=True, kw_only=True):
-    """A verdict of the re-initialisation loop on one instance at one past frame; `seq` counts for each.
-    `camera`: why no pose of this camera is to be acted on, as in Estimates; `reason`: why none of this
-    instance is, and `present`, as in its estimate."""
+    """A verdict of the re-initialisation loop on one instance at one past frame. `seq`: the time at
+    which it was made, ns; it grows for each instance. `camera`: why no pose of this camera is to be acted on,
+    as in Estimates; `reason`: why none of this instance is, and `present`, as in its estimate."""
 
     object: Name
     instance: Index

@@ -2,9 +2,9 @@
 
 A picture goes out once, the newest first. While there is none, health says `waiting` and why: what was looked
 for, what was found, what to do; it also says what is wrong with pictures that do come. Each opening of the
-camera, each change of its intrinsics, and each return of its stamps to what is over, begins a new camera
-epoch, so nothing that was believed about the old pictures is applied to new ones. What is played once is
-opened when the other workers are there, and ends the pipeline.
+camera, each change of its intrinsics, and each time its stamps go back, begins a new camera epoch, so nothing
+that was believed about the old pictures is applied to new ones. What is played once is opened when the other
+workers are there, and ends the pipeline.
 """
 
 from __future__ import annotations

@@ -84,11 +84,12 @@ def _load_one(config: Config, name: str) -> ReferenceModel:
 
 def tracker_of(config: Config, known: Mapping[str, ReferenceModel]) -> Tracker:
     """The library's tracker with the settings of the configuration."""
+    stands = config.camera.mount is not None and not config.camera.told
     settings = replace(
         profile(config.profile).tracker,
         history_frames=config.tracker.history_frames,
         older_frames=config.tracker.older_frames,
-        odometry=config.tracker.odometry,
+        odometry=config.tracker.odometry and not stands,
     )
     return Tracker(known, settings)
 

@@ -19,8 +19,10 @@ from huepose_services.following import Change
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.tied import SUPERVISOR
-from huepose_services.tracker import make
+from huepose_services.tracker import make, tracker_of
 from tests.services.tracker_work import CENTRE, CORRECTION, MS, BusStandIn, frame_of_age, worker
+
+HAND = {"parent": "tool0", "translation": [0.0, 0.1, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
 
 
 def test_an_object_that_is_added_is_made_ready_where_it_is_loaded(tea_box, monkeypatch):
@@ -34,6 +36,21 @@ def test_an_object_that_is_added_is_made_ready_where_it_is_loaded(tea_box, monke
     assert work._objects._load("tea_box") is added
     assert listed == [added]
     assert "lines" in vars(Contours.of(added))
+
+
+@pytest.mark.parametrize(
+    ("camera", "odometry", "measured"),
+    [
+        ({}, True, True),
+        ({"mount": HAND}, True, False),
+        ({"mount": HAND, "moving": True}, True, True),
+        ({"mount": HAND, "tf": {"parent": "base_link", "child": "tool0"}}, True, True),
+        ({}, False, False),
+    ],
+)
+def test_where_a_camera_stands_its_motion_is_not_measured(camera, odometry, measured):
+    config = msgspec.convert({"camera": camera, "tracker": {"odometry": odometry}}, Config)
+    assert tracker_of(config, {}).config.odometry == measured
 
 
 def test_hypotheses_are_said_while_somebody_listens():

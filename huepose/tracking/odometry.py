@@ -203,12 +203,12 @@ def _shift(before: RgbdFrame, frame: RgbdFrame) -> Float64:
     """By how much the whole picture moved from one frame to the next of the same camera (2,), right and down,
     as shares of its width; zero where the two have nothing in common."""
     size = THUMBNAIL_PX, max(2, round(THUMBNAIL_PX * frame.camera.height / frame.camera.width))
-    thumbnails = [
+    first, second = (
         cv2.cvtColor(cv2.resize(f.color, size, interpolation=cv2.INTER_NEAREST), cv2.COLOR_RGB2GRAY)
         for f in (before, frame)
-    ]
+    )
     edge = cv2.createHanningWindow(size, cv2.CV_32F)
-    shift, alike = cv2.phaseCorrelate(*(np.asarray(t, np.float32) for t in thumbnails), edge)
+    shift, alike = cv2.phaseCorrelate(np.asarray(first, np.float32), np.asarray(second, np.float32), edge)
     return np.array(shift) / THUMBNAIL_PX if alike > 0.0 else np.zeros(2)
 
 
@@ -250,7 +250,8 @@ def _flowed(
         maxLevel=levels,
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )
-    return np.asarray(there, np.float32)[:, 0], np.asarray(found).ravel() > 0, np.asarray(off).ravel()
+    differ = np.asarray(off, np.float32).ravel()
+    return np.asarray(there, np.float32)[:, 0], np.asarray(found).ravel() > 0, differ
 
 
 def _noise(before: UInt8, now: UInt8, pixels: Float32, there: Float32, off: Float32) -> Bool:

@@ -40,7 +40,7 @@ from huepose.model import load_models, save_model
 from huepose.model.io import model_path
 from huepose.model.types import ReferenceModel
 from huepose.onboarding import onboard_mesh
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.view_detector import ViewDetector
 from huepose.profiles import profile
 from huepose.rendering.render import render
 from huepose.scenes.builtin import builtin_objects
@@ -179,7 +179,7 @@ def estimated_ms(models: Models, count: int, camera: Camera = CAMERA) -> float:
 
 def detected_ms(models: Models, asked: int, in_view: int, camera: Camera = CAMERA) -> float:
     """CPU milliseconds of one search for so many objects that are not there, beside some that are."""
-    detector = ColorPairDetector(models, profile("live").detector)
+    detector = ViewDetector(models, profile("live").detector)
     absent = list(models)[-asked:]
     frames = [picture(models, in_view, i, camera) for i in range(8)]
     return median_ms([lambda f=f: detector.detect(f, absent) for f in frames])
@@ -324,7 +324,7 @@ def own_mib(worker: str, folder: str, asked: int) -> float:
             box = projected_box(models[name], frame, truth(models[name], 0, 0, 1))
             held.estimate(frame, [ObjectQuery(name, box)])
     else:
-        held = ColorPairDetector(models)
+        held = ViewDetector(models)
         held.warm_up()
         for name, frame in shown:
             held.detect(frame, [name])

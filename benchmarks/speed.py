@@ -23,7 +23,7 @@ from llvmlite.binding import get_host_cpu_name
 from benchmarks.growth import copies, picture, truth
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.judge.silhouette import projected_box
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.view_detector import ViewDetector
 from huepose.profiles import profile
 from huepose.tracking import Tracker
 from huepose.tracking.types import Correction
@@ -69,7 +69,7 @@ def stages() -> dict[str, Work]:
     poses = {name: truth(model, k, 0, 2) for k, (name, model) in enumerate(seen.items())}
     boxes = {name: projected_box(seen[name], frames[0], T) for name, T in poses.items()}
     estimator = Estimator(models, replace(settings.estimator, threads=1))
-    detector = ColorPairDetector(models, settings.detector)
+    detector = ViewDetector(models, settings.detector)
     queries, absent = [ObjectQuery(*item) for item in boxes.items()], list(models)[2:]
 
     def track() -> None:

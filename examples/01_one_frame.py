@@ -9,7 +9,7 @@ from pathlib import Path
 
 from huepose import Estimator, ObjectQuery, load_models
 from huepose.datasets.image_files import read_frame
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.view_detector import ViewDetector
 from huepose.support.errors import InputError
 
 if len(sys.argv) < 2:
@@ -21,7 +21,7 @@ try:
 except InputError as error:  # says what to do
     sys.exit(str(error))
 
-places = ColorPairDetector(models).detect(frame, sorted(models))  # needs no training; or boxes of your own
+places = ViewDetector(models).detect(frame, sorted(models))  # needs no training; or boxes of your own
 queries = [ObjectQuery(place.object, place.box, searched=True) for place in places]
 for pose in Estimator(models).estimate(frame, queries):
     if pose.T_cam_obj is not None:

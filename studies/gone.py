@@ -30,7 +30,7 @@ from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Rng
 from huepose.judge.open_region import PreparedSurface
 from huepose.model import ReferenceModel, load_models
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.view_detector import ViewDetector
 from huepose.profiles import profile
 from huepose.reinit.looking import Looks, query_of
 from huepose.reinit.types import Request
@@ -83,7 +83,7 @@ class Sight:
     def __init__(self, *models: ReferenceModel) -> None:
         live, known = profile("live"), {model.name: model for model in models}
         surfaces = {name: PreparedSurface.of(model) for name, model in known.items()}
-        detector = ColorPairDetector(known, replace(live.detector, remembering=True))
+        detector = ViewDetector(known, replace(live.detector, remembering=True))
         self._looks = Looks(detector, lambda name, T, camera: surfaces[name].box(T, camera))
         self._estimator = Estimator(known, live.estimator)
 

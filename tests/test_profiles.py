@@ -9,7 +9,7 @@ import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig
 from huepose.model.types import ReferenceModel
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.view_detector import ViewDetector
 from huepose.profiles import NAMES, PROFILES, ProfileName, profile
 from huepose.support.errors import InputError
 from huepose.tracking import Tracker, TrackerConfig
@@ -22,7 +22,7 @@ def test_what_is_made_without_settings_is_what_runs_live(tea_box: ReferenceModel
     live = profile("live")
     assert Estimator(models).config == live.estimator == EstimatorConfig()
     assert Tracker(models).config == live.tracker == TrackerConfig()
-    assert ColorPairDetector(models).config == live.detector
+    assert ViewDetector(models).config == live.detector
 
 
 def test_a_pipeline_knows_the_same_names_and_runs_live_unless_told() -> None:

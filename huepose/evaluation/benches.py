@@ -18,9 +18,9 @@ from huepose.geometry import se3
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.model.types import ReferenceModel
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
 from huepose.perception.embedded import DepthSegmenter
+from huepose.perception.view_detector import ViewDetector
 from huepose.scenes.builtin import SyntheticScene
 from huepose.support.progress import progress
 from huepose.support.stages import StageClock, listening
@@ -151,8 +151,8 @@ def bench_perception(
     missing`: one that was taken out of the picture; `detect still missing`: the same picture again with other
     noise, as a camera gives it that stands still. `segment`: masks in the boxes of all."""
     config = replace(config or DetectorConfig(), threads=2)
-    detector, segmenter = ColorPairDetector(models, config), DepthSegmenter()
-    remembering = ColorPairDetector(models, replace(config, remembering=True))
+    detector, segmenter = ViewDetector(models, config), DepthSegmenter()
+    remembering = ViewDetector(models, replace(config, remembering=True))
     detector.warm_up()
     names = list(models)
     rows: dict[str, list[tuple[float, float]]] = {}

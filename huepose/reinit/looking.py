@@ -12,8 +12,8 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.reinit.types import RequestedObject
 
 if TYPE_CHECKING:
-    from huepose.perception.colorpair_detector import ColorPairDetector
     from huepose.perception.types import Detection
+    from huepose.perception.view_detector import ViewDetector
 
 SAME_BOX = 0.5
 """Overlap of a found box with that of a tracked object from which it lies on that object."""
@@ -39,7 +39,7 @@ class Looks:
     One missing object at a time, by turns, is searched with all effort: a request costs the same however many
     are missing. Of those that never had a turn NEW_TURNS have it at once."""
 
-    def __init__(self, detector: ColorPairDetector, box_of: BoxOf) -> None:
+    def __init__(self, detector: ViewDetector, box_of: BoxOf) -> None:
         self._detector, self._box_of = detector, box_of
         self._turns: list[str] = []
 

@@ -1,6 +1,6 @@
 """Boxes of requested objects: from a detector, or from the prediction of a track.
 
-A class for each `detector.kind`: SeenBoxes (yolo), SearchedBoxes (colorpair).
+A class for each `detector.kind`: SeenBoxes (yolo), SearchedBoxes (views).
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from collections.abc import Callable, Mapping, Sequence
 
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model import ReferenceModel
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.exchanged import Order, order_of_channels
 from huepose.perception.types import Detection, Detector
+from huepose.perception.view_detector import ViewDetector
 from huepose.reinit.looking import Looks, chosen
 from huepose_protos.messages import (
     DetectedObject,
@@ -109,7 +109,7 @@ class SeenBoxes(BoxFinder):
 class SearchedBoxes(BoxFinder):
     """Boxes of the detector that needs no weights, and of predictions: see `Looks`."""
 
-    def __init__(self, outlines: Mapping[str, Outline], detector: ColorPairDetector) -> None:
+    def __init__(self, outlines: Mapping[str, Outline], detector: ViewDetector) -> None:
         super().__init__(outlines)
         self._searcher = detector
         self._looks = Looks(detector, lambda name, T, camera: self._outlines[name].box(T, camera))

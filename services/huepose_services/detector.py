@@ -8,7 +8,7 @@ from functools import cache, partial
 
 from huepose.geometry import Box
 from huepose.model import ReferenceModel
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.view_detector import ViewDetector
 from huepose.profiles import profile
 from huepose_protos import WireError
 from huepose_protos.messages import DetectedObject, Detections, FrameHeader, PerceptionRequest
@@ -42,7 +42,7 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         return DetectorWork(bus, seen, follower, lacks=lambda: networks.never_boxed(detector, seen.objects))
     settings = profile(config.profile).detector
     settings = replace(settings, threads=config.detector.threads, remembering=True)
-    searcher = ColorPairDetector(known, settings)
+    searcher = ViewDetector(known, settings)
     searcher.warm_up()
     return DetectorWork(bus, SearchedBoxes(outlines, searcher), follower, config.camera.check)
 

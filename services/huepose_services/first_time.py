@@ -61,8 +61,8 @@ def compile_all(models: Mapping[str, ReferenceModel], learn: bool) -> None:
     from huepose.estimation import Estimator
     from huepose.geometry import RgbdFrame
     from huepose.onboarding.reference import reference_model
-    from huepose.perception.colorpair_detector import ColorPairDetector
     from huepose.perception.stillness import Tiles
+    from huepose.perception.view_detector import ViewDetector
     from huepose.profiles import profile
     from huepose.scenes.builtin import first_shot
     from huepose.scenes.camera import CAMERA
@@ -74,7 +74,7 @@ def compile_all(models: Mapping[str, ReferenceModel], learn: bool) -> None:
     shot = first_shot({name: models[name].mesh for name in names})
     frame = RgbdFrame(shot.color, shot.depth, CAMERA)
     Estimator(models, live.estimator).warm_up()
-    ColorPairDetector(models, live.detector).detect(frame, names)
+    ViewDetector(models, live.detector).detect(frame, names)
     Tracker(models, live.tracker).warm_up()
     reinit.warm_up()
     Tiles.of(frame)  # what a detector sees of a second frame

@@ -38,10 +38,10 @@ from huepose.model import load_models
 from huepose.onboarding.bop_folder import bop_models
 from huepose.onboarding.meshes import read_mesh
 from huepose.perception.clear_view import clear_view
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
 from huepose.perception.presence import alike, outlined, sight
 from huepose.perception.types import Detector
+from huepose.perception.view_detector import ViewDetector
 from huepose.scenes.rendered import PILES, SceneRanges, write_rendered_set
 from huepose.support.progress import progress
 from studies.likelihood import logistic
@@ -157,7 +157,7 @@ def seen_in(folder: Path, bundles: Path) -> Sequence[SeenPlaces]:
         return list(pickle.loads(kept.read_bytes()))
     targets = Targets(load_models(bundles))
     models = targets.models_by_name
-    detector = ColorPairDetector(models, DetectorConfig(proposals=3, min_score=0.02))
+    detector = ViewDetector(models, DetectorConfig(proposals=3, min_score=0.02))
     estimator = Estimator(models, EstimatorConfig(found_level=0.0, threads=1))
     rng, out = np.random.default_rng(5), []
     for sample, smaller in progress(list(samples(folder)), folder.name):

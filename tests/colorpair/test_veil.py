@@ -10,7 +10,7 @@ import pytest
 from huepose.colorpair.opponents import LINEAR, unveiled, veil
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.geometry.frame import RgbdFrame
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.view_detector import ViewDetector
 
 LIGHT = 0.12
 
@@ -50,7 +50,7 @@ def test_without_its_veil_a_picture_has_its_colours_again(frame) -> None:
 
 def test_detector_and_estimator_look_under_the_veil(tea_box, frame) -> None:
     models, seen = {"tea_box": tea_box}, veiled(frame, lit=0.1)
-    detector, estimator = ColorPairDetector(models), Estimator(models)
+    detector, estimator = ViewDetector(models), Estimator(models)
     (veiled_box, *_), (bare_box, *_) = (detector.detect(one, ["tea_box"]) for one in (seen, unveiled(seen)))
     assert veiled_box.score == bare_box.score
     query = ObjectQuery("tea_box", bare_box.box, searched=True)

@@ -22,7 +22,7 @@ from huepose.estimation.types import PoseEstimate
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.model.types import ReferenceModel
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.view_detector import ViewDetector
 
 
 def look(larger: float, gain: float) -> Float64:
@@ -102,7 +102,7 @@ def test_a_doubt_waits_for_as_many_looks_as_are_asked_for() -> None:
 
 def answers_about(frame: RgbdFrame, models: dict[str, ReferenceModel]) -> list[PoseEstimate]:
     """Of what the detector sees in it."""
-    places = ColorPairDetector(models).detect(frame, sorted(models))
+    places = ViewDetector(models).detect(frame, sorted(models))
     best = {place.object: place.box for place in places[::-1]}
     return Estimator(models).estimate(frame, [ObjectQuery(name, best[name]) for name in sorted(models)])
 

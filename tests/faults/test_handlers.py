@@ -15,8 +15,8 @@ import pytest
 import zenoh
 
 from huepose.estimation import Estimator
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.embedded import DepthSegmenter
+from huepose.perception.view_detector import ViewDetector
 from huepose.reinit import ReinitConfig, ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
@@ -123,7 +123,7 @@ def _work(worker: str, bus: Bus, model: Any) -> Any:
     if worker == "segmenter":
         return SegmenterWork(bus, DepthSegmenter(), outlines, follower)
     if worker == "detector":
-        return DetectorWork(bus, SearchedBoxes(outlines, ColorPairDetector(models)), follower)
+        return DetectorWork(bus, SearchedBoxes(outlines, ViewDetector(models)), follower)
     entry = ObjectEntry(object=model.name, max_instances=2, searching=2)
 
     def slot(name: str, count: int) -> ObjectSlot:

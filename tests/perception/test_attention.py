@@ -11,9 +11,9 @@ from huepose.geometry import RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.attention import CODED, EACH, EARNED, Attention, attended
 from huepose.perception.clear_view import clear_view
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import PICKED, DetectorConfig
 from huepose.perception.memory import looking
+from huepose.perception.view_detector import ViewDetector
 from huepose.perception.window_table import LIKE, window_table
 from huepose.perception.windows import SIZES, WindowsBySize
 from huepose.scenes.shapes import demo_objects
@@ -39,17 +39,17 @@ def test_what_was_searched_for_in_vain_is_so_again_only_where_something_is_liker
 
 
 @pytest.fixture
-def watching(tea_box: ReferenceModel, soup_can: ReferenceModel) -> ColorPairDetector:
+def watching(tea_box: ReferenceModel, soup_can: ReferenceModel) -> ViewDetector:
     """It knows two objects, and remembers what it saw."""
     models = {"tea_box": tea_box, "soup_can": soup_can}
-    return ColorPairDetector(models, DetectorConfig(remembering=True))
+    return ViewDetector(models, DetectorConfig(remembering=True))
 
 
 BOTH = ("soup_can", "tea_box")
 
 
 def test_what_is_put_there_is_searched_for_in_the_same_look(
-    watching: ColorPairDetector, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
+    watching: ViewDetector, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     beside = standing.copy()
     beside[0, 3] += 0.16
@@ -64,7 +64,7 @@ def test_what_is_put_there_is_searched_for_in_the_same_look(
 
 
 def test_what_stands_still_is_compared_once(
-    watching: ColorPairDetector, box_frame: RgbdFrame, coded: list[int]
+    watching: ViewDetector, box_frame: RgbdFrame, coded: list[int]
 ) -> None:
     watching.detect(noisy(box_frame, 0), [], waiting=BOTH)
     assert sum(coded) > 10
@@ -97,4 +97,4 @@ def test_where_everything_moves_objects_of_one_size_after_another_are_compared(
 
 
 def test_without_a_memory_nothing_is_new(tea_box: ReferenceModel, box_frame: RgbdFrame) -> None:
-    assert ColorPairDetector({"tea_box": tea_box}).detect(box_frame, [], waiting=["tea_box"]) == []
+    assert ViewDetector({"tea_box": tea_box}).detect(box_frame, [], waiting=["tea_box"]) == []

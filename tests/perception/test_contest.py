@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry import Box
-from huepose.perception.colorpair_detector import FALL, contested
 from huepose.perception.scouting import Proposal
+from huepose.perception.view_detector import FALL, contested
 
 
 def place(score: float, first: int, count: int = 10) -> Proposal:

@@ -8,16 +8,16 @@ import numpy as np
 
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model.types import ReferenceModel
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.exchanged import Order, order_of_channels
 from huepose.perception.types import Detection
+from huepose.perception.view_detector import ViewDetector
 from tests.conftest import TakePicture
 
 
 def test_the_order_of_the_channels_is_asked_for(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
-    detector = ColorPairDetector({"tea_box": tea_box})
+    detector = ViewDetector({"tea_box": tea_box})
     frame, empty = take_picture([(tea_box.mesh, standing)]), take_picture([])
     blue_first = replace(frame, color=np.ascontiguousarray(frame.color[:, :, ::-1]))
     said = order_of_channels(blue_first, detector, ["tea_box"])

@@ -11,7 +11,7 @@ from huepose.estimation import Estimator, ObjectQuery
 from huepose.geometry import RgbdFrame, se3
 from huepose.model import ReferenceModel
 from huepose.perception.clear_view import clear_view, thin
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.view_detector import ViewDetector
 from tests import onboarded
 from tests.conftest import TakePicture, table_top
 
@@ -52,7 +52,7 @@ def test_a_card_on_a_table_is_found_though_the_table_is_taken_away_with_it(
 ) -> None:
     frame = noisy(take_picture([(card.mesh, lying)]))
     assert clear_view(frame, card.diameter_m) is None, "nothing stands on the table"
-    best = ColorPairDetector({"card": card}).detect(frame, ["card"])[0]
+    best = ViewDetector({"card": card}).detect(frame, ["card"])[0]
     (answer,) = Estimator({"card": card}).estimate(frame, [ObjectQuery("card", best.box, searched=True)])
     assert answer.state == "TRACKING"
     apart = se3.difference(lying, answer.T_cam_obj)
@@ -63,7 +63,7 @@ def test_a_card_on_a_table_is_found_though_the_table_is_taken_away_with_it(
 def test_no_card_is_found_on_a_bare_table_or_where_it_is_known_to_be(
     card: ReferenceModel, take_picture: TakePicture, lying: np.ndarray
 ) -> None:
-    detector = ColorPairDetector({"card": card})
+    detector = ViewDetector({"card": card})
     assert detector.detect(noisy(take_picture([])), ["card"]) == []
     frame = noisy(take_picture([(card.mesh, lying)]))
     assert detector.detect(frame, ["card"], followed={"card": [lying]}) == []
@@ -73,4 +73,4 @@ def test_it_is_looked_for_on_planes_when_it_has_its_turn(
     card: ReferenceModel, take_picture: TakePicture, lying: np.ndarray
 ) -> None:
     frame = noisy(take_picture([(card.mesh, lying)]))
-    assert ColorPairDetector({"card": card}).detect(frame, ["card"], thorough=[]) == []
+    assert ViewDetector({"card": card}).detect(frame, ["card"], thorough=[]) == []

@@ -10,10 +10,10 @@ from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
 from huepose.judge.region import prepare_crop
 from huepose.model import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
 from huepose.perception.memory import FEWEST, MOST, KeptWindows, features_of, looking, matched, until
 from huepose.perception.stillness import TILE_PX, Tiles, changed_shares
+from huepose.perception.view_detector import ViewDetector
 from huepose.propose.features import Sift
 from huepose.propose.view_pictures import Pyramid
 from tests.conftest import TakePicture
@@ -57,7 +57,7 @@ def test_what_stands_still_is_not_coded_again(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, coded: list[int]
 ) -> None:
     other = take_picture([(without_print(tea_box), standing)])
-    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
+    detector = ViewDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
     each = []
     for look in range(3):
         coded.clear()
@@ -100,7 +100,7 @@ def test_what_appears_and_what_moves_is_found_at_once(
         ([(tea_box.mesh, standing)], standing),
         ([(other, standing)], None),
     ]
-    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
+    detector = ViewDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
     for look, (scene, place) in enumerate(film):
         found = [d for d in detector.detect(noisy(take_picture(scene), look), ["tea_box"]) if d.score > 0.6]
         if place is None:

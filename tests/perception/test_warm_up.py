@@ -7,13 +7,13 @@ from dataclasses import replace
 from huepose.geometry import RgbdFrame
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig
+from huepose.perception.view_detector import ViewDetector
 from tests.kernels import compiled
 
 
 def test_no_kernel_is_compiled_after_the_warm_up(tea_box: ReferenceModel, box_frame: RgbdFrame) -> None:
-    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
+    detector = ViewDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
     detector.warm_up()
     before = compiled()
     view = clear_view(box_frame, tea_box.diameter_m)

@@ -418,8 +418,8 @@ def test_validate_notes_a_section_of_a_worker_that_is_not_started(validated):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("detector: {model: n.onnx}", "detector.model is set, and detector.kind is colorpair; it is for"),
-        ("detector: {confidence: 0.5}", "detector.confidence is set, and detector.kind is colorpair;"),
+        ("detector: {model: n.onnx}", "detector.model is set, and detector.kind is views; it is for"),
+        ("detector: {confidence: 0.5}", "detector.confidence is set, and detector.kind is views;"),
         ("segmenter: {encoder: a, decoder: b}", "segmenter.encoder is set, and segmenter.kind is depth;"),
         ("camera: {first_frame_s: 1}", "camera.first_frame_s is set, and camera.once is false"),
     ],
@@ -443,8 +443,13 @@ def test_validate_notes_no_section_that_the_file_does_not_have(validated, text, 
 
 def test_threads_of_the_search_are_noted_beside_a_network():
     config = Config(detector=DetectorConfig(kind="yolo", threads=4))
-    assert "detector.threads is set, and detector.kind is yolo; it is for colorpair" in _unread(config)
+    assert "detector.threads is set, and detector.kind is yolo; it is for views" in _unread(config)
     assert not any("threads" in said for said in _unread(Config(detector=DetectorConfig(threads=4))))
+
+
+@pytest.mark.parametrize("kind", ["views", "colorpair"])
+def test_the_default_detector_has_an_older_name(validated, kind):
+    assert "NOTE" not in validated(f"detector: {{kind: {kind}, threads: 1}}\n")
 
 
 def test_validate_says_that_a_drawn_scene_shows_one_of_each(validated):

@@ -56,5 +56,5 @@ def test_the_demo_switches_the_segmenter_by_one_word(segmenter, tmp_path):
     sam = [str(path) for path in made] if segmenter == "sam" else ()
     text = yaml.safe_dump(pipeline(0, tmp_path / "bundles", (), segmenter, sam))
     config = parse(text, tmp_path / "pipeline.yaml")
-    assert (config.detector.kind, config.segmenter.kind) == ("colorpair", segmenter)
+    assert (config.detector.kind, config.segmenter.kind) == ("views", segmenter)
     deployed.check(config)

@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.exchanged import Order
+from huepose.perception.view_detector import ViewDetector
 from huepose_protos.examples import GOLDEN, example
 from huepose_protos.messages import FrameHeader, PerceptionRequest, RequestedObject
 from huepose_services import detector as worker
@@ -21,7 +21,7 @@ def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, bo
     now = [10 * ASK_EVERY_NS]
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
     bus = FakeBus("detector")
-    finder = SearchedBoxes({"tea_box": outline(tea_box)}, ColorPairDetector({"tea_box": tea_box}))
+    finder = SearchedBoxes({"tea_box": outline(tea_box)}, ViewDetector({"tea_box": tea_box}))
     work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
     wanted = [RequestedObject(object="tea_box", instance=None)]
     request = msgspec.structs.replace(example(PerceptionRequest), objects=wanted)
@@ -50,7 +50,7 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
     """A wrong place may look right; but not for ever, because it takes as long as a search."""
     now, asked = [10 * ASK_EVERY_NS], []
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
-    finder = SearchedBoxes({}, ColorPairDetector({}))
+    finder = SearchedBoxes({}, ViewDetector({}))
     order = Order()
 
     def ask(frame, names, seen):
@@ -81,7 +81,7 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
 
 
 def test_a_request_that_comes_before_the_first_frame_waits_for_it():
-    finder = SearchedBoxes({}, ColorPairDetector({}))
+    finder = SearchedBoxes({}, ViewDetector({}))
     finder.find = lambda *asked: []
     bus = FakeBus("detector")
     work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))
@@ -97,14 +97,14 @@ def test_a_request_that_comes_before_the_first_frame_waits_for_it():
 
 
 def test_an_object_that_was_removed_while_it_was_asked_about_stops_nothing(tea_box, box_frame):
-    finder = SearchedBoxes({"tea_box": outline(tea_box)}, ColorPairDetector({"tea_box": tea_box}))
+    finder = SearchedBoxes({"tea_box": outline(tea_box)}, ViewDetector({"tea_box": tea_box}))
     assert finder.order_of_channels(box_frame, ["removed", "tea_box"], {"removed": 0.0, "tea_box": 1.0}).right
     finder.remove("tea_box")
     assert finder.order_of_channels(box_frame, ["tea_box"], {"tea_box": 0.0}) == Order()
 
 
 def test_a_request_about_a_frame_that_was_answered_waits_for_the_next_one():
-    finder = SearchedBoxes({}, ColorPairDetector({}))
+    finder = SearchedBoxes({}, ViewDetector({}))
     finder.find = lambda *asked: []
     bus = FakeBus("detector")
     work = DetectorWork(bus, finder, SimpleNamespace(changes=lambda: []))

@@ -112,12 +112,12 @@ def call(arguments: argparse.Namespace) -> int:
     if box is not None:
         queries = [ObjectQuery(name, box) for name in names]
     else:
-        from huepose.perception.colorpair_detector import ColorPairDetector
+        from huepose.perception.view_detector import ViewDetector
 
         least = settings.detector.min_score
         # To explain, the places that are not worth an estimate are kept, too.
         config = replace(settings.detector, min_score=0.0 if arguments.explain else least, threads=THREADS)
-        detector = ColorPairDetector(models, config)
+        detector = ViewDetector(models, config)
         most = arguments.instances
         proposed = detector.detect(frame, names, wanted=dict.fromkeys(names, most))
         queries = _queries(proposed, least)
@@ -225,15 +225,15 @@ def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: lis
     """What else may be wrong with the frame as such, from the answers about it."""
     from huepose.estimation.depth_offset import depth_offset
     from huepose.geometry.picture_faults import camera_doubted, depth_doubted
-    from huepose.perception.colorpair_detector import ColorPairDetector
     from huepose.perception.exchanged import order_of_channels
+    from huepose.perception.view_detector import ViewDetector
 
     out = [camera_doubted(frame.camera)]
     if not any(answer.found for answer in answers):
         out.append(depth_doubted(frame))
     if not any(answer.state == "TRACKING" for answer in answers):
         names = list(dict.fromkeys(answer.object for answer in answers))[:_ASKED]
-        out.append(order_of_channels(frame, ColorPairDetector(models), names).exchanged or None)
+        out.append(order_of_channels(frame, ViewDetector(models), names).exchanged or None)
     sure = [a for a in answers if a.state == "TRACKING"]
     placed = [(models[a.object], a.T_cam_obj) for a in sure if a.T_cam_obj is not None]
     offset = depth_offset(frame, placed)

@@ -19,7 +19,7 @@ from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.summary import Row
 from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import load_models
-from huepose.perception.colorpair_detector import ColorPairDetector
+from huepose.perception.view_detector import ViewDetector
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.support.words import known, listed
@@ -62,7 +62,7 @@ def call(arguments: argparse.Namespace) -> int:
     detector = None
     if boxes == "detect":
         searching = replace(settings.detector, threads=arguments.threads)
-        detector = ColorPairDetector({model.name: model for model in targets.models}, searching)
+        detector = ViewDetector({model.name: model for model in targets.models}, searching)
         detector.warm_up()
         estimator.warm_up([model.name for model in targets.models])
     else:

@@ -15,8 +15,8 @@ from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.embedded import DepthSegmenter
+from huepose.perception.view_detector import ViewDetector
 from huepose.profiles import profile
 from huepose.support.words import counted
 from huepose_services.cli.evaluate_scenes import open_bop
@@ -37,7 +37,7 @@ def call(arguments: argparse.Namespace) -> int:
         min_score=0.0,
         threads=arguments.threads,
     )
-    detector = ColorPairDetector(models, asked)
+    detector = ViewDetector(models, asked)
     detector.warm_up()
     segmenter = DepthSegmenter()
     # Which boxes show their object is the presence's to say.
@@ -54,7 +54,7 @@ def call(arguments: argparse.Namespace) -> int:
         on_frame=partial(write_perception, arguments.plots) if arguments.plots else None,
     )
     record = result.as_json()
-    how = {"detector": "colorpair", "sources": arguments.sources, "segmenter": "depth"}
+    how = {"detector": "views", "sources": arguments.sources, "segmenter": "depth"}
     record["summary"] |= how | {"profile": arguments.profile}
     print(_report(record["summary"]))
     write_json(arguments.json, record | {"origin": origin()})

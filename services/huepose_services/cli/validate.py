@@ -163,7 +163,7 @@ def _unread(config: Config) -> list[str]:
         keys = ("model", "layout", "classes", "confidence", "overlap")
         groups.append(("detector", detector, keys, f"detector.kind is {detector.kind}; it is for yolo"))
     else:
-        groups.append(("detector", detector, ("threads",), "detector.kind is yolo; it is for colorpair"))
+        groups.append(("detector", detector, ("threads",), "detector.kind is yolo; it is for views"))
     if segmenter.kind != "sam":
         why = f"segmenter.kind is {segmenter.kind}; it is for sam"
         groups.append(("segmenter", segmenter, ("encoder", "decoder"), why))

@@ -28,8 +28,8 @@ from huepose.geometry.picture_faults import (
     some_of,
 )
 from huepose.model import ReferenceModel
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.exchanged import PLAIN, order_of_channels
+from huepose.perception.view_detector import ViewDetector
 from huepose.profiles import profile
 from huepose.support.errors import InputError
 from huepose.support.words import beside
@@ -267,7 +267,7 @@ def objects_in(
     depth does not lie on the colours."""
     names = sorted(models)[:MOST]
     live = profile("live")
-    detector = ColorPairDetector({name: models[name] for name in names}, live.detector)
+    detector = ViewDetector({name: models[name] for name in names}, live.detector)
     seen = detector.detect(frame, names)
     places = [place for place in seen if place.score >= PLAIN]
     scores = dict.fromkeys(names, 0.0) | {place.object: place.score for place in seen[::-1]}

@@ -108,9 +108,9 @@ class CameraConfig(Section, frozen=True, kw_only=True):
 
 
 class DetectorConfig(Section, frozen=True, kw_only=True):
-    """How boxes are found."""
+    """How boxes are found. kind: colorpair is an older name of views."""
 
-    kind: Literal["colorpair", "yolo"] = "colorpair"
+    kind: Literal["views", "yolo", "colorpair"] = "views"
     model: str | None = None
     layout: Layout = "auto"
     classes: dict[Name, Class | list[Class]] = {}

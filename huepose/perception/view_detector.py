@@ -67,7 +67,7 @@ class _Of(Generic[Made]):
     made: Made
 
 
-class ColorPairDetector:
+class ViewDetector:
     """Finds known objects in whole frames. Stateless, unless `DetectorConfig.remembering` says that all
     frames come from one camera. Thread-safe."""
 

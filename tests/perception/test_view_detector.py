@@ -14,11 +14,11 @@ from huepose.judge.region import model_arrays
 from huepose.model.types import ReferenceModel
 from huepose.perception import scouting
 from huepose.perception.clear_view import clear_view
-from huepose.perception.colorpair_detector import ColorPairDetector
 from huepose.perception.config import DetectorConfig, Source
 from huepose.perception.nearby import align_in_view
 from huepose.perception.planes import large_planes, standing_clear
 from huepose.perception.scouting import EFFORTS, Effort, likeliest_near_symmetries, propose
+from huepose.perception.view_detector import ViewDetector
 from huepose.perception.window_table import narrowed, promising, window_table
 from huepose.perception.windows import WindowsBySize
 from huepose.rendering.render import render_depth
@@ -66,14 +66,14 @@ def test_an_object_is_found_in_depth_with_a_grid_of_holes(
 ) -> None:
     depth = frame.depth.copy()
     depth[holes] = 0.0
-    found = ColorPairDetector({"tea_box": tea_box}).detect(replace(frame, depth=depth), ["tea_box"])
+    found = ViewDetector({"tea_box": tea_box}).detect(replace(frame, depth=depth), ["tea_box"])
     assert max(d.box.iou(box_of(frame, tea_box, standing)) for d in found) > 0.7
 
 
 def test_both_of_a_kind_are_found_where_they_are(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray
 ) -> None:
-    found = ColorPairDetector({"tea_box": tea_box}).detect(frame, ["tea_box"])
+    found = ViewDetector({"tea_box": tea_box}).detect(frame, ["tea_box"])
     assert [d.object for d in found] == ["tea_box", "tea_box"]
     for T in (standing, beside):
         best = max(found, key=lambda d: d.box.iou(box_of(frame, tea_box, T)))
@@ -89,7 +89,7 @@ def test_beside_those_that_are_followed_another_one_is_found(
     sources: tuple[Source, ...],
 ) -> None:  # fmt: skip
     config = DetectorConfig(sources=sources, proposals=1, remembering=True)
-    detector = ColorPairDetector({"tea_box": tea_box}, config)
+    detector = ViewDetector({"tea_box": tea_box}, config)
     for known, other in ((standing, beside), (beside, standing)):
         (found,) = detector.detect(frame, ["tea_box"], followed={"tea_box": [known]})
         assert found.T_cam_obj is not None
@@ -101,7 +101,7 @@ def test_beside_those_that_are_followed_another_one_is_found(
 def test_a_place_without_the_object_scores_less(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> None:
-    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(proposals=1, min_score=0.0))
+    detector = ViewDetector({"tea_box": tea_box}, DetectorConfig(proposals=1, min_score=0.0))
     (there,) = detector.detect(frame, ["tea_box"])
     grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
     (other,) = detector.detect(take_picture([(grey, standing)]), ["tea_box"])
@@ -113,7 +113,7 @@ def test_each_source_alone_finds_the_object(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, source: Source
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)], light=(0.7, 0.8, 0.9))
-    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(sources=(source,)))
+    detector = ViewDetector({"tea_box": tea_box}, DetectorConfig(sources=(source,)))
     best = detector.detect(frame, ["tea_box"])[0]
     assert best.box.iou(box_of(frame, tea_box, standing)) > 0.75
     assert best.score > 0.9
@@ -123,7 +123,7 @@ def test_keypoints_alone_propose_nothing_where_there_is_no_print(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
-    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(sources=("keypoints",), min_score=0.0))
+    detector = ViewDetector({"tea_box": tea_box}, DetectorConfig(sources=("keypoints",), min_score=0.0))
     assert detector.detect(take_picture([(grey, standing)]), ["tea_box"]) == []
 
 
@@ -187,22 +187,22 @@ def test_an_object_that_is_there_looks_like_one_of_its_views(
 
 
 def test_an_empty_table_gives_nothing(tea_box: ReferenceModel, take_picture: TakePicture) -> None:
-    assert ColorPairDetector({"tea_box": tea_box}).detect(take_picture([]), ["tea_box"]) == []
+    assert ViewDetector({"tea_box": tea_box}).detect(take_picture([]), ["tea_box"]) == []
 
 
 def test_an_unknown_object_is_an_error(frame: RgbdFrame, tea_box: ReferenceModel) -> None:
     with pytest.raises(InputError, match="coffee"):
-        ColorPairDetector({"tea_box": tea_box}).detect(frame, ["coffee"])
+        ViewDetector({"tea_box": tea_box}).detect(frame, ["coffee"])
 
 
 def test_the_same_frame_gives_the_same_boxes(frame: RgbdFrame, tea_box: ReferenceModel) -> None:
-    first, again = (ColorPairDetector({"tea_box": tea_box}).detect(frame, ["tea_box"]) for _ in range(2))
+    first, again = (ViewDetector({"tea_box": tea_box}).detect(frame, ["tea_box"]) for _ in range(2))
     assert [(d.box, d.score) for d in first] == [(d.box, d.score) for d in again]
 
 
 def test_on_several_threads_the_boxes_are_the_same(frame: RgbdFrame, tea_box: ReferenceModel) -> None:
     models = {name: replace(tea_box, name=name) for name in ("tea_box", "twin", "third")}
-    found = [ColorPairDetector(models, DetectorConfig(threads=n)).detect(frame, list(models)) for n in (1, 3)]
+    found = [ViewDetector(models, DetectorConfig(threads=n)).detect(frame, list(models)) for n in (1, 3)]
     assert [(d.object, d.box, d.score) for d in found[0]] == [(d.object, d.box, d.score) for d in found[1]]
     assert {d.object for d in found[0]} == set(models)
 
@@ -211,7 +211,7 @@ def test_objects_may_come_and_go_while_it_looks(
     frame: RgbdFrame, tea_box: ReferenceModel, soup_can: ReferenceModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It looks for the model that it was asked for, and afterwards for the one that took its place."""
-    detector = ColorPairDetector({"tea_box": tea_box})
+    detector = ViewDetector({"tea_box": tea_box})
     expected = detector.detect(frame, ["tea_box"])
     at_work = detector._pool.map
 
@@ -224,7 +224,7 @@ def test_objects_may_come_and_go_while_it_looks(
         patch.setattr(detector._pool, "map", meanwhile)
         found = detector.detect(frame, ["tea_box"])
     assert [(d.box, d.score) for d in found] == [(d.box, d.score) for d in expected]
-    other = ColorPairDetector({"tea_box": replace(soup_can, name="tea_box")}).detect(frame, ["tea_box"])
+    other = ViewDetector({"tea_box": replace(soup_can, name="tea_box")}).detect(frame, ["tea_box"])
     assert [d.score for d in detector.detect(frame, ["tea_box"])] == [d.score for d in other]
 
 
@@ -233,7 +233,7 @@ def test_one_look_finds_as_many_instances_as_are_wanted(
 ) -> None:
     boxes = [standing_pose(0.4 * k, x, 0.0) for k, x in enumerate((-0.25, -0.08, 0.09, 0.26))]
     frame = take_picture([(tea_box.mesh, T) for T in boxes])
-    detector = ColorPairDetector({"tea_box": tea_box}, DetectorConfig(proposals=2))
+    detector = ViewDetector({"tea_box": tea_box}, DetectorConfig(proposals=2))
 
     def found(wanted: int) -> set[int]:
         seen = detector.detect(frame, ["tea_box"], wanted={"tea_box": wanted})

@@ -43,7 +43,7 @@ WINDOW_PX, LEVELS = 15, 4
 """Of Lucas and Kanade: side of a window, and levels of the pyramids: corners are found again up to some
 hundred pixels off."""
 
-PROBES, CELL_PX, STANDS_PX, STANDING = 40, 40, 0.12, 0.5
+PROBES, CELL_PX, STANDS_PX, STILL_SHARE = 40, 40, 0.12, 0.5
 """The camera stands if, of so many corners, spread over cells of the picture, that share is no farther than
 this from where it was in the keyframe. What moves before a camera at rest seldom covers so many."""
 
@@ -278,7 +278,7 @@ def _stands(key: Keyframe, grey: UInt8) -> bool:
     there = key.pixels[key.probes]
     pixels, found, _ = _flowed(key.grey, grey, there, there, 1)
     stand = found & (np.linalg.norm(pixels - there, axis=1) <= STANDS_PX)
-    return bool(stand.sum() >= max(1.0, STANDING * len(there)))
+    return bool(stand.sum() >= max(1.0, STILL_SHARE * len(there)))
 
 
 def _by_all(parts: Int64, agree: Bool, stand: Bool) -> bool:

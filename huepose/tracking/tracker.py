@@ -32,10 +32,10 @@ from huepose.tracking.warm_up import warm_up
 SAME_SURFACE_IOU = 0.5
 """A correction is carried to now by the measured motion if both outlines overlap by more than this IoU."""
 
-STANDING = 0.1
+TRACKING_BONUS = 0.1
 """Bonus, in total, of a pose that is TRACKING when two compete for a surface."""
 
-TWIN = 1.0
+TWIN_BONUS = 1.0
 """Bonus, in total, of a tracked instance against a new one of the same object at its place."""
 
 CLOCK_GAP_NS = 33_000_000
@@ -376,7 +376,7 @@ class Tracker:
         if frame is None or found.T_cam_obj is None:
             return False
         claims = [
-            _claim(other, TWIN if name == key[0] else 0.0)
+            _claim(other, TWIN_BONUS if name == key[0] else 0.0)
             for (name, instance), other in self._tracks.items()
             if (name, instance) != key and other.T_cam_obj is not None
         ]
@@ -414,8 +414,8 @@ def _claim(track: Track, bonus: float = 0.0) -> Claim:
     """What a track with a pose claims. That it is TRACKING counts: else two instances with the same pose
     would lose in turns."""
     assert track.T_cam_obj is not None
-    standing = STANDING if track.state is State.TRACKING else 0.0
-    return Claim(track.subject.surface, track.T_cam_obj, track.terms.total + standing + bonus)
+    confirmed = TRACKING_BONUS if track.state is State.TRACKING else 0.0
+    return Claim(track.subject.surface, track.T_cam_obj, track.terms.total + confirmed + bonus)
 
 
 def _published(track: Track, frame: RgbdFrame) -> TrackedPose:

@@ -1,9 +1,9 @@
 """Visual odometry: the motion of the camera, measured from its pictures where no pose of it is given.
 
-Corners of a keyframe, with their depth, are followed from picture to picture (Lucas and Kanade, pyramidal);
-the pose of the camera is the one that most of them agree on (EPnP in RANSAC, then least squares). A camera
-stands as long as half of the corners are where they were in the keyframe, so one at rest does not drift. If
-the motion cannot be measured, the camera is taken to have stood.
+Corners of a keyframe, with their depth, are followed from picture to picture (Lucas and Kanade, pyramidal,
+forward and back); the pose of the camera is the one that most of them agree on (EPnP in RANSAC, then least
+squares). A camera stands as long as half of the corners are where they were in the keyframe, so one at rest
+does not drift. If the motion cannot be measured, the camera is taken to have stood.
 
 Nothing of this is done for a camera that moves slowly: a track follows what is seen to move by little just as
 well. How far the whole picture moves is told by phase correlation of two thumbnails. That is also where the
@@ -53,16 +53,16 @@ noise that is followed. Of the difference 0.04 to 0.2 are left where a camera on
 0.85 to 0.89 before a smooth wall."""
 
 OFF_PX = 0.75
-"""Most that a corner may lie off where the pose puts it."""
+"""Most that a corner may lie off where the pose puts it, or where it is followed back to."""
 
-FEWEST, MAJORITY = 25, 0.33
+FEWEST, MAJORITY = 25, 0.5
 """Corners that have to agree on a motion, and their share of those that were found again."""
 
 VOTE, FEWEST_OF_ROOM = 3, 10
-"""A part of the picture agrees with a motion if so many of its corners do, and more than stand still; it
-stands if so many stand, and more than agree. The parts are tracked objects and the room, what lies outside of
-them. The room has to agree, or if it has fewer corners than the last, two objects; and no more objects may
-stand than agree: else something large passes before a camera at rest."""
+"""A part of the picture stands if so many of its corners do, and the share of them with which the camera
+does; else it agrees with a motion if as many do, and the share that has to. The parts are tracked objects and
+the room, what lies outside of them. The room has to agree, or if it has fewer corners than the last, two
+objects; and no more objects may stand than agree: else something large passes before a camera at rest."""
 
 BESIDE_PX = 5.0
 """So far outside of its box a corner may be an object's outline."""
@@ -177,6 +177,8 @@ class Odometry:
         guess (N, 2): about where the corners are now; boxes: of tracked objects in the last picture."""
         parts = _parts(self._pixels, boxes)
         pixels, found, off = _flowed(self._grey, grey, self._pixels, guess, LEVELS)
+        back, found_back, _ = _flowed(grey, self._grey, pixels, self._pixels, 1)
+        found &= found_back & (np.linalg.norm(back - self._pixels, axis=1) < OFF_PX)
         found &= ~_noise(self._grey, grey, self._pixels, pixels, off)
         alive, pixels = self._alive[found], pixels[found]
         self._grey, self._alive, self._pixels = grey, alive, pixels
@@ -285,7 +287,7 @@ def _by_all(parts: Int64, agree: Bool, stand: Bool) -> bool:
     """Whether the parts (N,) of a picture agree with a motion, by the corners (N,) that agree with it and
     those that stand still."""
     corners, agreeing, standing = (np.bincount(parts, one, minlength=1) for one in (None, agree, stand))
-    votes = (agreeing >= VOTE) & (agreeing > standing)
-    against = (standing >= VOTE) & (standing > agreeing)
+    against = (standing >= VOTE) & (standing >= STILL_SHARE * corners)
+    votes = (agreeing >= VOTE) & (agreeing >= MAJORITY * corners) & ~against
     objects = votes[1:].sum()
     return bool((votes[0] if corners[0] >= FEWEST_OF_ROOM else objects >= 2) and objects >= against[1:].sum())

@@ -54,6 +54,14 @@ def test_a_frame_that_is_shown_again_twice_a_second_is_heard():
     assert not camera.accepts(2, 8, 19 * SECOND // 2 + SECOND)
 
 
+def test_what_is_said_again_of_a_camera_that_is_gone_holds_up_the_next_one_for_little():
+    camera = OneCamera()
+    heard(camera, (1, 30.0), until_s=2.0)
+    assert all(camera.accepts(1, 59 * SECOND // 30, at_s * SECOND) for at_s in (2, 3, 4, 5))
+    assert not camera.accepts(2, 6 * SECOND, 6 * SECOND)
+    assert camera.accepts(2, 6 * SECOND, 13 * SECOND // 2 + 1)
+
+
 def test_who_was_there_first_and_says_less_gives_way():
     camera = OneCamera()
     heard(camera, (2, 10.0), until_s=5.0)

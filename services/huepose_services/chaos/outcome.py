@@ -66,7 +66,8 @@ class Outcome:
 def strike(system: LivePipeline, fault: Fault, patience_s: float) -> Outcome:
     """Break it, watch, mend it, watch on until all is well again, and judge."""
     outcome = Outcome(fault.number, fault.name)
-    if not system.wait_until_steady(STEADY_OBJECTS, patience_s):
+    # After the fault before, it was steady for longer.
+    if not system.wait_until_steady(STEADY_OBJECTS, patience_s, 0.5):
         outcome.broken.append(f"before it fewer than {STEADY_OBJECTS} objects are TRACKING")
         return outcome
     calm_ms = _late_ms(system.poses[-300:])

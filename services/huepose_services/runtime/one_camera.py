@@ -35,8 +35,8 @@ class OneCamera:
             self._arrived.popleft()
         self._arrived.append((now_ns, epoch))
         if epoch == self._epoch:
-            # Several poses of one frame come at nearly the same time. A frame may be shown again and again, but
-            # what is said again of a frame of a camera that is gone makes nobody wait longer.
+            # Several poses of one frame come at nearly the same time. A frame may be shown again and again;
+            # but what is said again of a frame of a camera that is gone makes nobody wait longer.
             again_ns = min(now_ns - self._heard_ns, SHORTEST_NS)
             again = stamp_ns == self._stamp_ns
             gap_ns = max(self._gap_ns, again_ns) if again else now_ns - self._came_ns

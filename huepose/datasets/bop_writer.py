@@ -183,6 +183,17 @@ def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
     write_bytes(path.with_suffix(".png"), _encoded(".png", mesh.texture[..., ::-1]))
 
 
+def write_bare_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
+    """Write PATH as BOP has its `models_eval/`: vertices and faces, no colours; lengths times `scale`. Raises
+    InputError."""
+    header = ["ply", "format ascii 1.0", f"element vertex {len(mesh.vertices)}"]
+    header += [f"property float {name}" for name in "xyz"]
+    header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header"]
+    rows = [" ".join(f"{v:.7g}" for v in row) for row in scale * mesh.vertices.astype(np.float64)]
+    faces = [f"3 {a} {b} {c}" for a, b, c in mesh.faces]
+    write_text(path, "\n".join([*header, *rows, *faces]) + "\n")
+
+
 def write_obj(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
     """Write PATH with a material file and a PNG of the same stem; lengths times `scale`. Raises
     InputError."""

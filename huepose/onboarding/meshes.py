@@ -48,6 +48,15 @@ def read_mesh(path: Path | str, unit: Unit | None = None, note: Callable[[str], 
         return _converted(raw, unit, path)
 
 
+def read_geometry(path: Path | str, unit: Unit) -> Mesh:
+    """Mesh of a PLY file, in metres, of which only the shape counts: it may be without colours, as BOP's
+    `models_eval/`, and is grey. Raises InputError as `read_mesh`."""
+    path = Path(path)
+    with np.errstate(all="ignore"), _damage_named(path):
+        check_kind(path, (".ply",))
+        return _converted(read_ply(MeshFiles(path, textured=False), colored=False), unit, path)
+
+
 @contextmanager
 def _damage_named(path: Path) -> Iterator[None]:
     """Errors that damaged content causes, as InputError."""

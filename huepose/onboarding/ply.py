@@ -59,8 +59,9 @@ class _Header:
 Table = dict[str, Any]  # property name to a column: an array, or a list of arrays for list properties
 
 
-def read_ply(files: MeshFiles) -> RawMesh:
-    """Mesh of a PLY file. Raises InputError naming the file and what to do."""
+def read_ply(files: MeshFiles, colored: bool = True) -> RawMesh:
+    """Mesh of a PLY file. colored: one without colours is refused; else colours are not looked at, and it is
+    grey. Raises InputError naming the file and what to do."""
     path = files.mesh
     data = files.read_mesh()
     header = _header(path, data)
@@ -92,14 +93,16 @@ def read_ply(files: MeshFiles) -> RawMesh:
         around = np.asarray(lists[origin[fan.start]], np.int64)
         corners[fan] = polygons.ears(vertices[around], path)
         faces[fan] = around[corners[fan]]
+    materials = [Material("")]
+    face_materials = np.zeros(len(faces), np.int32)
+    if not colored:
+        return RawMesh(vertices, faces.astype(np.int32), None, None, face_materials, tuple(materials))
     try:
         uv = _uv(vertex, face, faces, origin, corners)
     except (ValueError, IndexError):
         found = "texture coordinates that do not fit their faces"
         raise InputError(path, found=found, expected="two for each corner", fix=RE_EXPORT) from None
     colors = _vertex_colors(vertex)
-    materials = [Material("")]
-    face_materials = np.zeros(len(faces), np.int32)
     if uv is not None:
         names = header.textures or _textures_beside(path)
         if names:

@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from huepose.datasets.bop import BopScene
-from huepose.datasets.bop_writer import extents_mm, write_ply
+from huepose.datasets.bop_writer import extents_mm, write_bare_ply, write_ply
 from huepose.datasets.fast_ycb import FastYcbFrame, write_fast_ycb
 from huepose.datasets.types import GONE
 from huepose.geometry import Mesh
@@ -81,9 +81,9 @@ def write_bop_ycbv(
 def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
     infos, offsets = {}, {}
     for obj in objects:
-        for folder in ("models", "models_eval"):
-            path = out / folder / f"obj_{obj.object_id:06d}.ply"
-            write_ply(path, obj.mesh, scale=1000.0)
+        name = f"obj_{obj.object_id:06d}.ply"
+        write_ply(out / "models" / name, obj.mesh, scale=1000.0)
+        write_bare_ply(out / "models_eval" / name, obj.mesh, scale=1000.0)
         points = 1000.0 * obj.mesh.vertices.astype(np.float64)
         infos[str(obj.object_id)] = {
             "diameter": float(pdist(points[ConvexHull(points).vertices]).max()),

@@ -12,9 +12,10 @@ from huepose.datasets.fast_ycb import FastYcbSequence, labelled_sequences
 from huepose.datasets.types import Sample
 from huepose.datasets.ycbv_folder import open_ycbv
 from huepose.onboarding.bop_folder import bop_models
-from huepose.onboarding.meshes import read_mesh
+from huepose.onboarding.meshes import read_geometry, read_mesh
 from huepose.rendering import render_depth
 from huepose.scenes.official_sets import SetObject
+from huepose.support.errors import InputError
 from tests.scenes.stand_ins import stand_in_objects, write_stand_ins
 
 
@@ -40,6 +41,12 @@ def test_the_stand_in_for_bops_download_holds_its_images_meshes_and_frames(root:
         written = read_mesh(listed.mesh_path, "mm")
         np.testing.assert_allclose(written.vertices.min(0), made.mesh.vertices.min(0), atol=1e-5)
         assert listed.info["symmetries_discrete"] == made.info["symmetries_discrete"]
+        bare = root / "ycbv" / "models_eval" / listed.mesh_path.name
+        shape = read_geometry(bare, "mm")
+        assert (shape.vertices.shape, shape.faces.shape) == (made.mesh.vertices.shape, made.mesh.faces.shape)
+        np.testing.assert_allclose(shape.vertices, made.mesh.vertices, atol=1e-6)
+        with pytest.raises(InputError, match="colours per vertex"):
+            read_mesh(bare, "mm")
     info = json.loads((root / "ycbv" / "models_eval" / "models_info.json").read_text())
     tea_box = info["1"]  # 9 x 6 x 15 cm
     assert tea_box["diameter"] == pytest.approx(np.linalg.norm([90, 60, 150]), abs=0.1)

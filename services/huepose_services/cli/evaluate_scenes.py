@@ -18,7 +18,7 @@ from huepose.evaluation.instances import instance_counts
 from huepose.evaluation.summary import table
 from huepose.evaluation.targets import Targets, posecnn_offset_m
 from huepose.model import ReferenceModel, load_models
-from huepose.onboarding import read_mesh
+from huepose.onboarding.meshes import read_geometry
 from huepose.support.errors import InputError
 from huepose.support.words import known
 from huepose_services.cli.options import say
@@ -127,7 +127,7 @@ def bop_objects(info: Path, models: Mapping[str, ReferenceModel]) -> dict[int, B
         number = model.object_id
         if number is not None and "diameter" in infos.get(str(number), {}):
             file = info.parent / f"obj_{number:06d}.ply"
-            mesh = read_mesh(file, "mm") if file.exists() else model.mesh
+            mesh = read_geometry(file, "mm") if file.exists() else model.mesh
             measured[number] = BopObject.of(mesh, infos[str(number)])
     return measured
 

@@ -22,7 +22,15 @@ import numpy as np
 from huepose.geometry.arrays import Float64, Int64, UInt8
 from huepose.onboarding import polygons
 from huepose.onboarding.mesh_files import MeshFiles, decoded
-from huepose.onboarding.raw_mesh import RE_EXPORT, Material, RawMesh, Wrap, check_count, check_faces
+from huepose.onboarding.raw_mesh import (
+    LARGEST_FRACTION,
+    RE_EXPORT,
+    Material,
+    RawMesh,
+    Wrap,
+    check_count,
+    check_faces,
+)
 from huepose.support.errors import InputError
 
 _MAP_OPTION_ARGUMENTS = {"-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1}
@@ -185,7 +193,7 @@ def read_obj(files: MeshFiles) -> RawMesh:
         uv[corners[..., 1] < 0] = 0.0
     colors = None
     if v.shape[1] == 6:
-        scale = 255.0 if v[:, 3:].max() <= 1.0 else 1.0
+        scale = 255.0 if v[:, 3:].max() <= LARGEST_FRACTION else 1.0
         colors = np.clip(np.round(v[:, 3:] * scale), 0, 255).astype(np.uint8)[faces]
     face_materials = np.array(said.face_materials, np.int32)
     used = np.unique(face_materials)

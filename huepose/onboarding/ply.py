@@ -17,7 +17,14 @@ import numpy as np
 from huepose.geometry.arrays import Float32, Int32, Int64, UInt8
 from huepose.onboarding import polygons
 from huepose.onboarding.mesh_files import MeshFiles, decoded
-from huepose.onboarding.raw_mesh import RE_EXPORT, Material, RawMesh, check_count, check_faces
+from huepose.onboarding.raw_mesh import (
+    LARGEST_FRACTION,
+    RE_EXPORT,
+    Material,
+    RawMesh,
+    check_count,
+    check_faces,
+)
 from huepose.support.errors import InputError
 
 _TYPES = {
@@ -300,7 +307,7 @@ def _vertex_colors(vertex: Table) -> UInt8 | None:
     if names is None:
         return None
     colors = np.stack([vertex[n] for n in names], 1).astype(np.float64)
-    is_fraction = vertex[names[0]].dtype.kind == "f" and colors.max() <= 1.0
+    is_fraction = vertex[names[0]].dtype.kind == "f" and colors.max() <= LARGEST_FRACTION
     return np.clip(np.round(colors * (255.0 if is_fraction else 1.0)), 0, 255).astype(np.uint8)
 
 

@@ -15,6 +15,8 @@ RE_EXPORT = "Export the mesh again as OBJ, PLY or GLB with its texture."
 SIMPLIFY = "Simplify the mesh (Blender: Decimate; MeshLab: Quadric Edge Collapse Decimation)"
 LARGEST_FACES = 5_000_000
 """Triangles of a mesh: a scan of a hand-sized object at a tenth of a millimetre has fewer."""
+LARGEST_FRACTION = 2.0
+"""Colours at vertices up to this are of 0..1, rounding may lift them over 1; those of 0..255 go further."""
 Wrap = Literal["repeat", "mirror", "clamp"]
 """What a texture shows outside of 0..1: itself again, itself mirrored, its outermost texels."""
 

@@ -41,6 +41,21 @@ def test_colors_of_vertices_are_baked_exactly(tmp_path: Path, count: int) -> Non
         np.testing.assert_allclose(colors_at(mesh, weights), expected, atol=1.5)
 
 
+@pytest.mark.parametrize("form", ["obj", "ply"])
+def test_colors_of_vertices_may_be_a_little_over_one(tmp_path: Path, form: str) -> None:
+    rows = [f"{at} 1.0000001 0.5 0" for at in ("0 0 0", "30 0 0", "0 30 0", "0 0 30")]
+    if form == "obj":
+        text = "".join(f"v {row}\n" for row in rows) + "f 1 2 3\nf 1 2 4\n"
+    else:
+        text = "ply\nformat ascii 1.0\nelement vertex 4\n"
+        text += "".join(f"property float {name}\n" for name in ("x", "y", "z", "red", "green", "blue"))
+        text += "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+        text += "\n".join([*rows, "3 0 1 2", "3 0 1 3"]) + "\n"
+    (tmp_path / f"m.{form}").write_text(text)
+    colors = colors_at(read_mesh(tmp_path / f"m.{form}"))
+    np.testing.assert_allclose(colors, np.tile([255, 128, 0], (2, 1)), atol=1)
+
+
 def test_several_materials_become_one_texture(tmp_path: Path) -> None:
     text = "mtllib m.mtl\nv 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\nvt 0 0\nvt 1 0\nvt 0 1\n"
     text += "usemtl red\nf 1/1 2/2 3/3\nusemtl plain\nf 1 2 4\nusemtl blue\nf 1/1 3/2 4/3\n"

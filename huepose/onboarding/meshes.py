@@ -43,8 +43,9 @@ def read_mesh(path: Path | str, unit: Unit | None = None, note: Callable[[str], 
     path = Path(path)
     with np.errstate(all="ignore"), _damage_named(path):  # what is not finite is refused, not warned of
         raw = _raw(path)
-        if note is not None and upside_down(raw):
-            note(UPSIDE_DOWN)
+        if note is not None:
+            for text in (*raw.notes, *([UPSIDE_DOWN] if upside_down(raw) else [])):
+                note(text)
         return _converted(raw, unit, path)
 
 

@@ -1,5 +1,5 @@
 """Wavefront OBJ: all forms of faces, negative indices, polygons; materials with the colour `Kd` and the
-texture `map_Kd`.
+texture `map_Kd`, or `map_Ka` where that is the only one.
 
 Colours come from the textures; without texture from six-number vertices (x y z r g b), else from `Kd`. It is
 `Kd`, too, where all vertices have one grey and the materials have colours: exporters write such a grey, or
@@ -45,14 +45,15 @@ _LIBRARY = "material file"
 
 def read_materials(
     files: MeshFiles, libraries: Sequence[str], wanted: Collection[str]
-) -> tuple[dict[str, Material], list[str]]:
-    """Materials by name that an OBJ file's libraries have of those `wanted`, and the names of all they have.
+) -> tuple[dict[str, Material], list[str], list[str]]:
+    """Materials by name that an OBJ file's libraries have of those `wanted`, the names of all they have, and
+    notes on those whose pictures do not show their colour.
 
     A material that nobody wants costs nothing: its texture is not read. A single material is read always.
     Raises InputError naming the file, what was found and what to do.
     """
     colors: dict[str, tuple[int, int, int]] = {}
-    maps: dict[str, tuple[Path, str]] = {}
+    maps: dict[str, tuple[Path, dict[str, str]]] = {}
     opacities: dict[str, float] = {}
     for library in (name for line in libraries for name in _libraries(files, line)):
         path, data = files.read(library, _LIBRARY, files.mesh)
@@ -62,19 +63,31 @@ def read_materials(
             maps.pop(name, None)
             opacities.pop(name, None)
         opacities |= opacities_in_library
-        maps |= {name: (path, line) for name, line in maps_in_library.items()}
-    materials = {}
+        maps |= {name: (path, lines) for name, lines in maps_in_library.items()}
+    materials, notes = {}, []
     for name, color in colors.items():
         if name in wanted or len(colors) == 1:
             texture: UInt8 | None = None
             wrap: Wrap = "repeat"
             if name in maps:
-                path, line = maps[name]
-                file, wrap = _map_file(path, line)
-                texture = files.texture(file, path)
+                path, lines = maps[name]
+                line = lines.get("map_kd", lines.get("map_ka"))
+                if line is None:
+                    notes.append(_no_color_map(name, lines))
+                else:
+                    file, wrap = _map_file(path, line)
+                    texture = files.texture(file, path)
             clear = opacities.get(name, 1.0) < 0.5
             materials[name] = Material(name, color, texture, clear, (wrap, wrap))
-    return materials, list(colors)
+    return materials, list(colors), notes
+
+
+def _no_color_map(name: str, lines: dict[str, str]) -> str:
+    there = ", ".join(line.strip()[:60] for line in lines.values())
+    return (
+        f"material {name} has no picture of its colour (map_Kd), only {there}; it is shown in one colour "
+        "(Kd). If that is wrong, name the picture of its colour with map_Kd in the material file"
+    )
 
 
 def _libraries(files: MeshFiles, line: str) -> list[str]:
@@ -84,10 +97,13 @@ def _libraries(files: MeshFiles, line: str) -> list[str]:
     return words if several else [line]
 
 
-def _parsed(mtl: Path, text: str) -> tuple[dict[str, tuple[int, int, int]], dict[str, str], dict[str, float]]:
-    """Colours, lines `map_Kd`, and opacities where there are any, by the name of their material."""
+def _parsed(
+    mtl: Path, text: str
+) -> tuple[dict[str, tuple[int, int, int]], dict[str, dict[str, str]], dict[str, float]]:
+    """Colours, lines `map_...` by their first word, and opacities where there are any, by the name of their
+    material."""
     colors: dict[str, tuple[int, int, int]] = {}
-    maps: dict[str, str] = {}
+    maps: dict[str, dict[str, str]] = {}
     opacities: dict[str, float] = {}
     name = ""
     for line in text.splitlines():
@@ -105,8 +121,8 @@ def _parsed(mtl: Path, text: str) -> tuple[dict[str, tuple[int, int, int]], dict
                 found = line.strip()[:60]
                 raise InputError(mtl, found=found, expected="Kd r g b with numbers 0..1") from None
             colors[name] = (r, g, b)
-        elif kind == "map_kd" and len(words) > 1:
-            maps[name] = line
+        elif kind.startswith("map_") and kind != "map_aat" and len(words) > 1:  # map_aat names no picture
+            maps.setdefault(name, {})[kind] = line
         elif kind == "d" and _is_number(words[-1]):  # before it there may be `-halo`
             opacities[name] = float(words[-1])
         elif kind == "tr" and _is_number(words[-1]):  # of which some exporters mean the opposite: `d` counts
@@ -197,7 +213,7 @@ def read_obj(files: MeshFiles) -> RawMesh:
         colors = np.clip(np.round(v[:, 3:] * scale), 0, 255).astype(np.uint8)[faces]
     face_materials = np.array(said.face_materials, np.int32)
     used = np.unique(face_materials)
-    materials = _materials(files, said, [said.material_names[i] for i in used])
+    materials, notes = _materials(files, said, [said.material_names[i] for i in used])
     for i, material in zip(used, materials, strict=True):
         naked = uv is None or (corners[face_materials == i, :, 1] < 0).any()
         if material.texture is not None and naked:
@@ -216,8 +232,11 @@ def read_obj(files: MeshFiles) -> RawMesh:
             expected="a textured mesh",
             fix="Export again with materials and texture (an .mtl and an image beside the .obj).",
         )
+    if colors is not None:
+        notes = []  # the colours at the vertices are shown
     renumbered = np.searchsorted(used, face_materials).astype(np.int32)
-    return RawMesh(np.ascontiguousarray(v[:, :3]), faces, uv, colors, renumbered, materials)
+    vertices = np.ascontiguousarray(v[:, :3])
+    return RawMesh(vertices, faces, uv, colors, renumbered, materials, notes=tuple(notes))
 
 
 def _one_grey(colors: UInt8) -> bool:
@@ -327,10 +346,13 @@ def _corner(word: str, vertices: int, texture_vertices: int) -> tuple[int, int]:
     return (v - 1 if v > 0 else vertices + v), (t - 1 if t > 0 else texture_vertices + t if t < 0 else -1)
 
 
-def _materials(files: MeshFiles, said: _Statements, names: list[str]) -> tuple[Material, ...]:
-    known, order = read_materials(files, said.libraries, names)
+def _materials(
+    files: MeshFiles, said: _Statements, names: list[str]
+) -> tuple[tuple[Material, ...], list[str]]:
+    """The materials of these names, and notes on them."""
+    known, order, notes = read_materials(files, said.libraries, names)
     if len(order) == 1 and names == [""]:  # exporters that name a library but forget `usemtl`
-        return (known[order[0]],)
+        return (known[order[0]],), notes
     missing = [name for name in names if name and name not in known]
     if missing:
         libraries = ", ".join(said.libraries) or "no mtllib"
@@ -340,4 +362,4 @@ def _materials(files: MeshFiles, said: _Statements, names: list[str]) -> tuple[M
             expected=f"that material in {libraries} (there: {', '.join(order) or 'none'})",
             fix="Put the .mtl that belongs to the mesh beside it, or export again.",
         )
-    return tuple(known.get(name, Material("")) for name in names)
+    return tuple(known.get(name, Material("")) for name in names), notes

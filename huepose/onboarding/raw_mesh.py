@@ -37,7 +37,8 @@ class Material:
 class RawMesh:
     """vertices (V, 3) float64 in the file's unit; faces (F, 3) int32; per face corner, where the file has
     them: uv (F, 3, 2) with v down, colors (F, 3, 3) uint8 RGB; face_materials (F,) int32 into `materials`;
-    parts: the names of the meshes of the file, where it tells them apart."""
+    parts: the names of the meshes of the file, where it tells them apart; notes: what may be wrong with its
+    colours, in words."""
 
     vertices: Float64
     faces: Int32
@@ -46,6 +47,7 @@ class RawMesh:
     face_materials: Int32
     materials: tuple[Material, ...]
     parts: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def check_count(path: Path, faces: int) -> None:

@@ -59,6 +59,28 @@ def test_the_words_of_a_material_may_be_of_large_letters(tmp_path: Path, printed
     assert_same(read_mesh(tmp_path / "m.obj"), plain)
 
 
+def test_a_material_may_name_its_picture_as_that_of_its_ambient_colour(
+    tmp_path: Path, printed_box: Mesh
+) -> None:
+    files.write_obj(tmp_path / "m.obj", printed_box)
+    plain = read_mesh(tmp_path / "m.obj")
+    (tmp_path / "m.mtl").write_text("newmtl print\nKd 1 1 1\nmap_Ka m.png\nmap_Ks gone.png\n")
+    notes: list[str] = []
+    assert_same(read_mesh(tmp_path / "m.obj", note=notes.append), plain)
+    assert notes == []
+
+
+def test_a_material_whose_pictures_do_not_show_its_colour_is_noted(tmp_path: Path, printed_box: Mesh) -> None:
+    files.write_obj(tmp_path / "m.obj", printed_box)
+    lines = "map_Bump -bm 0.5 m.png\nmap_aat on\nnewmtl other\nmap_d m.png\n"
+    (tmp_path / "m.mtl").write_text(f"newmtl print\nKd 1 0 0\n{lines}")
+    notes: list[str] = []
+    mesh = read_mesh(tmp_path / "m.obj", note=notes.append)
+    assert (mesh.texture == [255, 0, 0]).all()
+    (note,) = notes
+    assert "material print has no picture of its colour (map_Kd), only map_Bump -bm 0.5 m.png;" in note
+
+
 def test_one_line_of_an_obj_may_name_several_material_files(tmp_path: Path, printed_box: Mesh) -> None:
     files.write_obj(tmp_path / "m.obj", printed_box)
     text = (tmp_path / "m.obj").read_text()

@@ -76,10 +76,16 @@ def read_materials(
                     notes.append(_no_color_map(name, lines))
                 else:
                     file, wrap = _map_file(path, line)
-                    texture = files.texture(file, path)
+                    texture = files.texture(_unquoted(files, file, path), path)
             clear = opacities.get(name, 1.0) < 0.5
             materials[name] = Material(name, color, texture, clear, (wrap, wrap))
     return materials, list(colors), notes
+
+
+def _unquoted(files: MeshFiles, name: str, mtl: Path) -> str:
+    """The name without its quotes, unless there is a file whose name has them."""
+    quoted = len(name) > 2 and name[0] == name[-1] and name[0] in "\"'"
+    return name[1:-1] if quoted and not files.has(name, "texture", mtl) else name
 
 
 def _no_color_map(name: str, lines: dict[str, str]) -> str:

@@ -153,6 +153,16 @@ def test_names_of_textures_may_differ_in_case_and_folder(tmp_path: Path, printed
         assert_same(read_mesh(tmp_path / "m.obj"), printed_box)
 
 
+def test_names_of_textures_may_be_in_quotes(tmp_path: Path, printed_box: Mesh) -> None:
+    files.write_obj(tmp_path / "m.obj", printed_box, texture_name="my print.png")
+    for name in ('"my print.png"', "'my print.png'", '-clamp on "C:\\me\\my print.png"'):
+        (tmp_path / "m.mtl").write_text(f"newmtl print\nmap_Kd {name}\n")
+        assert_same(read_mesh(tmp_path / "m.obj"), printed_box)
+    (tmp_path / "m.mtl").write_text("newmtl print\nmap_Kd 'my print.png'\n")
+    (tmp_path / "my print.png").rename(tmp_path / "'my print.png'")
+    assert_same(read_mesh(tmp_path / "m.obj"), printed_box)
+
+
 def test_a_mirrored_export_is_turned_outwards(tmp_path: Path) -> None:
     from huepose.scenes.shapes import demo_objects
 

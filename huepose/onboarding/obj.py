@@ -55,7 +55,7 @@ def read_materials(
     colors: dict[str, tuple[int, int, int]] = {}
     maps: dict[str, tuple[Path, dict[str, str]]] = {}
     opacities: dict[str, float] = {}
-    for library in (name for line in libraries for name in _libraries(files, line)):
+    for library in libraries:
         path, data = files.read(library, _LIBRARY, files.mesh)
         in_library, maps_in_library, opacities_in_library = _parsed(path, decoded(data))
         for name, color in in_library.items():
@@ -219,7 +219,8 @@ def read_obj(files: MeshFiles) -> RawMesh:
         colors = np.clip(np.round(v[:, 3:] * scale), 0, 255).astype(np.uint8)[faces]
     face_materials = np.array(said.face_materials, np.int32)
     used = np.unique(face_materials)
-    materials, notes = _materials(files, said, [said.material_names[i] for i in used])
+    colored = colors is not None and not _one_grey(colors)
+    materials, notes = _materials(files, said, [said.material_names[i] for i in used], colored)
     for i, material in zip(used, materials, strict=True):
         naked = uv is None or (corners[face_materials == i, :, 1] < 0).any()
         if material.texture is not None and naked:
@@ -238,8 +239,6 @@ def read_obj(files: MeshFiles) -> RawMesh:
             expected="a textured mesh",
             fix="Export again with materials and texture (an .mtl and an image beside the .obj).",
         )
-    if colors is not None:
-        notes = []  # the colours at the vertices are shown
     renumbered = np.searchsorted(used, face_materials).astype(np.int32)
     vertices = np.ascontiguousarray(v[:, :3])
     return RawMesh(vertices, faces, uv, colors, renumbered, materials, notes=tuple(notes))
@@ -353,19 +352,32 @@ def _corner(word: str, vertices: int, texture_vertices: int) -> tuple[int, int]:
 
 
 def _materials(
-    files: MeshFiles, said: _Statements, names: list[str]
+    files: MeshFiles, said: _Statements, names: list[str], colored: bool
 ) -> tuple[tuple[Material, ...], list[str]]:
-    """The materials of these names, and notes on them."""
-    known, order, notes = read_materials(files, said.libraries, names)
+    """The materials of these names, and notes on them. colored: the vertices have colours, which are shown
+    where the material file is lost."""
+    libraries = [name for line in said.libraries for name in _libraries(files, line)]
+    there = [name for name in libraries if not colored or files.has(name, _LIBRARY, files.mesh)]
+    known, order, notes = read_materials(files, there, names)
+    lost = [name for name in libraries if name not in there]
+    if colored:
+        notes = [_lost(name) for name in lost]
     if len(order) == 1 and names == [""]:  # exporters that name a library but forget `usemtl`
         return (known[order[0]],), notes
     missing = [name for name in names if name and name not in known]
-    if missing:
-        libraries = ", ".join(said.libraries) or "no mtllib"
+    if missing and not (colored and (lost or not libraries)):
+        named = ", ".join(said.libraries) or "no mtllib"
         raise InputError(
             files.mesh,
             found=f"usemtl {missing[0]}",
-            expected=f"that material in {libraries} (there: {', '.join(order) or 'none'})",
+            expected=f"that material in {named} (there: {', '.join(order) or 'none'})",
             fix="Put the .mtl that belongs to the mesh beside it, or export again.",
         )
     return tuple(known.get(name, Material("")) for name in names), notes
+
+
+def _lost(library: str) -> str:
+    return (
+        f"the {_LIBRARY} {library[:80]}, which the mesh names, is not there; the colours at its vertices are "
+        "shown. If it should have a texture, put that file and the picture beside the mesh"
+    )

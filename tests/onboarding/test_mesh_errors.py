@@ -11,6 +11,7 @@ from huepose.geometry import Mesh
 from huepose.onboarding.meshes import read_mesh
 from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
+from tests.onboarding.mesh_checks import colors_at
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
 
@@ -101,6 +102,26 @@ def test_a_mesh_without_any_colour_is_refused(tmp_path: Path) -> None:
     (tmp_path / "m.obj").write_text("v 0 0 0\nv 30 0 0\nv 0 30 0\nv 0 0 30\nf 1 2 3\nf 1 2 4\n")
     with pytest.raises(InputError, match=r"no mtllib.*textured mesh"):
         read_mesh(tmp_path / "m.obj")
+
+
+@pytest.mark.parametrize("library", ["mtllib gone.mtl\n", ""])
+@pytest.mark.parametrize("colors", [("1 0 0", "0 0 1"), ("1 1 1", "1 1 1")])
+def test_a_lost_material_file_is_noted_where_the_vertices_have_colours(
+    tmp_path: Path, library: str, colors: tuple[str, str]
+) -> None:
+    """White at all of them is what exporters write where there are none."""
+    places = ("0 0 0", "30 0 0", "0 30 0", "0 0 30")
+    vertices = "".join(f"v {place} {colors[k % 2]}\n" for k, place in enumerate(places))
+    (tmp_path / "m.obj").write_text(f"{library}{vertices}usemtl print\nf 1 2 3\nf 1 2 4\n")
+    notes: list[str] = []
+    if colors[0] == colors[1]:
+        with pytest.raises(InputError, match=r"gone.mtl: found no such file|usemtl print; .* in no mtllib"):
+            read_mesh(tmp_path / "m.obj", note=notes.append)
+        return
+    mesh = read_mesh(tmp_path / "m.obj", note=notes.append)
+    np.testing.assert_allclose(colors_at(mesh, (0.5, 0.5, 0.0)), 127.5 * np.array([[1, 0, 1]] * 2), atol=1.5)
+    assert len(notes) == bool(library)
+    assert all("the material file gone.mtl, which the mesh names, is not there;" in n for n in notes)
 
 
 def test_a_texture_under_colours_of_a_gltf_is_refused(tmp_path: Path, printed_box: Mesh) -> None:

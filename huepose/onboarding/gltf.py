@@ -1,7 +1,7 @@
 """glTF 2.0, as one binary file (GLB) or as .gltf with its parts: all meshes of the scene, merged.
 
-Read: POSITION, TEXCOORD, COLOR_0, indices, factor and texture of the base (or diffuse) colour, how it
-wraps, the nodes' transforms.
+Read: POSITION, TEXCOORD, COLOR_0, indices, factor and texture of the base (or diffuse, or emissive) colour,
+how it wraps, the nodes' transforms.
 Lengths are metres and y is up by the standard; axes are kept as they are in the file.
 """
 
@@ -304,13 +304,17 @@ def _transformed(uv: Float64, transform: dict[str, Any]) -> Float64:
 
 
 def _base(material: dict[str, Any]) -> tuple[dict[str, Any], list[float]]:
-    """Texture and factor of a material's base colour; where it has none, of its diffuse colour."""
+    """Texture and factor of a material's base colour; where it has none, of its diffuse colour; where that is
+    black, of the light that it sends out: some exporters put all colours there."""
     base = material.get("pbrMetallicRoughness", {})
     diffuse = material.get("extensions", {}).get(_GLOSSY, {})
     if "baseColorTexture" not in base and ("diffuseTexture" in diffuse or "baseColorFactor" not in base):
         texture, factor = diffuse.get("diffuseTexture", {}), diffuse.get("diffuseFactor", [1, 1, 1, 1])
     else:
         texture, factor = base.get("baseColorTexture", {}), base.get("baseColorFactor", [1, 1, 1, 1])
+    if not texture and not any(factor[:3]) and "emissiveTexture" in material:
+        light = material.get("emissiveFactor", [0, 0, 0])
+        texture, factor = material["emissiveTexture"], [*(light if any(light) else [1, 1, 1]), *factor[3:]]
     return dict(texture), factor
 
 

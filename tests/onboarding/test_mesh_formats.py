@@ -113,6 +113,19 @@ def test_a_gltf_may_have_a_diffuse_texture(tmp_path: Path, printed_box: Mesh, ba
     assert (read_mesh(tmp_path / "m.glb").texture == color).all()
 
 
+@pytest.mark.parametrize("light", [{}, {"emissiveFactor": [1.0, 1.0, 1.0]}])
+def test_a_black_gltf_shows_the_texture_of_its_light(tmp_path: Path, printed_box: Mesh, light: dict) -> None:
+    files.write_glb(tmp_path / "m.glb", printed_box)
+    plain = read_mesh(tmp_path / "m.glb")
+    base = {"baseColorFactor": [0.0, 0.0, 0.0, 1.0]}
+    material = {"pbrMetallicRoughness": base, "emissiveTexture": {"index": 0}, **light}
+    files.write_glb(tmp_path / "m.glb", printed_box, material=material)
+    assert_same(read_mesh(tmp_path / "m.glb"), plain)
+    base["baseColorFactor"] = [1.0, 0.0, 0.0, 1.0]
+    files.write_glb(tmp_path / "m.glb", printed_box, material=material)
+    assert (read_mesh(tmp_path / "m.glb").texture == (255, 0, 0)).all()
+
+
 def test_polygons_of_a_ply_become_fans(tmp_path: Path) -> None:
     square = np.array([[0, 0, 0], [40, 0, 0], [40, 40, 0], [0, 40, 0], [0, 0, 40]], float)
     files.write_colored_ply(tmp_path / "m.ply", square, np.full((5, 3), 90), [[0, 1, 2, 3], [0, 1, 4]])

@@ -123,13 +123,41 @@ _MOST_NODES = 10_000  # of one object
 _TRANSFORM, _GLOSSY = "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"
 _WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
 _NEARLY_WHITE = 0.98  # of COLOR_0, which is linear: two levels of 255 less than white
+_LOOKS = (
+    "anisotropy",
+    "clearcoat",
+    "diffuse_transmission",
+    "dispersion",
+    "emissive_strength",
+    "ior",
+    "iridescence",
+    "sheen",
+    "specular",
+    "transmission",
+    "unlit",
+    "variants",
+    "volume",
+    "volume_scatter",
+)
+"""What KHR_materials_... add to a material; none changes its base colour."""
 _UNDERSTOOD = {
-    "KHR_materials_unlit",
+    *(f"KHR_materials_{name}" for name in _LOOKS),
+    "EXT_lights_ies",
+    "EXT_lights_image_based",
+    "KHR_lights_punctual",
     "KHR_mesh_quantization",
-    "KHR_materials_specular",
-    "KHR_materials_ior",
+    "KHR_xmp_json_ld",
     _TRANSFORM,
     _GLOSSY,
+}
+_COMPRESSED = {
+    "EXT_meshopt_compression",
+    "EXT_texture_avif",
+    "EXT_texture_webp",
+    "KHR_draco_mesh_compression",
+    "KHR_meshopt_compression",
+    "KHR_texture_basisu",
+    "MSFT_texture_dds",
 }
 
 
@@ -139,12 +167,11 @@ def read_gltf(files: MeshFiles) -> RawMesh:
     asset = load_asset(files)
     foreign = set(asset.tree.get("extensionsRequired", [])) - _UNDERSTOOD
     if foreign:
-        raise InputError(
-            files.mesh,
-            found=f"the extension {sorted(foreign)[0]}",
-            expected="plain glTF 2.0",
-            fix="Export again without compression (Draco, meshopt) and with PNG or JPEG textures.",
-        )
+        fix = "Export again without it."
+        if foreign & _COMPRESSED:
+            fix = "Export again without compression (Draco, meshopt) and with PNG or JPEG textures."
+        found = f"the extension {sorted(foreign & _COMPRESSED or foreign)[0]}"
+        raise InputError(files.mesh, found=found, expected="plain glTF 2.0", fix=fix)
     return _merged(asset)
 
 

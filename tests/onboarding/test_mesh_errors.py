@@ -151,10 +151,22 @@ def test_a_mesh_in_the_coordinates_of_a_map_is_refused(
         read_mesh(tmp_path / "m.obj")
 
 
-def test_draco_is_refused_by_name(tmp_path: Path) -> None:
-    tree = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_draco_mesh_compression"]}
+@pytest.mark.parametrize(
+    ("required", "said"),
+    [
+        ("KHR_draco_mesh_compression", "Export again without compression"),
+        ("EXT_meshopt_compression", "Export again without compression"),
+        ("KHR_texture_basisu", "and with PNG or JPEG textures"),
+        ("EXT_texture_webp", "and with PNG or JPEG textures"),
+        ("EXT_mesh_gpu_instancing", "Export again without it"),
+    ],
+)
+def test_extensions_that_change_the_mesh_are_refused_by_name(
+    tmp_path: Path, required: str, said: str
+) -> None:
+    tree = {"asset": {"version": "2.0"}, "extensionsRequired": ["KHR_materials_ior", required]}
     (tmp_path / "m.glb").write_bytes(files.glb(tree, b""))
-    with pytest.raises(InputError, match=r"KHR_draco_mesh_compression.*without compression"):
+    with pytest.raises(InputError, match=rf"found the extension {required}; .*{said}"):
         read_mesh(tmp_path / "m.glb")
 
 

@@ -242,6 +242,12 @@ def test_gltf_may_be_in_parts(tmp_path: Path, printed_box: Mesh) -> None:
         read_mesh(path)
 
 
+def test_a_gltf_may_require_lights_and_looks_that_change_no_colour(tmp_path: Path, printed_box: Mesh) -> None:
+    names = ["clearcoat", "emissive_strength", "variants", "sheen", "transmission", "volume", "unlit"]
+    required = ["KHR_lights_punctual", *(f"KHR_materials_{name}" for name in names)]
+    assert_same(read_mesh(files.write_gltf(tmp_path, printed_box, extensionsRequired=required)), printed_box)
+
+
 def test_a_gltf_texture_may_be_scaled_turned_and_moved(tmp_path: Path, printed_box: Mesh) -> None:
     """KHR_texture_transform: half and double scale, a quarter turn ((a, b) to (b, -a)), then (0, 1)."""
     u, v = printed_box.uv.reshape(-1, 2).T

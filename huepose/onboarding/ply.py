@@ -116,7 +116,15 @@ def read_ply(files: MeshFiles, colored: bool = True) -> RawMesh:
             materials = [Material(n, texture=files.texture(n, path)) for n in names]
             if len(names) > 1 and not _is_lists(face.get("texnumber", [])):
                 face_materials = face["texnumber"][origin].astype(np.int32)
-            colors = None
+            if face_materials.max() >= len(names):
+                found, expected = "a texnumber without texture", f"0 to {len(names) - 1}"
+                raise InputError(path, found=found, expected=expected, fix=RE_EXPORT)
+            without = face_materials < 0  # MeshLab writes -1 of faces that have no texture
+            if without.any():
+                face_materials[without] = len(names)
+                materials.append(Material(""))
+            else:
+                colors = None
         else:
             uv = None
     if uv is None and colors is None:
@@ -125,10 +133,6 @@ def read_ply(files: MeshFiles, colored: bool = True) -> RawMesh:
             found="neither a texture (comment TextureFile and texture coordinates) nor colours per vertex",
             expected="a coloured mesh",
             fix="Export again with texture or vertex colours.",
-        )
-    if face_materials.min() < 0 or face_materials.max() >= len(materials):
-        raise InputError(
-            path, found="a texnumber without texture", expected=f"0 to {len(materials) - 1}", fix=RE_EXPORT
         )
     corner_colors = None if colors is None else colors[faces]
     return RawMesh(vertices, faces.astype(np.int32), uv, corner_colors, face_materials, tuple(materials))

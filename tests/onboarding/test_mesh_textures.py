@@ -10,6 +10,7 @@ import pytest
 from huepose.geometry import Camera, Mesh, se3
 from huepose.onboarding.meshes import read_mesh
 from huepose.rendering.render import render
+from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
 from tests.onboarding import solids
 from tests.onboarding.mesh_checks import assert_well_formed, colors_at
@@ -70,6 +71,30 @@ def test_several_materials_become_one_texture(tmp_path: Path) -> None:
     for weights in ((1.0, 0, 0), (0.3, 0.3, 0.4), (0, 0, 1.0)):
         expected = [[200, 10, 10], [0, 255, 0], [10, 10, 200]]
         np.testing.assert_allclose(colors_at(mesh, weights), expected, atol=2)
+
+
+@pytest.mark.parametrize("colored", [False, True])
+def test_a_ply_of_several_textures_may_have_faces_without_one(tmp_path: Path, colored: bool) -> None:
+    """They are of the number -1, and have the colours of their vertices, or are grey."""
+    text = "ply\nformat ascii 1.0\ncomment TextureFile red.png\ncomment TextureFile blue.png\n"
+    text += "element vertex 4\n" + "".join(f"property float {name}\n" for name in "xyz")
+    text += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue")) if colored else ""
+    text += "element face 3\nproperty list uchar int vertex_indices\nproperty list uchar float texcoord\n"
+    text += "property int texnumber\nend_header\n"
+    green = " 10 200 10" if colored else ""
+    text += "".join(f"{place}{green}\n" for place in ("0 0 0", "60 0 0", "0 60 0", "0 0 60"))
+    for corners, number in (("0 1 2", 0), ("0 1 3", -1), ("0 2 3", 1)):
+        text += f"3 {corners} 6 0 0 1 0 0 1 {number}\n"
+    (tmp_path / "m.ply").write_text(text)
+    files.write_png(tmp_path / "red.png", np.full((32, 32, 3), (200, 10, 10), np.uint8))
+    files.write_png(tmp_path / "blue.png", np.full((32, 32, 3), (10, 10, 200), np.uint8))
+    mesh = read_mesh(tmp_path / "m.ply")
+    assert_well_formed(mesh)
+    expected = [[200, 10, 10], [10, 200, 10] if colored else [200, 200, 200], [10, 10, 200]]
+    np.testing.assert_allclose(colors_at(mesh), expected, atol=2)
+    (tmp_path / "m.ply").write_text(text.replace("0 0 1 0 0 1 1\n", "0 0 1 0 0 1 2\n"))
+    with pytest.raises(InputError, match=r"a texnumber without texture; expected 0 to 1"):
+        read_mesh(tmp_path / "m.ply")
 
 
 @pytest.mark.parametrize("materials", [1, 3])

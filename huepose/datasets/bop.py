@@ -50,6 +50,13 @@ class BopScene:
                 found=f"a folder of {counted(len(scenes), 'scene')}: {listed(scenes)}",
                 expected=f"the folder of one, as {self.path / scenes[0]}",
             )
+        if not (self.path / "rgb").is_dir() and (self.path / "gray").is_dir():
+            raise InputError(
+                self.path,
+                found="grey pictures, gray/ and no rgb/",
+                expected="colour pictures in rgb/",
+                fix="HuePose needs colour: take a set that has it.",
+            )
         self.name = files.folder_name(self.path)
         self._colors = files.numbered_files(self.path / "rgb")
         self._cameras = files.read_json(self.path / "scene_camera.json", f"{_HOLDS}.")

@@ -30,6 +30,12 @@ def test_images_are_listed_in_numeric_order_and_only_those_on_disk(bop_scene: Pa
     assert scene.name == "000003"
 
 
+def test_a_scene_of_grey_pictures_is_called_one(bop_scene: Path) -> None:
+    (bop_scene / "rgb").rename(bop_scene / "gray")
+    with pytest.raises(InputError, match=r"found grey pictures, gray/ and no rgb/; .*HuePose needs colour"):
+        BopScene(bop_scene)
+
+
 def test_a_frame_is_what_was_written(bop_scene: Path) -> None:
     sample = Sample.of(BopScene(bop_scene), 10)
     np.testing.assert_array_equal(sample.frame.color, color_of(10))

@@ -20,20 +20,25 @@ SAY_EVERY_S = 3.0
 
 
 def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
-    """T_parent_obj where `camera.mount` says where the camera is on the robot, else T_cam_obj."""
+    """T_parent_obj where somebody says where the camera is on the robot, else T_cam_obj. A camera on a hand
+    is waited for until its place is known at that moment."""
     if client.camera(5.0) is None:
         sys.exit(f"no camera says where it is: {client.why_silent()}")
     began, start, say_at = 0.0, None, time.monotonic() + SAY_EVERY_S
+    mounted = False  # where the camera is was said, if only once
     while True:
         now = client.at(object=name)  # where it is at this moment; None where nothing is known that is new
         sure = now is not None and now.state == "TRACKING"
+        mounted = mounted or client.camera().mount is not None or (sure and now.T_parent_obj is not None)
+        placed = sure and (now.T_parent_obj is not None or not mounted)
         if not sure or start is None or np.linalg.norm(now.T_cam_obj[:3, 3] - start) > STILL_M:
             began, start = time.monotonic(), now.T_cam_obj[:3, 3] if sure else None
-        elif time.monotonic() - began > STILL_S:
-            return now.T_cam_obj if now.T_parent_obj is None else now.T_parent_obj
+        elif placed and time.monotonic() - began > STILL_S:
+            return now.T_parent_obj if mounted else now.T_cam_obj
         if time.monotonic() > say_at:
             say_at += SAY_EVERY_S
-            why = "it moves" if sure else "no pose of it may be acted on"
+            why = "it moves" if placed else "nobody says where the camera is now"
+            why = why if sure else "no pose of it may be acted on"
             known = client.looked_for()  # None where nobody says
             if known is not None and name not in known:
                 why = f"{name} is not looked for; what is: {', '.join(known) or 'nothing'}"

@@ -98,10 +98,13 @@ def test_the_camera_gives_frames(folder: Path, tmp_path: Path, monkeypatch: pyte
 
 @contextmanager
 def published(
-    endpoint: str, pose: Callable[[int], PoseMessage], camera_after: int | None = None
+    endpoint: str,
+    pose: Callable[[int], PoseMessage],
+    camera_after: int | None = None,
+    late_ns: Callable[[int], int] | None = None,
 ) -> Iterator[None]:
     """A pipeline's poses, thirty a second, at an endpoint, and after some of them where its camera is;
-    pose: by the number of poses so far."""
+    pose: by the number of poses so far; late_ns: how late a camera that moves says it, by the same."""
 
     def publish(number: int) -> None:
         now = time.monotonic_ns()
@@ -111,8 +114,9 @@ def published(
         keys = Keys("lab", "cam0")
         session.put(keys.pose(message.object, message.instance), encode(message))
         if camera_after is not None and number > camera_after:
+            mount_ns = None if late_ns is None else now - late_ns(number)
             said = msgspec.structs.replace(
-                CAMERA_SAYS, frame=message.frame, mount=MOUNT, mount_ns=None, publish_ns=now
+                CAMERA_SAYS, frame=message.frame, mount=MOUNT, mount_ns=mount_ns, publish_ns=now
             )
             session.put(keys.camera_info, encode(said))
 
@@ -201,6 +205,24 @@ def test_nothing_is_picked_before_it_is_still(base_port: int) -> None:
     assert (x, y) == MOUNT.translation[:2]
     assert z == pytest.approx(0.75 + MOUNT.translation[2], abs=0.004)
     assert time.monotonic() - began > 100 / 30
+
+
+@pytest.mark.live
+def test_nothing_is_picked_while_nobody_says_where_a_camera_on_a_hand_is(base_port: int) -> None:
+    """What lies still in front of the camera is not where the robot would look for it."""
+    endpoint, began = f"tcp/127.0.0.1:{base_port}", time.monotonic()
+    still = {"velocity_linear": (0.0, 0.0, 0.0), "velocity_angular": (0.0, 0.0, 0.0)}
+
+    def lies(number: int) -> PoseMessage:
+        return tracked(translation=(0.0, 0.0, 0.75), **still)
+
+    with published(endpoint, lies, -1, lambda number: 300_000_000 if number < 100 else 0):
+        picked = subprocess.run(
+            example("03_pick_when_still.py", "tea_box", endpoint), check=True, capture_output=True, text=True
+        )
+    assert [float(n) for n in re.findall(r"\d\.\d*", picked.stdout)] == pytest.approx([0.1, 0.2, 1.05])
+    assert time.monotonic() - began > 100 / 30
+    assert "waiting: nobody says where the camera is now" in picked.stderr
 
 
 @pytest.mark.live

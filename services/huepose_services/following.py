@@ -16,7 +16,7 @@ import zenoh
 
 from huepose.support.errors import InputError
 from huepose_protos import WireError, decode, encode
-from huepose_protos.messages import ObjectEntry, ObjectsMessage
+from huepose_protos.messages import ObjectEntry, ObjectsMessage, PoseMessage
 from huepose_services.runtime.bus import Bus
 
 T = TypeVar("T")
@@ -163,3 +163,13 @@ class Retired:
         """Whether that instance is over."""
         below = self.below.get(name)
         return below is not None and below[0] == epoch and instance < below[1]
+
+
+def is_over(pose: PoseMessage, objects: list[ObjectEntry] | None) -> bool:
+    """Whether a pose is of an object that is looked for no longer, or that was to be searched for anew since.
+    objects: the list of objects; None where it was not heard yet."""
+    if objects is None:
+        return False
+    if all(entry.object != pose.object for entry in objects):
+        return True
+    return Retired(objects).includes(pose.object, pose.camera_epoch, pose.instance)

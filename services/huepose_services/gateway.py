@@ -2,20 +2,29 @@
 
 What is published inside under `huepose/SITE/CAMERA/KEY` appears outside under `.../remote/KEY`, at most so
 often a second; a change of an object's state is never held back. Whoever comes late asks (a zenoh `get`) and
-has the latest value of each key at once, a TRACKING pose that nobody says any more as SUSPECT. The two sides
-are two sessions; only checked messages go across.
+has the latest value of each key at once, a TRACKING pose that nobody says any more as SUSPECT, and none of an
+object that is looked for no longer. The two sides are two sessions; only checked messages go across.
 """
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import msgspec
 import zenoh
 
 from huepose_protos import encode
-from huepose_protos.messages import CameraMessage, HealthMessage, Message, ObjectsMessage, PoseMessage
+from huepose_protos.messages import (
+    CameraMessage,
+    HealthMessage,
+    Message,
+    ObjectEntry,
+    ObjectsMessage,
+    PoseMessage,
+)
+from huepose_services.following import is_over
 from huepose_services.gateway_door import Door
 from huepose_services.gateway_session import open_outside
 from huepose_services.runtime.bus import Bus
@@ -159,6 +168,7 @@ class GatewayWork(Work):
             self._tell(keys.pose(pose.object, pose.instance), pose)
             self._bus.health.worked_on(started, pose)
         while (objects := self._bus.take(self._objects, ObjectsMessage)) is not None:
+            self._forget_over(objects.objects)
             self._tell(keys.objects, objects)
         while (camera := self._bus.take(self._camera, CameraMessage)) is not None:
             self._tell(keys.camera_info, camera)
@@ -169,7 +179,7 @@ class GatewayWork(Work):
             self._put(key, payload)
         if now >= self._next_count_ns:
             self._next_count_ns = now + SECOND
-            self._forget_old(now)
+            self._forget(lambda _, at_ns: now - at_ns > _FORGET_NS)
             self._count()
 
     def _tell(self, inside: str, message: Message) -> None:
@@ -194,12 +204,13 @@ class GatewayWork(Work):
         self._publishers[key].put(payload)
         self._bus.health.count("sent")
 
-    def _forget_old(self, now: int) -> None:
-        poses = self._bus.keys.outside(self._bus.keys.poses).removesuffix("**")
+    def _forget_over(self, objects: list[ObjectEntry]) -> None:
+        self._forget(lambda pose, _: is_over(pose, objects))
+
+    def _forget(self, over: Callable[[PoseMessage, int], bool]) -> None:
+        """Poses of which this is true; it is given a pose and when it was said."""
         with self._lock:
-            old = [
-                k for k, said in self._latest.items() if k.startswith(poses) and now - said.at_ns > _FORGET_NS
-            ]
+            old = [k for k, said in self._latest.items() if said.pose and over(said.pose, said.at_ns)]
             for key in old:
                 del self._latest[key]
         for key in old:

@@ -22,7 +22,7 @@ from huepose_protos.messages import (
     PerceptionRequest,
     PoseMessage,
 )
-from huepose_services.following import Retired
+from huepose_services.following import is_over
 from huepose_services.runtime.running import Pipeline
 
 _WINDOW_S = 3.0
@@ -144,13 +144,3 @@ class Watch:
 
     def __exit__(self, *error: object) -> None:
         self._reader.close()
-
-
-def is_over(pose: PoseMessage, objects: list[ObjectEntry] | None) -> bool:
-    """Whether a pose is of an object that is looked for no longer, or that was to be searched for anew since.
-    objects: the list of objects; None where it was not heard yet."""
-    if objects is None:
-        return False
-    if all(entry.object != pose.object for entry in objects):
-        return True
-    return Retired(objects).includes(pose.object, pose.camera_epoch, pose.instance)

@@ -22,9 +22,8 @@ from huepose_protos.messages import (
 )
 from huepose_services import steering
 from huepose_services.boxes import Hints
-from huepose_services.following import Follower, Retired
+from huepose_services.following import Follower, Retired, is_over
 from huepose_services.steering import ObjectList, Order
-from huepose_services.watch import is_over
 from tests.services.fake_bus import FakeBus
 
 

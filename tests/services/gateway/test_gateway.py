@@ -18,10 +18,12 @@ from huepose_protos.messages import (
     CameraMessage,
     CorrectionMessage,
     HealthMessage,
+    ObjectEntry,
     ObjectsMessage,
     PoseMessage,
 )
 from huepose_services.gateway import _Said, answer_of
+from tests.services.conftest import until
 
 from .conftest import Running, credentials, tls
 
@@ -76,6 +78,27 @@ def test_who_asks_after_the_tracker_died_is_not_told_that_its_last_pose_may_be_a
         }
         assert told == msgspec.structs.replace(last, publish_ns=told.publish_ns, **said)
         assert one.say(9000, state="TRACKING") == late.next(5.0)
+
+
+@pytest.mark.parametrize("removed", [True, False])
+def test_who_comes_late_hears_nothing_of_what_was_removed_or_is_over(start, removed):
+    one = start()
+    address, keys = f"tcp/127.0.0.1:{one.port}", one.tracker.keys
+    with PoseClient(address) as before:
+        last = one.say_until(lambda: before.latest() is not None)
+    entry = ObjectEntry(
+        object="another" if removed else last.object,
+        max_instances=1,
+        searching=1,
+        retired=None if removed else (last.camera_epoch, last.instance + 1),
+    )
+    one.tracker.put(keys.objects, ObjectsMessage(publish_ns=1, objects=[entry]))
+    with PoseClient(address) as late:
+        until(lambda: late.looked_for() == [entry.object])
+    with PoseClient(address) as late:
+        assert late.next(1.0) is None
+        new = one.say(9000, instance=last.instance + 1)
+        assert late.next(5.0) == new
 
 
 def test_a_pose_is_answered_as_it_was_said_until_it_is_too_old():

@@ -130,15 +130,17 @@ class PoseClient(Client):
 
     def _on_reply(self, reply: zenoh.Reply) -> None:
         if reply.ok is not None:
-            self._on_sample(reply.ok)
+            self._on_sample(reply.ok, stored=True)
 
     def _read(self, sample: zenoh.Sample) -> Message | None:
         return self._decoded(str(sample.key_expr), sample.payload.to_bytes())
 
-    def _on_sample(self, sample: zenoh.Sample) -> None:
+    def _on_sample(self, sample: zenoh.Sample, stored: bool = False) -> None:
+        """stored: a gateway had it, nobody says it now."""
         message = self._read(sample)
         if isinstance(message, PoseMessage):
-            self._add(site_and_camera_of(str(sample.key_expr)), message)
+            age_s = 1e-9 * max(0, _stamp_now(message) - message.capture_ns) if stored else 0.0
+            self._add(site_and_camera_of(str(sample.key_expr)), message, time.monotonic() - age_s)
         elif isinstance(message, CameraMessage):
             self._add_camera(message)
 
@@ -162,7 +164,7 @@ class PoseClient(Client):
             fixed, told = place.fixed, list(place.told)
         return fixed or mount_at(told, stamp_ns), fixed is not None
 
-    def _add(self, camera: str, pose: PoseMessage) -> None:
+    def _add(self, camera: str, pose: PoseMessage, arrived: float) -> None:
         instance = (camera, pose.object, pose.instance)
         with self._changed:
             if instance not in self._history:
@@ -175,7 +177,7 @@ class PoseClient(Client):
             elif history and pose.capture_ns <= history[-1].capture_ns:
                 return  # asked for and heard as well
             history.append(pose)
-            self._arrived[instance] = time.monotonic()
+            self._arrived[instance] = max(arrived, self._arrived.get(instance, arrived))
             if len(self._waiting) == _WAITING:
                 self._waiting.popleft()
                 self.missed += 1
@@ -262,7 +264,8 @@ class PoseClient(Client):
     def latest(
         self, object: str | None = None, instance: int | None = None, max_age_s: float = float("inf")
     ) -> PoseMessage | None:
-        """The newest pose message of an instance; None where there is none, or it came longer ago.
+        """The newest pose message of an instance; None where there is none, or it came longer ago. One that a
+        gateway had stored counts as come when its picture was taken.
 
         Without an instance that of the object, without an object of all, that was heard last, by whichever
         camera."""
@@ -325,6 +328,11 @@ def _offset_ns(pose: PoseMessage) -> int:
     if pose.clock_id == boot_id():
         return time.time_ns() - time.monotonic_ns()
     return pose.realtime_offset_ns
+
+
+def _stamp_now(pose: PoseMessage) -> int:
+    """What the clock of the pose's stamps shows now."""
+    return time.time_ns() - _offset_ns(pose)
 
 
 def _endpoints_of(place: Whereabouts) -> list[str]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from types import SimpleNamespace
 
 import msgspec
@@ -72,6 +73,17 @@ def test_of_two_sites_with_a_camera_of_one_name_each_has_its_poses_and_its_mount
     assert (between.ahead_s, between.T_parent_obj[0, 3]) == (0.0, pytest.approx(1.1))
     on_robot = {one.camera_epoch: one.translation[0] for one in map(client.on_robot, heard(client))}
     assert on_robot == pytest.approx({11: 1.1, 22: 9.9})
+
+
+@pytest.mark.parametrize(("ago_s", "silent_s"), [(5.0, 5.0), (-5.0, 0.0)])
+def test_a_pose_that_a_gateway_had_stored_is_as_old_as_its_picture(client, ago_s, silent_s):
+    """By the wall clocks on another machine; one that is ahead of ours makes no pose of the future."""
+    now_ns = time.time_ns()
+    client._on_reply(SimpleNamespace(ok=pose("lab", 1, now_ns - int(ago_s * SECOND))))
+    assert client.silent_s() == pytest.approx(silent_s, abs=0.5)
+    assert (client.latest(max_age_s=2.0) is None) == (silent_s > 2.0)
+    client._on_sample(pose("lab", 1, now_ns + 6 * SECOND))
+    assert client.silent_s() < 0.5
 
 
 def heard(client):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from huepose.evaluation.bootstrap import Interval, Share, difference_intervals, sign_test
-from huepose.evaluation.measured import ENOUGH_SEQUENCES, FALSE_PER_FRAME, TRACK, Figure, Kind, Measured
+from huepose.evaluation.measured import FALSE_PER_FRAME, Figure, Kind, Measured
 from huepose.evaluation.summary import Row, grouped
 from huepose.geometry.arrays import Float64, Int64
 from huepose.support.errors import InputError
@@ -156,7 +156,7 @@ def compare(before: Measured, after: Measured, name: str, margin: float = MARGIN
         )
     old = np.array([place_before[key] for key in common])
     new = np.array([place_after[key] for key in common])
-    unit, units = _units(before, old)
+    units = [before.units[i] for i in old]
     groups = [before.groups[i] for i in old]
     steps = before.kind.figures[0].key
     improved = _improved(before.shares[steps].only(old), after.shares[steps].only(new), 1)
@@ -167,7 +167,7 @@ def compare(before: Measured, after: Measured, name: str, margin: float = MARGIN
         name=name,
         before=before,
         after=after,
-        unit=unit,
+        unit=before.unit,
         units=len(set(units)),
         paired=len(common),
         only_before=[key for key in before.keys if key not in place_after],
@@ -187,15 +187,6 @@ def compare(before: Measured, after: Measured, name: str, margin: float = MARGIN
         lost=[common[i] for i in np.flatnonzero(improved < 0)],
         phantoms=(before.phantoms, after.phantoms),
     )
-
-
-def _units(measured: Measured, chosen: Int64) -> tuple[str, list[Hashable]]:
-    """What is drawn again, in words, and of each row."""
-    if measured.kind is not TRACK:
-        return measured.kind.unit, [measured.units[i] for i in chosen]
-    if len(set(measured.groups)) >= ENOUGH_SEQUENCES:
-        return "a sequence with all its seeds", [measured.groups[i] for i in chosen]
-    return "half a second of a sequence, with all its seeds", [measured.units[i] for i in chosen]
 
 
 def _changes(

@@ -128,7 +128,7 @@ def summary_of(rows: Sequence[Row], false: Sequence[Row] = (), settings: Row | N
         **mean_figures(by_seed.values()),
         "false_poses": len(false) / seeds,
         "per_object": per_object,
-        "interval95": pose_intervals(rows, frame_of),
+        "interval95": pose_intervals(rows, [frame_of(row) for row in rows]),
         "by_seed": by_seed,
     }
 

@@ -25,6 +25,29 @@ narrow."""
 ENOUGH_SEQUENCES = 10
 """From so many sequences on, whole sequences are the units instead."""
 
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """What is drawn together of tracks. one, many: one and several of them, in words; of: that of each row
+    (N,)."""
+
+    one: str
+    many: str
+    of: Sequence[Hashable]
+
+
+def unit_of(rows: Sequence[Row]) -> Units:
+    """The units of these rows of tracks, with all their seeds: sequences where there are enough, else half
+    seconds from the first of the rows of a sequence."""
+    first_ns: dict[str, int] = {}
+    for row in rows:
+        first_ns[row["sequence"]] = min(row["stamp_ns"], first_ns.get(row["sequence"], row["stamp_ns"]))
+    if len(first_ns) >= ENOUGH_SEQUENCES:
+        return Units("a sequence with all its seeds", "sequences", [row["sequence"] for row in rows])
+    blocks = [(r["sequence"], (r["stamp_ns"] - first_ns[r["sequence"]]) // BLOCK_NS) for r in rows]
+    return Units("half a second of a sequence, with all its seeds", "half seconds", blocks)
+
+
 _EXPECTED = "a result of `huepose eval estimate`, `track`, `poses` or `perception`"
 
 
@@ -57,8 +80,8 @@ FALSE_PER_FRAME = Figure("false_per_100_frames", "false poses, per 100 frames", 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a verb of `huepose eval` writes. unit: what is drawn again, in words; settings: keys of the
-    summary that say how it was run."""
+    """What a verb of `huepose eval` writes. unit: what is drawn again, in words, empty where the rows decide
+    it; settings: keys of the summary that say how it was run."""
 
     verb: str
     unit: str
@@ -99,7 +122,7 @@ PERCEPTION = Kind(
 @dataclass(frozen=True, eq=False)
 class Measured:
     """A result file. keys: what identifies each of the N rows, unique; names: the parts of a key in words;
-    units: what each row is drawn with, where sequences are not the units; groups: its scene or sequence;
+    unit: what is drawn again, in words; units: what each row is drawn with; groups: its scene or sequence;
     shares: by the keys of the kind's figures; frames: those that have rows; false: poses or boxes that are no
     label's, by frame, as a mean over seeds; phantoms: tracked poses of no instance, over all frames."""
 
@@ -109,6 +132,7 @@ class Measured:
     names: tuple[str, ...]
     rows: Sequence[Row]
     keys: Sequence[tuple[Hashable, ...]]
+    unit: str
     units: Sequence[Hashable]
     groups: Sequence[str]
     shares: Mapping[str, Share]
@@ -160,6 +184,7 @@ def _estimate(path: Path, rows: Sequence[Row], record: Row) -> Measured:
         names,
         rows,
         [tuple(row[name] for name in names) for row in rows],
+        ESTIMATE.unit,
         [tuple(row[name] for name in names[:-1]) for row in rows],
         [str(row["scene"]) for row in rows],
         {**_pose_shares(rows, every), **_quality_shares(rows, right, every)},
@@ -182,9 +207,7 @@ def _track(path: Path, rows: Sequence[Row], record: Row) -> Measured:
         own = [moments[i] for i in in_order]
         false[in_order] = false_tracking(own)
         counts[in_order] = coverable(own)
-    first_ns: dict[str, int] = {}
-    for row in rows:
-        first_ns[row["sequence"]] = min(row["stamp_ns"], first_ns.get(row["sequence"], row["stamp_ns"]))
+    units = unit_of(rows)
     seeds = len({row["seed"] for row in rows})
     return Measured(
         path,
@@ -193,7 +216,8 @@ def _track(path: Path, rows: Sequence[Row], record: Row) -> Measured:
         names,
         rows,
         keys,
-        [(r["sequence"], (r["stamp_ns"] - first_ns[r["sequence"]]) // BLOCK_NS) for r in rows],
+        units.one,
+        units.of,
         [str(row["sequence"]) for row in rows],
         {
             **_pose_shares(rows, labelled & ~gone),
@@ -224,6 +248,7 @@ def _perception(path: Path, rows: Sequence[Row], record: Row) -> Measured:
         names,
         rows,
         keys,
+        PERCEPTION.unit,
         keys,
         [str(row["scene"]) for row in rows],
         shares,

@@ -74,13 +74,18 @@ def _section(name: str, record: Mapping[str, Any]) -> str:
 
 
 def _summary(name: str, summary: Mapping[str, Any]) -> Table:
-    """The figures of one result with their intervals; what it does not have is left out."""
+    """The figures of one result with their intervals, of tracks those of all frames; what it does not have
+    is left out."""
     shown = {key: head for key, head in _FIGURES.items() if summary.get(key) is not None}
     spans = summary.get("interval95", {})
     rows: list[tuple[str, tuple[Cell, ...]]] = [("all", tuple(summary[key] for key in shown))]
+    over = ""
+    if (frames := summary.get("frame_weighted")) is not None:
+        rows = [("mean over sequences", rows[0][1]), ("all frames", tuple(frames.get(key) for key in shown))]
+        over = f" of {summary['interval95_over']}" if "interval95_over" in summary else ""
     if spans:
         cells = (f"{spans[k][0]:.1f} to {spans[k][1]:.1f}" if k in spans else "" for k in shown)
-        rows.append(("95 % of draws", tuple(cells)))
+        rows.append((f"95 % of draws{over}", tuple(cells)))
     for part in ("per_object", "sequences"):
         blocks = summary.get(part, {}).items()
         rows += [(str(number), tuple(block.get(key) for key in shown)) for number, block in blocks]

@@ -102,7 +102,7 @@ def pose_figures(rows: Sequence[Row], add_key: str = "add_m") -> Figures:
 
 
 def pose_intervals(
-    rows: Sequence[Row], unit: Callable[[Row], Hashable], add_key: str = "add_m"
+    rows: Sequence[Row], units: Sequence[Hashable], add_key: str = "add_m"
 ) -> dict[str, Interval]:
-    """Where recall and AUC lie in 95 % of draws of units: rows of one unit are drawn together."""
-    return frame_intervals(pose_scores(rows, add_key), [unit(row) for row in rows])
+    """Where recall and AUC lie in 95 % of draws of units, of each row: those of one are drawn together."""
+    return frame_intervals(pose_scores(rows, add_key), units)

@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from huepose.evaluation.bootstrap import Interval
 from huepose.evaluation.instances import Place, PublishedPose, match
-from huepose.evaluation.measured import BLOCK_NS, ENOUGH_SEQUENCES
+from huepose.evaluation.measured import unit_of
 from huepose.evaluation.metrics import ROFT_FIGURES, roft_figures
 from huepose.evaluation.states import TIMES, Moment, StateReport, combined, report
 from huepose.evaluation.summary import (
@@ -144,7 +143,7 @@ class TrackResult:
                 name: _counts_as_whole(mean_figures(block["sequences"][name] for block in blocks.values()))
                 for name in names
             },
-            "interval95": _intervals(self.rows),
+            **_intervals(self.rows),
             "by_seed": {seed: {k: v for k, v in b.items() if k != "sequences"} for seed, b in blocks.items()},
         }
 
@@ -210,12 +209,11 @@ def _pose_figures(rows: Sequence[TrackRow]) -> Figures:
     return {**pose_figures(scored), "instances": float(len(scored))}
 
 
-def _intervals(rows: Sequence[TrackRow]) -> dict[str, Interval]:
-    """Of the figures of all frames. Neighbouring frames are drawn together: half a second, or whole
-    sequences where there are many (`huepose eval compare` does the same)."""
+def _intervals(rows: Sequence[TrackRow]) -> dict[str, Any]:
+    """`interval95`: of the figures of all frames; `interval95_over`: what is drawn together, in words."""
     scored = _scored(rows)
-    many = len({row["sequence"] for row in scored}) >= ENOUGH_SEQUENCES
-    return pose_intervals(scored, lambda row: (row["sequence"], 0 if many else row["stamp_ns"] // BLOCK_NS))
+    units = unit_of(scored)
+    return {"interval95": pose_intervals(scored, units.of), "interval95_over": units.many}
 
 
 def _roft_figures(rows: Sequence[TrackRow]) -> Figures:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from huepose.evaluation.comparison import Change, Comparison, compare
-from huepose.evaluation.measured import read_measured
+from huepose.evaluation.measured import read_measured, unit_of
 from huepose.support.errors import InputError
 
 from .results import write_estimates, write_perception, write_track
@@ -134,6 +134,23 @@ def test_many_sequences_are_the_units_themselves(tmp_path: Path) -> None:
     path = write_track(tmp_path / "a.json", right, states, sequences=10)
     comparison, _ = compared(path, path)
     assert (comparison.unit, comparison.units) == ("a sequence with all its seeds", 10)
+
+
+@pytest.mark.parametrize(("sequences", "drawn"), [(9, "half seconds"), (10, "sequences")])
+def test_one_file_and_two_draw_the_same_units(tmp_path: Path, sequences: int, drawn: str) -> None:
+    right, states = [True] * 20, ["TRACKING"] * 20
+    path = write_track(tmp_path / "a.json", right, states, sequences)
+    record = json.loads(path.read_text())
+    units = unit_of(record["rows"])
+    assert record["summary"]["interval95_over"] == units.many == drawn
+    comparison, _ = compared(path, path)
+    assert (comparison.unit, comparison.units) == (units.one, len(set(units.of)))
+
+
+def test_half_seconds_begin_with_a_sequence() -> None:
+    """Whenever the computer was started."""
+    rows = [{"sequence": "run", "stamp_ns": 1_900_000_000 + i * 100_000_000} for i in range(10)]
+    assert len(set(unit_of(rows).of)) == 2
 
 
 def test_a_track_without_pose_is_lost_and_phantoms_are_said(tmp_path: Path) -> None:

@@ -57,6 +57,20 @@ def test_results_of_all_kinds_are_shown_with_their_origin() -> None:
         assert line in page.splitlines()
 
 
+def test_the_interval_of_tracks_stands_below_the_figure_that_it_is_of() -> None:
+    """That of all frames, not the mean over sequences."""
+    summary = {
+        "instances": 40, "recall_add": 55.0, "interval95": {"recall_add": [70.0, 80.0]},
+        "interval95_over": "half seconds", "frame_weighted": {"instances": 40, "recall_add": 75.0},
+    }  # fmt: skip
+    lines = results_page({"track": {"origin": ORIGIN, "summary": summary}}).splitlines()
+    at = lines.index("| mean over sequences | 40 | 55.0 |")
+    assert lines[at + 1 : at + 3] == [
+        "| all frames | 40 | 75.0 |",
+        "| 95 % of draws of half seconds |  | 70.0 to 80.0 |",
+    ]
+
+
 def test_a_marked_table_is_cut_from_the_first_result_of_the_tables() -> None:
     heads = (Head("paper, published", "ADD", measured=False), Head("", "n"), Head("full", "ADD"))
     rows = (("002_can", (1.0, 2, 3.0)), ("All labels", (4.0, 5, 66.66)))

@@ -197,6 +197,8 @@ def test_table_two_averages_sequences_and_all_frames(models, tmp_path: Path) -> 
     assert errors["RMSE", "cm"] == pytest.approx((2.0 + 1.0) / 2)  # the missing pose is held
     # 20 mm are more than a tenth of the diameter, so the first track is never confirmed.
     assert errors["state", "TRACKING"] == pytest.approx((0 + 50) / 2)
+    drawn = rows_by_name(everything)["full, all frames, 95 % of draws of half seconds"]
+    assert drawn["recall", "ADD"] == "0 to 50"
 
     # The same tracks as those of unseen objects: below, and of no weight in the averages.
     runs = {("full", 1): [entries[0]]}

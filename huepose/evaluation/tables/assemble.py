@@ -132,7 +132,7 @@ def _all_figures(
         shown = quarter_visible(rows[method])
         seen = figures(shown)
         lines.append((f"{method}, all labels{_QUARTER}", (len(shown), *(seen.get(key) for key in columns))))
-        lines.append((f"{method}, 95 % of draws", ("", *spans(rows[method], columns, frame_of))))
+        lines.append((f"{method}, 95 % of draws", ("", *_spans(rows[method], columns))))
         if any(row["add_m"] != row["add_official_m"] for row in rows[method]):
             declared = figures(rows[method], "add_m") | dict.fromkeys(BOP_COLUMNS)
             cells = tuple(declared[key] for key in columns)
@@ -142,7 +142,7 @@ def _all_figures(
                 first = (n, *(blocks[method].get(key) for key in columns))
                 lines.append((f"{method}, {label[0].lower()}{label[1:]}", first))
             if drawn_from:
-                cells = ("", *spans(drawn_from[method], columns, frame_of))
+                cells = ("", *_spans(drawn_from[method], columns))
                 lines.append((f"{method}, {label.removeprefix('All labels of ')}, 95 % of draws", cells))
     for other in others():
         cells = tuple(other["figures"].get(key) for key in columns)
@@ -153,6 +153,10 @@ def _all_figures(
     return Table(
         "table1_figures", "Single frames, in all figures", heads, tuple(lines), (drawn, *sources, *notes)
     )
+
+
+def _spans(rows: Sequence[Row], columns: Mapping[str, Head]) -> list[Cell]:
+    return spans(rows, columns, [frame_of(row) for row in rows])
 
 
 def _n(count: int, expected: int | None) -> Cell:

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from huepose.datasets.fast_ycb import object_of
-from huepose.evaluation.measured import BLOCK_NS
+from huepose.evaluation.measured import unit_of
 from huepose.evaluation.summary import Row, mean_figures, mean_of
 from huepose.evaluation.tables.figures import COLUMNS, VOC, Unseen, figures, rows_of, scored, spans
 from huepose.evaluation.tables.journal import Entry
@@ -80,7 +79,9 @@ class _Tracks:
         everywhere: Mapping[str, float | None] = figures(rows)
         cells = tuple(everywhere.get(key) for key in _ALL)
         lines.append((f"{_run(run)}, all frames{of}", (len(rows), *cells)))
-        lines.append((f"{_run(run)}{of}, 95 % of draws", ("", *spans(rows, _ALL, _half_second))))
+        units = unit_of(rows)
+        label = f"{_run(run)}, all frames{of}, 95 % of draws of {units.many}"
+        lines.append((label, ("", *spans(rows, _ALL, units.of))))
         return lines
 
 
@@ -113,9 +114,7 @@ def tracking_tables(
         lower = {f"average of {label}": names for label, names in unseen.parts(apart.names).items()}
         more += [line for run in runs for line in apart.lines(run, " of unseen objects", lower)]
         notes = (*notes, *unseen.notes, *unseen.track_notes)
-    drawn = (
-        "95 % of draws: where the figure over all frames lies when half seconds are drawn with replacement."
-    )
+    drawn = "95 % of draws: where the figure over all frames lies when these are drawn with replacement."
     return [
         Table("table2", "Table II: tracking, AUC of ADD", heads, tuple(lines), (*paper.notes, *notes), 2),
         Table(
@@ -132,7 +131,3 @@ def tracking_tables(
 def _run(run: Run) -> str:
     method, every = run
     return method if every == 1 else f"{method}, every {every}th"
-
-
-def _half_second(row: Row) -> tuple[Any, ...]:
-    return row["sequence"], row["stamp_ns"] // BLOCK_NS

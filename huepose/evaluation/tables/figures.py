@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from huepose.evaluation.bop_errors import average_recalls
 from huepose.evaluation.summary import Row, grouped, pose_figures, pose_intervals
@@ -84,11 +83,11 @@ def figures(rows: Sequence[Row], add_key: str = OFFICIAL) -> dict[str, float | N
     }
 
 
-def spans(rows: Sequence[Row], columns: Mapping[str, Head], unit: Any) -> list[Cell]:
+def spans(rows: Sequence[Row], columns: Mapping[str, Head], units: Sequence[Hashable]) -> list[Cell]:
     """`low to high` of the figures that are means over rows, nothing for the others."""
     if not rows:
         return [None] * len(columns)
-    found = pose_intervals(rows, unit, _known(rows, OFFICIAL))
+    found = pose_intervals(rows, units, _known(rows, OFFICIAL))
     return [f"{found[k][0]:.0f} to {found[k][1]:.0f}" if k in found else "" for k in columns]
 
 

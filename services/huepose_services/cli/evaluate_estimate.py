@@ -117,7 +117,7 @@ def _report(summary: dict[str, Any]) -> str:
     blocks = {**summary["per_object"], "all": summary}
     lines = [figure_table("object", blocks, {"instances": "n"})]
     if summary["interval95"]:
-        lines.append(intervals_line(summary, "frames"))
+        lines.append(intervals_line(summary, "over frames"))
     without = [str(name) for name, block in summary["per_object"].items() if block.get("ar") is None]
     if summary.get("ar") is not None:
         lines.append("BOP: " + ", ".join(f"{k.upper()} {summary[k.lower()]:.1f}" for k in _BOP))

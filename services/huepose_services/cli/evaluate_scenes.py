@@ -132,10 +132,10 @@ def bop_objects(info: Path, models: Mapping[str, ReferenceModel]) -> dict[int, B
     return measured
 
 
-def intervals_line(summary: Mapping[str, Any], units: str) -> str:
-    """Where the four figures lie in 95 % of draws of the units, in words."""
+def intervals_line(summary: Mapping[str, Any], drawn: str) -> str:
+    """Where the four figures lie in 95 % of draws, in words. drawn: of which rows, and over what."""
     spans = [summary["interval95"][key] for key in FIGURES]
-    return f"95 % intervals over {units}: " + ", ".join(f"{low:.1f} to {high:.1f}" for low, high in spans)
+    return f"95 % intervals {drawn}: " + ", ".join(f"{low:.1f} to {high:.1f}" for low, high in spans)
 
 
 def roft_line(summary: Mapping[str, Any]) -> str:

@@ -114,11 +114,12 @@ def _source_names(arguments: argparse.Namespace) -> SourceNames:
 def _report(summary: dict[str, Any]) -> str:
     blocks = {**summary["sequences"], "mean": summary, "all frames": summary["frame_weighted"]}
     more = {"instances": "n", "coverage_tracking": "TRACKING", "false_tracking_frames": "false"}
+    drawn = f"of all frames, over {summary['interval95_over']}"
     delayed = f", late results {summary['delayed']}" if summary["delayed"] else ""
     return "\n".join(
         [
             figure_table("sequence", blocks, more),
-            *([intervals_line(summary, "half seconds")] if summary["interval95"] else []),
+            *([intervals_line(summary, drawn)] if summary["interval95"] else []),
             roft_line(summary),
             states_line(summary),
             f"{summary['method']}, {summary['profile']}, {summary['protocol']}, every {summary['every']}, "

@@ -25,7 +25,7 @@ from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estim
 from huepose.evaluation.estimate_rows import EstimateRow, summary_of
 from huepose.evaluation.instances import labels_of
 from huepose.evaluation.metrics import FIGURES
-from huepose.evaluation.summary import table
+from huepose.evaluation.summary import span, table
 from huepose.evaluation.tables.journal import Journal
 from huepose.evaluation.targets import Targets, read_equivalents
 from huepose.model import ReferenceModel, load_models
@@ -116,7 +116,7 @@ def _figures(journal: Journal, arguments: argparse.Namespace, images: Sequence[I
         if figures is None:
             continue
         spans = figures["interval95"]
-        cells = [f"{figures[k]:.1f} ({spans[k][0]:.0f} to {spans[k][1]:.0f})" for k in FIGURES]
+        cells = [f"{figures[k]:.1f} ({span(spans[k], 0)})" for k in FIGURES]
         rows.append([name, masks, figures["instances"], *cells, f"{figures['cpu_s_p50']:.3f}"])
     heading = ["method", "masks", "n", "ADD", "ADD-S", "AUC ADD", "AUC ADD-S", "CPU s"]
     known = {f"{name}, masks {masks}": s for (name, masks), s in found.items() if s is not None}

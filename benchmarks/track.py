@@ -16,7 +16,7 @@ from track_rivals import LastPoseTracker, careful_icp, color_icp, flow_pairs
 from huepose.datasets.types import Scene
 from huepose.evaluation.result_files import write_json
 from huepose.evaluation.sources import TruthSource
-from huepose.evaluation.summary import table
+from huepose.evaluation.summary import span, table
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import (
     SourceNames,
@@ -58,10 +58,9 @@ def main() -> None:
         for name in arguments.methods:
             block = _run(scenes, targets, name, every)
             record["methods"][f"{name}, every {every}"] = block
-            low, high = block["interval95"]
             rows.append(
                 [name, every, block["auc_add"], block["auc_adds"], block["all_frames"]["auc_add"],
-                 f"{low:.0f} to {high:.0f}", f"{block['seconds_p50'] * 1000:.1f}",
+                 span(block["interval95"], 0), f"{block['seconds_p50'] * 1000:.1f}",
                  *block["sequences"].values()]
             )  # fmt: skip
             write_json(arguments.json, record)

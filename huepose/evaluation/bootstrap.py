@@ -22,24 +22,23 @@ SHARE = 0.95
 """Of the draws, that an interval holds."""
 
 
-def frame_intervals(values: Mapping[str, Float], frames: Sequence[Hashable]) -> dict[str, Interval]:
-    """For each figure the central interval of its mean that holds `SHARE` of 2000 resamples.
+def frame_intervals(values: Mapping[str, Float], frames: Sequence[Hashable]) -> dict[str, Interval | None]:
+    """For each figure the central interval of its mean that holds `SHARE` of 2000 resamples, moved outwards
+    as those of `difference_intervals`. None for fewer than two frames.
 
     values: one number an instance (N,), by figure; frames: which frame each instance is of (N,).
 
     >>> frame_intervals({"recall": np.array([100.0, 100.0, 100.0])}, [1, 1, 2])
     {'recall': (100.0, 100.0)}
     """
-    if not len(frames):
-        return {}
+    if len(set(frames)) < 2:
+        return dict.fromkeys(values)
     index, times = _draws(frames, 2000, 0)
     counts = times @ np.bincount(index)
-    tails = [50.0 * (1.0 - SHARE), 50.0 * (1.0 + SHARE)]
-    result = {}
-    for name, each in values.items():
-        low, high = np.percentile((times @ _sums(each, index)) / counts, tails)
-        result[name] = (float(low), float(high))
-    return result
+    return {
+        name: _interval((times @ _sums(each, index)) / counts, times.shape[1])
+        for name, each in values.items()
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,12 +81,9 @@ def difference_intervals(
     >>> difference_intervals({"recall": (Share.of(rows), Share.of(rows))}, ["a", "b"])
     {'recall': (0.0, 0.0)}
     """
-    if not len(units):
+    if len(set(units)) < 2:
         return dict.fromkeys(pairs)
     index, times = _draws(units, resamples, seed)
-    if times.shape[1] < 2:
-        return dict.fromkeys(pairs)
-    tail = 50.0 * (1.0 - _expanded(SHARE, times.shape[1]))
     result: dict[str, Interval | None] = {}
     for name, (before, after) in pairs.items():
         parts = [times @ _sums(each, index) for each in (after.part, after.whole, before.part, before.whole)]
@@ -96,8 +92,7 @@ def difference_intervals(
             result[name] = None
             continue
         changes = parts[0][known] / parts[1][known] - parts[2][known] / parts[3][known]
-        low, high = np.percentile(changes, [tail, 100.0 - tail])
-        result[name] = (float(low), float(high))
+        result[name] = _interval(changes, times.shape[1])
     return result
 
 
@@ -108,6 +103,13 @@ def sign_test(wins: int, losses: int) -> float:
     (0.03125, 1.0, 1.0)
     """
     return min(1.0, 2.0 * float(special.bdtr(min(wins, losses), wins + losses, 0.5)))
+
+
+def _interval(drawn: Float64, units: int) -> Interval:
+    """The expanded percentiles of a figure in the resamples (R,)."""
+    tail = 50.0 * (1.0 - _expanded(SHARE, units))
+    low, high = np.percentile(drawn, [tail, 100.0 - tail])
+    return float(low), float(high)
 
 
 def _expanded(share: float, units: int) -> float:

@@ -125,7 +125,7 @@ class PerceptionResult:
             "confusion": _confusion(rows, false),
         }
 
-    def _intervals(self, rows: Sequence[PerceptionRow]) -> dict[str, Interval]:
+    def _intervals(self, rows: Sequence[PerceptionRow]) -> dict[str, Interval | None]:
         """Of recall over the frames with labels, of false boxes over all frames."""
         recall = {"recall_iou50": np.array([100.0 * row.found for row in rows])}
         per_frame = {"false_boxes_per_frame": np.array([float(len(frame.false)) for frame in self.frames])}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from huepose.evaluation.summary import span
 from huepose.evaluation.tables.table import Cell, Head, Table, in_short
 from huepose.support.errors import InputError
 
@@ -84,7 +85,7 @@ def _summary(name: str, summary: Mapping[str, Any]) -> Table:
         rows = [("mean over sequences", rows[0][1]), ("all frames", tuple(frames.get(key) for key in shown))]
         over = f" of {summary['interval95_over']}" if "interval95_over" in summary else ""
     if spans:
-        cells = (f"{spans[k][0]:.1f} to {spans[k][1]:.1f}" if k in spans else "" for k in shown)
+        cells = (span(spans[k]) if k in spans else "" for k in shown)
         rows.append((f"95 % of draws{over}", tuple(cells)))
     for part in ("per_object", "sequences"):
         blocks = summary.get(part, {}).items()

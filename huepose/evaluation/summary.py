@@ -69,6 +69,15 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     )
 
 
+def span(interval: Sequence[float] | None, digits: int = 1) -> str:
+    """An interval in words, `-` where there are too few units for one.
+
+    >>> span((93.2, 99.61)), span(None)
+    ('93.2 to 99.6', '-')
+    """
+    return "-" if interval is None else f"{interval[0]:.{digits}f} to {interval[1]:.{digits}f}"
+
+
 def _cell(value: object) -> str:
     if value is None:
         return "-"
@@ -103,6 +112,6 @@ def pose_figures(rows: Sequence[Row], add_key: str = "add_m") -> Figures:
 
 def pose_intervals(
     rows: Sequence[Row], units: Sequence[Hashable], add_key: str = "add_m"
-) -> dict[str, Interval]:
+) -> dict[str, Interval | None]:
     """Where recall and AUC lie in 95 % of draws of units, of each row: those of one are drawn together."""
     return frame_intervals(pose_scores(rows, add_key), units)

@@ -11,7 +11,7 @@ import numpy as np
 
 from huepose.evaluation.bootstrap import frame_intervals
 from huepose.evaluation.states import Moment, false_tracking, find_losses
-from huepose.evaluation.summary import table
+from huepose.evaluation.summary import span, table
 from studies.stress.causes import WRONG_STARTS
 from studies.stress.playing import Row
 
@@ -107,6 +107,4 @@ COLUMNS = {
 
 
 def _with_interval(value: float | None, interval: tuple[float, float] | None) -> str | None:
-    if value is None or interval is None:
-        return None
-    return f"{value:.2f} ({interval[0]:.2f} to {interval[1]:.2f})"
+    return None if value is None else f"{value:.2f} ({span(interval, 2)})"

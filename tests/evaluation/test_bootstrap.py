@@ -21,8 +21,19 @@ def test_instances_of_one_frame_count_as_one_draw() -> None:
     assert together[1] - together[0] == pytest.approx(np.sqrt(10) * (alone[1] - alone[0]), rel=0.15)
 
 
-def test_nothing_gives_nothing() -> None:
-    assert frame_intervals({"x": np.zeros(0)}, []) == {}
+def test_fewer_than_two_frames_tell_nothing() -> None:
+    assert frame_intervals({"x": np.zeros(0)}, []) == {"x": None}
+    assert frame_intervals({"x": np.array([1.0, 2.0])}, ["a", "a"]) == {"x": None}
+
+
+@pytest.mark.parametrize("frames", [5, 8, 40])
+def test_the_interval_of_few_frames_holds_the_true_mean_about_as_often_as_it_says(frames: int) -> None:
+    """In 95 % of draws; of five frames in 92 %, where plain percentiles would in 85 %."""
+    rng, held = np.random.default_rng(1), 0
+    for _ in range(500):
+        low, high = frame_intervals({"x": rng.normal(50.0, 20.0, frames)}, range(frames))["x"]
+        held += low <= 50.0 <= high
+    assert 0.89 < held / 500 < 0.98
 
 
 def paired_world(

@@ -71,6 +71,12 @@ def test_the_interval_of_tracks_stands_below_the_figure_that_it_is_of() -> None:
     ]
 
 
+def test_where_there_are_too_few_units_for_an_interval_there_is_none() -> None:
+    summary = {"instances": 1, "recall_add": 100.0, "interval95": {"recall_add": None}}
+    page = results_page({"estimate": {"origin": ORIGIN, "summary": summary}})
+    assert "| 95 % of draws |  | - |" in page.splitlines()
+
+
 def test_a_marked_table_is_cut_from_the_first_result_of_the_tables() -> None:
     heads = (Head("paper, published", "ADD", measured=False), Head("", "n"), Head("full", "ADD"))
     rows = (("002_can", (1.0, 2, 3.0)), ("All labels", (4.0, 5, 66.66)))

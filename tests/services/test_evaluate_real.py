@@ -84,14 +84,17 @@ def test_single_frames(bundles: Path, scene: Path, tmp_path: Path, capsys) -> No
     (line,) = read_bop_csv(poses)
     np.testing.assert_allclose(line.T_cam_obj, record["rows"][0]["T_cam_obj"], atol=1e-9)
     assert (plots / "frames" / "000007_000004_s1.png").exists()
-    assert "1 labels without reference model skipped" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "1 labels without reference model skipped" in printed
+    assert "95 % intervals over frames: -, -, -, -\n" in printed, "one frame is too few"
 
 
-def test_tracking_alone_and_with_late_results(bundles: Path, sequence: Path, tmp_path: Path) -> None:
+def test_tracking_alone_and_with_late_results(bundles: Path, sequence: Path, tmp_path: Path, capsys) -> None:
     for protocol in (["--init", "gt"], ["--protocol", "roft", "--every", "2"]):
         result = tmp_path / "r.json"
         command = f"eval track --fast-ycb {sequence} --bundles {bundles} --json {result}".split()
         assert main([*command, *protocol]) == 0
+        assert "95 % intervals of all frames, over half seconds: " in capsys.readouterr().out
         record = json.loads(result.read_text())
         assert record["summary"]["recall_add"] == 100.0
         assert record["summary"]["sequences"]["tea_box_real"]["auc_add"] > 95.0

@@ -6,7 +6,7 @@ from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 
 from huepose.evaluation.bop_errors import average_recalls
-from huepose.evaluation.summary import Row, grouped, pose_figures, pose_intervals
+from huepose.evaluation.summary import Row, grouped, pose_figures, pose_intervals, span
 from huepose.evaluation.tables.journal import Entry
 from huepose.evaluation.tables.table import Cell, Head
 
@@ -88,7 +88,7 @@ def spans(rows: Sequence[Row], columns: Mapping[str, Head], units: Sequence[Hash
     if not rows:
         return [None] * len(columns)
     found = pose_intervals(rows, units, _known(rows, OFFICIAL))
-    return [f"{found[k][0]:.0f} to {found[k][1]:.0f}" if k in found else "" for k in columns]
+    return [span(found[k], 0) if k in found else "" for k in columns]
 
 
 def _known(rows: Sequence[Row], add_key: str) -> str:

@@ -116,7 +116,7 @@ def _report(summary: dict[str, Any]) -> str:
     """The table that is printed at the end."""
     blocks = {**summary["per_object"], "all": summary}
     lines = [figure_table("object", blocks, {"instances": "n"})]
-    if summary["interval95"]:
+    if summary["instances"]:
         lines.append(intervals_line(summary, "over frames"))
     without = [str(name) for name, block in summary["per_object"].items() if block.get("ar") is None]
     if summary.get("ar") is not None:

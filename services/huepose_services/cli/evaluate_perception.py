@@ -12,7 +12,7 @@ from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_p
 from huepose.evaluation.perception_rows import FIRST
 from huepose.evaluation.pictures import write_perception
 from huepose.evaluation.result_files import origin, write_json
-from huepose.evaluation.summary import table
+from huepose.evaluation.summary import span, table
 from huepose.evaluation.targets import Targets
 from huepose.model import load_models
 from huepose.perception.embedded import DepthSegmenter
@@ -79,10 +79,7 @@ def _report(summary: dict[str, Any]) -> str:
         if others:
             text.append(f"  {name}: {', '.join(others)}")
     recall, false = (summary["interval95"][key] for key in ("recall_iou50", "false_boxes_per_frame"))
-    text.append(
-        f"95 % intervals over frames: recall {recall[0]:.1f} to {recall[1]:.1f}, "
-        f"false a frame {false[0]:.2f} to {false[1]:.2f}"
-    )
+    text.append(f"95 % intervals over frames: recall {span(recall)}, false a frame {span(false, 2)}")
     text.append(
         f"{summary['profile']}: {counted(summary['frames'], 'frame')}, "
         f"{counted(summary['asked_for'], 'object')} asked for; "

@@ -15,7 +15,7 @@ from huepose.datasets.types import Scene, SomeImages
 from huepose.datasets.ycbv_folder import YcbvFolder, open_ycbv
 from huepose.evaluation.bop_errors import BopObject
 from huepose.evaluation.instances import instance_counts
-from huepose.evaluation.summary import table
+from huepose.evaluation.summary import span, table
 from huepose.evaluation.targets import Targets, posecnn_offset_m
 from huepose.model import ReferenceModel, load_models
 from huepose.onboarding.meshes import read_geometry
@@ -134,8 +134,7 @@ def bop_objects(info: Path, models: Mapping[str, ReferenceModel]) -> dict[int, B
 
 def intervals_line(summary: Mapping[str, Any], drawn: str) -> str:
     """Where the four figures lie in 95 % of draws, in words. drawn: of which rows, and over what."""
-    spans = [summary["interval95"][key] for key in FIGURES]
-    return f"95 % intervals {drawn}: " + ", ".join(f"{low:.1f} to {high:.1f}" for low, high in spans)
+    return f"95 % intervals {drawn}: " + ", ".join(span(summary["interval95"][key]) for key in FIGURES)
 
 
 def roft_line(summary: Mapping[str, Any]) -> str:

@@ -119,7 +119,7 @@ def _report(summary: dict[str, Any]) -> str:
     return "\n".join(
         [
             figure_table("sequence", blocks, more),
-            *([intervals_line(summary, drawn)] if summary["interval95"] else []),
+            *([intervals_line(summary, drawn)] if summary["instances"] else []),
             roft_line(summary),
             states_line(summary),
             f"{summary['method']}, {summary['profile']}, {summary['protocol']}, every {summary['every']}, "

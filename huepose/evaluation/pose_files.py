@@ -149,7 +149,7 @@ def write_bop_csv(path: Path | str, results: Iterable[BopResult]) -> None:
 def read_bop_csv(path: Path | str, broken: list[str] | None = None) -> list[BopResult]:
     """Read a result file. Raises InputError, naming the line; where `broken` is given, lines without a pose
     (not a number, no rotation) are described there instead."""
-    text = files.read_bytes(Path(path)).decode("utf-8", "replace")
+    text = files.read_bytes(Path(path)).decode("utf-8-sig", "replace")  # spreadsheets mark the encoding
     rows = list(csv.reader(io.StringIO(text)))
     results = []
     for number, row in enumerate(rows, 1):

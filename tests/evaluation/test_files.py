@@ -74,6 +74,14 @@ def test_bop_csv_is_millimetres_row_by_row_and_reads_back(tmp_path: Path) -> Non
     assert second.seconds == -1.0
 
 
+@pytest.mark.parametrize("header", ["scene_id,im_id,obj_id,score,R,t,time\n", ""])
+def test_bop_csv_that_a_spreadsheet_saved_is_read(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text(f"{header}48,36,5,0.75,1 0 0 0 1 0 0 0 1,1 2 3,0.1\n", "utf-8-sig")
+    (row,) = read_bop_csv(path)
+    assert (row.scene, row.image) == ("48", 36)
+
+
 @pytest.mark.parametrize(
     "line",
     [

@@ -171,15 +171,6 @@ class Whereabouts:
         return [note for note in self._running if note.is_of(self._site, self._camera)]
 
 
-def base_port_of(site: str, camera: str) -> int:
-    """The first port of the pipeline of a camera that runs on this machine as this user; where none runs at
-    all the usual one. Raises ValueError where only others run, or several of this camera."""
-    place = Whereabouts(site, camera)
-    if place.port is None:
-        raise ValueError(f"{place.absence()}; PoseClient(None, site=..., camera=...) waits for it")
-    return place.port
-
-
 def note_of(base_port: int, folder: Path) -> str | None:
     """Of the pipeline that a process says that it runs there: SITE/CAMERA, from which file."""
     there = (f"{n.site}/{n.camera}, from {n.file}," for n in _noted(folder) if n.base_port == base_port)

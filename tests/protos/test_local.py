@@ -8,7 +8,6 @@ import pytest
 from huepose_protos.local import (
     BASE_PORT,
     Whereabouts,
-    base_port_of,
     boot_id,
     born_of,
     endpoint,
@@ -39,10 +38,10 @@ def test_the_port_of_a_killed_pipeline_is_nobodys_though_another_process_has_its
     note = {"site": "lab", "camera": "cam0"}
     killed = note | {"base_port": 18100, "born": f"{boot_id()}/1"}
     (tmp_path / f"{os.getpid()}-18100.json").write_text(json.dumps(killed))
-    assert base_port_of("lab", "cam0") == BASE_PORT
+    assert Whereabouts("lab", "cam0").port == BASE_PORT
     runs = note | {"base_port": 18200, "born": born_of(os.getpid())}
     (tmp_path / f"{os.getpid()}-18200.json").write_text(json.dumps(runs))
-    assert base_port_of("lab", "cam0") == 18200
+    assert Whereabouts("lab", "cam0").port == 18200
 
 
 def _run(folder, camera, port, process=None):
@@ -75,17 +74,16 @@ def test_of_several_pipelines_it_is_asked_which(tmp_path, monkeypatch):
         "at port 18120 (/etc/right.yaml); expected one. Say which: pose_endpoints(18100), or "
         'PoseClient(None, site="lab", camera="left")'
     )
-    assert pose_endpoints(base_port_of("lab", "right")) == [endpoint(18121), endpoint(18120)]
+    assert Whereabouts("lab", "right").port == 18120
 
 
 def test_the_port_of_a_camera_is_never_that_of_another(tmp_path, monkeypatch):
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
     _run(tmp_path, "left", 17447)
-    with pytest.raises(ValueError) as error:
-        base_port_of("lab", "rigth")
-    assert str(error.value) == (
-        "no pipeline of lab/rigth runs here, only lab/left at port 17447 (/etc/left.yaml); "
-        "PoseClient(None, site=..., camera=...) waits for it"
+    place = Whereabouts("lab", "rigth")
+    assert place.port is None
+    assert place.absence() == (
+        "no pipeline of lab/rigth runs here, only lab/left at port 17447 (/etc/left.yaml)"
     )
 
 
@@ -94,7 +92,7 @@ def test_of_two_pipelines_of_one_name_none_is_taken(tmp_path, monkeypatch):
     _run(tmp_path, "left", 18120)
     _run(tmp_path, "left", 18100)
     with pytest.raises(ValueError) as error:
-        base_port_of("lab", "left")
+        Whereabouts("lab", "left")
     assert str(error.value) == (
         "2 pipelines of lab/left run here: lab/left at port 18100 (/etc/left.yaml), lab/left at port 18120 "
         "(/etc/left.yaml); expected one. Say which: by site and camera, or by its port, as 18100"

@@ -123,22 +123,29 @@ class ObjectList:
             slot = self._load(name, count)
         except InputError as error:
             return False, str(error)
-        # Orders come from two threads.
+        fresh = ObjectEntry(object=name, max_instances=count, searching=count)
+        # Orders come from two threads, and to load takes a while.
         with self._lock:
-            self._added += known is None
-            number = self._added
-        fresh = ObjectEntry(object=name, max_instances=count, searching=count, added=number)
-        entry = msgspec.structs.replace(known or fresh, max_instances=count, box=request.box)
-        self._accept(Order(name, entry, slot))
-        return True, f"{name} is looked for, up to {count} of it"
+            now = self._entries.get(name)
+            if (now and now.max_instances) == (known and known.max_instances):
+                if now is None:
+                    self._added += 1
+                    now = msgspec.structs.replace(fresh, added=self._added)
+                entry = msgspec.structs.replace(now, max_instances=count, box=request.box)
+                self._take(Order(name, entry, slot))
+                return True, f"{name} is looked for, up to {count} of it"
+        return self._add(request, name, now)
 
     def _accept(self, order: Order) -> None:
         with self._lock:
-            self._orders.append(order)
-            if order.entry is None:
-                self._entries.pop(order.name, None)
-            else:
-                self._entries[order.name] = order.entry
+            self._take(order)
+
+    def _take(self, order: Order) -> None:
+        self._orders.append(order)
+        if order.entry is None:
+            self._entries.pop(order.name, None)
+        else:
+            self._entries[order.name] = order.entry
 
 
 def answer_control(bus: Bus, objects: ObjectList) -> None:

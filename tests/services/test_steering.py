@@ -131,6 +131,25 @@ def test_two_objects_that_are_added_at_the_same_time_have_two_numbers(objects, m
     assert {e.added for e in objects.entries()} == {0, 1, 2}
 
 
+@pytest.mark.parametrize(("second", "done"), [(1, False), (2, True)])
+def test_an_object_that_is_added_twice_at_the_same_time_is_added_once(second, done):
+    """The second order is one about an object that is looked for already."""
+
+    def loads(name, count):
+        if name == "jar" and not inner:
+            inner.append(None)
+            inner.append(objects.decide(order("add", "jar", max_instances=1)))
+        return load(name, count)
+
+    inner = []
+    objects = ObjectList([entry("mug")], loads)
+    answer = objects.decide(order("add", "jar", max_instances=second))
+    assert inner[1] == (True, "jar is looked for, up to 1 of it")
+    assert answer[0] == done
+    assert ("already" in answer[1]) != done
+    assert [(o.entry.added, o.entry.max_instances) for o in objects.orders()] == [(1, 1), (1, 2)][: 1 + done]
+
+
 def _changes(follower, within_s=5.0):
     until = time.monotonic() + within_s
     while not (out := follower.changes()) and time.monotonic() < until:

@@ -211,9 +211,9 @@ def _pose_figures(rows: Sequence[TrackRow]) -> Figures:
 
 def _intervals(rows: Sequence[TrackRow]) -> dict[str, Any]:
     """`interval95`: of the figures of all frames; `interval95_over`: what is drawn together, in words."""
-    scored = _scored(rows)
-    units = unit_of(scored)
-    return {"interval95": pose_intervals(scored, units.of), "interval95_over": units.many}
+    units = unit_of([row.as_json() for row in rows])
+    of_scored = [unit for row, unit in zip(rows, units.of, strict=True) if row.scored]
+    return {"interval95": pose_intervals(_scored(rows), of_scored), "interval95_over": units.many}
 
 
 def _roft_figures(rows: Sequence[TrackRow]) -> Figures:

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.tracking.config import TrackerConfig
@@ -32,6 +33,10 @@ from huepose.tracking.usual import Usual
 
 SLACK = 1.5
 """Frames do not come to the millisecond."""
+
+STANDS_M, STANDS_RAD = 0.002, np.radians(0.3)
+"""A camera that has moved by no more stands: three standard deviations of the noise that a pose is taken to
+be told with, 0.5 mm and 0.09 degrees an axis."""
 
 
 class Pursuit:
@@ -125,7 +130,10 @@ class Pursuit:
 def _camera_moved(before: RgbdFrame, frame: RgbdFrame) -> bool:
     """Whether a camera is known to have moved from one frame to the other."""
     T, T_now = before.T_parent_cam, frame.T_parent_cam
-    return T is not None and T_now is not None and not np.array_equal(T, T_now)
+    if T is None or T_now is None:
+        return False
+    shifted_m, turned_rad = np.linalg.norm(T_now[:3, 3] - T[:3, 3]), se3.rotation_angle(T, T_now)
+    return bool(shifted_m > STANDS_M or turned_rad > STANDS_RAD)
 
 
 def _next(reached: RgbdFrame, kept: Sequence[RgbdFrame], stride: int) -> RgbdFrame:

@@ -136,7 +136,7 @@ class PoseClient(Client):
         return self._decoded(str(sample.key_expr), sample.payload.to_bytes())
 
     def _on_sample(self, sample: zenoh.Sample, stored: bool = False) -> None:
-        """stored: a gateway had it, nobody says it now."""
+        """stored: it is the latest that a gateway has, and may be old."""
         message = self._read(sample)
         if isinstance(message, PoseMessage):
             age_s = 1e-9 * max(0, _stamp_now(message) - message.capture_ns) if stored else 0.0

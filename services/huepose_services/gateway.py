@@ -136,6 +136,7 @@ class GatewayWork(Work):
         keys, inbox = bus.keys, bus.inbox
         self._poses = inbox.queue(keys.poses)
         self._objects = inbox.queue(keys.objects, wakes=False)
+        self._looked_for: list[ObjectEntry] | None = None
         self._camera = inbox.queue(keys.camera_info, wakes=False)
         self._health = inbox.queue(keys.health(), wakes=False)
         self._limit = Holdback(config.gateway.max_rate_hz)
@@ -163,13 +164,15 @@ class GatewayWork(Work):
     def step(self) -> None:
         """Pass on what arrived and what is due."""
         keys = self._bus.keys
-        while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
-            started = now_ns()
-            self._tell(keys.pose(pose.object, pose.instance), pose)
-            self._bus.health.worked_on(started, pose)
         while (objects := self._bus.take(self._objects, ObjectsMessage)) is not None:
+            self._looked_for = objects.objects
             self._forget_over(objects.objects)
             self._tell(keys.objects, objects)
+        while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
+            started = now_ns()
+            if not is_over(pose, self._looked_for):
+                self._tell(keys.pose(pose.object, pose.instance), pose)
+            self._bus.health.worked_on(started, pose)
         while (camera := self._bus.take(self._camera, CameraMessage)) is not None:
             self._tell(keys.camera_info, camera)
         while (health := self._bus.take(self._health, HealthMessage)) is not None:

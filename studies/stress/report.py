@@ -61,7 +61,7 @@ def figures(rows: Sequence[Row]) -> dict[str, Any]:
     for name, films in (("coverage", visible_films), ("false", frame_films)):
         values = np.array(count[name])
         result[name] = float(values.mean()) if len(values) else None
-        result[f"{name}_interval"] = frame_intervals({name: values}, films).get(name) if len(values) else None
+        result[f"{name}_interval"] = frame_intervals({name: values}, films)[name]
     result |= {
         "false_frames": int(round(sum(count["false"]) / 100.0)),
         "false_twice_in_a_row": twice,

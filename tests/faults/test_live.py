@@ -22,6 +22,7 @@ pytestmark = [pytest.mark.live, pytest.mark.timeout(900)]
 # Of the camera, of the bus, of a worker, of a reader. 10 Hz: how late things are on a busy computer is not
 # what this is about.
 SLOW, SHORT_S = 3.0, 2.5
+LONG = (21, 22)  # what is kept, and which of two cameras is heard, is decided within seconds
 SHORT = (
     "last picture with new stamps",
     "depth 3 pictures late",
@@ -48,7 +49,10 @@ def system():
 @pytest.mark.parametrize("name", SHORT)
 def test_what_must_hold_holds(system, name):
     fault = FAULT[name]
-    outcome = strike(system, replace(fault, seconds=min(fault.seconds, SHORT_S)), 120.0)
+    if fault.number not in LONG:
+        fault = replace(fault, seconds=min(fault.seconds, SHORT_S))
+    # After the fault before, it was waited for until all was well.
+    outcome = strike(system, fault, 120.0, steady_s=0.5)
     assert outcome.broken == [], (outcome, system.log()[-2000:])
     assert outcome.tracking_poses > 0
 

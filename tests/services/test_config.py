@@ -142,11 +142,12 @@ GOOD = "camera: {truth: true}\n"
             ["gateway.listen", "localhost:65536", "1 to 65535"],
         ),
         (
-            "viewer: {web_port: 65535}\ncameras: [{name: a}, {name: b}]",
+            "workers: [camera, viewer]\nviewer: {web_port: 65535}\ncameras: [{name: a}, {name: b}]",
             ["viewer.web_port: found 65536; expected a port of 1 to 65535. Give another one"],
         ),
         (
-            "viewer: {grpc_port: 65534}\ncameras: [{name: a}, {name: b}, {name: c}]",
+            "workers: [camera, viewer]\nviewer: {grpc_port: 65534}\n"
+            "cameras: [{name: a}, {name: b}, {name: c}]",
             ["viewer.grpc_port: found 65536; expected a port of 1 to 65535. Give another one"],
         ),
         (

@@ -168,7 +168,7 @@ def test_a_step_that_lost_the_object_is_taken_back_and_strides_grow_again(tea_bo
 def test_only_a_camera_that_moved_has_turned_away(tea_box, whirled, moved) -> None:
     """A hand before a camera that stands hides the place as well."""
     frames, truth, empty = whirled
-    T_room_cam = se3.make(np.eye(3), np.array([0.0, 0.001 * moved, 0.0]))
+    T_room_cam = se3.make(np.eye(3), np.array([0.0, 0.003 if moved else 0.0005, 0.0]))
     hidden = [
         replace(f, depth=np.full_like(f.depth, 0.2), T_parent_cam=T_room_cam) for f in empty[1 : LATE + 1]
     ]

@@ -63,11 +63,11 @@ class Outcome:
     broken: list[str] = field(default_factory=list)
 
 
-def strike(system: LivePipeline, fault: Fault, patience_s: float) -> Outcome:
-    """Break it, watch, mend it, watch on until all is well again, and judge."""
+def strike(system: LivePipeline, fault: Fault, patience_s: float, steady_s: float = 2.0) -> Outcome:
+    """Break it, watch, mend it, watch on until all is well again, and judge. steady_s: for so long all has to
+    be well before."""
     outcome = Outcome(fault.number, fault.name)
-    # After the fault before, it was steady for longer.
-    if not system.wait_until_steady(STEADY_OBJECTS, patience_s, 0.5):
+    if not system.wait_until_steady(STEADY_OBJECTS, patience_s, steady_s):
         outcome.broken.append(f"before it fewer than {STEADY_OBJECTS} objects are TRACKING")
         return outcome
     calm_ms = _late_ms(system.poses[-300:])

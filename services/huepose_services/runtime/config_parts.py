@@ -79,9 +79,10 @@ def check_ports(config: Config, refuse: Refuse) -> None:
         "gateway.listen": config.gateway.listen,
         "link.listen": config.link.listen,
         "link.connect": config.link.connect,
-        "viewer.web_port": str(config.viewer.web_port),
-        "viewer.grpc_port": str(config.viewer.grpc_port),
     }
+    if "viewer" in config.workers:
+        addresses["viewer.web_port"] = str(config.viewer.web_port)
+        addresses["viewer.grpc_port"] = str(config.viewer.grpc_port)
     for key, address in addresses.items():
         if address is not None and not 0 < int(address.rpartition(":")[2]) <= _LAST_PORT:
             fix = "Give another one; of several cameras each further one gets the next."

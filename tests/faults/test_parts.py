@@ -62,6 +62,7 @@ def test_23_a_subscriber_whose_clock_is_wrong_gets_no_old_pose_for_a_new_one(ske
                 msgspec.structs.replace(
                     POSE, clock_id="another", realtime_offset_ns=offset_ns, capture_ns=stamp, publish_ns=stamp
                 ),
+                time.monotonic(),
             )
         assert client.latest(max_age_s=5.0) is not None
         assert client.silent_s() < 5.0

@@ -21,7 +21,7 @@ import numpy as np
 
 from huepose.datasets import files
 from huepose.geometry import Box, Camera
-from huepose.geometry.arrays import Bool, Float32, Float64, UInt8, UInt16
+from huepose.geometry.arrays import Bool, Float32, Float64, Int32, Int64, UInt8, UInt16
 from huepose.geometry.camera import whole_steps
 from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError
@@ -173,25 +173,32 @@ def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
     InputError."""
     corners = scale * mesh.vertices[mesh.faces].reshape(-1, 3).astype(np.float64)
     uv = mesh.uv.reshape(-1, 2).astype(np.float64) * [1.0, -1.0] + [0.0, 1.0]
-    header = ["ply", "format ascii 1.0", f"comment TextureFile {path.stem}.png"]
-    header += [f"element vertex {len(corners)}"]
-    header += [f"property float {name}" for name in ("x", "y", "z", "texture_u", "texture_v")]
-    header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header"]
-    rows = [" ".join(f"{v:.7g}" for v in row) for row in np.concatenate([corners, uv], 1)]
-    faces = [f"3 {3 * k} {3 * k + 1} {3 * k + 2}" for k in range(len(mesh.faces))]
-    write_text(path, "\n".join([*header, *rows, *faces]) + "\n")
+    faces = np.arange(len(corners)).reshape(-1, 3)
+    names = ("x", "y", "z", "texture_u", "texture_v")
+    _write_ascii(path, (f"comment TextureFile {path.stem}.png",), names, np.hstack([corners, uv]), faces)
     write_bytes(path.with_suffix(".png"), _encoded(".png", mesh.texture[..., ::-1]))
 
 
 def write_bare_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
     """Write PATH as BOP has its `models_eval/`: vertices and faces, no colours; lengths times `scale`. Raises
     InputError."""
-    header = ["ply", "format ascii 1.0", f"element vertex {len(mesh.vertices)}"]
-    header += [f"property float {name}" for name in "xyz"]
-    header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices", "end_header"]
-    rows = [" ".join(f"{v:.7g}" for v in row) for row in scale * mesh.vertices.astype(np.float64)]
-    faces = [f"3 {a} {b} {c}" for a, b, c in mesh.faces]
-    write_text(path, "\n".join([*header, *rows, *faces]) + "\n")
+    _write_ascii(path, (), ("x", "y", "z"), scale * mesh.vertices.astype(np.float64), mesh.faces)
+
+
+def _write_ascii(
+    path: Path,
+    comments: Sequence[str],
+    names: Sequence[str],
+    vertices: Float64,
+    faces: Int32 | Int64,
+) -> None:
+    """A PLY of vertices (V, P), one column for each name, and faces (F, 3)."""
+    header = ["ply", "format ascii 1.0", *comments, f"element vertex {len(vertices)}"]
+    header += [f"property float {name}" for name in names]
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header"]
+    rows = [" ".join(f"{v:.7g}" for v in row) for row in vertices]
+    corners = [f"3 {a} {b} {c}" for a, b, c in faces]
+    write_text(path, "\n".join([*header, *rows, *corners]) + "\n")
 
 
 def write_obj(path: Path, mesh: Mesh, scale: float = 1.0) -> None:

@@ -139,8 +139,9 @@ class PoseClient(Client):
         """stored: it is the latest that a gateway has, and may be old."""
         message = self._read(sample)
         if isinstance(message, PoseMessage):
-            age_s = 1e-9 * max(0, _stamp_now(message) - message.capture_ns) if stored else 0.0
-            self._add(site_and_camera_of(str(sample.key_expr)), message, time.monotonic() - age_s)
+            age_ns = time.time_ns() - _offset_ns(message) - message.capture_ns if stored else 0
+            arrived = time.monotonic() - 1e-9 * max(0, age_ns)
+            self._add(site_and_camera_of(str(sample.key_expr)), message, arrived)
         elif isinstance(message, CameraMessage):
             self._add_camera(message)
 
@@ -328,11 +329,6 @@ def _offset_ns(pose: PoseMessage) -> int:
     if pose.clock_id == boot_id():
         return time.time_ns() - time.monotonic_ns()
     return pose.realtime_offset_ns
-
-
-def _stamp_now(pose: PoseMessage) -> int:
-    """What the clock of the pose's stamps shows now."""
-    return time.time_ns() - _offset_ns(pose)
 
 
 def _endpoints_of(place: Whereabouts) -> list[str]:

@@ -166,7 +166,7 @@ class GatewayWork(Work):
         keys = self._bus.keys
         while (objects := self._bus.take(self._objects, ObjectsMessage)) is not None:
             self._looked_for = objects.objects
-            self._forget_over(objects.objects)
+            self._forget(lambda pose, _: is_over(pose, self._looked_for))
             self._tell(keys.objects, objects)
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
             started = now_ns()
@@ -206,9 +206,6 @@ class GatewayWork(Work):
             )
         self._publishers[key].put(payload)
         self._bus.health.count("sent")
-
-    def _forget_over(self, objects: list[ObjectEntry]) -> None:
-        self._forget(lambda pose, _: is_over(pose, objects))
 
     def _forget(self, over: Callable[[PoseMessage, int], bool]) -> None:
         """Poses of which this is true; it is given a pose and when it was said."""

@@ -23,6 +23,16 @@ def test_what_was_held_back_is_told_also_when_nothing_follows():
     assert repeats.due(100.0) == []
 
 
+def test_what_is_told_late_says_how_long_ago_it_was():
+    """It may not be so any more."""
+    repeats = Repeats()
+    repeats.offer("a", "slow", 0.0)
+    repeats.offer("a", "slow", 1.5)
+    repeats.offer("a", "slower", 2.0)
+    assert repeats.due(5.4) == []
+    assert repeats.due(5.6) == [("a", "slower (1 more in 4 s, the last 4 s ago)")]
+
+
 def test_what_comes_again_after_long_is_told_at_once():
     repeats = Repeats()
     assert repeats.offer("a", "x", 0.0) == "x"

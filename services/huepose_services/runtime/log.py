@@ -19,6 +19,8 @@ from typing import Literal, TextIO, get_args
 
 _FACTOR, _LONGEST_S, _QUIET_S = 4.0, 300.0, 60.0
 _MOST_KINDS = 256
+_LONG_AGO_S = 2.0
+"""What was held back for longer says so: it may not be so any more."""
 
 
 @dataclass
@@ -65,7 +67,9 @@ class Repeats:
         return [(kind, self._written(known, now_s)) for kind, known in ripe]
 
     def _written(self, known: _Kind, now_s: float) -> str:
-        more = f" ({known.held} more in {now_s - known.since_s:.0f} s)"
+        ago_s = now_s - known.last_s
+        ago = f", the last {ago_s:.0f} s ago" if ago_s >= _LONG_AGO_S else ""
+        more = f" ({known.held} more in {now_s - known.since_s:.0f} s{ago})"
         text = known.text + (more if known.held else "")
         known.wait_s = min(_FACTOR * known.wait_s, max(_LONGEST_S, known.wait_s))
         known.until_s, known.since_s, known.held = now_s + known.wait_s, now_s, 0

@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import signal
 import subprocess
 import threading
 import time
@@ -193,6 +194,39 @@ class Held:
 
     def kill(self):
         self.kills += 1
+
+
+def ended(supervisor, worker, code):
+    """One poll of a supervisor whose worker has just ended so."""
+    child = object.__new__(Child)
+    child.worker, child.process, child.pipe, child._starved = worker, Held(), None, None
+    child.ready, child.runs, child.compiling, child.killed = True, True, False, False
+    child.started = child.heard = time.monotonic()
+    child.process.code = code
+    child._reader = threading.Thread()
+    child._reader.start()
+    supervisor._children[worker] = child
+    supervisor.poll(0.0)
+
+
+def test_a_worker_whose_file_was_overwritten_in_place_is_said_to_have_died_of_that(alone):
+    supervisor, out = alone
+    ended(supervisor, "tracker", -signal.SIGBUS)
+    assert "killed by signal 7 (SIGBUS: a file that it uses was overwritten in place, such as" in out.getvalue()
+    ended(supervisor, "tracker", -signal.SIGKILL)
+    assert "tracker killed by signal 9: starting it again" in out.getvalue()
+
+
+def test_who_is_given_up_is_not_said_to_read_the_file_again(tmp_path):
+    out, path = io.StringIO(), tmp_path / "pipeline.yaml"
+    path.write_text("{}")
+    config = Config(workers=("camera", "tracker"), restarts=RestartConfig(limit=0))
+    supervisor = Supervisor(config, path, out)
+    supervisor._records["camera"].restart_at = time.monotonic() + 60.0
+    ended(supervisor, "tracker", -signal.SIGKILL)
+    assert "given up" in out.getvalue()
+    supervisor.reload()
+    assert "all workers but tracker, given up, read the configuration again" in out.getvalue()
 
 
 def test_a_killed_worker_that_does_not_end_is_started_again_when_it_has(alone):

@@ -22,6 +22,7 @@ from typing import TextIO
 
 import msgspec
 
+from huepose.support.words import listed
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import Log, is_log_line, write
 from huepose_services.runtime.pulse import COMPILING, READY_FD
@@ -46,6 +47,10 @@ _STANDSTILL_S = 0.5
 _FAILED, _BAD_INPUT = 1, 2
 _HELD = (
     "does not end: the kernel holds it, as for a device that does not answer. It is started again after that"
+)
+_MAPPED = (
+    " (SIGBUS: a file that it uses was overwritten in place, such as a reference model; put a new one there by "
+    "renaming it, docs/running.md)"
 )
 _WHY_IT_ENDED = "huepose run: "
 """With which the command line begins what it says of an error."""
@@ -226,9 +231,14 @@ class Supervisor:
         """Read the configuration again, and have every worker do so, at last when it is ready."""
         new = self._reload.take_over(lambda _: [])
         if new is not None:
-            self._log.say("all workers read the configuration again")
+            over = [worker for worker in self._records if self._is_given_up(worker)]
+            all_but = f"all workers but {listed(over)}, given up," if over else "all workers"
+            self._log.say(f"{all_but} read the configuration again")
             self._config = msgspec.structs.replace(self._config, restarts=new.restarts)
             self._read_again = set(self._records)
+
+    def _is_given_up(self, worker: str) -> bool:
+        return worker not in self._children and self._records[worker].restart_at is None
 
     def poll(self, timeout_s: float = 0.1) -> None:
         """Look after the workers for a while: readiness, signs of life, deaths, restarts, the end."""
@@ -261,7 +271,7 @@ class Supervisor:
                 self._spawn(worker)
         if self._drain_until is not None:
             self.exit_code = self._ends_with if now >= self._drain_until else self.exit_code
-        elif not self._children and all(r.restart_at is None for r in self._records.values()):
+        elif all(map(self._is_given_up, self._records)):
             self.exit_code = 1 if self.exit_code is None else self.exit_code
 
     def _forgive_standstill(self, timeout_s: float) -> None:
@@ -311,7 +321,7 @@ class Supervisor:
             return
         how = "was killed" if code is None else f"ended with code {code}"
         if code is not None and code < 0:
-            how = f"killed by signal {-code}"
+            how = f"killed by signal {-code}{_MAPPED if code == -signal.SIGBUS else ''}"
         self._put_off(child.worker, how)
 
     def _put_off(self, worker: str, how: str) -> None:

@@ -136,7 +136,7 @@ class ReinitWork(Work):
         self._cameras = bus.inbox.ring(bus.keys.camera_info, wakes=False)
         self._camera_health = bus.inbox.ring(bus.keys.health("camera"), wakes=False)
         self._live = bus.inbox.liveliness(bus.keys.live())
-        self._camera = OneCamera()
+        self._camera = OneCamera(again_counts=False)
         self._newest = NewestFrame()
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
         self._sought: dict[int, tuple[str, ...]] = {}

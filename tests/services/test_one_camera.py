@@ -62,6 +62,14 @@ def test_what_is_said_again_of_a_camera_that_is_gone_holds_up_the_next_one_for_l
     assert camera.accepts(2, 6 * SECOND, 13 * SECOND // 2 + 1)
 
 
+def test_a_pose_that_is_said_again_of_a_camera_that_is_gone_holds_up_nobody():
+    camera = OneCamera(again_counts=False)
+    heard(camera, (1, 30.0), until_s=2.0, poses=2)
+    assert all(camera.accepts(1, 59 * SECOND // 30, at_s * SECOND) for at_s in (2, 3, 4, 5))
+    assert camera.agrees(2, 5 * SECOND)
+    assert camera.accepts(2, 6 * SECOND, 6 * SECOND)
+
+
 def test_who_was_there_first_and_says_less_gives_way():
     camera = OneCamera()
     heard(camera, (2, 10.0), until_s=5.0)

@@ -355,6 +355,22 @@ def test_a_camera_whose_stamps_begin_anew_is_followed_at_once(bus, step, changes
     assert list(bus.work._tracks) == [("mug", 0)]
 
 
+def test_answers_about_a_camera_that_was_opened_anew_count_though_old_poses_are_said_again(
+    bus, step, monkeypatch
+):
+    at = [now_ns()]
+    monkeypatch.setattr("huepose_services.reinit.now_ns", lambda: at[0])
+    last = pose(0)
+    for _ in range(2):
+        bus.arriving[PoseMessage].append(last)
+        step()
+        at[0] += SECOND
+    bus.arriving[Estimates].append(answer(bus, capture_ns=at[0], camera_epoch=EPOCH + 1))
+    step()
+    assert "answers_of_another_camera" not in bus.health.counters
+    assert not bus.work._tracks, "what was followed is over"
+
+
 def test_a_list_of_objects_fits_its_message_whatever_the_reason(bus):
     """As many objects as it can have, with all that an entry may say, in the largest bytes of UTF-8."""
     entries = [

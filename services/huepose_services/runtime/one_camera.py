@@ -19,10 +19,14 @@ _MOST_KEPT = 1024
 
 
 class OneCamera:
-    """Which camera epoch counts. `refused`: how many frames of others came."""
+    """Which camera epoch counts. `refused`: how many frames of others came.
 
-    def __init__(self) -> None:
+    again_counts: whether a frame that comes again shows that its camera is still there. A pose that does, shows
+    nothing: it is said again when no new frame comes."""
+
+    def __init__(self, again_counts: bool = True) -> None:
         self.refused = 0
+        self._again_counts = again_counts
         self._epoch: int | None = None
         self._heard_ns, self._gap_ns = 0, 0
         # Of its newest frame, and when that first came.
@@ -31,6 +35,8 @@ class OneCamera:
 
     def accepts(self, epoch: int, stamp_ns: int, now_ns: int) -> bool:
         """Whether what is about a frame of that epoch, with that stamp, counts that arrives now."""
+        if not self._again_counts and (epoch, stamp_ns) == (self._epoch, self._stamp_ns):
+            return True
         while self._arrived and now_ns - self._arrived[0][0] > _WINDOW_NS:
             self._arrived.popleft()
         self._arrived.append((now_ns, epoch))

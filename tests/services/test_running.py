@@ -87,6 +87,14 @@ def test_of_two_pipelines_one_has_to_be_named(runtime_folder):
             pick(which="attic")
 
 
+def test_a_file_that_is_said_to_choose_can_be_copied_to_a_shell(runtime_folder):
+    with noted(msgspec.structs.replace(HERE, file="/my robot/lab.yaml")):
+        other = {"base_port": 18200, "site": "hall", "camera": "eye", "file": "/my robot/hall.yaml"}
+        (runtime_folder / f"{os.getppid()}.json").write_text(json.dumps(other))
+        with pytest.raises(InputError, match=r"or --config '/my robot/(lab|hall)\.yaml'\.$"):
+            pick()
+
+
 def test_of_two_cameras_of_one_file_the_file_is_not_said_to_choose(runtime_folder):
     with noted(HERE):
         other = '{"base_port": 18120, "site": "lab", "camera": "right", "file": "/etc/lab.yaml"}'

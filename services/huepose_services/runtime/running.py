@@ -7,6 +7,7 @@ whose process is gone is ignored and removed.
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -196,7 +197,8 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
         alone = "*" not in first.name and [p.name for p in found].count(first.name) == 1
         which = f"{first.base_port} (or {first.name})" if alone else f"{first.base_port}"
         one_file = len({p.file for p in found}) == 1  # of several cameras: it names none
-        which += "" if one_file else f", or --config {first.file or 'PIPELINE.yaml'}"
+        file = shlex.quote(first.file) if first.file else "PIPELINE.yaml"
+        which += "" if one_file else f", or --config {file}"
         raise InputError(
             "the pipeline to attach to",
             found=f"{len(found)} that run here: {_listed(found)}",

@@ -68,7 +68,7 @@ def call(arguments: argparse.Namespace) -> int:
 def _recorded(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> int | None:
     """Record the pipeline that is meant now; None, without a file, where another one is meant before anything
     is heard of it: it was started meanwhile."""
-    from huepose_services.recording.parts import Limits, Parts
+    from huepose_services.recording.parts import SUFFIX, Limits, Parts
     from huepose_services.recording.record import Recorder, about_this_machine
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import this_clock
@@ -80,6 +80,8 @@ def _recorded(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> in
     limits = Limits(part << 20, None if keep is None else keep << 20, free << 20)
     about = about_this_machine() | {"site": config.site, "camera": config.camera.name}
     parts = Parts(arguments.out, limits, this_clock().realtime_offset_ns, about, arguments.jpeg)
+    if parts.path != arguments.out:
+        say(f"{arguments.out} does not end in {SUFFIX}: it is written to {parts.path}")
     session = open_recorder_session(config)
     bus = Bus(session, config.keys, "record")
     recorder = Recorder(bus, parts, with_frames=not arguments.no_frames)

@@ -14,6 +14,7 @@ import os
 import shutil
 import time
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
@@ -92,6 +93,7 @@ class Parts:
         """The next file."""
         number = f"_{self._number:04d}" if self._number else ""
         path = self.path.with_name(f"{self.path.stem}{number}{SUFFIX}")
+        file = None
         try:
             self._check_free()
             file = path.open("xb")
@@ -113,6 +115,10 @@ class Parts:
             if self._number:
                 raise
             there = isinstance(error, FileExistsError)
+            if file is not None:  # there is nothing in it yet
+                path.unlink()
+                with suppress(OSError):
+                    file.close()
             found = "a file of that name" if there else error.strerror or str(error)
             raise InputError(path, found=found, expected="a new file, in a folder with room") from None
 

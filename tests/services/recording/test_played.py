@@ -297,7 +297,9 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
     other = huepose("record", tmp_path / "other", "--config", path, "--free", "0", "--json", "--jpeg")
     until(lambda: out.exists() and len(frames(Recording(out).events())) >= 20, 60.0)
     other.send_signal(signal.SIGINT)
-    answer = json.loads(other.communicate(timeout=15.0)[0])
+    answered, noted = other.communicate(timeout=15.0)
+    answer = json.loads(answered)
+    assert f"other does not end in .mcap: it is written to {tmp_path / 'other.mcap'}" in noted
     assert answer["files"] == [str(tmp_path / "other.mcap")]
     assert answer["frames"] == len(frames(Recording(tmp_path / "other.mcap").events()))
     assert answer["bytes"] == (tmp_path / "other.mcap").stat().st_size

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import resource
 import struct
 import tracemalloc
 from pathlib import Path
@@ -183,6 +184,17 @@ def test_a_file_that_is_there_is_left_alone(tmp_path):
     with pytest.raises(InputError, match="a file of that name"):
         parts(tmp_path / "out")
     assert (tmp_path / "out.mcap").read_text() == "mine"
+
+
+def test_a_disk_that_takes_nothing_leaves_no_empty_file_in_the_way(tmp_path):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        with pytest.raises(InputError, match=r"out\.mcap: found File too large; expected a new file"):
+            parts(tmp_path / "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("left", "taken"), [("out_0003.mcap", True), ("out_20260101.mcap", False)])

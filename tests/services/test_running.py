@@ -1,22 +1,28 @@
 """Pipelines that run are found, others not; where several run, the one that is meant has to be said."""
 
 import argparse
+import dataclasses
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import msgspec
 import pytest
 
 from huepose.support.errors import InputError
 from huepose_protos.local import run_folder
+from huepose_protos.messages import ObjectEntry
 from huepose_services.cli.main import main
 from huepose_services.cli.options import chosen, chosen_config
-from huepose_services.runtime.config import BusConfig, Config
-from huepose_services.runtime.running import Pipeline, namesake, noted, occupant, pick, running
+from huepose_services.cli.poses import _silence
+from huepose_services.cli.status import as_text
+from huepose_services.runtime.config import BusConfig, Config, LinkConfig
+from huepose_services.runtime.running import Pipeline, described, namesake, noted, occupant, pick, running
+from huepose_services.watch import View
 
 
 @pytest.fixture(autouse=True)
@@ -277,6 +283,25 @@ def test_a_recording_that_is_played_is_no_pipeline_that_starts(tmp_path, monkeyp
         arguments = argparse.Namespace(config=None, pipeline="lab/cam0")
         assert chosen_config(arguments).bus.base_port == 29347  # its file is not read as YAML
     assert "`huepose up` starts one" in Pipeline(base_port=29347).absence
+
+
+def test_the_second_computer_of_a_pipeline_says_that_poses_and_objects_are_at_the_other_one(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setattr("huepose_services.cli.objects.ask", lambda *_: pytest.fail("nobody is there to answer"))
+    config = Config(hosts={"desk": ("estimator",)}, link=LinkConfig(connect="robot:7448"))
+    desk, robot = (described(config.at(host), tmp_path / "pipeline.yaml") for host in ("desk", None))
+    assert robot.elsewhere == ""
+    there = "here local/cam0 has perception alone: poses and objects are at the camera's computer"
+    with noted(desk):
+        assert main(["objects", "list"]) == 1
+        assert f"huepose objects: {there}" in capsys.readouterr().err
+    reader = SimpleNamespace(seen=True, live=set())
+    assert _silence(reader, desk, desk.key("pose/**")).startswith(there)
+    known = [ObjectEntry(object="mug", max_instances=1, searching=0)]
+    view = View(desk, True, {}, frozenset(), (), known, {})
+    assert as_text(view).splitlines()[-1].startswith(there)
+    assert "mug" in as_text(dataclasses.replace(view, pipeline=robot))
 
 
 def test_a_configuration_may_have_any_name(tmp_path):

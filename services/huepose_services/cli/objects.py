@@ -68,9 +68,9 @@ def call(arguments: argparse.Namespace) -> int:
         raise _not_asked(arguments, of_number="max_instances" in str(error)) from error
     pipeline = chosen(arguments)
     say_if_unknown(pipeline)
-    reply = None if pipeline.played else ask(pipeline, request)
+    reply = None if pipeline.played or pipeline.elsewhere else ask(pipeline, request)
     if reply is None:
-        say(f"huepose objects: {pipeline.absence}")
+        say(f"huepose objects: {pipeline.elsewhere or pipeline.absence}")
         return 1
     if not reply.done:
         say(f"huepose objects {arguments.action}: {reply.text}")

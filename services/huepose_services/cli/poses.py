@@ -353,6 +353,8 @@ def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
     if not reader.seen:
         return f"waiting for a pipeline: {pipeline.absence}"
     what = f"nothing is said on {key} yet"
+    if "/pose/" in key and pipeline.elsewhere:
+        return pipeline.elsewhere
     if "/pose/" in key:
         there, needed = {last(live) for live in list(reader.live)}, pipeline.workers or ("tracker",)
         away = [] if pipeline.played else [w for w in needed if w not in there and w not in _SHOW_ONLY]

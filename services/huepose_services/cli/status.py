@@ -148,6 +148,8 @@ def as_text(view: View, width: int | None = None) -> str:
         if message.last_error:
             lines.append(f"  {message.worker}, last error: {message.last_error.splitlines()[0]}")
     lines.append("")
+    if view.pipeline.elsewhere:
+        return "\n".join([*lines, view.pipeline.elsewhere])
     camera = view.health.get("camera")
     rows = [(_pose(pose), _cause(pose, camera)) for pose in view.poses.values()]
     with_poses = {name for name, _ in view.poses}

@@ -63,6 +63,14 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
         return self.file.endswith(".mcap")
 
     @property
+    def elsewhere(self) -> str:
+        """Where poses and objects are, in a sentence, of a pipeline whose camera is at another computer; else
+        empty."""
+        if "downlink" not in self.workers or "downlink" in self.far:
+            return ""
+        return f"here {self.name} has perception alone: poses and objects are at the camera's computer, ask there"
+
+    @property
     def absence(self) -> str:
         """What to say where nothing is heard of it."""
         if self.played:

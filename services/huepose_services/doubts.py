@@ -200,7 +200,7 @@ def why_refused(
     it gives a pose itself; reach_s: of the kept frames, None while they are few."""
     if applied is Applied.REFUSED_EPOCH:
         return "the camera was opened anew since", True
-    if not followed:
+    if not followed or (reach_s is not None and age_s <= reach_s):  # or the tracker has died since
         return f"it is not followed any more. {_NO_ACTION}", False
     if reach_s is None:
         # It was on its way when the tracker started.
@@ -212,7 +212,9 @@ def refused_text(name: str, verdict: str, age_s: float, why: str) -> str:
     """The line of the log for a correction that is not applied. verdict: of the correction; age_s: of the
     picture that it is about, before the newest one."""
     found = _FOUND.get(verdict, "{}").format(name)
-    return f"perception found {found} in a picture {age_s:.1f} s old; it is not taken over: {why}"
+    # The clock of a camera that was opened anew may have been set back.
+    picture = f"a picture {age_s:.1f} s old" if age_s >= 0.0 else "an older picture"
+    return f"perception found {found} in {picture}; it is not taken over: {why}"
 
 
 def too_late_text(age_s: float, reach_s: float, older_frames: int) -> str:

@@ -165,25 +165,49 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
 
 
 @pytest.mark.parametrize(
-    ("answer", "verdict", "reach_s", "said"),
+    ("answer", "verdict", "reach_s", "age_ms", "said"),
     [
         (
             Applied.REFUSED_EPOCH,
             "acquire",
             4.0,
+            300,
             "found mug/0 in a picture 0.3 s old; it is not taken over: the camera was opened anew since",
+        ),
+        (
+            Applied.REFUSED_EPOCH,
+            "acquire",
+            4.0,
+            -1300,
+            "found mug/0 in an older picture; it is not taken over: the camera was opened anew since",
         ),
         (
             Applied.REFUSED_OLD,
             "agree",
             4.0,
+            300,
             "mug/0 is where it is followed in a picture 0.3 s old; it is not taken over: it is not followed "
             "any more. Nothing needs to be done",
         ),
-        (Applied.REFUSED_OLD, "correct", None, "that was before the tracker began. Nothing needs to be done"),
+        (
+            # Of an instance that the tracker before it followed.
+            Applied.REFUSED_OLD,
+            "correct",
+            4.0,
+            300,
+            "found another pose of mug/0 in a picture 0.3 s old; it is not taken over: it is not followed "
+            "any more. Nothing needs to be done",
+        ),
+        (
+            Applied.REFUSED_OLD,
+            "correct",
+            None,
+            300,
+            "that was before the tracker began. Nothing needs to be done",
+        ),
     ],
 )
-def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, said):
+def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, age_ms, said):
     """And only what comes too late makes perception slow."""
     work, bus, _ = worker()
     header, payload = frame_of_age(1, 0.0)
@@ -192,7 +216,7 @@ def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, 
     work._tracker.answer, work._tracker.reach_s = answer, reach_s
     bus.arriving[CorrectionMessage] = [
         msgspec.structs.replace(
-            CORRECTION, object="mug", instance=0, verdict=verdict, capture_ns=header.capture_ns - 300 * MS
+            CORRECTION, object="mug", instance=0, verdict=verdict, capture_ns=header.capture_ns - age_ms * MS
         )
     ]
     work.step()

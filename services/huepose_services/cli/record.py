@@ -155,4 +155,6 @@ def _how_far(recorder: Recorder, parts: Parts) -> str:
     if span.older:
         older = counted(span.older, "older frame")
         size += f", and {older} ({span.before_s:.1f} s) that the tracker still remembers"
-    return f"{parts.path}: {size}{missed}"
+    first, *later = parts.paths  # those that --keep has left
+    files = f"{first} to {later[-1].name}" if later else str(first)
+    return f"{files}: {size}{missed}"

@@ -19,6 +19,7 @@ from huepose.support.errors import InputError
 from huepose_protos.examples import example
 from huepose_protos.messages import FrameHeader, PoseMessage
 from huepose_services.cli.main import main
+from huepose_services.cli.record import _how_far
 from huepose_services.recording.parts import DiskFullError, Limits
 from huepose_services.recording.read import Recording
 from huepose_services.recording.record import Span
@@ -161,6 +162,8 @@ def test_it_goes_on_in_new_files_and_deletes_the_oldest(tmp_path):
     assert [one.notes["models"] for one in recordings] == [{"mug": "12"}] * len(paths)
     assert out.size > 100_000
     assert out.frames == 400
+    said = _how_far(SimpleNamespace(missed=0, lost=0, span=Span()), out)
+    assert said.startswith(f"{paths[0]} to {paths[-1].name}: 400 frames, "), "files that are there"
 
 
 def test_it_ends_before_the_disk_is_full(tmp_path):

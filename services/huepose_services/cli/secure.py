@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import socket
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,6 +13,7 @@ from huepose.support.errors import InputError
 from huepose_services.cli.options import say
 
 _DAYS = 3650
+_FOLDER = Path("secure")
 
 
 def add_parser(subparsers: Any) -> None:
@@ -33,7 +35,7 @@ def add_parser(subparsers: Any) -> None:
     for verb in (init, add, host):
         verb.add_argument("--days", type=int, default=_DAYS, metavar="N", help=f"how long it holds ({_DAYS})")
     for verb in (init, add, revoke, host):
-        verb.add_argument("--folder", type=Path, default=Path("secure"), metavar="DIR", help="where (secure)")
+        verb.add_argument("--folder", type=Path, default=_FOLDER, metavar="DIR", help="where (secure)")
     parser.set_defaults(call=call)
 
 
@@ -52,7 +54,8 @@ def call(arguments: argparse.Namespace) -> int:
         print("Keep the folder here. In pipeline.yaml, with `gateway` among the workers:\n")
         print("gateway:\n  listen: 0.0.0.0:7447\n  tls:")
         print("\n".join(f"    {key}: {folder / name}.pem" for key, name in files.items()))
-        print(f"    key: {folder / GATEWAY}.key\n\nThen, for each reader: huepose secure add NAME")
+        there = "" if arguments.folder == _FOLDER else f" --folder {shlex.quote(str(arguments.folder))}"
+        print(f"    key: {folder / GATEWAY}.key\n\nThen, for each reader: huepose secure add NAME{there}")
         _note_unreachable(hosts)
         return 0
     authority = Authority(folder)

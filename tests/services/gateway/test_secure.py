@@ -1,5 +1,6 @@
 """What `huepose secure` makes lets the right readers in, and one that was let in can be sent away."""
 
+import shlex
 import socket
 import ssl
 import stat
@@ -31,6 +32,14 @@ def test_the_printed_section_is_a_configuration_with_files_that_are_there(tmp_pa
     context.load_cert_chain(tls.certificate, tls.key)
     context.load_verify_locations(cafile=tls.revoked)
     assert _names(tls.certificate) == (("DNS", "robot.local"), ("IP Address", "10.0.0.7"))
+
+
+def test_the_next_command_that_is_printed_finds_the_folder(tmp_path, printed, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for options in ([], ["--folder", "the keys/secure"]):
+        text = printed(["secure", "init", "--host", "robot.local", *options])
+        command = shlex.split(text.splitlines()[-1].removeprefix("Then, for each reader: huepose "))
+        assert main(["arm" if word == "NAME" else word for word in command]) == 0
 
 
 def test_an_address_that_no_reader_can_give_is_noted(tmp_path, capsys):

@@ -288,11 +288,13 @@ def test_a_recording_that_is_played_is_no_pipeline_that_starts(tmp_path, monkeyp
 def test_the_second_computer_of_a_pipeline_says_that_poses_and_objects_are_at_the_other_one(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr("huepose_services.cli.objects.ask", lambda *_: pytest.fail("nobody is there to answer"))
+    monkeypatch.setattr(
+        "huepose_services.cli.objects.ask", lambda *_: pytest.fail("nobody is there to answer")
+    )
     config = Config(hosts={"desk": ("estimator",)}, link=LinkConfig(connect="robot:7448"))
     desk, robot = (described(config.at(host), tmp_path / "pipeline.yaml") for host in ("desk", None))
     assert robot.elsewhere == ""
-    there = "here local/cam0 has perception alone: poses and objects are at the camera's computer"
+    there = "here local/cam0 has perception alone: ask the camera's computer for poses and objects"
     with noted(desk):
         assert main(["objects", "list"]) == 1
         assert f"huepose objects: {there}" in capsys.readouterr().err

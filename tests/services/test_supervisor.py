@@ -212,7 +212,9 @@ def ended(supervisor, worker, code):
 def test_a_worker_whose_file_was_overwritten_in_place_is_said_to_have_died_of_that(alone):
     supervisor, out = alone
     ended(supervisor, "tracker", -signal.SIGBUS)
-    assert "killed by signal 7 (SIGBUS: a file that it uses was overwritten in place, such as" in out.getvalue()
+    assert (
+        "killed by signal 7 (SIGBUS: a file that it uses was overwritten in place, such as" in out.getvalue()
+    )
     ended(supervisor, "tracker", -signal.SIGKILL)
     assert "tracker killed by signal 9: starting it again" in out.getvalue()
 

@@ -21,8 +21,8 @@ _MOST_KEPT = 1024
 class OneCamera:
     """Which camera epoch counts. `refused`: how many frames of others came.
 
-    again_counts: whether a frame that comes again shows that its camera is still there. A pose that does, shows
-    nothing: it is said again when no new frame comes."""
+    again_counts: whether a frame that comes again shows that its camera is still there. A pose that comes
+    again does not: it is said again when no new frame comes."""
 
     def __init__(self, again_counts: bool = True) -> None:
         self.refused = 0

@@ -68,7 +68,7 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
         empty."""
         if "downlink" not in self.workers or "downlink" in self.far:
             return ""
-        return f"here {self.name} has perception alone: poses and objects are at the camera's computer, ask there"
+        return f"here {self.name} has perception alone: ask the camera's computer for poses and objects"
 
     @property
     def absence(self) -> str:

@@ -49,8 +49,8 @@ _HELD = (
     "does not end: the kernel holds it, as for a device that does not answer. It is started again after that"
 )
 _MAPPED = (
-    " (SIGBUS: a file that it uses was overwritten in place, such as a reference model; put a new one there by "
-    "renaming it, docs/running.md)"
+    " (SIGBUS: a file that it uses was overwritten in place, such as a reference model; put a new one there "
+    "by renaming it, docs/running.md)"
 )
 _WHY_IT_ENDED = "huepose run: "
 """With which the command line begins what it says of an error."""

@@ -306,6 +306,23 @@ def test_the_second_computer_of_a_pipeline_says_that_poses_and_objects_are_at_th
     assert "mug" in as_text(dataclasses.replace(view, pipeline=robot))
 
 
+@pytest.mark.parametrize(
+    ("workers", "said"),
+    [
+        (("camera", "tracker"), "local/cam0 is without the worker reinit, which has the list of objects"),
+        (
+            ("tracker", "reinit"),
+            "the worker reinit of local/cam0 does not answer: it starts, stops or has ended",
+        ),
+    ],
+)
+def test_where_nobody_answers_the_worker_that_should_is_named(tmp_path, monkeypatch, capsys, workers, said):
+    monkeypatch.setattr("huepose_services.cli.objects.ask", lambda *_: None)
+    with noted(described(Config(workers=workers), tmp_path / "pipeline.yaml")):
+        assert main(["objects", "list"]) == 1
+    assert f"huepose objects: {said}" in capsys.readouterr().err
+
+
 def test_a_configuration_may_have_any_name(tmp_path):
     path = tmp_path / "lab.conf"
     path.write_text("site: lab\nbus: {base_port: 29447}\nobjects: [{name: cup}]\nbundles: bundles\n")

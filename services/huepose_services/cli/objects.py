@@ -70,7 +70,7 @@ def call(arguments: argparse.Namespace) -> int:
     say_if_unknown(pipeline)
     reply = None if pipeline.played or pipeline.elsewhere else ask(pipeline, request)
     if reply is None:
-        say(f"huepose objects: {pipeline.elsewhere or pipeline.absence}")
+        say(f"huepose objects: {_no_answer(pipeline)}")
         return 1
     if not reply.done:
         say(f"huepose objects {arguments.action}: {reply.text}")
@@ -78,6 +78,22 @@ def call(arguments: argparse.Namespace) -> int:
     summary = _listed(reply) if arguments.action == "list" else reply.text
     answered(arguments, msgspec.to_builtins(reply.objects), summary)
     return 0
+
+
+def _no_answer(pipeline: Pipeline) -> str:
+    """Why nobody answers."""
+    if pipeline.elsewhere:
+        return pipeline.elsewhere
+    if pipeline.played or not pipeline.noted:
+        return pipeline.absence
+    if "reinit" not in pipeline.workers:
+        return (
+            f"{pipeline.name} is without the worker reinit, which has the list of objects ({pipeline.file})"
+        )
+    return (
+        f"the worker reinit of {pipeline.name} does not answer: it starts, stops or has ended; the log says "
+        f"which ({pipeline.file})"
+    )
 
 
 def _not_asked(arguments: argparse.Namespace, of_number: bool) -> InputError:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +19,13 @@ from tests import onboarded
 CAMERA = Camera(600.0, 605.0, 318.5, 241.0, 640, 480)
 
 TakePicture = Callable[..., RgbdFrame]
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """For `-m live`, the files without such tests: to import all of them takes ten seconds."""
+    is_tests = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
+    only_live = config.getoption("markexpr") == "live" and is_tests
+    return True if only_live and "pytest.mark.live" not in collection_path.read_text() else None
 
 
 @pytest.fixture(scope="session", autouse=True)

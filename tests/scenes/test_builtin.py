@@ -18,9 +18,10 @@ from huepose.scenes.room import sheet
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 
-SMALL = CAMERA.scaled(0.4)
+SMALL, TINY = CAMERA.scaled(0.4), CAMERA.scaled(0.1)
 OBJECTS = demo_objects(0)
 THREE = {name: OBJECTS[name] for name in ("tea_box", "soup_can", "corner_bracket")}
+ONE = {"tea_box": OBJECTS["tea_box"]}
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +32,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def scene(folder: Path) -> SyntheticScene:
     return SyntheticScene(3, 1.0, THREE, SMALL, cache=folder)
+
+
+@pytest.fixture
+def tiny(folder: Path, monkeypatch: pytest.MonkeyPatch) -> SyntheticScene:
+    """Drawn in a moment, by the first plan that there is, for what does not look at its pictures."""
+    monkeypatch.setattr("huepose.scenes.plan._ATTEMPTS", 1)
+    return SyntheticScene(3, 1.0, ONE, TINY, cache=folder)
 
 
 def test_frames_are_what_every_reader_yields(scene: SyntheticScene) -> None:
@@ -71,32 +79,32 @@ def test_depth_agrees_with_the_rendered_truth(scene: SyntheticScene) -> None:
 
 
 def test_a_second_opening_reads_the_file_and_a_broken_file_is_made_anew(
-    scene: SyntheticScene, folder: Path
+    tiny: SyntheticScene, folder: Path
 ) -> None:
-    color, file = scene.frame(7).color, scene.path.stat().st_ino
-    other = SyntheticScene(3, 1.0, THREE, SMALL, cache=folder)
-    assert other.path == scene.path
+    color, file = tiny.frame(7).color, tiny.path.stat().st_ino
+    other = SyntheticScene(3, 1.0, ONE, TINY, cache=folder)
+    assert other.path == tiny.path
     assert other.path.stat().st_ino == file
     assert np.array_equal(other.frame(7).color, color)
     assert not list(folder.glob("*.part"))
 
-    data = bytearray(scene.path.read_bytes())
+    data = bytearray(tiny.path.read_bytes())
     data[len(data) // 2] ^= 1
     copy = folder / "copy"
     copy.mkdir()
-    (copy / scene.path.name).write_bytes(data)
-    remade = SyntheticScene(3, 1.0, THREE, SMALL, cache=copy)
+    (copy / tiny.path.name).write_bytes(data)
+    remade = SyntheticScene(3, 1.0, ONE, TINY, cache=copy)
     assert np.array_equal(remade.frame(7).color, color)
     assert np.array_equal(remade.frame(7).depth, other.frame(7).depth)
     np.testing.assert_array_equal(remade.truths(7)[0].T_cam_obj, other.truths(7)[0].T_cam_obj)
 
 
-def test_other_parameters_have_other_files(scene: SyntheticScene, folder: Path) -> None:
-    exact = SyntheticScene(3, 1.0, THREE, SMALL, None, cache=folder)
-    assert exact.path != scene.path
+def test_other_parameters_have_other_files(tiny: SyntheticScene, folder: Path) -> None:
+    exact = SyntheticScene(3, 1.0, ONE, TINY, None, cache=folder)
+    assert exact.path != tiny.path
     truth = exact.truths(5)[0]
     assert truth.T_cam_obj is not None
-    drawn = render_depth(THREE["tea_box"], truth.T_cam_obj, SMALL)
+    drawn = render_depth(ONE["tea_box"], truth.T_cam_obj, TINY)
     mask = truth.mask()
     assert mask is not None
     assert np.abs(exact.frame(5).depth - drawn)[mask].max() <= 0.00006
@@ -109,7 +117,7 @@ def test_wrong_requests_are_explained(folder: Path, tmp_path: Path) -> None:
         SyntheticScene(0, 1.0, {}, cache=folder)
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(InputError, match="XDG_CACHE_HOME"):
-        SyntheticScene(3, 1.0, {"tea_box": OBJECTS["tea_box"]}, CAMERA.scaled(0.1), cache=tmp_path / "file")
+        SyntheticScene(3, 1.0, ONE, TINY, cache=tmp_path / "file")
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])

@@ -30,6 +30,13 @@ def test_objects_of_everyday_sizes_have_room_wherever_their_origins_are() -> Non
     check_scene(three | {"fourth": sized(0.24, cornered=True), "fifth": sized(0.26)})
 
 
+@pytest.fixture
+def first_draft(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What holds of every draft of a plan is looked for in the first, instead of in the best of twelve."""
+    monkeypatch.setattr("huepose.scenes.plan._ATTEMPTS", 1)
+
+
+@pytest.mark.usefixtures("first_draft")
 def test_an_object_with_its_origin_in_a_corner_moves_about_its_middle() -> None:
     objects = {f"box{k}": sized(0.26, cornered=True) for k in range(3)}
     stage = plan(objects, 0, 60, CAMERA, 30.0)
@@ -40,6 +47,7 @@ def test_an_object_with_its_origin_in_a_corner_moves_about_its_middle() -> None:
         assert (depth_m < FARTHEST_M).all()
 
 
+@pytest.mark.usefixtures("first_draft")
 def test_within_a_frame_time_an_object_moves_alike_wherever_its_origin_is() -> None:
     """Between two frames an origin 42 m off moves on an arc of some millimetres."""
     near, away = sized(0.2), np.array([25.0, 33.75, 0.0])
@@ -53,7 +61,7 @@ def test_within_a_frame_time_an_object_moves_alike_wherever_its_origin_is() -> N
 def test_a_check_refuses_what_a_plan_refuses_with_the_same_words() -> None:
     huge = {"huge": sized(1.2)}
     with pytest.raises(InputError, match=r"1 objects of 120 to 120 cm") as of_plan:
-        plan(huge, 0, 240, CAMERA, 30.0)
+        plan(huge, 0, 30, CAMERA, 30.0)
     with pytest.raises(InputError) as of_check:
         check_scene(huge)
     assert str(of_check.value) == str(of_plan.value)

@@ -9,7 +9,7 @@ from huepose.geometry import Camera, Mesh, se3
 from huepose.rendering import render
 from huepose.rendering.render import is_closed
 from huepose.rendering.textures import covered_texels
-from huepose.scenes.official_sets import unseen_set
+from huepose.scenes import official_sets
 from huepose.scenes.rendered import LARGEST_M
 from huepose.scenes.shapes import demo_objects, printed
 from huepose.scenes.unseen.objects import SEGMENTS, UnseenObject, arc, loft, unseen_objects
@@ -97,6 +97,7 @@ def test_another_family_than_the_demos_the_same_at_every_call(family: Family) ->
         assert not np.array_equal(a.mesh.texture, c.mesh.texture)
 
 
-def test_ids_do_not_meet_those_of_ycb() -> None:
-    ids = [obj.object_id for obj in unseen_set()]
+def test_ids_do_not_meet_those_of_ycb(family: Family, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(official_sets, "unseen_objects", lambda seed: family)
+    ids = [obj.object_id for obj in official_sets.unseen_set()]
     assert ids == list(range(101, 125))

@@ -90,7 +90,7 @@ def recording(tmp_path_factory, tea_box):
     folder = tmp_path_factory.mktemp("recording")
     mesh = tea_box.mesh
     save_model(replace(tea_box, object_id=1, tables=None), model_path(folder / "bundles", NAME))
-    scene = SyntheticScene(seconds=1.0, objects={NAME: mesh}, cache=folder)
+    scene = SyntheticScene(seconds=1.0, objects={NAME: mesh})
     (folder / "scene" / "rgb").mkdir(parents=True)
     (folder / "scene" / "depth").mkdir()
     cameras, truths = {}, []

@@ -110,7 +110,7 @@ def semantic_icp_many(reference: PaperTables, scene: ClassifiedScene, poses: Flo
     shares, body = _Shares(SEMANTIC, AGGREGATE, SLIDING), Body(centre, radius)
     for level in LEVELS:
         seen = _Scene(
-            points[:: level.stride],
+            np.ascontiguousarray(points[:: level.stride]),
             np.ascontiguousarray(scene.classes[:: level.stride]),
             np.ascontiguousarray(scene.weights[:: level.stride], np.float64),
         )

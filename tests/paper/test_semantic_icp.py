@@ -11,6 +11,7 @@ from huepose.paper import semantic_icp as icp
 from huepose.paper.cloud import ClassifiedCloud
 from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
 from huepose.paper.tables import tables_of
+from tests.kernels import compiled
 from tests.paper.conftest import bare_tables, on_a_box
 
 
@@ -39,6 +40,13 @@ def painted_box() -> PaperTables:
     points, normals = on_a_box(500, np.random.default_rng(3))
     patch = np.floor(points / 0.02).astype(int) @ np.array([1, 3, 7])
     return bare_reference(points, normals, patch % 5)
+
+
+def test_all_levels_share_one_kernel(painted_box: PaperTables) -> None:
+    """Compiling another takes seconds."""
+    ones = np.ones(len(painted_box.cloud_points))
+    semantic_icp(painted_box, painted_box.cloud_points, painted_box.cloud_classes, ones, np.eye(4))
+    assert compiled()["huepose.paper.semantic_icp._align_all"] == 1
 
 
 def start_from(T: np.ndarray, degrees: float, metres: float, rng: np.random.Generator) -> np.ndarray:

@@ -43,7 +43,7 @@ def frame_votes(scene: SurfacePairs, model: SurfacePairs) -> Votes:
             scene.points,
             shapes(model.colors),
             _frames(model),
-            model.points,
+            np.ascontiguousarray(model.points),
             *parameters(),
             MATCHES,
             LEAST_SIMILARITY,

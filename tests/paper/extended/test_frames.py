@@ -10,6 +10,7 @@ from huepose.geometry import se3
 from huepose.geometry.se3 import angles_to
 from huepose.paper.extended import frames
 from huepose.paper.extended.frames import frame_votes
+from tests.kernels import compiled
 
 T = se3.make(se3.rotation_exp(np.array([0.5, 1.5, -0.8])), np.array([0.1, -0.05, 0.8]))
 
@@ -53,6 +54,14 @@ def test_a_pair_that_fits_many_says_less_of_each(monkeypatch: pytest.MonkeyPatch
     assert (per_feature < 1.0 + 1e-5).all()
     rare, common = votes.weights[votes.features < 10], votes.weights[votes.features >= 10]
     assert rare.min() > 5 * common.max()
+
+
+def test_a_model_of_many_pairs_waits_for_no_compiler() -> None:
+    few, many = random_pairs(60, 5), random_pairs(frames.MODEL_PAIRS + 1, 6)
+    frame_votes(few, few)
+    before = compiled()
+    frame_votes(few, many)
+    assert compiled() == before
 
 
 def test_unlike_colours_do_not_vote() -> None:

@@ -26,9 +26,10 @@ setup: packages
 demo: setup
 	@.venv/bin/huepose demo
 
-# One thread for the libraries of each process: those of several would wait spinning for each other.
+# One thread for the libraries of each process: those of several would wait spinning for each other. One process more
+# than processors, since some tests wait.
 test: setup
-	@OMP_NUM_THREADS=1 .venv/bin/pytest -n auto --dist worksteal -m "not live"
+	@OMP_NUM_THREADS=1 .venv/bin/pytest -n $$(($$(nproc) + 1)) --dist worksteal -m "not live"
 	@.venv/bin/pytest -m live
 
 lint: packages

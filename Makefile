@@ -3,7 +3,7 @@
 # Where containers set it, every process would compile its imports anew, for more than a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help packages setup demo test lint docs bench dist bundle audit clean
+.PHONY: help packages setup demo test test-pipelines test-small lint docs bench dist bundle audit clean
 
 help:
 	@echo "make demo    the whole pipeline on a built-in scene, with accuracy and latency at the end"
@@ -27,10 +27,17 @@ demo: setup
 	@.venv/bin/huepose demo
 
 # One thread for the libraries of each process: those of several would wait spinning for each other. One process more
-# than processors, since some tests wait.
+# than processors, since some tests wait. Live tests wait most of the time: those with a whole pipeline run one after the
+# other, and meanwhile so do the small ones.
 test: setup
 	@OMP_NUM_THREADS=1 .venv/bin/pytest -n $$(($$(nproc) + 1)) --dist worksteal -m "not live"
-	@.venv/bin/pytest -m live
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync test-pipelines test-small
+
+test-pipelines:
+	@.venv/bin/pytest -m "live and pipeline"
+
+test-small:
+	@.venv/bin/pytest -m "live and not pipeline"
 
 lint: packages
 	@.venv/bin/ruff check .

@@ -34,6 +34,7 @@ measured_here = pytest.mark.skipif(
 
 
 @pytest.mark.live
+@pytest.mark.pipeline
 @measured_here
 def test_no_stage_became_slower():
     code, found = _speed()
@@ -41,6 +42,7 @@ def test_no_stage_became_slower():
 
 
 @pytest.mark.live
+@pytest.mark.pipeline
 @measured_here
 def test_a_stage_that_is_slower_by_half_is_noticed():
     code, found = _speed("--only", "track", "--slowed", "0.5")

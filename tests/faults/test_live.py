@@ -17,7 +17,7 @@ from huepose_services.chaos.outcome import STEADY_OBJECTS, strike
 from huepose_services.chaos.system import LivePipeline
 from tests.services.conftest import runs, started_by, until
 
-pytestmark = [pytest.mark.live, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.live, pytest.mark.pipeline, pytest.mark.timeout(900)]
 
 # Of the camera, of the bus, of a worker, of a reader. 10 Hz: how late things are on a busy computer is not
 # what this is about.

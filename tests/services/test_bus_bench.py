@@ -2,7 +2,7 @@ import pytest
 
 from huepose_services.bus_bench import bench_bus
 
-pytestmark = pytest.mark.live
+pytestmark = [pytest.mark.live, pytest.mark.pipeline]
 
 
 def test_frames_cross_by_shared_memory_and_by_tcp():

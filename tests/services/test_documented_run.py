@@ -212,6 +212,7 @@ def test_what_is_left_out_is_there_and_all_else_is_a_command_of_ours():
 
 
 @pytest.mark.live
+@pytest.mark.pipeline
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(not ACTIVATE.exists(), reason="there is no .venv: make setup")
 def test_the_commands_do_what_the_pages_say(tmp_path: Path) -> None:
@@ -234,6 +235,7 @@ FOLDER = ("docs/cameras.md", "A folder of pictures")
 
 
 @pytest.mark.live
+@pytest.mark.pipeline
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(not ACTIVATE.exists(), reason="there is no .venv: make setup")
 def test_a_folder_of_pictures_is_played_as_the_page_says(tmp_path: Path, recording) -> None:

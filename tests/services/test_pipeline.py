@@ -24,7 +24,7 @@ from huepose_services.runtime.running import pick
 from huepose_services.watch import Watch
 from tests.services.conftest import NAME, PLAYED, patient_pipeline, processes
 
-pytestmark = [pytest.mark.live, pytest.mark.timeout(240)]
+pytestmark = [pytest.mark.live, pytest.mark.pipeline, pytest.mark.timeout(240)]
 
 
 @dataclass

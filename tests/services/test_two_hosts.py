@@ -39,7 +39,11 @@ def _why_not():
     return None if tried.returncode == 0 else f"no namespaces here: {tried.stderr.decode().strip()}"
 
 
-pytestmark = [pytest.mark.live, pytest.mark.skipif(_why_not() is not None, reason=str(_why_not()))]
+pytestmark = [
+    pytest.mark.live,
+    pytest.mark.pipeline,
+    pytest.mark.skipif(_why_not() is not None, reason=str(_why_not())),
+]
 
 
 class TwoHosts:

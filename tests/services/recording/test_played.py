@@ -356,6 +356,7 @@ def test_who_waits_finds_a_pipeline_that_starts_at_another_port(
 
 
 @pytest.mark.live
+@pytest.mark.pipeline
 @pytest.mark.timeout(900)
 def test_a_live_pipeline_is_computed_again_bit_by_bit(huepose, wait_until, tmp_path):
     """At 10 Hz: how much of 30 a busy computer can do is not what this is about. Recorded from before the

@@ -27,7 +27,7 @@ from tests.services.conftest import free_port_range, patient_pipeline, processes
 from tests.services.ros2.test_ros2 import read
 from tests.services.sessions import listening
 
-pytestmark = [pytest.mark.live, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.live, pytest.mark.pipeline, pytest.mark.timeout(400)]
 
 FRAMES, GAP_NS = 60, 100_000_000
 T_BASE_OBJ = se3.make(se3.rotation_exp(np.array([0.0, 0.0, 0.6])), np.array([0.0, 0.0, 0.075]))

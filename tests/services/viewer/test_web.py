@@ -38,6 +38,7 @@ from tests.services.viewer import browser
 
 pytestmark = [
     pytest.mark.live,
+    pytest.mark.pipeline,
     pytest.mark.timeout(240),
     pytest.mark.skipif(browser.PROGRAM is None, reason="there is no Chromium: apt-get install chromium"),
 ]

@@ -220,6 +220,7 @@ def test_a_view_of_the_rim_alone_is_not_kept(monkeypatch: pytest.MonkeyPatch) ->
         return replace(view, mask=view.mask & stripes) if frame.frame_id == 1 else view
 
     monkeypatch.setattr(LEARN, "view_at", narrow)
+    monkeypatch.setattr(LEARN, "POLISHES", 1)
     made = learn(turning(3), box_of(pose(0.0)))
     assert (made.views, len(made.T_cam_obj)) == (2, 3)
 

@@ -132,7 +132,8 @@ def test_that_a_recording_begins_again_and_objects_jump_is_said_each_time(scene)
     }
 
 
-def test_of_a_drawn_scene_it_is_said_once_that_objects_are_hidden_in_it(tmp_path):
+def test_of_a_drawn_scene_it_is_said_once_that_objects_are_hidden_in_it(tmp_path, monkeypatch):
+    monkeypatch.setattr("huepose.scenes.plan._ATTEMPTS", 1)  # any plan does
     mesh = {"tea_box": demo_objects(0)["tea_box"]}
     drawn = SyntheticScene(3, 1.0, mesh, CAMERA.scaled(0.25), cache=tmp_path)
     config = Config(workers=("camera",), camera=CameraConfig(source="synthetic", rate=30.0))

@@ -31,7 +31,7 @@ demo: setup
 # other, and meanwhile so do the small ones.
 test: setup
 	@OMP_NUM_THREADS=1 .venv/bin/pytest -n $$(($$(nproc) + 1)) --dist worksteal -m "not live"
-	@$(MAKE) --no-print-directory --jobs=2 --output-sync test-pipelines test-small
+	@$(MAKE) --no-print-directory --jobs=2 test-pipelines test-small
 
 test-pipelines:
 	@.venv/bin/pytest -m "live and pipeline"

@@ -8,15 +8,16 @@ Scenes without labels, label details or masks can be read, too.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from huepose.datasets import files
 from huepose.datasets.types import GroundTruth
 from huepose.geometry.box import Box
-from huepose.geometry.camera import Camera
+from huepose.geometry.camera import NEAREST_M, Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
 from huepose.support.words import counted, listed
@@ -126,12 +127,19 @@ class BopScene:
         color = files.read_color(color_path)
         depth = files.read_depth(depth_path, files.positive(record, "depth_scale", where) / 1000.0)
         files.same_size(color, color_path, depth, depth_path)
-        K = files.numbers(record, "cam_K", (3, 3), where)
+        K = files.pinhole(files.numbers(record, "cam_K", (3, 3), where), where)
         camera = Camera.from_matrix(K, color.shape[1], color.shape[0])
         return RgbdFrame(color, depth, camera, frame_id=image, stamp_ns=self.stamp_ns(image))
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
-        """The labels of an image; none where the scene has none for it."""
+        """The labels of an image; none where the scene has none for it. Raises InputError."""
+        if self._farthest_mm is not None and self._farthest_mm < 1000.0 * NEAREST_M:
+            raise InputError(
+                self.path / "scene_gt.json",
+                found=f"no object farther from the camera than {self._farthest_mm:.3g} mm",
+                expected="cam_t_m2c in millimetres",
+                fix="Of positions in metres write a thousand times as much.",
+            )
         labels = self._entries(self._labels, image, "scene_gt.json")
         details = self._entries(self._details, image, "scene_gt_info.json")
         if details and len(details) != len(labels):
@@ -144,6 +152,14 @@ class BopScene:
         return tuple(
             self._truth(image, i, label, details[i] if details else {}) for i, label in enumerate(labels)
         )
+
+    @cached_property
+    def _farthest_mm(self) -> float | None:
+        """How far the farthest label is from the camera; None where none says a place other than 0."""
+        entries = [entry for value in self._labels.values() if isinstance(value, list) for entry in value]
+        said = [entry.get("cam_t_m2c") for entry in entries if isinstance(entry, dict)]
+        places = [t for t in said if isinstance(t, list) and all(isinstance(x, int | float) for x in t)]
+        return max((math.hypot(*t) for t in places), default=0.0) or None
 
     def _entries(self, records: dict[str, Any], image: int, name: str) -> list[dict[str, Any]]:
         entries = records.get(str(image), [])

@@ -19,6 +19,8 @@ from huepose.support.words import listed
 
 _COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 _FRAME_NS = 1e9 / 30.0
+_SQUARE = 1e-3
+"""A skew of this share of the focal length moves nothing by half a pixel, and is not looked at."""
 
 
 def folder_name(path: Path) -> str:
@@ -59,15 +61,15 @@ def read_json(path: Path, fix: str = "", form: str = "") -> dict[str, Any]:
 def field(record: dict[str, Any], key: str, where: object) -> Any:
     """`record[key]`. Raises InputError naming `where` when it is not there."""
     if not isinstance(record, dict) or key not in record:
-        found = f"keys {_in_words(record) or 'none'}" if isinstance(record, dict) else f"{record!r}"
+        found = f"keys {in_words(record) or 'none'}" if isinstance(record, dict) else f"{record!r}"
         raise InputError(where, found=found, expected=f"the key '{key}'")
     return record[key]
 
 
-def _in_words(keys: Iterable[str]) -> str:
+def in_words(keys: Iterable[str]) -> str:
     """Keys in order, not all of them where they are many; numbers that follow each other as one.
 
-    >>> _in_words(["fy", "fx"]), _in_words(["10", "9", "8", "0"]), _in_words(map(str, range(1000)))
+    >>> in_words(["fy", "fx"]), in_words(["10", "9", "8", "0"]), in_words(map(str, range(1000)))
     ('fx, fy', '0, 8 to 10', '0 to 999')
     """
     names = list(keys)
@@ -104,6 +106,30 @@ def positive(record: dict[str, Any], key: str, where: object) -> float:
     if value <= 0:
         raise InputError(where, found=f"'{key}': {value}", expected="a number over 0")
     return value
+
+
+def pinhole(K: Float64, where: object) -> Float64:
+    """K (3, 3) as a file holds it. Raises InputError where it is not that of a pinhole camera whose rows and
+    columns of pixels are at right angles."""
+    if K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise InputError(where, found=f"focal lengths {K[0, 0]}, {K[1, 1]}", expected="numbers over 0")
+    if K[2].tolist() != [0.0, 0.0, 1.0]:
+        raise InputError(
+            where,
+            found=f"a matrix whose last row is {K[2].tolist()}",
+            expected="0, 0, 1",
+            fix="cam_K and K are row by row: fx, 0, cx, 0, fy, cy, 0, 0, 1; intrinsic_matrix is by columns.",
+        )
+    skew = max(K[0, 1], K[1, 0], key=abs)
+    if abs(skew) > _SQUARE * K[0, 0]:
+        raise InputError(
+            where,
+            found=f"a skew of {skew:g} beside the focal lengths {K[0, 0]:g}, {K[1, 1]:g}",
+            expected="0: fx, 0, cx, 0, fy, cy, 0, 0, 1, row by row",
+            fix="Rectify the pictures to a matrix without skew (OpenCV: cv2.undistort with such a "
+            "newCameraMatrix), and give that matrix.",
+        )
+    return K
 
 
 def rigid(R: Float64, t_m: Float64, where: object) -> Float64:

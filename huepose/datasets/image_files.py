@@ -77,7 +77,12 @@ def read_camera(path: Path | str, image: int | None = None) -> CameraFile:
     where = str(path)
     if record and all(key.isdigit() and isinstance(value, dict) for key, value in record.items()):
         if str(image) not in record:
-            raise InputError(path, found=f"no entry for image {image}", expected="the number of the image")
+            raise InputError(
+                path,
+                found=f"no entry for image {image}",
+                expected=f"one of its entries, {files.in_words(record)}",
+                fix="The number at the end of the colour picture's name says which one is read: without, 0.",
+            )
         record, where = record[str(image)], f"{path}, image {image}"
     if overlooked := [key for key in record if key.lower() in _OTHER_NAMES]:
         raise InputError(
@@ -112,16 +117,7 @@ def _matrix(record: dict[str, Any], where: str) -> Float64:
         fx, fy = files.positive(record, "fx", where), files.positive(record, "fy", where)
         cx, cy = (float(files.numbers(record, key, (), where)) for key in ("cx", "cy"))
         K = Camera(fx, fy, cx, cy, 1, 1).K
-    if K[0, 0] <= 0 or K[1, 1] <= 0:
-        raise InputError(where, found=f"focal lengths {K[0, 0]}, {K[1, 1]}", expected="numbers over 0")
-    if K[2].tolist() != [0.0, 0.0, 1.0]:
-        raise InputError(
-            where,
-            found=f"a matrix whose last row is {K[2].tolist()}",
-            expected="0, 0, 1",
-            fix="cam_K and K are row by row: fx, 0, cx, 0, fy, cy, 0, 0, 1; intrinsic_matrix is by columns.",
-        )
-    return K
+    return files.pinhole(K, where)
 
 
 def _size(record: dict[str, Any], key: str, where: str) -> int | None:

@@ -252,7 +252,7 @@ class _Choice:
         if (info.width, info.height) != (width, height):
             raise InputError(
                 where,
-                found=f"a camera of {info.width} x {info.height}",
+                found=f"a camera of {info.width} x {info.height}{_partly(info)}",
                 expected=f"{width} x {height}, as the pictures of {self.color}",
                 fix=self._named_or("name another: camera.info_topic", "record the one of these pictures."),
             )
@@ -336,6 +336,15 @@ def _base(topic: str) -> str:
 def _beside(topic: str) -> str:
     """Where the CameraInfo of a topic of pictures is, by convention."""
     return _base(topic).rpartition("/")[0] + "/camera_info"
+
+
+def _partly(info: Any) -> str:
+    """What a CameraInfo says of pictures that are not whole, which is not read, in words."""
+    binning, roi = f"{info.binning_x} x {info.binning_y}", info.roi
+    parts = [f"binning {binning}"] if max(info.binning_x, info.binning_y) > 1 else []
+    if roi.width and (roi.width, roi.height) != (info.width, info.height):
+        parts.append(f"a roi of {roi.width} x {roi.height} at {roi.x_offset}, {roi.y_offset}")
+    return f" with {' and '.join(parts)}, of which nothing is read" if parts else ""
 
 
 def _same(one: Any, other: Any, tolerance: float) -> bool:

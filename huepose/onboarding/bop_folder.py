@@ -57,7 +57,7 @@ def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[B
             folder,
             found=f"no mesh of object {missing[0]}",
             expected=f"one of {', '.join(str(i) for i in sorted(meshes))}",
-            fix="Correct --ids.",
+            fix="Ask for one of these, or put its mesh there.",
         )
     out = [_entry(i, meshes[i], folder, infos, offsets) for i in sorted(meshes) if not ids or i in ids]
     if is_ycbv({m.object_id: float(m.info["diameter"]) for m in out if "diameter" in m.info}):

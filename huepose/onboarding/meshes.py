@@ -22,7 +22,7 @@ from huepose.onboarding.seams import UPSIDE_DOWN, upside_down
 from huepose.onboarding.texture import single_texture
 from huepose.onboarding.winding import outward_sign
 from huepose.support.errors import InputError
-from huepose.support.lengths import LIKELY, METRES, Unit, length, number
+from huepose.support.lengths import LIKELY, METRES, NAMES, Unit, length, number
 
 SMALLEST_M, LARGEST_M = 0.01, 2.0
 """Bounds of the largest side of an object, by which the unit of a mesh is guessed."""
@@ -191,7 +191,7 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
     taken = next((u for u in tried if u in plausible), None)
     if taken is not None:
         return METRES[taken]
-    sizes = " or ".join(f"{length(extent * METRES[u])} if it is in {u}" for u in (*tried, *plausible))
+    sizes = " or ".join(f"{length(extent * METRES[u])} if it is in {NAMES[u]}" for u in (*tried, *plausible))
     said = " or ".join(f"--unit {u}" for u in plausible)
     if plausible:
         fix = f"Did you mean {said}?" if was_told else f"Give {said}."

@@ -122,6 +122,11 @@ def edited(name: str, change):
     return lambda scene: edit(scene / name, change)
 
 
+def in_metres(labels: dict) -> None:
+    for label in (label for image in labels.values() for label in image):
+        label["cam_t_m2c"] = [x / 1000.0 for x in label["cam_t_m2c"]]
+
+
 def smaller_depth(scene: Path) -> None:
     cv2.imwrite(str(scene / "depth/000002.png"), np.ones((3, 4), np.uint16))
 
@@ -144,12 +149,21 @@ def depth_of_8_bits(scene: Path) -> None:
         (edited("scene_camera.json", lambda r: r.pop("2")), "scene_camera.json"),
         (edited("scene_camera.json", lambda r: r["2"].pop("cam_K")), "cam_K"),
         (edited("scene_camera.json", lambda r: r["2"].update(cam_K=[1, 2])), "cam_K"),
+        (
+            edited("scene_camera.json", lambda r: r["2"].update(cam_K=[30, 4, 8, 0, 21, 6, 0, 0, 1])),
+            "skew of 4",
+        ),
+        (
+            edited("scene_camera.json", lambda r: r["2"].update(cam_K=[30, 0, 0, 0, 21, 0, 8, 6, 1])),
+            "last row",
+        ),
         (edited("scene_camera.json", lambda r: r["2"].update(depth_scale="x")), "depth_scale"),
         (edited("scene_camera.json", lambda r: r["2"].update(depth_scale=0)), "depth_scale"),
         (edited("scene_camera.json", lambda r: r["2"].update(timestamp_ns=1.5)), "timestamp_ns"),
         (edited("scene_gt.json", lambda r: r["2"][0].update(cam_R_m2c=[1] * 9)), "scene_gt.json"),
         (edited("scene_gt.json", lambda r: r["2"][0].pop("obj_id")), "obj_id"),
         (edited("scene_gt.json", lambda r: r["2"].append("x")), "scene_gt.json"),
+        (edited("scene_gt.json", in_metres), "expected cam_t_m2c in millimetres"),
         (edited("scene_gt_info.json", lambda r: r["2"].pop()), "scene_gt_info.json"),
     ],
 )

@@ -86,13 +86,15 @@ def test_every_form_of_intrinsics_gives_the_same_frame(files, form: dict) -> Non
         ({**OWN, "distortion_model": "inverse_brown_conrady", "distortion": "none"}, "inverse_brown_conrady"),
         ({**OWN, "distortion_model": "rational", "distortion": [0.1] * 5}, "8 numbers"),
         ({**OWN, "distortion_model": "none", "distortion": [0.1]}, "none"),
-        ({"9": MATRIX}, "image 4"),
+        ({"9": MATRIX}, r"image 4; expected one of its entries, 9\. The number at the end"),
         ({}, "fx"),
         (
             {**OWN, "distortion": [0.1, 0, 0, 0]},
             r"with distortion_model 'none'; expected distortion_model: brown_conrady",
         ),
         ({**MATRIX, "cam_K": [20.0, 0, 0, 0, 21.0, 0, 7.5, 5.5, 1]}, r"row by row"),
+        ({**MATRIX, "cam_K": [20.0, 3.0, 7.5, 0, 21.0, 5.5, 0, 0, 1]}, r"a skew of 3 beside"),
+        ({**MATRIX, "cam_K": [20.0, 0, 7.5, -2.0, 21.0, 5.5, 0, 0, 1]}, r"a skew of -2 beside"),
         ({"camera_matrix": {"data": [1.0] * 9}}, r"keys camera_matrix; .*intrinsic_matrix"),
         *(
             (

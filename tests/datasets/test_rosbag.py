@@ -270,6 +270,12 @@ def test_what_cannot_be_used_is_said(tmp_path: Path) -> None:
     assert "without a stamp" in refusal(ros.write(tmp_path / "unset", unset))
     late = desk(ros, depth=lambda n, ns: ros.image(DEPTHS_MM[n], "16UC1", ns + 10**9))
     assert "no depth of" in refusal(ros.write(tmp_path / "late", late))
+    binned = desk(ros)
+    for _, _, message in binned:
+        if hasattr(message, "binning_x"):
+            message.width, message.height, message.binning_x, message.binning_y = WIDTH * 2, HEIGHT * 2, 2, 2
+    said = refusal(ros.write(tmp_path / "binned", binned))
+    assert f"a camera of {WIDTH * 2} x {HEIGHT * 2} with binning 2 x 2, of which nothing is read;" in said
     fisheye = [*desk(ros, [0.1] * 4)]
     for _, _, message in fisheye:
         if hasattr(message, "distortion_model"):

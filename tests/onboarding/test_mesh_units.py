@@ -35,21 +35,21 @@ def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, met
         (
             5.0,
             None,
-            "5 m if it is in m or 5 mm if it is in mm or 5 cm if it is in cm or 12.7 cm if it is in in "
-            "or 1.524 m if it is in ft; "
+            "5 m if it is in metres or 5 mm if it is in millimetres or 5 cm if it is in centimetres "
+            "or 12.7 cm if it is in inches or 1.524 m if it is in feet; "
             "expected an object of 1 cm to 2 m. Give --unit cm or --unit in or --unit ft.",
         ),
         (
             15.0,
             "m",
-            "(taken as m): 15 m if it is in m or 1.5 cm if it is in mm or 15 cm if it is in cm or 38.1 cm if "
-            "it is in in; expected an object of 1 cm to 2 m. "
+            "(taken as m): 15 m if it is in metres or 1.5 cm if it is in millimetres or 15 cm if it is in "
+            "centimetres or 38.1 cm if it is in inches; expected an object of 1 cm to 2 m. "
             "Did you mean --unit mm or --unit cm or --unit in?",
         ),
         (
             0.2,
             "mm",
-            "20 cm if it is in m or 6.096 cm if it is in ft; expected an object of 1 cm to 2 m. "
+            "20 cm if it is in metres or 6.096 cm if it is in feet; expected an object of 1 cm to 2 m. "
             "Did you mean --unit m or --unit ft?",
         ),
         (4000.0, None, "By no --unit (mm, cm, m, in, ft) is it one: scale the mesh."),
@@ -98,7 +98,7 @@ def test_feet_can_be_said(tmp_path: Path) -> None:
 def test_gltf_is_metres_unless_told(tmp_path: Path) -> None:
     files.write_glb(tmp_path / "m.glb", solids.box((80.0, 60.0, 40.0)))
     with pytest.raises(
-        InputError, match=r"8 cm if it is in mm or 80 cm if it is in cm.*--unit mm or --unit cm"
+        InputError, match=r"8 cm if it is in millimetres or 80 cm if it is in centi.*--unit mm or --unit cm"
     ):
         read_mesh(tmp_path / "m.glb")
     np.testing.assert_allclose(

@@ -35,9 +35,9 @@ class Change(Generic[T]):
 class Follower(Generic[T]):
     """`changes()`, called in every step, says what has changed since it was last called.
 
-    load: from an object's name to what the worker keeps of it, called in a thread; known: the objects that
-    the worker has already; remembers: whether it tells the list to the worker that publishes it, should that
-    one have died."""
+    load: from an object's name to what the worker keeps of it, called in a thread, for one after the other;
+    known: the objects that the worker has already; remembers: whether it tells the list to the worker that
+    publishes it, should that one have died."""
 
     def __init__(
         self, bus: Bus, load: Callable[[str], T], known: Iterable[str], remembers: bool = False
@@ -49,6 +49,7 @@ class Follower(Generic[T]):
         self._loading: set[str] = set()
         # What was loaded for an entry, and whether to leave it at that.
         self._loaded: queue.SimpleQueue[tuple[ObjectEntry, T | None, bool]] = queue.SimpleQueue()
+        self._one_loads = threading.Lock()
         self._newest: dict[str, ObjectEntry] = {}
 
     def changes(self) -> list[Change[T]]:
@@ -71,6 +72,14 @@ class Follower(Generic[T]):
                 entry = self._known[asked.object] = self._newest[asked.object]
                 out += [] if item is None else [Change(entry, added=item)]
         return out
+
+    def keep_up(self, kept: dict[str, T]) -> None:
+        """Take the changes over into what a worker keeps of each object, by name."""
+        for change in self.changes():
+            if change.removed:
+                kept.pop(change.entry.object, None)
+            elif change.added is not None:
+                kept[change.entry.object] = change.added
 
     def _goes_on(self, entry: ObjectEntry) -> bool:
         """Whether it is looked for, and was not removed and added again, maybe with another model, since."""
@@ -100,7 +109,8 @@ class Follower(Generic[T]):
     def _load_one(self, entry: ObjectEntry) -> None:
         name, item, settled = entry.object, None, False
         try:
-            item, settled = self._load(name), True
+            with self._one_loads:
+                item, settled = self._load(name), True
         except InputError as error:
             settled = True
             self._fail(str(error))

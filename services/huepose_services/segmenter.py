@@ -59,11 +59,7 @@ class SegmenterWork(Work):
 
     def step(self) -> None:
         """Outline what is in the newest detections."""
-        for change in self._objects.changes():
-            if change.removed:
-                self._outlines.pop(change.entry.object, None)
-            elif change.added is not None:
-                self._outlines[change.entry.object] = change.added
+        self._objects.keep_up(self._outlines)
         taken = self._bus.take_with_payload(self._detections, Detections)
         if taken is None:
             return

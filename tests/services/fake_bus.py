@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import msgspec
 
 from huepose_protos.examples import example
-from huepose_protos.messages import FrameHeader
+from huepose_protos.messages import FrameHeader, ObjectEntry, ObjectsMessage
 from huepose_services.camera.publish import packed
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.health import Health
@@ -17,6 +17,13 @@ def sent(frame, depth_scale_m=1e-4, **fields):
     picture = packed(frame, depth_scale_m)
     said = {"intrinsics": picture.intrinsics, "buffers": picture.buffers, **fields}
     return msgspec.structs.replace(example(FrameHeader), **said), picture.payload
+
+
+def listed(*names):
+    """The list of objects with these names."""
+    return ObjectsMessage(
+        publish_ns=1, objects=[ObjectEntry(object=n, max_instances=1, searching=1) for n in names]
+    )
 
 
 def _nothing(*_, **__):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 N = TypeVar("N", int, float)
 
-_SAY_WAITING_AFTER_S = 3.0
+_SAY_WAITING_AFTER_S, _LOOK_EVERY_S = 3.0, 0.1
 
 
 def _file_or_output(name: str) -> Path | bool:
@@ -245,22 +245,28 @@ def say_if_unknown(pipeline: Pipeline) -> None:
         say(f"looking for a pipeline at port {pipeline.base_port} ...")
 
 
-class Waiting:
-    """Of who waits to hear the pipeline that is meant."""
+def awaited(
+    arguments: argparse.Namespace, stopping: Callable[[], bool], until_s: float = float("inf")
+) -> bool:
+    """Waits until the pipeline that is meant is noted or heard, and says so; it may be another one by then.
+    until_s: time.monotonic(), at most. Whether it was not there at once."""
+    from huepose_protos.client import Reader
 
-    def __init__(self, arguments: argparse.Namespace) -> None:
-        self._arguments = arguments
-        self._place = chosen(arguments, tell=False).place
-        self._say_at = time.monotonic() + _SAY_WAITING_AFTER_S
+    pipeline, said = chosen(arguments, tell=False), False
+    if pipeline.noted:
+        return False
+    begun = time.monotonic()
+    with Reader(pipeline.endpoints) as reader:
+        while not (stopping() or reader.seen or time.monotonic() > until_s or _is_noted(arguments)):
+            if not said and time.monotonic() - begun > _SAY_WAITING_AFTER_S:
+                said = True
+                say(f"waiting for a pipeline: {pipeline.absence}")
+            time.sleep(_LOOK_EVERY_S)
+    return True
 
-    def for_another(self) -> bool:
-        """Whether another pipeline is meant now than at first: it was started meanwhile. Asked again and
-        again, it says once what is waited for."""
-        pipeline = chosen(self._arguments, tell=False)
-        if time.monotonic() > self._say_at:
-            self._say_at = float("inf")
-            say(f"waiting for a pipeline: {pipeline.absence}")
-        return pipeline.place != self._place
+
+def _is_noted(arguments: argparse.Namespace) -> bool:
+    return chosen(arguments, tell=False).noted
 
 
 def chosen_config(arguments: argparse.Namespace) -> Config:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,11 +12,11 @@ from huepose.support.errors import InputError
 from huepose.support.progress import Status
 from huepose.support.words import counted
 from huepose_services.cli.options import (
-    Waiting,
     add_choice,
     add_json,
     add_number,
     add_seconds,
+    awaited,
     chosen_config,
     say,
     until_told,
@@ -48,6 +47,11 @@ def add_parser(subparsers: Any) -> None:
 
 def call(arguments: argparse.Namespace) -> int:
     """Record until it ends or is interrupted."""
+    from huepose_services.recording.parts import SUFFIX, Limits, Parts
+    from huepose_services.recording.record import Recorder, about_this_machine
+    from huepose_services.runtime.bus import Bus
+    from huepose_services.runtime.clock import this_clock
+    from huepose_services.runtime.session import open_recorder_session
     from huepose_services.runtime.worker import come_first
 
     part, keep, free = arguments.part, arguments.keep, arguments.free
@@ -59,48 +63,33 @@ def call(arguments: argparse.Namespace) -> int:
         )
     stopping = until_told()
     come_first("record")
-    while True:
-        code = _recorded(arguments, stopping)
-        if code is not None:
-            return code
-
-
-def _recorded(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> int | None:
-    """Record the pipeline that is meant now; None, without a file, where another one is meant before anything
-    is heard of it: it was started meanwhile."""
-    from huepose_services.recording.parts import SUFFIX, Limits, Parts
-    from huepose_services.recording.record import Recorder, about_this_machine
-    from huepose_services.runtime.bus import Bus
-    from huepose_services.runtime.clock import this_clock
-    from huepose_services.runtime.session import open_recorder_session
-
-    part, keep, free = arguments.part, arguments.keep, arguments.free
-    config = chosen_config(arguments)
-    waiting = Waiting(arguments)
     limits = Limits(part << 20, None if keep is None else keep << 20, free << 20)
-    about = about_this_machine() | {"site": config.site, "camera": config.camera.name}
-    parts = Parts(arguments.out, limits, this_clock().realtime_offset_ns, about, arguments.jpeg)
+    parts = Parts(
+        arguments.out, limits, this_clock().realtime_offset_ns, about_this_machine(), arguments.jpeg
+    )
     if parts.path != arguments.out:
         say(f"{arguments.out} does not end in {SUFFIX}: it is written to {parts.path}")
+    try:
+        awaited(arguments, stopping)
+        config = chosen_config(arguments)
+    except InputError:  # several run now
+        parts.close()
+        parts.path.unlink()
+        raise
+    parts.note("huepose", {"site": config.site, "camera": config.camera.name})
     session = open_recorder_session(config)
     bus = Bus(session, config.keys, "record")
     recorder = Recorder(bus, parts, with_frames=not arguments.no_frames)
     status = Status()
-    code, end_at, another = 0, float("inf"), False
+    code, end_at = 0, float("inf")
     try:
-        while not (stopping() or recorder.finished or another):
+        while not (stopping() or recorder.finished):
             recorder.step(0.1)
-            another = recorder.span.first_ns is None and waiting.for_another()
             status.show(_how_far(recorder, parts))
             if arguments.seconds is not None and recorder.span.first_ns is not None:
                 end_at = min(end_at, time.monotonic() + arguments.seconds)
             if time.monotonic() >= end_at:
                 break
-    except InputError:  # several run now
-        parts.close()
-        if recorder.span.first_ns is None:
-            parts.path.unlink(missing_ok=True)
-        raise
     except OSError as error:
         say(f"\nhuepose record: {error.strerror or error}; what was written stays")
         code = 1
@@ -112,9 +101,6 @@ def _recorded(arguments: argparse.Namespace, stopping: Callable[[], bool]) -> in
     except OSError as error:
         say(f"\nhuepose record: {error.strerror or error}; the end is missing")
         code = 1
-    if another:
-        parts.path.unlink(missing_ok=True)
-        return None
     if recorder.span.first_ns is None:
         say("\nhuepose record: no pipeline said anything, so nothing was recorded")
         parts.path.unlink(missing_ok=True)

@@ -7,16 +7,15 @@ import os
 import threading
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose_services.cli.options import (
-    Waiting,
     add_choice,
     add_path,
     add_seconds,
+    awaited,
     chosen,
     chosen_config,
     number_of,
@@ -26,7 +25,7 @@ from huepose_services.cli.options import (
 from huepose_services.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
-    from huepose_services.met import Met
+    from huepose_services.following import Follower
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.config import Config
     from huepose_services.viewer.shapes import Body
@@ -64,12 +63,9 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.save is None:
         threading.Thread(target=_end, args=(stopping,), daemon=True).start()
     end = time.monotonic() + seconds
-    if _waited(stopping, end, arguments):
+    if awaited(arguments, stopping, end):
         config = chosen_config(arguments)
-    seen: tuple[int, str] | None = (0, "")
-    while not stopping() and (seen := _run(config, recording, end, stopping, arguments)) is None:
-        config = chosen_config(arguments)
-    pictures, spoilt = seen or (0, "")
+    pictures, spoilt = _run(config, recording, end, stopping, arguments)
     recording.disconnect()
     if spoilt:
         say(f"huepose view: {arguments.save}: {spoilt}; what was written stays")
@@ -123,25 +119,10 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
     return recording
 
 
-def _waited(stopping: Callable[[], bool], end: float, arguments: argparse.Namespace) -> bool:
-    """Where no pipeline is known, waits until one is or is heard, and says so: until then its objects, which
-    take time to load, are anyone's. Whether it waited."""
-    from huepose_protos.client import Reader
-
-    waiting, pipeline = Waiting(arguments), chosen(arguments, tell=False)
-    if pipeline.file:
-        return False
-    with Reader(pipeline.endpoints, pipeline.key("health/*")) as reader:
-        while not (stopping() or reader.seen or time.monotonic() > end or waiting.for_another()):
-            time.sleep(_LOOK_EVERY_S)
-    return True
-
-
 def _run(
     config: Config, recording: Any, end: float, stopping: Callable[[], bool], arguments: argparse.Namespace
-) -> tuple[int, str] | None:
-    """Show until told to stop, or the disk is full: how many pictures came, and why a file is not whole. None
-    where another pipeline is meant before a picture came: it was started meanwhile."""
+) -> tuple[int, str]:
+    """Show until told to stop, or the disk is full: how many pictures came, and why a file is not whole."""
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.session import open_reader_session
@@ -152,43 +133,46 @@ def _run(
 
     session = open_reader_session([config.endpoint(worker) for worker in config.workers])
     bus = Bus(session, config.keys, "view")
-    drawn = _drawn(bus, config, arguments)
+    bodies, follower = _drawn(bus, config, arguments)
     warm_up()
     work = ViewerWork(
         bus,
-        Show(recording, drawn),
+        Show(recording, bodies),
+        bodies,
+        follower,
         config.viewer.image_rate_hz,
         arguments.hypotheses,
-        drawn if arguments.pairs else None,
+        arguments.pairs,
         begins_with_picture=arguments.save is not None,
     )
-    waiting, another = Waiting(arguments), False
     flush_at, spoilt = time.monotonic(), ""
-    while not (stopping() or spoilt or another) and time.monotonic() < end:
+    while not (stopping() or spoilt) and time.monotonic() < end:
         due_ns = work.due_ns()
         wait_ns = _LONGEST_WAIT_NS if due_ns is None else min(due_ns - now_ns(), _LONGEST_WAIT_NS)
         bus.inbox.wait(wait_ns / SECOND)
         work.step()
-        another = not bus.health.counters.get("pictures") and waiting.for_another()
         if arguments.save is not None and time.monotonic() > flush_at:
             flush_at, spoilt = time.monotonic() + _FLUSH_EVERY_S, sinks.flushed(recording)
     bus.close()
     session.close()
-    if another:
-        return None
     return bus.health.counters.get("pictures", 0), spoilt or sinks.flushed(recording)
 
 
-def _drawn(bus: Bus, config: Config, arguments: argparse.Namespace) -> Met[Body]:
+def _drawn(bus: Bus, config: Config, arguments: argparse.Namespace) -> tuple[dict[str, Body], Follower[Body]]:
     """What is drawn: all objects of a pipeline whose file is known. Of another one, as of a recording that is
-    played, nobody says which it has: those that are met in poses."""
+    played, those that are in its list of objects."""
     from huepose_services import models
+    from huepose_services.following import Follower
     from huepose_services.recording import its_models
-    from huepose_services.viewer.work import bodies
+    from huepose_services.viewer.shapes import Body
 
     pipeline = chosen(arguments, tell=False)
-    if pipeline.recorded:
-        load = partial(its_models.load_one, Path(pipeline.file))
-        return bodies(bus, {}, load, say, arguments.pairs)
-    known = models.load(config) if pipeline.file else {}
-    return bodies(bus, known, partial(models.load_one, config), say, arguments.pairs)
+    known = models.load(config) if pipeline.file and not pipeline.recorded else {}
+    bodies = {name: Body.of(model, arguments.pairs) for name, model in known.items()}
+
+    def load(name: str) -> Body:
+        if pipeline.recorded:
+            return Body.of(its_models.load_one(Path(pipeline.file), name), arguments.pairs)
+        return Body.of(models.load_one(config, name), arguments.pairs)
+
+    return bodies, Follower(bus, load, bodies)

@@ -74,8 +74,7 @@ class Parts:
         self.path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
         self._path = self.path
         self._limits, self._offset_ns, self._jpeg = limits, offset_ns, jpeg
-        self._about = about | {"color": "jpeg" if jpeg else "exact"}
-        self._notes: dict[str, dict[str, str]] = {}
+        self._notes = {"huepose": about | {"color": "jpeg" if jpeg else "exact"}}
         self._done: deque[tuple[Path, int]] = deque()
         self._number = self.frames = self._bytes_done = 0
         self._look_at = 0.0
@@ -107,8 +106,8 @@ class Parts:
             # LZ4 takes a third of zstd's time, and images are most of it.
             self._writer = Writer(self._file, chunk_size=2**40, compression=CompressionType.LZ4)
             self._writer.start(library="huepose")
-            notes = {"huepose": self._about | {"part": str(self._number)}, **self._notes}
-            for name, values in notes.items():
+            self._notes["huepose"]["part"] = str(self._number)
+            for name, values in self._notes.items():
                 self._writer.add_metadata(name, values)
             self._writer.flush()  # from the beginning on it says what it is
         except OSError as error:

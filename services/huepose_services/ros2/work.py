@@ -10,7 +10,6 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -21,7 +20,7 @@ from huepose.support.errors import InputError
 from huepose_protos.client import configured
 from huepose_protos.messages import CameraMessage, MountMessage, PoseMessage
 from huepose_services import models
-from huepose_services.met import Met
+from huepose_services.following import Follower
 from huepose_services.ros2 import messages
 from huepose_services.ros2.publisher import Node
 from huepose_services.ros2.together import Together
@@ -43,17 +42,12 @@ _MOST_NAMES = 12
 
 def make(bus: Bus, config: Config) -> Ros2Work:
     """The ros2 worker's work, with all message types loaded."""
-    begins = {name: model.mesh.bounds.copy() for name, model in models.load(config).items()}
-    bounds = Met(bus, begins, partial(_bounds, config), bus.log.warn, "has an empty box in the detections")
+    bounds = {name: model.mesh.bounds.copy() for name, model in models.load(config).items()}
+    follower = Follower(bus, lambda name: models.load_one(config, name).mesh.bounds.copy(), bounds)
     for kind in (messages.POSE, messages.TRANSFORMS, messages.DETECTIONS, messages.CAMERA):
         messages.type_hash(kind)
     mount = None if config.camera.tf is None else MountFromTf(bus, config.camera.tf)
-    return Ros2Work(bus, Router(config.ros2), config.ros2, bounds, mount)
-
-
-def _bounds(config: Config, name: str) -> Float64:
-    """Of an object, its least and greatest coordinates (2, 3), metres."""
-    return models.load_one(config, name).mesh.bounds.copy()
+    return Ros2Work(bus, Router(config.ros2), config.ros2, bounds, follower, mount)
 
 
 def open_ros_session(ros2: Ros2Config, quiet: bool = False) -> zenoh.Session:
@@ -179,17 +173,20 @@ def _late(seconds: float) -> str:
 
 class Ros2Work(Work):
     """Publishes each pose at once, and what is said of a frame in one message when all its poses are there.
-    mount: of the camera; None without `camera.tf`."""
+    bounds: of each object its least and greatest coordinates (2, 3), metres; mount: of the camera, None
+    without `camera.tf`."""
 
     def __init__(
         self,
         bus: Bus,
         router: Router,
         ros2: Ros2Config,
-        bounds: Mapping[str, Float64],
-        mount: MountFromTf | None = None,
+        bounds: dict[str, Float64],
+        objects: Follower[Float64],
+        mount: MountFromTf | None,
     ) -> None:
-        self._bus, self._router, self._bounds, self._mount = bus, router, bounds, mount
+        self._bus, self._router, self._mount = bus, router, mount
+        self._bounds, self._objects = bounds, objects
         self._no_router, self._look_ns = without_router(ros2), now_ns() + _LOOK_NS
         self._root, self._prefix = f"/{ros2.namespace}", ros2.frame_prefix
         self._poses = bus.inbox.queue(bus.keys.poses)
@@ -206,6 +203,7 @@ class Ros2Work(Work):
 
     def step(self) -> None:
         """Publish the poses, and the camera; warn while there is no router."""
+        self._objects.keep_up(self._bounds)
         if now_ns() >= self._look_ns:
             self._look_ns = now_ns() + _LOOK_NS
             connected = self._router.connected
@@ -234,7 +232,6 @@ class Ros2Work(Work):
         if pose.state == "TRACKING":
             self._say(messages.pose_topic(pose), messages.pose_stamped(pose))
             self._bus.health.count("poses")
-        self._bounds.get(pose.object)  # loaded while it is not TRACKING yet
         self._together.add(pose, now_ns())
         if self._together.complete:
             self._publish()

@@ -70,6 +70,11 @@ class Body:
     diameter_m: float
     whole: ReferenceModel | None = None
 
+    @staticmethod
+    def of(model: ReferenceModel, whole: bool = False) -> Body:
+        """Without `whole` the rest of the model is let go."""
+        return Body(model.mesh, model.diameter_m, model if whole else None)
+
 
 def drawable(mesh: Mesh) -> dict[str, np.ndarray]:
     """A mesh as graphics cards take it, by rerun's names: positions (3F, 3), triangles (F, 3), texture

@@ -7,8 +7,7 @@ shown on the frame that they are of: a frame waits for its poses for a moment.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +15,6 @@ import zenoh
 
 from huepose.geometry import RgbdFrame
 from huepose.judge.pairs_seen import pairs_seen
-from huepose.model import ReferenceModel
 from huepose_protos import WireError
 from huepose_protos.buffers import frame_images
 from huepose_protos.fields import StateName
@@ -24,7 +22,7 @@ from huepose_protos.keys import last
 from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
 from huepose_services import models
 from huepose_services.convert import frame_from_wire, pose_of
-from huepose_services.met import Met
+from huepose_services.following import Follower
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
@@ -45,47 +43,33 @@ def make(bus: Bus, config: Config) -> ViewerWork:
     from huepose_services.viewer.show import Show
     from huepose_services.viewer.sinks import served
 
-    known = bodies(bus, models.load(config), partial(models.load_one, config), bus.log.warn)
+    bodies = {name: Body.of(model) for name, model in models.load(config).items()}
+    follower = Follower(bus, lambda name: Body.of(models.load_one(config, name)), bodies)
     warm_up()
     recording, address = served(config.viewer)
     bus.log.say(f"the page is {address}")
-    return ViewerWork(bus, Show(recording, known), config.viewer.image_rate_hz)
-
-
-def bodies(
-    bus: Bus,
-    known: Mapping[str, ReferenceModel],
-    load: Callable[[str], ReferenceModel],
-    tell: Callable[[str], None],
-    whole: bool = False,
-) -> Met[Body]:
-    """What is drawn of each object; load, tell: of those that are first met in a pose, or added again, as
-    for `Met`. whole: keeps whole models; else the rest of them is let go."""
-
-    def body(model: ReferenceModel) -> Body:
-        return Body(model.mesh, model.diameter_m, model if whole else None)
-
-    begins = {name: body(model) for name, model in known.items()}
-    return Met(bus, begins, lambda name: body(load(name)), tell, "is not drawn")
+    return ViewerWork(bus, Show(recording, bodies), bodies, follower, config.viewer.image_rate_hz)
 
 
 class ViewerWork(Work):
-    """Pairs frames with their poses and shows both; tells what changes. hypotheses: shows all that the
-    tracker holds possible; it says so only while somebody listens. pairs: the whole reference models whose
-    colour pairs are shown. begins_with_picture: shows nothing before the first picture, as a file must, whose
-    beginning is looked at."""
+    """Pairs frames with their poses and shows both; tells what changes. bodies: what `show` draws of each
+    object. hypotheses: shows all that the tracker holds possible; it says so only while somebody listens.
+    pairs: shows the colour pairs of whole models. begins_with_picture: shows nothing before the first
+    picture, as a file must, whose beginning is looked at."""
 
     def __init__(
         self,
         bus: Bus,
         show: Show,
+        bodies: dict[str, Body],
+        objects: Follower[Body],
         image_rate_hz: float,
         hypotheses: bool = False,
-        pairs: Mapping[str, Body] | None = None,
+        pairs: bool = False,
         begins_with_picture: bool = False,
     ) -> None:
         self._begun = not begins_with_picture
-        self._bus, self._show = bus, show
+        self._bus, self._show, self._bodies, self._objects = bus, show, bodies, objects
         self._period_ns = int(SECOND / image_rate_hz)
         keys, inbox = bus.keys, bus.inbox
         # Frames wake nobody: they are looked at when the next picture is due.
@@ -112,6 +96,7 @@ class ViewerWork(Work):
 
     def step(self) -> None:
         """Take poses and a frame; show what is complete."""
+        self._objects.keep_up(self._bodies)
         while (pose := self._bus.take(self._poses, PoseMessage)) is not None:
             self._take(pose)
         if self._hypotheses is not None:
@@ -185,8 +170,8 @@ class ViewerWork(Work):
             self._show.hypotheses(self._held.get(at_ns))
             self._held = {t: held for t, held in self._held.items() if t > at_ns}
         self._begun = True
-        if self._pairs is not None:
-            self._show_pairs(self._pairs, frame, poses)
+        if self._pairs:
+            self._show_pairs(frame, poses)
         self._pictures += 1
         self._bus.health.count("pictures")
 
@@ -200,13 +185,13 @@ class ViewerWork(Work):
                 self._show.gone(instance)
                 self._tell(f"{instance[0]}/{instance[1]}  is no longer looked for or followed", "SEARCHING")
 
-    def _show_pairs(self, known: Mapping[str, Body], frame: RgbdFrame, poses: Sequence[PoseMessage]) -> None:
+    def _show_pairs(self, frame: RgbdFrame, poses: Sequence[PoseMessage]) -> None:
         """The colour pairs of all poses of a frame."""
         seen = [
             pairs_seen(frame, body.whole, T_cam_obj)
             for pose in poses
             if (T_cam_obj := pose_of(pose)) is not None
-            and (body := known.get(pose.object)) is not None
+            and (body := self._bodies.get(pose.object)) is not None
             and body.whole is not None
         ]
         pixels = np.concatenate([np.zeros((0, 2)), *(pixels for pixels, _ in seen)])

@@ -8,14 +8,14 @@ import pytest
 
 from huepose.support.errors import InputError
 from huepose_protos.examples import example
-from huepose_protos.messages import MemoryMessage
+from huepose_protos.messages import MemoryMessage, ObjectsMessage
 from huepose_services import builtin
 from huepose_services.cli.view import _drawn
 from huepose_services.recording.its_models import load_one
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.running import Pipeline, noted
 from tests.services.conftest import until
-from tests.services.fake_bus import FakeBus
+from tests.services.fake_bus import FakeBus, listed
 
 from .conftest import KEY, NAME, parts
 
@@ -63,14 +63,15 @@ def test_for_a_name_that_no_built_in_object_has_none_is_learnt(tmp_path):
         load_one(out.path, "my_box")
 
 
-def test_what_is_met_in_a_recording_that_is_played_is_drawn(followed, tmp_path, monkeypatch, capsys):
+def test_what_is_looked_for_in_a_recording_that_is_played_is_drawn(followed, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     arguments = argparse.Namespace(config=None, pipeline=None, pairs=False)
     with noted(Pipeline(base_port=29347, site="lab", camera="cam0", file=str(followed.path))):
-        drawn = _drawn(FakeBus("view"), Config(), arguments)
+        bus = FakeBus("view")
+        drawn, follower = _drawn(bus, Config(), arguments)
         assert list(drawn) == []
-        until(lambda: drawn.get(NAME) and not drawn.get("my_box"))
-        said = until(lambda: capsys.readouterr().err)
-    assert said.startswith("my_box is not drawn: object 'my_box': found no such reference model")
-    assert said.endswith(f"huepose replay {followed.path} --config PIPELINE.yaml.\n")
+        bus.arriving[ObjectsMessage].append(listed(NAME, "my_box"))
+        (said,) = until(lambda: follower.keep_up(drawn) or (drawn.get(NAME) and bus.logged["load"]))
+    assert said.startswith("object 'my_box': found no such reference model")
+    assert said.endswith(f"huepose replay {followed.path} --config PIPELINE.yaml.")

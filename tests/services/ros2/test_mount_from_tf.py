@@ -14,6 +14,7 @@ from zenoh import ext
 
 from huepose_protos import WireError, decode
 from huepose_protos.messages import Mount, MountMessage
+from huepose_services.following import Follower
 from huepose_services.ros2.messages import TRANSFORMS, transforms_in, types
 from huepose_services.ros2.publisher import Node, topic_key
 from huepose_services.ros2.work import MountFromTf, Ros2Work, Router, open_ros_session
@@ -134,9 +135,8 @@ def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
         )
         static.put(written((1, "tool0", "camera", (0.0, 0.0, 0.1), (0.0, 0.0, 0.0, 1.0))))
         router = Router(config.ros2)
-        work = Ros2Work(
-            bus, router, config.ros2, {}, MountFromTf(bus, TfConfig(parent="base_link", child="camera"))
-        )
+        mount = MountFromTf(bus, TfConfig(parent="base_link", child="camera"))
+        work = Ros2Work(bus, router, config.ros2, {}, Follower(bus, dict, []), mount)
         until(lambda: "frames heard of: camera, tool0" in warnings(), 20.0, work.step)
         at_ns, key = 0, topic_key("/tf", TRANSFORMS, 0, "rmw_zenoh")
 

@@ -17,6 +17,7 @@ from huepose_protos import decode, encode
 from huepose_protos.examples import example
 from huepose_protos.messages import CameraMessage, Mount, PoseMessage
 from huepose_protos.motion import pose_at
+from huepose_services.following import Follower
 from huepose_services.ros2.messages import (
     CAMERA,
     DETECTIONS,
@@ -165,7 +166,7 @@ def test_what_is_tracked_arrives_at_a_router_that_comes_later(base_port: int) ->
     connect = f"tcp/127.0.0.1:{base_port + 9}"
     config = Config(bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=connect))
     bus, tracker = (open_bus(config, worker) for worker in ("ros2", "tracker"))
-    work = Ros2Work(bus, Router(config.ros2), config.ros2, {})
+    work = Ros2Work(bus, Router(config.ros2), config.ros2, {}, Follower(bus, dict, []), None)
     until(lambda: bus.health.message().warnings != [], 20.0, work.step)
     (warning,) = bus.health.message().warnings
     assert f"no router of ROS 2 answers at {config.ros2.connect}; `ros2 run" in warning

@@ -6,15 +6,16 @@ import time
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, cast
 
 import msgspec
+import numpy as np
 import pytest
 
 from huepose.model import ReferenceModel
 from huepose.model.io import model_path, save_model
-from huepose_protos.messages import CameraMessage, PoseMessage
+from huepose_protos.messages import CameraMessage, ObjectsMessage, PoseMessage
+from huepose_services.following import Follower
 from huepose_services.ros2 import work as ros2_work
 from huepose_services.ros2.messages import DETECTIONS, POSE, TRANSFORMS, types
 from huepose_services.ros2.work import MountFromTf, Ros2Work, Router
@@ -22,7 +23,7 @@ from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config, ObjectConfig, Ros2Config
 from huepose_services.runtime.config_perception import TfConfig
-from tests.services.fake_bus import FakeBus
+from tests.services.fake_bus import FakeBus, listed
 from tests.services.ros2.test_ros2 import CAMERA_SEEN, pose
 
 
@@ -42,9 +43,11 @@ class _Router:
         return {(t.header.frame_id, t.child_frame_id) for m in self.told[TRANSFORMS] for t in m.transforms}
 
 
-def _work(**more: Any) -> tuple[Ros2Work, FakeBus, _Router]:
+def _work(mount: MountFromTf | None = None) -> tuple[Ros2Work, FakeBus, _Router]:
     bus, router = FakeBus("ros2"), _Router()
-    return Ros2Work(cast(Bus, bus), cast(Router, router), Ros2Config(), {}, **more), bus, router
+    follower = Follower(cast(Bus, bus), lambda name: np.zeros((2, 3)), [])
+    work = Ros2Work(cast(Bus, bus), cast(Router, router), Ros2Config(), {}, follower, mount)
+    return work, bus, router
 
 
 def _now(name: str, frame_id: int, **changes: Any) -> PoseMessage:
@@ -90,11 +93,10 @@ def test_an_object_that_is_added_later_has_its_box(
         save_model(replace(tea_box, name=name), model_path(tmp_path, name))
     monkeypatch.setattr(ros2_work, "Router", lambda ros2: _Router())
     bus = FakeBus("ros2")
-    said: list[str] = []
-    bus.log = SimpleNamespace(say=lambda text: None, warn=said.append)
     work = ros2_work.make(cast(Bus, bus), Config(bundles=str(tmp_path), objects=[ObjectConfig(name="can")]))
     router = cast(_Router, work._router)
     low, high = tea_box.mesh.bounds
+    bus.arriving[ObjectsMessage].append(listed("can", "tea_box", "ghost"))
     until, frame = time.monotonic() + 10.0, 0
 
     def boxes() -> dict[str, tuple[float, float, float]]:
@@ -112,5 +114,5 @@ def test_an_object_that_is_added_later_has_its_box(
         time.sleep(0.03)
     assert boxes()["can"] == boxes()["tea_box"] == pytest.approx(tuple(high - low))
     assert boxes()["ghost"] == (0.0, 0.0, 0.0)
-    (text,) = said
-    assert text.startswith("ghost has an empty box in the detections: object 'ghost': found no such")
+    (text,) = bus.logged["load"]
+    assert text.startswith("object 'ghost': found no such")

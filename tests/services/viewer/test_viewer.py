@@ -17,7 +17,7 @@ from huepose.geometry import Camera, se3
 from huepose.scenes.shapes import demo_objects
 from huepose_protos.buffers import pack
 from huepose_protos.examples import example, images
-from huepose_protos.messages import FrameHeader, HypothesesMessage, PoseMessage
+from huepose_protos.messages import FrameHeader, HypothesesMessage, ObjectsMessage, PoseMessage
 from huepose_services.viewer.shapes import (
     Body,
     apart,
@@ -30,7 +30,7 @@ from huepose_services.viewer.shapes import (
     yuv,
 )
 from tests.services.conftest import until
-from tests.services.fake_bus import FakeBus
+from tests.services.fake_bus import FakeBus, listed
 
 CAMERA = Camera(100.0, 100.0, 50.0, 40.0, 101, 81)
 SIZE = msgspec.structs.replace(example(FrameHeader).intrinsics, width=4, height=2)
@@ -287,7 +287,7 @@ def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_p
     bus.take = lambda source, kind: poses.pop() if poses else None
     bus.take_with_payload = lambda source, kind: frames.pop() if frames else None
     bus.inbox.liveliness.return_value.take = lambda: None
-    viewer = work.ViewerWork(bus, show, 1e6, begins_with_picture=begins_with_picture)
+    viewer = work.ViewerWork(bus, show, {}, MagicMock(), 1e6, begins_with_picture=begins_with_picture)
     viewer.step()
     assert show.pose.called is not begins_with_picture
     frames.append(_frame(capture_ns=example(PoseMessage).capture_ns))
@@ -318,7 +318,7 @@ def test_a_frame_of_no_camera_is_refused_and_the_next_one_is_shown(wrong):
     bus.take = lambda source, kind: None
     bus.take_with_payload = lambda source, kind: frames.pop() if frames else None
     bus.inbox.liveliness.return_value.take = lambda: None
-    viewer = ViewerWork(bus, show, 1e9)
+    viewer = ViewerWork(bus, show, {}, MagicMock(), 1e9)
     until(lambda: viewer.step() or show.frame.called)
     assert bus.refuse.call_count == 1
     assert [told.args[0].intrinsics for told in show.frame.call_args_list] == [SIZE]
@@ -367,7 +367,7 @@ def _viewer(show):
     bus.take = lambda source, kind: arrived[kind].pop(0) if arrived.get(kind) else None
     bus.take_with_payload = lambda source, kind: arrived[kind].pop() if arrived[kind] else None
     bus.inbox.liveliness.return_value.take = lambda: None
-    viewer = work.ViewerWork(bus, show, 1e9)
+    viewer = work.ViewerWork(bus, show, {}, MagicMock(), 1e9)
 
     def step(at_s, *poses, picture=True):
         at_ns = round(at_s * 1e9)
@@ -431,9 +431,11 @@ def test_an_object_that_is_added_later_is_drawn_with_its_colour_pairs(tea_box, t
         save_model(replace(tea_box, name=name), model_path(tmp_path / "bundles", name))
     config = Config(bundles=str(tmp_path / "bundles"), objects=[ObjectConfig(name="can")])
     arguments = Namespace(config=None, pipeline=None, pairs=True)
+    bus = FakeBus("view")
     with noted(Pipeline(base_port=29347, file=str(tmp_path / "pipeline.yaml"), workers=("camera",))):
-        drawn = _drawn(FakeBus("view"), config, arguments)
+        drawn, follower = _drawn(bus, config, arguments)
     assert list(drawn) == ["can"]
-    body = until(lambda: drawn.get("tea_box"))
+    bus.arriving[ObjectsMessage].append(listed("can", "tea_box"))
+    body = until(lambda: follower.keep_up(drawn) or drawn.get("tea_box"))
     assert body.whole is not None
     assert (body.mesh.vertices == tea_box.mesh.vertices).all()

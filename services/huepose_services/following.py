@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+import msgspec
 import zenoh
 
 from huepose.support.errors import InputError
@@ -155,14 +156,16 @@ def recall(bus: Bus) -> list[ObjectEntry]:
     return []
 
 
-class Retired:
+class Retired(msgspec.Struct, array_like=True):
     """Instances that are over because their object was to be searched for anew: what is still on its way
     about them does not count. [camera epoch, number] by object: those of that epoch below that number."""
 
-    def __init__(self, entries: Iterable[ObjectEntry] = ()) -> None:
-        self.below: dict[str, tuple[int, int]] = {}
-        for entry in entries:
-            self.add(entry.object, entry.retired)
+    below: dict[str, tuple[int, int]] = {}
+
+    @staticmethod
+    def of(entries: Iterable[ObjectEntry]) -> Retired:
+        """As a list of objects says."""
+        return Retired({entry.object: entry.retired for entry in entries if entry.retired is not None})
 
     def add(self, name: str, below: tuple[int, int] | None) -> None:
         """Note it for an object."""
@@ -182,4 +185,4 @@ def is_over(pose: PoseMessage, objects: list[ObjectEntry] | None) -> bool:
         return False
     if all(entry.object != pose.object for entry in objects):
         return True
-    return Retired(objects).includes(pose.object, pose.camera_epoch, pose.instance)
+    return Retired.of(objects).includes(pose.object, pose.camera_epoch, pose.instance)

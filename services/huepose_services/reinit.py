@@ -130,7 +130,7 @@ class ReinitWork(Work):
         self._of_file = {item.name: counts[item.name] for item in configured if item.name in counts}
         self._bus, self._loop, self._objects = bus, loop, objects
         answer_control(bus, objects)
-        self._retired = Retired(objects.entries())
+        self._retired = Retired.of(objects.entries())
         self._poses = bus.inbox.queue(bus.keys.poses, wakes=False)
         self._answers = bus.inbox.queue(bus.keys.estimates)
         self._cameras = bus.inbox.ring(bus.keys.camera_info, wakes=False)

@@ -48,19 +48,24 @@ _SAID_AGAIN_NS = SECOND
 _Frame = tuple[int, int]
 
 
-class _WorkerMemory(msgspec.Struct, array_like=True):
+class _Own(msgspec.Struct, array_like=True):
     """What the worker itself remembers, beside the tracker's memory."""
 
-    newest: _Frame | None
-    first: _Frame | None
-    published: list[tuple[str, int]]
-    retired: dict[str, tuple[int, int]]
-    holds_until_ns: int
-    fx_of_size: dict[str, float]
-    complaint: str | None
-    against: Against
-    relit: list[tuple[str, int]]
-    delay: DelayDoubt
+    newest: _Frame | None = None
+    first: _Frame | None = None
+    """Of this opening of the camera."""
+    published: set[tuple[str, int]] = set()
+    """The instances that were said of the newest frame."""
+    retired: Retired = msgspec.field(default_factory=Retired)
+    holds_until_ns: int = 0
+    """Until when what was TRACKING in the newest frame holds without a newer one; then it is SUSPECT, and
+    said again at that time."""
+    fx_of_size: dict[str, float] = {}
+    complaint: str | None = None
+    against: Against = msgspec.field(default_factory=Against)
+    relit: set[tuple[str, int]] = set()
+    """What has not been TRACKING since a frame in which the colour of the light changed."""
+    delay: DelayDoubt = msgspec.field(default_factory=DelayDoubt)
 
 
 FrameOf = Callable[[int, int], tuple[FrameHeader, RgbdFrame] | None]
@@ -112,26 +117,15 @@ class TrackerWork(Work):
         self._intake = Intake(clock)
         self._seq = self._memory_due_ns = 0
         self._max_age_ns = int(config.tracker.max_age_ms * 1e6)
-        # A recording that is played once repeats its first frame until objects are found: it never gets old.
-        self._first_stands = config.camera.once
-        self._first: _Frame | None = None
-        self._retired = Retired()
         self._told = StateChanges(bus.log)
         self._refused: tuple[str, int, int] | None = None
         self._corrections = bus.inbox.queue(bus.keys.correction)
         self._frames, self._first_frame = bus.frames(), FirstFrame(bus.health, bus.log)
         self._header: FrameHeader | None = None
         self._pixels: RgbdFrame | None = None
-        self._fx_of_size: dict[str, float] = {}
-        self._complaint: str | None = None
-        self._against, self._delay = Against(), DelayDoubt()
-        self._published: set[tuple[str, int]] = set()
-        # What has not been TRACKING since a frame in which the colour of the light changed.
-        self._relit: set[tuple[str, int]] = set()
-        # The poses of the newest frame published as TRACKING, and until when that holds without a newer one;
-        # then they are SUSPECT, and said again at that time.
+        self._own = _Own()
+        # The poses of the newest frame that were published as TRACKING.
         self._believed: list[TrackedPose] = []
-        self._holds_until_ns = 0
 
     def reload(self, config: Config) -> list[str]:
         """Take over `tracker.max_age_ms`; a recorder gets the memory, which names the step from which it
@@ -146,7 +140,7 @@ class TrackerWork(Work):
 
     def due_ns(self) -> int | None:
         """When TRACKING poses become too old, or are to be said again as such, if no newer frame comes."""
-        return self._holds_until_ns if self._believed else None
+        return self._own.holds_until_ns if self._believed else None
 
     def step(self) -> None:
         """Apply what arrived, then track the newest frame."""
@@ -173,13 +167,13 @@ class TrackerWork(Work):
         if corrected and not tracked and self._header is not None:
             # New instances are published on the last frame, because the next may come late. A pose that was
             # already published on that frame is not published again.
-            new = [p for p in self._tracker.poses() if p.key not in self._published]
+            new = [p for p in self._tracker.poses() if p.key not in self._own.published]
             self._publish_all(new, self._header, self._pixels)
-        if self._intake.empty and self._believed and (now := self._clock()) >= self._holds_until_ns:
+        if self._intake.empty and self._believed and (now := self._clock()) >= self._own.holds_until_ns:
             self._intake.clock_ns.append(now)
             ends = ": the recording has ended, or it falls behind" if self._config.camera.once else ""
             self._withdraw(f"no new frame came{ends}")
-            self._holds_until_ns = now + _SAID_AGAIN_NS
+            self._own.holds_until_ns = now + _SAID_AGAIN_NS
 
     def _withdraw(self, why: str) -> None:
         """Publish what was TRACKING again as SUSPECT, without a newer frame."""
@@ -211,19 +205,7 @@ class TrackerWork(Work):
 
     def memory(self) -> MemoryMessage:
         """The memory of tracker and worker: all that they believe."""
-        header = None if self._header is None else frame_key(self._header)
-        own = _WorkerMemory(
-            header,
-            self._first,
-            sorted(self._published),
-            self._retired.below,
-            self._holds_until_ns,
-            self._fx_of_size,
-            self._complaint,
-            self._against,
-            sorted(self._relit),
-            self._delay,
-        )
+        own = msgspec.to_builtins(self._own, order="deterministic")
         tracking, told = memory.plain(self._believed, self._tracker), memory.told(self._tracker)
         return MemoryMessage(
             publish_ns=now_ns(),
@@ -231,7 +213,7 @@ class TrackerWork(Work):
             config=msgspec.json.encode(self._config).decode(),
             objects=list(self._tracker.objects),
             memory=msgspec.msgpack.encode((told, own, tracking)),
-            frames=list(dict.fromkeys([*memory.frames_of(told), *([] if header is None else [header])])),
+            frames=list(dict.fromkeys([*memory.frames_of(told), *filter(None, [self._own.newest])])),
         )
 
     def take_over(self, message: MemoryMessage, frame_of: FrameOf) -> None:
@@ -245,24 +227,21 @@ class TrackerWork(Work):
 
         try:
             plain, own, tracking = msgspec.msgpack.decode(message.memory)
-            mine = msgspec.convert(own, _WorkerMemory)
+            self._own = msgspec.convert(own, _Own)
         except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
             raise InputError("the tracker's memory", found=str(error)[:200], expected="MessagePack") from None
         memory.taken_over(self._tracker, plain, pixels)
         self._believed = memory.restored(tracking, self._tracker, pixels)
-        self._holds_until_ns, self._complaint = mine.holds_until_ns, mine.complaint
-        found = None if mine.newest is None else frame_of(*mine.newest)
+        found = None if self._own.newest is None else frame_of(*self._own.newest)
         self._header, self._pixels = (None, None) if found is None else found
-        self._first, self._published, self._relit = mine.first, set(mine.published), set(mine.relit)
-        self._fx_of_size, self._retired.below = mine.fx_of_size, mine.retired
-        self._against, self._delay, self._seq = mine.against, mine.delay, message.seq
+        self._seq = message.seq
 
     def _follow(self) -> None:
         """Apply changes of the object list."""
         for change in self._objects.changes():
             self._intake.change(change)
             name = change.entry.object
-            self._retired.add(name, change.entry.retired)
+            self._own.retired.add(name, change.entry.retired)
             self._believed = [pose for pose in self._believed if pose.object != name]
             self._bus.forget(self._bus.keys.of_tail(f"pose/{name}"))
             self._told.forget(name)
@@ -275,7 +254,7 @@ class TrackerWork(Work):
         self._told.flush()
 
     def _correct(self, message: CorrectionMessage) -> None:
-        if self._retired.includes(message.object, message.camera_epoch, message.instance):
+        if self._own.retired.includes(message.object, message.camera_epoch, message.instance):
             self._bus.health.count("corrections_of_retired")
             return
         try:
@@ -286,7 +265,7 @@ class TrackerWork(Work):
             self._bus.refuse(self._bus.keys.correction, wrong)
             return
         if applied is not Applied.REFUSED_EPOCH:
-            self._against.hear(message)
+            self._own.against.hear(message)
         self._bus.health.count(f"corrections_{applied.value}")
         if applied in (Applied.APPLIED, Applied.CATCHING_UP):
             self._bus.health.warn_while("late", None)
@@ -311,7 +290,7 @@ class TrackerWork(Work):
     def _track(self, header: FrameHeader, payload: bytes) -> bool:
         """Track a frame. Returns False for a repeated, older or malformed one."""
         started, health, before = now_ns(), self._bus.health, self._header
-        if before is not None and frame_key(before) == frame_key(header):
+        if self._own.newest == frame_key(header):
             health.count("frames_repeated")
             return False
         try:
@@ -320,11 +299,11 @@ class TrackerWork(Work):
             self._bus.refuse(self._bus.keys.frame, error)
             return False
         if before is None or before.camera_epoch != header.camera_epoch:
-            self._first = frame_key(header)
+            self._own.first = frame_key(header)
             self._withdraw("the camera was opened anew")
         if self._cache is not None:
             self._cache.frame(header, payload, frame, self._intake.recorded)
-        complaint = complaint_about(frame, self._pixels) or lens_doubted(frame, self._fx_of_size)
+        complaint = complaint_about(frame, self._pixels) or lens_doubted(frame, self._own.fx_of_size)
         believed, pixels = {p.key for p in self._believed}, self._pixels
         health.warn_while("frame", complaint)
         self._intake.frame = header
@@ -334,20 +313,20 @@ class TrackerWork(Work):
             # It is older than one that is tracked already: what was published of that one still counts.
             health.count("frames_older")
             return False
-        self._pixels, self._believed, self._complaint = frame, [], complaint
-        self._published.clear()
+        self._pixels, self._believed, self._own.complaint = frame, [], complaint
+        self._own.published.clear()
         if self._config.camera.check:
-            health.warn_while("delay", self._delay.look(frame, poses, self._tracker))
+            health.warn_while("delay", self._own.delay.look(frame, poses, self._tracker))
         doubted = {p.key for p in poses if p.state is not State.TRACKING}
-        self._relit &= doubted
+        self._own.relit &= doubted
         if pixels is not None and (fallen := doubted & believed) and relit(pixels.color, frame.color):
-            self._relit |= fallen
+            self._own.relit |= fallen
         if complaint is not None or header.camera:
             health.count("frames_doubted")
         self._publish_all(poses, header, frame)
         if self._bus.is_heard(self._bus.keys.hypotheses):
             self._bus.put_aside(self._bus.keys.hypotheses, held(self._tracker, header, now_ns()))
-        self._header = header
+        self._header, self._own.newest = header, frame_key(header)
         health.counters["frames_skipped"] = self._frames.skipped
         health.count("frames")
         health.worked_on(started, header)
@@ -355,8 +334,8 @@ class TrackerWork(Work):
 
     def _publish_all(self, poses: list[TrackedPose], header: FrameHeader, frame: RgbdFrame | None) -> None:
         epoch = header.camera_epoch
-        complaint = self._complaint or self._against.every_pose(epoch)
-        against = [self._against.pose(pose, epoch) or self._delay.of(pose) for pose in poses]
+        complaint = self._own.complaint or self._own.against.every_pose(epoch)
+        against = [self._own.against.pose(pose, epoch) or self._own.delay.of(pose) for pose in poses]
         every = complaint or header.camera
         poses = [_doubted(pose) if every or one else pose for pose, one in zip(poses, against, strict=True)]
         surfaces = [self._tracker.surface(pose.object) for pose in poses]
@@ -368,15 +347,16 @@ class TrackerWork(Work):
             reason = (said or one) if doubted else ""
             if doubted and not reason and frame is not None:
                 doubt = self._tracker.doubt(*pose.key)
-                reason = why_doubted(surface, frame, pose.T_cam_obj, doubt, pose.key in self._relit)
+                reason = why_doubted(surface, frame, pose.T_cam_obj, doubt, pose.key in self._own.relit)
             self._publish(pose, header, reason)
-            self._published.add(pose.key)
+            self._own.published.add(pose.key)
 
     def _publish(self, pose: TrackedPose, header: FrameHeader, reason: str) -> None:
         now = self._intake.now()
         # A stamp of the future says as little about now as an old one.
         old = abs(now - pose.stamp_ns) > self._max_age_ns
-        stands = self._first_stands and frame_key(header) == self._first
+        # A recording that is played once repeats its first frame until objects are found: it never gets old.
+        stands = self._config.camera.once and frame_key(header) == self._own.first
         if pose.state is State.TRACKING and old and not stands:
             # The object may have moved since, however sure the pose is.
             pose, reason = _doubted(pose), TOO_OLD
@@ -384,7 +364,7 @@ class TrackerWork(Work):
         self._put(pose, header, now, reason)
         if pose.state is State.TRACKING and not stands:
             self._believed.append(pose)
-            self._holds_until_ns = now + self._max_age_ns
+            self._own.holds_until_ns = now + self._max_age_ns
 
     def _put(self, pose: TrackedPose, header: FrameHeader, now: int, reason: str) -> None:
         try:

@@ -162,7 +162,7 @@ def test_who_takes_over_knows_what_perception_speaks_against(part, light_changes
     first = next(iter(decoded.values()))[1]
     work._tracker.correct(tracking.Correction.first("part", standing_pose(0.6, 0.0, 0.0), first, 1.0))
     changes = {"object": "part", "instance": 0, "camera_epoch": first.epoch, "reason": said}
-    work._against.hear(msgspec.structs.replace(CORRECTION, **changes))
+    work._own.against.hear(msgspec.structs.replace(CORRECTION, **changes))
     for header, payload in frames:
         at.append(header)
         work._bus.arriving[FrameHeader] = [(header, payload)]

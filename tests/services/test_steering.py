@@ -257,7 +257,7 @@ def test_an_object_that_could_not_be_loaded_for_want_of_memory_is_loaded_with_th
 
 
 def test_retired_instances_are_those_of_their_epoch_below_a_number():
-    retired = Retired([entry("mug", retired=(7, 3))])
+    retired = Retired.of([entry("mug", retired=(7, 3))])
     assert [retired.includes("mug", 7, i) for i in (0, 2, 3)] == [True, True, False]
     assert not retired.includes("mug", 8, 0)
     assert not retired.includes("jar", 7, 0)

@@ -9,27 +9,22 @@ from dataclasses import asdict
 from typing import Any
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import add_json, add_number, add_several, answered, say
+from huepose_services.cli.options import add_json, add_number, add_several, answered, over_zero, say
 
 
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "chaos", help="break a pipeline on the built-in scene in many ways, and say what held"
     )
-    parser.add_argument(
-        "--minutes", type=float, metavar="N", help="go on for so long; by default once through"
-    )
+    add_number(parser, "--minutes", None, "go on for so long; by default once through", kind=over_zero)
     add_several(parser, "--only", "WORD", "faults with such a word or number", [], kind=str)
-    add_number(parser, "--slow", 1.0, "so many times fewer pictures, more time for all", "F")
+    add_number(parser, "--slow", 1.0, "so many times fewer pictures, more time for all", "F", over_zero)
     add_json(parser, to_file=True)
     parser.set_defaults(call=call)
 
 
 def call(arguments: argparse.Namespace) -> int:
     """Strike one after the other; exit 1 when something did not hold."""
-    for option, number in (("--minutes", arguments.minutes), ("--slow", arguments.slow)):
-        if number is not None and not number > 0.0:
-            raise InputError(option, found=f"{number:g}", expected="more than 0")
     from huepose_services.chaos.faults import FAULTS
     from huepose_services.chaos.memory import growth
     from huepose_services.chaos.outcome import Outcome, cells, strike, table

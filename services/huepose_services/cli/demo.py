@@ -14,6 +14,7 @@ from huepose_services.cli.options import (
     add_path,
     add_several,
     answered,
+    number_of,
     say,
     until_told,
 )
@@ -21,7 +22,8 @@ from huepose_services.cli.options import (
 
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("demo", help="the whole pipeline on a built-in scene, with its accuracy")
-    add_number(parser, "--seconds", 25.0, "how long (default: 25)", "S")
+    seconds = number_of(float, lambda number: number >= 5.0, "5 or more")
+    add_number(parser, "--seconds", 25.0, "how long (default: 25)", "S", seconds)
     add_from_zero(parser, "--seed", "which scene (default: 0)")
     add_path(
         parser,
@@ -53,8 +55,6 @@ def call(arguments: argparse.Namespace) -> int:
     """Run, judge, print."""
     import os
 
-    if not arguments.seconds >= 5.0:
-        raise InputError("--seconds", found=f"{arguments.seconds:g}", expected="5 or more")
     if arguments.sam is not None and arguments.segmenter != "sam":
         raise InputError("--sam", found=f"--segmenter {arguments.segmenter}", expected="--segmenter sam")
     from huepose_services.demo.run import DemoError, pipeline, run_demo

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from huepose.support.errors import InputError
+from huepose_services.cli.options import add_json, answered
 
 
 def add_parser(subparsers: Any) -> None:
@@ -21,7 +21,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--camera", action="store_true", help="also open each camera of PIPELINE and look at its pictures"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_json(parser)
     parser.set_defaults(call=call)
 
 
@@ -41,11 +41,8 @@ def call(arguments: argparse.Namespace) -> int:
         for config in configs:
             of = f"{config.camera.name} " if len(configs) > 1 else ""
             findings += [replace(one, subject=f"{of}{one.subject}") for one in pictures(config)]
-    if arguments.json:
-        print(json.dumps([asdict(finding) for finding in findings], indent=1))
-    else:
-        for finding in findings:
-            print(finding.line())
-        if not configs:
-            print("\nA camera's pictures and the objects in them: huepose doctor pipeline.yaml --camera")
+    lines = [finding.line() for finding in findings]
+    if not configs:
+        lines.append("\nA camera's pictures and the objects in them: huepose doctor pipeline.yaml --camera")
+    answered(arguments, [asdict(finding) for finding in findings], "\n".join(lines))
     return 1 if any(finding.bad for finding in findings) else 0

@@ -23,6 +23,7 @@ from huepose_services.cli.options import (
     add_profile,
     add_several,
     answered,
+    from_one,
     say,
 )
 
@@ -55,7 +56,7 @@ def add_parser(subparsers: Any) -> None:
     add_bundles(parser)
     add_several(parser, "--object", "NAME", "which to look for (all of the folder)", kind=str)
     more = "go on until so many of each object are found (1: only where it most likely is)"
-    add_number(parser, "--instances", 1, more)
+    add_number(parser, "--instances", 1, more, kind=from_one)
     add_one_of(
         parser,
         "--method",
@@ -85,8 +86,6 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose.model import load_models
     from huepose.profiles import profile
 
-    if arguments.instances < 1:
-        raise InputError("--instances", found=str(arguments.instances), expected="1 or more")
     if arguments.instances > 1 and arguments.box is not None:
         raise InputError(
             "--instances",

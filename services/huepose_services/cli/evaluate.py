@@ -17,6 +17,7 @@ from huepose_services.cli.options import (
     add_several,
     add_some_of,
     from_zero,
+    number_of,
 )
 
 
@@ -174,7 +175,9 @@ def _add_compare(verbs: Any) -> None:
     parser.add_argument("before", type=Path, metavar="BEFORE", help="a result file, or a folder of them")
     parser.add_argument("after", type=Path, metavar="AFTER", help="the same of the other state")
     add_path(parser, "--json", "FILE", "the comparison with all rows that were won and lost")
-    add_number(parser, "--margin", 0.1, "percentage points within which a change is none (0.1)", "POINTS")
+    points = number_of(float, lambda number: number >= 0.0, "0 or more percentage points")
+    within = "percentage points within which a change is none (0.1)"
+    add_number(parser, "--margin", 0.1, within, "POINTS", points)
 
 
 def _add_tables(verbs: Any) -> None:

@@ -21,8 +21,6 @@ _LISTED, _UNPAIRED_LISTED = 8, 3
 
 def call(arguments: argparse.Namespace) -> int:
     """Compare, print, write. 1 when a set became worse by more than its interval allows."""
-    if not arguments.margin >= 0.0:
-        raise InputError("--margin", found=f"{arguments.margin:g}", expected="0 or more percentage points")
     pairs, left_out = _pairs(arguments.before, arguments.after)
     comparisons = [
         compare(read_measured(before), read_measured(after), name, arguments.margin)

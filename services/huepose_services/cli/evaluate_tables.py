@@ -26,7 +26,7 @@ from huepose.support.errors import InputError
 from huepose.support.files import write_text
 from huepose_services.cli.evaluate_estimate import bop_results
 from huepose_services.cli.onboard import onboard_models
-from huepose_services.cli.table_images import METHODS, ImageSource, images
+from huepose_services.cli.table_images import METHODS, images
 from huepose_services.cli.table_tracks import TrackSource, ablation, tracks
 
 
@@ -61,7 +61,9 @@ def call(arguments: argparse.Namespace) -> int:
         models = load_models(bundles)
         names = _names(models)
     if arguments.ycbv:
-        source = ImageSource(
+        of_images, notes, expected = images(
+            arguments,
+            models,
             arguments.ycbv,
             "ycbv",
             "YCB-Video",
@@ -69,7 +71,6 @@ def call(arguments: argparse.Namespace) -> int:
             arguments.submission,
             arguments.equivalent,
         )
-        of_images, notes, expected = images(arguments, source, models)
         coverage += [f"YCB-Video: {note}" for note in notes]
     if arguments.ycbv or unseen:
         tables += single_frame_tables(of_images, names, expected, notes, unseen)
@@ -113,8 +114,7 @@ def _unseen(arguments: argparse.Namespace) -> Unseen:
     _onboard(listed, bundles, folder)
     models = load_models(bundles)
     plain = {m.name for m in listed if m.info.get("texture") == "little"}
-    frames = ImageSource(folder / "ycbv", "unseen", "unseen objects", None)
-    of_images, image_notes, _ = images(arguments, frames, models)
+    of_images, image_notes, _ = images(arguments, models, folder / "ycbv", "unseen", "unseen objects")
     sequences = TrackSource(folder / "fast", "unseen-fast", tuple(models), "gt")
     of_tracks, track_notes = tracks(arguments, sequences, bundles)
     family = f"{len(models)} by code, {len(plain)} with little texture; nothing was fitted to them"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from huepose_services.cli.options import add_choice, add_json, answered, chosen, say, say_if_unknown
 
@@ -68,15 +68,11 @@ def as_json(view: View) -> dict[str, Any]:
             "memory_mib": message and message.memory_mib,
         }
 
-    edges = [
-        {"from": edge.source, "to": edge.target, "what": edge.what, "rate_hz": edge.rate_hz}
-        for edge in _edges(view)
-    ]
     return {
         "pipeline": view.pipeline.name,
         "running": view.seen,
         "workers": [about(worker) for worker in _workers(view)],
-        "edges": edges,
+        "edges": [dict(zip(("from", "to", "what", "rate_hz"), edge, strict=True)) for edge in _edges(view)],
     }
 
 
@@ -114,22 +110,14 @@ def mermaid(view: View) -> str:
     return "\n".join(lines)
 
 
-class _Edge(NamedTuple):
-    """rate_hz: None where it is not known."""
-
-    source: str
-    target: str
-    what: str
-    rate_hz: float | None
-
-
 def _workers(view: View) -> list[str]:
     from huepose_services.runtime.config import CHAIN
 
     return list(view.pipeline.workers) or [*CHAIN, *(w for w in view.health if w not in CHAIN)]
 
 
-def _edges(view: View) -> Iterator[_Edge]:
+def _edges(view: View) -> Iterator[tuple[str, str, str, float | None]]:
+    """From, to, what, and its rate in Hz, None where it is not known."""
     workers, far = _workers(view), set(view.pipeline.far)
     for source, target, what, measure in _EDGES:
         if source not in workers or target not in workers:
@@ -144,4 +132,4 @@ def _edges(view: View) -> Iterator[_Edge]:
             rate_hz = view.rates.get(measure, 0.0) if view.seen else None
         elif measure in view.health:
             rate_hz = view.health[measure].rate_hz
-        yield _Edge(source, target, what, rate_hz)
+        yield source, target, what, rate_hz

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from huepose_services.cli.options import add_json, answered
 
 if TYPE_CHECKING:
     from huepose_services.catalogue import Entry
@@ -16,7 +17,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("models", help="networks for detector and segmenter: list, fetch, add")
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     shown = actions.add_parser("list", help="what is known, and what is here (the default)")
-    shown.add_argument("--json", action="store_true", help="print JSON")
+    add_json(shown)
     fetched = actions.add_parser("fetch", help="download a known network, or go on where it broke off")
     fetched.add_argument("name", metavar="NAME", help="one of `huepose models list`")
     fetched.add_argument("--from", dest="url", metavar="URL", help="another address of the same file")
@@ -37,11 +38,10 @@ def call(arguments: argparse.Namespace) -> int:
         name = arguments.name or arguments.file.stem.lower().replace(".", "_")
         entry = catalogue.add(arguments.file, name)
         print(f"{entry.path}: added as '{name}', SHA-256 {entry.network.sha256}")
-    elif arguments.json:
-        print(json.dumps([_facts(entry) for entry in catalogue.entries()], indent=1))
     else:
-        _print_list(catalogue.entries())
-        print(f"\nfolder: {catalogue.folder()}")
+        entries = catalogue.entries()
+        summary = "\n".join([*map(_in_words, entries), f"\nfolder: {catalogue.folder()}"])
+        answered(arguments, [_facts(entry) for entry in entries], summary)
     return 0
 
 
@@ -55,12 +55,11 @@ def _size(entry: Entry) -> int | None:
     return entry.path.stat().st_size if entry.here else entry.network.size_bytes
 
 
-def _print_list(entries: list[Entry]) -> None:
-    for entry in entries:
-        network, size = entry.network, _size(entry)
-        state = "here" if entry.here else ("can be fetched" if network.url and network.sha256 else "by hand")
-        print(f"{network.name}  [{state}]")
-        print(f"    {network.role}")
-        print(f"    {network.licence}, {'size not stated' if size is None else f'{size:,} bytes'}")
-        print(f"    SHA-256 {network.sha256 or 'not stated'}")
-        print(f"    {network.source}")
+def _in_words(entry: Entry) -> str:
+    network, size = entry.network, _size(entry)
+    state = "here" if entry.here else ("can be fetched" if network.url and network.sha256 else "by hand")
+    return f"""{network.name}  [{state}]
+    {network.role}
+    {network.licence}, {"size not stated" if size is None else f"{size:,} bytes"}
+    SHA-256 {network.sha256 or "not stated"}
+    {network.source}"""

@@ -8,7 +8,7 @@ import os
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,16 @@ from huepose.support.progress import Status, progress
 from huepose.support.words import counted
 from huepose_services.cli.mesh_unit import with_unit
 from huepose_services.cli.onboard_video import add_video, mesh_from_video
-from huepose_services.cli.options import add_json, add_number, add_path, add_several, add_unit, answered, say
+from huepose_services.cli.options import (
+    add_json,
+    add_number,
+    add_path,
+    add_several,
+    add_unit,
+    answered,
+    from_one,
+    say,
+)
 
 if TYPE_CHECKING:
     from huepose.onboarding.batch import Job, Onboarded
@@ -55,7 +64,7 @@ def add_parser(subparsers: Any) -> None:
     add_path(many, "--out", "BUNDLES", "folder of reference models", required=True)
     add_several(many, "--ids", "N", "only these objects", kind=int)
     _paper(many)
-    add_number(many, "--processes", 2, "worker processes (2)")
+    add_number(many, "--processes", 2, "worker processes (2)", kind=from_one)
     many.set_defaults(call=call_bop)
 
 
@@ -105,7 +114,7 @@ def call(arguments: argparse.Namespace) -> int:
         print(in_words(result), flush=True)
         if made:
             print(made.words, flush=True)
-    part = None if made is None or made.all_round else made.surface
+    part = None if made is None or made.facts["all_round"] else made.facts["surface"]
     found, words = self_test(arguments.out, arguments.name, part) if arguments.test else (None, "")
     answer = {**asdict(result), "path": str(result.path), "suitability": found}
     if made:
@@ -163,39 +172,30 @@ def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
     return result
 
 
-@dataclass(frozen=True)
-class _Before:
-    """digest: of the file of a model; written: when that was, in words."""
-
-    digest: str
-    written: str
-
-
-def _model_there(path: Path) -> _Before | None:
-    """What a file was before onboarding, None where there is none."""
+def _model_there(path: Path) -> tuple[str, str] | None:
+    """Of a file before onboarding its digest, and when it was written in words; None where there is none."""
     if not path.is_file():
         return None
-    written = datetime.fromtimestamp(path.stat().st_mtime)
-    return _Before(_digest(path), f"{written:%Y-%m-%d at %H:%M}")
+    return _digest(path), f"{datetime.fromtimestamp(path.stat().st_mtime):%Y-%m-%d at %H:%M}"
 
 
 def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _settle(result: Onboarded, before: _Before | None, to_have_both: str) -> None:
+def _settle(result: Onboarded, before: tuple[str, str] | None, to_have_both: str) -> None:
     """Say what may be wrong with a mesh; and where its model replaced another, that, and forget what was said
     of that one."""
     from huepose_services.models import forget_verdict
 
     for note in result.notes:
         Status().line(f"note: {result.name}: {note}")
-    if before is None or before.digest == _digest(result.path):
+    if before is None or before[0] == _digest(result.path):
         return
     forget_verdict(result.path.parent, result.name)
     Status().line(
         f"note: {result.path} replaced another reference model named {result.name}, made on "
-        f"{before.written}. To have both, {to_have_both}"
+        f"{before[1]}. To have both, {to_have_both}"
     )
 
 
@@ -203,8 +203,6 @@ def call_bop(arguments: argparse.Namespace) -> int:
     """Onboard a folder; an object that fails is reported and the others go on."""
     from huepose.onboarding.bop_folder import bop_models
 
-    if arguments.processes < 1:
-        raise InputError("--processes", found=str(arguments.processes), expected="1 or more")
     check_folder(arguments.out)
     models = bop_models(arguments.models_dir, arguments.ids)
     failed = onboard_models(models, arguments.out, arguments.paper, arguments.processes)

@@ -25,18 +25,12 @@ ALL_ROUND = 0.6
 
 @dataclass(frozen=True)
 class FromVideo:
-    """mesh: the file that was written; surface: share of it that was seen; words: what it is worth; facts:
-    the same for programs."""
+    """mesh: the file that was written; words: what it is worth; facts: the same for programs, the share of
+    the surface that was seen and whether that is all round among them."""
 
     mesh: Path
-    surface: float
     words: str
     facts: dict[str, Any]
-
-    @property
-    def all_round(self) -> bool:
-        """Whether the model is of the whole object, as far as that can stand on a table."""
-        return self.surface >= ALL_ROUND
 
 
 def add_video(parser: argparse.ArgumentParser) -> None:
@@ -106,7 +100,7 @@ def mesh_from_video(arguments: argparse.Namespace) -> FromVideo | None:
         "all_round": made.surface >= ALL_ROUND,
         "closing_m": made.closing_m,
     }
-    return FromVideo(path, made.surface, _in_words(made, path), facts)
+    return FromVideo(path, _in_words(made, path), facts)
 
 
 def _scene(path: Path) -> Scene:

@@ -129,10 +129,15 @@ def add_bundles(parser: argparse.ArgumentParser) -> None:
 
 
 def add_number(
-    parser: argparse.ArgumentParser, option: str, default: float, text: str, unit: str = "N"
+    parser: argparse.ArgumentParser,
+    option: str,
+    default: float | None,
+    text: str,
+    unit: str = "N",
+    kind: Callable[[str], Any] | None = None,
 ) -> None:
-    """Add an option that is a number of the type of its default."""
-    parser.add_argument(option, type=type(default), default=default, metavar=unit, help=text)
+    """Add an option that is a number of the type of its default, or what `kind` (see `number_of`) allows."""
+    parser.add_argument(option, type=kind or type(default), default=default, metavar=unit, help=text)
 
 
 def add_from_zero(parser: argparse.ArgumentParser, option: str, text: str) -> None:
@@ -153,6 +158,8 @@ def number_of(kind: Callable[[str], N], is_allowed: Callable[[N], bool], expecte
 
 
 from_zero = number_of(int, lambda number: number >= 0, "a whole number, 0 or more")
+from_one = number_of(int, lambda number: number >= 1, "a whole number, 1 or more")
+over_zero = number_of(float, lambda number: number > 0.0, "more than 0")
 _seconds = number_of(float, lambda seconds: seconds > 0.0, "seconds, more than 0")
 
 
@@ -220,23 +227,16 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen(arguments: argparse.Namespace, tell: bool = True) -> Pipeline:
-    """The pipeline that is meant. tell: say which it is where that may be a surprise. Raises InputError where
-    it is not clear."""
+    """The pipeline that is meant. tell: say which it is where nobody named one, and it is not that of this
+    folder. Raises InputError where it is not clear."""
+    from huepose_services.runtime.config import DEFAULT_FILE
     from huepose_services.runtime.running import pick
 
     pipeline = pick(arguments.config, arguments.pipeline)
-    if tell:
-        say_which(arguments, pipeline)
-    return pipeline
-
-
-def say_which(arguments: argparse.Namespace, pipeline: Pipeline) -> None:
-    """Say which pipeline was found where nobody named one, and it is not that of this folder."""
-    from huepose_services.runtime.config import DEFAULT_FILE
-
-    unsaid = arguments.config is None and arguments.pipeline is None
+    unsaid = tell and arguments.config is None and arguments.pipeline is None
     if unsaid and pipeline.file and Path(pipeline.file) != Path(DEFAULT_FILE).absolute():
         say(f"this is {pipeline.name}, which runs from {pipeline.file}")
+    return pipeline
 
 
 def say_if_unknown(pipeline: Pipeline) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose.support.words import counted, did_you_mean
-from huepose_services.cli.options import add_choice, add_path, chosen, say, say_which, until_told
+from huepose_services.cli.options import add_choice, add_path, awaited, chosen, say, until_told
 from huepose_services.pem import Credentials
 
 if TYPE_CHECKING:
@@ -302,37 +302,28 @@ def _messages_here(
     from huepose_protos.client import Reader
     from huepose_protos.messages import HealthMessage
 
-    pipeline, again, say_at = chosen(arguments), True, time.monotonic() + _SAY_WAITING_AFTER_S
-    said, told = "", set[str]()
-    while again and not stopping():
-        key, health = pipeline.key(arguments.key), pipeline.key("health/**")
-        asks_for_health = zenoh.KeyExpr(key).intersects(zenoh.KeyExpr(health))
-        beside = [*([] if asks_for_health else [health]), *map(pipeline.key, only.keys)]
-        with Reader(pipeline.endpoints, key, *beside) as reader:
-            again = False
-            while not stopping() and not _is_over(reader) and not again:
-                message = reader.next(0.1)
-                if isinstance(message, HealthMessage):
-                    _warn(message, told)
-                    message = message if asks_for_health else None
-                if message is not None and only.looked_up(message):
-                    message = None
-                if message is not None:
-                    say_at = float("inf")
-                    yield message
-                    continue
-                if time.monotonic() > say_at:
-                    say_at = time.monotonic() + _SAY_WAITING_AFTER_S
-                    before, said = said, _silence(reader, pipeline, key)
-                    if said != before:
-                        say(said)
-                if not reader.seen:
-                    old, pipeline = pipeline, chosen(arguments, tell=False)
-                    again = pipeline != old
-                    if again:
-                        say_which(arguments, pipeline)
-            if _is_over(reader):
-                say(f"{pipeline.name} has ended")
+    awaited(arguments, stopping)
+    pipeline, said, told = chosen(arguments), "", set[str]()
+    key, health = pipeline.key(arguments.key), pipeline.key("health/**")
+    asks_for_health = zenoh.KeyExpr(key).intersects(zenoh.KeyExpr(health))
+    beside = [*([] if asks_for_health else [health]), *map(pipeline.key, only.keys)]
+    say_at = time.monotonic() + _SAY_WAITING_AFTER_S
+    with Reader(pipeline.endpoints, key, *beside) as reader:
+        while not stopping() and not _is_over(reader):
+            message = reader.next(0.1)
+            if isinstance(message, HealthMessage):
+                _warn(message, told)
+                message = message if asks_for_health else None
+            if message is not None and not only.looked_up(message):
+                say_at = float("inf")
+                yield message
+            elif time.monotonic() > say_at:
+                say_at = time.monotonic() + _SAY_WAITING_AFTER_S
+                before, said = said, _silence(reader, pipeline, key)
+                if said != before:
+                    say(said)
+        if _is_over(reader):
+            say(f"{pipeline.name} has ended")
 
 
 def _warn(health: HealthMessage, told: set[str]) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose.support.progress import Status
-from huepose_services.cli.options import add_number, add_path, answered, say, until_told
+from huepose_services.cli.options import add_number, add_path, answered, number_of, say, until_told
 from huepose_services.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -41,7 +41,8 @@ def add_parser(subparsers: Any) -> None:
         metavar="NAME",
         help="as which of several cameras of PIPELINE; without it each file as the one that it is of",
     )
-    add_number(parser, "--speed", 1.0, "1: as it was (default)", "X")
+    speed = number_of(float, lambda number: 0.05 <= number <= 20.0, "0.05 to 20")
+    add_number(parser, "--speed", 1.0, "1: as it was (default)", "X", speed)
     parser.add_argument("--loop", action="store_true", help="again and again")
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument(
@@ -102,8 +103,6 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.running import described, noted
 
-    if not 0.05 <= arguments.speed <= 20.0:
-        raise InputError("--speed", found=f"{arguments.speed:g}", expected="0.05 to 20")
     cameras = _of_cameras(arguments, recordings)
     names = ", ".join(f"{config.site}/{config.camera.name}" for config, _ in cameras)
     stopping = until_told()

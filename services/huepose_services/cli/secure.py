@@ -9,10 +9,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from huepose.support.errors import InputError
-from huepose_services.cli.options import say
+from huepose_services.cli.options import add_number, number_of, say
 
-_DAYS = 3650
 _FOLDER = Path("secure")
 
 
@@ -33,7 +31,8 @@ def add_parser(subparsers: Any) -> None:
     for verb in (add, revoke):
         verb.add_argument("name", metavar="NAME", help="what the reader is called")
     for verb in (init, add, host):
-        verb.add_argument("--days", type=int, default=_DAYS, metavar="N", help=f"how long it holds ({_DAYS})")
+        days = number_of(int, lambda number: 1 <= number <= 36_500, "1 to 36500")
+        add_number(verb, "--days", 3650, "how long it holds (3650)", kind=days)
     for verb in (init, add, revoke, host):
         verb.add_argument("--folder", type=Path, default=_FOLDER, metavar="DIR", help="where (secure)")
     parser.set_defaults(call=call)
@@ -44,8 +43,6 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.authority import AUTHORITY, GATEWAY, REVOKED, Authority
 
     folder, action = arguments.folder.absolute(), arguments.action
-    if action != "revoke" and not 1 <= arguments.days <= 36_500:
-        raise InputError("--days", found=str(arguments.days), expected="1 to 36500")
     if action == "init":
         hosts = arguments.host or _own_names()
         Authority.make(folder, hosts, arguments.days)

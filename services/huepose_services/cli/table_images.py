@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from huepose import __version__
@@ -26,40 +26,37 @@ METHODS = ("paper", "colorpair", "full")
 """Of this program; each has a column of that name."""
 
 
-@dataclass(frozen=True)
-class ImageSource:
-    """path: in a layout of YCB-Video; key: of its files in OUT/runs; objects: names or ids that are asked
-    for, None for all; submissions: `NAME=FILE.csv` of others; equivalent: a file of poses that count, too."""
-
-    path: Path
-    key: str
-    title: str
-    objects: Sequence[str] | None
-    submissions: Sequence[str] = ()
-    equivalent: Path | None = None
-
-
 def images(
-    arguments: argparse.Namespace, source: ImageSource, models: Mapping[str, ReferenceModel]
+    arguments: argparse.Namespace,
+    models: Mapping[str, ReferenceModel],
+    path: Path,
+    key: str,
+    title: str,
+    objects: Sequence[str] | None = None,
+    named: Sequence[str] = (),
+    equivalent: Path | None = None,
 ) -> tuple[dict[str, list[Entry]], list[str], dict[str, int]]:
-    """Entries by method, notes on what is not in them, labels of the whole set by object name."""
-    folder = open_ycbv_folder(source.path)
+    """Entries by method, notes on what is not in them, labels of the whole set by object name.
+
+    path: of the set, in a layout of YCB-Video; key: of its files in OUT/runs; objects: names or ids that are
+    asked for, None for all; named: `NAME=FILE.csv` of others; equivalent: a file of poses that count, too."""
+    folder = open_ycbv_folder(path)
     scenes = folder.scenes if arguments.quick is None else spread(folder.scenes, arguments.quick)
-    targets = Targets(models, source.objects)
+    targets = Targets(models, objects)
     ids = [m.object_id for m in models.values() if m.object_id is not None]
     boxes, given = box_source(arguments.boxes)
     listed = bool(folder.coverage.targets)
     options = EstimateOptions(boxes, "auto", 0.0 if listed else 0.1, (arguments.seed,))
-    equivalents = read_equivalents(source.equivalent) if source.equivalent else {}
+    equivalents = read_equivalents(equivalent) if equivalent else {}
     measured_on = bop_objects(folder.info, models) if folder.info is not None else {}
-    submissions = [read_submission(named, set(ids)) for named in source.submissions]
+    submissions = [read_submission(one, set(ids)) for one in named]
     _check_names([submission.name for submission in submissions])
     # What results depend on: a journal of other settings is not gone on with.
-    common = {key: getattr(arguments, key) for key in ("profile", "boxes", "seed", "objects")} | {
+    common = {name: getattr(arguments, name) for name in ("profile", "boxes", "seed", "objects")} | {
         "version": __version__,
         "models": models_digest(targets.models),
         "boxes_file": digest(Path(arguments.boxes)) if given is not None else None,
-        "equivalent": digest(source.equivalent) if source.equivalent else None,
+        "equivalent": digest(equivalent) if equivalent else None,
     }
     entries = {}
     for method in arguments.methods:
@@ -67,10 +64,8 @@ def images(
         estimator = Estimator({m.name: m for m in targets.models}, config)
         estimator.warm_up()
         setup = EstimateSetup(targets, estimator, options, equivalents, bop_objects=measured_on, given=given)
-        journal = Journal(
-            arguments.out / "runs" / f"{source.key}-{method}.jsonl", {**common, "method": method}
-        )
-        entries[method] = run_images(journal, scenes, setup, f"{source.title}, {method}")
+        journal = Journal(arguments.out / "runs" / f"{key}-{method}.jsonl", {**common, "method": method})
+        entries[method] = run_images(journal, scenes, setup, f"{title}, {method}")
     for submission in submissions:
         setup = EstimateSetup(
             targets,
@@ -80,7 +75,7 @@ def images(
             bop_objects=measured_on,
             given=submission.poses,
         )
-        file = arguments.out / "runs" / f"{source.key}-submission-{submission.name}.jsonl"
+        file = arguments.out / "runs" / f"{key}-submission-{submission.name}.jsonl"
         file.unlink(missing_ok=True)  # nothing is estimated, and the file may be another one
         entries[submission.name] = run_images(Journal(file, common), scenes, setup, submission.name)
     n = sum(len(scene.image_ids) for scene in scenes)

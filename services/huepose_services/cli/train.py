@@ -8,9 +8,8 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-from huepose.support.errors import InputError
 from huepose.support.files import write_text
-from huepose_services.cli.options import add_from_zero, add_number, add_path, add_some_of
+from huepose_services.cli.options import add_from_zero, add_number, add_path, add_some_of, from_one, over_zero
 
 
 def add_parser(subparsers: Any) -> None:
@@ -59,25 +58,25 @@ def _add_views(whats: Any) -> None:
         6000,
         "objects that are kept to learn from, the newest, 3 MB each: 6000 take 18 GB of memory, the GPU's "
         "with --device cuda, else the computer's, more and more as they are drawn (6000)",
+        kind=from_one,
     )
     parser.set_defaults(call=train_views)
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
     add_path(parser, "--out", "DIR", "where the network goes", required=True)
-    add_number(parser, "--hours", 2.0, "wall time (2)", "H")
+    add_number(parser, "--hours", 2.0, "wall time (2)", "H", over_zero)
     add_from_zero(parser, "--seed", "of what is drawn, and of the first weights (0)")
-    add_number(parser, "--workers", 1, "processes that draw (1)")
+    add_number(parser, "--workers", 1, "processes that draw (1)", kind=from_one)
     parser.add_argument("--device", default="cpu", help="cpu or cuda (cpu)")
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in DIR")
 
 
 def train_rotation(arguments: argparse.Namespace) -> int:
     """Train, and say how good it became."""
-    common = _common(arguments)
     from huepose.training.rotation import RotationTraining, train
 
-    config = RotationTraining(**common, kinds=tuple(arguments.kind))
+    config = RotationTraining(**_common(arguments), kinds=tuple(arguments.kind))
     for kind, report in train(config, arguments.out, arguments.resume).items():
         _told(arguments.out / f"{kind}.json", report)
     return 0
@@ -85,22 +84,15 @@ def train_rotation(arguments: argparse.Namespace) -> int:
 
 def train_views(arguments: argparse.Namespace) -> int:
     """Train, and say how good it became."""
-    common = _common(arguments)
-    if arguments.room < 1:
-        raise InputError("--room", found=str(arguments.room), expected="1 or more")
     from huepose.training.view_codes import NAME, ViewCodeTraining, train
 
-    config = ViewCodeTraining(**common, room=arguments.room)
+    config = ViewCodeTraining(**_common(arguments), room=arguments.room)
     _told(arguments.out / f"{NAME}.json", train(config, arguments.out, arguments.resume))
     return 0
 
 
 def _common(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What both are told. Raises InputError."""
-    if not arguments.hours > 0:
-        raise InputError("--hours", found=str(arguments.hours), expected="more than 0")
-    if arguments.workers < 1:
-        raise InputError("--workers", found=str(arguments.workers), expected="1 or more")
+    """What both are told."""
     return {key: getattr(arguments, key) for key in ("hours", "seed", "workers", "device")}
 
 

@@ -8,7 +8,6 @@ import re
 import reprlib
 import types
 import typing
-from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,7 @@ from huepose.support.words import did_you_mean
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML itself lets the last of several equal keys win."""
+    """YAML itself lets the last of several equal keys win, and takes 1e-4 for a text."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -30,6 +29,10 @@ class _Loader(yaml.SafeLoader):
                 raise yaml.constructor.ConstructorError(None, None, f"'{name}' a second time", key.start_mark)
             seen.add(name)
         return super().construct_mapping(node, deep)
+
+
+_SCIENTIFIC = re.compile(r"[-+]?([0-9]{1,17}\.?[0-9]{0,17}|\.[0-9]{1,17})[eE][-+]?[0-9]{1,2}$")
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _SCIENTIFIC, list("-+.0123456789"))
 
 
 def read_yaml(text: str, path: Path) -> Any:
@@ -86,9 +89,6 @@ _IF_NONE = {
     "along the z of `parent`.",
 }
 
-# Such a number is a text to YAML 1.1, which wants a point and a sign: 1.0e-4.
-_SCIENTIFIC = re.compile(r"[-+]?([0-9]{1,17}\.?[0-9]{0,17}|\.[0-9]{1,17})[eE][-+]?[0-9]{1,2}")
-
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = 80
 _SHORT.maxlist = _SHORT.maxdict = 8
@@ -132,8 +132,6 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
 
 def _mended(at: str, found: Any, kind: Any) -> str:
     """What to write instead, as far as it is known."""
-    if plain := _plain(found, kind):
-        return f"Write it as {plain}: YAML takes {found} for text."
     for section in _parts(kind):
         # `camera: bop`: the section's name with what is the value of one of its keys.
         keys = msgspec.structs.fields(section) if hasattr(section, "__struct_fields__") else ()
@@ -144,16 +142,6 @@ def _mended(at: str, found: Any, kind: Any) -> str:
     if at.endswith(".source"):
         return "A webcam has no depth, which HuePose needs in every pixel: see docs/cameras.md."
     return "What each key means: pipeline.yaml of the repository, docs/running.md."
-
-
-def _plain(found: Any, kind: Any) -> str:
-    """A number in scientific notation without it, where a number belongs and YAML read a text; else empty."""
-    if not isinstance(found, str) or not _SCIENTIFIC.fullmatch(found):
-        return ""
-    plain = f"{Decimal(found):f}"
-    if "." in plain:
-        plain = plain.rstrip("0").rstrip(".")
-    return plain if float in _parts(kind) or (int in _parts(kind) and "." not in plain) else ""
 
 
 def _allowed(text: str, kind: Any) -> str:

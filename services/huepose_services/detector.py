@@ -139,10 +139,7 @@ class DetectorWork(Work):
         order = finder.order_of_channels(pixels(), names, seen)
         self._asked, self._ask_ns = (epoch, asks + 1, order.right), now_ns() + ASK_EVERY_NS
         if order.right or order.exchanged:
-            self._doubt(order.exchanged)
-
-    def _doubt(self, text: str) -> None:
-        self._colours = text
-        self._bus.health.warn_while("colours", text or None)
-        if text:
-            self._bus.log.seldom("colours", text)
+            self._colours = order.exchanged
+            self._bus.health.warn_while("colours", order.exchanged or None)
+            if order.exchanged:
+                self._bus.log.seldom("colours", order.exchanged)

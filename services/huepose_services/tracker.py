@@ -42,7 +42,6 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import StateChanges
 from huepose_services.runtime.work import Work
 
-_REFUSED_EVERY_S = 10.0
 # Who comes late is to hear that the camera has stopped.
 _SAID_AGAIN_NS = SECOND
 _Frame = tuple[int, int]
@@ -285,7 +284,7 @@ class TrackerWork(Work):
         if self._refused != (*key, message.seq):
             self._refused = (*key, message.seq)
             text = refused_text(f"{key[0]}/{key[1]}", message.verdict, age_s, why)
-            self._bus.log.seldom("refused", text, _REFUSED_EVERY_S, "warn" if fault else "info")
+            self._bus.log.seldom("refused", text, level="warn" if fault else "info")
 
     def _track(self, header: FrameHeader, payload: bytes) -> bool:
         """Track a frame. Returns False for a repeated, older or malformed one."""

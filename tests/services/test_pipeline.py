@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from huepose.evaluation.metrics import add
+from huepose_protos.keys import Keys
 from huepose_protos.messages import ControlRequest
 from huepose_services.chaos.intruder import flood
 from huepose_services.cli.graph import as_json, mermaid
@@ -126,7 +127,7 @@ def test_no_worker_has_loaded_what_only_onboarding_needs(running):
 
 def test_a_thousand_bad_messages_a_second_on_every_key_are_counted_and_disturb_nobody(running, wait_until):
     before = running.watch.view()
-    sent = flood(before.pipeline.endpoints, "local", "cam0", seconds=2.0, rate_hz=1000.0)
+    sent = flood(before.pipeline.endpoints, Keys("local", "cam0"), 2.0)
     assert sent >= 1000
     # Of pixels only the newest are looked at, so fewer are counted there.
     least = {"tracker": 20, "reinit": 20, "detector": 20, "segmenter": 1, "estimator": 1}

@@ -136,12 +136,13 @@ def test_the_log_as_json(capsys, monkeypatch):
     assert got == {"level": "error", "worker": "tracker", "text": "it broke"}
 
 
-def test_repeats_are_held_back_and_counted(capsys):
+def test_repeats_are_held_back_and_counted(capsys, monkeypatch):
+    monkeypatch.setattr("huepose_services.runtime.log._FIRST_S", 0.05)
     log = Log("tracker")
     for _ in range(5):
-        log.seldom("kind", "again", every_s=0.05)
+        log.seldom("kind", "again")
     time.sleep(0.06)
-    log.seldom("kind", "again", every_s=0.05)
+    log.seldom("kind", "again")
     assert capsys.readouterr().err.splitlines()[-1].endswith("again (4 more in 0 s)")
 
 
@@ -210,11 +211,12 @@ class FullDisk(io.StringIO):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def test_a_log_that_cannot_be_written_ends_nothing():
+def test_a_log_that_cannot_be_written_ends_nothing(monkeypatch):
+    monkeypatch.setattr("huepose_services.runtime.log._FIRST_S", 0.01)
     log = Log("tracker", FullDisk())
     log.error("it broke")
     for _ in range(2):
-        log.seldom("kind", "again", every_s=0.01)
+        log.seldom("kind", "again")
     time.sleep(0.02)
     log.flush()
 

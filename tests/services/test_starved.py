@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from huepose_services.runtime.starved import Starved
+from huepose_services.runtime.supervisor import Starved
 
 BUSY = "while True: pass"
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Literal
 
 from huepose_protos import PoseClient
+from huepose_protos.keys import Keys
 from huepose_protos.messages import ControlRequest, ObjectEntry
 from huepose_services.chaos import intruder
 from huepose_services.chaos.intruder import flood
@@ -122,7 +123,7 @@ def _started_twice(system: LivePipeline, worker: str) -> Iterator[list[str]]:
 @contextmanager
 def _flooded(system: LivePipeline) -> Iterator[list[str]]:
     counted = {worker: message.errors for worker, message in system.health.items()}
-    sent = flood(system.endpoints, "local", "cam0", seconds=4.0, rate_hz=1000.0)
+    sent = flood(system.endpoints, Keys("local", "cam0"), 4.0)
     time.sleep(1.5)
     broken = [] if sent > 1000 else [f"only {sent} bad messages could be sent"]
     readers = {"tracker", "reinit", "detector", "segmenter", "estimator"}

@@ -179,14 +179,17 @@ def bad_bytes(good: bytes) -> list[bytes]:
     return [b"", b"\xc1", b"\xff" * 100, good[:-1], good[: len(good) // 2], good + b"\x00", *spoilt]
 
 
-def flood(endpoints: Sequence[str], site: str, camera: str, *, seconds: float, rate_hz: float) -> int:
+_FLOOD_HZ = 1000.0
+
+
+def flood(endpoints: Sequence[str], keys: Keys, seconds: float) -> int:
     """Send bad messages on every key in turn, from a session of its own; returns how many."""
     with open_reader_session(endpoints) as session:
         time.sleep(0.5)  # the links come up
-        stream = _stream(Keys(site, camera))
+        stream = _stream(keys)
         start, sent = time.monotonic(), 0
         while (passed := time.monotonic() - start) < seconds:
-            while sent < passed * rate_hz:
+            while sent < passed * _FLOOD_HZ:
                 key, payload, attachment = next(stream)
                 session.put(
                     key, payload, attachment=attachment, congestion_control=zenoh.CongestionControl.DROP

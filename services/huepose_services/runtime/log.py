@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Literal, TextIO, get_args
 
-_FACTOR, _LONGEST_S, _QUIET_S = 4.0, 300.0, 60.0
+_FIRST_S, _FACTOR, _LONGEST_S, _QUIET_S = 1.0, 4.0, 300.0, 60.0
 _MOST_KINDS = 256
 _LONG_AGO_S = 2.0
 """What was held back for longer says so: it may not be so any more."""
@@ -48,12 +48,12 @@ class Repeats:
     def __init__(self) -> None:
         self._kinds: dict[str, _Kind] = {}
 
-    def offer(self, kind: str, text: str, now_s: float, first_wait_s: float = 1.0) -> str | None:
+    def offer(self, kind: str, text: str, now_s: float) -> str | None:
         """What is to be written now, with the number of those that were not; None: nothing."""
         known = self._kinds.get(kind)
         if known is None or now_s - known.last_s > max(_QUIET_S, 2.0 * known.wait_s):
             self._make_room()
-            self._kinds[kind] = _Kind(first_wait_s, now_s + first_wait_s, now_s, now_s, text)
+            self._kinds[kind] = _Kind(_FIRST_S, now_s + _FIRST_S, now_s, now_s, text)
             return text
         known.last_s, known.text = now_s, text
         if now_s < known.until_s:
@@ -71,7 +71,7 @@ class Repeats:
         ago = f", the last {ago_s:.0f} s ago" if ago_s >= _LONG_AGO_S else ""
         more = f" ({known.held} more in {now_s - known.since_s:.0f} s{ago})"
         text = known.text + (more if known.held else "")
-        known.wait_s = min(_FACTOR * known.wait_s, max(_LONGEST_S, known.wait_s))
+        known.wait_s = min(_FACTOR * known.wait_s, _LONGEST_S)
         known.until_s, known.since_s, known.held = now_s + known.wait_s, now_s, 0
         return text
 
@@ -117,11 +117,10 @@ class Log:
         """Write a line about work that failed."""
         self.say(text, "error")
 
-    def seldom(self, kind: str, text: str, every_s: float = 1.0, level: Level = "warn") -> None:
-        """Write a line of a kind, the more seldom the more often it comes, with how many were held back;
-        every_s: from the first line to the second at least."""
+    def seldom(self, kind: str, text: str, level: Level = "warn") -> None:
+        """Write a line of a kind, the more seldom the more often it comes, with how many were held back."""
         with self._lock:
-            said = self._repeats[level].offer(kind, text, time.monotonic(), every_s)
+            said = self._repeats[level].offer(kind, text, time.monotonic())
         if said is not None:
             self.say(said, level)
 

@@ -28,7 +28,6 @@ from huepose_services.runtime.log import Log, is_log_line, write
 from huepose_services.runtime.pulse import COMPILING, READY_FD
 from huepose_services.runtime.reload import Reload
 from huepose_services.runtime.session import RESTARTS
-from huepose_services.runtime.starved import Starved
 from huepose_services.runtime.threads import THREAD_VARIABLES
 from huepose_services.runtime.tied import SUPERVISOR
 from huepose_services.runtime.worker import TELL_WHERE
@@ -56,6 +55,32 @@ _WHY_IT_ENDED = "huepose run: "
 """With which the command line begins what it says of an error."""
 _SILENT_S = 0.5
 """A worker of which nothing was heard for so long is asked what it waits for."""
+
+
+class Starved:
+    """How long a process has had to wait for a processor, as the kernel counts it: on a busy computer a
+    worker is silent for longer, and hangs no more than before. pid: its number."""
+
+    def __init__(self, pid: int) -> None:
+        self._tasks = Path(f"/proc/{pid}/task")
+        self._before = self._waits_ns()
+
+    def since_last_s(self) -> float:
+        """Seconds since this was last asked, or made, that the one of its threads which waited longest could
+        have run and did not. 0 where the kernel does not count it; a stopped or sleeping thread waits for
+        nothing."""
+        before, self._before = self._before, self._waits_ns()
+        return max((now - before.get(thread, now) for thread, now in self._before.items()), default=0) * 1e-9
+
+    def _waits_ns(self) -> dict[str, int]:
+        """Of each thread, the second figure of its schedstat (Linux, Documentation/scheduler/sched-stats)."""
+        waits = {}
+        # Threads end while this looks, and the process may be gone.
+        with suppress(OSError):
+            for task in self._tasks.iterdir():
+                with suppress(OSError, ValueError, IndexError):
+                    waits[task.name] = int((task / "schedstat").read_bytes().split()[1])
+        return waits
 
 
 class Child:

@@ -10,8 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model import ReferenceModel
 from huepose.perception.exchanged import Order, order_of_channels
-from huepose.perception.types import Detection, Detector
+from huepose.perception.types import Detection
 from huepose.perception.view_detector import ViewDetector
+from huepose.perception.yolo import YoloDetector
 from huepose.reinit.looking import Looks, chosen
 from huepose_protos.messages import (
     DetectedObject,
@@ -27,6 +28,7 @@ from huepose_services.convert import (
     requested_from_wire,
 )
 from huepose_services.models import Outline, outline
+from huepose_services.networks import never_boxed
 from huepose_services.runtime.clock import SECOND
 
 _HINT_NS = 3 * SECOND
@@ -54,6 +56,15 @@ class BoxFinder:
         """Boxes, in the request's order; of what waits, only where it seems to be. pixels: called by those
         who look at the frame."""
         raise NotImplementedError
+
+    def lacks(self) -> str:
+        """A sentence on the objects that never get a box; empty where there are none."""
+        return ""
+
+    def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> Order:
+        """What a frame says of the order of its channels, by the objects of these names. seen: scores of
+        those that were searched in it."""
+        return Order()
 
     def prior_box(self, name: str, prior: Prior | None, header: FrameHeader, camera: Camera) -> Box | None:
         """Where an instance that is tracked is predicted to be; None where none is, or not in the image."""
@@ -90,14 +101,13 @@ class BoxFinder:
 class SeenBoxes(BoxFinder):
     """What a detector sees in the frame."""
 
-    def __init__(self, outlines: Mapping[str, Outline], detector: Detector) -> None:
+    def __init__(self, outlines: Mapping[str, Outline], detector: YoloDetector) -> None:
         super().__init__(outlines)
         self._detector = detector
 
-    @property
-    def objects(self) -> list[str]:
-        """Names of the objects that it knows."""
-        return list(self._outlines)
+    def lacks(self) -> str:
+        """Those of which its network has no class."""
+        return never_boxed(self._detector, self._outlines)
 
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
         """Boxes, in the request's order."""
@@ -140,8 +150,7 @@ class SearchedBoxes(BoxFinder):
         ]
 
     def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> Order:
-        """What a frame says of the order of its channels, by one of the objects, by turns, as in `find`.
-        seen: scores of those that were searched in it."""
+        """By one of the objects, by turns, as in `find`."""
         known = [name for name in names if name in self._outlines]
         asked = self._looks.turn(known)[:1] if known else []
         return order_of_channels(frame, self._searcher, asked, seen) if asked else Order()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache, partial
 
@@ -38,8 +38,7 @@ def make(bus: Bus, config: Config) -> DetectorWork:
         detector, network = networks.yolo(config)
         bus.log.say(f"YOLO of layout {detector.layout} on {network.provider}: {network.path.name}")
         bus.health.count(f"provider_{network.provider}")
-        seen = SeenBoxes(outlines, detector)
-        return DetectorWork(bus, seen, follower, lacks=lambda: networks.never_boxed(detector, seen.objects))
+        return DetectorWork(bus, SeenBoxes(outlines, detector), follower, config.camera.check)
     settings = profile(config.profile).detector
     settings = replace(settings, threads=config.detector.threads, remembering=True)
     searcher = ViewDetector(known, settings)
@@ -56,11 +55,9 @@ class DetectorWork(Work):
         finder: BoxFinder,
         objects: Follower[ReferenceModel],
         check_camera: bool = True,
-        lacks: Callable[[], str] = str,
     ) -> None:
         self._bus, self._finder, self._objects = bus, finder, objects
         self._hints = Hints()
-        self._lacks = lacks
         self._tell_what_it_lacks()
         self._requests = Requests(bus, looks=True)
         self._check_camera, self._colours = check_camera, ""
@@ -91,7 +88,7 @@ class DetectorWork(Work):
             self._tell_what_it_lacks()
 
     def _tell_what_it_lacks(self) -> None:
-        self._bus.health.warn_while("classes", self._lacks() or None)
+        self._bus.health.warn_while("classes", self._finder.lacks() or None)
 
     def _answer(self, request: PerceptionRequest, header: FrameHeader, payload: bytes) -> None:
         started, health = now_ns(), self._bus.health
@@ -114,16 +111,11 @@ class DetectorWork(Work):
         health.count("requests")
         health.count("boxes", len(found))
         health.worked_on(started, header)
-        if self._check_camera and isinstance(self._finder, SearchedBoxes):
-            self._doubt_colours(self._finder, header.camera_epoch, request, found, pixels)
+        if self._check_camera:
+            self._doubt_colours(header.camera_epoch, request, found, pixels)
 
     def _doubt_colours(
-        self,
-        finder: SearchedBoxes,
-        epoch: int,
-        request: PerceptionRequest,
-        found: Sequence[DetectedObject],
-        pixels: Pixels,
+        self, epoch: int, request: PerceptionRequest, found: Sequence[DetectedObject], pixels: Pixels
     ) -> None:
         """Ask now and then whether the colours are in the wrong order, until an object says that they are
         not: some times when a camera was opened, and for as long as nothing is followed."""
@@ -136,7 +128,7 @@ class DetectorWork(Work):
         for box in found:
             if box.request.prior is None:
                 seen[box.request.object] = max(seen.get(box.request.object, 0.0), box.score)
-        order = finder.order_of_channels(pixels(), names, seen)
+        order = self._finder.order_of_channels(pixels(), names, seen)
         self._asked, self._ask_ns = (epoch, asks + 1, order.right), now_ns() + ASK_EVERY_NS
         if order.right or order.exchanged:
             self._colours = order.exchanged

@@ -99,14 +99,12 @@ class Door:
 
     def reload(self, gateway: GatewayConfig) -> None:
         """Other limits; where others may read than before, all are asked again who they are."""
-        before, self._gateway = self._gateway, self._limited(gateway)
+        before = self._gateway
+        tls = before.tls and gateway.tls and replace(before.tls, readers=gateway.tls.readers)
+        sessions = gateway.sessions_per_reader
+        self._gateway = replace(before, sessions_per_reader=sessions, tls=tls or before.tls)
         if before.tls != self._gateway.tls:
             self._loop.call_soon_threadsafe(self._ask_all)
-
-    def _limited(self, gateway: GatewayConfig) -> GatewayConfig:
-        now = self._gateway
-        tls = now.tls and gateway.tls and replace(now.tls, readers=gateway.tls.readers)
-        return replace(now, sessions_per_reader=gateway.sessions_per_reader, tls=tls or now.tls)
 
     def _ask_all(self) -> None:
         for task in self._tasks:

@@ -51,7 +51,7 @@ class LiveIngest(Work):
         self._publisher = FramePublisher(bus, config)
         self._audience = Audience(bus, config) if config.camera.once else None
         settings = config.camera
-        self._reader = Reader(source, float(settings.rate), starts=self._audience is None)
+        self._reader = Reader(source, float(settings.rate))
         self._made_ns, self._ended_ns = now_ns(), 0
         self._name = source.name
         self._clock = DeviceClock()

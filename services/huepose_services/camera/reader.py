@@ -38,10 +38,10 @@ class Taken:
 
 
 class Reader:
-    """Starts at once, or by `start`. `take` gives each picture once, the newest; `trouble` says why there is
-    none. rate_hz: how many should come."""
+    """Starts at once, or by `start` where the source is opened once. `take` gives each picture once, the
+    newest; `trouble` says why there is none. rate_hz: how many should come."""
 
-    def __init__(self, source: LiveSource, rate_hz: float, starts: bool = True) -> None:
+    def __init__(self, source: LiveSource, rate_hz: float) -> None:
         self._source = source
         patience_ns = int(PATIENCE_PICTURES * SECOND / rate_hz)
         self._slow_ns, self._silent_ns = max(_SLOW_NS, patience_ns), max(_SILENT_NS, patience_ns)
@@ -60,7 +60,7 @@ class Reader:
         """No picture comes any more: all have come, or `trouble` says what ended it."""
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self.started = False
-        if starts:
+        if not source.once:
             self.start()
 
     def start(self) -> None:

@@ -16,7 +16,6 @@ from huepose_services.cli.options import (
     answered,
     number_of,
     say,
-    until_told,
 )
 
 
@@ -65,7 +64,7 @@ def call(arguments: argparse.Namespace) -> int:
         scene = (arguments.seed, arguments.bundles, arguments.object)
         chosen = pipeline(*scene, arguments.segmenter, arguments.sam or ())
         live = not arguments.headless and arguments.json is not True
-        result = run_demo(chosen, arguments.seconds, live, until_told)
+        result = run_demo(chosen, arguments.seconds, live)
     except DemoError as error:
         say(f"huepose demo: {error}")
         return 1

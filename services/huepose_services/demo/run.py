@@ -19,7 +19,7 @@ from huepose_protos.client import Reader
 from huepose_protos.messages import HealthMessage, Message, PoseMessage, TruthMessage
 from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.synthetic import open_source
-from huepose_services.cli.options import say
+from huepose_services.cli.options import say, until_told
 from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -64,14 +64,11 @@ def pipeline(
     }
 
 
-def run_demo(
-    pipeline: Mapping[str, Any], seconds: float, live: bool, until_told: Callable[[], Callable[[], bool]]
-) -> dict[str, Any]:
+def run_demo(pipeline: Mapping[str, Any], seconds: float, live: bool) -> dict[str, Any]:
     """The summary of a run of so many seconds, with the health of each worker at its end.
 
-    pipeline: its pipeline.yaml; live: shows a table meanwhile.
-    until_told: called when the workers start, says from then on whether to stop; until then Ctrl-C ends what
-    is drawn. Raises InputError when the pipeline cannot start, DemoError when it breaks, KeyboardInterrupt
+    pipeline: its pipeline.yaml; live: shows a table meanwhile. Until the workers start Ctrl-C ends what is
+    drawn. Raises InputError when the pipeline cannot start, DemoError when it breaks, KeyboardInterrupt
     when it was told to stop."""
     names = [item["name"] for item in pipeline["objects"]] or None
     models = load_models(pipeline.get("bundles") or builtin_bundles(pipeline["camera"]["seed"]), names)

@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 
 from huepose.support.errors import InputError
-from huepose_services.runtime.config import Config, load
+from huepose_services.runtime.config import Config, RestartConfig, load
 from huepose_services.runtime.health import Health
 from huepose_services.runtime.log import Log
 
@@ -25,8 +25,10 @@ LIVE: dict[str, frozenset[str]] = {
     "gateway": frozenset(
         {"gateway.max_rate_hz", "gateway.sessions_per_reader", "gateway.tls.readers", "tracker.max_age_ms"}
     ),
+    "huepose": frozenset(f"restarts.{name}" for name in RestartConfig.__struct_fields__),
 }
-"""What a worker takes over while it runs; other workers are told by it, where they have to know."""
+"""What a worker, or the supervisor ("huepose"), takes over while it runs; other workers are told by it, where
+they have to know."""
 
 _OF_ALL = ("site", "bundles", "profile", "networks", "bus", "cpus", "camera.name", "hosts", "link")
 
@@ -78,7 +80,7 @@ def _words(value: Any) -> str:
 
 
 class Reload:
-    """Of one worker, or of the supervisor ("huepose"), which takes over all of `restarts`."""
+    """Of one worker, or of the supervisor."""
 
     def __init__(
         self, worker: str, path: Path, config: Config, log: Log, health: Health | None = None
@@ -111,12 +113,8 @@ class Reload:
             self._health.warn_while("reload", problem or None)
 
     def _is_live(self, key: str) -> bool:
-        if self._worker == "huepose":
-            return key.startswith("restarts.")
         return key in LIVE.get(self._worker, ())
 
     def _waits(self, key: str) -> bool:
-        if self._worker == "huepose":
-            return key == "workers"
-        own = (self._worker, *_OF_ALL)
+        own = ("workers",) if self._worker == "huepose" else (self._worker, *_OF_ALL)
         return not self._is_live(key) and any(f"{key}.".startswith(f"{one}.") for one in own)

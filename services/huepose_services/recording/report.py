@@ -30,12 +30,26 @@ class Report:
     @property
     def text(self) -> str:
         """The result in words."""
-        lines = [
-            f"{counted(self.steps, 'step')} of the tracker computed again, from {self.from_s:.2f} s to "
-            f"{self.until_s:.2f} s of the recording{self._without}: {self._compared}, the same bit by bit"
-            if self.steps
-            else self._nothing
-        ]
+        if self.steps:
+            without = f", {self.without_pose} of them without a pose" if self.without_pose else ""
+            states = (
+                f" and {counted(self.memories, 'recorded state')} of the tracker" if self.memories else ""
+            )
+            first = (
+                f"{counted(self.steps, 'step')} of the tracker computed again, from {self.from_s:.2f} s to "
+                f"{self.until_s:.2f} s of the recording{without}: {counted(self.poses, 'pose')}{states} "
+                "compared, the same bit by bit"
+            )
+        elif self.skipped:
+            first = (
+                "nothing to compare: record for longer than ten seconds, or from before the pipeline begins"
+            )
+        else:
+            first = (
+                "nothing to compare: no step of the tracker is in it. Record while the tracker runs, and "
+                "without --no-frames"
+            )
+        lines = [first]
         if self.difference:
             lines[0] += f", then not: {self.difference}"
         if self.skipped_first == 1 and self.steps:
@@ -55,23 +69,3 @@ class Report:
         if self.unrecorded:
             lines.append(f"not compared: {counted(self.unrecorded, 'pose')} that the recording lacks")
         return "\n".join(lines)
-
-    @property
-    def _without(self) -> str:
-        return f", {self.without_pose} of them without a pose" if self.without_pose else ""
-
-    @property
-    def _compared(self) -> str:
-        states = f" and {counted(self.memories, 'recorded state')} of the tracker" if self.memories else ""
-        return f"{counted(self.poses, 'pose')}{states} compared"
-
-    @property
-    def _nothing(self) -> str:
-        if self.skipped:
-            return (
-                "nothing to compare: record for longer than ten seconds, or from before the pipeline begins"
-            )
-        return (
-            "nothing to compare: no step of the tracker is in it. Record while the tracker runs, and without "
-            "--no-frames"
-        )

@@ -452,9 +452,8 @@ def test_threads_of_the_search_are_noted_beside_a_network():
     assert not any("threads" in said for said in _unread(Config(detector=DetectorConfig(threads=4))))
 
 
-@pytest.mark.parametrize("kind", ["views", "colorpair"])
-def test_the_default_detector_has_an_older_name(validated, kind):
-    assert "NOTE" not in validated(f"detector: {{kind: {kind}, threads: 1}}\n")
+def test_of_keys_that_are_read_nothing_is_noted(validated):
+    assert "NOTE" not in validated("detector: {kind: views, threads: 1}\n")
 
 
 def test_validate_says_that_a_drawn_scene_shows_one_of_each(validated):

@@ -41,13 +41,11 @@ def call(arguments: argparse.Namespace) -> int:
     else:
         entries = catalogue.entries()
         summary = "\n".join([*map(_in_words, entries), f"\nfolder: {catalogue.folder()}"])
-        answered(arguments, [_facts(entry) for entry in entries], summary)
+        facts = [
+            asdict(e.network) | {"here": e.here, "path": str(e.path), "size_bytes": _size(e)} for e in entries
+        ]
+        answered(arguments, facts, summary)
     return 0
-
-
-def _facts(entry: Entry) -> dict[str, object]:
-    facts = {"here": entry.here, "path": str(entry.path), "size_bytes": _size(entry)}
-    return asdict(entry.network) | facts
 
 
 def _size(entry: Entry) -> int | None:

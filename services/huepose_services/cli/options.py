@@ -252,21 +252,19 @@ def awaited(
     until_s: time.monotonic(), at most. Whether it was not there at once."""
     from huepose_protos.client import Reader
 
-    pipeline, said = chosen(arguments, tell=False), False
+    pipeline = chosen(arguments, tell=False)
     if pipeline.noted:
         return False
-    begun = time.monotonic()
+    say_at = time.monotonic() + _SAY_WAITING_AFTER_S
     with Reader(pipeline.endpoints) as reader:
-        while not (stopping() or reader.seen or time.monotonic() > until_s or _is_noted(arguments)):
-            if not said and time.monotonic() - begun > _SAY_WAITING_AFTER_S:
-                said = True
+        while not (stopping() or reader.seen or time.monotonic() > until_s):
+            if chosen(arguments, tell=False).noted:
+                break
+            if time.monotonic() > say_at:
+                say_at = float("inf")
                 say(f"waiting for a pipeline: {pipeline.absence}")
             time.sleep(_LOOK_EVERY_S)
     return True
-
-
-def _is_noted(arguments: argparse.Namespace) -> bool:
-    return chosen(arguments, tell=False).noted
 
 
 def chosen_config(arguments: argparse.Namespace) -> Config:

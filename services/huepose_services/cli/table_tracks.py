@@ -82,7 +82,7 @@ def tracks(
     by_name = {files.folder_name(path): path for path in found}
     paths = {scene.name: by_name[scene.name] for scene in scenes}
     asked = arguments.start or source.start
-    starts = {name: asked or _usual_start(path) for name, path in paths.items()}
+    starts = {name: asked or ("dope" if _dope_poses(path) else "gt") for name, path in paths.items()}
     kinds = sorted(set(starts.values()))
     for kind in kinds:
         own = ", ".join(name for name, start in starts.items() if start == kind)
@@ -151,10 +151,6 @@ def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) 
         rows += [AblationRow(**row) for row in entry["rows"]]
         pairs, left_out = pairs + entry["pairs"], left_out + entry["left_out"]
     return AblationResult(rows, pairs, left_out) if rows else None
-
-
-def _usual_start(path: Path) -> str:
-    return "dope" if _dope_poses(path) else "gt"
 
 
 def _dope_poses(path: Path) -> list[Path]:

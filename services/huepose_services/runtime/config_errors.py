@@ -194,7 +194,8 @@ def _followed(data: Any, kind: Any, at: str) -> tuple[str, Any, Any]:
             key = next(key for key, value in data.items() if not _is(value, kind))
             named, data = f"{named}.{key[: _SHORT.maxstring]}", data[key]
         elif step.startswith("["):
-            kind = next(typing.get_args(part)[0] for part in _parts(kind) if _is_list(part))
+            lists = (part for part in _parts(kind) if typing.get_origin(part) in (list, tuple))
+            kind = typing.get_args(next(lists))[0]
             named, data = named + step, data[int(step[1:-1])]
         else:
             # A section that may be left out is a union with None.
@@ -209,10 +210,6 @@ def _kinds_of_map(kind: Any) -> tuple[Any, Any]:
     maps = (typing.get_args(part) for part in _parts(kind) if typing.get_origin(part) is dict)
     of_key, of_value = next(maps, (str, Any))
     return of_key, of_value
-
-
-def _is_list(kind: Any) -> bool:
-    return typing.get_origin(kind) in (list, tuple)
 
 
 def _is(value: Any, kind: Any) -> bool:

@@ -108,9 +108,9 @@ class CameraConfig(Section, frozen=True, kw_only=True):
 
 
 class DetectorConfig(Section, frozen=True, kw_only=True):
-    """How boxes are found. kind: colorpair is an older name of views."""
+    """How boxes are found."""
 
-    kind: Literal["views", "yolo", "colorpair"] = "views"
+    kind: Literal["views", "yolo"] = "views"
     model: str | None = None
     layout: Layout = "auto"
     classes: dict[Name, Class | list[Class]] = {}

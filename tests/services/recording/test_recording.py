@@ -6,6 +6,7 @@ import resource
 import struct
 import tracemalloc
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import msgspec

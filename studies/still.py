@@ -1,19 +1,22 @@
-"""A camera that stands still, and one kind of object that is known: is it found, and is anything else taken
-for it?
+"""A camera that stands still, and one kind of object that is known, or many at once: is it found, and is
+anything else taken for it?
 
     .venv/bin/python -m studies.still --bop SCENE... --bundles DIR --json OUT.json [--strangers]
     .venv/bin/python -m studies.still --bop SCENE... --bundles DIR --json OUT.json --several [--more 2]
+    .venv/bin/python -m studies.still --bop SCENE... --bundles DIR --json OUT.json --together --seconds 8
 
 Each object that stands alone of its kind in a frame is looked for, and some that are not there. With
 `--several` instead each kind of which a frame shows two or more, as many as it shows and `--more`; with
 `--draw` scenes that are not there are drawn first: heaps of two kinds of the bundles, four of each.
 Perception is that of a live pipeline, and knows this one kind. What is not there and not found by a first
-look, with a quality of 0.1, is watched no further.
+look, with a quality of 0.1, is watched no further. With `--together` one film shows all: every kind of the
+bundles is known and looked for at once.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,7 +57,7 @@ Instance = tuple[Float64, bool]
 class Row:
     """Of one kind of one frame. there: instances that are visible; frames: of the film; found_s: when each of
     those that were TRACKING and right was so first; right, wrong: poses that are TRACKING and right, or not,
-    in all frames; twice: right ones on an instance that another one is on."""
+    in all frames; twice: right ones on an instance that another one is on; posed: poses of any state."""
 
     scene: str
     image: int
@@ -65,32 +68,50 @@ class Row:
     right: int
     wrong: int
     twice: int
+    posed: int
+
+
+Told = tuple[tuple[float, ...], int, int, int, int]
+"""Of a kind: `found_s` and what follows it in a row."""
 
 
 def watched(
-    frame: RgbdFrame, model: ReferenceModel, instances: Sequence[Instance], wanted: int, count: int, rng: Rng
-) -> tuple[tuple[float, ...], int, int, int]:
-    """What is seen of the instances of a kind in a film of so many frames of this one, as `found_s` and what
-    follows it in a row. wanted: so many are looked for."""
-    frames = [Seen(shown(frame, n, rng), NOWHERE, 1.0) for n in range(count)]
-    tracker = Tracker({model.name: model}, profile("live").tracker)
-    loop = ReinitLoop(objects=[ObjectSlot.of(model, wanted)])
-    first: dict[int, float] = {}
-    right = wrong = twice = 0
-    for number, (_, poses) in enumerate(followed(frames, tracker, loop, Sight(model))):
-        taken: set[int] = set()
+    frame: RgbdFrame,
+    models: Mapping[str, ReferenceModel],
+    kinds: Mapping[str, Sequence[Instance]],
+    wanted: int,
+    count: int,
+    rng: Rng,
+) -> dict[str, Told]:
+    """What is seen of the instances of each known kind in a film of so many frames of this one. wanted: so
+    many of each are looked for."""
+    film = [Seen(shown(frame, n, rng), NOWHERE, 1.0) for n in range(count)]
+    tracker = Tracker(models, profile("live").tracker)
+    loop = ReinitLoop(objects=[ObjectSlot.of(model, wanted) for model in models.values()])
+    first: dict[str, dict[int, float]] = {name: {} for name in models}
+    counts = {name: Counter[str]() for name in models}
+    for number, (_, poses) in enumerate(followed(film, tracker, loop, Sight(*models.values()))):
+        taken: set[tuple[str, int]] = set()
         for pose in poses:
+            name, counted = pose.object, counts[pose.object]
+            counted["posed"] += pose.T_cam_obj is not None
             if pose.state is not State.TRACKING:
                 continue
-            errors = {k: error_of(model, pose.T_cam_obj, truth) for k, (truth, _) in enumerate(instances)}
-            k = min(errors, key=errors.__getitem__, default=-1)
-            if k < 0 or errors[k] >= metrics.RECALL_FRACTION:
-                wrong += 1
+            truths = [truth for truth, _ in kinds.get(name, ())]
+            errors = [error_of(models[name], pose.T_cam_obj, truth) for truth in truths]
+            if min(errors, default=np.inf) >= metrics.RECALL_FRACTION:
+                counted["wrong"] += 1
                 continue
-            right, twice = right + 1, twice + (k in taken)
-            taken.add(k)
-            first.setdefault(k, number / HZ)
-    return tuple(sorted(s for k, s in first.items() if instances[k][1])), right, wrong, twice
+            k = int(np.argmin(errors))
+            counted["right"] += 1
+            counted["twice"] += (name, k) in taken
+            taken.add((name, k))
+            first[name].setdefault(k, number / HZ)
+    told: dict[str, Told] = {}
+    for name, n in counts.items():
+        found_s = tuple(sorted(s for k, s in first[name].items() if kinds[name][k][1]))
+        told[name] = found_s, n["right"], n["wrong"], n["twice"], n["posed"]
+    return told
 
 
 def likely(frame: RgbdFrame, model: ReferenceModel) -> bool:
@@ -117,18 +138,20 @@ def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.
         frame, labels = scene.frame(image), [] if given.strangers else scene.truths(image)
         kinds = kinds_of(labels, targets)
         rng = np.random.default_rng([given.seed, image])
-        absent = 0 if given.several else given.absent
-        away = rng.permutation(sorted(set(models) - set(kinds)))[:absent]
         count = HZ * given.seconds
-        for name, own in [*kinds.items(), *((str(n), list[Instance]()) for n in away)]:
+        told = watched(frame, models, kinds, 1, count, rng) if given.together else {}
+        away = sorted(set(models) - set(kinds))
+        if not given.together:
+            away = [str(name) for name in rng.permutation(away)[: 0 if given.several else given.absent]]
+        for name in [*kinds, *away]:
+            own = kinds.get(name, [])
             there = sum(visible for _, visible in own)
             if own and (there < 2 if given.several else (len(own), there) != (1, 1)):
                 continue
-            seen: tuple[tuple[float, ...], int, int, int] = (), 0, 0, 0
-            if own or likely(frame, models[name]):
+            if not given.together and (own or likely(frame, models[name])):
                 wanted = there + given.more if given.several else 1
-                seen = watched(frame, models[name], own, wanted, count, rng)
-            yield Row(scene.name, image, name, there, count, *seen)
+                told = watched(frame, {name: models[name]}, kinds, wanted, count, rng)
+            yield Row(scene.name, image, name, there, count, *told.get(name, ((), 0, 0, 0, 0)))
 
 
 def heaps(folder: Path, models: Mapping[str, ReferenceModel], rng: Rng, frames: int) -> None:
@@ -153,7 +176,8 @@ def report(done: Sequence[Row]) -> str:
         f"right in {right} of {sum(r.frames * r.there for r in there)} frames, "
         f"wrong in {wrong}, {twice} on one that has a pose\n"
         f"not there: false TRACKING in {false} of {gone} frames, "
-        f"in {sum(r.wrong > 0 for r in away)} of {len(away)} films"
+        f"of {sum(r.wrong > 0 for r in away)} of {len(away)} kinds; a pose of any state in "
+        f"{sum(r.posed for r in away)} frames, of {sum(r.posed > 0 for r in away)} kinds"
     )
 
 
@@ -165,6 +189,7 @@ def main() -> None:
     parser.add_argument("--absent", type=int, default=3, help="objects that are not there, of each frame (3)")
     parser.add_argument("--several", action="store_true", help="kinds of which there are two or more")
     parser.add_argument("--more", type=int, default=0, help="so many more of these than there are (0)")
+    parser.add_argument("--together", action="store_true", help="all kinds are known at once")
     parser.add_argument("--draw", action="store_true", help="scenes that are not there")
     given = parser.parse_args()
     models = load_models(given.bundles)
@@ -173,8 +198,9 @@ def main() -> None:
             heaps(folder, models, np.random.default_rng([given.seed, number]), given.images)
     done = filmed(given, lambda scene: rows(scene, models, given))
     for row in done:
-        if row.wrong or row.twice:
-            print(f"{row.scene} {row.image} {row.object}: {row.wrong} wrong, {row.twice} twice")
+        if row.wrong or row.twice or (row.posed and not row.there):
+            counts = f"{row.wrong} wrong, {row.twice} twice, {row.posed} posed of {row.frames}"
+            print(f"{row.scene} {row.image} {row.object}: {counts}")
     print(report(done))
 
 

@@ -8,23 +8,30 @@ import numpy as np
 
 from huepose.geometry import se3
 from studies.gone import HZ
-from studies.still import Row, likely, report, watched
+from studies.still import Row, Told, likely, report, watched
+
+
+def told_of(frame, model, instances, wanted: int, count: int, rng: np.random.Generator) -> Told:
+    """What is told of a kind that alone is known."""
+    (told,) = watched(frame, {model.name: model}, {model.name: instances}, wanted, count, rng).values()
+    return told
 
 
 def test_what_is_there_is_found_and_what_is_not_there_is_not(tea_box, take_picture, standing) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
     rng = np.random.default_rng(0)
-    found_s, right, wrong, twice = watched(frame, tea_box, [(standing, True)], 1, HZ, rng)
+    found_s, right, wrong, twice, posed = told_of(frame, tea_box, [(standing, True)], 1, HZ, rng)
     assert right == HZ - round(found_s[0] * HZ) > 0
     assert wrong == twice == 0
+    assert right <= posed <= HZ
     moved = standing.copy()
     moved[0, 3] += 0.3 * tea_box.diameter_m
-    found_s, right, wrong, _ = watched(frame, tea_box, [(moved, True)], 1, HZ, rng)
+    found_s, right, wrong, *_ = told_of(frame, tea_box, [(moved, True)], 1, HZ, rng)
     assert (found_s, right) == ((), 0), "TRACKING, but not where it is said to be"
     assert wrong > 0
     texture = np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1])
     other = take_picture([(replace(tea_box.mesh, texture=texture), standing)])
-    assert watched(other, tea_box, [], 1, HZ, rng) == ((), 0, 0, 0)
+    assert told_of(other, tea_box, [], 1, HZ, rng)[:4] == ((), 0, 0, 0)
     assert likely(frame, tea_box)
     assert not likely(take_picture([]), tea_box)
 
@@ -36,21 +43,34 @@ def test_all_of_a_kind_are_found_and_no_more(tea_box, take_picture, standing) ->
     truths = [standing @ se3.make(np.eye(3), apart * (k - 1)) for k in range(3)]
     frame = take_picture([(tea_box.mesh, T) for T in truths])
     instances = [(T, True) for T in truths]
-    found_s, right, wrong, twice = watched(frame, tea_box, instances, 5, 2 * HZ, np.random.default_rng(0))
+    rng = np.random.default_rng(0)
+    found_s, right, wrong, twice, _ = told_of(frame, tea_box, instances, 5, 2 * HZ, rng)
     assert len(found_s) == 3
     assert right > 50, "of 90"
     assert wrong == twice == 0
 
 
+def test_of_many_kinds_at_once_those_are_found_that_are_there(
+    tea_box, soup_can, take_picture, standing
+) -> None:
+    frame, models = take_picture([(tea_box.mesh, standing)]), {"tea_box": tea_box, "soup_can": soup_can}
+    told = watched(frame, models, {"tea_box": [(standing, True)]}, 1, HZ, np.random.default_rng(0))
+    found_s, right, wrong, twice, _ = told["tea_box"]
+    assert right == HZ - round(found_s[0] * HZ) > 0
+    assert wrong == twice == 0
+    assert told["soup_can"] == ((), 0, 0, 0, 0)
+
+
 def test_the_report_counts_instances_and_films() -> None:
     done = [
-        Row("1", 0, "mug", 1, 90, (0.4,), 80, 0, 0),
-        Row("1", 0, "can", 3, 90, (3.0, 4.0), 100, 5, 2),
-        Row("1", 0, "box", 0, 90, (), 0, 20, 0),
-        Row("1", 0, "jar", 0, 90, (), 0, 0, 0),
+        Row("1", 0, "mug", 1, 90, (0.4,), 80, 0, 0, 85),
+        Row("1", 0, "can", 3, 90, (3.0, 4.0), 100, 5, 2, 170),
+        Row("1", 0, "box", 0, 90, (), 0, 20, 0, 24),
+        Row("1", 0, "jar", 0, 90, (), 0, 0, 0, 0),
     ]
     assert report(done) == (
         "there: 3 of 4 instances TRACKING and right, 1 within 2 s, (median, 90 %) 3.0 s, 3.8 s; "
         "right in 180 of 360 frames, wrong in 5, 2 on one that has a pose\n"
-        "not there: false TRACKING in 20 of 180 frames, in 1 of 2 films"
+        "not there: false TRACKING in 20 of 180 frames, of 1 of 2 kinds; "
+        "a pose of any state in 24 frames, of 1 kinds"
     )

@@ -18,13 +18,7 @@ from huepose.evaluation.result_files import write_json
 from huepose.evaluation.sources import TruthSource
 from huepose.evaluation.summary import span, table
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_protocol import (
-    SourceNames,
-    Sources,
-    TrackerLike,
-    TrackOptions,
-    evaluate_tracking,
-)
+from huepose.evaluation.track_protocol import Sources, TrackerLike, TrackOptions, evaluate_tracking
 from huepose.model import ReferenceModel
 from huepose.tracking import Tracker
 from huepose_services.cli.evaluate_scenes import open_fast_ycb
@@ -78,7 +72,6 @@ def _run(scenes: list[Scene], targets: Targets, name: str, every: int) -> dict[s
         lambda models: tracker_of(name, models),
         lambda scene, seed: Sources(TruthSource()),
         TrackOptions("free", every),
-        SourceNames("gt"),
     )
     summary = result.summary()
     return {

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal, NamedTuple, Protocol
 
@@ -99,18 +99,13 @@ Judge = Callable[[SourcedPose, TrackedPose | None], Verdict]
 
 @dataclass(frozen=True)
 class TrackOptions:
-    """every: of the frames every N-th is fed and scored, as if the others had never been."""
+    """every: of the frames every N-th is fed and scored, as if the others had never been; init, delayed: what
+    the results call the sources of the first pose and of the late ones."""
 
     protocol: Literal["free", "roft"] = "free"
     every: int = 1
     seeds: tuple[int, ...] = (0,)
-
-
-@dataclass(frozen=True)
-class SourceNames:
-    """What the results call the sources of the first pose and of the late ones."""
-
-    init: str
+    init: str = "gt"
     delayed: str | None = None
 
 
@@ -128,7 +123,6 @@ def evaluate_tracking(
     tracker_for: TrackerFactory,
     sources_for: Callable[[Scene, int], Sources],
     options: TrackOptions,
-    names: SourceNames,
     *,
     judge: Judge | None = None,
     on_frame: Callable[[Sample, list[TrackRow]], None] | None = None,
@@ -148,7 +142,7 @@ def evaluate_tracking(
                 phantoms[scene.name, seed] = phantoms.get((scene.name, seed), 0) + spare
                 if on_frame is not None:
                     on_frame(sample, new)
-    settings = {"protocol": options.protocol, "every": options.every, **asdict(names)}
+    settings = {key: value for key, value in vars(options).items() if key != "seeds"}
     return TrackResult(rows, phantoms, settings)
 
 

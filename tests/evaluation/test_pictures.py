@@ -13,7 +13,7 @@ from huepose.evaluation.estimate_protocol import EstimateOptions, evaluate_estim
 from huepose.evaluation.pictures import RIGHT, TRUTH, WRONG, PictureFolder, draw_rows
 from huepose.evaluation.sources import TruthSource
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
+from huepose.evaluation.track_protocol import Sources, TrackOptions, evaluate_tracking
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 from huepose.tracking.types import Applied, TrackedPose
@@ -89,7 +89,7 @@ def test_files_of_a_tracking_run(models, tmp_path: Path) -> None:
     folder = PictureFolder(tmp_path, Targets(models))
     result = evaluate_tracking(
         [SCENE], Targets(models), lambda known: Resting(), lambda scene, seed: Sources(TruthSource()),
-        TrackOptions(), SourceNames("gt"), on_frame=folder.frame,
+        TrackOptions(), on_frame=folder.frame,
     )  # fmt: skip
     folder.tracks(result)
     names = sorted(p.name for p in tmp_path.rglob("*.png"))

@@ -17,7 +17,7 @@ from huepose.evaluation.pose_files import PoseTable
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.sources import EstimatorSource, FileSource, TruthSource
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
+from huepose.evaluation.track_protocol import Sources, TrackOptions, evaluate_tracking
 from huepose.geometry import se3
 from huepose.support.errors import InputError
 from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
@@ -104,10 +104,7 @@ def run(models):
             return built[-1]
 
         sources_for = sources if callable(sources) else lambda scene, seed: sources
-        names = SourceNames("gt", None)
-        result = evaluate_tracking(
-            [scene], Targets(models), tracker_for, sources_for, options, names, judge=judge
-        )
+        result = evaluate_tracking([scene], Targets(models), tracker_for, sources_for, options, judge=judge)
         return result, built[-1]
 
     return evaluate
@@ -198,9 +195,8 @@ def test_a_frame_of_which_nothing_is_known_is_fed_and_has_no_row(models) -> None
     sparse = PartlyLabelled("s", {i: whole.labels[i] if i % 10 == 0 else () for i in whole.image_ids})
     tracker = IncrementTracker(whole, {"box": 0})
     result = evaluate_tracking(
-        [sparse], Targets(models), lambda known: tracker, lambda s, seed: TRUTH, TrackOptions(),
-        SourceNames("gt"),
-    )  # fmt: skip
+        [sparse], Targets(models), lambda known: tracker, lambda s, seed: TRUTH, TrackOptions()
+    )
     assert len(tracker.frames) == 31
     assert [row.frame for row in result.rows] == [0, 10, 20, 30]
     summary = result.summary()
@@ -255,7 +251,6 @@ def test_sequences_count_alike_whatever_their_length(models) -> None:
         lambda known: next(trackers),
         lambda scene, seed: TRUTH,
         TrackOptions(),
-        SourceNames("gt"),
     )
     summary = result.summary()
     assert summary["sequences"]["short"]["auc_add"] == pytest.approx(10.0)  # only its first frame
@@ -298,5 +293,5 @@ def test_two_folders_of_one_name_are_refused(models) -> None:
     with pytest.raises(InputError, match="box_run"):
         evaluate_tracking(
             [sequence(2), sequence(2)], Targets(models), lambda known: None, lambda s, seed: TRUTH,
-            TrackOptions(), SourceNames("gt"),
+            TrackOptions(),
         )  # fmt: skip

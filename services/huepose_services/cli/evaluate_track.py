@@ -13,7 +13,6 @@ from huepose.evaluation.result_files import origin, write_json
 from huepose.evaluation.sources import LoopJudge
 from huepose.evaluation.targets import Targets
 from huepose.evaluation.track_protocol import (
-    SourceNames,
     Sources,
     TrackerLike,
     TrackOptions,
@@ -43,21 +42,20 @@ def call(arguments: argparse.Namespace) -> int:
 
     _check_method(arguments)
     cv2.setNumThreads(1)  # as the tracker's worker does
-    names = _source_names(arguments)
+    options = _options(arguments)
     scenes, models = open_scenes(arguments.fast_ycb, arguments.bop, arguments.bundles)
     targets, settings = Targets(models, arguments.objects), profile(arguments.profile)
     used = {name: models[name] for name in shown(scenes, targets)}
     named = PoseSources(used, settings.estimator)
 
     def sources(scene: Scene, seed: int) -> Sources:
-        first = named.of(names.init, scene.name, seed)
-        if names.delayed is None:
+        first = named.of(options.init, scene.name, seed)
+        if options.delayed is None:
             return Sources(first)
-        same = names.delayed == names.init
-        return Sources(first, first if same else named.of(names.delayed, scene.name, seed))
+        same = options.delayed == options.init
+        return Sources(first, first if same else named.of(options.delayed, scene.name, seed))
 
-    options = TrackOptions(arguments.protocol, arguments.every, tuple(arguments.seed))
-    judge = LoopJudge(used) if names.delayed == "estimate" else None
+    judge = LoopJudge(used) if options.delayed == "estimate" else None
     pictures = PictureFolder(arguments.plots, targets) if arguments.plots else None
     on_frame = None if pictures is None else pictures.frame
 
@@ -66,9 +64,7 @@ def call(arguments: argparse.Namespace) -> int:
     def tracker(models: Mapping[str, ReferenceModel]) -> TrackerLike:
         return warm_tracker(models, settings.tracker) if step is None else PaperTracker(models, step)
 
-    result = evaluate_tracking(
-        scenes, targets, tracker, sources, options, names, judge=judge, on_frame=on_frame
-    )
+    result = evaluate_tracking(scenes, targets, tracker, sources, options, judge=judge, on_frame=on_frame)
     record = result.as_json()
     record["summary"]["method"] = arguments.method
     if arguments.method == "paper":
@@ -100,15 +96,17 @@ def _paper_step(arguments: argparse.Namespace) -> PaperStep:
     return PaperStep.of(arguments.rotation, arguments.rotation_model, flow)
 
 
-def _source_names(arguments: argparse.Namespace) -> SourceNames:
-    if arguments.protocol == "free":
-        if arguments.delayed is not None:
-            raise InputError(
-                "--delayed", found="it with --protocol free", fix="Use --protocol roft, or --init alone."
-            )
-        return SourceNames(arguments.init or "estimate")
-    delayed = arguments.delayed or "estimate"
-    return SourceNames(arguments.init or delayed, delayed)
+def _options(arguments: argparse.Namespace) -> TrackOptions:
+    """Raises InputError for late results without a protocol that has them."""
+    delayed = arguments.delayed
+    if arguments.protocol == "roft":
+        delayed = delayed or "estimate"
+    elif delayed is not None:
+        raise InputError(
+            "--delayed", found="it with --protocol free", fix="Use --protocol roft, or --init alone."
+        )
+    init = arguments.init or delayed or "estimate"
+    return TrackOptions(arguments.protocol, arguments.every, tuple(arguments.seed), init, delayed)
 
 
 def _report(summary: dict[str, Any]) -> str:

@@ -19,7 +19,7 @@ from huepose.evaluation.paper_tracker import PaperTracker
 from huepose.evaluation.sources import LoopJudge
 from huepose.evaluation.tables.journal import Entry, Journal, models_digest, run_tracks
 from huepose.evaluation.targets import Targets
-from huepose.evaluation.track_protocol import SourceNames, Sources, TrackOptions, evaluate_tracking
+from huepose.evaluation.track_protocol import Sources, TrackOptions, evaluate_tracking
 from huepose.evaluation.track_rows import TrackResult
 from huepose.model import ReferenceModel
 from huepose.perception.sessions import digest
@@ -104,8 +104,7 @@ def tracks(
             Targets(models),
             PaperTracker if method == "paper" else ours,
             lambda scene, seed: Sources(first, delayed),
-            TrackOptions(arguments.protocol, every, (arguments.seed,)),
-            SourceNames(start, "estimate" if roft else None),
+            TrackOptions(arguments.protocol, every, (arguments.seed,), start, "estimate" if roft else None),
             judge=LoopJudge(models) if roft else None,
         )
 

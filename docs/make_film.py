@@ -26,7 +26,8 @@ from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.model import ReferenceModel, load_models
 from huepose.rendering.render import render
-from huepose.scenes.builtin import RATE_HZ, SyntheticScene
+from huepose.scenes.builtin import SyntheticScene
+from huepose.scenes.camera import RATE_HZ
 from huepose.scenes.motion import UP_ROOM
 from huepose_protos.client import Reader
 from huepose_protos.messages import PoseMessage, TruthMessage

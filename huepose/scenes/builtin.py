@@ -22,7 +22,7 @@ import numpy as np
 from huepose.datasets.types import GroundTruth, Sample
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Int32, UInt8
-from huepose.scenes.camera import CAMERA, COLOR, STEREO, StereoSensor
+from huepose.scenes.camera import CAMERA, COLOR, RATE_HZ, STEREO, StereoSensor
 from huepose.scenes.loop_file import kept_loop
 from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from huepose.scenes.frame import Shot, Stage
 
 VERSION = 4  # of what the code below this module draws: raise it when any pixel changes
-RATE_HZ = 30.0
 SECONDS = 8.0
 
 
@@ -142,7 +141,7 @@ class SyntheticScene:
         """Everything that is there and how it moves."""
         from huepose.scenes.plan import plan
 
-        return plan(self.meshes, self.seed, self._n_frames, self.camera, RATE_HZ)
+        return plan(self.meshes, self.seed, self._n_frames, self.camera)
 
     def _mask(self, i: int, k: int) -> Bool:
         from huepose.scenes.frame import visible_mask
@@ -180,14 +179,14 @@ def first_shot(objects: Mapping[str, Mesh]) -> Shot:
     from huepose.scenes.frame import shoot
     from huepose.scenes.plan import plan
 
-    return shoot(plan(objects, 0, round(SECONDS * RATE_HZ), CAMERA, RATE_HZ), 0, 0, COLOR, STEREO)
+    return shoot(plan(objects, 0, round(SECONDS * RATE_HZ), CAMERA), 0, 0, COLOR, STEREO)
 
 
 def check_scene(objects: Mapping[str, Mesh], seed: int = 0) -> None:
     """Raises InputError where `SyntheticScene(seed, objects=objects)` has no room for them; draws nothing."""
     from huepose.scenes.plan import check_room
 
-    check_room(objects, seed, round(SECONDS * RATE_HZ), CAMERA, RATE_HZ)
+    check_room(objects, seed, round(SECONDS * RATE_HZ), CAMERA)
 
 
 def _row(shot: Shot) -> dict[str, Any]:

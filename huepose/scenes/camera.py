@@ -1,4 +1,4 @@
-"""The camera that looks at a scene: its intrinsics, and the numbers of its sensors (see `sensor`)."""
+"""The camera that looks at a scene: intrinsics, rate, and the numbers of its sensors (see `sensor`)."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from huepose.geometry.camera import Camera
 
 CAMERA = Camera(614.2, 614.6, 321.3, 240.7, 640, 480)  # as a D435 colour stream
+RATE_HZ = 30.0
 
 
 @dataclass(frozen=True)

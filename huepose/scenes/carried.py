@@ -10,13 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Float64, Rng
+from huepose.scenes.camera import RATE_HZ
 from huepose.scenes.frame import Stage
 from huepose.scenes.light import Light, random_light
 from huepose.scenes.motion import positions, rotations
 from huepose.scenes.room import Placed, sheet, table_top, wallpaper
 
 CAMERA = Camera(614.0, 614.0, 319.5, 239.5, 640, 480)
-FRAMES, RATE_HZ = 60, 30
+FRAMES = 60
 OTHERS = 5
 """Objects that lie on the ground."""
 

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from huepose.geometry.arrays import Bool, Float, Float64, Rng
 from huepose.geometry.camera import Camera
+from huepose.scenes.camera import RATE_HZ
 
 CALM_S = 1.5  # at the beginning of the loop: slow, and nobody hides anybody
 PITCH = np.radians(35.0)  # how far the camera looks down
@@ -28,26 +29,25 @@ class Timing:
     """The frames of a loop. phase (N,) in 0..1: how far along its path everything is in each frame, smooth
     and slow at both ends; calm (N,) bool: the frames of the calm beginning and the last half second."""
 
-    rate_hz: float
     phase: Float64
     calm: Bool
 
     @staticmethod
-    def of(n_frames: int, rate_hz: float = 30.0) -> Timing:
+    def of(n_frames: int) -> Timing:
         """The timing of a loop of `n_frames`."""
-        t = np.arange(n_frames) / rate_hz
-        length = n_frames / rate_hz
+        t = np.arange(n_frames) / RATE_HZ
+        length = n_frames / RATE_HZ
         fine = np.linspace(0.0, length, 4096)
         rise = _smooth_step((fine - 0.8) / 1.4) * (1 - _smooth_step((fine - length + 0.9) / 0.9))
         speed = 0.22 + 0.78 * rise
         way = np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2)])
         phase = np.interp(t, fine, way / way[-1])
-        return Timing(rate_hz, phase, (t < CALM_S) | (t >= length - 0.5))
+        return Timing(phase, (t < CALM_S) | (t >= length - 0.5))
 
     @property
     def length_s(self) -> float:
         """Seconds until the loop begins again."""
-        return len(self.phase) / self.rate_hz
+        return len(self.phase) / RATE_HZ
 
 
 def _smooth_step(x: Float) -> Float64:
@@ -85,12 +85,12 @@ def _cubic(n: int, phase: Float) -> tuple[np.ndarray, Float64]:
     return (first[:, None] + np.arange(-1, 3)) % n, weights
 
 
-def speeds(poses: Float, rate_hz: float) -> tuple[Float64, Float64]:
+def speeds(poses: Float) -> tuple[Float64, Float64]:
     """Linear (m/s) and angular (rad/s) speeds (N,) of a closed row of poses (N, 4, 4), the wrap included."""
     following = np.roll(poses, -1, axis=0)
     linear = np.linalg.norm(following[:, :3, 3] - poses[:, :3, 3], axis=1)
     turn = Rotation.from_matrix(np.swapaxes(poses[:, :3, :3], 1, 2) @ following[:, :3, :3])
-    return np.asarray(linear * rate_hz), np.asarray(turn.magnitude() * rate_hz)
+    return np.asarray(linear * RATE_HZ), np.asarray(turn.magnitude() * RATE_HZ)
 
 
 def object_paths(radii: Float, camera: Camera, timing: Timing, rng: Rng, haste: float = 1.0) -> Float64:
@@ -129,7 +129,7 @@ def _place(
     pixel = rng.uniform(0.16, 0.84, (n, 2)) * (camera.width, camera.height)
     wander = rng.normal(0, 1, (n, k, 3)) * (0.8, 0.7, 1.0)
     paths = positions(np.eye(k), timing.phase) @ wander
-    fastest = np.linalg.norm(np.roll(paths, -1, 1) - paths, axis=2).max(1) * timing.rate_hz
+    fastest = np.linalg.norm(np.roll(paths, -1, 1) - paths, axis=2).max(1) * RATE_HZ
     amplitude = haste * rng.uniform(0.35, 0.6, n) / fastest
     paths = (paths - paths.mean(1, keepdims=True)) * amplitude[:, None, None]
     paths += camera.backproject(pixel, depth)[:, None]
@@ -175,7 +175,7 @@ def _tumble(timing: Timing, rng: Rng) -> Float64:
     for _ in range(10):
         middle = (low + high) / 2
         poses[:, :3, :3] = turned(middle)
-        calm = speeds(poses, timing.rate_hz)[1].max() < fastest
+        calm = speeds(poses)[1].max() < fastest
         low, high = (middle, high) if calm else (low, middle)
     return turned(low)
 
@@ -201,7 +201,7 @@ def camera_sway(timing: Timing, rng: Rng) -> Float64:
 def passing(timing: Timing, rng: Rng, distance_m: float, reach_m: float) -> Float64:
     """Poses T_room_obj (N, 4, 4) of a thing that passes between camera and objects, to one side and later
     back, and waits out of view `reach_m` beside the optical axis meanwhile. It hangs down along y."""
-    t = np.arange(len(timing.phase)) / timing.rate_hz
+    t = np.arange(len(timing.phase)) / RATE_HZ
     length = timing.length_s
     there, back = 0.24 * length + rng.uniform(0, 0.05 * length), 0.6 * length + rng.uniform(0, 0.05 * length)
     takes = min(2.8, 0.3 * length)

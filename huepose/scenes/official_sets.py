@@ -24,7 +24,7 @@ from huepose.datasets.types import GONE
 from huepose.geometry import Mesh
 from huepose.geometry.arrays import Float64
 from huepose.scenes import carried
-from huepose.scenes.camera import COLOR
+from huepose.scenes.camera import COLOR, RATE_HZ
 from huepose.scenes.frame import Shot, shoot
 from huepose.scenes.rendered import SceneRanges, write_rendered_set
 from huepose.scenes.unseen.objects import unseen_objects
@@ -116,7 +116,7 @@ def write_fast_ycb_set(
         n = min(frames, carried.FRAMES)
         shots = (shoot(stage, i, seed * 1000 + number, COLOR, None) for i in range(n))
         frames_of = map(_frame, shots)
-        write_fast_ycb(folder, obj.name, frames_of, stage.camera, carried.RATE_HZ, obj.offset_m)
+        write_fast_ycb(folder, obj.name, frames_of, stage.camera, RATE_HZ, obj.offset_m)
 
 
 def unseen_set() -> list[SetObject]:

@@ -11,6 +11,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import Camera
 from huepose.geometry.mesh import Mesh
+from huepose.scenes.camera import RATE_HZ
 from huepose.scenes.frame import Stage, labels
 from huepose.scenes.light import lights
 from huepose.scenes.motion import CALM_S, NEAREST_M, Timing, camera_sway, object_paths, passing
@@ -36,7 +37,7 @@ _MANNERS = (_Manner(False, 1.0), _Manner(True, 1.0), _Manner(True, 0.5), _Manner
 """The first in which the objects have room is taken."""
 
 
-def plan(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, rate_hz: float) -> Stage:
+def plan(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera) -> Stage:
     """The stage of a loop: the first of twelve random plans that meets all conditions, else the best of them.
 
     Conditions: every object is fully visible in the calm phase, at least 30 % visible in 97 % of all frames,
@@ -44,30 +45,30 @@ def plan(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, 
     fit.
     """
     for manner in _MANNERS:
-        stage = _best(objects, seed, n_frames, camera, rate_hz, manner)
+        stage = _best(objects, seed, n_frames, camera, manner)
         if stage is not None:
             return stage
     raise _no_room(objects)
 
 
-def check_room(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, rate_hz: float) -> None:
+def check_room(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera) -> None:
     """Raises InputError where `plan` does, without drawing anything."""
-    timing = Timing.of(n_frames, rate_hz)
+    timing = Timing.of(n_frames)
     if all(_moving(objects, camera, timing, _dice(seed, 0), manner) is None for manner in _MANNERS):
         raise _no_room(objects)
 
 
 def _best(
-    objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, rate_hz: float, manner: _Manner
+    objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, manner: _Manner
 ) -> Stage | None:
     """The plan that is taken when objects move in that manner; None when they have no room."""
     best: Stage | None = None
     best_score = -np.inf
     for attempt in range(_ATTEMPTS):
-        stage = _draft(objects, n_frames, camera, rate_hz, _dice(seed, attempt), manner)
+        stage = _draft(objects, n_frames, camera, _dice(seed, attempt), manner)
         if stage is None:
             break
-        score = _score(stage, rate_hz)
+        score = _score(stage)
         if score > best_score:
             best, best_score = stage, score
         if score >= 1.0:
@@ -113,11 +114,10 @@ def _draft(
     objects: Mapping[str, Mesh],
     n_frames: int,
     camera: Camera,
-    rate_hz: float,
     rng: np.random.Generator,
     manner: _Manner,
 ) -> Stage | None:
-    timing = Timing.of(n_frames, rate_hz)
+    timing = Timing.of(n_frames)
     moving = _moving(objects, camera, timing, rng, manner)
     if moving is None:
         return None
@@ -135,12 +135,12 @@ def _draft(
     )
 
 
-def _score(stage: Stage, rate_hz: float) -> float:
+def _score(stage: Stage) -> float:
     """Score of a plan: at least 1 if it meets all conditions, else how nearly."""
     rough = stage.camera.scaled(0.25)
     frames = np.arange(0, len(stage), _EVERY)
     seen: Float64 = np.array([labels(stage, int(i), rough).visib_fract for i in frames])
-    calm = seen[frames < CALM_S * rate_hz].min()
+    calm = seen[frames < CALM_S * RATE_HZ].min()
     often = (seen >= 0.3).mean(0).min()
     hidden = seen.min()
     return (

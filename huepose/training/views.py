@@ -16,7 +16,7 @@ from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Bool, Float32, Float64, Rng
 from huepose.geometry.box import Box
 from huepose.rendering.render import Rendering, render
-from huepose.scenes.camera import COLOR, STEREO
+from huepose.scenes.camera import COLOR, RATE_HZ, STEREO
 from huepose.scenes.carried import random_strong_light
 from huepose.scenes.frame import SHUTTER
 from huepose.scenes.light import Light, shine
@@ -24,7 +24,7 @@ from huepose.scenes.room import clutter, sheet, table_top, wallpaper
 from huepose.scenes.sensor import expose, stereo_depth
 from huepose.training.shapes import random_object, random_rotation
 
-FRAMES, RATE_HZ = 6, 30.0
+FRAMES = 6
 OTHERS = 3
 """Things on the ground."""
 

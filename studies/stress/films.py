@@ -13,8 +13,8 @@ from huepose.datasets.fast_ycb import FastYcbSequence, object_of
 from huepose.geometry import RgbdFrame, se3
 from huepose.geometry.arrays import Float32, Float64, Rng, UInt8
 from huepose.model import ReferenceModel
-from huepose.scenes.camera import COLOR, STEREO
-from huepose.scenes.carried import FRAMES, RATE_HZ, staged
+from huepose.scenes.camera import COLOR, RATE_HZ, STEREO
+from huepose.scenes.carried import FRAMES, staged
 from huepose.scenes.frame import Shot, Stage, shoot
 from huepose.scenes.loop_file import kept_loop
 from huepose.support.errors import InputError

@@ -70,7 +70,7 @@ def shown(kind: str) -> Sequence[tuple[RgbdFrame, Sequence[ObjectQuery]]]:
 @cache
 def stage() -> Stage:
     """The built-in scene, of which frames are drawn one by one."""
-    return plan(meshes(), _SEED, _LOOP_FRAMES, CAMERA, _RATE_HZ)
+    return plan(meshes(), _SEED, _LOOP_FRAMES, CAMERA)
 
 
 def frames(first: int, every: int, names: Sequence[str]) -> Iterator[tuple[RgbdFrame, list[Correction]]]:

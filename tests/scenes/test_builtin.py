@@ -122,7 +122,7 @@ def test_wrong_requests_are_explained(folder: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_the_plan_of_the_demo_is_clear_at_first_and_lively_later(seed: int) -> None:
-    stage = plan(OBJECTS, seed, 240, CAMERA, 30.0)
+    stage = plan(OBJECTS, seed, 240, CAMERA)
     rough = CAMERA.scaled(0.25)
     seen = np.array([labels(stage, i, rough).visib_fract for i in range(0, 240, 6)])
     assert seen[:8].min() > 0.9

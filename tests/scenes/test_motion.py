@@ -46,7 +46,7 @@ def test_spline_of_equal_controls_stands_still_and_of_a_line_moves_evenly() -> N
 
 def test_paths_are_smooth_also_where_the_loop_closes(paths: np.ndarray) -> None:
     for track in paths:
-        linear, angular = speeds(track, 30.0)
+        linear, angular = speeds(track)
         assert 0.34 < linear.max() < 0.61
         assert np.radians(60) < angular.max() < np.radians(371)
         # No jump: the speed of the step over the wrap is like that of its neighbours.
@@ -82,7 +82,7 @@ def test_too_many_objects_are_refused() -> None:
 
 def test_the_camera_sways_a_little_and_comes_back() -> None:
     sway = camera_sway(TIMING, np.random.default_rng(1))
-    linear, angular = speeds(sway, 30.0)
+    linear, angular = speeds(sway)
     assert np.abs(sway[:, :3, 3]).max() < 0.03
     assert linear.max() < 0.03
     assert angular.max() < np.radians(3)
@@ -95,7 +95,7 @@ def test_the_bar_is_out_of_view_at_the_beginning_and_crosses_twice() -> None:
     assert not inside[:45].any()
     assert not inside[-15:].any()
     assert (np.diff(inside.astype(int)) == 1).sum() == 2
-    assert speeds(bar, 30.0)[0].max() < 1.0
+    assert speeds(bar)[0].max() < 1.0
 
 
 def test_upright_puts_the_objects_z_along_the_vertical() -> None:

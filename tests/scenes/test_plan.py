@@ -39,7 +39,7 @@ def first_draft(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("first_draft")
 def test_an_object_with_its_origin_in_a_corner_moves_about_its_middle() -> None:
     objects = {f"box{k}": sized(0.26, cornered=True) for k in range(3)}
-    stage = plan(objects, 0, 60, CAMERA, 30.0)
+    stage = plan(objects, 0, 60, CAMERA)
     for k, mesh in enumerate(objects.values()):
         middle = np.append(np.ptp(mesh.vertices, axis=0) / 2, 1.0)
         depth_m = (stage.T_room_mesh[k] @ middle)[:, 2]
@@ -52,7 +52,7 @@ def test_within_a_frame_time_an_object_moves_alike_wherever_its_origin_is() -> N
     """Between two frames an origin 42 m off moves on an arc of some millimetres."""
     near, away = sized(0.2), np.array([25.0, 33.75, 0.0])
     far = replace(near, vertices=(near.vertices.astype(np.float64) + away).astype(np.float32))
-    stages = [plan({"box": mesh}, 0, 60, CAMERA, 30.0) for mesh in (near, far)]
+    stages = [plan({"box": mesh}, 0, 60, CAMERA) for mesh in (near, far)]
     for i in range(60):
         (T_near, *_), (T_far, *_) = (stage.poses(i, -0.25)[0] for stage in stages)
         np.testing.assert_allclose(se3.apply(T_far, away), T_near[:3, 3], atol=2e-5)
@@ -61,7 +61,7 @@ def test_within_a_frame_time_an_object_moves_alike_wherever_its_origin_is() -> N
 def test_a_check_refuses_what_a_plan_refuses_with_the_same_words() -> None:
     huge = {"huge": sized(1.2)}
     with pytest.raises(InputError, match=r"1 objects of 120 to 120 cm") as of_plan:
-        plan(huge, 0, 30, CAMERA, 30.0)
+        plan(huge, 0, 30, CAMERA)
     with pytest.raises(InputError) as of_check:
         check_scene(huge)
     assert str(of_check.value) == str(of_plan.value)

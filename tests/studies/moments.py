@@ -9,13 +9,13 @@ import numpy as np
 from huepose.geometry import Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Float64
 from huepose.scenes import textures
-from huepose.scenes.camera import COLOR, STEREO
+from huepose.scenes.camera import COLOR, RATE_HZ, STEREO
 from huepose.scenes.charts import blocks
 from huepose.scenes.frame import Stage, shoot
 from huepose.scenes.light import random_light
 from huepose.scenes.room import room
 from huepose.scenes.shapes import demo_objects, printed
-from studies.stress.films import AWAY, RATE_HZ, Seen
+from studies.stress.films import AWAY, Seen
 
 CAMERA = Camera(500.0, 500.0, 199.5, 149.5, 400, 300).scaled(0.5)
 

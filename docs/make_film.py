@@ -21,7 +21,8 @@ import numpy as np
 import yaml
 from PIL import Image, ImageDraw, ImageFont
 
-from huepose.drawing.overlay import Colour, draw_mask_outline, silhouette, tint
+from huepose.drawing.canvas import Colour
+from huepose.drawing.overlay import draw_mask_outline, silhouette, tint
 from huepose.geometry import Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float64, UInt8
 from huepose.model import ReferenceModel, load_models

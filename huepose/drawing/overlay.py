@@ -11,14 +11,13 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from huepose.drawing.canvas import FONT
+from huepose.drawing.canvas import FONT, Colour
 from huepose.geometry.arrays import Bool, Float, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.mesh import Mesh
 from huepose.geometry.se3 import apply
 
-Colour = tuple[int, int, int]
 AXES: tuple[Colour, Colour, Colour] = ((230, 60, 50), (60, 190, 70), (60, 110, 240))  # x, y, z
 STATE_COLOURS: dict[str, Colour] = {"TRACKING": (60, 220, 60), "SUSPECT": (255, 190, 40)}
 """Of poses that may be acted on, and of those that may not."""

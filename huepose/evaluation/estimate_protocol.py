@@ -262,16 +262,19 @@ class _FrameRun:
     ) -> list[EstimateRow]:
         """A row for each label that counts. queries: by instance; taken: answers by index of the label; why:
         what to say of a label without an answer, by the object's name."""
-        scores = self._bop_scores(taken)
-        return [
-            self._row(label, taken.get(i), seconds, queries, scores.get(i), why)
-            for i, label in enumerate(self.labels)
-            if label.counted
-        ]
+        scores, rows = self._bop_scores(taken), []
+        for i, label in enumerate(self.labels):
+            if label.counted:
+                name = label.model.name
+                answer = taken.get(i) or PoseEstimate(name, instance=-1, reason=why(name))
+                query = queries.get(answer.instance)
+                box = None if query is None else query.box
+                rows.append(self._row(label, answer, box, seconds, scores.get(i)))
+        return rows
 
     def _box_of(self, name: str, T_cam_obj: Float64) -> Box | None:
-        model = self.setup.targets.named(name)
-        return None if model is None else projected_box(model.mesh, T_cam_obj, self.sample.frame.camera)
+        model = self.setup.targets.models_by_name[name]
+        return projected_box(model.mesh, T_cam_obj, self.sample.frame.camera)
 
     def _bop_scores(self, answers: Mapping[int, PoseEstimate]) -> dict[int, BopScore]:
         """By index of the label, of the objects that are measured so. answers: by index of the label."""
@@ -305,11 +308,10 @@ class _FrameRun:
         return scores
 
     def _false(self, answer: PoseEstimate, T_cam_obj: Float64) -> FalsePose:
-        model = self.setup.targets.named(answer.object)
         return FalsePose(
             self.sample.scene,
             self.sample.image,
-            answer.object if model is None else object_number(model),
+            object_number(self.setup.targets.models_by_name[answer.object]),
             T_cam_obj,
             answer.quality,
             answer.state,
@@ -320,19 +322,16 @@ class _FrameRun:
     def _row(
         self,
         label: Label,
-        answer: PoseEstimate | None,
+        answer: PoseEstimate,
+        box: Box | None,
         seconds: float,
-        queries: Mapping[int, ObjectQuery],
         bop: BopScore | None,
-        why: Callable[[str], str],
     ) -> EstimateRow:
-        T_cam_obj = answer.T_cam_obj if answer is not None and answer.found else None
+        T_cam_obj, others = (answer.T_cam_obj, answer.alternatives) if answer.found else (None, ())
         truth = label.truth
-        query = None if answer is None else queries.get(answer.instance)
         key = (self.sample.scene, self.sample.image, truth.instance)
         equivalents = self.setup.equivalents.get(key, ())
         error = self.setup.targets.error(label.model, T_cam_obj, label.T_cam_obj, equivalents)
-        others = answer.alternatives if answer is not None and answer.found else ()
         return EstimateRow(
             scene=self.sample.scene,
             image=self.sample.image,
@@ -342,13 +341,13 @@ class _FrameRun:
             T_cam_obj=None if T_cam_obj is None else np.asarray(T_cam_obj, dtype=np.float64),
             error=error,
             diameter_m=label.model.diameter_m,
-            quality=answer.quality if answer is not None else 0.0,
-            state=answer.state if answer is not None else "LOST",
+            quality=answer.quality,
+            state=answer.state,
             seconds=seconds,
             seed=self.seed,
-            reason=why(label.model.name) if answer is None else answer.reason,
-            box=None if query is None else query.box,
-            terms=None if answer is None else answer.terms,
+            reason=answer.reason,
+            box=box,
+            terms=answer.terms,
             bop=bop,
             alternatives=tuple(
                 (p, self.setup.targets.right(label.model, T, label.T_cam_obj, equivalents)) for T, p in others

@@ -172,68 +172,71 @@ def read_measured(path: Path) -> Measured:
     return measured
 
 
+def _read(
+    path: Path,
+    kind: Kind,
+    record: Row,
+    names: tuple[str, ...],
+    shares: Mapping[str, Share],
+    units: Units | None = None,
+    false: Mapping[tuple[str, int], float] | None = None,
+    phantoms: float = 0.0,
+) -> Measured:
+    """names: the parts of a key, of which the first two are the scene or sequence and the frame, and the last
+    may be the seed; units: by default all rows that differ by the seed alone."""
+    rows = record["rows"]
+    keys = [tuple(row[name] for name in names) for row in rows]
+    one = [name for name in names if name != "seed"]
+    return Measured(
+        path,
+        kind,
+        {key: value for key, value in record.get("summary", {}).items() if key in kind.settings},
+        names,
+        rows,
+        keys,
+        kind.unit if units is None else units.one,
+        [key[: len(one)] for key in keys] if units is None else units.of,
+        [str(key[0]) for key in keys],
+        shares,
+        frozenset((key[0], key[1]) for key in keys),
+        false or {},
+        phantoms,
+    )
+
+
 def _estimate(path: Path, rows: Sequence[Row], record: Row) -> Measured:
     names = ("scene", "image", "instance", "object", "seed")
     right = np.array([bool(row["right"]) for row in rows])
     every = np.ones(len(rows), bool)
-    seeds = len({row["seed"] for row in rows})
-    return Measured(
-        path,
-        ESTIMATE,
-        _settings(ESTIMATE, record),
-        names,
-        rows,
-        [tuple(row[name] for name in names) for row in rows],
-        ESTIMATE.unit,
-        [tuple(row[name] for name in names[:-1]) for row in rows],
-        [str(row["scene"]) for row in rows],
-        {**_pose_shares(rows, every), **_quality_shares(rows, right, every)},
-        frozenset((row["scene"], row["image"]) for row in rows),
-        _false(record, seeds),
-    )
+    shares = {**_pose_shares(rows, every), **_quality_shares(rows, right, every)}
+    return _read(path, ESTIMATE, record, names, shares, false=_false(record, _seeds(rows)))
 
 
 def _track(path: Path, rows: Sequence[Row], record: Row) -> Measured:
-    names = ("sequence", "frame", "object", "ordinal", "seed")
-    keys = [tuple(row[name] for name in names) for row in rows]
     labelled = np.array([row["right"] is not None for row in rows])
     moments = [_moment(row) for row in rows]
     gone = np.array([moment.gone for moment in moments])
     tracking = np.array([moment.state == "TRACKING" for moment in moments])
     false, counts = np.zeros(len(rows)), np.zeros(len(rows), bool)
-    tracks = grouped(range(len(rows)), lambda i: (keys[i][0], *keys[i][2:]))
+    one_track = ("sequence", "object", "ordinal", "seed")
+    tracks = grouped(range(len(rows)), lambda i: tuple(rows[i][name] for name in one_track))
     for track in tracks.values():
         in_order = sorted(track, key=lambda i: moments[i].stamp_ns)
         own = [moments[i] for i in in_order]
         false[in_order] = false_tracking(own)
         counts[in_order] = coverable(own)
-    units = unit_of(rows)
-    seeds = len({row["seed"] for row in rows})
-    return Measured(
-        path,
-        TRACK,
-        _settings(TRACK, record),
-        names,
-        rows,
-        keys,
-        units.one,
-        units.of,
-        [str(row["sequence"]) for row in rows],
-        {
-            **_pose_shares(rows, labelled & ~gone),
-            "coverage_tracking": Share.of(100.0 * tracking, counts),
-            "false_tracking_rate": Share.of(100.0 * false),
-            **_quality_shares(rows, np.array([m.right for m in moments]), labelled),
-        },
-        frozenset((row["sequence"], row["frame"]) for row in rows),
-        {},
-        sum(entry["frames"] for entry in record.get("phantoms", [])) / seeds,
-    )
+    shares = {
+        **_pose_shares(rows, labelled & ~gone),
+        "coverage_tracking": Share.of(100.0 * tracking, counts),
+        "false_tracking_rate": Share.of(100.0 * false),
+        **_quality_shares(rows, np.array([m.right for m in moments]), labelled),
+    }
+    names = ("sequence", "frame", "object", "ordinal", "seed")
+    phantoms = sum(entry["frames"] for entry in record.get("phantoms", [])) / _seeds(rows)
+    return _read(path, TRACK, record, names, shares, unit_of(rows), phantoms=phantoms)
 
 
 def _perception(path: Path, rows: Sequence[Row], record: Row) -> Measured:
-    names = ("scene", "image", "instance", "object")
-    keys = [tuple(row[name] for name in names) for row in rows]
     shares = {
         "recall_iou50": Share.of(np.array([100.0 * bool(row["found"]) for row in rows])),
         "proposed": Share.of(np.array([100.0 * (row["rank"] is not None) for row in rows])),
@@ -241,20 +244,8 @@ def _perception(path: Path, rows: Sequence[Row], record: Row) -> Measured:
     for name in ("mask_iou", "final_mask_iou"):
         known = np.array([row[name] is not None for row in rows])
         shares[name] = Share.of(np.array([100.0 * (row[name] or 0.0) for row in rows]), known)
-    return Measured(
-        path,
-        PERCEPTION,
-        _settings(PERCEPTION, record),
-        names,
-        rows,
-        keys,
-        PERCEPTION.unit,
-        keys,
-        [str(row["scene"]) for row in rows],
-        shares,
-        frozenset((row["scene"], row["image"]) for row in rows),
-        _false(record, 1),
-    )
+    names = ("scene", "image", "instance", "object")
+    return _read(path, PERCEPTION, record, names, shares, false=_false(record, 1))
 
 
 _READERS: Mapping[tuple[str, ...], Callable[[Path, Sequence[Row], Row], Measured]] = {
@@ -274,9 +265,8 @@ def _quality_shares(rows: Sequence[Row], right: np.ndarray, known: np.ndarray) -
     return {"quality": Share.of(quality), "brier": Share.of((quality - right) ** 2, known)}
 
 
-def _settings(kind: Kind, record: Row) -> dict[str, Any]:
-    summary = record.get("summary", {})
-    return {key: summary[key] for key in kind.settings if key in summary}
+def _seeds(rows: Sequence[Row]) -> int:
+    return len({row["seed"] for row in rows})
 
 
 def _false(record: Row, seeds: int) -> dict[tuple[str, int], float]:

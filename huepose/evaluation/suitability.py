@@ -15,11 +15,10 @@ import numpy as np
 
 from huepose.datasets.boxes import disturbed
 from huepose.datasets.types import VISIBLE
-from huepose.drawing.canvas import paragraph
+from huepose.drawing.canvas import Colour, paragraph
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.overlay import (
     STATE_COLOURS,
-    Colour,
     draw_axes,
     draw_label,
     draw_mask_outline,

@@ -23,14 +23,12 @@ import numpy as np
 
 from huepose.believe.logistic import fitted, write_fit
 from huepose.datasets.bop import BopScene
-from huepose.drawing.plots import beside, reliability_plot
 from huepose.evaluation.calibration import Judged, Worth, read_judged, worth
 from huepose.evaluation.summary import table
 from huepose.geometry.arrays import Bool
 from huepose.geometry.mesh import Mesh
 from huepose.scenes.rendered import write_rendered_set
 from huepose.scenes.shapes import demo_objects
-from huepose.support.files import write_picture
 from huepose.support.words import known
 from huepose_services.cli.main import main as run_huepose
 from studies.absent import read_absent
@@ -52,11 +50,7 @@ everywhere."""
 SHARE = {"full": 1, "colorpair": 3}
 """One in so many frames is used, because the second method takes longer."""
 
-SCENE_WORDS = {"cal_ycb": "drawn heaps", "cal_piles": "drawn piles"}
 HEADING = ["held out", "n", "right", "error", "by chance", "found %", "over the level %", "right of them %"]
-
-MOST_RIGHT = 0.98
-"""Where more is right than this, there is nothing to see in a picture of reliability."""
 
 
 def main() -> None:
@@ -110,8 +104,6 @@ def main() -> None:
             for name, chosen in _by_scene(labels).items()
         ]
         print(table(["objects held out", *HEADING[1:]], rows))
-        if arguments.picture is not None and method == "full":
-            _draw(arguments.picture, result, labels)
     write_fit("quality", fits)
 
 
@@ -176,20 +168,6 @@ def _near_ties(fitted: Fitted, labels: Judged) -> str:
     return table(heading, rows)
 
 
-def _draw(path: Path, fitted: Fitted, labels: Judged) -> None:
-    """Stated quality against the share that is right, of each calibration scene, side by side."""
-    plots = [
-        reliability_plot(
-            fitted.labels[chosen],
-            labels.right[chosen],
-            title=f"{SCENE_WORDS.get(name, name)}, not seen by the fit",
-        )
-        for name, chosen in _by_scene(labels).items()
-        if labels.right[chosen].mean() < MOST_RIGHT
-    ]
-    write_picture(path, beside(plots))
-
-
 def _all(parts: Sequence[Judged]) -> Judged:
     return reduce(lambda a, b: a + b, parts)
 
@@ -237,7 +215,6 @@ def _arguments() -> argparse.Namespace:
                         help="their reference models (learned under --work)")  # fmt: skip
     parser.add_argument("--work", type=Path, default=Path("build/quality"), metavar="DIR")
     parser.add_argument("--methods", nargs="+", choices=tuple(FEATURES), default=list(FEATURES))
-    parser.add_argument("--picture", type=Path, default=None, metavar="FILE.png", help="of reliability")
     parser.add_argument("--processes", type=int, default=2, metavar="N")
     return parser.parse_args()
 

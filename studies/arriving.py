@@ -26,8 +26,7 @@ from huepose.profiles import profile
 from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose.tracking import Tracker
-from studies.gone import HZ, Sight, filmed, images_of, parser_of, part_and_beside, shown
-from studies.still import NOWHERE, kinds_of
+from studies.live import HZ, NOWHERE, Sight, alone_in, filmed, parser_of, part_and_beside, shown
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
 
@@ -80,20 +79,12 @@ def watched(
 
 def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.Namespace) -> Iterator[Row]:
     """All objects that can be put there, of at most so many frames of a scene as are given."""
-    targets = Targets(models)
-    for image in images_of(scene, given.images):
-        frame, labels = scene.frame(image), scene.truths(image)
-        kinds = kinds_of(labels, targets)
-        for label in labels:
-            model = targets.model_of(label)
-            if model is None or (label.visib_fract or 0.0) < NEARLY_WHOLE or len(kinds[model.name]) > 1:
-                continue
-            rng = np.random.default_rng([given.seed, image, label.object_id or 0])
-            frames = film(frame, label, model, given.seconds, rng)
-            if frames:
-                there = {name: instances[0][0] for name, instances in kinds.items()}
-                found_s, absent, count = watched(frames, models, there, model.name)
-                yield Row(scene.name, image, model.name, found_s, absent, count)
+    for image, frame, label, model, kinds, rng in alone_in(scene, Targets(models), given, NEARLY_WHOLE):
+        frames = film(frame, label, model, given.seconds, rng)
+        if frames:
+            there = {name: instances[0][0] for name, instances in kinds.items()}
+            found_s, absent, count = watched(frames, models, there, model.name)
+            yield Row(scene.name, image, model.name, found_s, absent, count)
 
 
 def report(done: Sequence[Row]) -> str:

@@ -41,8 +41,7 @@ from huepose.scenes.rendered import SceneRanges, heaped_stage
 from huepose.support.files import cache_folder
 from huepose.support.progress import progress
 from huepose.tracking import Correction, Tracker, TrackerConfig
-from studies.gone import Sight
-from studies.still import NOWHERE
+from studies.live import NOWHERE, Sight
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
 

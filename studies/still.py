@@ -25,18 +25,17 @@ import numpy as np
 
 from huepose.believe.state import State
 from huepose.datasets.bop import BopScene
-from huepose.datasets.types import GroundTruth
 from huepose.evaluation import metrics
 from huepose.evaluation.targets import Targets
 from huepose.geometry import RgbdFrame
-from huepose.geometry.arrays import Float64, Rng
+from huepose.geometry.arrays import Rng
 from huepose.model import ReferenceModel, load_models
 from huepose.profiles import profile
 from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import ObjectSlot, Request, RequestedObject
 from huepose.scenes.rendered import write_rendered_set
 from huepose.tracking import Tracker
-from studies.gone import HZ, Sight, filmed, images_of, parser_of, shown
+from studies.live import HZ, NOWHERE, Instance, Sight, filmed, images_of, kinds_of, parser_of, shown
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
 
@@ -45,12 +44,6 @@ LEAST, SOON_S = 0.1, 2.0
 
 KINDS, EACH = 2, 4
 """What is drawn: kinds in a scene, and instances of each."""
-
-NOWHERE = np.full((4, 4), np.inf)
-"""The true pose in a film, which only an oracle reads."""
-
-Instance = tuple[Float64, bool]
-"""Its pose T_cam_obj (4, 4), and whether it is visible."""
 
 
 @dataclass(frozen=True)
@@ -119,16 +112,6 @@ def likely(frame: RgbdFrame, model: ReferenceModel) -> bool:
     seen = Seen(frame, NOWHERE, 0.0)
     request = Request(1, None, 0, (RequestedObject(model.name, None),))
     return any(answer.found and answer.quality >= LEAST for answer in Sight(model).answer(request, seen))
-
-
-def kinds_of(labels: Sequence[GroundTruth], targets: Targets) -> dict[str, list[Instance]]:
-    """The instances of the kinds that are known, by name."""
-    kinds: dict[str, list[Instance]] = {}
-    for label in labels:
-        model = targets.model_of(label)
-        if model is not None and label.T_cam_obj is not None:
-            kinds.setdefault(model.name, []).append((label.T_cam_obj, label.visible))
-    return kinds
 
 
 def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.Namespace) -> Iterator[Row]:

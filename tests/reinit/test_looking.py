@@ -14,8 +14,7 @@ from huepose.reinit.loop import ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose.scenes.shapes import demo_objects
 from huepose.tracking import Correction, Tracker
-from studies.gone import HZ, Sight, shown
-from studies.still import NOWHERE
+from studies.live import HZ, NOWHERE, Sight, shown
 from studies.stress.films import Seen
 from studies.stress.play import followed
 from tests.conftest import TakePicture

@@ -9,7 +9,7 @@ import numpy as np
 
 from huepose.datasets.types import GroundTruth
 from studies.arriving import SECONDS_BEFORE, Row, film, report, watched
-from studies.gone import HZ
+from studies.live import HZ
 
 
 def test_it_is_there_after_six_seconds_and_found_soon_among_many(

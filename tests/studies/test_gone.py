@@ -6,7 +6,8 @@ import numpy as np
 
 from huepose.datasets.types import GroundTruth
 from huepose.geometry import Camera, RgbdFrame, se3
-from studies.gone import HZ, PARTS_S, film
+from studies.gone import PARTS_S, film
+from studies.live import HZ
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
 

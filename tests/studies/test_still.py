@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.geometry import se3
-from studies.gone import HZ
+from studies.live import HZ
 from studies.still import Row, Told, likely, report, watched
 
 

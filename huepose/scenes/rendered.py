@@ -9,7 +9,7 @@ is denser, farther away and in worse light, half of them in an open box, with de
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from hashlib import sha256
@@ -269,17 +269,8 @@ def write_rendered_set(
     writer = BopWriter(folder, facts, color_suffix)
     missing = [number for number in range(frames) if number not in writer.done]
     for number in progress(missing, f"drawing {folder.name}") if missing else ():
-        drawn = rendered_frame(meshes, seed, number, ranges)
-        things = [(object_ids[name], meshes[name]) for name in drawn.names]
-        labels = labelled(drawn.shot, drawn.camera, things)
+        drawn, labels = rendered_frame(meshes, seed, number, ranges), []
+        for k, (name, T) in enumerate(zip(drawn.names, drawn.shot.labels.T_cam_obj, strict=True)):
+            count, box = silhouette(meshes[name], T, drawn.camera)
+            labels.append(Label(object_ids[name], T, np.asarray(drawn.shot.owner == k), count, box))
         writer.add(number, drawn.shot.color, drawn.shot.depth, drawn.camera, labels)
-
-
-def labelled(shot: Shot, camera: Camera, things: Sequence[tuple[int, Mesh]]) -> list[Label]:
-    """The labels of an exposure, whose labelled things have these BOP ids and meshes, in order."""
-    labels = []
-    for k, (object_id, mesh) in enumerate(things):
-        T = shot.labels.T_cam_obj[k]
-        count, box = silhouette(mesh, T, camera)
-        labels.append(Label(object_id, T, np.asarray(shot.owner == k), count, box))
-    return labels

@@ -68,8 +68,6 @@ def single_frame_tables(
     apart = _unseen_images(unseen, tuple(by_method)) if unseen else {}
     empty = (None,) * len(paper.columns)
     for label, (n, own, _) in apart.items():
-        if label.endswith(_QUARTER):
-            continue
         ours = [own[m].get(key) for m in by_method for key in ("recall_add", "recall_adds")]
         lines.append((label, (*empty, n, *ours)))
     notes = (*notes, *unseen.notes, *unseen.image_notes) if unseen else tuple(notes)
@@ -86,8 +84,6 @@ def single_frame_tables(
         _all_figures(rows, means, whole, apart, notes),
     ]
 
-
-_QUARTER = ", a quarter visible"
 
 _Block = tuple[int, Mapping[str, Mapping[str, float | None]], Mapping[str, Sequence[Row]]]
 """Labels, figures by method, and the rows that intervals are drawn from (none for averages of objects)."""
@@ -109,11 +105,8 @@ def _unseen_images(unseen: Unseen, methods: Sequence[str]) -> dict[str, _Block]:
         for m, own in rows.items()
     }
     for label, chosen in (("unseen, textured", textured), ("unseen objects", rows)):
-        seen = {m: quarter_visible(own) for m, own in chosen.items()}
-        for suffix, kept in ((_QUARTER, seen), ("", chosen)):
-            whole = {m: figures(own) for m, own in kept.items()}
-            n = max(map(len, kept.values()), default=0)
-            out[f"All labels of {label}{suffix}"] = n, whole, {} if suffix else kept
+        n = max(map(len, chosen.values()), default=0)
+        out[f"All labels of {label}"] = n, {m: figures(own) for m, own in chosen.items()}, chosen
     return out
 
 
@@ -126,18 +119,24 @@ def _all_figures(
 ) -> Table:
     columns = {**COLUMNS, **BOP_COLUMNS}
     lines: list[tuple[str, tuple[Cell, ...]]] = []
+
+    def quarter(label: str, rows: Sequence[Row]) -> None:
+        shown = quarter_visible(rows)
+        seen = figures(shown)
+        lines.append((f"{label}, a quarter visible", (len(shown), *(seen.get(key) for key in columns))))
+
     for method in rows:
         for label, block in (("average of objects", means[method]), ("all labels", whole[method])):
             lines.append((f"{method}, {label}", (len(rows[method]), *(block.get(key) for key in columns))))
-        shown = quarter_visible(rows[method])
-        seen = figures(shown)
-        lines.append((f"{method}, all labels{_QUARTER}", (len(shown), *(seen.get(key) for key in columns))))
+        quarter(f"{method}, all labels", rows[method])
         lines.append((f"{method}, 95 % of draws", ("", *_spans(rows[method], columns))))
         if any(row["add_m"] != row["add_official_m"] for row in rows[method]):
             declared = figures(rows[method], "add_m") | dict.fromkeys(BOP_COLUMNS)
             cells = tuple(declared[key] for key in columns)
             lines.append((f"{method}, equivalent poses count", (len(rows[method]), *cells)))
         for label, (n, blocks, drawn_from) in unseen.items():
+            if drawn_from:
+                quarter(f"{method}, {label[0].lower()}{label[1:]}", drawn_from[method])
             if label.startswith(("Average", "All")):
                 first = (n, *(blocks[method].get(key) for key in columns))
                 lines.append((f"{method}, {label[0].lower()}{label[1:]}", first))

@@ -34,10 +34,8 @@ def frame_intervals(values: Mapping[str, Float], frames: Sequence[Hashable]) -> 
     if len(set(frames)) < 2:
         return dict.fromkeys(values)
     index, times = _draws(frames, 2000, 0)
-    counts = times @ np.bincount(index)
     return {
-        name: _interval((times @ _sums(each, index)) / counts, times.shape[1])
-        for name, each in values.items()
+        name: _interval(_drawn(Share.of(each), index, times), times.shape[1]) for name, each in values.items()
     }
 
 
@@ -86,13 +84,9 @@ def difference_intervals(
     index, times = _draws(units, resamples, seed)
     result: dict[str, Interval | None] = {}
     for name, (before, after) in pairs.items():
-        parts = [times @ _sums(each, index) for each in (after.part, after.whole, before.part, before.whole)]
-        known = (parts[1] > 0) & (parts[3] > 0)
-        if not known.any():
-            result[name] = None
-            continue
-        changes = parts[0][known] / parts[1][known] - parts[2][known] / parts[3][known]
-        result[name] = _interval(changes, times.shape[1])
+        changes = _drawn(after, index, times) - _drawn(before, index, times)
+        known = changes[np.isfinite(changes)]
+        result[name] = _interval(known, times.shape[1]) if len(known) else None
     return result
 
 
@@ -126,5 +120,7 @@ def _draws(units: Sequence[Hashable], resamples: int, seed: int) -> tuple[Int64,
     return index, np.random.default_rng(seed).multinomial(len(number), even, resamples)
 
 
-def _sums(values: Float, index: Int64) -> Float64:
-    return np.asarray(np.bincount(index, weights=np.asarray(values, np.float64)))
+def _drawn(share: Share, index: Int64, times: Int64) -> Float64:
+    """A figure in each resample (R,), not finite where none of its rows was drawn that counts."""
+    part, whole = (times @ np.bincount(index, weights=each) for each in (share.part, share.whole))
+    return np.asarray(np.divide(part, whole, out=np.full(len(part), np.nan), where=whole > 0))

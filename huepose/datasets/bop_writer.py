@@ -21,7 +21,7 @@ import numpy as np
 
 from huepose.datasets import files
 from huepose.geometry import Box, Camera
-from huepose.geometry.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
+from huepose.geometry.arrays import Bool, Float32, Float64, Int32, Int64, UInt8, UInt16
 from huepose.geometry.camera import whole_steps
 from huepose.geometry.mesh import Mesh
 from huepose.support.errors import InputError
@@ -95,8 +95,7 @@ class BopWriter:
         quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if suffix == ".jpg" else []
         with writing(self.folder, "a folder with room for about 0.6 MB a frame"):
             _write(self.folder / "rgb" / f"{stem}{suffix}", _encoded(suffix, color[..., ::-1], quality))
-            steps = whole_steps(depth * np.float32(1000.0 / DEPTH_SCALE_MM))
-            _write(self.folder / "depth" / f"{stem}.png", _encoded(".png", steps))
+            _write(self.folder / "depth" / f"{stem}.png", _encoded(".png", depth_steps(depth)))
             for k, label in enumerate(labels):
                 picture = label.mask.astype(np.uint8) * np.uint8(255)
                 _write(self.folder / "mask_visib" / f"{stem}_{k:06d}.png", _encoded(".png", picture))
@@ -108,6 +107,11 @@ class BopWriter:
             self._sheets["scene_gt_info"][key] = [_details(label) for label in labels]
             for name, sheet in self._sheets.items():
                 _write(self.folder / f"{name}.json", json.dumps(sheet).encode())
+
+
+def depth_steps(depth: Float32) -> UInt16:
+    """Depth (H, W), metres, in steps of DEPTH_SCALE_MM; 0, nothing, where it is farther than they reach."""
+    return whole_steps(depth * np.float32(1000.0 / DEPTH_SCALE_MM))
 
 
 def _pose(label: Label) -> dict[str, Any]:

@@ -68,15 +68,12 @@ class Camera:
         return replace(self, cx=self.cx - x0, cy=self.cy - y0, width=width, height=height)
 
     def scaled(self, factor: float) -> Camera:
-        """The camera of the image resized by `factor`, pixel areas kept (as cv2.resize does)."""
-        return Camera(
-            self.fx * factor,
-            self.fy * factor,
-            (self.cx + 0.5) * factor - 0.5,
-            (self.cy + 0.5) * factor - 0.5,
-            round(self.width * factor),
-            round(self.height * factor),
-        )
+        """The camera of the image resized by `factor`, to whole pixels and one at least, pixel areas kept (as
+        cv2.resize does)."""
+        width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        x, y = width / self.width, height / self.height
+        cx, cy = (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5
+        return Camera(self.fx * x, self.fy * y, cx, cy, width, height)
 
     def project(self, points_cam: Float) -> Float64:
         """Pixels (..., 2) of camera-frame points (..., 3); points at or behind the camera give nan."""

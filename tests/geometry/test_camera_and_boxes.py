@@ -36,6 +36,17 @@ def test_scaling_keeps_pixel_areas():
     np.testing.assert_allclose(CAMERA.scaled(0.5).project(corner), [-0.5, -0.5], atol=1e-12)
 
 
+@pytest.mark.parametrize(("width", "height"), [(640, 480), (641, 481), (425, 241), (853, 480), (1280, 2)])
+@pytest.mark.parametrize("factor", [0.5, 0.375, 0.25])
+def test_scaling_to_whole_pixels_keeps_all_corners(width: int, height: int, factor: float) -> None:
+    """As a resized picture does, which has no half pixels."""
+    camera = Camera(600.0, 610.0, 0.4 * width, 0.6 * height, width, height)
+    small = camera.scaled(factor)
+    assert (small.width, small.height) == (round(factor * width), max(1, round(factor * height)))
+    corner = camera.rays(np.array([width - 0.5, height - 0.5]))
+    np.testing.assert_allclose(small.project(corner), [small.width - 0.5, small.height - 0.5], atol=1e-9)
+
+
 @pytest.mark.parametrize("fault", [{"fx": 0.0}, {"fy": -600.0}, {"fx": np.nan}, {"cx": np.inf}])
 def test_intrinsics_that_no_camera_has_are_refused_with_their_numbers(fault: dict[str, float]) -> None:
     numbers = {"fx": 600.0, "fy": 600.0, "cx": 320.0, "cy": 240.0, **fault}

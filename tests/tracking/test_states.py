@@ -10,7 +10,7 @@ import pytest
 from huepose.believe.logistic import probability
 from huepose.believe.state import State
 from huepose.evaluation.ablation import visible_within
-from huepose.geometry import Camera, se3
+from huepose.geometry import Box, Camera, Mesh, se3
 from huepose.geometry.se3 import grown
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.silhouette import silhouette_iou
@@ -322,6 +322,17 @@ def test_overlap_of_outlines(tea_box, path) -> None:
     assert 0.6 < iou(se3.perturb(T, np.array([0.01, 0, 0, 0, 0, 0]))) < 0.95
     assert iou(se3.perturb(T, np.array([0.3, 0, 0, 0, 0, 0]))) == 0.0
     assert silhouette_iou(tea_box.mesh, T, T, None, None, camera) == 0.0
+
+
+def test_the_outline_of_a_long_board_seen_on_its_edge_overlaps_with_itself() -> None:
+    """A hundred times as long as high in the picture: made small, it still has a row of pixels."""
+    corners = np.array([[-0.5, -0.002, 0], [0.5, -0.002, 0], [0.5, 0.002, 0], [-0.5, 0.002, 0]], np.float32)
+    faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    board = Mesh(corners, faces, np.zeros((2, 3, 2), np.float32), np.zeros((2, 2, 3), np.uint8))
+    camera = Camera(900.0, 900.0, 639.5, 399.5, 1280, 800)
+    T = se3.make(np.eye(3), np.array([0.0, 0.0, 0.7]))
+    box = Box.of_pixels(camera.project(se3.apply(T, corners)))
+    assert silhouette_iou(board, T, T, box, box, camera) == 1.0
 
 
 def test_covariance_follows_information_and_grows_unseen() -> None:

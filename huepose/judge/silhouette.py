@@ -75,12 +75,16 @@ def visible_mask(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float, tole
     rendered, rows, columns = seen
     depth = frame.depth[rows, columns]
     inside = rendered > 0
-    away_m = float(se3.apply(T_cam_obj, model.mesh.centre[None])[0, 2])
-    most = tolerance_at(tolerance_m, NOISE_SIGMAS, away_m)
+    most = tolerance_at(tolerance_m, NOISE_SIGMAS, _away_m(model, T_cam_obj))
     agrees = inside & (depth > 0) & (np.abs(depth - rendered) < most)
     near = cv2.dilate(agrees.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
     out[rows, columns] = agrees | (inside & (depth == 0) & near)
     return out
+
+
+def _away_m(model: ReferenceModel, T_cam_obj: Float) -> float:
+    """Depth of the object's middle, which its origin may lie far from, metres."""
+    return float(se3.apply(T_cam_obj, model.mesh.centre[None])[0, 2])
 
 
 RIM_PX = 5
@@ -92,7 +96,7 @@ def taken_by(model: ReferenceModel, frame: RgbdFrame, poses: Sequence[Float64]) 
     rim: nothing else is there."""
     seen = np.zeros(frame.depth.shape, bool)
     for T in poses:
-        seen |= visible_mask(model, frame, T, tolerance_m(model.diameter_m, float(T[2, 3])))
+        seen |= visible_mask(model, frame, T, tolerance_m(model.diameter_m, _away_m(model, T)))
     return np.asarray(cv2.dilate(seen.view(np.uint8), np.ones((RIM_PX, RIM_PX), np.uint8)) > 0)
 
 

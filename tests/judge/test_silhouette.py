@@ -1,12 +1,16 @@
-"""The box that an object's silhouette fills: the compiled bounds against the plain projection."""
+"""The box that an object's silhouette fills, the compiled bounds against the plain projection; and what an
+instance takes of a picture."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from huepose.geometry import Box, se3
-from huepose.judge.silhouette import projected_box
+from huepose.geometry import Box, RgbdFrame, se3
+from huepose.judge.region import tolerance_m
+from huepose.judge.silhouette import projected_box, taken_by
 from huepose.model.types import ReferenceModel
 from tests.conftest import TakePicture
 
@@ -29,3 +33,24 @@ def test_the_projected_box_is_that_of_the_samples_pixels(
     behind = standing.copy()
     behind[2, 3] = -0.5
     assert projected_box(tea_box, frame, behind) is None
+
+
+def test_what_an_instance_takes_does_not_depend_on_where_its_origin_is(
+    tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
+) -> None:
+    """An origin behind the object is no object farther away, of which depth is less exact."""
+    off = np.array([0.0, 0.0, 2.0]) @ standing[:3, :3]
+    mesh, surface = tea_box.mesh, tea_box.surface
+    far = replace(
+        tea_box,
+        mesh=replace(mesh, vertices=(mesh.vertices - off).astype(np.float32), digest=None),
+        surface=replace(surface, points=(surface.points - off).astype(np.float32)),
+    )
+    tolerance = tolerance_m(tea_box.diameter_m, 0.6)
+    frame = replace(box_frame, depth=box_frame.depth + np.float32(tolerance + 0.001))
+    near, there = (
+        taken_by(model, frame, [T])
+        for model, T in ((tea_box, standing), (far, standing @ se3.make(np.eye(3), off)))
+    )
+    assert near.sum() < 200, "the surface is not there"
+    assert (near != there).sum() < 20

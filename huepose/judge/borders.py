@@ -280,7 +280,8 @@ def _continue(
                 near = _within(inside, y, x, OUTER)
                 if near == 0.0:
                     continue
-                u, v = int(left + (x - OUTER + 0.5) * cell + 0.5), int(top + (y - OUTER + 0.5) * cell + 0.5)
+                u = int(np.floor(left + (x - OUTER + 0.5) * cell + 0.5))
+                v = int(np.floor(top + (y - OUTER + 0.5) * cell + 0.5))
                 if u < 0 or v < 0 or u >= width or v >= height or depth[v, u] == 0.0:
                     continue
                 total += 1.0

@@ -77,7 +77,7 @@ def add_depth_samples(
         z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
         if z < NEAREST_M:
             continue
-        u, v = int(x / z * fx + cx + 0.5), int(y / z * fy + cy + 0.5)
+        u, v = int(np.floor(x / z * fx + cx + 0.5)), int(np.floor(y / z * fy + cy + 0.5))
         if u < 0 or v < 0 or u >= width or v >= height:
             continue
         seen = depth[v, u]

@@ -131,6 +131,16 @@ def test_samples_off_the_image_or_without_depth_add_nothing() -> None:
     assert not equations.b.any()
 
 
+@pytest.mark.parametrize(("u", "inside"), [(-0.9, 0.0), (-0.4, 1.0), (319.4, 1.0), (319.9, 0.0)])
+def test_a_sample_beside_the_picture_is_compared_with_no_pixel_of_it(u: float, inside: float) -> None:
+    normal = np.array([[0.0, 0.0, -1.0]], np.float32)
+    wall, body = depth_image(np.ones((240, 320), np.float32), CAMERA), Body(np.zeros(3), 0.06)
+    for ray in ([u, 120.0, 1.0], [160.0, u - 80.0 * (u > 0.0), 1.0]):
+        point = CAMERA.backproject(np.array([ray[:2]]), np.ones(1)).astype(np.float32)
+        sample = DepthSamples(point, normal, 1.0)
+        assert add_depth_samples(np.eye(4), sample, wall, body, 0.01, normal_equations(6)) == inside
+
+
 def test_samples_are_those_that_the_camera_sees_wherever_the_origin_is(tea_box: ReferenceModel) -> None:
     surface, T = tea_box.surface, se3.make(se3.rotation_exp(np.array([1.9, 0.3, 0.4])), [0.05, 0.0, 0.6])
     away = np.array([0.3, 0.2, -0.4])

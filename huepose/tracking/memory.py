@@ -29,7 +29,7 @@ from huepose.tracking.evidence import Identity, Standing
 from huepose.tracking.history import Entry, FrameHistory, PoseHistory, _Stretch
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import Reach
-from huepose.tracking.odometry import Keyframe, Odometry
+from huepose.tracking.odometry import Keyframe, Odometry, Seen
 from huepose.tracking.orientation import Facing, Orientation
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
@@ -41,7 +41,7 @@ _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
         *(Camera, CameraPlace, Correction, Effort, Entry, Facing, FrameHistory, Hypothesis, Identity),
-        *(Keyframe, Odometry, Orientation, PoseHistory, Pursuit, Reach, Standing, Terms, Track),
+        *(Keyframe, Odometry, Orientation, PoseHistory, Pursuit, Reach, Seen, Standing, Terms, Track),
         *(TrackedPose, Usual, _Stretch),
     )
 }

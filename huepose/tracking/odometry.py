@@ -69,6 +69,10 @@ objects; and no more objects may stand than agree: else something large passes b
 BESIDE_PX = 5.0
 """So far outside of its box a corner may be an object's outline."""
 
+SILENT_S = 1.0
+"""So long after the last pose that was told nobody tells any more: a robot tells ten a second, or misses
+some."""
+
 WORN = 0.9
 """A new keyframe is begun where less than this share of a keyframe's corners is left: what is followed from
 picture to picture drifts."""
@@ -86,38 +90,57 @@ class Keyframe:
     T_room_cam: Float64
 
 
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """The last picture, in grey (h, w); alive (N,): the corners of the keyframe that are followed in it, by
+    their indices; pixels (N, 2): where they are."""
+
+    grey: UInt8
+    alive: Int64
+    pixels: Float32
+
+    @staticmethod
+    def as_in(key: Keyframe, grey: UInt8) -> Seen:
+        """A picture in which all corners are where they are in the keyframe."""
+        return Seen(grey, np.arange(len(key.pixels)), key.pixels)
+
+
 class Odometry:
     """Where one camera is, frame by frame: where it is told to be, else, if `on`, where it is measured to be,
-    in the axes that it had in the first frame. What is told only later is taken to these axes."""
+    in the axes of what came first. What is told after it was measured is taken to these axes.
+
+    Single frames of which nobody tells it have no place: what is told next says better how it moved. It is
+    measured meanwhile, so that its place is known where nobody tells any more (`SILENT_S`)."""
 
     def __init__(self, on: bool = True) -> None:
         self._on = on
         self._T_room_parent: Float64 | None = None
+        self._told_ns: int | None = None
         self._before: RgbdFrame | None = None
         self._fast_ns: int | None = None
-        self._key: Keyframe | None = None
+        self._followed: tuple[Keyframe, Seen] | None = None
         self._T_room_cam: Float64 = np.eye(4)
-        # The last picture, the corners of the keyframe that are followed there, and where they are.
-        self._grey: UInt8 = np.zeros((0, 0), np.uint8)
-        self._alive: Int64 = np.zeros(0, np.int64)
-        self._pixels: Float32 = np.zeros((0, 2), np.float32)
 
     def placed(self, frame: RgbdFrame, objects: Callable[[], Sequence[Box]]) -> RgbdFrame:
         """The next frame from where its camera was. objects: gives the boxes of tracked objects in the frame
         before."""
-        told = frame.T_parent_cam
-        if told is not None and self._before is None:
-            self._on = False
-        if self._on:
-            self._go_on(frame, objects)
-            self._before = frame.seen_from(self._T_room_cam)
-            if told is None:
-                return self._before
-            self._on, self._before, self._key = False, None, None
-            self._T_room_parent = se3.compose(self._T_room_cam, se3.inverse(told))
-        if told is None or self._T_room_parent is None:
+        if not self._on:
             return frame
-        return frame.seen_from(se3.compose(self._T_room_parent, told))
+        told, told_ns = frame.T_parent_cam, self._told_ns
+        silent = told_ns is None or not 0 <= frame.stamp_ns - told_ns <= SILENT_S * 1e9
+        if told is None or silent:
+            self._go_on(frame, objects)
+        if told is None:
+            self._before = frame.seen_from(self._T_room_cam)
+            return self._before if silent else frame
+        if silent and self._before is not None:
+            self._T_room_parent = se3.compose(self._T_room_cam, se3.inverse(told))
+        if self._T_room_parent is not None:
+            told = se3.compose(self._T_room_parent, told)
+            frame = frame.seen_from(told)
+        self._rest()
+        self._before, self._told_ns, self._T_room_cam = frame, frame.stamp_ns, told
+        return frame
 
     def _go_on(self, frame: RgbdFrame, objects: Callable[[], Sequence[Box]]) -> None:
         """Find out where the camera is, if it moves fast or did a moment ago."""
@@ -135,7 +158,7 @@ class Odometry:
 
     def _rest(self) -> None:
         """Measure nothing until the camera moves fast."""
-        self._fast_ns = self._key = None
+        self._fast_ns = self._followed = None
 
     def _measure(self, before: RgbdFrame, frame: RgbdFrame, shift: Float64, objects: Sequence[Box]) -> None:
         """Find out where the camera of a frame was; shift (2,): of its picture; objects: as above."""
@@ -143,64 +166,65 @@ class Odometry:
         camera = frame.camera.scaled(factor)
         grey = _grey(frame, camera)
         boxes = [_scaled(box, factor) for box in objects]
-        key = self._key or self._begin(before, camera, _grey(before, camera), boxes)
+        key, seen = self._followed or _begun(before, camera, _grey(before, camera), boxes, self._T_room_cam)
         if _stands(key, grey):
-            self._T_room_cam = key.T_room_cam
-            self._grey, self._alive, self._pixels = grey, np.arange(len(key.pixels)), key.pixels
+            self._T_room_cam, self._followed = key.T_room_cam, (key, Seen.as_in(key, grey))
             return
-        guess = (self._pixels + shift * camera.width).astype(np.float32)
-        T_cam_key = self._followed(key, camera, grey, guess, boxes)
-        if T_cam_key is None:
+        guess = (seen.pixels + shift * camera.width).astype(np.float32)
+        found = _moved(key, seen, camera, grey, guess, boxes)
+        if found is None:
             self._rest()
             return
+        T_cam_key, seen = found
         self._T_room_cam = se3.compose(key.T_room_cam, se3.inverse(T_cam_key))
-        if len(self._alive) < WORN * len(key.pixels):
-            self._begin(frame, camera, grey, boxes)
+        worn = len(seen.alive) < WORN * len(key.pixels)
+        self._followed = _begun(frame, camera, grey, boxes, self._T_room_cam) if worn else (key, seen)
 
-    def _begin(self, frame: RgbdFrame, camera: Camera, grey: UInt8, boxes: Sequence[Box]) -> Keyframe:
-        """Make a keyframe of a frame; camera, boxes: in the smaller picture."""
-        corners: Any = cv2.goodFeaturesToTrack(grey, CORNERS, WORST, APART_PX)
-        pixels: Float32 = np.zeros((0, 2), np.float32) if corners is None else corners.reshape(-1, 2)
-        inside = (pixels + 0.5) * (frame.camera.fx / camera.fx) - 0.5
-        last = frame.camera.width - 1, frame.camera.height - 1
-        columns, rows = np.clip(np.rint(inside).astype(np.int64), 0, last).T
-        depth = frame.depth[rows, columns]
-        known = depth > NEAR_M
-        pixels = np.ascontiguousarray(pixels[known])
-        points, probes = camera.backproject(pixels, depth[known]), _probes(pixels, _parts(pixels, boxes))
-        self._key = key = Keyframe(grey, points, pixels, probes, self._T_room_cam)
-        self._grey, self._alive, self._pixels = grey, np.arange(len(pixels)), pixels
-        return key
 
-    def _followed(
-        self, key: Keyframe, camera: Camera, grey: UInt8, guess: Float32, boxes: Sequence[Box]
-    ) -> Float64 | None:
-        """From the keyframe's axes to those of the camera now (4, 4); None where too few corners agree.
-        guess (N, 2): about where the corners are now; boxes: of tracked objects in the last picture."""
-        parts = _parts(self._pixels, boxes)
-        pixels, found, off = _flowed(self._grey, grey, self._pixels, guess, LEVELS)
-        back, found_back, _ = _flowed(grey, self._grey, pixels, self._pixels, 1)
-        found &= found_back & (np.linalg.norm(back - self._pixels, axis=1) < OFF_PX)
-        found &= ~_noise(self._grey, grey, self._pixels, pixels, off)
-        alive, pixels = self._alive[found], pixels[found]
-        self._grey, self._alive, self._pixels = grey, alive, pixels
-        if len(alive) < FEWEST:
-            return None
-        points, seen = key.points[alive], pixels.astype(np.float64)
-        fits, turn, shift, inliers = cv2.solvePnPRansac(
-            points, seen, camera.K, None, reprojectionError=OFF_PX, flags=cv2.SOLVEPNP_EPNP
-        )
-        agree = np.zeros(len(alive), bool)
-        if fits and inliers is not None:
-            agree[np.asarray(inliers).ravel()] = True
-        stand = np.linalg.norm(pixels - key.pixels[alive], axis=1) <= STANDS_PX
-        if agree.sum() < FEWEST or agree.mean() < MAJORITY or not _by_all(parts[found], agree, stand):
-            return None
-        turn, shift = cv2.solvePnPRefineLM(points[agree], seen[agree], camera.K, None, turn, shift)
-        # What moves by itself is not followed on.
-        self._alive, self._pixels = alive[agree], pixels[agree]
-        R: Any = cv2.Rodrigues(turn)[0]
-        return se3.make(R, np.asarray(shift, np.float64).ravel())
+def _begun(
+    frame: RgbdFrame, camera: Camera, grey: UInt8, boxes: Sequence[Box], T_room_cam: Float64
+) -> tuple[Keyframe, Seen]:
+    """A keyframe made of a frame, and its corners there; camera, boxes: in the smaller picture."""
+    corners: Any = cv2.goodFeaturesToTrack(grey, CORNERS, WORST, APART_PX)
+    pixels: Float32 = np.zeros((0, 2), np.float32) if corners is None else corners.reshape(-1, 2)
+    whole = frame.camera.width, frame.camera.height
+    inside = (pixels + 0.5) * (np.array(whole) / (camera.width, camera.height)) - 0.5
+    columns, rows = np.clip(np.rint(inside).astype(np.int64), 0, np.array(whole) - 1).T
+    depth = frame.depth[rows, columns]
+    known = depth > NEAR_M
+    pixels = np.ascontiguousarray(pixels[known])
+    points, probes = camera.backproject(pixels, depth[known]), _probes(pixels, _parts(pixels, boxes))
+    key = Keyframe(grey, points, pixels, probes, T_room_cam)
+    return key, Seen.as_in(key, grey)
+
+
+def _moved(
+    key: Keyframe, seen: Seen, camera: Camera, grey: UInt8, guess: Float32, boxes: Sequence[Box]
+) -> tuple[Float64, Seen] | None:
+    """From the keyframe's axes to those of the camera now (4, 4), and the corners there; None where too few
+    agree. guess (N, 2): about where the corners are now; boxes: of tracked objects in the last picture."""
+    parts = _parts(seen.pixels, boxes)
+    pixels, found, off = _flowed(seen.grey, grey, seen.pixels, guess, LEVELS)
+    back, found_back, _ = _flowed(grey, seen.grey, pixels, seen.pixels, 1)
+    found &= found_back & (np.linalg.norm(back - seen.pixels, axis=1) < OFF_PX)
+    found &= ~_noise(seen.grey, grey, seen.pixels, pixels, off)
+    alive, pixels = seen.alive[found], pixels[found]
+    if len(alive) < FEWEST:
+        return None
+    points, places = key.points[alive], pixels.astype(np.float64)
+    fits, turn, shift, inliers = cv2.solvePnPRansac(
+        points, places, camera.K, None, reprojectionError=OFF_PX, flags=cv2.SOLVEPNP_EPNP
+    )
+    agree = np.zeros(len(alive), bool)
+    if fits and inliers is not None:
+        agree[np.asarray(inliers).ravel()] = True
+    stand = np.linalg.norm(pixels - key.pixels[alive], axis=1) <= STANDS_PX
+    if agree.sum() < FEWEST or agree.mean() < MAJORITY or not _by_all(parts[found], agree, stand):
+        return None
+    turn, shift = cv2.solvePnPRefineLM(points[agree], places[agree], camera.K, None, turn, shift)
+    R: Any = cv2.Rodrigues(turn)[0]
+    # What moves by itself is not followed on.
+    return se3.make(R, np.asarray(shift, np.float64).ravel()), Seen(grey, alive[agree], pixels[agree])
 
 
 def _shift(before: RgbdFrame, frame: RgbdFrame) -> Float64:
@@ -224,9 +248,9 @@ def _fading(width: int, height: int) -> Float32:
 
 
 def _grey(frame: RgbdFrame, camera: Camera) -> UInt8:
-    """The picture in grey, as small as that of a camera, with a pixel at least on each side."""
+    """The picture in grey, as small as that of a camera."""
     grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
-    size = max(1, camera.width), max(1, camera.height)
+    size = camera.width, camera.height
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 

@@ -179,7 +179,40 @@ def test_a_camera_that_is_told_from_the_first_is_where_it_is_told_to_be(walked) 
         frame = replace(walked(number)[0], T_parent_cam=camera_at(number))
         assert odometry.placed(frame, list) is frame
     frame, _ = walked(12)
-    assert odometry.placed(frame, list) is frame, "nobody knows where it is"
+    assert odometry.placed(frame, list) is frame, "what is told next says it better"
+
+
+@pytest.mark.parametrize("first_told", [0, 4])
+def test_where_nobody_tells_any_more_it_is_measured_again(walked, first_told) -> None:
+    """From the axes of what was told, without a jump; and in these axes, what is told again."""
+    odometry, T_base_room = Odometry(), se3.make(se3.rotation_exp(SKEW), np.array([3.0, 0.0, 1.0]))
+    T_room = T_base_room if first_told == 0 else np.eye(4)
+    for number in range(0, 90, 2):
+        frame, _ = walked(number)
+        if first_told <= number <= 10 or number > 60:
+            frame = replace(frame, T_parent_cam=se3.compose(T_base_room, camera_at(number)))
+        seen = odometry.placed(frame, list)
+        if 10 < number <= 40:
+            assert seen is frame, "for a second it may be told again"
+            continue
+        off = se3.compose(se3.inverse(se3.compose(T_room, camera_at(number))), seen.T_parent_cam)
+        assert 1e3 * np.linalg.norm(off[:3, 3]) < 12.0, "of a hand that moves by up to 7 cm either way"
+        assert np.degrees(se3.rotation_angle(off, np.eye(4))) < 1.0
+
+
+def test_a_frame_of_which_nobody_tells_it_leaves_what_is_told_as_it_is(walked) -> None:
+    odometry = Odometry()
+    for number in range(0, 40, 2):
+        frame = walked(number)[0]
+        if number % 6 == 0:
+            frame = replace(frame, T_parent_cam=camera_at(number))
+        assert odometry.placed(frame, list) is frame
+
+
+def test_after_the_clock_was_set_back_it_is_measured(walked) -> None:
+    odometry = Odometry()
+    odometry.placed(replace(walked(60)[0], T_parent_cam=camera_at(60)), list)
+    assert odometry.placed(walked(0)[0], list).T_parent_cam is not None
 
 
 def test_another_tracker_goes_on_from_where_the_camera_is(tea_box, walked) -> None:

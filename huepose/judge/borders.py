@@ -22,8 +22,8 @@ from huepose.geometry.camera import NEAR_M, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.icosphere import look_at
 from huepose.geometry.mesh import Mesh
+from huepose.judge.kernel_arrays import ModelArrays, projected, shown_range
 from huepose.judge.open_region import PreparedSurface
-from huepose.judge.region import ModelArrays, projected, shown_range
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.support.jit import jit

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from huepose.geometry.arrays import Float64
-from huepose.judge.region import RegionArrays
+from huepose.judge.kernel_arrays import RegionArrays
 from huepose.support.jit import jit_dividing
 
 if TYPE_CHECKING:

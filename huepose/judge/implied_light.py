@@ -17,10 +17,8 @@ import numpy as np
 
 from huepose.colorpair.opponents import BYTES, DARKEST, LINEAR, OPPONENTS, SCALE, opponents
 from huepose.geometry.arrays import Float, Float32, Float64, UInt8
-from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import SHADING_RIDGE
-from huepose.judge.kernel import GRAZING
-from huepose.judge.region import ModelArrays, RegionArrays, shown_range
+from huepose.judge.kernel_arrays import ModelArrays, RegionArrays, seen_samples, shown_range
 from huepose.judge.terms import score_arrays
 from huepose.support.jit import jit
 
@@ -88,28 +86,17 @@ def implied_lights(model: ModelArrays, region: RegionArrays, poses: Float64) -> 
 
 
 def _implied_light(model: ModelArrays, region: RegionArrays, T: Float64) -> Light | None:
-    first, last = shown_range(T, model, SAMPLES)
-    shown = model.visible[first:last]
-    R, normals = T[:3, :3], model.normals[shown]
-    points = model.points[shown] @ R.T + T[:3, 3]
-    facing = -(normals @ R.T * points).sum(1) / np.linalg.norm(points, axis=1)
-    height, width = region.depth.shape
-    z = np.maximum(points[:, 2], NEAREST_M)
-    u = np.rint(points[:, 0] / z * region.fx + region.cx).astype(np.int64)
-    v = np.rint(points[:, 1] / z * region.fy + region.cy).astype(np.int64)
-    seen = np.flatnonzero((facing > GRAZING) & (u >= 0) & (v >= 0) & (u < width) & (v < height))
-    gap = np.abs(region.depth[v[seen], u[seen]] - points[seen, 2]) * facing[seen]
-    seen = seen[(gap < region.tolerance) & ~region.saturated[v[seen], u[seen]]]
-    if len(seen) < LEAST_SEEN:
+    seen = seen_samples(model, region, T, SAMPLES)
+    if len(seen.which) < LEAST_SEEN:
         return None
-    picture = _linear(region.colors[COARSER][v[seen], u[seen]])
-    texture = _linear(model.colors[COARSER][shown[seen]])
+    picture = _linear(region.colors[COARSER][seen.row, seen.column])
+    texture = _linear(model.colors[COARSER][seen.which])
     # What is bright in the texture says how bright the light is; what is dark in it is haze in the picture.
     known, shown_of_it = (texture * texture).sum(1), (picture * texture).sum(1)
     brighter = np.log((shown_of_it + _NO_LIGHT) / (known + _NO_LIGHT))
-    over_normals = np.column_stack([np.ones(len(seen)), normals[seen]])
-    weighted = over_normals * facing[seen, None]
-    ridge = SHADING_RIDGE * facing[seen].sum() * np.diag([0.0, 1.0, 1.0, 1.0])
+    over_normals = np.column_stack([np.ones(len(seen.which)), model.normals[seen.which]])
+    weighted = over_normals * seen.facing[:, None]
+    ridge = SHADING_RIDGE * seen.facing.sum() * np.diag([0.0, 1.0, 1.0, 1.0])
     return Light(np.linalg.solve(weighted.T @ over_normals + ridge, weighted.T @ brighter))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import color_agreement
-from huepose.judge.region import ModelArrays, RegionArrays, nearest_view, tolerance_at
+from huepose.judge.kernel_arrays import GRAZING, ModelArrays, RegionArrays, nearest_view, tolerance_at
 from huepose.support.jit import jit_dividing
 
 if TYPE_CHECKING:
@@ -41,9 +41,6 @@ object itself), where 1 is a sample that is seen through."""
 
 MARGIN = 0.15
 """Added to the visible share of the surface in ratios, so that a pose with little in view explains little."""
-
-GRAZING = 0.1
-"""Cosine of the viewing angle below which a sample is too oblique to be compared with depth."""
 
 SEEN_IN_COLOR = 0.02
 """Share of the surface that must be seen in colour for its colours to be compared."""

@@ -22,7 +22,8 @@ from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.geometry.box import Box
 from huepose.geometry.camera import FLOOR_M, NEAR_M, NEAREST_M, Camera, depth_noise_m
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.region import NO_LIGHT, ModelArrays, RegionArrays, model_arrays, saturated
+from huepose.judge.kernel_arrays import NO_LIGHT, ModelArrays, RegionArrays, model_arrays
+from huepose.judge.region import least_tolerance_m, saturated
 from huepose.judge.silhouette import bounds_of
 from huepose.judge.terms import Terms, score_arrays
 from huepose.model.types import COLOR_SCALES_M, ReferenceModel
@@ -107,9 +108,9 @@ def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float
 
 
 def tolerance_m(diameter_m: float, distance_m: float) -> float:
-    """Tolerance of depth, metres: a reading within it supports the surface. 6 to 12 mm by the object's size,
-    and two standard errors of the reading."""
-    return max(0.006, min(0.012, 0.05 * diameter_m)) + 2.0 * (depth_noise_m(distance_m) - FLOOR_M)
+    """Tolerance of depth, metres: a reading within it supports the surface. That of the object's size, and
+    two standard errors of the reading."""
+    return least_tolerance_m(diameter_m) + 2.0 * (depth_noise_m(distance_m) - FLOOR_M)
 
 
 def _averaged(plain: Float32, px_per_m: float) -> Float32:

@@ -15,7 +15,7 @@ import numpy as np
 from huepose.colorpair.opponents import opponents_of_bytes
 from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.geometry.camera import NEAREST_M
-from huepose.judge.region import RegionArrays, tolerance_at
+from huepose.judge.kernel_arrays import RegionArrays, tolerance_at
 from huepose.support.jit import jit_dividing
 
 SMOOTHING_PX = 1.0

@@ -16,7 +16,8 @@ from huepose.colorpair.opponents import opponents_of_bytes, opponents_of_lab
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.camera import NEAREST_M
 from huepose.judge.color_correlation import PLAIN
-from huepose.judge.region import Crop, RegionArrays, tolerance_at
+from huepose.judge.kernel_arrays import RegionArrays, tolerance_at
+from huepose.judge.region import Crop
 from huepose.judge.terms import DEFAULT_WEIGHTS
 from huepose.model.types import PairReference, ReferenceModel
 from huepose.support.jit import jit

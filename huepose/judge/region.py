@@ -1,5 +1,4 @@
-"""Input of the judges: a crop of the frame with colours smoothed at two scales, and the samples of a model,
-both as arrays for compiled kernels.
+"""Input of the judges: a crop of the frame with colours smoothed at two scales.
 
 A region is a crop with one mask, or with several candidate masks at once, each with its weight.
 """
@@ -8,20 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from huepose.colorpair.opponents import DARKEST, LINEAR, SCALE, opponents_of_lab
-from huepose.geometry import icosphere
-from huepose.geometry.arrays import Bool, Float32, Float64, Int32, Int64, UInt8, median
+from huepose.colorpair.opponents import DARKEST, LINEAR, SCALE
+from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8, median
 from huepose.geometry.box import Box
-from huepose.geometry.camera import FLOOR_M, STEREO_NOISE_PER_M, Camera
+from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.model.types import COLOR_SCALES_M, ReferenceModel
-from huepose.support.jit import jit, jit_dividing
-from huepose.support.kept import once_for_each
+from huepose.model.types import COLOR_SCALES_M
+from huepose.support.jit import jit_dividing
 
 SATURATED = 250
 """Byte value from which a channel counts as saturated: its colour is unknown."""
@@ -67,7 +63,8 @@ class Region:
     trust: 0..1, how reliable the belief itself is.
     bounds (4,): left, top, right, bottom of the box in the crop.
     tolerance_m: largest difference of depth and surface that counts as agreement; median_depth_m: of the
-    mask; sigmas: standard errors of a reading that are within the tolerance at any depth (`tolerance_at`).
+    mask; sigmas: standard errors of a reading that are within the tolerance at any depth (see
+    `kernel_arrays`).
     """
 
     crop: Crop
@@ -147,15 +144,14 @@ def prepare_believed(
     )
 
 
+def least_tolerance_m(diameter_m: float) -> float:
+    """Tolerance of depth of an object of that diameter close to the camera: 6 to 12 mm."""
+    return max(0.006, min(0.012, 0.05 * diameter_m))
+
+
 def tolerance_m(diameter_m: float, depth_m: float) -> float:
-    """Tolerance of depth, metres: 6 to 12 mm by the object's size, 2 more beyond 1.1 m."""
-    return max(0.006, min(0.012, 0.05 * diameter_m)) + (0.002 if depth_m > 1.1 else 0.0)
-
-
-@jit_dividing
-def tolerance_at(tolerance_m: float, sigmas: float, depth_m: float) -> float:
-    """A tolerance, but no less than so many standard errors of a reading at that depth, metres."""
-    return max(tolerance_m, sigmas * (FLOOR_M + STEREO_NOISE_PER_M * depth_m * depth_m))
+    """Tolerance of depth, metres: that of the object's size, 2 mm more beyond 1.1 m."""
+    return least_tolerance_m(diameter_m) + (0.002 if depth_m > 1.1 else 0.0)
 
 
 def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
@@ -255,154 +251,3 @@ def sampled_points(crop: Crop, mask: Bool, count: int) -> tuple[Float64, Int64, 
     rows, columns = np.divmod(chosen, crop.depth.shape[1])
     points = crop.camera.backproject(np.stack([columns, rows], -1), crop.depth[rows, columns])
     return points, rows, columns
-
-
-COVERAGE_POINTS = 250
-"""Mask points that coverage is computed from."""
-
-
-class ModelArrays(NamedTuple):
-    """The arrays of a model that kernels read (see model.types). colors (2 or more, N, 3) float32: opponents
-    averaged over about 1 mm, 3.5 mm and so on; beside (V, 6): `icosphere.neighbours` of the directions,
-    (V, 0) where these are no icosphere; centre (3,) of the bounds of the samples."""
-
-    points: Float32
-    normals: Float32
-    colors: Float32
-    directions: Float32
-    beside: Int32
-    visible: Int32
-    offsets: Int32
-    origin: Float64
-    step: float
-    nearest: np.ndarray
-    centre: Float64
-
-
-NO_LIGHT = np.zeros(3)
-
-
-class RegionArrays(NamedTuple):
-    """The arrays of a region that kernels read. colors (S, h, w, 3) float32: opponents averaged at the
-    model's scales; finest: of the scales of colours, the first of the two that are compared; light (3,): what
-    the light adds to opponents, where that is known (`lit`); blind: weight of colours where there is no depth
-    to say whether the object is in front; sigmas: see `tolerance_at`."""
-
-    points_cam: Float64
-    point_weights: Float64
-    trust: float
-    depth: Float32
-    belief: Float32
-    colors: Float32
-    saturated: Bool
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    bounds: Float64
-    tolerance: float
-    finest: int = 0
-    light: Float64 = NO_LIGHT
-    lit: bool = False
-    blind: float = 0.0
-    sigmas: float = 0.0
-
-
-@once_for_each
-def model_arrays(model: ReferenceModel) -> ModelArrays:
-    """A model's arrays for the kernels, colours as opponents; made once for each model."""
-    s, g = model.surface, model.grid
-    colors = opponents_of_lab(s.lab)
-    return ModelArrays(
-        s.points,
-        s.normals,
-        colors,
-        s.directions,
-        beside(s.directions),
-        s.visible,
-        s.offsets,
-        g.origin,
-        float(g.step),
-        g.nearest,
-        s.centre,
-    )
-
-
-def beside(directions: Float32) -> Int32:
-    """The neighbours of directions (V, 3), for `ModelArrays`."""
-    for level in (2, 3):
-        sphere = icosphere.directions(level)
-        if sphere.shape == directions.shape and np.allclose(sphere, directions, atol=1e-6):
-            return icosphere.neighbours(level)
-    return np.empty((len(directions), 0), np.int32)
-
-
-def region_arrays(region: Region) -> RegionArrays:
-    """Bundle a region's arrays for the kernels."""
-    camera = region.crop.camera
-    return RegionArrays(
-        region.points_cam[:COVERAGE_POINTS],
-        region.point_weights[:COVERAGE_POINTS],
-        float(region.trust),
-        region.crop.depth,
-        region.belief,
-        region.colors,
-        region.crop.saturated,
-        camera.fx,
-        camera.fy,
-        camera.cx,
-        camera.cy,
-        region.bounds,
-        region.tolerance_m,
-        sigmas=region.sigmas,
-    )
-
-
-@jit_dividing
-def projected(T: Float64, points: Float32, i: int, lens: Float64) -> tuple[float, float, float]:
-    """Pixel and depth of point i of (N, 3) at pose T (4, 4); the pixel of a point behind the camera is none.
-    lens (4,): fx, fy, cx, cy."""
-    p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
-    z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
-    u = (T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]) / z * lens[0] + lens[2]
-    v = (T[1, 0] * p0 + T[1, 1] * p1 + T[1, 2] * p2 + T[1, 3]) / z * lens[1] + lens[3]
-    return u, v, z
-
-
-FIRST_VIEWS = 42
-"""Directions of an icosphere that are looked at before one goes from neighbour to neighbour: those of its
-first levels."""
-
-
-@jit
-def nearest_view(T: Float64, model: ModelArrays) -> int:
-    """Index of the view direction from which the camera of pose `T` looks at the object's centre."""
-    directions, beside, c = model.directions, model.beside, model.centre
-    x, y, z = 0.0, 0.0, 0.0
-    for r in range(3):
-        eye = -(T[r, 0] * c[0] + T[r, 1] * c[1] + T[r, 2] * c[2] + T[r, 3])
-        x += T[r, 0] * eye
-        y += T[r, 1] * eye
-        z += T[r, 2] * eye
-    best, best_dot = 0, -np.inf
-    for i in range(FIRST_VIEWS if beside.shape[1] else directions.shape[0]):
-        dot = directions[i, 0] * x + directions[i, 1] * y + directions[i, 2] * z
-        if dot > best_dot:
-            best, best_dot = i, dot
-    here = -1
-    while here != best:
-        here = best
-        for k in range(beside.shape[1]):
-            i = beside[here, k]
-            dot = directions[i, 0] * x + directions[i, 1] * y + directions[i, 2] * z
-            if dot > best_dot:
-                best, best_dot = i, dot
-    return best
-
-
-@jit
-def shown_range(T: Float64, model: ModelArrays, most: int) -> tuple[int, int]:
-    """Where in `model.visible` the samples begin and end that pose `T` shows, `most` of them at most."""
-    view = nearest_view(T, model)
-    first = model.offsets[view]
-    return first, min(model.offsets[view + 1], first + most)

@@ -17,7 +17,8 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float, Float32, Float64, Int64, UInt8
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.judge.implied_light import Light
-from huepose.judge.region import ModelArrays, model_arrays, smoothed_opponents
+from huepose.judge.kernel_arrays import ModelArrays, model_arrays
+from huepose.judge.region import smoothed_opponents
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import Rendering, render
 

@@ -13,7 +13,8 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.mesh import Mesh
-from huepose.judge.region import NOISE_SIGMAS, tolerance_at, tolerance_m
+from huepose.judge.kernel_arrays import tolerance_at
+from huepose.judge.region import NOISE_SIGMAS, tolerance_m
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.support.jit import jit_dividing

@@ -15,7 +15,8 @@ import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
-from huepose.judge.region import ModelArrays, Region, RegionArrays, model_arrays, region_arrays
+from huepose.judge.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
+from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 

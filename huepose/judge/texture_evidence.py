@@ -24,6 +24,7 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.geometry.bilinear import bilinear
 from huepose.judge.color_correlation import PLAIN
+from huepose.judge.kernel_arrays import RegionArrays, model_arrays, region_arrays, seen_samples
 from huepose.judge.pairs import (
     CLOSE_PAIRS,
     PAIR_WEIGHTS,
@@ -33,7 +34,7 @@ from huepose.judge.pairs import (
     read_pairs,
     room_for,
 )
-from huepose.judge.region import Region, RegionArrays, model_arrays, nearest_view, region_arrays, tolerance_at
+from huepose.judge.region import Region
 from huepose.judge.terms import CLOSE_SAMPLES, DEFAULT_WEIGHTS
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
@@ -114,26 +115,13 @@ def _seen_texture(
     """The visible samples whose depth fits: weights (N,), opponents of the texture (N, 6) and of the picture
     (N, 6). None where there are too few."""
     m, r = model_arrays(model), region_arrays(region)
-    view = nearest_view(T, m)
-    index = m.visible[m.offsets[view] : m.offsets[view + 1]][:CLOSE_SAMPLES]
-    points = m.points[index] @ T[:3, :3].T + T[:3, 3]
-    normals = m.normals[index] @ T[:3, :3].T
-    facing = -(normals * points).sum(1) / np.linalg.norm(points, axis=1)
-    z = np.maximum(points[:, 2], 1e-6)
-    u, v = points[:, 0] / z * r.fx + r.cx, points[:, 1] / z * r.fy + r.cy
-    height, width = r.depth.shape
-    inside = (facing > 0.1) & (u > -0.5) & (v > -0.5) & (u < width - 0.5) & (v < height - 0.5)
-    column, row = (np.where(inside, x + 0.5, 0.0).astype(np.int64) for x in (u, v))
-    depth = r.depth[row, column]
-    tolerance = tolerance_at(r.tolerance, r.sigmas, float(points[:, 2].mean()))
-    fits = inside & (depth > 0) & (np.abs(depth - points[:, 2]) * facing < tolerance)
-    fits &= ~r.saturated[row, column]
-    if int(fits.sum()) < FEWEST_SAMPLES:
+    seen = seen_samples(m, r, T, CLOSE_SAMPLES)
+    if len(seen.which) < FEWEST_SAMPLES:
         return None
     outside = DEFAULT_WEIGHTS.outside
-    weight = facing[fits] * (outside + (1.0 - outside) * r.belief[row[fits], column[fits]])
-    texture_colors = np.concatenate([m.colors[0][index[fits]], m.colors[1][index[fits]]], axis=1)
-    picture = np.concatenate([bilinear(colors, u[fits], v[fits]) for colors in r.colors], axis=1)
+    weight = seen.facing * (outside + (1.0 - outside) * r.belief[seen.row, seen.column])
+    texture_colors = np.concatenate([m.colors[0][seen.which], m.colors[1][seen.which]], axis=1)
+    picture = np.concatenate([bilinear(colors, seen.u, seen.v) for colors in r.colors], axis=1)
     return weight, texture_colors.astype(np.float64), picture
 
 

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from huepose.believe.presence import MOST_ALIKE, MOST_VERIFIED, Sight, logits_of
-from huepose.geometry.arrays import Float32, Float64
-from huepose.geometry.camera import NEAR_M, NEAREST_M
+from huepose.geometry.arrays import Float64
+from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours, continuation_many, continued
-from huepose.judge.region import ModelArrays, Region, model_arrays, projected, shown_range
+from huepose.judge.kernel_arrays import model_arrays
+from huepose.judge.region import Region
 from huepose.judge.terms import CLOSE_SAMPLES, Terms, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, thin

@@ -11,9 +11,10 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float32, Float64, Int64
 from huepose.geometry.box import Box
-from huepose.geometry.camera import NEAREST_M
+from huepose.geometry.camera import NEAREST_M, Camera
 from huepose.judge.borders import continuation_many
-from huepose.judge.region import ModelArrays, Region, model_arrays, projected, shown_range
+from huepose.judge.kernel_arrays import ModelArrays, model_arrays, projected, shown_range
+from huepose.judge.region import Region
 from huepose.judge.terms import DEFAULT_WEIGHTS, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64
-from huepose.judge.region import ModelArrays, RegionArrays
+from huepose.judge.kernel_arrays import ModelArrays, RegionArrays
 
 BINS, WIDTH = 40, 6.0
 """Histogram bins along red-green and along yellow-blue, and their width in opponent units; grey is in the

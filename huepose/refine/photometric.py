@@ -17,8 +17,8 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float32, Float64, Int32
 from huepose.geometry.camera import NEAR_M, depth_noise_m
+from huepose.judge.kernel_arrays import ModelArrays, RegionArrays
 from huepose.judge.open_region import SCALES_M, OpenRegion, PreparedSurface
-from huepose.judge.region import ModelArrays, RegionArrays
 from huepose.refine.light import fit_light
 from huepose.refine.samples import (
     AGREES,

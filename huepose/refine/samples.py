@@ -9,7 +9,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64, Int32
 from huepose.geometry.camera import NEAREST_M
-from huepose.judge.region import ModelArrays, RegionArrays, shown_range
+from huepose.judge.kernel_arrays import ModelArrays, RegionArrays, shown_range
 from huepose.support.jit import jit, jit_dividing
 
 MIN_COSINE = 0.12

@@ -17,9 +17,10 @@ from huepose.geometry.arrays import Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M
 from huepose.judge.implied_light import Light, implied_lights
+from huepose.judge.kernel_arrays import model_arrays, region_arrays
 from huepose.judge.likeness import Likeness, Part, likeness
 from huepose.judge.outline import Rim, edge_tensor
-from huepose.judge.region import OUTSIDE_WEIGHT, Region, model_arrays, region_arrays
+from huepose.judge.region import OUTSIDE_WEIGHT, Region
 from huepose.judge.rendered_view import detail_colors, draw_rendered_view
 from huepose.judge.terms import ScoreWeights
 from huepose.judge.terms import totals as totals_of

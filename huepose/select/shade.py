@@ -11,7 +11,8 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float64
 from huepose.judge.implied_light import implied_lights, shading_gains
-from huepose.judge.region import Region, model_arrays, region_arrays
+from huepose.judge.kernel_arrays import model_arrays, region_arrays
+from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.select.distinct import Ranked
 

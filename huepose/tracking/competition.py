@@ -13,8 +13,8 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.camera import NEAR_M, Camera, depth_noise_m
+from huepose.judge.kernel_arrays import ModelArrays, projected
 from huepose.judge.open_region import PreparedSurface, tolerance_m
-from huepose.judge.region import ModelArrays, projected
 from huepose.select.distinct import standing
 from huepose.support.jit import jit_dividing
 

@@ -21,8 +21,8 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.suppression import first_different
+from huepose.judge.kernel_arrays import RegionArrays
 from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, totals
-from huepose.judge.region import RegionArrays
 from huepose.judge.terms import score_arrays
 from huepose.propose.hue_map import averaged, hue_map
 from huepose.refine.photometric import COARSE, FINE, QUICK, refine, refine_all

@@ -10,7 +10,8 @@ import pytest
 from huepose.colorpair.opponents import BYTES, LINEAR
 from huepose.geometry import Mesh, RgbdFrame
 from huepose.judge.implied_light import Light, implied_lights, shading_gains
-from huepose.judge.region import Region, model_arrays, region_arrays
+from huepose.judge.kernel_arrays import model_arrays, region_arrays
+from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
 from tests.conftest import TakePicture, standing_pose

@@ -9,7 +9,8 @@ import pytest
 
 from huepose.geometry import RgbdFrame, icosphere, se3
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
-from huepose.judge.region import Region, beside, model_arrays, nearest_view, region_arrays
+from huepose.judge.kernel_arrays import beside, model_arrays, nearest_view, region_arrays
+from huepose.judge.region import Region
 from huepose.judge.terms import DEFAULT_WEIGHTS, Terms, score, score_many
 from huepose.model.types import ReferenceModel
 from tests.judge.regions import region_of

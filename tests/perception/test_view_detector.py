@@ -10,7 +10,7 @@ import pytest
 
 from huepose.geometry import RgbdFrame, se3
 from huepose.judge.borders import continuation_many
-from huepose.judge.region import model_arrays
+from huepose.judge.kernel_arrays import model_arrays
 from huepose.model.types import ReferenceModel
 from huepose.perception import scouting
 from huepose.perception.clear_view import clear_view

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
+from huepose.judge.kernel_arrays import region_arrays
 from huepose.judge.outline import PRIOR, Rim, edge_tensor, rim_agreement
-from huepose.judge.region import Region, region_arrays
+from huepose.judge.region import Region
 from huepose.judge.rendered_view import SHARP_PX, detail_colors, draw_rendered_view
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth

@@ -14,6 +14,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
 from huepose.judge.kernel import SCRATCH_ROWS, TERMS, score_kernel
+from huepose.judge.kernel_arrays import ModelArrays, RegionArrays, model_arrays, region_arrays
 from huepose.judge.pairs import (
     PAIR_WEIGHTS,
     PairArrays,
@@ -23,7 +24,7 @@ from huepose.judge.pairs import (
     read_pairs,
     room_for,
 )
-from huepose.judge.region import ModelArrays, Region, RegionArrays, model_arrays, region_arrays
+from huepose.judge.region import Region
 from huepose.judge.terms import DEFAULT_WEIGHTS, ScoreWeights
 from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit

@@ -17,13 +17,12 @@ from huepose.judge.region import Region
 from huepose.judge.terms import CLOSE_SAMPLES, Terms, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, thin
-from huepose.perception.scouting import SEEN_M
+from huepose.perception.scouting import seen_pixels
 from huepose.perception.verification import Pictures, verified
 from huepose.propose.templates import SPAN
 from huepose.propose.view_codes import codes_of_pictures, codes_of_windows
 from huepose.propose.view_pictures import clean_view, window_pictures
 from huepose.propose.views import onto_rays
-from huepose.support.jit import jit
 
 RIM_SAMPLES = 400
 """Samples of the outline."""
@@ -105,25 +104,7 @@ def outlined(
 
 def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) -> int:
     """Number of pixels of a frame whose depth agrees with a surface sample of a pose (4, 4)."""
-    T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
-    return int(_agreeing(T, model_arrays(model), frame.depth, frame.camera.lens))
-
-
-@jit
-def _agreeing(T: Float64, model: ModelArrays, depth: Float32, lens: Float64) -> int:
-    height, width = depth.shape
-    first, last = shown_range(T, model, CLOSE_SAMPLES)
-    pixels = np.empty(CLOSE_SAMPLES, np.int64)
-    count = 0
-    for k in range(first, last):
-        uf, vf, z = projected(T, model.points, model.visible[k], lens)
-        if z <= NEAREST_M:
-            continue
-        u, v = int(np.rint(uf)), int(np.rint(vf))
-        if u >= 0 and v >= 0 and u < width and v < height and abs(depth[v, u] - z) < SEEN_M:
-            pixels[count] = v * width + u
-            count += 1
-    return len(np.unique(pixels[:count]))
+    return len(np.unique(seen_pixels(model, frame.depth, frame.camera, T_cam_obj, CLOSE_SAMPLES)[1]))
 
 
 def pictures_of(

@@ -299,26 +299,35 @@ def _thinned(
 def seen_part(model: ReferenceModel, view: ClearView, T_cam_obj: Float64) -> tuple[Box, Int64] | None:
     """Box in the frame of the surface samples that agree with the depth, and indices of the patches in which
     they lie; None if fewer than LEAST_SEEN agree."""
-    bounds, patches = np.empty(4), np.empty(SEEN_SAMPLES, np.int64)
-    T = np.ascontiguousarray(T_cam_obj)
-    count = _seen(T, model_arrays(model), view.crop.depth, view.crop.camera.lens, bounds, patches)
-    if count < LEAST_SEEN:
+    depth = view.crop.depth
+    (left, top, right, bottom), pixels = seen_pixels(model, depth, view.crop.camera, T_cam_obj, SEEN_SAMPLES)
+    if len(pixels) < LEAST_SEEN:
         return None
-    left, top, right, bottom = bounds
     box = Box(left + view.crop.x0, top + view.crop.y0, right - left + 1.0, bottom - top + 1.0)
-    return box, np.unique(patches[:count])
+    y, x = np.divmod(pixels, depth.shape[1])
+    return box, np.unique((y // PATCH_PX) * depth.shape[1] + x // PATCH_PX)
+
+
+def seen_pixels(
+    model: ReferenceModel, depth: Float32, camera: Camera, T_cam_obj: Float64, samples: int
+) -> tuple[Float64, Int64]:
+    """Of at most `samples` surface samples that a pose (4, 4) shows, those that agree with the depth (h, w):
+    the left, top, right and bottom of where they fall, and the number (N,) of the pixel of each, row by
+    row."""
+    bounds, pixels = np.array([1e9, 1e9, -1e9, -1e9]), np.empty(samples, np.int64)
+    T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
+    count = _seen(T, model_arrays(model), depth, camera.lens, bounds, pixels)
+    return bounds, pixels[:count]
 
 
 @jit
 def _seen(
-    T: Float64, model: ModelArrays, depth: Float32, lens: Float64, bounds: Float64, patches: Int64
+    T: Float64, model: ModelArrays, depth: Float32, lens: Float64, bounds: Float64, pixels: Int64
 ) -> int:
-    """Fill bounds (4,) with the left, top, right and bottom pixel, patches (N,) with one number for each
-    sample that agrees; returns how many do."""
+    """Widen bounds (4,) by the samples that agree, fill in their pixels (N,); returns how many they are."""
     height, width = depth.shape
-    first, last = shown_range(T, model, patches.shape[0])
+    first, last = shown_range(T, model, pixels.shape[0])
     count = 0
-    bounds[0], bounds[1], bounds[2], bounds[3] = 1e9, 1e9, -1e9, -1e9
     for k in range(first, last):
         u, v, z = projected(T, model.points, model.visible[k], lens)
         if z < NEAREST_M or u < -0.5 or v < -0.5 or u >= width - 0.5 or v >= height - 0.5:
@@ -328,6 +337,6 @@ def _seen(
             continue
         bounds[0], bounds[1] = min(bounds[0], u), min(bounds[1], v)
         bounds[2], bounds[3] = max(bounds[2], u), max(bounds[3], v)
-        patches[count] = (y // PATCH_PX) * width + x // PATCH_PX
+        pixels[count] = y * width + x
         count += 1
     return count

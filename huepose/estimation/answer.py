@@ -198,9 +198,7 @@ def refine(model: ReferenceModel, evidence: Evidence, proposed: Float64, sources
         totals = score_many(model, region, poses, COARSE_SAMPLES)[:, 0]
         best = different_poses(model, poses, totals, KEPT)
         poses, totals = poses[best], totals[best]
-        near_symmetric = np.einsum(
-            "nij,mjk->nmik", poses[:WITH_NEAR_SYMMETRIES], model.near_symmetries[1:]
-        ).reshape(-1, 4, 4)
+        near_symmetric = model.near_symmetric(poses[:WITH_NEAR_SYMMETRIES])
         near_symmetric_totals = score_many(model, region, near_symmetric, COARSE_SAMPLES)[:, 0]
         poses, totals = (
             np.concatenate([poses, near_symmetric]),

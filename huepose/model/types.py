@@ -172,6 +172,12 @@ class ReferenceModel:
         """Its least thickness, metres."""
         return thickness(self.surface.points.astype(np.float64))
 
+    def near_symmetric(self, poses: Float64) -> Float64:
+        """Poses T_cam_obj (N, 4, 4) after each of the near-symmetric rotations but the identity, those of the
+        first pose first: (N * (M - 1), 4, 4)."""
+        turned = np.einsum("nij,mjk->nmik", poses, self.near_symmetries[1:])
+        return np.asarray(turned.reshape(-1, 4, 4))
+
 
 class ReferenceModels(dict[str, ReferenceModel]):
     """Models by name. Raises InputError where it is made of something else, and asked for an unknown one."""

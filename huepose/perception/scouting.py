@@ -215,7 +215,7 @@ def _tried(
 def likeliest_near_symmetries(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
     """The best-scored poses among near-symmetric rotations of poses (N, 4, 4), at most N: a coarse view tells
     a box's place better than which of its faces is seen."""
-    near_symmetric: Float64 = np.einsum("nij,mjk->nmik", poses, model.near_symmetries[1:]).reshape(-1, 4, 4)
+    near_symmetric = model.near_symmetric(poses)
     if not len(near_symmetric):
         return near_symmetric
     rated = evidence(score_many(model, region, near_symmetric, FIRST_SAMPLES))

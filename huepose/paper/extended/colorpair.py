@@ -184,9 +184,7 @@ def _with_near_symmetries(
     totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
     best = different_poses(model, poses, totals, KEPT)
     poses, totals = poses[best], totals[best]
-    near_symmetric = np.einsum(
-        "nij,mjk->nmik", poses[:WITH_NEAR_SYMMETRIES], model.near_symmetries[1:]
-    ).reshape(-1, 4, 4)
+    near_symmetric = model.near_symmetric(poses[:WITH_NEAR_SYMMETRIES])
     if len(near_symmetric):
         more = pair_score_many(model, region, picture, near_symmetric, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
         poses, totals = np.concatenate([poses, near_symmetric]), np.concatenate([totals, more])

@@ -100,7 +100,7 @@ def find_ridges(gradient: Gradient, mask: Bool | None = None) -> Ridges:
     # the sub-pixel offset along the direction at ridge points, nan elsewhere
     offsets = _suppress(gradient.magnitude, gradient.direction, allowed, threshold)
     is_ridge = long_enough(~np.isnan(offsets))
-    counts = _associate(gradient.magnitude, is_ridge, threshold, MEMBER_SHARE)
+    counts = _associate(gradient.magnitude, is_ridge, threshold)
     flat = np.flatnonzero(is_ridge)
     v, u = np.divmod(flat, is_ridge.shape[1])
     cells = np.stack([v, u], 1).astype(np.int32)
@@ -108,7 +108,7 @@ def find_ridges(gradient: Gradient, mask: Bool | None = None) -> Ridges:
     pixels = np.stack([u, v], 1).astype(np.float32) + offsets.ravel()[flat][:, None] * directions
     # a diagonal line has fewer ridge pixels to a length: each stands for more of the region
     across = np.abs(directions)
-    widths = _local_mean(counts, cells, SMOOTHING_PX) * np.maximum(across[:, 0], across[:, 1])
+    widths = _local_mean(counts, cells) * np.maximum(across[:, 0], across[:, 1])
     return Ridges(cells, pixels, directions, gradient.magnitude.ravel()[flat], widths)
 
 
@@ -196,11 +196,11 @@ def _strongest(magnitude: Float32, is_ridge: Bool) -> Int32:
 
 
 @jit
-def _associate(magnitude: Float32, is_ridge: Bool, threshold: float, member_share: float) -> Int32:
+def _associate(magnitude: Float32, is_ridge: Bool, threshold: float) -> Int32:
     """(H, W) int32: how many pixels end on each ridge point, itself included; 0 elsewhere."""
     step = _strongest(magnitude, is_ridge).ravel()
     strength, ridge = magnitude.ravel(), is_ridge.ravel()
-    floor = threshold * member_share
+    floor = threshold * MEMBER_SHARE
     counts = np.zeros(is_ridge.shape, np.int32)
     ends = counts.ravel()
     for i in range(len(step)):
@@ -209,21 +209,21 @@ def _associate(magnitude: Float32, is_ridge: Bool, threshold: float, member_shar
         j = i
         while not ridge[j] and step[j] != 0:
             j += step[j]
-        if ridge[j] and strength[i] >= member_share * strength[j]:
+        if ridge[j] and strength[i] >= MEMBER_SHARE * strength[j]:
             ends[j] += 1
     return counts
 
 
 @jit
-def _local_mean(counts: Int32, cells: Int32, radius: int) -> Float32:
+def _local_mean(counts: Int32, cells: Int32) -> Float32:
     """Thickness at each cell: the mean count of the ridge points around it (counts are whole numbers)."""
     height, width = counts.shape
     out = np.empty(cells.shape[0], np.float32)
     for k in range(cells.shape[0]):
         total = 0
         n = 0
-        for y in range(max(cells[k, 0] - radius, 0), min(cells[k, 0] + radius + 1, height)):
-            for x in range(max(cells[k, 1] - radius, 0), min(cells[k, 1] + radius + 1, width)):
+        for y in range(max(cells[k, 0] - SMOOTHING_PX, 0), min(cells[k, 0] + SMOOTHING_PX + 1, height)):
+            for x in range(max(cells[k, 1] - SMOOTHING_PX, 0), min(cells[k, 1] + SMOOTHING_PX + 1, width)):
                 if counts[y, x] > 0:
                     total += counts[y, x]
                     n += 1

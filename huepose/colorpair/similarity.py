@@ -34,8 +34,11 @@ DIRECTION, CONTRAST = 12.0, 1.0
 CONTRAST_FLOOR = 0.08
 """Contrast relative to the triangle's size under which its direction fades."""
 
-LUMINANCE = 0.2
+LUMINANCE_SIGMA = 0.2
 """Standard deviation of the logarithm of the lightness ratio."""
+
+LUMINANCE = 0.5 / LUMINANCE_SIGMA**2
+"""How fast that factor falls with the square of the logarithm."""
 
 
 def paired_similarity(a: Float32, b: Float32) -> Float32:
@@ -43,7 +46,7 @@ def paired_similarity(a: Float32, b: Float32) -> Float32:
 
     1 for equal pairs; symmetric; the same when the two colours of a pair change places.
     """
-    return _paired(shapes(a), shapes(b), *parameters())
+    return _paired(shapes(a), shapes(b))
 
 
 def shapes(pairs: Float32) -> Float32:
@@ -62,14 +65,9 @@ def shapes(pairs: Float32) -> Float32:
     return np.concatenate([sides, contrast, ratio[:, None]], 1).astype(np.float32)
 
 
-def parameters() -> tuple[float, float, float]:
-    """Factors of the three terms as compiled loops take them."""
-    return DIRECTION, CONTRAST, 0.5 / LUMINANCE**2
-
-
 @jit
-def score(x: Float32, y: Float32, direction: float, contrast: float, luminance: float) -> float:
-    """Similarity of two shapes (11,), for use in compiled loops; parameters as `parameters` gives them."""
+def _score(x: Float32, y: Float32) -> float:
+    """Similarity of two shapes (11,)."""
     d00 = x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
     d11 = x[3] * y[3] + x[4] * y[4] + x[5] * y[5]
     d01 = x[0] * y[3] + x[1] * y[4] + x[2] * y[5]
@@ -78,16 +76,16 @@ def score(x: Float32, y: Float32, direction: float, contrast: float, luminance: 
     floor = x[9] * y[9]
     same = x[10] - y[10]
     swapped = x[10] + y[10]
-    straight = direction * (2 - d00 - d11) + contrast * (1 - third_side - floor) + luminance * same * same
+    straight = DIRECTION * (2 - d00 - d11) + CONTRAST * (1 - third_side - floor) + LUMINANCE * same * same
     crossed = (
-        direction * (2 - d01 - d10) + contrast * (1 + third_side - floor) + luminance * swapped * swapped
+        DIRECTION * (2 - d01 - d10) + CONTRAST * (1 + third_side - floor) + LUMINANCE * swapped * swapped
     )
     return float(np.exp(-max(min(straight, crossed), 0.0)))
 
 
 @jit
-def _paired(x: Float32, y: Float32, direction: float, contrast: float, luminance: float) -> Float32:
+def _paired(x: Float32, y: Float32) -> Float32:
     out = np.empty(x.shape[0], np.float32)
     for i in range(x.shape[0]):
-        out[i] = score(x[i], y[i], direction, contrast, luminance)
+        out[i] = _score(x[i], y[i])
     return out

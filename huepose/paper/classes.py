@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.colorpair.similarity import parameters, shapes
+from huepose.colorpair.similarity import CONTRAST, DIRECTION, LUMINANCE, shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.paper.cloud import ClassifiedCloud, decoupled
@@ -47,14 +47,8 @@ def classify(scene: Float32, model: Float32, side_classes: UInt8, classes: int) 
     if not len(scene) or not len(model):
         return np.zeros((len(scene), 2), np.uint8), np.zeros(len(scene), np.float32)
     step = -(-len(model) // MODEL_PAIRS)
-    return _classify(
-        shapes(scene),
-        shapes(model[::step]),
-        np.ascontiguousarray(side_classes[::step]),
-        classes,
-        *parameters(),
-        SHARPNESS,
-    )
+    sides = np.ascontiguousarray(side_classes[::step])
+    return _classify(shapes(scene), shapes(model[::step]), sides, classes)
 
 
 @jit
@@ -69,16 +63,7 @@ def exchange(x: Float32, out: Float32) -> None:
 
 
 @jit
-def _classify(
-    x: Float32,
-    y: Float32,
-    side_classes: UInt8,
-    classes: int,
-    direction: float,
-    contrast: float,
-    luminance: float,
-    sharpness: float,
-) -> tuple[UInt8, Float32]:
+def _classify(x: Float32, y: Float32, side_classes: UInt8, classes: int) -> tuple[UInt8, Float32]:
     chosen = np.zeros((x.shape[0], 2), np.uint8)
     confidence = np.zeros(x.shape[0], np.float32)
     votes = np.empty(classes * classes)
@@ -88,11 +73,11 @@ def _classify(
         votes[:] = 0.0
         nearest = 1e9
         for j in range(y.shape[0]):
-            straight = pair_cost(x[i], y[j], direction, contrast, luminance)
-            crossed = pair_cost(turned, y[j], direction, contrast, luminance)
+            straight = pair_cost(x[i], y[j])
+            crossed = pair_cost(turned, y[j])
             a, b = int(side_classes[j, 0]), int(side_classes[j, 1])
-            votes[a * classes + b] += np.exp(-sharpness * straight)
-            votes[b * classes + a] += np.exp(-sharpness * crossed)
+            votes[a * classes + b] += np.exp(-SHARPNESS * straight)
+            votes[b * classes + a] += np.exp(-SHARPNESS * crossed)
             nearest = min(nearest, straight, crossed)
         best, second, at = 0.0, 0.0, 0
         for k in range(votes.shape[0]):
@@ -110,9 +95,9 @@ def _classify(
 
 
 @jit
-def pair_cost(x: Float32, y: Float32, direction: float, contrast: float, luminance: float) -> float:
+def pair_cost(x: Float32, y: Float32) -> float:
     """Minus the logarithm of the similarity of two shapes, without exchanging sides."""
     d = 2 - (x[0] * y[0] + x[1] * y[1] + x[2] * y[2]) - (x[3] * y[3] + x[4] * y[4] + x[5] * y[5])
     c = 1 - (x[6] * y[6] + x[7] * y[7] + x[8] * y[8]) - x[9] * y[9]
     r = x[10] - y[10]
-    return float(direction * d + contrast * c + luminance * r * r)
+    return float(DIRECTION * d + CONTRAST * c + LUMINANCE * r * r)

@@ -57,9 +57,7 @@ def build_ppf(cloud: ClassifiedCloud, diameter_m: float) -> tuple[Int64, Int32, 
     if len(rows) > ROWS:
         rows = np.sort(rng.choice(rows, ROWS, replace=False))
     first, second = i[rows].astype(np.int32), j[rows].astype(np.int32)
-    keys, alpha = _features(
-        cloud.points, cloud.normals, cloud.classes, first, second, BIN * diameter_m, ANGLES
-    )
+    keys, alpha = _features(cloud.points, cloud.normals, cloud.classes, first, second, BIN * diameter_m)
     order = np.argsort(keys, kind="stable")
     return keys[order], np.stack([first, second], 1)[order].astype(np.int32), alpha[order]
 
@@ -88,10 +86,8 @@ def ppf_votes(
         tables.ppf,
         tables.ppf_alpha,
         tables.parameters["ppf_bin_m"],
-        ANGLES,
         MIN_DISTANCE * diameter_m,
         1.05 * diameter_m,
-        PEAKS,
     )
     return Votes(R, t, w, f)
 
@@ -143,7 +139,6 @@ def _features(
     first: Int32,
     second: Int32,
     bin_m: float,
-    angles: int,
 ) -> tuple[Int64, Float32]:
     keys = np.empty(first.shape[0], np.int64)
     alpha = np.empty(first.shape[0], np.float32)
@@ -156,7 +151,7 @@ def _features(
         key = np.int64(classes[i]) * MAX_CLASSES + classes[j]
         key = key * MAX_BINS + min(int(f[0] / bin_m), MAX_BINS - 1)
         for a in range(1, 4):
-            key = key * angles + min(int(f[a] / np.pi * angles), angles - 1)
+            key = key * ANGLES + min(int(f[a] / np.pi * ANGLES), ANGLES - 1)
         keys[k] = key
     return keys, alpha
 
@@ -175,10 +170,8 @@ def _vote(
     pairs: Int32,
     alpha: Float32,
     bin_m: float,
-    angles: int,
     min_distance: float,
     max_distance: float,
-    peaks: float,
 ) -> tuple[Float32, Float32, Float32, Int32]:
     turns = 24
     votes = np.zeros((model_points.shape[0], turns), np.float32)
@@ -206,8 +199,8 @@ def _vote(
             if f[0] < min_distance or f[0] > max_distance:
                 continue
             for a in range(4):
-                x = f[0] / bin_m if a == 0 else f[a] / np.pi * angles
-                last = MAX_BINS - 1 if a == 0 else angles - 1
+                x = f[0] / bin_m if a == 0 else f[a] / np.pi * ANGLES
+                last = MAX_BINS - 1 if a == 0 else ANGLES - 1
                 bins[a] = min(int(x), last)
                 # the neighbouring bin that is nearer, so that a value at a border meets both
                 other[a] = min(max(bins[a] + (1 if x - int(x) > 0.5 else -1), 0), last)
@@ -218,7 +211,7 @@ def _vote(
                 for a in range(1, 4):
                     pick = (combination >> a) & 1
                     repeated = repeated or (pick == 1 and other[a] == bins[a])
-                    key = key * angles + (other[a] if pick else bins[a])
+                    key = key * ANGLES + (other[a] if pick else bins[a])
                 if repeated:
                     continue
                 k = np.searchsorted(keys, key)
@@ -238,7 +231,7 @@ def _vote(
         for k in range(n_touched):
             m, b = touched[k] // turns, touched[k] % turns
             v = votes[m, b]
-            if v >= peaks * best and best > 0 and taken < 8 and count < capacity:
+            if v >= PEAKS * best and best > 0 and taken < 8 and count < capacity:
                 onto_x(normals[i, 0], normals[i, 1], normals[i, 2], R)
                 onto_x(model_normals[m, 0], model_normals[m, 1], model_normals[m, 2], Rm)
                 angle = (b + 0.5) / turns * 2 * np.pi

@@ -11,7 +11,6 @@ with Tukey weights within the gate and a damped step.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64, Int32, Int64, UInt8
 from huepose.model.types import PaperTables
+from huepose.paper.cloud import ClassifiedCloud
 from huepose.refine.solver import (
     DAMPING,
     FEWEST_FOR_A_STEP,
@@ -56,15 +56,6 @@ class _Level(NamedTuple):
 LEVELS = (_Level(0.35, 4, 8, 10), _Level(0.15, 3, 4, 8), _Level(0.06, 2, 2, 6), _Level(0.02, 1, 1, 6))
 
 
-@dataclass(frozen=True, eq=False)
-class ClassifiedScene:
-    """points_cam (N, 3) metres in camera axes, classes (N,), weights (N,): what a camera saw of a cloud."""
-
-    points_cam: Float
-    classes: UInt8
-    weights: Float
-
-
 class _Scene(NamedTuple):
     """The scene's points of one level as kernels read them."""
 
@@ -89,25 +80,18 @@ class _Cloud(NamedTuple):
     gate: float
 
 
-class _Shares(NamedTuple):
-    """`SEMANTIC`, `AGGREGATE` and `SLIDING`, as kernels read them."""
-
-    semantic: float
-    aggregate: float
-    sliding: float
-
-
-def semantic_icp_many(reference: PaperTables, scene: ClassifiedScene, poses: Float) -> Float64:
-    """Each of the poses T_cam_obj (M, 4, 4) refined; what does not depend on the pose is made once."""
+def semantic_icp_many(reference: PaperTables, scene: ClassifiedCloud, poses: Float) -> Float64:
+    """Each of the poses T_cam_obj (M, 4, 4) refined on what a camera saw of a cloud, in its axes; what does
+    not depend on the pose is made once."""
     model = np.ascontiguousarray(reference.cloud_points, np.float64)
     T = np.array(poses, dtype=np.float64)
-    points = np.ascontiguousarray(scene.points_cam, np.float64)
+    points = np.ascontiguousarray(scene.points, np.float64)
     if not len(model) or not len(points):
         return T
     low = model.min(0)
     centre = 0.5 * (low + model.max(0))
     radius = float(np.linalg.norm(model - centre, axis=1).max())
-    shares, body = _Shares(SEMANTIC, AGGREGATE, SLIDING), Body(centre, radius)
+    body = Body(centre, radius)
     for level in LEVELS:
         seen = _Scene(
             np.ascontiguousarray(points[:: level.stride]),
@@ -115,7 +99,7 @@ def semantic_icp_many(reference: PaperTables, scene: ClassifiedScene, poses: Flo
             np.ascontiguousarray(scene.weights[:: level.stride], np.float64),
         )
         cloud = _cloud(reference, level.model_stride, 2.0 * radius * level.gate)
-        _align_all(T, seen, cloud, shares, body, level.iterations)
+        _align_all(T, seen, cloud, body, level.iterations)
     return np.stack([se3.orthonormalised(pose) for pose in T])
 
 
@@ -171,15 +155,13 @@ def _nearest(q0: float, q1: float, q2: float, kind: int, cloud: _Cloud) -> int:
 
 
 @jit
-def _align_all(
-    poses: Float64, scene: _Scene, cloud: _Cloud, shares: _Shares, body: Body, rounds: int
-) -> None:
+def _align_all(poses: Float64, scene: _Scene, cloud: _Cloud, body: Body, rounds: int) -> None:
     """Move the poses on one level."""
     equations = normal_equations(6)
     for m in range(poses.shape[0]):
         for _ in range(rounds):
             clear(equations)
-            matched, weight = _add_semantic(poses[m], scene, cloud, shares, body, equations)
+            matched, weight = _add_semantic(poses[m], scene, cloud, body, equations)
             if matched < FEWEST_FOR_A_STEP:
                 break
             # Negative where the system has no solution.
@@ -189,7 +171,7 @@ def _align_all(
 
 @jit
 def _add_semantic(
-    T: Float64, scene: _Scene, cloud: _Cloud, shares: _Shares, body: Body, equations: NormalEquations
+    T: Float64, scene: _Scene, cloud: _Cloud, body: Body, equations: NormalEquations
 ) -> tuple[int, float]:
     """Factor: add the residuals of both kinds of correspondences; returns how many there are and their
     weight."""
@@ -206,14 +188,14 @@ def _add_semantic(
             if j < 0:
                 continue
             e0, e1, e2 = q0 - model[j, 0], q1 - model[j, 1], q2 - model[j, 2]
-            w = scene.weights[i] * (shares.semantic if which == 0 else shares.aggregate)
+            w = scene.weights[i] * (SEMANTIC if which == 0 else AGGREGATE)
             w *= tukey((e0 * e0 + e1 * e1 + e2 * e2) / (cloud.gate * cloud.gate))
             n0, n1, n2 = normals[j, 0], normals[j, 1], normals[j, 2]
             across = e0 * n0 + e1 * n1 + e2 * n2
             add_residual(equations, w, across, motion_row(q0, q1, q2, n0, n1, n2, body))
             matched += 1
             total += w
-            if which == 0 and shares.sliding > 0.0:
+            if which == 0:
                 # The residual along the surface, axis by axis.
                 for a in range(3):
                     n = n0 if a == 0 else n1 if a == 1 else n2
@@ -222,5 +204,5 @@ def _add_semantic(
                     u2 = (1.0 if a == 2 else 0.0) - n * n2
                     along = e0 * u0 + e1 * u1 + e2 * u2
                     row = motion_row(q0, q1, q2, u0, u1, u2, body)
-                    add_residual(equations, w * shares.sliding, along, row)
+                    add_residual(equations, w * SLIDING, along, row)
     return matched, total

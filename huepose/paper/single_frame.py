@@ -51,7 +51,7 @@ from huepose.paper.scene import (
     extract_at_model_scale,
     warm_up_point_pairs,
 )
-from huepose.paper.semantic_icp import AGGREGATE, SEMANTIC, ClassifiedScene, semantic_icp_many
+from huepose.paper.semantic_icp import AGGREGATE, SEMANTIC, semantic_icp_many
 from huepose.paper.tables import tables_of
 from huepose.paper.triangles import ANY_FACING, triangle_votes
 from huepose.paper.votes import Votes
@@ -121,10 +121,9 @@ class PaperMethod:
         if not len(found):
             return NO_POSES
         with stage("semantic_icp"):
-            scene = ClassifiedScene(cloud.points, cloud.classes, cloud.weights)
-            poses = semantic_icp_many(tables, scene, found[:REFINED])
+            poses = semantic_icp_many(tables, cloud, found[:REFINED])
         with stage("judge"):
-            fitness = fitness_of(tables, scene, poses)
+            fitness = fitness_of(tables, cloud, poses)
         order = np.argsort(-fitness, kind="stable")
         return poses[order], fitness[order]
 
@@ -136,7 +135,7 @@ class PaperMethod:
         return ppf_votes(cloud, tables_of(model), model.diameter_m, rng) if config.ppf else Votes.empty()
 
 
-def fitness_of(tables: PaperTables, scene: ClassifiedScene, poses: Float64) -> Float64:
+def fitness_of(tables: PaperTables, scene: ClassifiedCloud, poses: Float64) -> Float64:
     """How well a classified scene lies on a model's classified cloud: what semantic ICP makes better.
 
     Share (M,) of the scene's weight that has a partner at poses T_cam_obj (M, 4, 4), each point by Tukey's
@@ -149,7 +148,7 @@ def fitness_of(tables: PaperTables, scene: ClassifiedScene, poses: Float64) -> F
     centre = 0.5 * (model.min(0) + model.max(0))
     gate_m = GATE * 2.0 * float(np.linalg.norm(model - centre, axis=1).max())
     R, t = poses[:, :3, :3], poses[:, :3, 3]
-    points = (np.asarray(scene.points_cam, np.float64)[None] - t[:, None]) @ R  # object axes (M, N, 3)
+    points = (np.asarray(scene.points, np.float64)[None] - t[:, None]) @ R  # object axes (M, N, 3)
     total = AGGREGATE * _kernel(cKDTree(model), points, gate_m)
     for kind in np.unique(scene.classes):
         same, of_kind = tables.cloud_classes == kind, scene.classes == kind

@@ -115,10 +115,6 @@ def triangle_votes(
         tables.triangle_keys,
         tables.triangles,
         tables.parameters["triangle_bin_m"],
-        MIN_HEIGHT,
-        SCENE_TRIANGLES,
-        PER_KEY,
-        TOLERANCE,
         facing,
     )
     return Votes(R, t, w, f)
@@ -182,10 +178,6 @@ def _look_up(
     keys: Int64,
     triangles: Int32,
     bin_m: float,
-    min_height: float,
-    limit: int,
-    per_key: int,
-    tolerance: float,
     facing: float,
 ) -> tuple[Float32, Float32, Float32, Int32]:
     capacity = 1 << 16
@@ -203,7 +195,7 @@ def _look_up(
     mean = np.empty(3)
     shift = np.empty(3, np.int64)
     for i in range(triples.shape[0]):
-        if used >= limit or count > capacity - 27 * per_key:
+        if used >= SCENE_TRIANGLES or count > capacity - 27 * PER_KEY:
             break
         weight = 1.0
         for k in range(3):
@@ -220,7 +212,7 @@ def _look_up(
         e0, e1, e2 = q[1, 0] - q[0, 0], q[1, 1] - q[0, 1], q[1, 2] - q[0, 2]
         g0, g1, g2 = q[2, 0] - q[0, 0], q[2, 1] - q[0, 1], q[2, 2] - q[0, 2]
         n0, n1, n2 = e1 * g2 - e2 * g1, e2 * g0 - e0 * g2, e0 * g1 - e1 * g0
-        if np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / longest < min_height * bin_m:
+        if np.sqrt(n0 * n0 + n1 * n1 + n2 * n2) / longest < MIN_HEIGHT * bin_m:
             continue
         for a in range(3):
             mean[a] = normals[triples[i, 0], a] + normals[triples[i, 1], a] + normals[triples[i, 2], a]
@@ -248,7 +240,7 @@ def _look_up(
             while high < keys.shape[0] and keys[high] == key:
                 high += 1
             entries = high - low
-            taken = min(entries, per_key)
+            taken = min(entries, PER_KEY)
             for e in range(taken):
                 # equal steps over the list, which is in order of the distance from the object's centre
                 row = low + int((e + 0.5) * entries / taken)
@@ -261,7 +253,7 @@ def _look_up(
                     s = np.sqrt(
                         (p[k, 0] - p[m, 0]) ** 2 + (p[k, 1] - p[m, 1]) ** 2 + (p[k, 2] - p[m, 2]) ** 2
                     )
-                    if abs(s - side[k]) > tolerance * bin_m:
+                    if abs(s - side[k]) > TOLERANCE * bin_m:
                         sides_match = False
                 if not sides_match:
                     continue

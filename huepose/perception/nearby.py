@@ -11,13 +11,13 @@ from huepose.geometry.camera import NEAR_M
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.refine.point_to_plane import (
+    NO_REPORTS,
     Gates,
     Reports,
     ScenePoints,
     SurfaceArrays,
     align_kernel,
     grid_body,
-    no_reports,
     surface_arrays,
 )
 from huepose.refine.solver import Body
@@ -52,7 +52,7 @@ def align_in_view(model: ReferenceModel, view: ClearView, poses: Float64) -> Flo
         grid_body(model.grid),
         Body(model.mesh.centre, REACH * model.diameter_m),
         Gates(GATE_START * model.diameter_m, GATE_END_M, ITERATIONS),
-        no_reports(),
+        NO_REPORTS,
     )
     return out
 

@@ -129,7 +129,7 @@ def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) ->
 
     places = windows.places_diameters(chosen)
     taken = (np.arange(len(chosen)) < first) | (chosen < windows.pieces) | windows.recalled[chosen]
-    _spread(places, APART, taken)
+    _spread(places, taken)
     some = np.flatnonzero(taken)
     alike = compared(table, windows, chosen[some])
     most = alike.max(0)
@@ -177,9 +177,8 @@ def look(
 
 
 @jit
-def _spread(places: Float64, apart: float, taken: Bool) -> None:
-    """Mark in `taken` (W,) each of places (W, 3) that is at least `apart` from all that are marked
-    (greedy)."""
+def _spread(places: Float64, taken: Bool) -> None:
+    """Mark in `taken` (W,) each of places (W, 3) that is at least APART from all that are marked (greedy)."""
     for k in range(places.shape[0]):
         free = not taken[k]
         for i in range(places.shape[0]):
@@ -189,7 +188,7 @@ def _spread(places: Float64, apart: float, taken: Bool) -> None:
                 away = 0.0
                 for c in range(3):
                     away += (places[k, c] - places[i, c]) ** 2
-                free = away >= apart * apart
+                free = away >= APART * APART
         taken[k] |= free
 
 

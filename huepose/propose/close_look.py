@@ -18,6 +18,7 @@ import numpy as np
 
 from huepose.colorpair.opponents import LINEAR
 from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8, UInt16
+from huepose.judge.kernel import MARGIN
 from huepose.judge.terms import DEFAULT_WEIGHTS
 from huepose.propose.quick_look import MIN_SHARE, write_opponents
 from huepose.propose.templates import (
@@ -40,10 +41,6 @@ CHANNEL_WEIGHTS = np.array([0.4, 1.0, 1.0])
 CHANNEL_FLOOR, PLAIN = 3.0, 4.0
 """Opponent units, added to the spreads of a channel and to the sum of the channels' weights: keep the
 correlation of plain cells low. Chosen."""
-
-MARGIN = 0.15
-"""Share of the covered cells, added in ratios to those that fit or are seen through: a template with little
-in view explains little. As `judge.kernel.MARGIN`."""
 
 TOLERANCE, MIN_TOLERANCE_MM = 0.05, 8.0
 """Largest difference of a fitting cell, the larger of this share of the diameter and these millimetres."""
@@ -92,14 +89,13 @@ def canvas_of(color: UInt8, depth: Float32, fine: int, middle_m: float, bounds: 
     colors = np.zeros((cells, cells, 3), np.float32)
     relief = np.full((cells, cells), UNKNOWN_MM, np.float32)
     smooth = np.asarray(cv2.medianBlur(depth, 3), dtype=np.float32)
-    _fill(color, LINEAR, depth, smooth, fine, middle_m, colors, relief)
+    _fill(color, depth, smooth, fine, middle_m, colors, relief)
     return Canvas(colors, relief, bounds)
 
 
 @jit_dividing
 def _fill(
     color: UInt8,
-    linear: Float32,
     depth: Float32,
     smooth: Float32,
     fine: int,
@@ -113,9 +109,9 @@ def _fill(
             for v in range(y * fine, (y + 1) * fine):
                 for u in range(x * fine, (x + 1) * fine):
                     if depth[v, u] > 0.0:
-                        red += linear[color[v, u, 0]]
-                        green += linear[color[v, u, 1]]
-                        blue += linear[color[v, u, 2]]
+                        red += LINEAR[color[v, u, 0]]
+                        green += LINEAR[color[v, u, 1]]
+                        blue += LINEAR[color[v, u, 2]]
                         known += 1.0
             z = smooth[y * fine + fine // 2, x * fine + fine // 2]
             if z > 0.0 and known > MIN_SHARE * fine * fine:

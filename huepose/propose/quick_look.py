@@ -56,7 +56,7 @@ def masked_cells(
     `behind_m`."""
     cells = len(depth) // fine
     out = np.zeros((cells, cells, 6), np.float32)
-    _masked(color, LINEAR, depth, inside, fine, middle_m, behind_m, out)
+    _masked(color, depth, inside, fine, middle_m, behind_m, out)
     return out
 
 
@@ -72,7 +72,6 @@ def write_opponents(red: float, green: float, blue: float, out: Float32) -> None
 @jit_dividing
 def _masked(
     color: UInt8,
-    linear: Float32,
     depth: Float32,
     inside: UInt8,
     fine: int,
@@ -88,9 +87,9 @@ def _masked(
                 for u in range(x * fine, (x + 1) * fine):
                     z = depth[v, u]
                     if inside[v, u] and z > 0.0:
-                        red += linear[color[v, u, 0]]
-                        green += linear[color[v, u, 1]]
-                        blue += linear[color[v, u, 2]]
+                        red += LINEAR[color[v, u, 0]]
+                        green += LINEAR[color[v, u, 1]]
+                        blue += LINEAR[color[v, u, 2]]
                         total += z - middle_m
                         known += 1.0
                     elif z > behind_m:

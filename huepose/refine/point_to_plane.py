@@ -28,6 +28,7 @@ GATE_SHRUNK_AFTER = 0.7
 STEP_TOLERANCE_M = 1e-5  # a step that moves no point by more has converged
 
 SCRATCH_ROWS = 12
+"""Rows of the scratch array, see `add_point_to_plane`."""
 
 
 class SurfaceArrays(NamedTuple):
@@ -62,6 +63,10 @@ class Reports(NamedTuple):
 
     summary: Float64
     A: Float64
+
+
+NO_REPORTS = Reports(np.zeros((0, 4)), np.zeros((0, 6, 6)))
+"""For whom only the poses matter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,13 +131,8 @@ def align_many(
 ) -> Float64:
     """`align` from each of several poses (M, 4, 4), in one compiled call; only the poses (M, 4, 4) return."""
     out = np.array(poses, dtype=np.float64)
-    _align_all(surface, grid, points_cam, out, Gates(gate_start_m, gate_end_m, iterations), no_reports())
+    _align_all(surface, grid, points_cam, out, Gates(gate_start_m, gate_end_m, iterations), NO_REPORTS)
     return out
-
-
-def no_reports() -> Reports:
-    """For whom only the poses matter."""
-    return Reports(np.zeros((0, 4)), np.zeros((0, 6, 6)))
 
 
 def _align_all(

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64, Int64
 from huepose.geometry.suppression import first_different
 from huepose.model.types import ReferenceModel
@@ -80,7 +81,7 @@ def different_poses(
 def different_answers(model: ReferenceModel, poses: Float64) -> Int64:
     """Indices (K,) of those poses (N, 4, 4), best first, that differ from all better ones that are kept."""
     points = _points(model)
-    placed = [_placed(points, T) for T in poses]
+    placed = [se3.apply(T, points) for T in poses]
     kept: list[int] = []
     alike: list[list[Float64]] = []
     for k, here in enumerate(placed):
@@ -88,7 +89,7 @@ def different_answers(model: ReferenceModel, poses: Float64) -> Int64:
         if any(_distance(here, other) < near for group in alike for other in group):
             continue
         kept.append(k)
-        alike.append([here, *(_placed(points, poses[k] @ turn) for turn in model.equivalents[1:])])
+        alike.append([here, *(se3.apply(poses[k] @ turn, points) for turn in model.equivalents[1:])])
     return np.array(kept, dtype=np.int64)
 
 
@@ -96,10 +97,6 @@ def _points(model: ReferenceModel) -> Float64:
     """At most POINTS of the model's points (N, 3), evenly taken."""
     stride = max(1, len(model.eval_points) // POINTS)
     return np.asarray(model.eval_points[::stride], dtype=np.float64)
-
-
-def _placed(points: Float64, T: Float64) -> Float64:
-    return np.asarray(points @ T[:3, :3].T + T[:3, 3])
 
 
 def _distance(one: Float64, other: Float64) -> float:

@@ -11,9 +11,8 @@ from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.paper import single_frame
-from huepose.paper.semantic_icp import ClassifiedScene
 from huepose.paper.single_frame import PaperConfig, PaperMethod, fitness_of
-from huepose.paper.tables import tables_of
+from huepose.paper.tables import reference_cloud, tables_of
 from huepose.rendering.render import render_depth
 from huepose.support.errors import InputError
 from huepose.support.stages import listening
@@ -95,7 +94,7 @@ def test_fitness_is_one_on_the_cloud_itself_and_falls_with_distance_and_wrong_cl
     tables = tables_of(tea_box)
     T = se3.make(se3.rotation_exp(np.array([0.3, -0.2, 0.9])), np.array([0.1, 0.0, 0.7]))
     points = se3.apply(T, tables.cloud_points)
-    scene = ClassifiedScene(points, tables.cloud_classes, tables.cloud_weights)
+    scene = replace(reference_cloud(tables), points=points)
     shifted = se3.compose(se3.make(np.eye(3), np.array([0.004, 0.0, 0.0])), T)
     far = se3.compose(se3.make(np.eye(3), np.array([1.0, 0.0, 0.0])), T)
     exact, near, none = fitness_of(tables, scene, np.stack([T, shifted, far]))

@@ -25,7 +25,7 @@ from huepose.paper.extended.pair_score import CLOSE_PAIR_SAMPLES, pair_score_man
 from huepose.paper.extended.pair_search import search_pairs
 from huepose.paper.extended.shape import shape_hypotheses
 from huepose.paper.scene import extract_at_model_scale, warm_up_point_pairs
-from huepose.paper.semantic_icp import ClassifiedScene, semantic_icp_many
+from huepose.paper.semantic_icp import semantic_icp_many
 from huepose.paper.tables import tables_of
 from huepose.propose.evidence import Evidence
 from huepose.refine.point_to_plane import align_many
@@ -171,9 +171,8 @@ def _proposed(
         poses = poses[different_poses(model, poses, totals, KEPT)]
     if config.semantic and readings:
         with stage("semantic_icp"):
-            seen = readings[0].cloud
-            scene = ClassifiedScene(seen.points, seen.classes, seen.weights)
-            poses = np.concatenate([poses, semantic_icp_many(tables_of(model), scene, poses)])
+            more = semantic_icp_many(tables_of(model), readings[0].cloud, poses)
+            poses = np.concatenate([poses, more])
     return np.asarray(poses)
 
 

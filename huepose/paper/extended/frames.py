@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from huepose.colorpair.similarity import parameters, shapes
+from huepose.colorpair.similarity import shapes
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry.arrays import Float32, Int32
 from huepose.paper.classes import exchange, pair_cost
@@ -44,10 +44,6 @@ def frame_votes(scene: SurfacePairs, model: SurfacePairs) -> Votes:
             shapes(model.colors),
             _frames(model),
             np.ascontiguousarray(model.points),
-            *parameters(),
-            MATCHES,
-            LEAST_SIMILARITY,
-            SHARPNESS,
         )
     )
 
@@ -68,21 +64,15 @@ def _vote(
     y: Float32,
     model_frames: Float32,
     model_points: Float32,
-    direction: float,
-    contrast: float,
-    luminance: float,
-    limit: int,
-    least: float,
-    sharpness: float,
 ) -> tuple[Float32, Float32, Float32, Int32]:
-    room = points.shape[0] * limit
+    room = points.shape[0] * MATCHES
     out_R = np.empty((room, 3, 3), np.float32)
     out_t = np.empty((room, 3), np.float32)
     out_w = np.empty(room, np.float32)
     out_f = np.empty(room, np.int32)
     count = 0
     m = model_points.shape[0]
-    farthest = -np.log(least)
+    farthest = -np.log(LEAST_SIMILARITY)
     found = np.empty(2 * m, np.int32)
     cost = np.empty(2 * m, np.float32)
     turned = np.empty(x.shape[1], np.float32)
@@ -94,14 +84,14 @@ def _vote(
         for j in range(m):
             for way in range(2):
                 z = turned if way else x[i]
-                c = pair_cost(z, y[j], direction, contrast, luminance)
+                c = pair_cost(z, y[j])
                 if c < farthest:
                     found[near] = j + way * m
                     cost[near] = c
-                    total += np.exp(-sharpness * c)
+                    total += np.exp(-SHARPNESS * c)
                     near += 1
         order = np.argsort(cost[:near])
-        for k in range(min(limit, near)):
+        for k in range(min(MATCHES, near)):
             j = found[order[k]]
             flip = np.float32(1.0) if j < m else np.float32(-1.0)
             j = j % m
@@ -116,7 +106,7 @@ def _vote(
                     out_R[count, a, b] = r
                     moved += r * model_points[j, b]
                 out_t[count, a] = points[i, a] - moved
-            out_w[count] = np.exp(-sharpness * cost[order[k]]) / total
+            out_w[count] = np.exp(-SHARPNESS * cost[order[k]]) / total
             out_f[count] = i
             count += 1
     return out_R[:count].copy(), out_t[:count].copy(), out_w[:count].copy(), out_f[:count].copy()

@@ -6,12 +6,10 @@ outside the mask. Forty surface samples tell, in about half a microsecond a vote
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from huepose.geometry.arrays import Bool, Float32
-from huepose.geometry.camera import Camera
+from huepose.geometry.camera import NEAR_M, Camera
 from huepose.model.types import Surface
 from huepose.paper.votes import Votes
 from huepose.support.jit import jit
@@ -24,6 +22,9 @@ GLANCE = 14
 
 TOLERANCE = 0.06
 """Distance of depth and surface that counts as the same, in diameters: votes are coarse."""
+
+LEAST_FACING = 0.15
+"""Cosine between a sample's normal and the line of sight under which it is not asked."""
 
 OUTSIDE = 0.3
 """What a sample counts against a pose whose depth fits but whose pixel is not in the mask."""
@@ -59,10 +60,8 @@ def plausible(
         TOLERANCE * diameter_m,
     )
     kept = share > LEAST
-    weighted = replace(votes, weights=votes.weights * share)
-    return Votes(
-        weighted.rotations[kept], weighted.translations[kept], weighted.weights[kept], weighted.features[kept]
-    )
+    weights = (votes.weights * share)[kept]
+    return Votes(votes.rotations[kept], votes.translations[kept], weights, votes.features[kept])
 
 
 @jit
@@ -95,7 +94,7 @@ def _shares(
             x = r00 * p0 + r01 * p1 + r02 * p2 + t[k, 0]
             y = r10 * p0 + r11 * p1 + r12 * p2 + t[k, 1]
             z = r20 * p0 + r21 * p1 + r22 * p2 + t[k, 2]
-            if z < 0.05:
+            if z < NEAR_M:
                 continue
             away = (
                 (r00 * n0 + r01 * n1 + r02 * n2) * x
@@ -103,7 +102,7 @@ def _shares(
                 + (r20 * n0 + r21 * n1 + r22 * n2) * z
             )
             facing = -away / np.sqrt(x * x + y * y + z * z)
-            if facing < 0.15:
+            if facing < LEAST_FACING:
                 continue
             total += facing
             u, v = int(np.floor(x / z * fx + cx + 0.5)), int(np.floor(y / z * fy + cy + 0.5))

@@ -33,7 +33,7 @@ FEWEST = 8
 STEP_M, GAP_PX = 0.03, 3
 """Least step of depth from a thing to what is behind it, metres, and most pixels that it may take."""
 
-LEAST_LOOKS, LEAST_BLOCKS = 8, 4
+LEAST_LAGS, LEAST_BLOCKS = 8, 4
 """Fewer looks, or looks in fewer blocks, say nothing."""
 
 FITS_PX, USUAL_SHIFT_PX = 1.5, 3.0
@@ -55,7 +55,7 @@ _WIDTH_PX = REACH_PX + 4
 _PLACES = np.arange(-_WIDTH_PX, _WIDTH_PX + 1.0)
 _SHIFTS = np.arange(-REACH_PX, REACH_PX + 1.0)
 
-Look = tuple[float, float, float, float]
+EdgeLag = tuple[float, float, float, float]
 """Of one object in one frame: speed, px/s; right, down: the mean direction of its outline's motion, of length
 1 where all of it moves alike; and how far from the steps of depth, along the motion of each point, the edges
 of the colours lie, px."""
@@ -90,7 +90,7 @@ class DepthDelay:
         return f"Depth is about {ms} ms {way} than colour: what moves is not where its pose has it."
 
 
-def look(contours: Contours, T_cam_obj: Float64, velocity: Float64, frame: RgbdFrame) -> Look | None:
+def edge_lag(contours: Contours, T_cam_obj: Float64, velocity: Float64, frame: RgbdFrame) -> EdgeLag | None:
     """A look at an object with a pose (4, 4) and a velocity (6,), a twist per second about its origin in
     camera axes; None where it is too slow, or where too little of its outline is a step of depth."""
     points, out = (one[::2] for one in contours.at(T_cam_obj))
@@ -122,13 +122,13 @@ def look(contours: Contours, T_cam_obj: Float64, velocity: Float64, frame: RgbdF
     return speed, float(right), float(down), float(_SHIFTS[best])
 
 
-def delay(looks: Sequence[Look], blocks: Sequence[str]) -> DepthDelay | None:
-    """The delay that looks agree on, with what registration shifts all of them by; blocks: those of one block
+def delay(lags: Sequence[EdgeLag], blocks: Sequence[str]) -> DepthDelay | None:
+    """The delay that lags agree on, with what registration shifts all of them by; blocks: those of one block
     err alike. None where they are too few."""
     number = len(set(blocks))
-    if len(looks) < LEAST_LOOKS or number < LEAST_BLOCKS:
+    if len(lags) < LEAST_LAGS or number < LEAST_BLOCKS:
         return None
-    rows = np.array(looks)
+    rows = np.array(lags)
     A, y = rows[:, :3], rows[:, 3]
     usual = np.diag([0.0, 1.0, 1.0]) * (FITS_PX / USUAL_SHIFT_PX) ** 2
     x = np.zeros((len(_STARTS_S), 3))

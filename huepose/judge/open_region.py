@@ -6,8 +6,8 @@ the surface samples; light is an offset in them. Coarse averages are computed at
 resampled.
 
 The samples of a surface are in random order and the lists of visible samples are increasing, so the first n
-of a list cover what is visible evenly: quick scores read few, refinement reads more. `look` judges one pose
-in an open region closely, `totals` many quickly."""
+of a list cover what is visible evenly: quick scores read few, refinement reads more. `terms_at` judges one
+pose in an open region closely, `totals` many quickly."""
 
 from __future__ import annotations
 
@@ -251,7 +251,7 @@ def _averaged_around(points: Float32, normals: Float32, values: Float, sigma_m: 
     return np.stack([np.bincount(i, w * column[j], len(points)) / total for column in values.T.copy()], 1)
 
 
-def look(surface: PreparedSurface, region: OpenRegion, T_cam_obj: Float64) -> Terms:
+def terms_at(surface: PreparedSurface, region: OpenRegion, T_cam_obj: Float64) -> Terms:
     """The terms of a pose T_cam_obj (4, 4), from up to SAMPLES samples."""
     terms = score_arrays(surface.arrays, region.arrays, np.asarray(T_cam_obj)[None], SAMPLES)[0]
     return Terms(*(float(x) for x in terms))

@@ -22,7 +22,7 @@ LEAD = 0.3
 """Least lead of such a score over that of the same object in the other order."""
 
 
-class Order(NamedTuple):
+class ChannelOrder(NamedTuple):
     """What a picture says of the order of its channels. exchanged: what to ask, empty where nothing speaks
     against the order; right: an object is there that is not with red and blue exchanged."""
 
@@ -32,7 +32,7 @@ class Order(NamedTuple):
 
 def order_of_channels(
     frame: RgbdFrame, detector: Detector, names: Sequence[str], seen: Mapping[str, float] | None = None
-) -> Order:
+) -> ChannelOrder:
     """The order of a frame's channels, by the named objects. Those that look alike both ways, as a grey mug,
     say nothing. seen: scores in the frame of objects that were just looked for; the others are searched."""
     other = replace(frame, color=np.ascontiguousarray(frame.color[:, :, ::-1]))
@@ -47,11 +47,11 @@ def order_of_channels(
         if max(exchanged.get(name, 0.0), as_it_is.get(name, 0.0)) >= PLAIN
     }
     if min(leads.values(), default=0.0) <= -LEAD:
-        return Order(right=True)
+        return ChannelOrder(right=True)
     name = max(leads, key=lambda one: leads[one], default="")
     if leads.get(name, 0.0) < LEAD:
-        return Order()
-    return Order(
+        return ChannelOrder()
+    return ChannelOrder(
         f"With red and blue exchanged, {name} is in the picture: are its channels in the order "
         "blue, green, red? They have to be red, green, blue (cv2.cvtColor, COLOR_BGR2RGB)."
     )

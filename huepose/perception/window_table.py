@@ -88,7 +88,7 @@ view (docs/detection_measured.md, codes of views)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class LikestViews:
     """Pairs of a window and a view, most similar first: poses T_cam_obj (K, 4, 4), cosines of their codes
     (K,), and the windows' indices (K,)."""
 
@@ -144,7 +144,7 @@ def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) ->
     return chosen[both[order]], alike[:, order]
 
 
-def look(
+def likest_views(
     table: WindowTable,
     windows: Windows,
     chosen: Int64,
@@ -152,12 +152,12 @@ def look(
     camera: Camera,
     count: int,
     each: int,
-) -> Looks:
+) -> LikestViews:
     """The `count` most similar pairs of a view and one of the chosen windows (W,), at most `each` of one
     window. alike: cosines (N, W) of views and windows. The depth of a pose is that at which the view's relief
     fits."""
     if not len(chosen):
-        return Looks(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
+        return LikestViews(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
     with stage("look"):
         each = min(each, alike.shape[0])
         best = np.argpartition(-alike, each - 1, axis=0)[:each]
@@ -173,7 +173,7 @@ def look(
         poses = np.tile(np.eye(4), (len(order), 1, 1))
         poses[:, :3, :3] = turns @ table.rotations[view]
         poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, table.origins[view])
-    return Looks(poses, alike[view, window].astype(np.float64), window)
+    return LikestViews(poses, alike[view, window].astype(np.float64), window)
 
 
 @jit

@@ -20,27 +20,28 @@ MAX_CAMERA_M_S, MAX_CAMERA_RAD_S = 3.0, 10.0
 
 @dataclass(frozen=True, eq=False)
 class CameraPlace:
-    """T_parent_cam (4, 4), told with the frame of `told_ns`; None where it never was. moved: from the axes of
-    the camera one frame before to those of now (4, 4), and the seconds between; None where that is not known.
-    Velocities are those of objects in the parent frame where it is known, else relative to the camera."""
+    """T_parent_cam (4, 4), told or measured with the frame of `known_ns`; None where it never was. moved:
+    from the axes of the camera one frame before to those of now (4, 4), and the seconds between; None where
+    that is not known. Velocities are those of objects in the parent frame where it is known, else relative to
+    the camera."""
 
     T_parent_cam: Float64 | None = None
-    told_ns: int = 0
+    known_ns: int = 0
     moved: tuple[Float64, float] | None = None
 
     def at(self, frame: RgbdFrame) -> CameraPlace:
         """The camera's place is that of a frame, and velocities mean what they did."""
-        return replace(self, T_parent_cam=frame.T_parent_cam, told_ns=frame.stamp_ns)
+        return replace(self, T_parent_cam=frame.T_parent_cam, known_ns=frame.stamp_ns)
 
     def after(self, frame: RgbdFrame, looked_ns: int) -> tuple[CameraPlace, Float64 | None]:
         """The place in the next frame, and the transform from the camera's axes at the last known place to
         those of now (4, 4), None if unknown. Velocities need the place in the frame just before, which is
         that of `looked_ns`."""
-        seconds = (frame.stamp_ns - self.told_ns) * 1e-9
+        seconds = (frame.stamp_ns - self.known_ns) * 1e-9
         T_new_old = _moved(self.T_parent_cam, frame.T_parent_cam, seconds)
-        moved = None if T_new_old is None or self.told_ns != looked_ns else (T_new_old, seconds)
-        told = self if frame.T_parent_cam is None else self.at(frame)
-        return replace(told, moved=moved), T_new_old
+        moved = None if T_new_old is None or self.known_ns != looked_ns else (T_new_old, seconds)
+        known = self if frame.T_parent_cam is None else self.at(frame)
+        return replace(known, moved=moved), T_new_old
 
     def relative(self, surface: PreparedSurface, h: Hypothesis) -> Hypothesis:
         """A hypothesis with its velocity relative to the camera."""

@@ -16,7 +16,7 @@ from huepose.geometry.suppression import first_different
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.filled import filled
-from huepose.perception.window_table import WindowTable, compared, look, promising
+from huepose.perception.window_table import WindowTable, compared, likest_views, promising
 from huepose.perception.windows import Windows
 from huepose.tracking.motion import Reach
 
@@ -55,7 +55,9 @@ def likeliest_place(
     if not len(some):
         return None
     alike = compared(table, windows, some)
-    poses = look(table, windows, some, alike, view.crop.camera, WINDOWS * LOOKS_EACH, LOOKS_EACH).poses
+    poses = likest_views(
+        table, windows, some, alike, view.crop.camera, WINDOWS * LOOKS_EACH, LOOKS_EACH
+    ).poses
     centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]
     here = np.linalg.norm(centres - centres[0], axis=1) < SAME_PLACE * model.diameter_m
     middle = np.asarray(np.median(centres[here], axis=0), np.float64)

@@ -113,7 +113,7 @@ def bounded(quality: float, scarce_looks: float) -> float:
 
 
 @dataclass(frozen=True)
-class Standing:
+class TrackState:
     """A state; for how many looks in a row support was missing, for how many frames it was good; found: it
     was lost, and was found in this frame."""
 
@@ -128,9 +128,9 @@ class Standing:
         return self.state is State.SUSPECT and 0 < self.supported < RETURNED_AFTER
 
 
-def next_standing(
-    before: Standing, evidence: float, confirmed: bool, config: TrackerConfig, apart_s: float = LOOK_S
-) -> Standing:
+def next_state(
+    before: TrackState, evidence: float, confirmed: bool, config: TrackerConfig, apart_s: float = LOOK_S
+) -> TrackState:
     """The state after a frame with that evidence, which is not the published quality, so many seconds after
     the last one; confirmed: identity and orientation are confirmed, and the published quality reaches
     `least_quality`.
@@ -156,7 +156,7 @@ def next_standing(
         state = State.SUSPECT
     else:
         state = State.TRACKING
-    return Standing(state, unsupported, supported)
+    return TrackState(state, unsupported, supported)
 
 
 NEW_VIEW = np.radians(25.0)

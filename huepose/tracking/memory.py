@@ -24,25 +24,26 @@ from huepose.support.errors import InputError
 from huepose.tracking.camera_place import CameraPlace
 from huepose.tracking.catching_up import Pursuit
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.effort import Effort
-from huepose.tracking.evidence import Identity, Standing
+from huepose.tracking.evidence import Identity, TrackState
 from huepose.tracking.history import Entry, FrameHistory, PoseHistory, _Stretch
 from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import Reach
 from huepose.tracking.odometry import Keyframe, Odometry, Seen
 from huepose.tracking.orientation import Facing, Orientation
+from huepose.tracking.persistence import Persistence
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.tracker import Tracker
+from huepose.tracking.tries import Tries
 from huepose.tracking.types import Correction, TrackedPose, Verdict
 from huepose.tracking.usual import Usual
 
 _CLASSES: dict[str, type] = {
     one.__name__: one
     for one in (
-        *(Camera, CameraPlace, Correction, Effort, Entry, Facing, FrameHistory, Hypothesis, Identity),
-        *(Keyframe, Odometry, Orientation, PoseHistory, Pursuit, Reach, Seen, Standing, Terms, Track),
-        *(TrackedPose, Usual, _Stretch),
+        *(Camera, CameraPlace, Correction, Entry, Facing, FrameHistory, Hypothesis, Identity, Keyframe),
+        *(Odometry, Orientation, Persistence, PoseHistory, Pursuit, Reach, Seen, Terms, Track, TrackState),
+        *(TrackedPose, Tries, Usual, _Stretch),
     )
 }
 _ENUMS: dict[str, type[Enum]] = {"State": State, "Verdict": Verdict}

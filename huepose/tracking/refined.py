@@ -9,7 +9,7 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.open_region import SAMPLES, OpenRegion, PreparedSurface, look, open_region, totals
+from huepose.judge.open_region import SAMPLES, OpenRegion, PreparedSurface, open_region, terms_at, totals
 from huepose.judge.terms import NOTHING, score_arrays
 from huepose.refine.photometric import FINE, FULL, NEAR, Schedule, refine
 from huepose.tracking.evidence import OPEN
@@ -80,12 +80,14 @@ def best_of(
             break
         T = refined.T_cam_obj
         refined = refine(surface, region, T, schedule)
-    best = Hypothesis(refined.T_cam_obj, look(surface, region, refined.T_cam_obj), refined.information, name)
-    unmoved_terms = look(surface, region, T_start)
+    best = Hypothesis(
+        refined.T_cam_obj, terms_at(surface, region, refined.T_cam_obj), refined.information, name
+    )
+    unmoved_terms = terms_at(surface, region, T_start)
     if unmoved_terms.total > best.terms.total + DRAWN_AWAY:
         # Drawn away by something close by, a hand that holds the object for one: only what is near counts.
         careful = refine(surface, region, T_start, FINE)
-        seen = look(surface, region, careful.T_cam_obj)
+        seen = terms_at(surface, region, careful.T_cam_obj)
         if seen.total > best.terms.total:
             best = Hypothesis(careful.T_cam_obj, seen, careful.information, name)
         if unmoved_terms.total > best.terms.total:
@@ -107,7 +109,7 @@ def unmoved(
 ) -> Hypothesis:
     """A pose as it is, with what is seen of it."""
     region = region_of(surface, frame, T_cam_obj, light)
-    terms = NOTHING if region is None else look(surface, region, T_cam_obj)
+    terms = NOTHING if region is None else terms_at(surface, region, T_cam_obj)
     return Hypothesis(T_cam_obj, terms, np.zeros((6, 6)), "velocity")
 
 

@@ -57,28 +57,27 @@ FOUND, APART_TURN, APART = 2, np.radians(25.0), 0.15
 
 
 @dataclass(frozen=True)
-class Effort:
-    """How many candidates each stage keeps: positions, poses refined quickly, poses refined, finalists."""
+class Beam:
+    """How many candidates each stage of a search keeps: positions, poses refined quickly, poses refined,
+    finalists."""
 
     positions: int
     quick: int
     poses: int
     finalists: int
 
-    def share(self, parts: int, of: int) -> Effort:
+    def share(self, parts: int, of: int) -> Beam:
         """The same for some of so many parts of the rotations; all positions are looked at for each."""
-        return Effort(
-            self.positions, *(-(-n * parts // of) for n in (self.quick, self.poses, self.finalists))
-        )
+        return Beam(self.positions, *(-(-n * parts // of) for n in (self.quick, self.poses, self.finalists)))
 
 
-SMALL_EFFORT = Effort(2, 24, 6, 2)
+SMALL_BEAM = Beam(2, 24, 6, 2)
 """Where place and turn are known roughly."""
 
-NORMAL_EFFORT = Effort(5, 80, 20, 4)
+NORMAL_BEAM = Beam(5, 80, 20, 4)
 """Near where the object is expected."""
 
-GREAT_EFFORT = Effort(8, 250, 40, 6)
+GREAT_BEAM = Beam(8, 250, 40, 6)
 """Wherever it can be by now."""
 
 PARTS = 10
@@ -100,27 +99,27 @@ def search(
     surface: PreparedSurface,
     frame: RgbdFrame,
     reach: Reach,
-    effort: Effort = NORMAL_EFFORT,
+    beam: Beam = NORMAL_BEAM,
     light: Float64 | None = None,
     parts: range = range(PARTS),
 ) -> list[Float64]:
     """The best clearly different poses (4, 4) within reach, best first, at most two; none where no depth
     is. parts: which of the PARTS of the rotations are tried; each is spread over all of the reach."""
-    effort = effort.share(len(parts), PARTS)
+    beam = beam.share(len(parts), PARTS)
     region = _region(surface, frame, reach)
     if region is None:
         return []
     region = region.lit(light)
     z = float(reach.centre_cam[2])
     tolerance = region.arrays.tolerance
-    positions = _positions(surface, region, reach, effort.positions, parts)
+    positions = _positions(surface, region, reach, beam.positions, parts)
     if not positions:
         return []
-    poses = _rotations(surface, region, reach, positions, effort.quick, parts)
+    poses = _rotations(surface, region, reach, positions, beam.quick, parts)
     poses = refine_all(surface, region, poses, QUICK, z)
-    poses = _best(surface, region, poses, ROTATION_SAMPLES, 2.0 * tolerance, effort.poses, DIFFERENT_TURN)
+    poses = _best(surface, region, poses, ROTATION_SAMPLES, 2.0 * tolerance, beam.poses, DIFFERENT_TURN)
     poses = refine_all(surface, region, poses, COARSE, z)
-    poses = _best(surface, region, poses, POSE_SAMPLES, tolerance, effort.finalists, 0.5 * DIFFERENT_TURN)
+    poses = _best(surface, region, poses, POSE_SAMPLES, tolerance, beam.finalists, 0.5 * DIFFERENT_TURN)
     fine = np.array([refine(surface, region, T, FINE).T_cam_obj for T in poses])
     arrays = region.arrays
     rated = score_arrays(surface.arrays, arrays, fine, FINAL_SAMPLES)[:, 0]

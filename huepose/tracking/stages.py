@@ -17,10 +17,10 @@ from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.motion import Reach
 from huepose.tracking.refined import best_of
 from huepose.tracking.search import (
-    GREAT_EFFORT,
-    NORMAL_EFFORT,
+    GREAT_BEAM,
+    NORMAL_BEAM,
     PARTS,
-    SMALL_EFFORT,
+    SMALL_BEAM,
     is_wide,
     parts_a_try,
     search,
@@ -95,9 +95,9 @@ class Task:
         if stage == THERE and place is not None:
             return [[(T, "views")] for T in found_at(self.subject, frame, place, light)]
         if stage == NEARBY:
-            found = search(surface, frame, self.near, NORMAL_EFFORT, light)
+            found = search(surface, frame, self.near, NORMAL_BEAM, light)
         else:
-            found = search(surface, frame, self.far, GREAT_EFFORT, light, parts)
+            found = search(surface, frame, self.far, GREAT_BEAM, light, parts)
         return [[(T, "search")] for T in found]
 
 
@@ -147,7 +147,7 @@ def propose(task: Task, best: Hypothesis, begun: int, tries: float) -> Proposed:
 
 def found_at(subject: Subject, frame: RgbdFrame, place: Reach, light: Float64 | None) -> list[Float64]:
     """At most two poses (4, 4) at the place that looks most like the object."""
-    return search(subject.surface, frame, place, SMALL_EFFORT, light)
+    return search(subject.surface, frame, place, SMALL_BEAM, light)
 
 
 def in_full(found: Hypothesis, baseline: float | None, config: TrackerConfig) -> bool:

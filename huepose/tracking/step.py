@@ -27,7 +27,7 @@ from huepose.tracking.refined import (
     or_from_afar,
     unmoved,
 )
-from huepose.tracking.search import NORMAL_EFFORT, search
+from huepose.tracking.search import NORMAL_BEAM, search
 from huepose.tracking.stages import NEARBY, RETURNING_SEEN, THERE, Task, convincing, in_full, propose
 from huepose.tracking.subject import Subject
 
@@ -156,6 +156,6 @@ def found_nearby(
     if convincing(best, None, config.doubt, config):
         return best, 0
     reach, _ = reaches(surface, T_cam_obj, None, T_cam_obj, apart_s, config)
-    found = search(surface, frame, reach, NORMAL_EFFORT, light)
+    found = search(surface, frame, reach, NORMAL_BEAM, light)
     more = [best_of(surface, frame, [(T, "search")], light, schedule=FULL) for T in found]
     return max([best, *more], key=lambda h: h.terms.total), 1

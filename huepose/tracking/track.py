@@ -19,9 +19,8 @@ from huepose.select.distinct import RIGHT
 from huepose.tracking import evidence
 from huepose.tracking.camera_place import CameraPlace
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.effort import Effort
 from huepose.tracking.elsewhere import PARTS
-from huepose.tracking.evidence import Identity, Standing, next_standing, turned_over
+from huepose.tracking.evidence import Identity, TrackState, next_state, turned_over
 from huepose.tracking.history import PoseHistory
 from huepose.tracking.hypothesis import (
     FOLLOWED,
@@ -37,6 +36,7 @@ from huepose.tracking.lost import MORE, MOSTLY, found_elsewhere, found_standing,
 from huepose.tracking.motion import Reach, jump_since, predicted, same_motion
 from huepose.tracking.opinions import opinions, weighed
 from huepose.tracking.orientation import Orientation, another_opinion
+from huepose.tracking.persistence import Persistence
 from huepose.tracking.refined import unmoved
 from huepose.tracking.stages import END, NEARBY
 from huepose.tracking.step import Advance, advance, found_nearby
@@ -65,7 +65,7 @@ class Track:
         self.usual = Usual()
         self.frame: RgbdFrame | None = None
         self._config = config
-        self._standing = Standing(State.SEARCHING)
+        self._track_state = TrackState(State.SEARCHING)
         self._identity = Identity.none()
         self._corrected_from: tuple[Identity, float] | None = None
         self._orientation = Orientation(subject, config)
@@ -73,19 +73,19 @@ class Track:
         self._looked_ns, self._apart_s = 0, LOOK_S
         self._camera = CameraPlace()
         self._known_at: tuple[Float64, int] | None = None
-        self._searched = Effort()
+        self._searched = Persistence()
         self._begin()
 
     def _begin(self) -> None:
         """Nothing was missed or searched for yet."""
-        self._effort, self._scarce_looks, self._unseen_s = Effort(), 0.0, 0.0
+        self._persistence, self._scarce_looks, self._unseen_s = Persistence(), 0.0, 0.0
         self._place: Reach | None = None
         self._stood: float | None = None
 
     @property
     def state(self) -> State:
         """SEARCHING, TRACKING, SUSPECT or LOST."""
-        return self._standing.state
+        return self._track_state.state
 
     @property
     def T_cam_obj(self) -> Float64 | None:
@@ -119,7 +119,7 @@ class Track:
         if evidence.is_loose(self._spread):
             return Doubt.LOOSE
         sure = self.quality >= self._config.least_quality
-        return Doubt.FOUND if sure and self._standing.just_found else None
+        return Doubt.FOUND if sure and self._track_state.just_found else None
 
     @property
     def halfway(self) -> bool:
@@ -139,8 +139,8 @@ class Track:
         self._look_from(frame)
         if self.frame is None or not self.hypotheses:
             return self._look_everywhere(frame, tries, twins)
-        begun = self._effort.begun
-        resting = begun == NEARBY and self._effort.resting
+        begun = self._persistence.begun
+        resting = begun == NEARBY and self._persistence.resting
         seen = self.hypotheses, self.frame, self.usual
         turn_odds = 0.0 if self._orientation.facing is None else self._orientation.facing.value
         anchor = Anchor(*seen, self._unseen_s, self._place, self._known, turn_odds)
@@ -193,11 +193,11 @@ class Track:
     def _look_everywhere(self, frame: RgbdFrame, tries: float, twins: Sequence[Float64]) -> float:
         """Look for a lost object where it stood, and search for it at the likeliest place of the picture,
         among other windows each time. What is found is `SUSPECT` until the next frames confirm it."""
-        self._effort = effort = self._effort.missed(self._apart_s)
+        self._persistence = persistence = self._persistence.missed(self._apart_s)
         sure_pose = self._orientation.sure
         if sure_pose is None:
             return 0
-        searching = tries >= 1.0 and not effort.resting
+        searching = tries >= 1.0 and not persistence.resting
         in_view, standing = 0.0, False
         if self._stood is not None:
             in_view = seen_share(self.subject.surface, sure_pose.T_cam_obj, frame)
@@ -213,8 +213,8 @@ class Track:
             found = found_standing(self.subject, sure_pose, free, usual, config)
             self._stood = in_view if in_view < MOSTLY else None
         if searching and not found:
-            part = 0 if effort.enough else effort.begun
-            self._effort = self._searched = effort.reached(part + 1, PARTS)
+            part = 0 if persistence.enough else persistence.begun
+            self._persistence = self._searched = persistence.reached(part + 1, PARTS)
             found, tried = found_elsewhere(self.subject, sure_pose, gone_s, free, usual, part, config)
         if not found:
             return tried
@@ -224,7 +224,7 @@ class Track:
         self.covariance, self._spread = uncertainty(self.subject, first, frame)
         self.evidence = evidence.vouched(sure, self._spread)
         self._begin()
-        self._standing = Standing(State.SUSPECT, found=True)
+        self._track_state = TrackState(State.SUSPECT, found=True)
         self._found_elsewhere(self._of_its_color(sure), frame)
         return tried + self._check_orientation(anchor, frame, hurry=False)
 
@@ -263,9 +263,9 @@ class Track:
         else:
             self._coast(anchor.first)
             self._unseen_s += self._apart_s
-        effort = self._effort.missed(self._apart_s)
-        effort = effort.reached(found.begun, END, found.tried > 0)
-        self._effort = effort if found.doubtful else Effort(begun=effort.begun)
+        persistence = self._persistence.missed(self._apart_s)
+        persistence = persistence.reached(found.begun, END, found.tried > 0)
+        self._persistence = persistence if found.doubtful else Persistence(begun=persistence.begun)
         self._place = found.place
 
     def _found_elsewhere(self, likely: float, frame: RgbdFrame) -> None:
@@ -355,7 +355,7 @@ class Track:
         self._begin()
         self._supported_ns = frame.stamp_ns
         # A verified pose may be TRACKING at once.
-        self._standing = Standing(State.TRACKING)
+        self._track_state = TrackState(State.TRACKING)
         self._judge()
 
     def stand(self, seen: Track, said: Correction) -> None:
@@ -375,7 +375,7 @@ class Track:
         """Give up its pose. Where it was TRACKING once, it is searched for."""
         if self.hypotheses and self._known_at is not None and self._orientation.sure is None:
             self._orientation.see(self.hypotheses[0], self._supported_ns)
-        self._standing = Standing(State.LOST)
+        self._track_state = TrackState(State.LOST)
         self.hypotheses, self.covariance, self.frame = (), None, None
         self.evidence = self.quality = 0.0
         self._begin()
@@ -384,20 +384,20 @@ class Track:
     def give_back(self) -> None:
         """Lose a pose that was found where another instance is: the search goes on from there."""
         self.lose()
-        self._effort, self._stood = self._searched, None
+        self._persistence, self._stood = self._searched, None
 
     def give_way(self) -> None:
         """Another instance came late and explains the same surface better."""
         if self.state is State.TRACKING:
             self.evidence = self.quality = 0.0
-            self._standing = Standing(State.SUSPECT)
+            self._track_state = TrackState(State.SUSPECT)
 
     def set_back(self, by_ns: int) -> None:
         """Continue at rest, as if all that was before had been that much earlier (the camera's clock was set
         back)."""
         self.history = PoseHistory()
         self._supported_ns, self._looked_ns = self._supported_ns - by_ns, self._looked_ns - by_ns
-        self._camera = replace(self._camera, told_ns=self._camera.told_ns - by_ns)
+        self._camera = replace(self._camera, known_ns=self._camera.known_ns - by_ns)
         self._found_ns -= by_ns
         self._orientation.set_back(by_ns)
         if self._known_at is not None:
@@ -493,7 +493,9 @@ class Track:
         self.quality = self.evidence * min(self._identity.value, turn)
         confirmed = self._known and self._orientation.confirmed
         confirmed = confirmed and self.quality >= self._config.least_quality
-        self._standing = next_standing(self._standing, self.evidence, confirmed, self._config, self._apart_s)
+        self._track_state = next_state(
+            self._track_state, self.evidence, confirmed, self._config, self._apart_s
+        )
         if self.state is State.LOST:
             self.lose()
         elif self.state is State.TRACKING and self.frame is not None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model import ReferenceModel
-from huepose.perception.exchanged import Order, order_of_channels
+from huepose.perception.exchanged import ChannelOrder, order_of_channels
 from huepose.perception.types import Detection
 from huepose.perception.view_detector import ViewDetector
 from huepose.perception.yolo import YoloDetector
@@ -61,10 +61,10 @@ class BoxFinder:
         """A sentence on the objects that never get a box; empty where there are none."""
         return ""
 
-    def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> Order:
+    def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> ChannelOrder:
         """What a frame says of the order of its channels, by the objects of these names. seen: scores of
         those that were searched in it."""
-        return Order()
+        return ChannelOrder()
 
     def prior_box(self, name: str, prior: Prior | None, header: FrameHeader, camera: Camera) -> Box | None:
         """Where an instance that is tracked is predicted to be; None where none is, or not in the image."""
@@ -149,11 +149,11 @@ class SearchedBoxes(BoxFinder):
             for place in mine
         ]
 
-    def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> Order:
+    def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> ChannelOrder:
         """By one of the objects, by turns, as in `find`."""
         known = [name for name in names if name in self._outlines]
         asked = self._looks.turn(known)[:1] if known else []
-        return order_of_channels(frame, self._searcher, asked, seen) if asked else Order()
+        return order_of_channels(frame, self._searcher, asked, seen) if asked else ChannelOrder()
 
 
 class Hints:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from huepose.estimation.depth_delay import DepthDelay, Look, delay, look
+from huepose.estimation.depth_delay import DepthDelay, EdgeLag, delay, edge_lag
 from huepose.geometry import RgbdFrame
 from huepose.tracking import TrackedPose, Tracker
 from huepose.tracking.motion import about_centre
@@ -37,7 +37,7 @@ class DelayDoubt(msgspec.Struct, array_like=True):
     seconds, and the share of looks that agree; None where nothing speaks against the camera."""
 
     epoch: int = -1
-    looks: list[Look] = []
+    looks: list[EdgeLag] = []
     blocks: list[str] = []
     looked_ns: dict[str, int] = {}
     moved_ns: dict[str, int] = {}
@@ -70,11 +70,11 @@ class DelayDoubt(msgspec.Struct, array_like=True):
     def _look_at(self, frame: RgbdFrame, pose: TrackedPose, tracker: Tracker) -> None:
         assert pose.T_cam_obj is not None
         assert pose.velocity is not None
-        one = look(tracker.contours(pose.object), pose.T_cam_obj, pose.velocity, frame)
+        one = edge_lag(tracker.contours(pose.object), pose.T_cam_obj, pose.velocity, frame)
         if one is not None:
             self._add(one, _key(pose), str(frame.stamp_ns // BLOCK_NS))
 
-    def _add(self, one: Look, key: str, time: str) -> None:
+    def _add(self, one: EdgeLag, key: str, time: str) -> None:
         """The delay is fitted anew when a block of time begins."""
         begun = not self.blocks or self.blocks[-1].rpartition(" ")[2] != time
         self.looks, self.blocks = [*self.looks, one][-LOOKS:], [*self.blocks, f"{key} {time}"][-LOOKS:]

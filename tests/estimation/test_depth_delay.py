@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.estimation.depth_delay import DepthDelay, Look, delay, look
+from huepose.estimation.depth_delay import DepthDelay, EdgeLag, delay, edge_lag
 from huepose.geometry import RgbdFrame, se3
 from huepose.judge.borders import Contours
 from huepose.model.types import ReferenceModel
@@ -31,7 +31,7 @@ def straight(t: float) -> np.ndarray:
 
 def looks(
     model: ReferenceModel, take_picture: TakePicture, late_s: float, path: Path = about, right_px: int = 0
-) -> tuple[list[Look], list[str]]:
+) -> tuple[list[EdgeLag], list[str]]:
     """Looks at an object on its path. late_s: by which depth is older; right_px: by which it lies beside."""
     found, blocks = [], []
     for k in range(LOOKS):
@@ -40,7 +40,7 @@ def looks(
         depth = frame.depth if late_s == 0.0 else take_picture([(model.mesh, path(t - late_s))]).depth
         velocity = se3.difference(path(t - 0.005), path(t + 0.005)) / 0.01
         seen = replace(frame, depth=np.roll(depth, right_px, axis=1))
-        one = look(Contours.of(model), path(t), velocity, seen)
+        one = edge_lag(Contours.of(model), path(t), velocity, seen)
         if one is not None:
             found.append(one)
             blocks.append(str(6 * k // HZ))
@@ -81,15 +81,18 @@ def test_what_rests_or_has_nothing_behind_it_says_nothing(
 ) -> None:
     contours = Contours.of(tea_box)
     moving = np.array([0.2, 0.0, 0.0, 0.0, 0.0, 0.0])
-    assert look(contours, standing, moving, box_frame) is not None
-    assert look(contours, standing, np.zeros(6), box_frame) is None
-    assert look(contours, standing, moving, replace(box_frame, depth=np.zeros_like(box_frame.depth))) is None
+    assert edge_lag(contours, standing, moving, box_frame) is not None
+    assert edge_lag(contours, standing, np.zeros(6), box_frame) is None
     assert (
-        look(contours, standing, moving, replace(box_frame, depth=np.full_like(box_frame.depth, 0.7))) is None
+        edge_lag(contours, standing, moving, replace(box_frame, depth=np.zeros_like(box_frame.depth))) is None
+    )
+    assert (
+        edge_lag(contours, standing, moving, replace(box_frame, depth=np.full_like(box_frame.depth, 0.7)))
+        is None
     )
     outside = standing.copy()
     outside[0, 3] += 2.0
-    assert look(contours, outside, moving, box_frame) is None
+    assert edge_lag(contours, outside, moving, box_frame) is None
 
 
 def test_few_looks_and_those_of_one_moment_say_nothing() -> None:

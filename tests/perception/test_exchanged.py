@@ -8,7 +8,7 @@ import numpy as np
 
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.model.types import ReferenceModel
-from huepose.perception.exchanged import Order, order_of_channels
+from huepose.perception.exchanged import ChannelOrder, order_of_channels
 from huepose.perception.types import Detection
 from huepose.perception.view_detector import ViewDetector
 from tests.conftest import TakePicture
@@ -23,9 +23,9 @@ def test_the_order_of_the_channels_is_asked_for(
     said = order_of_channels(blue_first, detector, ["tea_box"])
     assert said.exchanged.startswith("With red and blue exchanged, tea_box is in the picture")
     assert not said.right
-    assert order_of_channels(frame, detector, ["tea_box"]) == Order(right=True)
-    assert order_of_channels(frame, detector, ["tea_box"], {"tea_box": 0.9}) == Order(right=True)
-    assert order_of_channels(empty, detector, ["tea_box"]) == Order()
+    assert order_of_channels(frame, detector, ["tea_box"]) == ChannelOrder(right=True)
+    assert order_of_channels(frame, detector, ["tea_box"], {"tea_box": 0.9}) == ChannelOrder(right=True)
+    assert order_of_channels(empty, detector, ["tea_box"]) == ChannelOrder()
 
 
 class _Seen:
@@ -44,7 +44,7 @@ def test_an_object_that_looks_alike_both_ways_says_nothing_and_hides_nothing() -
     color = np.zeros((8, 8, 3), np.uint8)
     color[:, :, 0] = 200
     frame = RgbdFrame(color, np.ones((8, 8), np.float32), Camera(8.0, 8.0, 3.5, 3.5, 8, 8))
-    assert order_of_channels(frame, _Seen(True), ["grey", "absent"]) == Order()
+    assert order_of_channels(frame, _Seen(True), ["grey", "absent"]) == ChannelOrder()
     assert order_of_channels(frame, _Seen(True), ["grey", "red", "absent"]).right
     said = order_of_channels(frame, _Seen(False), ["grey", "red", "absent"])
     assert said.exchanged.startswith("With red and blue exchanged, red is in the picture")

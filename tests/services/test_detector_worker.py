@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import msgspec
 import numpy as np
 
-from huepose.perception.exchanged import Order
+from huepose.perception.exchanged import ChannelOrder
 from huepose.perception.view_detector import ViewDetector
 from huepose_protos.examples import GOLDEN, example
 from huepose_protos.messages import FrameHeader, PerceptionRequest, RequestedObject
@@ -51,7 +51,7 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
     now, asked = [10 * ASK_EVERY_NS], []
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
     finder = SearchedBoxes({}, ViewDetector({}))
-    order = Order()
+    order = ChannelOrder()
 
     def ask(frame, names, seen):
         asked.append(now[0])
@@ -76,7 +76,7 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
         return len(asked) - before
 
     assert [asks_in(12, epoch) for epoch in (1, 1, 2, 2)] == [worker.FIRST_ASKS, 0, worker.FIRST_ASKS, 0]
-    order = Order(right=True)
+    order = ChannelOrder(right=True)
     assert [asks_in(12, epoch) for epoch in (3, 3, 4)] == [1, 0, 1], "an object says that it is right"
 
 
@@ -100,7 +100,7 @@ def test_an_object_that_was_removed_while_it_was_asked_about_stops_nothing(tea_b
     finder = SearchedBoxes({"tea_box": outline(tea_box)}, ViewDetector({"tea_box": tea_box}))
     assert finder.order_of_channels(box_frame, ["removed", "tea_box"], {"removed": 0.0, "tea_box": 1.0}).right
     finder.remove("tea_box")
-    assert finder.order_of_channels(box_frame, ["tea_box"], {"tea_box": 0.0}) == Order()
+    assert finder.order_of_channels(box_frame, ["tea_box"], {"tea_box": 0.0}) == ChannelOrder()
 
 
 def test_a_request_about_a_frame_that_was_answered_waits_for_the_next_one():

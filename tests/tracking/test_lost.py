@@ -12,7 +12,7 @@ import pytest
 from huepose.believe.state import State
 from huepose.geometry import se3
 from huepose.tracking import Applied, Tracker, TrackerConfig, Verdict, lost, track
-from huepose.tracking.effort import ENOUGH, Effort
+from huepose.tracking.persistence import ENOUGH, Persistence
 from tests.tracking.conftest import Shoot, correction
 
 GONE, BACK = 6, 20
@@ -73,16 +73,16 @@ def test_of_what_looks_like_another_the_other_parts_of_the_picture_are_searched(
 def test_after_some_rounds_a_search_waits_half_a_second_and_then_for_its_turn(
     rate_hz: int, frames: int
 ) -> None:
-    effort, apart_s = Effort(), 1.0 / rate_hz
+    persistence, apart_s = Persistence(), 1.0 / rate_hz
     for _ in range(ENOUGH):
-        effort = effort.missed(apart_s).reached(5, 5)
+        persistence = persistence.missed(apart_s).reached(5, 5)
     for _ in range(frames):
-        assert effort.resting
-        effort = effort.missed(apart_s)
+        assert persistence.resting
+        persistence = persistence.missed(apart_s)
     for _ in range(3):  # no time in these frames: others were first
-        assert not effort.resting
-        effort = effort.missed(apart_s).reached(0, 5, searched=False)
-    assert effort.missed(apart_s).reached(5, 5).resting
+        assert not persistence.resting
+        persistence = persistence.missed(apart_s).reached(0, 5, searched=False)
+    assert persistence.missed(apart_s).reached(5, 5).resting
 
 
 @pytest.mark.parametrize("what", ["clock set back", "corrected", "new epoch"])

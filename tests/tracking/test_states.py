@@ -19,10 +19,10 @@ from huepose.tracking import TrackerConfig
 from huepose.tracking.competition import Claim, losers
 from huepose.tracking.evidence import (
     Identity,
-    Standing,
+    TrackState,
     bounded,
     log_odds,
-    next_standing,
+    next_state,
     odds_of,
     one_sense,
     scarce,
@@ -41,10 +41,10 @@ CONFIG = TrackerConfig()
 def run(
     qualities: list[float], confirmed: bool = True, start: State = State.TRACKING, apart_s: float = 1 / 30
 ) -> list[State]:
-    standing, out = Standing(start), []
+    track_state, out = TrackState(start), []
     for q in qualities:
-        standing = next_standing(standing, q, confirmed, CONFIG, apart_s)
-        out.append(standing.state)
+        track_state = next_state(track_state, q, confirmed, CONFIG, apart_s)
+        out.append(track_state.state)
     return out
 
 

@@ -14,8 +14,8 @@ from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.geometry.lifting import lift
-from huepose.judge.open_region import PreparedSurface, look, open_region, steepest
-from huepose.judge.region import ModelArrays
+from huepose.judge.kernel_arrays import ModelArrays
+from huepose.judge.open_region import PreparedSurface, open_region, steepest, terms_at
 from huepose.judge.terms import Terms
 from huepose.onboarding.from_video.fusion import Fused
 from huepose.onboarding.from_video.sight import seen_more_squarely
@@ -115,7 +115,7 @@ def registered(surface: PreparedSurface, frame: RgbdFrame, guesses: Sequence[Flo
         coarse = refine(surface, region, guess, COARSE)
         for start in (guess, coarse.T_cam_obj):
             T = refine(surface, region, start, FULL).T_cam_obj
-            terms = look(surface, region, T)
+            terms = terms_at(surface, region, T)
             if best is None or terms.total > best.terms.total:
                 best = Registered(T, terms)
     return best

@@ -11,7 +11,7 @@ less half a frame of a camera at 30 Hz, whose frames do not come to the millisec
 
 
 @dataclass(frozen=True)
-class Effort:
+class Persistence:
     """seconds: since the object was searched for last; rounds: how often all stages of a search were in
     vain; begun: the stage to try next."""
 
@@ -29,12 +29,12 @@ class Effort:
         """Whether no search begins in this frame."""
         return self.enough and self.seconds < AGAIN_AFTER_S
 
-    def missed(self, seconds: float) -> Effort:
+    def missed(self, seconds: float) -> Persistence:
         """In the next frame, so many seconds later, in which it is missed as well."""
         return replace(self, seconds=self.seconds + seconds)
 
-    def reached(self, stage: int, stages: int, searched: bool = True) -> Effort:
+    def reached(self, stage: int, stages: int, searched: bool = True) -> Persistence:
         """After a search of so many stages that is to go on with this one, after the last with the first.
         searched: whether there was time for any."""
         seconds = 0.0 if searched else self.seconds
-        return Effort(seconds, self.rounds + (stage == stages), stage % stages)
+        return Persistence(seconds, self.rounds + (stage == stages), stage % stages)

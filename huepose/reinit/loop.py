@@ -36,8 +36,8 @@ from huepose.reinit.schedule import (
     waiting,
 )
 from huepose.reinit.sightings import Sightings
-from huepose.reinit.types import Counters, Key, ObjectSlot, PerceptionResult, Request, Searching
-from huepose.tracking.types import Correction, TrackedPose, Verdict
+from huepose.reinit.types import Counters, ObjectSlot, PerceptionResult, Request, Searching
+from huepose.tracking.types import Correction, Key, TrackedPose, Verdict
 
 PATIENCE_PERIODS = 2.0
 """For this many periods after an acquisition its instance counts as arriving, and no other is requested for

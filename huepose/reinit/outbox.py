@@ -10,8 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from huepose.reinit.types import Key
-from huepose.tracking.types import Correction, TrackedPose
+from huepose.tracking.types import Correction, Key, TrackedPose
 
 
 @dataclass

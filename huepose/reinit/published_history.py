@@ -11,8 +11,8 @@ from collections import deque
 from huepose.geometry import se3
 from huepose.geometry.se3 import grown
 from huepose.reinit.schedule import LONGEST_S
-from huepose.reinit.types import Key, Prior
-from huepose.tracking.types import TrackedPose
+from huepose.reinit.types import Prior
+from huepose.tracking.types import Key, TrackedPose
 
 
 class PublishedHistory:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from huepose.believe.state import State
 from huepose.reinit.config import ReinitConfig
-from huepose.reinit.types import Key, ObjectSlot, Prior, RequestedObject
-from huepose.tracking.types import TrackedPose
+from huepose.reinit.types import ObjectSlot, Prior, RequestedObject
+from huepose.tracking.types import Key, TrackedPose
 
 NEVER = -1
 

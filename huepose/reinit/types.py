@@ -21,9 +21,6 @@ from huepose.support.errors import InputError
 FRESH_S, FRESH_MARGIN = 0.5, 0.08
 """For so long a prediction says where an object is looked for, in its box grown by that share."""
 
-Key = tuple[str, int]
-"""An instance: the name of its object, and its number."""
-
 
 @dataclass(frozen=True)
 class ObjectSlot:

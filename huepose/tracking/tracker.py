@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
-import numpy as np
-
 from huepose.believe.state import State
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
@@ -17,35 +15,25 @@ from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.support.errors import InputError, require
 from huepose.support.stages import stage
 from huepose.tracking.catching_up import Pursuit
-from huepose.tracking.competition import Claim, losers
+from huepose.tracking.claims import contested, held
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.history import FrameHistory
 from huepose.tracking.hypothesis import Hypothesis
+from huepose.tracking.looks import LOOK_S
 from huepose.tracking.motion import about_origin
 from huepose.tracking.odometry import Odometry
 from huepose.tracking.stamps import refuse_another_picture, without_time
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
-from huepose.tracking.types import Applied, Correction, Doubt, TrackedPose, Verdict
+from huepose.tracking.tries import Tries
+from huepose.tracking.types import Applied, Correction, Doubt, Key, TrackedPose, Verdict
 from huepose.tracking.warm_up import warm_up
 
 SAME_SURFACE_IOU = 0.5
 """A correction is carried to now by the measured motion if both outlines overlap by more than this IoU."""
 
-TRACKING_BONUS = 0.1
-"""Bonus, in total, of a pose that is TRACKING when two compete for a surface."""
-
-TWIN_BONUS = 1.0
-"""Bonus, in total, of a tracked instance against a new one of the same object at its place."""
-
-CLOCK_GAP_NS = 33_000_000
+CLOCK_GAP_NS = round(LOOK_S * 1e9)
 """Assumed time between two frames if the camera's clock was set back: 30 Hz."""
-
-Key = tuple[str, int]
-
-
-LONGEST_EARNED_S = 1.0 / 3.0
-"""Longest time between frames that earns tries: else slow steps would cause slower ones."""
 
 
 class Tracker:
@@ -69,7 +57,8 @@ class Tracker:
         self._waiting: list[Correction] = []
         self._frames = FrameHistory(self.config.history_frames, self.config.older_frames)
         self._odometry = Odometry(self.config.odometry)
-        self._whose_turn, self._tries, self._pursuit_waits, self._no_time = 0, 1.0, False, 0
+        self._tries = Tries(self.config.tries_per_s)
+        self._whose_turn, self._pursuit_waits, self._no_time = 0, False, 0
         for model in ReferenceModels(models).values():
             self.add_object(model)
 
@@ -166,16 +155,16 @@ class Tracker:
             if earlier:
                 self._set_back(newest.stamp_ns - frame.stamp_ns + CLOCK_GAP_NS)
                 newest = None
-        self._earn(0.0 if newest is None else (frame.stamp_ns - newest.stamp_ns) * 1e-9)
+        self._tries.earn(0.0 if newest is None else (frame.stamp_ns - newest.stamp_ns) * 1e-9)
         with stage("odometry"):
             frame = self._odometry.placed(frame, partial(self._boxes, frame))
         self._frames.append(frame)
         oldest = self._frames.oldest or frame
         with stage("follow"):
             self._look(frame)
-            contested = self._contested(frame)
+            losing = contested(self._tracks, frame)
             for key, track in self._tracks.items():
-                track.update_state(frame, key in contested, oldest.stamp_ns)
+                track.update_state(frame, key in losing, oldest.stamp_ns)
         self._apply_waiting(frame)
         with stage("catch up"):
             self._catch_up()
@@ -196,35 +185,23 @@ class Tracker:
             if track.T_cam_obj is None:
                 tried = self._search(key, track, frame)
             else:
-                tried = track.look(frame, self._whole_tries)
-            self._tries -= tried
+                tried = track.look(frame, self._tries.whole)
+            self._tries.spend(tried)
             if tried:
                 self._whose_turn = first + offset - track.halfway
 
     def _search(self, key: Key, track: Track, frame: RgbdFrame) -> float:
         """Look for a lost instance where no other one is. Returns the number of costly proposals used."""
-        tries = 0.0 if self._pursuit_waits else self._whole_tries
+        tries = 0.0 if self._pursuit_waits else self._tries.whole
         twins = [
             other.T_cam_obj
             for (name, _), other in self._tracks.items()
             if name == key[0] and other.T_cam_obj is not None and other.state is State.TRACKING
         ]
         tried = track.look(frame, tries, twins)
-        if self._held(key, track):
+        if held(self._tracks, key, track, frame):
             track.give_back()
         return tried
-
-    def _earn(self, seconds: float) -> None:
-        """Add the costly proposals allowed for the time since the last frame; unused ones do not
-        accumulate."""
-        rate = self.config.tries_per_s
-        earned = np.inf if rate is None else rate * min(seconds, LONGEST_EARNED_S)
-        self._tries = min(self._tries + earned, max(1.0, earned))
-
-    @property
-    def _whole_tries(self) -> float:
-        """Whole number of costly proposals left in this step."""
-        return float(np.floor(self._tries + 0.5))
 
     def correct(self, correction: Correction) -> Applied:
         """Apply perception's verdict on a past frame, or on the next one. Raises InputError for an unknown
@@ -329,10 +306,10 @@ class Tracker:
             kept = self._frames.from_nearest(pursuit.correction.stamp_ns)
         else:
             kept = self._frames.since(reached.stamp_ns)
-        if self._whole_tries < 1.0 and pursuit.needs_search(kept):
+        if self._tries.whole < 1.0 and pursuit.needs_search(kept):
             self._pursuit_waits = True
             return
-        self._tries -= pursuit.follow(kept, self._whole_tries)
+        self._tries.spend(pursuit.follow(kept, self._tries.whole))
         if pursuit.supported and not pursuit.arrived(newest) and not pursuit.turned_away:
             return
         del self._pursuits[key]
@@ -357,38 +334,17 @@ class Tracker:
         instance holds its surface, and it is better than the instance's own pose. Else it is dropped. What
         held its surface until now is not believed any more."""
         correction, found = pursuit.correction, pursuit.track
-        if not pursuit.supported or self._held(key, found):
+        if not pursuit.supported or held(self._tracks, key, found, frame):
             return
         track = self._track_of(key, frame)
         if track.T_cam_obj is not None and track.worth > found.worth:
             track.contradict(found, correction.quality)
             return
         track.place(found, correction, frame)
-        for loser in self._contested(frame):
+        for loser in contested(self._tracks, frame):
             self._tracks[loser].give_way()
         for stamp_ns, T in pursuit.poses:
             track.history.put(stamp_ns, T)
-
-    def _held(self, key: Key, found: Track) -> bool:
-        """Whether another instance explains the same surface better. An instance of the same object that is
-        already tracked there keeps it."""
-        frame = self._frames.newest
-        if frame is None or found.T_cam_obj is None:
-            return False
-        claims = [
-            _claim(other, TWIN_BONUS if name == key[0] else 0.0)
-            for (name, instance), other in self._tracks.items()
-            if (name, instance) != key and other.T_cam_obj is not None
-        ]
-        # It stands nowhere yet, whatever its instance did elsewhere.
-        mine = Claim(found.subject.surface, found.T_cam_obj, found.terms.total)
-        return len(claims) in losers([*claims, mine], frame.depth, frame.camera)
-
-    def _contested(self, frame: RgbdFrame) -> set[Key]:
-        """Instances whose surface another instance explains better."""
-        keys = [k for k, t in self._tracks.items() if t.T_cam_obj is not None]
-        claims = [_claim(self._tracks[key]) for key in keys]
-        return {keys[i] for i in losers(claims, frame.depth, frame.camera)}
 
     def _set_back(self, by_ns: int) -> None:
         """Handle a camera clock that was set back by so much: clear the frame history, and continue the
@@ -407,15 +363,8 @@ class Tracker:
         self._seen_seq.clear()
         self._waiting.clear()
         self._odometry = Odometry(self.config.odometry)
-        self._whose_turn, self._tries, self._pursuit_waits, self._no_time = 0, 1.0, False, 0
-
-
-def _claim(track: Track, bonus: float = 0.0) -> Claim:
-    """What a track with a pose claims. That it is TRACKING counts: else two instances with the same pose
-    would lose in turns."""
-    assert track.T_cam_obj is not None
-    confirmed = TRACKING_BONUS if track.state is State.TRACKING else 0.0
-    return Claim(track.subject.surface, track.T_cam_obj, track.terms.total + confirmed + bonus)
+        self._tries = Tries(self.config.tries_per_s)
+        self._whose_turn, self._pursuit_waits, self._no_time = 0, False, 0
 
 
 def _published(track: Track, frame: RgbdFrame) -> TrackedPose:

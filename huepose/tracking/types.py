@@ -14,6 +14,9 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
 
+Key = tuple[str, int]
+"""An instance: the name of its object, and its number."""
+
 
 class Doubt(str, Enum):
     """What alone keeps a pose that fits the frame from being `TRACKING`."""
@@ -62,8 +65,8 @@ class TrackedPose:
     applied_correction_seq: int
 
     @property
-    def key(self) -> tuple[str, int]:
-        """Which instance: its object and its number."""
+    def key(self) -> Key:
+        """Which instance."""
         return self.object, self.instance
 
 
@@ -106,8 +109,8 @@ class Correction:
     present: float | None = None
 
     @property
-    def key(self) -> tuple[str, int]:
-        """Which instance: its object and its number."""
+    def key(self) -> Key:
+        """Which instance."""
         return self.object, self.instance
 
     def __post_init__(self) -> None:

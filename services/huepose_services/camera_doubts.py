@@ -15,7 +15,7 @@ from huepose.estimation.frame_offset import frame_offset
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Camera, RgbdFrame
 from huepose.geometry.arrays import Float64
-from huepose.reinit.types import Key
+from huepose.tracking.types import Key
 from huepose_services.runtime.clock import SECOND
 
 LOOKS, FEWEST_LOOKS = 12, 3

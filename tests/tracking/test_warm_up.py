@@ -8,7 +8,7 @@ from huepose.geometry import Box, Camera
 from huepose.judge.open_region import open_region
 from huepose.tracking import Tracker, refined, stages
 
-PARTS = {"search": stages, "refine": refined, "look": refined}
+PARTS = {"search": stages, "refine": refined, "terms_at": refined}
 
 
 def test_everything_is_tried_and_nothing_is_left_behind(tea_box, soup_can, monkeypatch) -> None:

@@ -48,9 +48,9 @@ class Sight:
 
     def __init__(self, *models: ReferenceModel) -> None:
         live, known = profile("live"), {model.name: model for model in models}
-        surfaces = {name: PreparedSurface.of(model) for name, model in known.items()}
+        self._surfaces = {name: PreparedSurface.of(model) for name, model in known.items()}
         detector = ViewDetector(known, replace(live.detector, remembering=True))
-        self._looks = Looks(detector, lambda name, T, camera: surfaces[name].box(T, camera))
+        self._looks = Looks(detector, self._surfaces)
         self._estimator = Estimator(known, live.estimator)
 
     def answer(self, request: Request, seen: Seen) -> list[PoseEstimate]:
@@ -60,7 +60,7 @@ class Sight:
         return self._estimator.estimate(
             frame,
             [
-                query_of(asked, place.box, frame.stamp_ns)
+                query_of(asked, place.box, frame.stamp_ns, self._surfaces[asked.object].middle_obj)
                 for asked, mine in zip((*request.objects, *request.waiting), places, strict=True)
                 for place in mine
             ],

@@ -86,6 +86,10 @@ class Estimator:
         """Diameters of the known objects, metres, in the order of `objects`."""
         return tuple(self._models[name].diameter_m for name in self.objects)
 
+    def middle_obj(self, name: str) -> Float64:
+        """The middle (3,) of the bounds of a known object, in its own axes."""
+        return self._models[name].mesh.centre
+
     def add_object(self, model: ReferenceModel) -> None:
         """Know one more object; a known one of that name is replaced."""
         self._models[model.name] = model

@@ -163,6 +163,11 @@ class PreparedSurface:
             float(np.linalg.norm(points - arrays.centre, axis=1).max()),
         )
 
+    @property
+    def middle_obj(self) -> Float64:
+        """The object's centre (3,) in its own axes."""
+        return self.arrays.centre
+
     def centre_cam(self, T_cam_obj: Float) -> Float64:
         """The object's centre (3,) in camera axes."""
         return np.asarray(T_cam_obj[:3].dot(self._centre), np.float64)

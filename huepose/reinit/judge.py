@@ -68,7 +68,7 @@ def judge_tracked(
 
 def agrees(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSlot) -> bool:
     """Whether an estimate and a tracked pose may be one pose."""
-    T, expected = estimate.T_cam_obj, tracked.predicted(stamp_ns)
+    T, expected = estimate.T_cam_obj, tracked.predicted(stamp_ns, slot.middle_obj)
     assert T is not None
     apart = _apart(T, expected, slot)
     if apart < SAME_POSE:
@@ -88,7 +88,7 @@ def _apart(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
 def denies_turn(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSlot) -> bool:
     """Whether an estimate has the object at the place of the tracked pose, turned another way. Both must have
     been scored on the same pixels."""
-    T, expected = estimate.T_cam_obj, tracked.predicted(stamp_ns)
+    T, expected = estimate.T_cam_obj, tracked.predicted(stamp_ns, slot.middle_obj)
     if T is None or estimate.prior_score is None:
         return False
     there = _shift_m(T, expected, slot) < NEVER_SAME * slot.diameter_m
@@ -186,7 +186,8 @@ def assign(
     sure = sure or [False] * len(priors)
     cost = np.empty((len(estimates), len(priors)))
     for j, prior in enumerate(priors):
-        expected, gate = prior.predicted(stamp_ns), _gate_m(prior, stamp_ns, slot)
+        expected = prior.predicted(stamp_ns, slot.middle_obj)
+        gate = _gate_m(prior, stamp_ns, slot)
         for i, T in enumerate(estimates):
             shift = _shift_m(T, expected, slot)
             turn = _turn_rad(T, expected, slot)

@@ -3,13 +3,13 @@ there."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from huepose.estimation.types import ObjectQuery, PosePrior
 from huepose.geometry import Box, Camera, RgbdFrame
 from huepose.geometry.arrays import Bool, Float64
-from huepose.reinit.types import RequestedObject
+from huepose.reinit.types import Prior, RequestedObject
 
 if TYPE_CHECKING:
     from huepose.perception.types import Detection
@@ -18,12 +18,25 @@ if TYPE_CHECKING:
 SAME_BOX = 0.5
 """Overlap of a found box with that of a tracked object from which it lies on that object."""
 
+FRESH_S, FRESH_MARGIN = 0.5, 0.08
+"""For so long a prediction says where an object is looked for, in its box grown by that share."""
+
 NEW_TURNS = 2
 """So many objects that never had a turn have it at once. More would let those wait that a first look finds,
 which are most (docs/detection_measured.md)."""
 
-BoxOf = Callable[[str, Float64, Camera], Box | None]
-"""The box of an object, by its name, at a pose T_cam_obj (4, 4) in a camera's image; None outside of it."""
+
+class Outlined(Protocol):
+    """What is known of an object by whoever looks for it."""
+
+    @property
+    def middle_obj(self) -> Float64:
+        """The middle (3,) of its bounds, object axes."""
+        ...
+
+    def box(self, T_cam_obj: Float64, camera: Camera) -> Box | None:
+        """Its box at a pose (4, 4) in a camera's image; None outside of it."""
+        ...
 
 
 class Place(NamedTuple):
@@ -39,8 +52,8 @@ class Looks:
     One missing object at a time, by turns, is searched with all effort: a request costs the same however many
     are missing. Of those that never had a turn NEW_TURNS have it at once."""
 
-    def __init__(self, detector: ViewDetector, box_of: BoxOf) -> None:
-        self._detector, self._box_of = detector, box_of
+    def __init__(self, detector: ViewDetector, outlines: Mapping[str, Outlined]) -> None:
+        self._detector, self._outlines = detector, outlines
         self._turns: list[str] = []
 
     def places(
@@ -56,7 +69,7 @@ class Looks:
         missing = (a for a, box in zip(objects, predicted, strict=False) if box is None)
         names = list(dict.fromkeys(asked.object for asked in missing))
         followed = {
-            asked.object: [other.predicted(frame.stamp_ns) for other in asked.others]
+            asked.object: _predicted(asked.others, frame, self._outlines[asked.object])
             for asked in every
             if asked.others
         }
@@ -80,13 +93,18 @@ class Looks:
         return turn
 
     def _predicted(self, asked: RequestedObject, frame: RgbdFrame) -> Box | None:
-        """The box of a fresh prediction; None where there is none in the image."""
-        if asked.prior is None:
+        """A little more than the box of a fresh prediction; None where there is none in the image."""
+        prior, camera = asked.prior, frame.camera
+        if prior is None or (frame.stamp_ns - prior.stamp_ns) * 1e-9 > FRESH_S:
             return None
-        camera = frame.camera
-        box = asked.prior.fresh_box(frame.stamp_ns, lambda T: self._box_of(asked.object, T, camera))
-        box = None if box is None else box.clipped(camera.width, camera.height)
+        outline = self._outlines[asked.object]
+        box = outline.box(_predicted([prior], frame, outline)[0], camera)
+        box = None if box is None else box.grown(FRESH_MARGIN).clipped(camera.width, camera.height)
         return box if box is not None and box.w >= 1.0 and box.h >= 1.0 else None
+
+
+def _predicted(priors: Sequence[Prior], frame: RgbdFrame, outline: Outlined) -> list[Float64]:
+    return [prior.predicted(frame.stamp_ns, outline.middle_obj) for prior in priors]
 
 
 def chosen(
@@ -106,16 +124,18 @@ def _lies_on_none(box: Box, boxes: Sequence[Box]) -> bool:
     return all(box.iou(other) < SAME_BOX for other in boxes)
 
 
-def query_of(asked: RequestedObject, box: Box, stamp_ns: int, masks: tuple[Bool, ...] = ()) -> ObjectQuery:
-    """What an estimator is asked of an object in a box, with candidate masks (H, W), of a frame of that
-    stamp."""
+def query_of(
+    asked: RequestedObject, box: Box, stamp_ns: int, middle_obj: Float64, masks: tuple[Bool, ...] = ()
+) -> ObjectQuery:
+    """What an estimator is asked of an object with that middle (3,) in a box, with candidate masks (H, W), of
+    a frame of that stamp."""
     prior = asked.prior
     return ObjectQuery(
         asked.object,
         box=box,
         masks=masks,
-        prior=None if prior is None else PosePrior(prior.predicted(stamp_ns)),
+        prior=None if prior is None else PosePrior(prior.predicted(stamp_ns, middle_obj)),
         instance=-1 if asked.instance is None else asked.instance,
         searched=not asked.known,
-        others=tuple(other.predicted(stamp_ns) for other in asked.others),
+        others=tuple(other.predicted(stamp_ns, middle_obj) for other in asked.others),
     )

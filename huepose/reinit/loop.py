@@ -244,6 +244,7 @@ class ReinitLoop:
         tracked = [t for t in self._tracks.values() if t.object == slot.object and t.T_cam_obj is not None]
         priors = [self._past.at(t, result.stamp_ns) for t in tracked]
         poses = [pose_of(e) for e in found]
+        expected = [prior.predicted(result.stamp_ns, slot.middle_obj) for prior in priors]
         sure = [t.state is State.TRACKING and slot.max_instances > 1 for t in tracked]
         assigned = assign(poses, priors, result.stamp_ns, slot, sure)
         out = []
@@ -262,7 +263,7 @@ class ReinitLoop:
                 ):
                     key = (slot.object, track.instance)
                     out.append(self._correction(key, estimate, result, verdict))
-            elif any(near(pose_of(estimate), p.predicted(result.stamp_ns), slot) for p in priors):
+            elif any(near(pose_of(estimate), T, slot) for T in expected):
                 # A second estimate of an instance that already has one.
                 self._count(Verdict.REJECT)
             else:

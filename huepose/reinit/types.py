@@ -6,7 +6,6 @@ the order tx ty tz rx ry rz along camera axes about the object's origin.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,12 +13,11 @@ import numpy as np
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.geometry.box import Box
 from huepose.model.types import ReferenceModel
 from huepose.support.errors import InputError
 
-FRESH_S, FRESH_MARGIN = 0.5, 0.08
-"""For so long a prediction says where an object is looked for, in its box grown by that share."""
+LONGEST_AHEAD_S = 0.5
+"""A velocity says nothing about what lies further ahead, or back."""
 
 
 @dataclass(frozen=True)
@@ -72,19 +70,16 @@ class Prior:
     covariance: Float64 | None
     stamp_ns: int
 
-    def predicted(self, stamp_ns: int, max_ahead_s: float = 0.5) -> Float64:
-        """The pose at another stamp if the velocity held; extrapolated by `max_ahead_s` at most."""
+    def predicted(self, stamp_ns: int, middle_obj: Float64) -> Float64:
+        """The pose at another stamp if the velocity held, at most LONGEST_AHEAD_S away: the object's middle
+        (3,) moves straight, and an origin far from it on an arc."""
         if self.velocity is None:
             return self.T_cam_obj
-        dt = float(np.clip((stamp_ns - self.stamp_ns) * 1e-9, -max_ahead_s, max_ahead_s))
-        return se3.perturb(self.T_cam_obj, self.velocity * dt)
-
-    def fresh_box(self, stamp_ns: int, box_at: Callable[[Float64], Box | None]) -> Box | None:
-        """A little more than the object's box at another stamp; None where the pose is too old to say where
-        to look, or there is no box. box_at: of a pose (4, 4), the object's box in the image."""
-        fresh = (stamp_ns - self.stamp_ns) * 1e-9 <= FRESH_S
-        box = box_at(self.predicted(stamp_ns)) if fresh else None
-        return None if box is None else box.grown(FRESH_MARGIN)
+        seconds = float(np.clip((stamp_ns - self.stamp_ns) * 1e-9, -LONGEST_AHEAD_S, LONGEST_AHEAD_S))
+        lever = self.T_cam_obj[:3, :3] @ middle_obj
+        moved = se3.perturb(self.T_cam_obj, se3.carrying(lever) @ self.velocity * seconds)
+        moved[:3, 3] += lever - moved[:3, :3] @ middle_obj
+        return moved
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,7 +71,8 @@ class BoxFinder:
         outline = self._outlines.get(name)
         if prior is None or outline is None:
             return None
-        return outline.box(prior_from_wire(prior).predicted(header.capture_ns), camera)
+        T_cam_obj = prior_from_wire(prior).predicted(header.capture_ns, outline.middle_obj)
+        return outline.box(T_cam_obj, camera)
 
     def given_out(
         self, detections: Sequence[Detection], header: FrameHeader, request: PerceptionRequest
@@ -122,7 +123,7 @@ class SearchedBoxes(BoxFinder):
     def __init__(self, outlines: Mapping[str, Outline], detector: ViewDetector) -> None:
         super().__init__(outlines)
         self._searcher = detector
-        self._looks = Looks(detector, lambda name, T, camera: self._outlines[name].box(T, camera))
+        self._looks = Looks(detector, self._outlines)
 
     def add(self, model: ReferenceModel) -> None:
         """Know one more object, or another model of it."""

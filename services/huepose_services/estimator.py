@@ -134,4 +134,5 @@ class EstimatorWork(Work):
     def _query(self, item: MaskedObject, stamp_ns: int, size: tuple[int, int]) -> ObjectQuery:
         masks = tuple(mask_of(runs, size) for runs in item.masks)
         asked = requested_from_wire(item.detection.request)
-        return query_of(asked, Box(*item.detection.box), stamp_ns, masks)
+        middle_obj = self._estimator.middle_obj(asked.object)
+        return query_of(asked, Box(*item.detection.box), stamp_ns, middle_obj, masks)

@@ -7,13 +7,14 @@ import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from huepose.datasets.files import read_bytes
 from huepose.geometry import Box, Camera, se3
-from huepose.geometry.arrays import Float, Float32
+from huepose.geometry.arrays import Float, Float32, Float64
 from huepose.model import ReferenceModel, load_models
 from huepose.model.io import model_path
 from huepose.support.errors import InputError
@@ -30,6 +31,12 @@ class Outline:
 
     points_obj: Float32
     diameter_m: float
+
+    @cached_property
+    def middle_obj(self) -> Float64:
+        """The middle (3,) of its bounds, which its origin may lie far from."""
+        low, high = self.points_obj.min(0), self.points_obj.max(0)
+        return np.asarray(0.5 * (low + high), np.float64)
 
     def box(self, T_cam_obj: Float, camera: Camera) -> Box | None:
         """Bounds of the object at a pose, cut to the image; None where it is outside or behind."""

@@ -52,7 +52,7 @@ class Oracle:
         errors = np.concatenate([self._rng.normal(0, SHIFT_M, 3), self._rng.normal(0, TURN_RAD, 3)])
         T, prior_score, prior = se3.perturb(truth, errors), None, None
         if asked.prior is not None:
-            prior = asked.prior.predicted(seen.frame.stamp_ns)
+            prior = asked.prior.predicted(seen.frame.stamp_ns, slot.middle_obj)
             off = displacement_m(prior, truth, slot) / slot.diameter_m
             prior_score = SCORE - min(SCORE_PER_DIAMETER * max(off - 0.1, 0.0), 1.2)
         instance = -1 if asked.instance is None else asked.instance

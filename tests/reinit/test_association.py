@@ -65,6 +65,20 @@ def test_where_the_origin_lies_changes_nothing() -> None:
         )
 
 
+def test_an_object_that_turns_in_place_is_expected_there_wherever_its_origin_lies() -> None:
+    """Its published velocity is that of its origin."""
+    off, spin, seconds = np.array([0.3, 0.0, 0.0]), np.array([0.0, 2.0, 0.0]), 0.3
+    far = ObjectSlot("mug", 3, 0.2, (), np.array([off - 0.1, off + 0.1]))
+    to_origin = se3.make(np.eye(3), -off)
+    there = at(0.0, np.degrees(2.0 * seconds)) @ to_origin
+    now = at(0.0) @ to_origin
+    lever = now[:3, 3] - at(0.0)[:3, 3]
+    velocity = np.concatenate([np.cross(spin, lever), spin])
+    tracked = Prior(now, velocity, None, 0)
+    np.testing.assert_allclose(tracked.predicted(round(seconds * 1e9), far.middle_obj), there, atol=1e-12)
+    assert assign([there], [tracked], round(seconds * 1e9), far, [True]) == [0]
+
+
 FLAT = ObjectSlot("book", 3, 0.26, (), np.array([[-0.1, -0.08, 0.0], [0.1, 0.08, 0.03]]))
 
 

@@ -224,7 +224,7 @@ def test_priors_carry_what_was_published() -> None:
     assert prior is not None
     assert prior.stamp_ns == 40 * MS
     np.testing.assert_array_equal(prior.velocity, velocity)
-    ahead = prior.predicted(140 * MS)
+    ahead = prior.predicted(140 * MS, np.zeros(3))
     np.testing.assert_allclose(ahead[:3, 3], pose()[:3, 3] + [0.01, 0, 0], atol=1e-12)
     assert se3.rotation_angle(ahead, pose()) == pytest.approx(0.1)
 

@@ -105,8 +105,8 @@ def test_a_request_and_its_priors_come_back():
     assert (message.seq, message.camera_epoch, message.deadline_ns) == (8, None, 20)
     known, new = message.objects
     assert (new.object, new.instance, new.wanted) == ("other", None, 2)
-    back = prior_from_wire(known.prior)
-    assert np.allclose(back.predicted(1_100_000_000), prior.predicted(1_100_000_000))
+    back, middle = prior_from_wire(known.prior), np.array([0.01, 0.0, 0.2])
+    assert np.allclose(back.predicted(1_100_000_000, middle), prior.predicted(1_100_000_000, middle))
 
 
 @pytest.mark.parametrize("instance", [None, 3])

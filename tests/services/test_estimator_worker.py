@@ -33,6 +33,9 @@ class _Estimator:
         self.asked = queries
         return list(self.answers)
 
+    def middle_obj(self, name):
+        return np.zeros(3)
+
     def add_object(self, model):
         self.objects = (*self.objects, model)
 

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
-from typing import Generic, TypeVar
 
 import cv2
 import numpy as np
@@ -42,7 +41,7 @@ from huepose.propose.keypoint_reference import build_keypoints
 from huepose.propose.keypoints import ModelKeypoints, PictureFeatures, consensus_poses, match
 from huepose.rendering.render import render
 from huepose.select.distinct import HALF, share_held
-from huepose.support.kept import kept
+from huepose.support.kept import kept, once_for_each
 from huepose.support.pool import Pool
 from huepose.support.stages import stage
 
@@ -56,17 +55,6 @@ HOLE_PX = 9
 """Pixels without depth this near to the clear part may belong to it: sheen leaves holes."""
 
 
-Made = TypeVar("Made")
-
-
-@dataclass(frozen=True)
-class _Of(Generic[Made]):
-    """What was made of a model."""
-
-    model: ReferenceModel
-    made: Made
-
-
 class ViewDetector:
     """Finds known objects in whole frames. Stateless, unless `DetectorConfig.remembering` says that all
     frames come from one camera. Thread-safe."""
@@ -74,9 +62,9 @@ class ViewDetector:
     def __init__(self, models: Mapping[str, ReferenceModel], config: DetectorConfig | None = None) -> None:
         self.config = config or DetectorConfig()
         self._models = ReferenceModels({})
-        self._tables: dict[str, _Of[WindowTable]] = {}
         self._features: FeatureSource = Sift()
-        self._keypoints: dict[str, _Of[ModelKeypoints]] = {}
+        self._table: Callable[[ReferenceModel], WindowTable] = once_for_each(window_table)
+        self._keypoints_of = once_for_each(self._kept_keypoints)
         self._lock = threading.Lock()
         self._memory: Memory | None = None
         self._attention = Attention()
@@ -93,8 +81,6 @@ class ViewDetector:
         """Remove an object; an unknown name is ignored."""
         with self._lock:
             self._models.pop(name, None)
-            self._tables.pop(name, None)
-            self._keypoints.pop(name, None)
 
     def detect(
         self,
@@ -213,26 +199,8 @@ class ViewDetector:
             depth = np.where(picture.depth > 0, picture.depth, np.float32(1.5 * distance))
             self.detect(RgbdFrame(picture.color, depth.astype(np.float32), camera), [model.name])
 
-    def _table(self, model: ReferenceModel) -> WindowTable:
-        return self._once(self._tables, model, window_table)
-
-    def _keypoints_of(self, model: ReferenceModel) -> ModelKeypoints:
-        return self._once(
-            self._keypoints,
-            model,
-            lambda model: kept(ModelKeypoints, model.digest, partial(self._matching_keypoints, model)),
-        )
-
-    def _once(self, known: dict[str, _Of[Made]], model: ReferenceModel, make: Callable[..., Made]) -> Made:
-        """What is made of a model, kept as long as the object has this model."""
-        with self._lock:
-            of = known.get(model.name)
-            if of is not None and of.model is model:
-                return of.made
-            made = make(model)
-            if self._models.get(model.name) is model:
-                known[model.name] = _Of(model, made)
-            return made
+    def _kept_keypoints(self, model: ReferenceModel) -> ModelKeypoints:
+        return kept(ModelKeypoints, model.digest, partial(self._matching_keypoints, model))
 
     def _matching_keypoints(self, model: ReferenceModel) -> ModelKeypoints:
         found = model.keypoints

@@ -2,8 +2,8 @@
 
 Colour shows a moving object where it is now, depth that is older where it was. So the edges of the colours
 lie beside the steps of depth, by the object's image velocity times the delay: more where it is faster, and
-the other way when it comes back, as no error of registration does. One look measures that distance along an
-outline; many looks, at several velocities, give the delay with its standard error.
+the other way when it comes back, as no error of registration does. One lag is that distance along an
+outline; many lags, at several velocities, give the delay with its standard error.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.judge.borders import Contours
 
 SLOWEST_PX_S = 40.0
-"""Image speed under which a look says too little: 33 ms are 1.3 pixels."""
+"""Image speed under which a lag says too little: 33 ms are 1.3 pixels."""
 
 REACH_PX = 20
 """How far the edges of the colours are looked for, pixels along the object's motion: 66 ms at 300 px/s."""
@@ -34,13 +34,13 @@ STEP_M, GAP_PX = 0.03, 3
 """Least step of depth from a thing to what is behind it, metres, and most pixels that it may take."""
 
 LEAST_LAGS, LEAST_BLOCKS = 8, 4
-"""Fewer looks, or looks in fewer blocks, say nothing."""
+"""Fewer lags, or lags in fewer blocks, say nothing."""
 
 FITS_PX, USUAL_SHIFT_PX = 1.5, 3.0
-"""How far looks usually lie from the line that fits them, and registration shifts all of them."""
+"""How far lags usually lie from the line that fits them, and registration shifts all of them."""
 
 MAJORITY = 0.5
-"""Least share of looks within two FITS_PX of that line."""
+"""Least share of lags within two FITS_PX of that line."""
 
 CLEAR_SIGMAS, TOGETHER_SIGMAS = 4.0, 2.0
 """A delay is said that is by so many standard errors more than TOLERATED_S; what was said is taken back where
@@ -63,7 +63,7 @@ of the colours lie, px."""
 
 @dataclass(frozen=True)
 class DepthDelay:
-    """seconds: by which depth is older than colour; error_s: its standard error; share: of the looks that
+    """seconds: by which depth is older than colour; error_s: its standard error; share: of the lags that
     agree."""
 
     seconds: float
@@ -91,8 +91,8 @@ class DepthDelay:
 
 
 def edge_lag(contours: Contours, T_cam_obj: Float64, velocity: Float64, frame: RgbdFrame) -> EdgeLag | None:
-    """A look at an object with a pose (4, 4) and a velocity (6,), a twist per second about its origin in
-    camera axes; None where it is too slow, or where too little of its outline is a step of depth."""
+    """The lag of the edges of an object with a pose (4, 4) and a velocity (6,), a twist per second about its
+    origin in camera axes; None where it is too slow, or where too little of its outline is a step of depth."""
     points, out = (one[::2] for one in contours.at(T_cam_obj))
     p = points.astype(np.float64) @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
     if len(p) < FEWEST or p[:, 2].min() < NEAR_M:
@@ -133,7 +133,7 @@ def delay(lags: Sequence[EdgeLag], blocks: Sequence[str]) -> DepthDelay | None:
     usual = np.diag([0.0, 1.0, 1.0]) * (FITS_PX / USUAL_SHIFT_PX) ** 2
     x = np.zeros((len(_STARTS_S), 3))
     x[:, 0] = _STARTS_S
-    # Cauchy's: of a look that is far off nothing is believed, so the fit begins at several places.
+    # Cauchy's: of a lag that is far off nothing is believed, so the fit begins at several places.
     for _ in range(_STEPS):
         weight = 1.0 / (1.0 + ((y - x @ A.T) / FITS_PX) ** 2)
         weighted = weight[:, :, None] * A
@@ -152,7 +152,7 @@ def delay(lags: Sequence[EdgeLag], blocks: Sequence[str]) -> DepthDelay | None:
     np.add.at(together, which, pull)
     inverse = np.linalg.inv(hessian)
     covariance = inverse @ (together.T @ together) @ inverse * number / (number - 3)
-    # What one side of an outline is off stays so for a while: a block is worth one look.
+    # What one side of an outline is off stays so for a while: a block is worth one lag.
     alone = np.linalg.inv((A * weight[best][:, None]).T @ A * (number / len(A)) + usual) * FITS_PX**2
     error_s = float(np.sqrt(max(covariance[0, 0], alone[0, 0])))
     return DepthDelay(float(x[best, 0]), error_s, float((np.abs(r) <= 2.0).mean()))

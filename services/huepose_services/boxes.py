@@ -61,7 +61,9 @@ class BoxFinder:
         """A sentence on the objects that never get a box; empty where there are none."""
         return ""
 
-    def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> ChannelOrder:
+    def order_of_channels(
+        self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]
+    ) -> ChannelOrder:
         """What a frame says of the order of its channels, by the objects of these names. seen: scores of
         those that were searched in it."""
         return ChannelOrder()
@@ -150,7 +152,9 @@ class SearchedBoxes(BoxFinder):
             for place in mine
         ]
 
-    def order_of_channels(self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]) -> ChannelOrder:
+    def order_of_channels(
+        self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]
+    ) -> ChannelOrder:
         """By one of the objects, by turns, as in `find`."""
         known = [name for name in names if name in self._outlines]
         asked = self._looks.turn(known)[:1] if known else []

@@ -7,7 +7,7 @@ import numpy as np
 from huepose.colorpair.types import SurfacePairs
 from huepose.geometry import se3
 from huepose.geometry.se3 import angles_to
-from huepose.paper.extended.frames import frame_votes
+from huepose.paper.extended.frames import MODEL_PAIRS, frame_votes
 from tests.kernels import compiled
 
 T = se3.make(se3.rotation_exp(np.array([0.5, 1.5, -0.8])), np.array([0.1, -0.05, 0.8]))
@@ -61,7 +61,7 @@ def test_a_pair_that_fits_many_says_less_of_each() -> None:
 
 
 def test_a_model_of_many_pairs_waits_for_no_compiler() -> None:
-    few, many = random_pairs(60, 5), random_pairs(frames.MODEL_PAIRS + 1, 6)
+    few, many = random_pairs(60, 5), random_pairs(MODEL_PAIRS + 1, 6)
     frame_votes(few, few)
     before = compiled()
     frame_votes(few, many)

@@ -92,7 +92,8 @@ class DepthDelay:
 
 def edge_lag(contours: Contours, T_cam_obj: Float64, velocity: Float64, frame: RgbdFrame) -> EdgeLag | None:
     """The lag of the edges of an object with a pose (4, 4) and a velocity (6,), a twist per second about its
-    origin in camera axes; None where it is too slow, or where too little of its outline is a step of depth."""
+    origin in camera axes; None where it is too slow, or where too little of its outline is a step of
+    depth."""
     points, out = (one[::2] for one in contours.at(T_cam_obj))
     p = points.astype(np.float64) @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
     if len(p) < FEWEST or p[:, 2].min() < NEAR_M:

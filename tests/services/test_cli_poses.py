@@ -102,6 +102,26 @@ def test_poses_to_be_acted_on_are_written_for_calibration_and_as_trajectories(po
     assert [float(value) for value in line.split()[1:]] == [0.1, 0.2, 0.8, 0.0, 0.0, 0.0, 1.0]
 
 
+def test_quaternions_of_an_instance_keep_their_sign_from_row_to_row(pose, tmp_path):
+    """The same turn goes on though the pose says the other quaternion of it; another instance's stays."""
+    csv, tum = tmp_path / "object.csv", tmp_path / "tum"
+    nearly, other = (0.0, 0.0, 0.1, 0.995), (0.0, 0.0, -0.1, -0.995)
+    with PoseFiles(csv, tum) as files:
+        for instance, quaternion in ((0, nearly), (0, other), (1, other), (0, nearly), (0, other)):
+            files.take(replace(pose, object="mug", instance=instance, quaternion=quaternion))
+    rows = [[float(value) for value in row.split(",")[5:9]] for row in csv.read_text().splitlines()[1:]]
+    assert rows == [[*nearly], [*nearly], [*other], [*nearly], [*nearly]]
+    assert all(row.endswith(" 0.100000000 0.995000000") for row in lines(tum / "mug_0.txt"))
+    assert all(row.endswith(" -0.100000000 -0.995000000") for row in lines(tum / "mug_1.txt"))
+
+
+def lines(path):
+    """Those of poses in a file of TUM's format."""
+    _, *poses = path.read_text().splitlines()
+    assert poses
+    return poses
+
+
 def test_poses_that_were_written_before_are_not_written_over(pose, tmp_path):
     csv, tum = tmp_path / "object.csv", tmp_path / "tum"
     with PoseFiles(csv, tum) as files:

@@ -19,14 +19,16 @@ TUM_COLUMNS = "# timestamp tx ty tz qx qy qz qw"
 class PoseFiles:
     """Writes every TRACKING pose: a row of `csv`, and a line of DIR/OBJECT_INSTANCE.txt (`tum`).
 
-    Stamps are of the capture, on the realtime clock, seconds; poses are T_cam_obj, metres. A line is in its
-    file at once; without a pose there is no `csv`.
+    Stamps are of the capture, on the realtime clock, seconds; poses are T_cam_obj, metres. Of the two
+    quaternions of a rotation the one nearer to that of the row before is written, so that they can be
+    interpolated. A line is in its file at once; without a pose there is no `csv`.
 
     Raises InputError for a file or a folder that has something in it, and for what the disk does not take."""
 
     def __init__(self, csv: Path | None, tum: Path | None) -> None:
         self._tum = tum
         self._files: dict[Path, TextIO] = {}
+        self._turned: dict[tuple[str, int], tuple[float, ...]] = {}
         self.written = 0
         self._csv = csv
         if csv is not None and csv.is_file() and csv.stat().st_size:
@@ -60,7 +62,8 @@ class PoseFiles:
             return
         if message.translation is None or message.quaternion is None:
             return
-        values = [f"{value:.9f}" for value in (*message.translation, *message.quaternion)]
+        quaternion = self._continued((message.object, message.instance), message.quaternion)
+        values = [f"{value:.9f}" for value in (*message.translation, *quaternion)]
         self.written += 1
         seconds, rest = divmod(message.capture_ns + message.realtime_offset_ns, 1_000_000_000)
         stamp = f"{seconds}.{rest:09d}"
@@ -72,6 +75,14 @@ class PoseFiles:
             path = self._tum / f"{message.object}_{message.instance}.txt"
             heading = () if path in self._files else (TUM_COLUMNS,)
             self._write(path, *heading, f"{stamp} {' '.join(values)}")
+
+    def _continued(self, whose: tuple[str, int], quaternion: tuple[float, ...]) -> tuple[float, ...]:
+        """The same rotation, with the sign that continues the row before."""
+        before = self._turned.get(whose, quaternion)
+        if sum(a * b for a, b in zip(before, quaternion, strict=True)) < 0.0:
+            quaternion = tuple(-value for value in quaternion)
+        self._turned[whose] = quaternion
+        return quaternion
 
     def __enter__(self) -> PoseFiles:
         return self

@@ -86,8 +86,8 @@ def read_pose_rows(path: Path | str) -> list[PoseRow]:
         if not any(cells) or (line == 1 and cells[0] == COLUMNS[0]):
             continue
         try:
-            frame, values = int(cells[0]), np.array([float(cell) for cell in cells[2:9]])
-            instance = int(cells[9]) if len(cells) > 9 else None
+            frame, values = _whole(cells[0]), np.array([float(cell) for cell in cells[2:9]])
+            instance = _whole(cells[9]) if len(cells) > 9 else None
         except (ValueError, IndexError):
             frame, values, instance = 0, np.empty(0), None
         if len(values) != 7:
@@ -106,6 +106,17 @@ def read_pose_rows(path: Path | str) -> list[PoseRow]:
     if not rows:
         raise InputError(path, found="no pose", expected=",".join(COLUMNS))
     return rows
+
+
+def _whole(cell: str) -> int:
+    """A whole number, also as pandas writes it where a value of the column is missing: `100.0`. Raises
+    ValueError."""
+    try:
+        return int(cell)
+    except ValueError:
+        if not (number := float(cell)).is_integer():
+            raise
+        return int(number)
 
 
 def read_dope_poses(path: Path | str, name: str) -> PoseTable:

@@ -140,6 +140,16 @@ def test_a_broken_pose_csv_is_named(tmp_path: Path, text: str) -> None:
         read_pose_csv(path)
 
 
+def test_numbers_of_frames_may_be_written_as_pandas_does(tmp_path: Path) -> None:
+    path = tmp_path / "poses.csv"
+    path.write_text("100.0,box,0,0,1,0,0,0,1,2.0\n101.0,box,0,0,1,0,0,0,1,2.0\n")
+    assert [(row.frame, row.instance) for row in read_pose_rows(path)] == [(100, 2), (101, 2)]
+    for number in ("100.5", "nan", "inf"):
+        path.write_text(f"{number},box,0,0,1,0,0,0,1\n")
+        with pytest.raises(InputError, match="line 1"):
+            read_pose_rows(path)
+
+
 def test_dope_poses_are_taken_through_both_frames(tmp_path: Path) -> None:
     """A point known in the reference frame lands where DOPE's pose puts it by way of its own frame."""
     R, t, offset = (

@@ -36,6 +36,17 @@ def _scenes_in(folder: Path) -> list[str]:
     return sorted(str(path.parent.relative_to(folder)) for path in cameras)
 
 
+def refuse_grey(scene: Path) -> None:
+    """Raises InputError for a scene folder with grey pictures and none in colour."""
+    if not (scene / "rgb").is_dir() and (scene / "gray").is_dir():
+        raise InputError(
+            scene,
+            found="grey pictures, gray/ and no rgb/",
+            expected="colour pictures in rgb/",
+            fix="HuePose needs colour: take a set that has it.",
+        )
+
+
 class BopScene:
     """One scene folder. `image_ids`: the images on disk, in numeric order; `name`: the folder's name."""
 
@@ -51,13 +62,7 @@ class BopScene:
                 found=f"a folder of {counted(len(scenes), 'scene')}: {listed(scenes)}",
                 expected=f"the folder of one, as {self.path / scenes[0]}",
             )
-        if not (self.path / "rgb").is_dir() and (self.path / "gray").is_dir():
-            raise InputError(
-                self.path,
-                found="grey pictures, gray/ and no rgb/",
-                expected="colour pictures in rgb/",
-                fix="HuePose needs colour: take a set that has it.",
-            )
+        refuse_grey(self.path)
         self.name = files.folder_name(self.path)
         self._colors = files.numbered_files(self.path / "rgb")
         self._cameras = files.read_json(self.path / "scene_camera.json", f"{_HOLDS}.")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from huepose.datasets import files
-from huepose.datasets.bop import BopScene
+from huepose.datasets.bop import BopScene, refuse_grey
 from huepose.datasets.types import GroundTruth, Scene, SomeImages
 from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
@@ -86,6 +86,8 @@ def open_ycbv(path: Path | str) -> YcbvFolder:
         if p.name.isdigit() and (p / "scene_gt.json").exists() and (p / "rgb").is_dir()
     }
     if not there:
+        for scene in sorted(folder.iterdir()):
+            refuse_grey(scene)
         raise InputError(
             folder, found="no scene with rgb/ and scene_gt.json", expected="test/000048 and so on"
         )

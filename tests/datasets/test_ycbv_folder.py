@@ -43,6 +43,13 @@ def test_the_targets_say_which_images_and_labels_count(bop_download: Path) -> No
     ]
 
 
+def test_grey_pictures_are_called_so(bop_download: Path) -> None:
+    scene = bop_download / "test" / "000003"
+    (scene / "rgb").rename(scene / "gray")
+    with pytest.raises(InputError, match=r"000003: found grey pictures, gray/ and no rgb/; .*needs colour"):
+        open_ycbv(bop_download)
+
+
 def test_of_alike_objects_those_count_that_show_most() -> None:
     """Two are asked for, of three that show 30, 90 and 60 %."""
 

@@ -257,3 +257,20 @@ def gaps(folder: Path, parts: Mapping[str, Collection[int]], numbers: Collection
         for part, lacking in missing.items()
         if lacking
     ]
+
+
+_FILMS = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm"})
+
+
+def instead_of_film(path: Path) -> str:
+    """What to give instead of a film of colour, in a sentence; empty for other files.
+
+    >>> instead_of_film(Path("run.mcap"))
+    ''
+    """
+    if path.suffix.lower() not in _FILMS:
+        return ""
+    return (
+        "A film has no depth, which HuePose needs: record colour with depth, by `huepose record` of a "
+        "pipeline with the camera, or as a bag of ROS."
+    )

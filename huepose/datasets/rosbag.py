@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from huepose.datasets.files import instead_of_film
 from huepose.datasets.ros_images import camera_of, color_of, depth_of, encoding_of, field, kind_of
 from huepose.datasets.types import GroundTruth
 from huepose.geometry.frame import RgbdFrame
@@ -52,14 +53,15 @@ class Topics:
 
 class RosbagScene:
     """Frames by their places in the bag, from 0, rectified. topics: None where nobody can name them, which
-    errors then do not propose. Raises InputError for a bag that is broken or has no pair of colour and
-    depth."""
+    errors then do not propose. Raises InputError for a bag that is broken, has no pair of colour and
+    depth, or whose camera changes."""
 
     def __init__(self, path: Path, topics: Topics | None = None) -> None:
         self.name, self._path = path.stem, path
         chosen = _Choice(path, _firsts(path), topics)
         self.topics = Topics(chosen.color, chosen.depth, chosen.info)
         self._camera, self._rectifier = chosen.camera
+        _check_one_camera(path, chosen.info)
         self._color, self._depth = _Stream(path, chosen.color), _Stream(path, chosen.depth)
         self._pairs = _paired(self._color.places, self._depth.places)
         if not self._pairs:
@@ -163,6 +165,36 @@ def _messages(path: Path, topic: str, since_ns: int | None = None) -> Iterator[_
                 yield _Message(path, reader, one.msgtype, raw, _Place(_stamp_ns(raw, reader.is2), log_ns))
 
 
+_SAME_CAMERA = {"k": 0.5, "d": 1e-3, "p": 0.5}
+"""How much the numbers of a camera may differ in one bag: half a pixel, and as much of its lens."""
+
+
+def _check_one_camera(path: Path, topic: str) -> None:
+    """Raises InputError where the CameraInfo of a topic changes: another size, zoom or focus, say."""
+    first, first_ns = None, 0
+    for message in _messages(path, topic):
+        info = message.read()
+        if first is None:
+            first, first_ns = info, message.place.log_ns
+        if (what := _changed(first, info)) is None:
+            continue
+        raise InputError(
+            f"{path}, {topic}",
+            found=f"another {what} {(message.place.log_ns - first_ns) * 1e-9:.2f} s after its first message "
+            f"(stamp {message.place.stamp_ns * 1e-9:.3f})",
+            expected="one camera in all of the bag",
+            fix="Cut the bag there, or record with a size, zoom and focus that stay.",
+        )
+
+
+def _changed(one: Any, other: Any) -> str | None:
+    """What of a camera differs between two messages."""
+    if (one.width, one.height) != (other.width, other.height):
+        return f"size ({other.width} x {other.height})"
+    differs = (k for k, by in _SAME_CAMERA.items() if not _same(field(one, k), field(other, k), by))
+    return next((name.upper() for name in differs), None)
+
+
 def _stamp_ns(raw: bytes, is2: bool) -> int:
     """The stamp, without reading the picture. It stands behind `seq` in ROS 1, in ROS 2 behind the four bytes
     of CDR, the second of which says how numbers are written."""
@@ -216,7 +248,8 @@ def _broken(path: Path, error: Exception | str) -> InputError:
         path,
         found=" ".join(str(error).split())[:200] or type(error).__name__,
         expected="a whole .bag of ROS 1, or the folder of a bag of ROS 2, with its metadata.yaml",
-        fix="One whose recording was cut off is mended by `rosbag reindex` or `ros2 bag reindex`.",
+        fix=instead_of_film(path)
+        or "One whose recording was cut off is mended by `rosbag reindex` or `ros2 bag reindex`.",
     )
 
 
@@ -349,5 +382,6 @@ def _partly(info: Any) -> str:
 
 def _same(one: Any, other: Any, tolerance: float) -> bool:
     """Whether numbers are the same, up to zeros at their end."""
-    a, b = (np.trim_zeros(np.asarray(x, np.float64).ravel(), "b") for x in (one, other))
-    return len(a) == len(b) and bool(np.allclose(a, b, rtol=0, atol=tolerance))
+    a, b = (np.asarray(x, np.float64).ravel() for x in (one, other))
+    a, b = (np.pad(x, (0, max(len(a), len(b)) - len(x))) for x in (a, b))
+    return bool(np.allclose(a, b, rtol=0, atol=tolerance))

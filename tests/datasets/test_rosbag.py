@@ -252,6 +252,28 @@ def test_depth_that_is_not_in_the_pixels_of_colour_is_refused(tmp_path: Path) ->
     assert RosbagScene(ros.write(tmp_path / "same", [*desk(ros), same])).image_ids
 
 
+@pytest.mark.parametrize("name", BAGS)
+def test_a_camera_that_changes_midway_is_refused_with_the_time(name: str, tmp_path: Path) -> None:
+    def changing(named: str, **fields: Any) -> Path:
+        ros, messages = Ros(name), desk(Ros(name), BARREL)
+        for place, (topic, log_ns, _) in enumerate(messages):
+            if topic == INFO and log_ns >= stamps_ns(2)[0]:
+                info = ros.info(fields.get("camera", CAMERA), fields.get("d", BARREL))
+                info.header = ros.header(log_ns)
+                messages[place] = topic, log_ns, info
+        return ros.write(tmp_path / f"{named}_{name}", messages)
+
+    assert RosbagScene(changing("same")).image_ids == (0, 1, 2)
+    focused = changing("focus", camera=Camera(40.1, 41.0, 15.5, 11.0, WIDTH, HEIGHT))
+    assert RosbagScene(focused).frame(2).camera == CAMERA, "a tenth of a pixel is none"
+    zoomed = changing("zoom", camera=Camera(60.0, 61.5, 15.5, 11.0, WIDTH, HEIGHT))
+    told = f"{INFO}: found another K 0.07 s after its first message (stamp 1700000000.189); expected one"
+    assert told in refusal(zoomed)
+    assert "found another D 0.07 s" in refusal(changing("lens", d=[-0.1, 0.05, 0.001, -0.002, 0.0]))
+    larger = changing("size", camera=Camera(40.0, 41.0, 15.5, 11.0, 2 * WIDTH, 2 * HEIGHT))
+    assert f"found another size ({2 * WIDTH} x {2 * HEIGHT}) 0.07 s" in refusal(larger)
+
+
 def test_what_cannot_be_used_is_said(tmp_path: Path) -> None:
     ros = Ros("a")
     mono = desk(ros, color=lambda n, ns: ros.image(COLORS[n, ..., 0].copy(), "mono8", ns))
@@ -307,6 +329,11 @@ def test_a_broken_bag_is_one_paragraph_and_exit_code_2(
     pipeline.write_text(pipeline.read_text().replace(name, "gone.bag"))
     assert main(["up", str(pipeline)]) == 2
     assert "gone.bag: found no such file" in capsys.readouterr().err
+
+
+def test_who_gives_a_film_is_told_what_to_record_instead(tmp_path: Path) -> None:
+    (tmp_path / "turned.mp4").write_bytes(b"\0\0\0\x20ftypisom")
+    assert "A film has no depth" in refusal(tmp_path / "turned.mp4")
 
 
 def test_a_recording_of_huepose_is_told_from_a_bag(tmp_path: Path) -> None:

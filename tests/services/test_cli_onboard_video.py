@@ -125,7 +125,11 @@ def test_a_file_that_is_no_recording_is_not_taken_for_a_folder(
 ) -> None:
     (tmp_path / name).touch()
     assert main(given_for(tmp_path / name, tmp_path / "bundles")) == 2
-    assert f"{name}: found {found}; expected a recording" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"{name}: found {found}; expected a recording" in said
+    assert ("A film has no depth, which HuePose needs: record colour with depth" in said) == (
+        name == "film.mp4"
+    )
 
 
 def test_a_recording_takes_the_place_of_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

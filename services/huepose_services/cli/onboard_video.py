@@ -113,11 +113,14 @@ def _scene(path: Path) -> Scene:
 
         return RecordedScene(path)
     if path.is_file():
+        from huepose.datasets.files import instead_of_film
+
         raise InputError(
             path,
             found="another kind of file",
             expected="a recording of `huepose record` (.mcap), a bag of ROS (a .bag, .db3 or .mcap, or its "
             "folder) or the folder of a BOP scene",
+            fix=instead_of_film(path),
         )
     from huepose.datasets.bop import BopScene
 

@@ -23,6 +23,7 @@ from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import MCAP0_MAGIC
 
+from huepose.datasets.files import instead_of_film
 from huepose.support.errors import InputError
 from huepose.support.picture_size import picture_size
 from huepose_protos import WireError
@@ -95,7 +96,8 @@ class Recording:
         begins = file.read(len(MCAP0_MAGIC))
         if begins != MCAP0_MAGIC:
             found = "another kind of file" if begins else "an empty file"
-            raise InputError(self.path, found=found, expected="a recording (.mcap)")
+            fix = instead_of_film(self.path)
+            raise InputError(self.path, found=found, expected="a recording (.mcap)", fix=fix)
         place = file.tell()
         reader = StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=_MAX_RECORD)
         try:

@@ -206,6 +206,15 @@ def test_jpeg_cannot_be_verified(followed):
         _verified(followed.rewritten(lambda e: e, jpeg=True))
 
 
+def test_where_there_are_no_pictures_none_is_said_to_be_a_jpeg(followed):
+    def unseen(event):
+        return None if isinstance(event.message, FrameHeader) else event
+
+    report = _verified(followed.rewritten(unseen, jpeg=True))
+    assert report == _verified(followed.rewritten(unseen))
+    assert (report.steps, report.difference) == (0, "")
+
+
 def test_other_reference_models_are_refused(followed, tmp_path):
     other = tmp_path / "bundles"
     shutil.copytree(followed.bundles, other)

@@ -154,10 +154,12 @@ def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets)
         phantoms += spare
     due = [row for row in rows if not row.gone]
     with_pose = sum(row.T_cam_obj is not None for row in due)
+    first = _until_it_begins_again(messages, max(scene.image_ids))
     measured = {
         "poses_for_frames": 100.0 * with_pose / len(due) if due else None,
         "messages": len(messages),
-        "messages_of_first_pass": len(_until_it_begins_again(messages, max(scene.image_ids))),
+        "messages_of_first_pass": len(first),
+        "messages_before_scene": sum(m.frame_id < min(scene.image_ids) for m in first),
         **_times(kept),
     }
     return TrackResult(rows, {(scene.name, 0): phantoms}, {"frames": len(scene.image_ids)}, measured)

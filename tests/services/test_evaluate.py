@@ -93,6 +93,21 @@ def test_it_says_where_only_the_first_pass_of_several_counts(
     assert said in capsys.readouterr().out
 
 
+def test_it_says_where_the_poses_are_of_more_than_the_scene(
+    scoring: list[str], scene: Path, tmp_path: Path, capsys
+) -> None:
+    """They began before the scene and ended after it: that is no second pass."""
+    (scene / "rgb" / "000000.png").unlink()
+    (message,) = (tmp_path / "poses.jsonl").read_text().splitlines()
+    more = [{**json.loads(message), "frame_id": n, "capture_ns": 9 + n} for n in (0, 7)]
+    with (tmp_path / "poses.jsonl").open("a") as poses:
+        poses.writelines(json.dumps(one) + "\n" for one in more)
+    assert main(scoring) == 0
+    said = capsys.readouterr().out
+    assert "the scene is a part of what the poses are about: 1 of 3 messages are of it" in said
+    assert "first pass" not in said
+
+
 def test_a_scene_that_shows_nothing_of_its_objects_is_scored(
     scoring: list[str], scene: Path, tmp_path: Path, printed: Says
 ) -> None:
@@ -151,6 +166,16 @@ def test_a_scene_without_labels_is_named(bundles: Path, scene: Path, tmp_path: P
     (scene / "scene_gt.json").unlink()
     command = f"eval estimate --bop {scene} --bundles {bundles} --json {tmp_path / 'r'}".split()
     assert "scene_gt.json" in refused(command)
+
+
+def test_a_scene_that_is_given_twice_is_named_as_it_was_given(
+    scene: Path, bundles: Path, tmp_path: Path, refused
+) -> None:
+    words = ["eval", "estimate", "--bundles", bundles, "--json", tmp_path / "r", "--bop", scene]
+    again = scene.parent / "." / scene.name
+    assert f"scene {scene}: found the same folder twice; expected each folder once." in refused(
+        [*words, again]
+    )
 
 
 def test_scenes_of_several_sets_may_have_one_name(

@@ -25,11 +25,9 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _report(summary: dict[str, Any]) -> str:
-    counted, given = summary["messages_of_first_pass"], summary["messages"]
-    left_out = f"only the first pass of the scene counts: {counted} of {given} messages are of it"
     return "\n".join(
         [
-            *([left_out] if counted < given else []),
+            *_left_out(summary),
             figure_table("scene", summary["sequences"], {"instances": "n"}),
             states_line(summary),
             f"poses for {known(summary['poses_for_frames'], unit=' %')} of frames, "
@@ -37,3 +35,14 @@ def _report(summary: dict[str, Any]) -> str:
             f"capture to pose {summary['latency_ms_p50']:.1f} ms (p99 {summary['latency_ms_p99']:.1f} ms)",
         ]
     )
+
+
+def _left_out(summary: dict[str, Any]) -> list[str]:
+    """A sentence where messages do not count."""
+    early, given = summary["messages_before_scene"], summary["messages"]
+    counted = summary["messages_of_first_pass"] - early
+    if counted == given:
+        return []
+    if early:  # a scene that is played begins with its first image
+        return [f"the scene is a part of what the poses are about: {counted} of {given} messages are of it"]
+    return [f"only the first pass of the scene counts: {counted} of {given} messages are of it"]

@@ -42,12 +42,14 @@ def open_bop(paths: Sequence[Path]) -> list[Scene]:
 
 def scene_names(paths: Sequence[Path]) -> list[str]:
     """Names of scenes: the folder's; where folders of several sets are called alike, with as many of the
-    folders above as tell them apart.
+    folders above as tell them apart. Raises InputError for a folder that is given twice.
 
     >>> scene_names([Path("a/000001"), Path("b/000001"), Path("b/000002")])
     ['a-000001', 'b-000001', '000002']
     """
     parts = [Path(os.path.abspath(path)).parts for path in paths]
+    if twice := [path for path, part in zip(paths, parts, strict=True) if parts.count(part) > 1]:
+        raise InputError(f"scene {twice[0]}", found="the same folder twice", expected="each folder once")
     names = [part[-1] for part in parts]
     for length in range(2, max(map(len, parts), default=0)):
         alike = {name for name, count in Counter(names).items() if count > 1}

@@ -294,6 +294,11 @@ def check_door(gateway: GatewayConfig, section: str = "gateway") -> None:
     _listener(gateway, section, port=0).close()
 
 
+def check_free(gateway: GatewayConfig, section: str = "gateway") -> None:
+    """Raises InputError where a Door could not listen now; leaves nothing open."""
+    _listener(gateway, section).close()
+
+
 def _listener(
     gateway: GatewayConfig, section: str, port: int | None = None, early: bool = False
 ) -> socket.socket:

@@ -18,7 +18,7 @@ import zenoh
 from huepose.support.errors import InputError
 from huepose_protos.client import tls_files
 from huepose_protos.messages import Detections, Estimates, FrameHeader, Look, Masks
-from huepose_services.gateway_door import Door, check_door
+from huepose_services.gateway_door import Door, check_door, check_free
 from huepose_services.gateway_session import allowed, open_behind_door, outside_settings
 from huepose_services.pem import Credentials
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -56,6 +56,11 @@ def check_link(config: Config) -> None:
         check_door(_door(config), "link")
     elif "downlink" in config.workers:
         credentials(config).context()
+
+
+def check_uplink_free(config: Config) -> None:
+    """Raises InputError where somebody listens where the other computer comes."""
+    check_free(_door(config), "link")
 
 
 def open_uplink(config: Config, tell: Callable[[str, str], None]) -> tuple[zenoh.Session, Door]:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import socket
 import time
 from pathlib import Path
 
@@ -477,6 +478,29 @@ def test_what_a_worker_would_refuse_as_it_starts_is_refused_before(tmp_path, ref
         said = refused([verb, path])
         assert said.startswith(f"huepose {verb}: "), "no worker was started to say so"
         assert says in said
+
+
+@pytest.mark.parametrize(
+    ("worker", "section", "says"),
+    [
+        ("gateway", "gateway: {{listen: '127.0.0.1:{}'}}", "gateway.listen 127.0.0.1:{}: found Address"),
+        ("viewer", "viewer: {{web_port: {}}}", "viewer.web_port {}: found Address"),
+        ("viewer", "viewer: {{grpc_port: {}}}", "viewer.grpc_port {}: found Address"),
+    ],
+)
+def test_a_port_of_the_network_that_is_taken_is_said_before_a_worker_starts(
+    tmp_path, monkeypatch, refused, worker, section, says
+):
+    """The file itself is good: it may be this pipeline that runs there."""
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path / "run"))
+    path = tmp_path / "pipeline.yaml"
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        path.write_text(f"workers: [camera, {worker}]\n{section.format(port)}\n")
+        assert main(["validate", str(path)]) == 0
+        said = refused(["up", path])
+    assert said.startswith(f"huepose up: {says.format(port)}")
+    assert len(said.splitlines()) == 1
 
 
 def test_a_renamed_model_is_refused_before_a_worker_finds_it(tmp_path, tea_box, pipeline, refused):

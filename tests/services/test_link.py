@@ -1,5 +1,6 @@
 """A pipeline over two computers: which part is whose, what crosses between them, and what does not."""
 
+import socket
 import time
 from types import SimpleNamespace
 
@@ -27,6 +28,7 @@ from huepose_services.camera.audience import Audience
 from huepose_services.cli.graph import as_json, mermaid
 from huepose_services.cli.units import units
 from huepose_services.runtime.config import BusConfig, Config, LinkConfig
+from huepose_services.runtime.prepare import check_ports
 from huepose_services.runtime.running import described
 from huepose_services.watch import View
 from tests.services.conftest import parse, until
@@ -52,6 +54,21 @@ def test_each_computer_has_its_part():
     with pytest.raises(InputError, match="--host: found roof; expected one of: desk"):
         config.at("roof")
     assert Config().at(None) == Config()
+
+
+def test_where_the_other_computer_comes_somebody_who_listens_is_said_before_a_worker_starts(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path / "run"))
+    Authority.make(tmp_path / "secure", ["localhost"], 30)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        listen = f"127.0.0.1:{other.getsockname()[1]}"
+        link = LinkConfig(listen=listen, connect=listen, secure=str(tmp_path / "secure"))
+        config = Config(hosts={"desk": ALL}, link=link)
+        check_ports(config.at("desk"))
+        with pytest.raises(InputError, match=f"link.listen {listen}: found Address already in use"):
+            check_ports(config.at(None))
+    check_ports(config.at(None))
 
 
 @pytest.mark.parametrize(

@@ -106,13 +106,14 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
     import msgspec
 
     from huepose_services.viewer import sinks
+    from huepose_services.viewer_ports import free_port
 
     if arguments.save is not None:
         return sinks.saved(arguments.save)
     if arguments.web is None:
         return sinks.window(config.viewer.memory_mib)
     viewer = msgspec.structs.replace(
-        config.viewer, web_port=arguments.web, grpc_port=sinks.free_port(config.viewer.grpc_port)
+        config.viewer, web_port=arguments.web, grpc_port=free_port(config.viewer.grpc_port)
     )
     recording, address = sinks.served(viewer)
     say(f"the page is {address}")

@@ -122,8 +122,20 @@ def _check_builtin(config: Config) -> None:
 
 
 def check_ports(config: Config) -> None:
-    """Raises InputError when a worker's port is taken."""
+    """Raises InputError when a worker's port is taken, or one that it opens to other programs."""
     folder = make_folder()
     for worker in config.workers:
         if is_taken(folder, config.port(worker)):
             raise port_taken(config, worker)
+    if "gateway" in config.workers:
+        from huepose_services.gateway_door import check_free
+
+        check_free(config.gateway)
+    if "uplink" in config.workers:
+        from huepose_services.link import check_uplink_free
+
+        check_uplink_free(config)
+    if "viewer" in config.workers:
+        from huepose_services.viewer_ports import check_ports_free
+
+        check_ports_free(config.viewer)

@@ -13,6 +13,7 @@ import rerun as rr
 from huepose.support.errors import InputError
 from huepose_services.runtime.config import ViewerConfig
 from huepose_services.viewer.blueprint import layout
+from huepose_services.viewer_ports import check_ports_free
 
 _NAME = "huepose"
 _BATCH = timedelta(seconds=0.1)
@@ -27,10 +28,7 @@ def served(config: ViewerConfig) -> tuple[Any, str]:
     """A recording that browsers look at, and the address of its page. Nothing is fetched from the internet.
 
     Raises InputError where a port is taken."""
-    for name, port in (("web_port", config.web_port), ("grpc_port", config.grpc_port)):
-        if why := _why_taken(port, config.bind):
-            fix = "Close the other viewer, or choose another port."
-            raise InputError(f"viewer.{name} {port}", found=why, expected="a free port", fix=fix)
+    check_ports_free(config)
     recording = _recording()
     sink = rr.GrpcServerSink(config.bind, config.grpc_port, server_memory_limit=f"{config.memory_mib}MiB")
     recording.set_sinks(sink, default_blueprint=layout())
@@ -39,25 +37,6 @@ def served(config: ViewerConfig) -> tuple[Any, str]:
     rr.serve_web_viewer(web_port=config.web_port, open_browser=False, connect_to=source)
     # Dark, since the colours of states are made for it; a browser would take its own.
     return recording, f"http://{host}:{config.web_port}/?url={source.replace('+', '%2B')}&theme=dark"
-
-
-def _why_taken(port: int, bind: str) -> str:
-    """What keeps a port from being listened on; empty where nothing does."""
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((bind, port))
-        except OSError as error:
-            return error.strerror or str(error)
-    return ""
-
-
-def free_port(first: int) -> int:
-    """The first free port of this machine from there on, so that several viewers can run side by side."""
-    for port in range(first, min(first + 100, 65_536)):
-        if not _why_taken(port, "127.0.0.1"):
-            return port
-    raise InputError(f"ports from {first}", found="100 that are taken", expected="a free one")
 
 
 def window(memory_mib: int) -> Any:

@@ -1,0 +1,35 @@
+"""The ports of the viewer's page: looked at also where rerun is not loaded."""
+
+from __future__ import annotations
+
+import socket
+
+from huepose.support.errors import InputError
+from huepose_services.runtime.config import ViewerConfig
+
+
+def check_ports_free(config: ViewerConfig) -> None:
+    """Raises InputError where a port is taken."""
+    for name, port in (("web_port", config.web_port), ("grpc_port", config.grpc_port)):
+        if why := _why_taken(port, config.bind):
+            fix = "Close the other viewer, or choose another port."
+            raise InputError(f"viewer.{name} {port}", found=why, expected="a free port", fix=fix)
+
+
+def free_port(first: int) -> int:
+    """The first free port of this machine from there on, so that several viewers can run side by side."""
+    for port in range(first, min(first + 100, 65_536)):
+        if not _why_taken(port, "127.0.0.1"):
+            return port
+    raise InputError(f"ports from {first}", found="100 that are taken", expected="a free one")
+
+
+def _why_taken(port: int, bind: str) -> str:
+    """What keeps a port from being listened on; empty where nothing does."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((bind, port))
+        except OSError as error:
+            return error.strerror or str(error)
+    return ""

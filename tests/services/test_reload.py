@@ -72,6 +72,14 @@ def test_a_worker_that_lacks_what_the_file_has_hears_of_it_though_the_file_is_as
     assert (said, warnings) == ("", [])
 
 
+def test_objects_that_wait_are_not_said_to_be_taken_over(worker):
+    """From all models to some: whoever has the list of objects refuses that itself."""
+    write = worker("reinit")
+    for _ in range(2):
+        assert write({"objects": [{"name": "mug"}]})[1] == ""
+    assert "was read again: reinit.rate_hz" in write({"reinit": {"rate_hz": 4}})[1]
+
+
 def test_what_is_another_workers_is_not_told(worker):
     write = worker("segmenter")
     assert write({"tracker": {"max_age_ms": 200, "history_frames": 30}, "restarts": {"limit": 3}}) == (

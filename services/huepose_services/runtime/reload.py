@@ -95,9 +95,13 @@ class Reload:
         except InputError as error:
             self._tell(f"{self._path} is not taken over: {error}")
             return None
-        live = {key: text for key, text in changed(self._now, new) if self._is_live(key)}
+        now = new
+        if bool(self._started.objects) != bool(new.objects):
+            # From all models to some, or back: whoever has the list of objects says that it waits.
+            now = msgspec.structs.replace(new, objects=self._now.objects)
+        live = {key: text for key, text in changed(self._now, now) if self._is_live(key)}
         waits = [text for key, text in changed(self._started, new) if self._waits(key)]
-        self._now = new
+        self._now = now
         # Also where nothing has changed: a worker that was started anew may lack what the file has.
         refused = take_over(new) if self._worker in LIVE else []
         if live:

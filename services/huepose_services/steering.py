@@ -23,6 +23,7 @@ from huepose_services.runtime.clock import now_ns
 
 MOST_OBJECTS = 256
 """As many as the list of them may have on the wire (ObjectsMessage)."""
+_FULL = f"{MOST_OBJECTS} objects are looked for, which is the most: remove one first"
 # Followers only compare the number of resets with the last one: it may wrap around.
 _RESETS = 2**31
 
@@ -118,7 +119,7 @@ class ObjectList:
             fix = f"huepose objects reset {name} --box X Y W H"
             return False, f"{name} is looked for already: add takes no box then; to search it there: {fix}"
         if known is None and len(self._entries) >= MOST_OBJECTS:
-            return (False, f"{MOST_OBJECTS} objects are looked for, which is the most: remove one first")
+            return False, _FULL
         try:
             slot = self._load(name, count)
         except InputError as error:
@@ -128,6 +129,8 @@ class ObjectList:
         with self._lock:
             now = self._entries.get(name)
             if (now and now.max_instances) == (known and known.max_instances):
+                if now is None and len(self._entries) >= MOST_OBJECTS:
+                    return False, _FULL
                 if now is None:
                     self._added += 1
                     now = msgspec.structs.replace(fresh, added=self._added)

@@ -131,6 +131,21 @@ def test_two_objects_that_are_added_at_the_same_time_have_two_numbers(objects, m
     assert {e.added for e in objects.entries()} == {0, 1, 2}
 
 
+def test_of_two_objects_that_are_added_at_the_same_time_only_one_takes_the_last_place():
+    def loads(name, count):
+        if name == "jar":
+            inner.append(objects.decide(order("add", "lid")))
+        return load(name, count)
+
+    inner = []
+    objects = ObjectList([entry(f"mug{n}") for n in range(steering.MOST_OBJECTS - 1)], loads)
+    done, text = objects.decide(order("add", "jar"))
+    assert inner == [(True, "lid is looked for, up to 1 of it")]
+    assert not done
+    assert text == f"{steering.MOST_OBJECTS} objects are looked for, which is the most: remove one first"
+    assert len(objects.entries()) == steering.MOST_OBJECTS
+
+
 @pytest.mark.parametrize(("second", "done"), [(1, False), (2, True)])
 def test_an_object_that_is_added_twice_at_the_same_time_is_added_once(second, done):
     """The second order is one about an object that is looked for already."""

@@ -64,7 +64,9 @@ def call(arguments: argparse.Namespace) -> int:
             authority.key(arguments.name),
         ]
         print(f"Take to {arguments.name}: {' '.join(map(str, files_of_reader))}")
-        print("There: huepose poses --gateway HOST --tls " + " ".join(path.name for path in files_of_reader))
+        names = " ".join(path.name for path in files_of_reader)
+        print(f"There, as a reader: huepose poses --gateway HOST --tls {names}")
+        print("There, as the second computer of a pipeline (`hosts`): put them in the folder `link.secure`")
     elif action == "host":
         hosts = authority.add_hosts(arguments.names, arguments.days)
         print(f"{folder}: the gateway's certificate is now for {', '.join(hosts)}.")

@@ -42,6 +42,15 @@ def test_the_next_command_that_is_printed_finds_the_folder(tmp_path, printed, mo
         assert main(["arm" if word == "NAME" else word for word in command]) == 0
 
 
+def test_a_certificate_of_the_second_computer_is_not_taken_for_a_readers(tmp_path, printed, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    printed(["secure", "init", "--host", "robot.local"])
+    said = printed(["secure", "add", "desk"])
+    reader, second = said.splitlines()[-2:]
+    assert reader.startswith("There, as a reader: huepose poses --gateway HOST --tls authority.pem desk.pem")
+    assert second.startswith("There, as the second computer of a pipeline (`hosts`): put them in the folder")
+
+
 def test_an_address_that_no_reader_can_give_is_noted(tmp_path, capsys):
     folder = str(tmp_path / "secure")
     assert main(["secure", "init", "--folder", folder, "--host", "fd00::2", "--host", "10.0.0.7"]) == 0

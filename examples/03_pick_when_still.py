@@ -21,7 +21,8 @@ SAY_EVERY_S = 3.0
 
 def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
     """T_parent_obj where somebody says where the camera is on the robot, else T_cam_obj. A camera on a hand
-    is waited for until its place is known at that moment."""
+    is waited for until its place is known at that moment. A camera that moves, and of which nobody ever says
+    where it is, looks the same from here as a fixed one that has no mount: then too it is T_cam_obj."""
     if client.camera(5.0) is None:
         sys.exit(f"no camera says where it is: {client.why_silent()}")
     began, start, say_at = 0.0, None, time.monotonic() + SAY_EVERY_S

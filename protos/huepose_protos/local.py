@@ -60,7 +60,7 @@ def pose_endpoints(base_port: int | None = None, folder: Path | str | None = Non
 def _only_port(folder: Path) -> int:
     running = sorted(set(_noted(folder)))
     if len(running) > 1:
-        port, site, camera, _ = running[0]
+        port, site, camera, *_ = running[0]
         fix = f"pose_endpoints({port})"
         if sum(note.is_of(site, camera) for note in running) == 1:
             fix += f', or PoseClient(None, site="{site}", camera="{camera}")'
@@ -104,6 +104,8 @@ class _Note(NamedTuple):
     site: str
     camera: str
     file: str
+    elsewhere: bool = False
+    """Whether its camera is at another computer, and so are poses and objects."""
 
     def is_of(self, site: str, camera: str) -> bool:
         """Whether it is this camera's; `*` is any."""
@@ -121,7 +123,9 @@ def _noted(folder: Path) -> Iterator[_Note]:
         with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
             said, port = json.loads(path.read_bytes()), int(path.stem.rpartition("-")[2])
             if writer_runs(path):
-                yield _Note(port, str(said["site"]), str(said["camera"]), str(said.get("file", "")))
+                elsewhere = "downlink" in said.get("workers", ()) and "downlink" not in said.get("far", ())
+                names = str(said["site"]), str(said["camera"]), str(said.get("file", ""))
+                yield _Note(port, *names, elsewhere)
 
 
 class Whereabouts:
@@ -171,10 +175,21 @@ class Whereabouts:
         return [note for note in self._running if note.is_of(self._site, self._camera)]
 
 
-def note_of(base_port: int, folder: Path) -> str | None:
-    """Of the pipeline that a process says that it runs there: SITE/CAMERA, from which file."""
-    there = (f"{n.site}/{n.camera}, from {n.file}," for n in _noted(folder) if n.base_port == base_port)
-    return next(there, None)
+def why_noted_alone(base_port: int, folder: Path) -> str | None:
+    """Why nobody answers where a process says that it runs a pipeline, in a sentence; None where none says
+    so."""
+    note = next((note for note in _noted(folder) if note.base_port == base_port), None)
+    if note is None:
+        return None
+    name = f"{note.site}/{note.camera}"
+    if note.elsewhere:
+        return perception_alone(name)
+    return f"{name}, from {note.file}, is being started or stopped; its log says how far it is"
+
+
+def perception_alone(name: str) -> str:
+    """What to say of SITE/CAMERA at its second computer to who looks for poses or objects."""
+    return f"here {name} has perception alone: ask the camera's computer for poses and objects"
 
 
 @cache

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from huepose_protos.local import note_of
+from huepose_protos.local import why_noted_alone
 
 Files = tuple[Path | str, Path | str, Path | str]
 """Authority, certificate and key, in PEM."""
@@ -80,8 +80,8 @@ def _why_none_runs(first: str, endpoints: Sequence[str]) -> str:
     socket_of = Path(first.removeprefix(_LOCAL))
     port = int(socket_of.name) if socket_of.name.isdigit() else 0
     for base_port in (port, port - 1):  # where poses are read: at the camera, and at the tracker
-        if (note := note_of(base_port, socket_of.parent)) is not None:
-            return f"{note} is being started or stopped; its log says how far it is"
+        if (why := why_noted_alone(base_port, socket_of.parent)) is not None:
+            return why
     camera = socket_of.with_name(str(port - 1))  # whose port is the one that people know
     known = camera if f"{_LOCAL}{camera}" in endpoints else socket_of
     return f"none runs at {known}; `huepose up` starts one"

@@ -82,6 +82,17 @@ def test_a_pipeline_that_is_being_started_is_told_from_none(tmp_path):
         assert client.why_silent() == f"{started}; its log says how far it is"
 
 
+def test_at_the_second_computer_the_camera_s_is_named(tmp_path):
+    note = {"site": "lab", "camera": "left", "file": "/etc/lab.yaml", "workers": ["estimator", "downlink"]}
+    path = tmp_path / f"{os.getpid()}-17447.json"
+    with PoseClient(pose_endpoints(17447, folder=tmp_path)) as client:
+        path.write_text(json.dumps(note))
+        alone = "here lab/left has perception alone: ask the camera's computer for poses and objects"
+        assert client.why_silent() == f"waiting for a pipeline: {alone}"
+        path.write_text(json.dumps(note | {"far": ["estimator", "downlink"]}))  # as the camera's says it
+        assert "is being started or stopped" in client.why_silent()
+
+
 def test_a_place_that_nobody_took_for_a_pipelines_second_port_is_named_itself(tmp_path):
     with PoseClient([endpoint(17448, tmp_path)]) as client:
         assert f"none runs at {tmp_path}/17448;" in client.why_silent()

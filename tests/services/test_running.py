@@ -323,6 +323,24 @@ def test_where_nobody_answers_the_worker_that_should_is_named(tmp_path, monkeypa
     assert f"huepose objects: {said}" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("text", [None, "bus: {base_port: none}\n"])
+def test_a_pipeline_that_runs_is_recorded_though_its_file_is_wrong_by_now(tmp_path, text):
+    path = tmp_path / "pipeline.yaml"
+    config = Config(site="lab", bus=BusConfig(base_port=18100, frame_pool_mib=9.0))
+    arguments = argparse.Namespace(config=None, pipeline=None)
+    with noted(described(config, path)):
+        if text is not None:
+            path.write_text(text)
+        found = chosen_config(arguments, names_do=True)
+        assert (found.keys, found.bus) == (config.keys, config.bus)
+        assert set(found.workers) > set(config.workers), "all that may speak are listened to"
+        with pytest.raises(InputError):
+            chosen_config(arguments)
+    path.write_text("bus: {base_port: none}\n")
+    with pytest.raises(InputError):  # nobody runs it
+        chosen_config(arguments, names_do=True)
+
+
 def test_a_configuration_may_have_any_name(tmp_path):
     path = tmp_path / "lab.conf"
     path.write_text("site: lab\nbus: {base_port: 29447}\nobjects: [{name: cup}]\nbundles: bundles\n")

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from huepose.support.errors import InputError
 from huepose.support.files import write_text
 from huepose.support.lengths import METRES
 
@@ -267,20 +268,29 @@ def awaited(
     return True
 
 
-def chosen_config(arguments: argparse.Namespace) -> Config:
-    """The configuration of the pipeline that is meant; names and ports alone where its file is not known."""
+def chosen_config(arguments: argparse.Namespace, names_do: bool = False) -> Config:
+    """The configuration of the pipeline that is meant; names and ports alone where its file is not known.
+    names_do: also where the file of one that runs is wrong by now. Raises InputError."""
+    from msgspec.structs import replace
+
     from huepose_protos.local import FOLDER
-    from huepose_services.runtime.config import BusConfig, Config, load
+    from huepose_services.runtime.config import WORKERS, BusConfig, Config, load
     from huepose_services.runtime.config_perception import CameraConfig
 
     pipeline = chosen(arguments)
     if pipeline.folder:
         # Its sockets may be in another folder than those that this user's own pipelines would have.
         os.environ[FOLDER] = pipeline.folder
-    if pipeline.file and not pipeline.recorded:
-        return load(Path(pipeline.file), pipeline.camera)
-    return Config(
+    named = Config(
         site=pipeline.site,
         camera=CameraConfig(name=pipeline.camera),
-        bus=BusConfig(base_port=pipeline.base_port),
+        bus=BusConfig(base_port=pipeline.base_port, frame_pool_mib=pipeline.frame_pool_mib),
     )
+    if not pipeline.file or pipeline.recorded:
+        return named
+    try:
+        return load(Path(pipeline.file), pipeline.camera)
+    except InputError:
+        if names_do and pipeline.noted:
+            return replace(named, workers=WORKERS)
+        raise

@@ -71,7 +71,7 @@ def call(arguments: argparse.Namespace) -> int:
         say(f"{arguments.out} does not end in {SUFFIX}: it is written to {parts.path}")
     try:
         awaited(arguments, stopping)
-        config = chosen_config(arguments)
+        config = chosen_config(arguments, names_do=True)
     except InputError:  # several run now
         parts.close()
         parts.path.unlink()

@@ -16,8 +16,8 @@ import msgspec
 
 from huepose.support.errors import InputError
 from huepose.support.files import whole
-from huepose_protos.local import born_of, endpoint, run_folder, writer_runs
-from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, Config, load_all
+from huepose_protos.local import born_of, endpoint, perception_alone, run_folder, writer_runs
+from huepose_services.runtime.config import DEFAULT_FILE, WORKERS, BusConfig, Config, load_all
 from huepose_services.runtime.run_folder import is_private, known_folders, make_folder
 from huepose_services.runtime.text import encodable
 
@@ -36,6 +36,7 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
     """Of the workers, those on the other computer."""
     host: str = ""
     """What that one is called."""
+    frame_pool_mib: float = BusConfig().frame_pool_mib
 
     @property
     def name(self) -> str:
@@ -68,7 +69,7 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
         empty."""
         if "downlink" not in self.workers or "downlink" in self.far:
             return ""
-        return f"here {self.name} has perception alone: ask the camera's computer for poses and objects"
+        return perception_alone(self.name)
 
     @property
     def absence(self) -> str:
@@ -100,6 +101,7 @@ def described(config: Config, path: Path) -> Pipeline:
         workers=(*(worker for worker in config.workers if worker not in far), *far),
         far=far,
         host=(far and config.other_host) or "",
+        frame_pool_mib=config.bus.frame_pool_mib,
         file=str(path.absolute()),
     )
 

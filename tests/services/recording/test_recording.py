@@ -263,11 +263,18 @@ def test_what_was_recorded_is_never_deleted(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("huepose_services.runtime.session.open_recorder_session", lambda config: MagicMock())
     monkeypatch.setattr("huepose_services.runtime.worker.come_first", lambda name: None)
     monkeypatch.setattr("huepose_services.cli.record.until_told", lambda: lambda: False)
-    monkeypatch.setattr("huepose_services.cli.record.chosen_config", lambda arguments: Config())
+    monkeypatch.setattr("huepose_services.cli.record.chosen_config", lambda *_, **__: Config())
     monkeypatch.setattr("huepose_services.cli.record.awaited", lambda *_: False)
     assert main(["record", str(tmp_path / "out"), "--free", "0"]) == 1
     assert "File exists; what was written stays" in capsys.readouterr().err
     assert len(frames(Recording(tmp_path / "out.mcap").events())) == 1
+
+
+def test_who_gives_a_film_is_told_what_to_record_instead(tmp_path):
+    film = tmp_path / "turned.MP4"
+    film.write_bytes(b"\0\0\0\x20ftypisom")
+    with pytest.raises(InputError, match=r"another kind of file; .* A film has no depth, .*`huepose record`"):
+        Recording(film)
 
 
 @pytest.mark.parametrize(

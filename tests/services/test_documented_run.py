@@ -231,7 +231,7 @@ def test_the_commands_do_what_the_pages_say(tmp_path: Path) -> None:
     assert (tmp_path / "out.png").stat().st_size > 10_000
 
 
-FOLDER = ("docs/cameras.md", "A folder of pictures")
+FOLDER = ("docs/cameras.md", "A folder of images")
 
 
 @pytest.mark.live

@@ -31,6 +31,6 @@ def test_it_is_built_without_a_warning_and_explains_every_key(tmp_path):
     assert re.findall(r"<td>(.*?)</td>", row) == [
         "number &gt; 0 ≤ 30",
         "<code>10.0</code>",
-        "pictures a second; poses are all shown",
+        "images a second; all poses are shown",
     ]
     assert "demo.webp" in (tmp_path / "index.html").read_text()

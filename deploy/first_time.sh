@@ -14,7 +14,7 @@ if [ ! -e .venv/.welcomed ]; then
     touch .venv/.welcomed
     cat <<'NEXT'
 setup: done. `huepose` is .venv/bin/huepose; put it on your path for this shell with: source .venv/bin/activate
-  huepose demo                        the whole pipeline on a built-in scene, with its accuracy
-  huepose new tea_box examples/tea_box.obj   start with an object of your own: reference model, test frame, pipeline.yaml
+  huepose demo                        run the whole pipeline on a built-in scene and measure its accuracy
+  huepose new tea_box examples/tea_box.obj   start with your own object: reference model, test frame, pipeline.yaml
 NEXT
 fi

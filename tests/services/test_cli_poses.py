@@ -139,7 +139,7 @@ def test_the_help_says_how_poses_of_a_bag_are_matched_with_its_pictures(capsys):
     with pytest.raises(SystemExit):
         build_parser().parse_args(["poses", "--help"])
     said = " ".join(capsys.readouterr().out.split())
-    assert "the time is that of playing; `frame` is then the picture's number in it" in said
+    assert "the time is that of playback, and `frame` is the number of the image in the recording" in said
 
 
 def test_poses_of_one_object_are_written_without_the_others(pose, tmp_path, monkeypatch, refused):

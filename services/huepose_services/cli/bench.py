@@ -14,11 +14,11 @@ _WHAT = ("estimate", "track", "detect", "bus", "all")
 
 
 def add_parser(subparsers: Any) -> None:
-    parser = subparsers.add_parser("bench", help="time of every stage")
+    parser = subparsers.add_parser("bench", help="measure the time of every stage")
     parser.add_argument("what", nargs="?", choices=_WHAT, default="all", help="default: all")
     add_json(parser, to_file=True)
-    add_path(parser, "--picture", "FILE.png", "draw the stages' shares as bars")
-    add_from_zero(parser, "--seed", "which built-in scene (0)")
+    add_path(parser, "--picture", "FILE.png", "draw the time of the stages as bars")
+    add_from_zero(parser, "--seed", "number of the built-in scene (0)")
     add_profile(parser)
     parser.set_defaults(call=call)
 

@@ -22,26 +22,29 @@ _COLUMNS = "frame,object,x,y,z,qx,qy,qz,qw"
 
 
 def add_parser(subparsers: Any) -> None:
-    parser = subparsers.add_parser("calibrate", help="where the camera is on the robot")
+    parser = subparsers.add_parser("calibrate", help="measure the camera's extrinsics on the robot")
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="WHAT")
     one = kinds.add_parser(
         "hand-eye",
-        help="from poses of the hand and of one object",
+        help="hand-eye calibration, from poses of the hand and of one object",
         description="Hand-eye calibration. Both files are CSV with the columns "
         f"{_COLUMNS}; rows of the same frame belong together.",
     )
     add_path(one, "--object", "FILE.csv", "T_cam_obj, as `huepose poses --csv` writes it", required=True)
-    one.add_argument("--name", metavar="NAME", help="of --object, where it has several: mug or mug/0")
+    one.add_argument("--name", metavar="NAME", help="object in --object, if it has several: mug or mug/0")
     add_path(one, "--hand", "FILE.csv", "T_base_hand of the robot", required=True)
     one.add_argument(
         "--camera",
         choices=("fixed", "on-hand"),
         required=True,
-        help="fixed: beside the robot, the object in the hand; on-hand: the object stands still",
+        help="fixed: camera beside the robot, object in the hand; on-hand: camera on the hand, object "
+        "at rest",
     )
-    one.add_argument("--parent", metavar="FRAME", help="name of the frame (base_link or tool0)")
+    one.add_argument(
+        "--parent", metavar="FRAME", help="name of the mount's parent frame (base_link or tool0)"
+    )
     add_json(one, to_file=True)
-    add_path(one, "--image", "OUT.png", "what is left at each pose")
+    add_path(one, "--image", "OUT.png", "plot of the residual of each pose")
     one.set_defaults(call=call)
 
 

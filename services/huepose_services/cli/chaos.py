@@ -14,11 +14,20 @@ from huepose_services.cli.options import add_json, add_number, add_several, answ
 
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
-        "chaos", help="break a pipeline on the built-in scene in many ways, and say what held"
+        "chaos", help="inject faults into a pipeline on the built-in scene, and check what still holds"
     )
-    add_number(parser, "--minutes", None, "go on for so long; by default once through", kind=over_zero)
-    add_several(parser, "--only", "WORD", "faults with such a word or number", [], kind=str)
-    add_number(parser, "--slow", 1.0, "so many times fewer pictures, more time for all", "F", over_zero)
+    add_number(parser, "--minutes", None, "duration; by default each fault once", kind=over_zero)
+    add_several(
+        parser, "--only", "WORD", "only faults with this word in their name, or this number", [], kind=str
+    )
+    add_number(
+        parser,
+        "--slow",
+        1.0,
+        "divide the frame rate by this, and multiply all time limits by it",
+        "F",
+        over_zero,
+    )
     add_json(parser, to_file=True)
     parser.set_defaults(call=call)
 

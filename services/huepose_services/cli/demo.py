@@ -20,30 +20,32 @@ from huepose_services.cli.options import (
 
 
 def add_parser(subparsers: Any) -> None:
-    parser = subparsers.add_parser("demo", help="the whole pipeline on a built-in scene, with its accuracy")
+    parser = subparsers.add_parser(
+        "demo", help="run the whole pipeline on a built-in scene and measure its accuracy"
+    )
     seconds = number_of(float, lambda number: number >= 5.0, "5 or more")
-    add_number(parser, "--seconds", 25.0, "how long (default: 25)", "S", seconds)
-    add_from_zero(parser, "--seed", "which scene (default: 0)")
+    add_number(parser, "--seconds", 25.0, "duration (default: 25)", "S", seconds)
+    add_from_zero(parser, "--seed", "number of the scene (default: 0)")
     add_path(
         parser,
         "--bundles",
         "DIR",
         "a scene of your own objects: folder of reference models (default: built-in objects)",
     )
-    only = "only these; up to five or so have room side by side"
+    only = "only these objects; about five have room side by side"
     add_several(parser, "--object", "NAME", only, [], kind=str)
     add_one_of(
         parser,
         "--segmenter",
         ("depth", "sam"),
-        "how objects are outlined: by depth and colour, or by networks (depth)",
+        "how objects are segmented: by depth and colour, or by networks (depth)",
     )
     parser.add_argument(
         "--sam",
         nargs=2,
         metavar=("ENCODER", "DECODER"),
-        help="those of the segmenter sam: ONNX files, or names of `huepose models` (nanosam-encoder "
-        "nanosam-decoder)",
+        help="networks of the segmenter sam: ONNX files, or names of `huepose models` "
+        "(nanosam-encoder nanosam-decoder)",
     )
     parser.add_argument("--headless", action="store_true", help="no live table")
     add_json(parser, to_file=True)

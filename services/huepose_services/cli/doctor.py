@@ -16,10 +16,10 @@ def add_parser(subparsers: Any) -> None:
         "doctor", help="check this machine: versions, limits, cameras, models, clock"
     )
     parser.add_argument(
-        "config", nargs="?", type=Path, metavar="PIPELINE", help="also what this deployment needs"
+        "config", nargs="?", type=Path, metavar="PIPELINE", help="also check what this pipeline needs"
     )
     parser.add_argument(
-        "--camera", action="store_true", help="also open each camera of PIPELINE and look at its pictures"
+        "--camera", action="store_true", help="also open each camera of PIPELINE and check its images"
     )
     add_json(parser)
     parser.set_defaults(call=call)

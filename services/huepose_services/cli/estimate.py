@@ -47,34 +47,35 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "estimate",
         help="poses of known objects in one frame",
-        description="Find objects in one RGB-D frame. Exit code 0 when answered, also where nothing was "
-        "found: --json says `found`.",
+        description="Estimate poses in one RGB-D frame. The exit code is 0 also if nothing was found; --json "
+        "has `found`.",
     )
-    add_path(parser, "--color", "FILE", "colour picture", required=True)
-    add_path(parser, "--depth", "FILE", "16 bit depth, aligned to it", required=True)
-    add_path(parser, "--camera", "FILE.json", "intrinsics, depth scale", required=True)
+    add_path(parser, "--color", "FILE", "colour image", required=True)
+    add_path(parser, "--depth", "FILE", "16 bit depth image, aligned to colour", required=True)
+    add_path(parser, "--camera", "FILE.json", "JSON with intrinsics and depth scale", required=True)
     add_bundles(parser)
-    add_several(parser, "--object", "NAME", "which to look for (all of the folder)", kind=str)
-    more = "go on until so many of each object are found (1: only where it most likely is)"
+    add_several(parser, "--object", "NAME", "objects to search for (all of the folder)", kind=str)
+    more = "search for up to so many instances of each object (1: only the most likely place)"
     add_number(parser, "--instances", 1, more, kind=from_one)
     add_one_of(
         parser,
         "--method",
         ("full", "colorpair", "paper"),
-        "full: the best; colorpair: by colour pairs alone; paper: the paper's method as it is "
-        "(the last two need models that were onboarded with --paper)",
+        "full: the best; colorpair: only colour pairs; paper: the paper's method as it is (the "
+        "last two need models that were onboarded with --paper)",
     )
     add_profile(parser)
-    add_box(parser, "where the object is, in pixels (without: the whole picture is searched)")
+    add_box(parser, "box of the object in pixels (default: the whole image is searched)")
     parser.add_argument(
         "--check-camera",
         action=argparse.BooleanOptionalAction,
         default=True,
-        help="no pose is TRACKING where sizes do not fit the camera matrix or depth lies beside colours",
+        help="check the camera: no pose is TRACKING if sizes do not fit the camera matrix, or depth "
+        "lies beside colours",
     )
     add_json(parser, to_file=True)
-    add_path(parser, "--image", "OUT.png", "the poses drawn over the picture")
-    add_path(parser, "--explain", "DIR", "what led to each answer")
+    add_path(parser, "--image", "OUT.png", "write the image with the poses drawn on it")
+    add_path(parser, "--explain", "DIR", "draw the steps that led to each pose")
     parser.set_defaults(call=call)
 
 

@@ -48,7 +48,9 @@ def _common(parser: argparse.ArgumentParser) -> None:
 
 
 def _seeds(parser: argparse.ArgumentParser) -> None:
-    add_several(parser, "--seed", "N", "of the perturbed boxes; results average", [0], kind=from_zero)
+    add_several(
+        parser, "--seed", "N", "seeds of the perturbed boxes; results are averaged", [0], kind=from_zero
+    )
 
 
 def _objects(parser: argparse.ArgumentParser) -> None:
@@ -63,7 +65,7 @@ def _add_estimate(verbs: Any) -> None:
     )
     source = parser.add_mutually_exclusive_group(required=True)
     add_several(source, "--bop", "SCENE_DIR", "scenes in BOP's layout")
-    add_path(source, "--ycbv", "DIR", "YCB-Video as BOP has it")
+    add_path(source, "--ycbv", "DIR", "YCB-Video in BOP's layout")
     _common(parser)
     add_one_of(parser, "--method", ("full", "colorpair", "paper"), "as in huepose estimate (full)")
     add_profile(parser)
@@ -71,40 +73,42 @@ def _add_estimate(verbs: Any) -> None:
         "--boxes",
         default="perturbed",
         metavar="perturbed|paper|gt|detect|FILE",
-        help="true boxes, disturbed ones (paper: moved by up to a tenth; perturbed: scaled as well), those "
-        "of the detector, or of a JSON file in BOP's format (perturbed)",
+        help="true boxes, disturbed boxes (paper: moved by up to a tenth; perturbed: scaled as well), "
+        "boxes of the detector, or boxes of a JSON file in BOP's format (perturbed)",
     )
     add_one_of(parser, "--masks", ("auto", "gt"), "gt: the true visible mask")
     _objects(parser)
-    add_number(parser, "--min-visib", 0.1, "leave out labels less visible than this (0.1, as BOP does)", "F")
-    add_path(parser, "--equivalent", "FILE", "poses that count as the labelled one does")
+    add_number(
+        parser, "--min-visib", 0.1, "leave out labels with a smaller visible fraction (0.1, as in BOP)", "F"
+    )
+    add_path(parser, "--equivalent", "FILE", "poses that count as right like the labelled one")
     _seeds(parser)
-    add_number(parser, "--threads", 2, "objects estimated at the same time (2, as when live)")
+    add_number(parser, "--threads", 2, "objects estimated at the same time (2, as in a pipeline)")
     add_path(parser, "--csv", "BOP19.csv", "poses for the BOP toolkit")
-    add_path(parser, "--models-info", "FILE", "models_info.json of the set: BOP's errors and AR as well")
-    add_path(parser, "--plots", "DIR", "pictures of every frame")
+    add_path(parser, "--models-info", "FILE", "models_info.json of the data set: adds BOP's errors and AR")
+    add_path(parser, "--plots", "DIR", "draw every frame")
 
 
 def _add_perception(verbs: Any) -> None:
     parser = verbs.add_parser(
         "perception",
         help="boxes and masks",
-        description="Whole frames, no boxes given: recall at IoU 0.5, false boxes, IoU of masks.",
+        description="Whole frames, no boxes given: recall at IoU 0.5, false positives, IoU of masks.",
     )
     add_several(parser, "--bop", "SCENE_DIR", "scenes in BOP's layout", required=True)
     _common(parser)
     _objects(parser)
     add_profile(parser)
-    add_some_of(parser, "--sources", ("views", "keypoints"), "what proposes places (both)")
-    add_from_zero(parser, "--seed", "of the perturbed boxes of masks")
-    add_number(parser, "--threads", 2, "objects at the same time (2)")
-    add_path(parser, "--plots", "DIR", "pictures of every frame")
+    add_some_of(parser, "--sources", ("views", "keypoints"), "sources of proposals (both)")
+    add_from_zero(parser, "--seed", "seed of the perturbed boxes for masks")
+    add_number(parser, "--threads", 2, "objects processed at the same time (2)")
+    add_path(parser, "--plots", "DIR", "draw every frame")
 
 
 def _add_track(verbs: Any) -> None:
     parser = verbs.add_parser("track", help="sequences", description="Tracking accuracy on sequences.")
     source = parser.add_mutually_exclusive_group(required=True)
-    add_several(source, "--fast-ycb", "DIR", "sequences, or the folder that holds them")
+    add_several(source, "--fast-ycb", "DIR", "sequences, or their folder")
     add_several(source, "--bop", "SCENE_DIR", "scenes in BOP's layout")
     _common(parser)
     add_profile(parser)
@@ -113,39 +117,44 @@ def _add_track(verbs: Any) -> None:
         parser,
         "--rotation",
         ("direct", "residual", "kabsch"),
-        "of the method paper: a network for all of the turn, one that corrects the closed form, or the "
-        "closed form alone (direct)",
+        "for the method paper: the rotation by a network, by the closed form with a correcting "
+        "network, or by the closed form alone (direct)",
     )
-    add_path(parser, "--rotation-model", "FILE", "its network, of huepose train rotation (the shipped one)")
+    add_path(
+        parser,
+        "--rotation-model",
+        "FILE",
+        "network for --rotation, made by huepose train rotation (default: the shipped one)",
+    )
     parser.add_argument(
         "--flow",
         default="dis",
         metavar="dis|FILE",
-        help="of the method paper: optical flow without a network, or NeuFlow v2 from an ONNX file or "
-        "a name of huepose models (dis)",
+        help="for the method paper: optical flow without a network, or NeuFlow v2 from an ONNX file "
+        "or a name of huepose models (dis)",
     )
     add_one_of(
         parser,
         "--protocol",
         ("free", "roft"),
-        "free: started once, then alone; roft: results at 5 Hz, one period late",
+        "free: only the first pose is given; roft: also poses at 5 Hz, one period late",
     )
     add_number(parser, "--every", 1, "feed and score every N-th frame (1)")
     parser.add_argument("--init", metavar="estimate|gt|FILE", help="the first pose (default: as --delayed)")
-    parser.add_argument("--delayed", metavar="estimate|gt|DIR", help="the late results of roft (estimate)")
+    parser.add_argument("--delayed", metavar="estimate|gt|DIR", help="the late poses of roft (estimate)")
     _objects(parser)
     _seeds(parser)
-    add_path(parser, "--plots", "DIR", "pictures of every frame, and of errors over time")
+    add_path(parser, "--plots", "DIR", "draw every frame, and errors over time")
 
 
 def _add_poses(verbs: Any) -> None:
     parser = verbs.add_parser(
         "poses",
-        help="what a live run published",
-        description="Score what `huepose poses --json` printed against the scene that was played; of one "
-        "that loops its first pass.",
+        help="poses that a live run published",
+        description="Score the output of `huepose poses --json` against the scene that was played. If the "
+        "scene was looped, only its first pass is scored.",
     )
-    parser.add_argument("poses", type=Path, metavar="POSES.jsonl", help="what was printed")
+    parser.add_argument("poses", type=Path, metavar="POSES.jsonl", help="output of `huepose poses --json`")
     source = parser.add_mutually_exclusive_group(required=True)
     add_path(source, "--fast-ycb", "SEQ_DIR", "the sequence that was played")
     add_path(source, "--bop", "SCENE_DIR", "or the scene in BOP's layout")
@@ -155,28 +164,29 @@ def _add_poses(verbs: Any) -> None:
 def _add_ablation(verbs: Any) -> None:
     parser = verbs.add_parser(
         "ablation",
-        help="what colour pairs leave of flow",
-        description="The raw motion between frames some frames apart, from all flow and from filtered flow.",
+        help="optical flow filtered by colour pairs",
+        description="Errors of the motion between frames some frames apart, from the whole optical flow and "
+        "from the filtered one.",
     )
-    add_several(parser, "--fast-ycb", "SEQ_DIR", "sequences, or the folder that holds them", required=True)
+    add_several(parser, "--fast-ycb", "SEQ_DIR", "sequences, or their folder", required=True)
     _common(parser)
-    add_path(parser, "--plots", "DIR", "where ablation.png goes")
+    add_path(parser, "--plots", "DIR", "folder for ablation.png")
 
 
 def _add_compare(verbs: Any) -> None:
     parser = verbs.add_parser(
         "compare",
-        help="two states of the program, row against row",
-        description="Pairs the rows of two result files of `huepose eval estimate`, `track`, `poses` or "
-        "`perception`, or of two folders with files of the same names. Says of each set what was won and "
-        "lost, and how much its figures changed, with a 95 % interval. Exit code 1 when a set became worse "
-        "by more than its interval allows.",
+        help="compare results of two versions, row by row",
+        description="Compare two result files of `huepose eval estimate`, `track`, `poses` or `perception`, "
+        "or two folders with files of the same names. For each data set: which rows became right "
+        "or wrong, and how much the figures changed, with a 95 % confidence interval. Exit code "
+        "1 if a set became significantly worse.",
     )
     parser.add_argument("before", type=Path, metavar="BEFORE", help="a result file, or a folder of them")
-    parser.add_argument("after", type=Path, metavar="AFTER", help="the same of the other state")
-    add_path(parser, "--json", "FILE", "the comparison with all rows that were won and lost")
+    parser.add_argument("after", type=Path, metavar="AFTER", help="the same for the other version")
+    add_path(parser, "--json", "FILE", "write the comparison, with all rows that became right or wrong")
     points = number_of(float, lambda number: number >= 0.0, "0 or more percentage points")
-    within = "percentage points within which a change is none (0.1)"
+    within = "percentage points up to which a change is ignored (0.1)"
     add_number(parser, "--margin", 0.1, within, "POINTS", points)
 
 
@@ -184,59 +194,65 @@ def _add_tables(verbs: Any) -> None:
     parser = verbs.add_parser(
         "tables",
         help="the paper's tables from the official data",
-        description="The paper's Tables I and II from YCB-Video and Fast-YCB as they are downloaded, "
-        "published columns beside what this code gives, as text, Markdown, CSV and one HTML page. "
-        "What is done is kept in OUT/runs: an interrupted command goes on where it stopped.",
+        description="Make the paper's Tables I and II from YCB-Video and Fast-YCB as downloaded, with the "
+        "published figures beside those of this code, as text, Markdown, CSV and one HTML page. "
+        "Finished parts are kept in OUT/runs, so an interrupted command can be resumed.",
     )
-    add_path(parser, "--ycbv", "DIR", "YCB-Video as BOP has it")
+    add_path(parser, "--ycbv", "DIR", "YCB-Video in BOP's layout")
     add_path(parser, "--fast-ycb", "DIR", "Fast-YCB: the folder of its sequences, or one of them")
     add_path(
         parser,
         "--unseen",
         "DIR",
-        "also a family of objects by code that nothing was fitted to: drawn there once (a few minutes)",
+        "also procedurally generated objects that nothing was fitted to: rendered into DIR once "
+        "(a few minutes)",
     )
-    add_path(parser, "--out", "DIR", "where everything goes", required=True)
-    add_path(parser, "--bundles", "DIR", "reference models; without it they are made from the models folder")
-    add_path(parser, "--models", "DIR", "textured meshes to make them from (the models folder of --ycbv)")
-    methods = "side by side (all three); tracking has paper and full"
+    add_path(parser, "--out", "DIR", "folder for all results", required=True)
+    add_path(parser, "--bundles", "DIR", "reference models (default: made from the models folder)")
+    add_path(
+        parser, "--models", "DIR", "textured meshes for the reference models (the models folder of --ycbv)"
+    )
+    methods = "methods to compare (all three); tracking has paper and full"
     add_some_of(parser, "--methods", ("paper", "colorpair", "full"), methods)
-    sample = "about N images spread over the scenes, and the first N frames of each sequence"
+    sample = "use only about N images spread over the scenes, and the first N frames of each sequence"
     parser.add_argument("--quick", type=int, metavar="N", help=sample)
     parser.add_argument(
         "--boxes",
         default="paper",
         metavar="paper|perturbed|gt|FILE",
-        help="as in the paper, true boxes moved by up to a tenth; or a JSON file in BOP's format (paper)",
+        help="paper: true boxes moved by up to a tenth, as in the paper; or a JSON file in BOP's "
+        "format (paper)",
     )
     add_several(parser, "--every", "N", "feed every N-th frame (1 5)", [1, 5], kind=int)
     add_one_of(parser, "--protocol", ("free", "roft"), "as in eval track (free)")
     parser.add_argument(
         "--start",
         choices=("dope", "gt", "estimate"),
-        help="first poses of tracks (DOPE's where the download has them, else the labels)",
+        help="first poses of tracks (default: DOPE's if the download has them, else the labels)",
     )
-    others = "results of others in the form of the BOP challenge, measured beside ours"
+    others = "results of other methods in the format of the BOP challenge, measured as well"
     add_several(parser, "--submission", "NAME=FILE.csv", others, [], kind=str)
     add_path(
-        parser, "--equivalent", "FILE", "poses that count as the labelled one does, in rows of their own"
+        parser, "--equivalent", "FILE", "poses that count as right like the labelled one, in separate rows"
     )
     parser.add_argument(
-        "--note", metavar="TEXT", help="what the data are, where they are not the official ones"
+        "--note", metavar="TEXT", help="describes the data, if they are not the official ones"
     )
     _objects(parser)
     add_profile(parser)
-    add_from_zero(parser, "--seed", "of the moved boxes (0)")
-    add_number(parser, "--threads", 2, "objects at the same time (2)")
+    add_from_zero(parser, "--seed", "seed of the moved boxes (0)")
+    add_number(parser, "--threads", 2, "objects processed at the same time (2)")
 
 
 def _add_results(verbs: Any) -> None:
     parser = verbs.add_parser(
         "results",
-        help="a page of results from their files",
-        description="Writes a Markdown page of result files of `huepose eval tables`, `estimate`, `track` or "
-        "`perception`, each with its command, machine, versions and date.",
+        help="make a page from result files",
+        description="Write a Markdown page from result files of `huepose eval tables`, `estimate`, `track` "
+        "or `perception`, each with its command, machine, versions and date.",
     )
     parser.add_argument("results", type=Path, nargs="+", metavar="RESULT.json", help="result files")
-    add_path(parser, "--out", "FILE.md", "the page", required=True)
-    add_path(parser, "--readme", "FILE.md", "a document whose marked table is cut from the results as well")
+    add_path(parser, "--out", "FILE.md", "page to write", required=True)
+    add_path(
+        parser, "--readme", "FILE.md", "a document whose marked table is updated from the results as well"
+    )

@@ -31,7 +31,7 @@ _COUNTED = ("request", "estimates", "correction", "pose")
 
 
 def add_parser(subparsers: Any) -> None:
-    parser = subparsers.add_parser("graph", help="the workers and their rates as a Mermaid flowchart")
+    parser = subparsers.add_parser("graph", help="show the workers and their rates as a Mermaid flowchart")
     add_choice(parser)
     add_json(parser)
     parser.set_defaults(call=call)

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("models", help="networks for detector and segmenter: list, fetch, add")
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
-    shown = actions.add_parser("list", help="what is known, and what is here (the default)")
+    shown = actions.add_parser("list", help="list known networks, and which are installed (the default)")
     add_json(shown)
-    fetched = actions.add_parser("fetch", help="download a known network, or go on where it broke off")
-    fetched.add_argument("name", metavar="NAME", help="one of `huepose models list`")
+    fetched = actions.add_parser("fetch", help="download a known network, or resume the download")
+    fetched.add_argument("name", metavar="NAME", help="a name from `huepose models list`")
     fetched.add_argument("--from", dest="url", metavar="URL", help="another address of the same file")
-    added = actions.add_parser("add", help="take in an ONNX file of yours")
+    added = actions.add_parser("add", help="add your own ONNX file")
     added.add_argument("file", type=Path, metavar="FILE", help="the network (.onnx)")
-    added.add_argument("--name", help="what to call it; default the file's name")
+    added.add_argument("--name", help="name for it (default: the file's name)")
     parser.set_defaults(call=call, json=False)
 
 

@@ -30,16 +30,16 @@ camera:
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "new",
-        help="start with an object of your own: reference model, test frame, pipeline.yaml",
-        description="Make a folder with the reference model of a mesh, a drawn frame to try `huepose "
-        "estimate` on, and a pipeline.yaml that plays a drawn scene of the moving object.",
+        help="start with your own object: reference model, test frame, pipeline.yaml",
+        description="Make a folder with the reference model of a mesh, a rendered frame to test `huepose "
+        "estimate`, and a pipeline.yaml that plays a rendered scene of the moving object.",
     )
     parser.add_argument("name", metavar="NAME", help="the object's name: 1 to 64 of a-z, 0-9, _ and -")
     parser.add_argument("mesh", type=Path, metavar="MESH", help="textured mesh (OBJ, PLY, GLB or glTF)")
     add_unit(parser)
     add_symmetric(parser)
     add_test(parser)
-    add_path(parser, "--out", "DIR", "the folder (NAME)")
+    add_path(parser, "--out", "DIR", "folder to write (NAME)")
     parser.set_defaults(call=call)
 
 

@@ -20,16 +20,16 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("objects", help="list, add, remove or reset objects of a running pipeline")
     actions = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
     for action, text in (
-        ("list", "what is looked for"),
-        ("add", "look for one more object that has a reference model"),
-        ("remove", "look for an object no longer"),
-        ("reset", "forget where an object was, and search it anew"),
+        ("list", "the objects that are searched for"),
+        ("add", "search for one more object that has a reference model"),
+        ("remove", "no longer search for an object"),
+        ("reset", "forget the pose of an object, and search for it again"),
     ):
         one = actions.add_parser(action, help=text)
         if action != "list":
             one.add_argument("name", metavar="NAME", help="the name of its reference model")
         if action in ("add", "reset"):
-            add_box(one, "where it is in the image, in pixels")
+            add_box(one, "its box in the image, in pixels")
         if action == "add":
             one.add_argument(
                 *("--max-instances", "--instances"),
@@ -37,7 +37,7 @@ def add_parser(subparsers: Any) -> None:
                 type=int,
                 default=1,
                 metavar="N",
-                help="up to how many of it (1)",
+                help="largest number of instances (1)",
             )
         add_json(one)
         add_choice(one)

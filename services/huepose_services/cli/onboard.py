@@ -40,8 +40,7 @@ def add_parser(subparsers: Any) -> None:
         "onboard",
         help="make a reference model from a textured mesh, or from a recording of the object",
         description="Make a reference model from a textured mesh (OBJ, PLY, GLB or glTF), or with "
-        "--from-video from an RGB-D recording in which the object is turned before a camera that stands "
-        "still.",
+        "--from-video from an RGB-D recording in which the object turns before a fixed camera.",
     )
     one.add_argument("mesh", type=Path, nargs="?", metavar="MESH", help="mesh file")
     add_video(one)
@@ -73,9 +72,9 @@ def add_symmetric(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--symmetric",
         metavar="x|y|z|FILE",
-        help="how it is turned about this axis of the mesh does not matter, where its shape is the same; or "
-        "a JSON file with symmetries_discrete and symmetries_continuous as in BOP's models_info.json, "
-        "millimetres. Without it: those that shape and texture have",
+        help="the rotation about this axis of the mesh does not matter where it keeps the shape; or a "
+        "JSON file with symmetries_discrete and symmetries_continuous as in BOP's "
+        "models_info.json, millimetres. Default: the symmetries of shape and texture together",
     )
 
 
@@ -85,7 +84,7 @@ def add_test(parser: argparse.ArgumentParser) -> None:
         "--no-test",
         dest="test",
         action="store_false",
-        help="without the self-test in drawn scenes, which says how well the object suits (half a minute)",
+        help="skip the self-test in rendered scenes, which says how well the object suits (half a minute)",
     )
 
 
@@ -93,7 +92,7 @@ def _paper(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--paper",
         action="store_true",
-        help="with the tables of the paper's method, for --method paper and --method colorpair",
+        help="add the tables of the paper's method, for --method paper and --method colorpair",
     )
 
 

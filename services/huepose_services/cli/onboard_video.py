@@ -39,17 +39,17 @@ def add_video(parser: argparse.ArgumentParser) -> None:
         parser,
         "--from-video",
         "RECORDING",
-        "without a mesh: a recording of `huepose record` (.mcap), a bag of ROS (a .bag, .db3 or .mcap, or "
-        "its folder) or a BOP scene's folder, in which the object is turned by hand or on a turntable; with "
-        "--box or --click",
+        "instead of a mesh: a recording of `huepose record` (.mcap), a ROS bag (.bag, .db3, "
+        ".mcap or its folder) or a BOP scene's folder, in which the object turns in the hand or "
+        "on a turntable; needs --box or --click",
     )
-    add_box(parser, "the object in the recording's first frame, pixels")
+    add_box(parser, "box of the object in the first frame of the recording, pixels")
     parser.add_argument(
         "--click",
         type=float,
         nargs=2,
         metavar=("X", "Y"),
-        help="or a pixel of it, where nothing but the ground touches it",
+        help="or one pixel of the object, if it touches only the ground",
     )
 
 

@@ -41,10 +41,10 @@ def add_json(parser: argparse.ArgumentParser, to_file: bool = False) -> None:
             nargs="?",
             const=True,
             metavar="FILE",
-            help="the answer as JSON: in a file, or without its name, or as -, instead of the summary",
+            help="print JSON instead of the summary; with FILE: write JSON to it, and print the summary",
         )
     else:
-        parser.add_argument("--json", action="store_true", help="the answer as JSON instead of the summary")
+        parser.add_argument("--json", action="store_true", help="print JSON instead of the summary")
 
 
 def answered(arguments: argparse.Namespace, answer: Any, summary: str) -> None:
@@ -177,20 +177,22 @@ def add_pipeline(parser: argparse.ArgumentParser) -> None:
         type=Path,
         default=Path("pipeline.yaml"),
         metavar="PIPELINE",
-        help="the file that describes the pipeline (pipeline.yaml in this folder)",
+        help="configuration of the pipeline (pipeline.yaml in this folder)",
     )
 
 
 def add_host(parser: argparse.ArgumentParser) -> None:
     """Add `--host`."""
     parser.add_argument(
-        "--host", metavar="NAME", help="which computer's workers: a name of `hosts` (without: the camera's)"
+        "--host",
+        metavar="NAME",
+        help="the computer whose workers are meant: a name of `hosts` (default: the camera's computer)",
     )
 
 
 def add_profile(parser: argparse.ArgumentParser) -> None:
     """Add `--profile`."""
-    text = "live: as the workers of a pipeline; patient: answers may take longer (live)"
+    text = "live: as in a pipeline; patient: may take longer (live)"
     add_one_of(parser, "--profile", ("live", "patient"), text)
 
 
@@ -199,7 +201,7 @@ def add_unit(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--unit",
         choices=tuple(METRES),
-        help="the mesh's unit; without it metres or millimetres, whichever is likelier by its size",
+        help="unit of the mesh; default: metres or millimetres, the more likely one by its size",
     )
 
 
@@ -222,9 +224,11 @@ def until_told() -> Callable[[], bool]:
 def add_choice(parser: argparse.ArgumentParser) -> None:
     """Add the options that choose a pipeline."""
     parser.add_argument(
-        "--pipeline", metavar="NAME", help="which one, where several run here: its first port, or SITE/CAMERA"
+        "--pipeline",
+        metavar="NAME",
+        help="which pipeline, if several run here: its first port, or SITE/CAMERA",
     )
-    add_path(parser, "--config", "PIPELINE", "the pipeline's configuration, for its ports")
+    add_path(parser, "--config", "PIPELINE", "or its configuration file")
 
 
 def chosen(arguments: argparse.Namespace, tell: bool = True) -> Pipeline:

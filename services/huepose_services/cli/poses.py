@@ -97,10 +97,10 @@ _POSES = "pose/**"
 # Keys that could be an object's name.
 _NAMES = frozenset({"frame", "truth", "camera", "mount", "objects", "control", "correction"})
 _CSV_HELP = (
-    "write TRACKING poses to a new file instead, a row each: frame, object, position in metres, quaternion "
-    "x y z w (both in the camera's frame), instance, time of capture in seconds, quality. While a recording "
-    "is played the time is that of playing; `frame` is then the picture's number in it, and goes on counting "
-    "when it begins again"
+    "write TRACKING poses to a new file instead, one per row: frame, object, position in "
+    "metres, quaternion x y z w (both in the camera's frame), instance, capture time in "
+    "seconds, quality. While a recording is played, the time is that of playback, and "
+    "`frame` is the number of the image in the recording; in a loop it goes on counting"
 )
 _HEADING = (
     " frame object/instance state quality   position x y z   rotation as a quaternion x y z w   "
@@ -119,22 +119,22 @@ def add_parser(subparsers: Any) -> None:
         default=_POSES,
         type=_key,
         metavar="OBJECT|KEY",
-        help="an object's name, for its poses; or what to print, after huepose/SITE/CAMERA/ (default: "
+        help="an object's name, for its poses; or a message key after huepose/SITE/CAMERA/ (default: "
         "pose/**; also health/**, objects, truth)",
     )
-    parser.add_argument("--json", action="store_true", help="one wire message a line, as JSON")
+    parser.add_argument("--json", action="store_true", help="one whole message per line, as JSON")
     parser.add_argument(
         "--robot",
         action="store_true",
-        help="poses in the frame that the camera is mounted in (camera.mount of pipeline.yaml)",
+        help="poses in the frame `parent` of camera.mount in pipeline.yaml",
     )
     add_path(parser, "--csv", "FILE.csv", _CSV_HELP)
     add_path(
         parser,
         "--tum",
         "DIR",
-        "write TRACKING poses to a new folder instead, OBJECT_INSTANCE.txt each, in TUM's format, with times "
-        "as for --csv",
+        "write TRACKING poses to a new folder instead, one OBJECT_INSTANCE.txt per instance, in "
+        "TUM's format, with times as for --csv",
     )
     add_choice(parser)
     parser.add_argument(
@@ -145,7 +145,7 @@ def add_parser(subparsers: Any) -> None:
         type=Path,
         nargs=3,
         metavar=("AUTHORITY", "CERTIFICATE", "KEY"),
-        help="of a gateway with TLS: PEM files of its authority, and your own certificate and key",
+        help="for a gateway with TLS: PEM files of its authority, and of your own certificate and key",
     )
     parser.set_defaults(call=call)
 

@@ -31,16 +31,21 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("record", help="record a running pipeline: frames, poses, health")
     parser.add_argument("out", type=Path, metavar="FILE", help="a new file (.mcap)")
     add_choice(parser)
-    add_seconds(parser, "stop after so long")
-    parser.add_argument("--no-frames", action="store_true", help="messages alone")
+    add_seconds(parser, "end after this time")
+    parser.add_argument("--no-frames", action="store_true", help="only messages, no images")
     parser.add_argument(
-        "--jpeg", action="store_true", help="colour as JPEG: a third of the size, but not exact (no --verify)"
+        "--jpeg",
+        action="store_true",
+        help="colour as JPEG: a third of the size, but not lossless (no --verify)",
     )
     add_number(parser, "--part", 2048, "go on in a new file at this size (2048)", "MIB")
     parser.add_argument(
-        "--keep", type=int, metavar="MIB", help="delete the oldest files beyond this (default: none)"
+        "--keep",
+        type=int,
+        metavar="MIB",
+        help="delete the oldest files beyond this total size (default: keep all)",
     )
-    add_number(parser, "--free", 1024, "end before the disk has less left (1024)", "MIB")
+    add_number(parser, "--free", 1024, "end when the disk has less free space (1024)", "MIB")
     add_json(parser)
     parser.set_defaults(call=call)
 

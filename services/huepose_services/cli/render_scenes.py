@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "render-scenes",
-        help="draw labelled frames to measure on",
-        description="Draw heaps of objects, with varied light, noise and occlusion, as a BOP scene folder "
-        "for `huepose eval estimate --bop`. The same seed gives the same frames; what is there is kept, so "
-        "an interrupted run goes on where it stopped, and more frames can be added later.",
+        help="render labelled frames for evaluation",
+        description="Render heaps of objects, with varied light, noise and occlusion, as a BOP scene folder "
+        "for `huepose eval estimate --bop`. The same seed gives the same frames. Existing frames "
+        "are kept, so an interrupted run can be resumed, and more frames can be added later.",
     )
     parser.add_argument(
         "--models",
         required=True,
         metavar="DIR|builtin",
-        help="BOP models folder; builtin: those of the demo, whose meshes are written to OUT/models",
+        help="BOP models folder; builtin: the demo's objects, whose meshes are written to OUT/models",
     )
-    other = "with builtin: the same shapes in other textures, look-alikes of the demo's (0: the demo's own)"
+    other = "with builtin: other textures on the same shapes, for look-alikes (0: the demo's own)"
     add_from_zero(parser, "--textures", other)
     add_one_of(
         parser,
@@ -39,9 +39,9 @@ def add_parser(subparsers: Any) -> None:
         "piles: denser, farther away, in dim and coloured light, half of them in a box (heaps)",
     )
     add_path(parser, "--out", "DIR", "scene folder", required=True)
-    add_number(parser, "--frames", 100, "how many (100)")
-    add_from_zero(parser, "--seed", "of everything that varies (0)")
-    add_several(parser, "--objects", "ID", "only these ids", kind=int)
+    add_number(parser, "--frames", 100, "number of frames (100)")
+    add_from_zero(parser, "--seed", "seed of everything that varies (0)")
+    add_several(parser, "--objects", "ID", "only these object ids", kind=int)
     parser.set_defaults(call=call)
 
 

@@ -28,29 +28,34 @@ _SETTLE_S = 1.0
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "replay",
-        help="play a recording back, compute its poses again (--verify), or write it as a BOP scene (--bop)",
-        description="Publishes what huepose record wrote, at its times, on the ports of a pipeline. To let a "
-        "pipeline estimate poses in the frames anew, set camera.source: recording.",
+        help="play a recording, compute its poses again (--verify), or write it as a BOP scene (--bop)",
+        description="Publish a recording of huepose record, with its timing, on the ports of a pipeline. To "
+        "let a pipeline estimate new poses in its frames, set camera.source: recording.",
     )
     parser.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help="in their order, where there are several"
+        "files", type=Path, nargs="+", metavar="FILE", help="a recording; of several parts in their order"
     )
-    add_path(parser, "--config", "PIPELINE", "for names and ports, and the models that `huepose view` draws")
+    add_path(
+        parser,
+        "--config",
+        "PIPELINE",
+        "configuration for names and ports, and for the models that `huepose view` draws",
+    )
     parser.add_argument(
         "--camera",
         metavar="NAME",
-        help="as which of several cameras of PIPELINE; without it each file as the one that it is of",
+        help="play as this camera of PIPELINE (default: each file as the camera that it was recorded from)",
     )
     speed = number_of(float, lambda number: 0.05 <= number <= 20.0, "0.05 to 20")
-    add_number(parser, "--speed", 1.0, "1: as it was (default)", "X", speed)
-    parser.add_argument("--loop", action="store_true", help="again and again")
+    add_number(parser, "--speed", 1.0, "1: the recorded speed (default)", "X", speed)
+    parser.add_argument("--loop", action="store_true", help="repeat it")
     instead = parser.add_mutually_exclusive_group()
     instead.add_argument(
         "--verify", action="store_true", help="compute the poses again and compare them bit by bit"
     )
     add_path(instead, "--bop", "DIR", "write a BOP scene to a new folder instead")
     add_path(parser, "--bundles", "DIR", "the reference models for --verify")
-    parser.add_argument("--json", action="store_true", help="what --verify found as JSON")
+    parser.add_argument("--json", action="store_true", help="print the result of --verify as JSON")
     parser.set_defaults(call=call)
 
 

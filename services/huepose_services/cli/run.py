@@ -18,7 +18,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "worker",
         metavar="WORKER",
-        help="camera, tracker, reinit, detector, segmenter ...; where the file has several cameras, "
+        help="camera, tracker, reinit, detector, segmenter ...; if the file has several cameras: "
         "CAMERA.WORKER",
     )
     add_pipeline(parser)

@@ -15,26 +15,31 @@ _FOLDER = Path("secure")
 
 
 def add_parser(subparsers: Any) -> None:
-    parser = subparsers.add_parser("secure", help="certificates: who may read from other machines")
+    parser = subparsers.add_parser("secure", help="manage certificates of readers on other machines")
     verbs = parser.add_subparsers(dest="action", required=True, metavar="ACTION")
-    init = verbs.add_parser("init", help="an authority and the gateway's certificate, in a new folder")
+    init = verbs.add_parser("init", help="make an authority and the gateway's certificate, in a new folder")
     init.add_argument(
         "--host",
         action="append",
         metavar="NAME",
-        help="a name or address by which readers reach this computer; again for more (its own names)",
+        help="a name or address by which readers reach this computer; repeat it for more (default: "
+        "its own names)",
     )
-    add = verbs.add_parser("add", help="a certificate for a reader")
-    revoke = verbs.add_parser("revoke", help="the certificate of a reader no longer counts")
-    host = verbs.add_parser("host", help="more names by which readers reach this computer")
-    host.add_argument("names", nargs="+", metavar="NAME", help="a name or address, beside those it has")
+    add = verbs.add_parser("add", help="make a certificate for a reader")
+    revoke = verbs.add_parser("revoke", help="revoke the certificate of a reader")
+    host = verbs.add_parser("host", help="add names by which readers reach this computer")
+    host.add_argument(
+        "names", nargs="+", metavar="NAME", help="a name or address, in addition to the existing ones"
+    )
     for verb in (add, revoke):
-        verb.add_argument("name", metavar="NAME", help="what the reader is called")
+        verb.add_argument("name", metavar="NAME", help="name of the reader")
     for verb in (init, add, host):
         days = number_of(int, lambda number: 1 <= number <= 36_500, "1 to 36500")
-        add_number(verb, "--days", 3650, "how long it holds (3650)", kind=days)
+        add_number(verb, "--days", 3650, "days until it expires (3650)", kind=days)
     for verb in (init, add, revoke, host):
-        verb.add_argument("--folder", type=Path, default=_FOLDER, metavar="DIR", help="where (secure)")
+        verb.add_argument(
+            "--folder", type=Path, default=_FOLDER, metavar="DIR", help="folder of the certificates (secure)"
+        )
     parser.set_defaults(call=call)
 
 

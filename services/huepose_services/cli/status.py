@@ -22,12 +22,12 @@ _CLEAR, _EVERY_S = "\x1b[H\x1b[J", 1.0
 
 
 def add_parser(subparsers: Any) -> None:
-    parser = subparsers.add_parser("status", help="how a running pipeline is")
-    parser.add_argument("--json", action="store_true", help="all that is known, as JSON")
+    parser = subparsers.add_parser("status", help="show the state of a running pipeline")
+    parser.add_argument("--json", action="store_true", help="print everything as JSON")
     add_choice(parser)
     parser.set_defaults(call=call)
-    again = subparsers.add_parser("top", help="how a running pipeline is, every second")
-    add_seconds(again, "end after so long; by default never")
+    again = subparsers.add_parser("top", help="show the state of a running pipeline every second")
+    add_seconds(again, "end after this time (default: never)")
     add_choice(again)
     again.set_defaults(call=call_again)
 

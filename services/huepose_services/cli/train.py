@@ -15,9 +15,9 @@ from huepose_services.cli.options import add_from_zero, add_number, add_path, ad
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "train",
-        help="train the networks that come with HuePose anew (extra: train)",
-        description="Train a network on what code draws, endlessly; no data is needed. Ctrl-C ends it early "
-        "and keeps what was learned.",
+        help="train the networks of HuePose again (extra: train)",
+        description="Train a network on generated data; no data set is needed. Ctrl-C ends it early and "
+        "keeps the network.",
     )
     whats = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
     _add_rotation(whats)
@@ -27,16 +27,17 @@ def add_parser(subparsers: Any) -> None:
 def _add_rotation(whats: Any) -> None:
     parser = whats.add_parser(
         "rotation",
-        help="the turn between two frames, from matched points",
-        description="Attention-DGCNN on canonical features of matched points of random objects, followed by "
-        "flow as the paper's tracker follows. Leaves KIND.onnx, KIND.json, KIND.png and checkpoint.pt.",
+        help="the rotation between two frames, from matched points",
+        description="Train an Attention-DGCNN on canonical features of matched points of random objects, "
+        "which optical flow tracks as in the paper's tracker. Writes KIND.onnx, KIND.json, "
+        "KIND.png and checkpoint.pt.",
     )
     add_some_of(
         parser,
         "--kind",
         ("residual", "direct"),
-        "what is learned: what the closed form leaves over, the whole turn, or each by a network of its own "
-        "(residual)",
+        "what is learned: the error of the closed form, the whole rotation, or each by its own "
+        "network (residual)",
         ["residual"],
     )
     _add_limits(parser)
@@ -46,30 +47,30 @@ def _add_rotation(whats: Any) -> None:
 def _add_views(whats: Any) -> None:
     parser = whats.add_parser(
         "views",
-        help="the detector's codes of views, and verification, from windows of drawn scenes",
-        description="Convolutional networks by which the detector tells which view of an object is in which "
-        "window, and the estimator whether a pose shows its object, learned from random objects in random "
-        "scenes. Leaves views.onnx, verification.onnx, views.json, views.png and checkpoint.pt.",
+        help="the detector's codes of views, and verification, from windows of rendered scenes",
+        description="Train two convolutional networks on random objects in random scenes: for the detector, "
+        "which view of an object is in which window; for the estimator, whether a pose shows its "
+        "object. Writes views.onnx, verification.onnx, views.json, views.png and checkpoint.pt.",
     )
     _add_limits(parser)
     add_number(
         parser,
         "--room",
         6000,
-        "objects that are kept to learn from, the newest, 3 MB each: 6000 take 18 GB of memory, the GPU's "
-        "with --device cuda, else the computer's, more and more as they are drawn (6000)",
+        "newest objects that are kept for training, 3 MB each: 6000 take 18 GB of memory, on the "
+        "GPU with --device cuda (6000)",
         kind=from_one,
     )
     parser.set_defaults(call=train_views)
 
 
 def _add_limits(parser: argparse.ArgumentParser) -> None:
-    add_path(parser, "--out", "DIR", "where the network goes", required=True)
+    add_path(parser, "--out", "DIR", "folder for the network", required=True)
     add_number(parser, "--hours", 2.0, "wall time (2)", "H", over_zero)
-    add_from_zero(parser, "--seed", "of what is drawn, and of the first weights (0)")
-    add_number(parser, "--workers", 1, "processes that draw (1)", kind=from_one)
+    add_from_zero(parser, "--seed", "seed of the generated data and of the initial weights (0)")
+    add_number(parser, "--workers", 1, "processes that generate data (1)", kind=from_one)
     parser.add_argument("--device", default="cpu", help="cpu or cuda (cpu)")
-    parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in DIR")
+    parser.add_argument("--resume", action="store_true", help="resume from the checkpoint in DIR")
 
 
 def train_rotation(arguments: argparse.Namespace) -> int:

@@ -131,8 +131,10 @@ IPAddressAllow=
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("units", help="write systemd units for the workers of a pipeline")
     add_pipeline(parser)
-    add_path(parser, "--out", "DIR", "for example /etc/systemd/system", required=True)
-    parser.add_argument("--user", default="huepose", metavar="NAME", help="whose processes; default huepose")
+    add_path(parser, "--out", "DIR", "folder to write, for example /etc/systemd/system", required=True)
+    parser.add_argument(
+        "--user", default="huepose", metavar="NAME", help="user of the processes (default: huepose)"
+    )
     add_host(parser)
     parser.set_defaults(call=call)
 

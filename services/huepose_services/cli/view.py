@@ -35,19 +35,21 @@ _LOOK_EVERY_S, _STOPPED_AFTER_S, _FLUSH_EVERY_S = 0.1, 0.7, 1.0
 
 
 def add_parser(subparsers: Any) -> None:
-    parser = subparsers.add_parser("view", help="show what a running pipeline sees and believes")
+    parser = subparsers.add_parser("view", help="show the images and poses of a running pipeline")
     add_choice(parser)
     where = parser.add_mutually_exclusive_group()
     port = number_of(int, lambda port: 0 < port < 65_536, "a port of 1 to 65535")
-    where.add_argument("--web", type=port, metavar="PORT", help="serve a page there, without the internet")
+    where.add_argument(
+        "--web", type=port, metavar="PORT", help="serve a page for browsers at this port; no internet needed"
+    )
     add_path(where, "--save", "FILE.rrd", "write a file for the rerun viewer")
+    parser.add_argument("--hypotheses", action="store_true", help="also show the tracker's other hypotheses")
     parser.add_argument(
-        "--hypotheses", action="store_true", help="show all poses that the tracker holds possible"
+        "--pairs",
+        action="store_true",
+        help="also show the colour pairs that the image confirms or contradicts",
     )
-    parser.add_argument(
-        "--pairs", action="store_true", help="show the colour pairs that the picture shows or contradicts"
-    )
-    add_seconds(parser, "stop after so long")
+    add_seconds(parser, "end after this time")
     parser.set_defaults(call=call)
 
 

@@ -44,8 +44,8 @@ def reference() -> str:
     (_, parts) = msgspec.json.schema_components([Config])
     said = comments((ROOT / "pipeline.yaml").read_text())
     head = (
-        "# pipeline.yaml\n\nEvery key, from the types that read the file; what it means is the comment in "
-        f"[the file itself]({REPOSITORY}pipeline.yaml). `huepose validate` says what is wrong with one.\n\n"
+        "# pipeline.yaml\n\nAll keys with their types, defaults and meanings. The same text is in "
+        f"the comments of [the file itself]({REPOSITORY}pipeline.yaml). `huepose validate` checks yours.\n\n"
     )
     return head + "\n".join(_section(parts, "Config", "", said))
 

@@ -67,7 +67,7 @@ WORKERS: tuple[WorkerName, ...] = get_args(WorkerName)
 
 
 class ObjectConfig(Section, frozen=True, kw_only=True):
-    """An object to look for, by the name of its reference model."""
+    """An object to search for, by the name of its reference model."""
 
     name: Name
     max_instances: Annotated[int, Meta(ge=1, le=64)] = 1
@@ -81,8 +81,8 @@ class EstimatorConfig(Section, frozen=True, kw_only=True):
 
 
 class TrackerConfig(Section, frozen=True, kw_only=True):
-    """How far back a late correction may reach, how old a pose may be that is acted on, and whether fast
-    motion of the camera is measured where its pose is not given."""
+    """How late a correction may come, how old a `TRACKING` pose may be, and whether fast motion of the
+    camera is measured if its pose is not given."""
 
     history_frames: Annotated[int, Meta(ge=2, le=300)] = 20
     older_frames: Annotated[int, Meta(ge=0, le=300)] = 24
@@ -91,7 +91,7 @@ class TrackerConfig(Section, frozen=True, kw_only=True):
 
 
 class ReinitConfig(Section, frozen=True, kw_only=True):
-    """How often objects are looked at anew."""
+    """How often perception examines objects again."""
 
     rate_hz: Annotated[float, Meta(gt=0.0, le=30.0)] = 5.0
     objects_per_tick: Annotated[int, Meta(ge=1, le=16)] = 2
@@ -99,9 +99,9 @@ class ReinitConfig(Section, frozen=True, kw_only=True):
 
 
 class TlsConfig(Section, frozen=True, kw_only=True):
-    """Files in PEM: the authority that signed the readers' certificates, the gateway's own certificate and
+    """PEM files: the authority that signed the readers' certificates, the gateway's own certificate and
     key. `readers`: common names of the certificates that may read; empty: all that the authority signed.
-    `revoked`: those that it took back. The files are read anew when they change."""
+    `revoked`: the list of revoked certificates. The files are read again when they change."""
 
     authority: str
     certificate: str
@@ -133,7 +133,7 @@ FramePrefix = Annotated[
 
 
 class GatewayConfig(Section, frozen=True, kw_only=True):
-    """What other machines may read, how often, and who they must be."""
+    """The access of other machines: how often they get messages, and which readers are allowed."""
 
     listen: Address = "127.0.0.1:7447"
     max_rate_hz: Rate = 60.0
@@ -143,7 +143,7 @@ class GatewayConfig(Section, frozen=True, kw_only=True):
 
 
 class ViewerConfig(Section, frozen=True, kw_only=True):
-    """Where the viewer shows what it sees: pages served on this machine, and how much they remember."""
+    """The viewer's page: its ports and address, images a second, and memory."""
 
     web_port: Annotated[int, Meta(ge=1024, le=65_535)] = 9090
     grpc_port: Annotated[int, Meta(ge=1024, le=65_535)] = 9876
@@ -153,8 +153,8 @@ class ViewerConfig(Section, frozen=True, kw_only=True):
 
 
 class Ros2Config(Section, frozen=True, kw_only=True):
-    """Where poses go as messages of ROS 2: router, domain, whose keys, namespace of the topics, and what
-    stands before the objects' names in /tf."""
+    """Poses as ROS 2 messages: router, domain, form of the keys, namespace of the topics, and prefix of
+    the objects' names in /tf."""
 
     connect: Router = "tcp/localhost:7447"
     domain: Annotated[int, Meta(ge=0, le=232)] = 0
@@ -164,8 +164,8 @@ class Ros2Config(Section, frozen=True, kw_only=True):
 
 
 class LinkConfig(Section, frozen=True, kw_only=True):
-    """Between the two computers of `hosts`: where the camera's listens, where the other one reaches it, and
-    the folder with the certificates of `huepose secure`."""
+    """The connection between the two computers of `hosts`: the address on the camera's computer, its
+    address for the other one, and the folder with the certificates of `huepose secure`."""
 
     listen: Address = "0.0.0.0:7448"
     connect: Address | None = None
@@ -173,14 +173,14 @@ class LinkConfig(Section, frozen=True, kw_only=True):
 
 
 class BusConfig(Section, frozen=True, kw_only=True):
-    """How the workers reach each other: by sockets in a folder that only their user can open."""
+    """How the workers are connected: by sockets in a folder that only their user can open."""
 
     base_port: Annotated[int, Meta(ge=1024, le=65_000)] = BASE_PORT
     frame_pool_mib: Annotated[float, Meta(ge=0.0, le=1024.0)] = 6.0
 
 
 class RestartConfig(Section, frozen=True, kw_only=True):
-    """How often a worker that died is started again, and when it counts as hung."""
+    """How often a worker that died is restarted, and when it counts as hung."""
 
     limit: Annotated[int, Meta(ge=0, le=1000)] = 5
     window_s: Annotated[float, Meta(gt=0.0, le=86_400.0)] = 60.0

@@ -39,7 +39,7 @@ S = TypeVar("S", bound=Section)
 
 
 class DeviceConfig(Section, frozen=True, kw_only=True):
-    """A live camera: which one, and how it is set."""
+    """A live camera: which one, and its settings."""
 
     serial: str | None = None
     width: Pixels = 640
@@ -62,21 +62,22 @@ def is_frame_name(text: str) -> bool:
 
 
 class FixedMount(Mount, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A mount as a person writes it: all of it, as a turn that was forgotten looks like none."""
+    """The camera's extrinsics: its pose in the frame `parent`. All three keys are needed."""
 
     parent: FrameName
     quaternion: Quaternion
 
 
 class TfConfig(Section, frozen=True, kw_only=True):
-    """A transform of ROS 2, from /tf and /tf_static: of the frame `child` in the frame `parent`."""
+    """A transform of ROS 2, from /tf and /tf_static: the pose of the frame `child` in the frame `parent`."""
 
     parent: FrameName
     child: FrameName
 
 
 class CameraConfig(Section, frozen=True, kw_only=True):
-    """Where frames come from, and when; check: whether what they show may speak against the camera."""
+    """Where frames come from, and when. check: whether images are checked for faults of the camera's
+    settings."""
 
     name: Name = "cam0"
     source: Literal["synthetic"] | Recorded | Live = "synthetic"
@@ -120,7 +121,7 @@ class DetectorConfig(Section, frozen=True, kw_only=True):
 
 
 class SegmenterConfig(Section, frozen=True, kw_only=True):
-    """How objects are outlined in their boxes."""
+    """How objects are segmented in their boxes."""
 
     kind: Literal["depth", "sam"] = "depth"
     encoder: str | None = None

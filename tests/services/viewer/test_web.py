@@ -109,7 +109,9 @@ def published(config: Config, frame: RgbdFrame) -> Iterator[None]:
                 session.put(keys.hypotheses, encode(message))
 
     with zenoh.open(listening(*places)) as session, repeating(publish, 1.0 / RATE_HZ):
+        tokens = [session.liveliness().declare_token(keys.live(worker)) for worker in config.workers]
         yield
+        del tokens
 
 
 def columns_of(picture: UInt8, colour: tuple[int, int, int]) -> np.ndarray:

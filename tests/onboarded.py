@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from huepose.geometry import Mesh
 from huepose.model.io import load_model, model_path, save_model
 from huepose.model.types import ReferenceModel
@@ -32,3 +34,11 @@ def onboarded(mesh: Mesh, name: str, **how: Any) -> ReferenceModel:
     made = load_model(path)
     # As one that was just made: what is derived of it is kept nowhere.
     return replace(made, digest=None, mesh=replace(made.mesh, digest=None))
+
+
+def times_as_large(model: ReferenceModel, times: float) -> ReferenceModel:
+    """The model of an object that is so many times as large, but for its views and keypoints."""
+    surface, factor = model.surface, np.float32(times)
+    mesh = Mesh(model.mesh.vertices * factor, model.mesh.faces, model.mesh.uv, model.mesh.texture)
+    scaled = replace(surface, points=surface.points * factor)
+    return replace(model, mesh=mesh, surface=scaled, diameter_m=model.diameter_m * times, digest=None)

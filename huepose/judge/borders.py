@@ -29,8 +29,12 @@ from huepose.rendering.render import render_depth
 from huepose.support.jit import jit
 from huepose.support.kept import kept, once_for_each
 
-SIDE_PX, NOMINAL_DISTANCE = 160, 5.0
-"""Side of the rendered pictures that contours are taken from, and distance of the camera in object radii."""
+SIDE_PX, MOST_SIDE_PX, PIXEL_M = 160, 800, 0.002
+"""Least and greatest side of the rendered pictures that contours are taken from. Between them a pixel is no
+larger than the last, at the object: a contour errs by half a pixel, and is compared within millimetres."""
+
+SHARE, NOMINAL_DISTANCE = 0.9, 5.0
+"""Of the picture's side that the object takes, and distance of the camera in object radii."""
 
 POINTS = 96
 """Points of an outline, evenly taken."""
@@ -84,7 +88,8 @@ class Contours:
 
     @cached_property
     def lines(self) -> Lines:
-        """Contours of all views, computed (0.2 s) or mapped from the cache at the first use."""
+        """Contours of all views, computed or mapped from the cache at the first use: 0.2 s, of an
+        object of a metre 2 s."""
         return kept(Lines, self.digest, self._drawn)
 
     def _drawn(self) -> Lines:
@@ -98,9 +103,10 @@ def _contour(mesh: Mesh, surface: PreparedSurface, direction: Float32) -> tuple[
     R = look_at(direction)
     distance = NOMINAL_DISTANCE * surface.radius_m
     T = se3.make(R, np.array([0.0, 0.0, distance]) - R @ surface.arrays.centre)
-    focal = 0.45 * SIDE_PX * (distance - surface.radius_m) / surface.radius_m
-    middle = (SIDE_PX - 1) / 2
-    camera = Camera(focal, focal, middle, middle, SIDE_PX, SIDE_PX)
+    side = _side_px(surface.radius_m)
+    focal = 0.5 * SHARE * side * (distance - surface.radius_m) / surface.radius_m
+    middle = (side - 1) / 2
+    camera = Camera(focal, focal, middle, middle, side, side)
     depth = render_depth(mesh, T, camera)
     inside = (depth > 0).astype(np.uint8)
     found, _ = cv2.findContours(inside, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
@@ -118,6 +124,11 @@ def _contour(mesh: Mesh, surface: PreparedSurface, direction: Float32) -> tuple[
     points = camera.backproject(pixels[on].astype(np.float64), depth[v, u][on].astype(np.float64))
     points_obj = (points - T[:3, 3]) @ R
     return points_obj.astype(np.float32), (out @ R[:2]).astype(np.float32)
+
+
+def _side_px(radius_m: float) -> int:
+    """Side of the picture that shows an object of that radius."""
+    return int(np.clip(np.ceil(2.0 * radius_m / (SHARE * PIXEL_M)), SIDE_PX, MOST_SIDE_PX))
 
 
 def continued(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> float:

@@ -11,6 +11,7 @@ from huepose.judge.open_region import PreparedSurface
 from huepose.model import ReferenceModel
 from huepose.refine.ends import moved_to_ends
 from huepose.rendering import render
+from tests.onboarded import times_as_large
 
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
 T = se3.make(se3.rotation_exp(np.array([1.4, 0.2, 0.1])), np.array([0.02, -0.01, 0.6]))
@@ -55,3 +56,22 @@ def test_where_depth_does_not_jump_nothing_is_said(contours: Contours) -> None:
     flat = frame(contours, 1.2)
     wall = RgbdFrame(flat.color, np.full((240, 320), 0.57, np.float32), CAMERA)
     assert moved_to_ends(contours, T, wall) is None
+
+
+@pytest.mark.parametrize("turn", [(1.1, 0.3, 0.8), (0.9, -0.5, 0.3), (1.2, 0.6, -0.4)])
+def test_an_object_of_a_metre_stays_as_exactly_where_it_is(
+    tea_box: ReferenceModel, turn: tuple[float, float, float]
+) -> None:
+    """Its outline is known within millimetres, as that of a small one."""
+    model = times_as_large(tea_box, 1.0 / 0.15)
+    large = Contours.of(model)
+    camera = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
+    there = se3.make(se3.rotation_exp(np.array(turn)), np.array([0.05, -0.03, 2.2]))
+    depth = render([(large.mesh, there)], camera).depth
+    depth = np.where(depth > 0, depth, 4.5) + np.random.default_rng(3).normal(0, 0.001, depth.shape)
+    seen = RgbdFrame(np.full((480, 640, 3), 180, np.uint8), depth.astype(np.float32), camera)
+    found = moved_to_ends(large, there, seen)
+    assert found is not None
+    away = np.linalg.norm(large.surface.centre_cam(found) - large.surface.centre_cam(there))
+    assert away < 0.0015
+    assert np.degrees(se3.rotation_angle(found, there)) < 1.0

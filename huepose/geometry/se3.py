@@ -58,6 +58,9 @@ def orthonormalised(T: Float) -> Float64:
 
 _AT_REST, _ORIGIN = np.eye(4), np.zeros(3)
 
+ACCELERATION = np.array([4.0, 4.0, 4.0, 20.0, 20.0, 20.0])
+"""RMS of what may have happened to a body that is not seen, m/s^2 and rad/s^2."""
+
 
 def compose(*transforms: Float) -> Float64:
     """Product of transforms, re-orthonormalised: `compose(T_a_b, T_b_c)` is T_a_c."""
@@ -241,7 +244,17 @@ def mahalanobis(T_a: Float, T_b: Float, covariance: Float) -> float:
     return float(np.sqrt(max(0.0, squared)))
 
 
-def grown(covariance: Float, seconds: float, accel_m_s2: float = 4.0, accel_rad_s2: float = 20.0) -> Float64:
-    """`covariance` (6, 6) after `seconds` without a measurement: white acceleration of the given RMS."""
-    s = 0.5 * np.array([accel_m_s2] * 3 + [accel_rad_s2] * 3) * seconds**2
-    return np.asarray(covariance, np.float64) + np.diag(s**2)
+def grown(covariance: Float, seconds: float, lever: Float = _ORIGIN, unseen_s: float = 0.0) -> Float64:
+    """`covariance` (6, 6) after `seconds` without a measurement, in which the body may have been accelerated;
+    unseen_s: of which it has grown already.
+
+    lever (3,): from the point that the covariance is about to the one that is accelerated and that the body
+    turns about, its middle, metres, camera axes."""
+    to_point = carrying(-np.asarray(lever))
+    growth = _growth(unseen_s + seconds) - _growth(unseen_s)
+    return np.asarray(covariance, np.float64) + to_point @ np.diag(growth) @ to_point.T
+
+
+def _growth(seconds: float) -> Float64:
+    """Variances (6,) after so long, m^2 and rad^2."""
+    return np.asarray((0.5 * ACCELERATION * seconds**2) ** 2)

@@ -486,7 +486,8 @@ class Track:
             T = predicted(self.subject.surface, before.T_cam_obj, before.velocity, seconds)
         self.hypotheses = (replace(first, T_cam_obj=T, velocity=velocity), *self.hypotheses[1:])
         if self.covariance is not None:
-            self.covariance = se3.grown(self.covariance, seconds)
+            lever = self.subject.surface.centre_cam(T) - T[:3, 3]
+            self.covariance = se3.grown(self.covariance, seconds, lever, self._unseen_s)
 
     def _judge(self) -> None:
         turn = self._orientation.probability

@@ -53,3 +53,16 @@ def test_a_turn_that_nothing_makes_is_taken_where_the_picture_outweighs_any_moti
     )
     assert asked.impossible(found, followed, 0.033, 0.0) is impossible
     assert not asked.impossible(replace(found, T_cam_obj=T), followed, 0.033, 0.0), "it did not turn"
+
+
+@pytest.mark.parametrize("hz", [15, 30, 90])
+def test_how_unsure_it_is_unseen_depends_on_the_time_alone(started, shoot, hz: int) -> None:
+    """Not on how many frames showed nothing of it."""
+    (before,) = started.poses()
+    frames = [shoot([], 6 + k) for k in range(round(hz * 2 / 15))]
+    for k, frame in enumerate(frames):
+        (now,) = started.step(replace(frame, stamp_ns=before.stamp_ns + round((k + 1) / hz * 1e9)))
+    assert now.covariance is not None
+    grown = np.sqrt(np.diag(now.covariance - before.covariance))
+    expected = 0.5 * np.repeat([4.0, 20.0], 3) * (2 / 15) ** 2
+    np.testing.assert_allclose(grown, expected, rtol=1e-3)

@@ -75,7 +75,9 @@ def agrees(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSl
         return True
     if apart > NEVER_SAME or estimate.covariance is None or tracked.covariance is None:
         return False
-    covariance = estimate.covariance + grown(tracked.covariance, abs(stamp_ns - tracked.stamp_ns) * 1e-9)
+    lever = slot.middle_cam(tracked.T_cam_obj) - tracked.T_cam_obj[:3, 3]
+    seconds = abs(stamp_ns - tracked.stamp_ns) * 1e-9
+    covariance = estimate.covariance + grown(tracked.covariance, seconds, lever)
     turns = slot.equivalents or (np.eye(4),)
     return min(mahalanobis(expected, T @ turn, covariance) for turn in turns) < SIGMAS_APART
 

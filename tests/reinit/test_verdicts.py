@@ -56,6 +56,22 @@ def test_the_track_is_compared_where_it_was_at_the_estimates_frame() -> None:
     assert [c.verdict for c in found] == [Verdict.AGREE]
 
 
+def test_an_unsure_turn_agrees_wherever_the_origin_is() -> None:
+    """Seen 0.15 s ago it can have turned by 23 degrees meanwhile, about its middle."""
+    for middle in (np.zeros(3), np.array([2.0, 0.0, 0.0])):
+        slot = ObjectSlot("mug", 1, 0.15, bounds_m=np.array([middle - 0.05, middle + 0.05]))
+        about = se3.make(np.eye(3), -middle)
+        to_origin = se3.carrying(-middle)
+        covariance = to_origin @ uncertain(0.001, 0.01) @ to_origin.T
+        seen = replace(track(T=pose() @ about), covariance=covariance)
+        loop = ReinitLoop(objects=[slot])
+        request = loop.tick(0, [seen])
+        turned = estimate(T=pose(0.0, 23.0) @ about, instance=0, prior_score=1.0)
+        turned = replace(turned, covariance=covariance)
+        found = loop.answer(200 * MS, result(request, 150.0, turned))
+        assert [c.verdict for c in found] == [Verdict.AGREE], middle
+
+
 def test_a_second_sight_of_a_tracked_instance_is_no_new_one() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 2, 0.15)])
     request = loop.tick(0, [track()])

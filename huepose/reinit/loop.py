@@ -242,7 +242,7 @@ class ReinitLoop:
         found = [e for e in estimates if usable(e, self.config)]
         self.counters.rejected += len(estimates) - len(found)
         tracked = [t for t in self._tracks.values() if t.object == slot.object and t.T_cam_obj is not None]
-        priors = [self._past.at(t, result.stamp_ns) for t in tracked]
+        priors = [self._past.at(t, result.stamp_ns, slot.middle_obj) for t in tracked]
         poses = [pose_of(e) for e in found]
         expected = [prior.predicted(result.stamp_ns, slot.middle_obj) for prior in priors]
         sure = [t.state is State.TRACKING and slot.max_instances > 1 for t in tracked]

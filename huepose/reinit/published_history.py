@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import deque
 
 from huepose.geometry import se3
+from huepose.geometry.arrays import Float64
 from huepose.geometry.se3 import grown
 from huepose.reinit.schedule import LONGEST_S
 from huepose.reinit.types import Prior
@@ -38,11 +39,11 @@ class PublishedHistory:
         """Nothing was published of anything."""
         self._poses.clear()
 
-    def at(self, track: TrackedPose, stamp_ns: int) -> Prior:
-        """The published pose of a track at a stamp. Between two poses it is interpolated; its covariance is
-        that of the nearer one, grown over the time in between. While there was none it is the next one;
-        before the first it is the first, after the last the last. Raises ValueError for a track without a
-        pose."""
+    def at(self, track: TrackedPose, stamp_ns: int, middle_obj: Float64) -> Prior:
+        """The published pose of a track at a stamp. Between two poses it is interpolated, the object's middle
+        (3,) on a straight line; its covariance is that of the nearer one, grown over the time in between.
+        While there was none it is the next one; before the first it is the first, after the last the last.
+        Raises ValueError for a track without a pose."""
         newest = _prior(track)
         known: list[tuple[int, Prior | None]] = [*self._poses.get(track.key, ()), (track.stamp_ns, newest)]
         before = [pose for at_ns, pose in known if at_ns <= stamp_ns]
@@ -53,11 +54,12 @@ class PublishedHistory:
         if b is None or a.stamp_ns == stamp_ns:
             return a
         share = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
-        T = se3.interpolate(a.T_cam_obj, b.T_cam_obj, share)
+        T = se3.interpolate(a.T_cam_obj, b.T_cam_obj, share, middle_obj)
         nearest = a if share <= 0.5 else b
         covariance = nearest.covariance
         if covariance is not None:
-            covariance = grown(covariance, abs(nearest.stamp_ns - stamp_ns) * 1e-9)
+            lever = nearest.T_cam_obj[:3, :3] @ middle_obj
+            covariance = grown(covariance, abs(nearest.stamp_ns - stamp_ns) * 1e-9, lever)
         return Prior(T, nearest.velocity, covariance, stamp_ns)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 
 from huepose.believe.state import State
@@ -31,7 +31,7 @@ Key = tuple[str, int]
 class _Followed:
     """One instance: its poses at the frames so far, and its mask in the newest where one was given."""
 
-    history: PoseHistory = field(default_factory=PoseHistory)
+    history: PoseHistory
     mask: Bool | None = None
     applied_seq: int = 0
 
@@ -99,7 +99,8 @@ class PaperTracker:
 
     def _start(self, correction: Correction, frames: Sequence[RgbdFrame]) -> None:
         """An instance begins, or begins anew, at the first of these frames, and is followed to the last."""
-        followed = _Followed(mask=correction.mask, applied_seq=correction.seq)
+        history = PoseHistory(self._models[correction.object].surface.centre)
+        followed = _Followed(history, correction.mask, correction.seq)
         followed.history.append(frames[0].frame_id, frames[0].stamp_ns, correction.T_cam_obj)
         for before, after in pairwise(frames):
             self._follow(correction.key, followed, before, after)

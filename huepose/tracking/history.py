@@ -35,10 +35,12 @@ class Entry:
 
 
 class PoseHistory:
-    """The poses of one object at the newest frames, oldest first."""
+    """The poses of one object at the newest frames, oldest first. middle_obj (3,): of the object, in its own
+    axes."""
 
-    def __init__(self) -> None:
+    def __init__(self, middle_obj: Float64) -> None:
         self._entries: deque[Entry] = deque()
+        self._middle_obj = middle_obj
 
     def __iter__(self) -> Iterator[Entry]:
         return iter(self._entries)
@@ -63,8 +65,9 @@ class PoseHistory:
             self._entries.popleft()
 
     def at(self, stamp_ns: int) -> Float64 | None:
-        """The pose at a stamp: that of its frame, or, where that frame was skipped, interpolated on SE(3)
-        between its neighbours. None outside of the history, and where a needed pose is missing."""
+        """The pose at a stamp: that of its frame, or, where that frame was skipped, interpolated between its
+        neighbours, the object's middle on a straight line. None outside of the history, and where a needed
+        pose is missing."""
         before: Entry | None = None
         for entry in self._entries:
             if entry.stamp_ns == stamp_ns:
@@ -73,7 +76,7 @@ class PoseHistory:
                 if before is None or before.T_cam_obj is None or entry.T_cam_obj is None:
                     return None
                 share = (stamp_ns - before.stamp_ns) / (entry.stamp_ns - before.stamp_ns)
-                return se3.interpolate(before.T_cam_obj, entry.T_cam_obj, share)
+                return se3.interpolate(before.T_cam_obj, entry.T_cam_obj, share, self._middle_obj)
             before = entry
         return None
 

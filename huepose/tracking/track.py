@@ -57,7 +57,7 @@ class Track:
 
     def __init__(self, subject: Subject, object_name: str, instance: int, config: TrackerConfig) -> None:
         self.subject, self.object, self.instance = subject, object_name, instance
-        self.history = PoseHistory()
+        self.history = PoseHistory(self.subject.surface.middle_obj)
         self.hypotheses: tuple[Hypothesis, ...] = ()
         self.covariance: Float64 | None = None
         self.quality = self.evidence = 0.0
@@ -395,7 +395,7 @@ class Track:
     def set_back(self, by_ns: int) -> None:
         """Continue at rest, as if all that was before had been that much earlier (the camera's clock was set
         back)."""
-        self.history = PoseHistory()
+        self.history = PoseHistory(self.subject.surface.middle_obj)
         self._supported_ns, self._looked_ns = self._supported_ns - by_ns, self._looked_ns - by_ns
         self._camera = replace(self._camera, known_ns=self._camera.known_ns - by_ns)
         self._found_ns -= by_ns

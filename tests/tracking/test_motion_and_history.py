@@ -83,7 +83,7 @@ def test_a_change_of_velocity_is_followed_within_few_frames() -> None:
 
 
 def history(count: int = 10, wrong: np.ndarray | None = None) -> PoseHistory:
-    h = PoseHistory()
+    h = PoseHistory(np.zeros(3))
     for k in range(count):
         T = moving(k / 30)
         h.append(100 + k, k * 1000, T if wrong is None else T @ wrong)
@@ -102,7 +102,7 @@ def test_perfect_correction_of_the_past_gives_truth_and_increments_exactly() -> 
 
 def test_correction_is_carried_by_the_buffered_increments() -> None:
     rng = np.random.default_rng(0)
-    h = PoseHistory()
+    h = PoseHistory(np.zeros(3))
     poses = [START]
     for _ in range(6):
         poses.append(se3.perturb(poses[-1], rng.normal(0, 0.02, 6)))
@@ -126,7 +126,7 @@ def test_two_corrections_in_a_row_compose() -> None:
 
 
 def test_a_skipped_frame_is_interpolated_by_its_stamp() -> None:
-    h = PoseHistory()
+    h = PoseHistory(np.zeros(3))
     a, b = moving(0.0), se3.make(se3.rotation_exp(np.array([0, 0, 0.3])) @ START[:3, :3], START[:3, 3] + 0.03)
     h.append(0, 0, a)
     h.append(3, 300, b)
@@ -152,6 +152,16 @@ def test_what_the_history_does_not_know() -> None:
     np.testing.assert_array_equal(h.at(5000), START)
 
 
+@pytest.mark.parametrize("centre", CENTRES)
+def test_between_two_frames_it_turned_about_its_middle_wherever_the_origin_is(centre) -> None:
+    h = PoseHistory(np.array(centre))
+    for k in (0, 3):
+        h.append(k, k * 100, moving_about(centre, 0.04 * k))
+    at = h.at(150)
+    assert at is not None
+    np.testing.assert_allclose(at, moving_about(centre, 0.06), atol=1e-10)
+
+
 def frames_at(stamps_s) -> list[RgbdFrame]:
     camera = Camera(10, 10, 1.5, 1.5, 4, 4)
     color, depth = np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.float32)
@@ -159,7 +169,7 @@ def frames_at(stamps_s) -> list[RgbdFrame]:
 
 
 def test_histories_forget_the_oldest() -> None:
-    h = PoseHistory()
+    h = PoseHistory(np.zeros(3))
     frames = FrameHistory(3)
     for k, frame in enumerate(frames_at(np.arange(6) * 1e-9)):
         h.append(k, k, START)

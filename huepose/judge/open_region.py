@@ -188,14 +188,16 @@ class PreparedSurface:
         return a.visible[a.offsets[view] : a.offsets[view + 1]][:count]
 
     def box(self, T_cam_obj: Float, camera: Camera) -> Box | None:
-        """Bounds of the object in the image, from every fourth sample; None when it reaches behind the
-        camera. Not clipped to the image."""
+        """Bounds of the object in the image, from every fourth sample that is ahead of the camera; None where
+        less than half of them or not the object's centre are. Not clipped to the image."""
         points = np.ascontiguousarray(self.arrays.points[::4])
         T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
         ahead, left, top, right, bottom = bounds_of(
             points, T, camera.fx, camera.fy, camera.cx, camera.cy, NEAREST_M
         )
-        return Box(left, top, right - left, bottom - top) if ahead == len(points) else None
+        if ahead < len(points) and (2 * ahead < len(points) or self.centre_cam(T)[2] < NEAREST_M):
+            return None
+        return Box(left, top, right - left, bottom - top)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from huepose.geometry import Box, RgbdFrame, se3
+from huepose.geometry import Box, Camera, RgbdFrame, se3
+from huepose.geometry.camera import NEAREST_M
 from huepose.judge.open_region import OpenRegion, PreparedSurface, open_region, steepest, totals, window
 from huepose.judge.terms import NOTHING, Terms, score_arrays
 from huepose.model.types import ReferenceModel
 from huepose.refine.photometric import FULL, NEAR, QUICK, refine, refine_all
+from huepose.rendering import render
 from huepose.tracking.config import TrackerConfig
 from huepose.tracking.hypothesis import Anchor, Hypothesis
 from huepose.tracking.motion import Reach
@@ -19,7 +21,7 @@ from huepose.tracking.refined import about_its_axis, best_of, unmoved
 from huepose.tracking.search import search
 from huepose.tracking.step import advance
 from huepose.tracking.subject import Subject
-from tests.onboarded import onboarded
+from tests.onboarded import onboarded, times_as_large
 
 SMALL = np.array([0.004, -0.005, 0.004, 0.04, -0.05, 0.05])
 
@@ -274,3 +276,26 @@ def test_a_slender_object_is_rolled_by_any_angle_where_all_of_it_is_seen(soup_ca
     hidden = replace(rolled, terms=replace(rolled.terms, hidden=0.3))
     kept, _, _ = about_its_axis(subject, shoot([(stick.mesh, T)]), hidden, None, known=True)
     assert se3.rotation_angle(kept.T_cam_obj, T) > np.radians(60.0), "what tells it may be what is hidden"
+
+
+@pytest.mark.parametrize(
+    ("ahead_m", "behind", "seen"), [(0.7, 0.0, 0.5), (0.3, 0.1, 0.35), (-0.3, 0.5, None)]
+)
+def test_what_reaches_past_the_camera_is_judged_by_what_is_ahead(
+    tea_box: ReferenceModel, ahead_m: float, behind: float, seen: float | None
+) -> None:
+    """A box of 1.2 m, over which the camera looks ahead and down. behind: least share of its samples that
+    are beside or behind the camera; seen: what is seen of it at least."""
+    model, camera = times_as_large(tea_box, 8.0), Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
+    surface = PreparedSurface.of(model)
+    T_cam_room = se3.make(se3.rotation_exp(np.array([np.radians(115.0), 0.0, 0.0])), np.zeros(3))
+    lying = se3.make(se3.rotation_exp(np.array([np.pi / 2, 0.0, 0.0])), np.array([0.0, ahead_m, -0.55]))
+    T = T_cam_room @ lying
+    assert (se3.apply(T, surface.arrays.points)[:, 2] < NEAREST_M).mean() >= behind
+    shown = render([(model.mesh, T)], camera)
+    depth = np.where(shown.depth > 0, shown.depth, 3.0).astype(np.float32)
+    terms = unmoved(surface, RgbdFrame(shown.color, depth, camera), T, None).terms
+    if seen is None:
+        assert terms is NOTHING
+    else:
+        assert terms.seen > seen

@@ -8,11 +8,13 @@ Scenes without labels, label details or masks can be read, too.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection
+from contextlib import suppress
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from huepose.datasets import files
 from huepose.datasets.types import GroundTruth
@@ -161,10 +163,13 @@ class BopScene:
     @cached_property
     def _farthest_mm(self) -> float | None:
         """How far the farthest label is from the camera; None where none says a place other than 0."""
-        entries = [entry for value in self._labels.values() if isinstance(value, list) for entry in value]
-        said = [entry.get("cam_t_m2c") for entry in entries if isinstance(entry, dict)]
-        places = [t for t in said if isinstance(t, list) and all(isinstance(x, int | float) for x in t)]
-        return max((math.hypot(*t) for t in places), default=0.0) or None
+        distances = []
+        for label in (
+            one for of_image in self._labels.values() if isinstance(of_image, list) for one in of_image
+        ):
+            with suppress(InputError):  # which is said where the label is asked for
+                distances.append(float(np.linalg.norm(files.numbers(label, "cam_t_m2c", (3,), ""))))
+        return max(distances, default=0.0) or None
 
     def _entries(self, records: dict[str, Any], image: int, name: str) -> list[dict[str, Any]]:
         entries = records.get(str(image), [])

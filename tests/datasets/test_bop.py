@@ -164,6 +164,7 @@ def depth_of_8_bits(scene: Path) -> None:
         (edited("scene_gt.json", lambda r: r["2"][0].pop("obj_id")), "obj_id"),
         (edited("scene_gt.json", lambda r: r["2"].append("x")), "scene_gt.json"),
         (edited("scene_gt.json", in_metres), "expected cam_t_m2c in millimetres"),
+        (edited("scene_gt.json", lambda r: r["2"][0].update(cam_t_m2c=[10**400, 0, 0])), "cam_t_m2c"),
         (edited("scene_gt_info.json", lambda r: r["2"].pop()), "scene_gt_info.json"),
     ],
 )

@@ -11,7 +11,7 @@ from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.geometry.se3 import carrying, grown, mahalanobis
+from huepose.geometry.se3 import carrying, mahalanobis
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.types import ObjectSlot, Prior
 from huepose.tracking.types import Verdict
@@ -73,13 +73,11 @@ def agrees(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSl
     apart = _apart(T, expected, slot)
     if apart < SAME_POSE:
         return True
-    if apart > NEVER_SAME or estimate.covariance is None or tracked.covariance is None:
+    covariance = tracked.covariance_at(stamp_ns, slot.middle_obj)
+    if apart > NEVER_SAME or estimate.covariance is None or covariance is None:
         return False
-    lever = slot.middle_cam(tracked.T_cam_obj) - tracked.T_cam_obj[:3, 3]
-    seconds = abs(stamp_ns - tracked.stamp_ns) * 1e-9
-    covariance = estimate.covariance + grown(tracked.covariance, seconds, lever)
-    turns = slot.equivalents or (np.eye(4),)
-    return min(mahalanobis(expected, T @ turn, covariance) for turn in turns) < SIGMAS_APART
+    both, turns = estimate.covariance + covariance, slot.equivalents or (np.eye(4),)
+    return min(mahalanobis(expected, T @ turn, both) for turn in turns) < SIGMAS_APART
 
 
 def _apart(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
@@ -203,10 +201,10 @@ def assign(
 
 def _gate_m(prior: Prior, stamp_ns: int, slot: ObjectSlot) -> float:
     least, most = GATE_DIAMETERS * slot.diameter_m, 2.0 * slot.diameter_m
-    if prior.covariance is None:
+    covariance = prior.covariance_at(stamp_ns, slot.middle_obj)
+    if covariance is None:
         return most
-    to_middle = carrying(slot.middle_cam(prior.T_cam_obj) - prior.T_cam_obj[:3, 3])
-    known = to_middle @ prior.covariance @ to_middle.T
-    covariance = grown(known, abs(stamp_ns - prior.stamp_ns) * 1e-9)
-    sigma = float(np.sqrt(max(np.linalg.eigvalsh(covariance[:3, :3])[-1], 0.0)))
+    to_middle = carrying(prior.lever(slot.middle_obj))
+    of_middle = to_middle @ covariance @ to_middle.T
+    sigma = float(np.sqrt(max(np.linalg.eigvalsh(of_middle[:3, :3])[-1], 0.0)))
     return min(max(least, GATE_SIGMAS * sigma), most)

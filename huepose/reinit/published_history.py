@@ -10,7 +10,6 @@ from collections import deque
 
 from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
-from huepose.geometry.se3 import grown
 from huepose.reinit.schedule import LONGEST_S
 from huepose.reinit.types import Prior
 from huepose.tracking.types import Key, TrackedPose
@@ -56,11 +55,7 @@ class PublishedHistory:
         share = (stamp_ns - a.stamp_ns) / (b.stamp_ns - a.stamp_ns)
         T = se3.interpolate(a.T_cam_obj, b.T_cam_obj, share, middle_obj)
         nearest = a if share <= 0.5 else b
-        covariance = nearest.covariance
-        if covariance is not None:
-            lever = nearest.T_cam_obj[:3, :3] @ middle_obj
-            covariance = grown(covariance, abs(nearest.stamp_ns - stamp_ns) * 1e-9, lever)
-        return Prior(T, nearest.velocity, covariance, stamp_ns)
+        return Prior(T, nearest.velocity, nearest.covariance_at(stamp_ns, middle_obj), stamp_ns)
 
 
 def _prior(track: TrackedPose) -> Prior:

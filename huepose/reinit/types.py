@@ -76,10 +76,21 @@ class Prior:
         if self.velocity is None:
             return self.T_cam_obj
         seconds = float(np.clip((stamp_ns - self.stamp_ns) * 1e-9, -LONGEST_AHEAD_S, LONGEST_AHEAD_S))
-        lever = self.T_cam_obj[:3, :3] @ middle_obj
+        lever = self.lever(middle_obj)
         moved = se3.perturb(self.T_cam_obj, se3.carrying(lever) @ self.velocity * seconds)
         moved[:3, 3] += lever - moved[:3, :3] @ middle_obj
         return moved
+
+    def covariance_at(self, stamp_ns: int, middle_obj: Float64) -> Float64 | None:
+        """The covariance at another stamp, grown over the time in between, in which the object may turn about
+        its middle (3,); None where there is none."""
+        if self.covariance is None:
+            return None
+        return se3.grown(self.covariance, abs(stamp_ns - self.stamp_ns) * 1e-9, self.lever(middle_obj))
+
+    def lever(self, middle_obj: Float64) -> Float64:
+        """From the object's origin to its middle (3,), camera axes."""
+        return np.asarray(self.T_cam_obj[:3, :3] @ middle_obj)
 
 
 @dataclass(frozen=True, eq=False)

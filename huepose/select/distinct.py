@@ -6,8 +6,8 @@ While poses are still being refined, two are close if they differ little in rota
 (`different_answers`): their surfaces are within a tenth of the diameter of each other, up to the object's
 symmetries. `Ranked` holds poses in their order, each with its total.
 
-A surface is what a pose explains of a frame: sorted unique ids of pixels, cells of pixels or patches of depth
-(`standing`)."""
+A surface is the part of a frame that a pose explains: sorted unique ids of pixels, cells of pixels or patches
+of depth (`standing`)."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Ranked:
 
 
 NONE = Ranked(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0))
-"""Where nothing was found."""
+"""No pose was found."""
 
 
 FINAL_TURN_RAD, FINAL_SHIFT = 0.2, 0.05
@@ -115,7 +115,7 @@ def standing(
 ) -> list[int]:
     """Greedy suppression: indices of the poses that stay, best score first (ties: the first). A pose goes if
     those that stay before it hold more than HALF of its surface. misfits: how badly each piece of each
-    surface fits the picture; who fits worse by more than the margin does not hold a piece.
+    surface fits the image; a pose that fits worse than another by more than the margin does not hold a piece.
 
     >>> standing([np.array([1, 2, 3]), np.array([2, 3, 4]), np.array([3, 4, 5])], [0.5, 0.9, 0.4])
     [1]
@@ -136,7 +136,7 @@ def standing(
 
 
 def share_held(surface: Int64, held: Int64) -> float:
-    """Share of a surface that is held by others, 0..1; 0 for an empty surface."""
+    """Share of a surface that other poses hold, 0..1; 0 for an empty surface."""
     if not len(surface):
         return 0.0
     return len(np.intersect1d(surface, held, assume_unique=True)) / len(surface)

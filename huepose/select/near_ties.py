@@ -30,38 +30,38 @@ from huepose.select.distinct import Ranked, different_answers
 from huepose.select.shade import in_their_light
 
 WEIGHTS = {"dense": 1.0, "detail": 1.5, "broad": 6.5}
-"""Of the terms between poses in a near tie. dense: distance to the first in the dense score, at most 0;
-detail, broad: how well fine and broader texture explain the same pixels.
+"""Weights of the terms between poses in a near tie. dense: distance to the first in the dense score, at most
+0; detail, broad: how well fine and broader texture explain the same pixels.
 
-Fitted on drawn heaps, path-traced piles and real frames, some of them those of docs/accuracy.md, to the
-largest likelihood that the right pose wins (softmax of the weighted sums). Fitted on drawn frames alone they
-lose 3.4 points of ADD on path-traced piles."""
+Fitted on rendered heaps, path-traced piles and real frames, some of them those of docs/accuracy.md, to the
+largest likelihood that the right pose wins (softmax of the weighted sums). Fitted on rendered frames alone
+they lose 3.4 points of ADD on path-traced piles."""
 
 TERMS = tuple(WEIGHTS)
 """Names of the terms in a near tie."""
 
 CONTENDERS, WITHIN = 4, 0.12
-"""Most poses that get a close look, with time in mind, and how close to the best total such a pose is: noise
-and light change totals as much. Chosen."""
+"""Most poses that get a close look (it takes time), and how close to the best total such a pose is: noise and
+light change totals as much. Chosen."""
 
 SHARE = 0.35
 """Factor from a weighted difference of the terms to a difference of the total. Chosen, so that quality reads
 both alike."""
 
 CLOSE_WEIGHTS, RIM_WEIGHT = ScoreWeights(color=1.5, coarse=1.0), 0.75
-"""Of the dense score in the close look, on detail and blunt colours, which count alike and more than in the
-first score; of the agreement of outline and picture edges, in units of the total. Chosen."""
+"""Weights of the dense score in the close look, on detail and smoothed colours, which count alike and more
+than in the first score; weight of the agreement of outline and image edges, in units of the total. Chosen."""
 
 STEPS_DEG, SAMPLES = (3.0, 1.5, 0.7, 0.35), 600
-"""Of the search in the close look: steps, degrees of rotation at the object's surface, and most surface
-samples. Chosen."""
+"""The search in the close look: steps, degrees of rotation at the object's surface, and most surface samples.
+Chosen."""
 
 TOLERANCES, ROOM_PX = 1.5, 10.0
 """Textures are compared where depth is within this many of the region's tolerances of the pose; margin around
-the poses in the picture, pixels. Chosen."""
+the poses in the image, pixels. Chosen."""
 
 HULL_POINTS = 200
-"""Surface points whose bounds stand for those of the object."""
+"""Surface points whose bounds count as those of the object."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +76,9 @@ class CloseLook:
 def close_look(
     model: ReferenceModel, region: Region, poses: Float64, lights: Sequence[Light | None]
 ) -> CloseLook | None:
-    """A close look at each of the poses (K, 4, 4), whose textures are compared in its light (K) where it is
-    given; None where one shows too little of the object, or is too near for a picture of it, and where all of
-    them lie beside the crop."""
+    """A close look at each of the poses (K, 4, 4), whose textures are compared in its light (K) if that is
+    given. None if a pose shows too little of the object or is too near to be rendered, and if all poses are
+    outside of the crop."""
     window = _window(model, region, poses)
     if window is None:
         return None
@@ -91,12 +91,12 @@ def close_look(
     arrays = region_arrays(region)._replace(colors=colors)
     refined = poses.copy()
     for k, (T, light) in enumerate(zip(poses, lights, strict=True)):
-        drawn = draw_rendered_view(model, T, region.crop.camera, SAMPLES, light)
-        if drawn is None:
+        rendered = draw_rendered_view(model, T, region.crop.camera, SAMPLES, light)
+        if rendered is None:
             return None
-        rim = Rim(drawn.rim_points, drawn.rim_inward, edges, RIM_WEIGHT)
+        rim = Rim(rendered.rim_points, rendered.rim_inward, edges, RIM_WEIGHT)
         refined[k] = search_rendered_view(
-            model, drawn.arrays, arrays, rim, T, STEPS_DEG, SAMPLES, CLOSE_WEIGHTS
+            model, rendered.arrays, arrays, rim, T, STEPS_DEG, SAMPLES, CLOSE_WEIGHTS
         )
     alike = likeness(model, _part(region, rows, columns, colors), refined, lights)
     return None if alike is None else CloseLook(refined, alike)
@@ -115,7 +115,7 @@ def _part(region: Region, rows: slice, columns: slice, colors: Float32) -> Part:
 
 
 def _window(model: ReferenceModel, region: Region, poses: Float64) -> tuple[slice, slice] | None:
-    """Rows and columns of the crop that the poses cover, with some room; None where they lie beside it."""
+    """Rows and columns of the crop that the poses cover, with a margin; None if they are outside of it."""
     camera = region.crop.camera
     points = model.surface.points[:HULL_POINTS]
     placed = np.concatenate([points @ T[:3, :3].T + T[:3, 3] for T in poses])
@@ -140,7 +140,7 @@ class Contest:
 
 
 def contest(model: ReferenceModel, region: Region, found: Ranked, shaded: bool = False) -> Contest | None:
-    """The close look at the best few poses, each in the light that it implies where shade matters; None where
+    """The close look at the best few poses, each in the light that it implies where shade matters. None if
     the first is clearly ahead, or one cannot be compared."""
     rivals = int((found.behind[:CONTENDERS] < WITHIN).sum())
     if rivals < 2:
@@ -157,8 +157,8 @@ def contest(model: ReferenceModel, region: Region, found: Ranked, shaded: bool =
 
 
 def decided(model: ReferenceModel, region: Region, found: Ranked) -> tuple[Ranked, Contest | None]:
-    """Poses reordered by the light on near-symmetric rotations and the close look at the best few, and the
-    contest where there was one."""
+    """Poses reordered by the light on near-symmetric rotations and by the close look at the best few, and the
+    contest if there was one."""
     found, shaded = in_their_light(model, region, found)
     held = contest(model, region, found, shaded)
     if held is None:

@@ -1,7 +1,7 @@
 """Near-symmetric rotations of a pose, each judged in the light that it implies.
 
-They show the same surface to the same lamps, and differ in the texture alone. In the shade a texture has less
-colour (`judge.implied_light`), so the right pose of a red brick can lie far behind a rotation with dark holes
+They show the same surface to the same lamps, and differ only in the texture. In the shade a texture has less
+colour (`judge.implied_light`). So the right pose of a red brick can be far behind a rotation with dark holes
 where the shade is.
 """
 
@@ -17,18 +17,19 @@ from huepose.model.types import ReferenceModel
 from huepose.select.distinct import Ranked
 
 REACH = 0.4
-"""Of the total: rotations farther behind the first are left alone. A brick on a desk was 0.3 behind."""
+"""In units of the total: rotations farther behind the first pose are not compared. A brick on a desk was 0.3
+behind."""
 
 CHANCE = 0.03
-"""Of the total: gains from light that differ by less are chance, those that differ by more count so much
-less. Chosen by the likelihood of the right pose on drawn heaps and piles, `fit` and `choose`."""
+"""In units of the total: gains from light that differ by less are chance; larger differences count this much
+less. Chosen by maximum likelihood of the right pose on rendered heaps and piles, `fit` and `choose`."""
 
 ABOUT = np.radians(15.0)
 """Refinement rotates a pose by less than this: within it, two poses have the same orientation."""
 
 
 def in_their_light(model: ReferenceModel, region: Region, found: Ranked) -> tuple[Ranked, bool]:
-    """Poses reordered where light changes how far near-symmetric rotations of the first are behind it, and
+    """Poses reordered if light changes how far near-symmetric rotations of the first are behind it, and
     whether it does."""
     near = found.behind < REACH
     if np.count_nonzero(near) < 2:
@@ -48,7 +49,7 @@ def in_their_light(model: ReferenceModel, region: Region, found: Ranked) -> tupl
 
 
 def beyond_chance(more: Float64) -> Float64:
-    """What differences (K,) between gains from light count.
+    """Differences (K,) between gains from light, less what is chance.
 
     >>> beyond_chance(np.array([0.02, 0.23, -0.05])).round(2).tolist()
     [0.0, 0.2, -0.02]
@@ -57,7 +58,7 @@ def beyond_chance(more: Float64) -> Float64:
 
 
 def rotated(model: ReferenceModel, T_cam_obj: Float64, others: Float64) -> Bool:
-    """Which of the poses (K, 4, 4) are near-symmetric rotations (K,) of another one (4, 4)."""
+    """Mask (K,) of the poses (K, 4, 4) that are near-symmetric rotations of another one (4, 4)."""
     between = T_cam_obj[:3, :3].T @ others[:, :3, :3]
     traces = np.einsum("kij,mij->km", between, model.near_symmetries[1:, :3, :3])
     return np.asarray((traces >= 1.0 + 2.0 * np.cos(ABOUT)).any(axis=1))

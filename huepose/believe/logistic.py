@@ -1,10 +1,10 @@
-"""What beliefs are made of: a probability that is logistic in a constant plus a factor times each named term;
-and the fitted numbers of all of them, in one file, each with where it comes from.
+"""Probabilities: each is the logistic function of a constant plus a factor times each named term. All fitted
+numbers are in one file, each with its origin.
 
 `fits.json` has one entry for each question: `quality` (is the pose of a single frame right? by method),
 `frame` (is a tracked pose right in this frame?), `presence` (is the object there at all?) and `place` (the
-same of a rough pose). An entry has the `fit` and its `origin`: the command that writes it, the data and the
-seeds they were drawn from."""
+same for a rough pose). An entry has the `fit` and its `origin`: the command that writes it, the data and
+their seeds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ import numpy as np
 from huepose.geometry.arrays import Float64
 
 MOST_LOG_ODDS = 30.0
-"""Beyond it a probability is 0 or 1 to the last digit that anybody reads."""
+"""Beyond it a probability is practically 0 or 1."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Logistic:
     factors: Mapping[str, float]
 
     def log_odds(self, known: Mapping[str, float]) -> float:
-        """Of terms by name; those without a factor say nothing."""
+        """Log-odds for terms by name; terms without a factor do not count."""
         return self.constant + sum(factor * known[name] for name, factor in self.factors.items())
 
     def __call__(self, known: Mapping[str, float]) -> float:
@@ -46,7 +46,7 @@ class Logistic:
 
 
 def probability(log_odds: float) -> float:
-    """Of log-odds, 0..1.
+    """The probability of log-odds, 0..1.
 
     >>> round(probability(np.log(3.0)), 2)
     0.75
@@ -55,7 +55,7 @@ def probability(log_odds: float) -> float:
 
 
 def probabilities(log_odds: Float64) -> Float64:
-    """Of log-odds of any shape."""
+    """The probabilities of log-odds of any shape."""
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(log_odds, -MOST_LOG_ODDS, MOST_LOG_ODDS))))
 
 
@@ -70,18 +70,18 @@ def _entries() -> dict[str, Any]:
 
 
 def fitted(question: Question) -> Mapping[str, Any]:
-    """The fit that answers a question, as `write_fit` was given it."""
+    """The fit for a question, as `write_fit` wrote it."""
     return dict(_entries()[question]["fit"])
 
 
 @cache
 def belief(question: Question) -> Logistic:
-    """The fit that answers a question with one logistic: all but `quality`."""
+    """The fit for a question with one logistic: all but `quality`."""
     return Logistic(**fitted(question))
 
 
 def write_fit(question: Question, fit: Mapping[str, Any]) -> None:
-    """Put a fit in the package; where it comes from stays as written. For the commands of `studies`."""
+    """Write a fit into the package; its origin stays as written. For the commands of `studies`."""
     entries = json.loads(PATH.read_text())
     entries[question]["fit"] = fit
     PATH.write_text(json.dumps(entries, indent=1) + "\n")

@@ -1,13 +1,12 @@
-"""Is the object here at all?
+"""Is the object there at all?
 
-Whether a *pose* is right asks for texture that tells it from its turns; a plain mug has none, and is there
-all the same. What speaks for an object being there is a shape that explains the depth, without a surface that
-goes on where the object ends, and a picture that looks like the object in this pose. All of it says the less
-the fewer pixels it is read from: in a speck of ten anything fits. A refined pose is asked one thing more: a
-network compares picture and model pixel by pixel. A rough one is off by too much for that, and has weights of
-its own.
+Whether a *pose* is right depends on texture that distinguishes its orientations. A plain mug has none, and
+may be there all the same. Evidence for an object is a shape that explains the depth, no surface that goes on
+where the object ends, and an image that looks like the object in this pose. All of it counts less the fewer
+pixels there are: to ten pixels anything fits. For a refined pose there is one more term: a network compares
+image and model pixel by pixel. A rough pose is too inaccurate for that, and has weights of its own.
 
-The weighted sum of these is a logit; the weights are fitted on drawn scenes (`believe.logistic`)."""
+The weighted sum of these is a logit; the weights are fitted on rendered scenes (`believe.logistic`)."""
 
 from __future__ import annotations
 
@@ -22,19 +21,19 @@ from huepose.geometry.arrays import Float64
 from huepose.judge.color_correlation import PLAIN
 
 ENOUGH_PIXELS, FEWEST_PIXELS = 400, 4
-"""More pixels say no more: their errors are not independent."""
+"""More pixels count no more: their errors are not independent."""
 
 MOST_ALIKE, MOST_VERIFIED = 0.3, 4.6
-"""Nine of ten true poses have less: of likeness in real frames, of verification in drawn ones."""
+"""Nine of ten true poses have less: likeness in real frames, verification in rendered ones."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """What is seen where a pose says that an object is. fit 0..1, texture -1..1, contrast: terms of the dense
-    score; rim 0..1: where the surface goes on beside it; goes_on 0..1: share of the outline beyond which
-    surface and colour go on; likeness -1..1: of codes of the picture and of the model in this pose; verified:
-    log-odds that a network gives to both showing the same, None for a rough pose; pixels: of the picture that
-    agree in depth."""
+    """What the image shows where a pose places an object. fit 0..1, texture -1..1, contrast: terms of the
+    dense score; rim 0..1: where the surface goes on beside it; goes_on 0..1: share of the outline beyond
+    which surface and colour go on; likeness -1..1: of the view codes of the image and of the model in this
+    pose; verified: log-odds of a network that both show the same, None for a rough pose; pixels: number of
+    pixels that agree in depth."""
 
     fit: float
     texture: float
@@ -47,14 +46,14 @@ class Sight:
 
 
 def _weights(seen: Sight) -> Logistic:
-    """The fitted weights of its `features`: those of refined poses, or of rough ones."""
+    """The fitted weights of the `features`: those for refined poses, or for rough ones."""
     return belief("place" if seen.verified is None else "presence")
 
 
 def features(seen: Sight) -> dict[str, float]:
-    """What the log-odds are made of: depth that fits; color, how much less texture there is than the object
-    would show, which says nothing of a plain one; a rim where the surface does not go on; an outline that
-    ends; likeness; pixels, by their logarithm; and of a refined pose what the verifying network says."""
+    """The terms of the log-odds: fit to the depth; color, the texture that is missing, which is no evidence
+    for a plain object; a rim where the surface does not go on; an outline where it ends; likeness; pixels, by
+    their logarithm; and, for a refined pose, the verification."""
     known = {
         "fit": seen.fit,
         "color": -max(seen.contrast / (seen.contrast + PLAIN) - seen.texture, 0.0),
@@ -75,22 +74,22 @@ USUAL = {
     "verified": 4.36,
     "pixels": 5.99,
 }
-"""Of poses that are right: medians on the set that the weights are fitted to."""
+"""Values for right poses: medians on the set that the weights are fitted to."""
 
 DOUBTS = {
     "fit": "the depth fits its surface too little",
     "color": "its texture is not seen there",
     "free_rim": "a surface goes on where the object ends",
     "ends": "surface and colour go on beyond its outline",
-    "likeness": "the picture looks unlike it",
-    "verified": "the picture does not show it in this pose",
+    "likeness": "the image looks unlike it",
+    "verified": "the image does not show it in this pose",
     "pixels": "too few pixels show it",
 }
 
 
 def greatest_doubt(seen: Sight) -> str:
-    """What speaks most against the object, in words: the feature that costs the most log-odds beside those
-    of poses that are right."""
+    """The strongest evidence against the object, in words: the feature that costs the most log-odds compared
+    with right poses."""
     fit, values = _weights(seen), features(seen)
     costs = {name: factor * (USUAL[name] - values[name]) for name, factor in fit.factors.items()}
     return DOUBTS[max(costs, key=lambda name: costs[name])]

@@ -1,10 +1,10 @@
-"""How far a pose may be trusted: a probability that it is right.
+"""Quality: the probability that a pose is right.
 
-Quality is the product of three probabilities: that it is this texture that is seen and not another one on
-such a shape, that it is this size, and that the pose is right then. The last one is a choice: the chance that
-any of the poses that were found is right is shared out by their scores, so that a near-tie is published as
-one, each pose with its probability. Whether an object is there at all is a question of its own, which decides
-whether anything is said to be found. The numbers are fitted on drawn scenes (`believe.logistic`).
+It is the product of three probabilities: that the visible texture is this one, not another on the same shape;
+that the object has this size; and that the pose is right then. The last one is shared: the probability that
+any of the found poses is right is divided among them by their scores, so a near tie is published as one, each
+pose with its probability. Whether the object is there at all is a question of its own, which decides whether
+it counts as found. The numbers are fitted on rendered scenes (`believe.logistic`).
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ import numpy as np
 from huepose.believe.logistic import Logistic, fitted
 from huepose.geometry.arrays import Float64
 
-# Beyond which a term says nothing more. Part of the fit: another value needs a new one (`studies.quality`).
+# Bounds of terms. Part of the fit: another value needs a new one (`studies.quality`).
 # Chosen before the fit.
 
 MOST_MARGIN = 0.3
-"""Of the totals, to the next other pose; also that of a pose without any other."""
+"""Most difference of totals to the next different pose; also the margin of a pose without any other."""
 
 MOST_SIZE, MOST_NEAR_SIZE = 0.15, 0.05
-"""Of the scale residual, for whether it is this size, and for whether the object is there at all: so much may
-come of what is not the object's among the points."""
+"""Most scale residual, for whether the size is right, and for whether the object is there at all: points that
+are not of the object can cause this much."""
 
 TIE = 0.02
-"""Gaps of totals much smaller than this are ties, in which chance has put one answer first."""
+"""Gaps of totals much smaller than this are ties, in which chance decides which pose is first."""
 
 
 @dataclass(frozen=True)
 class QualityTerms:
-    """What quality is a function of. total: score of the pose; gaps: how much less the other answers score,
-    best first; color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
+    """The inputs of quality. total: score of the pose; gaps: how much less the other poses score, best first;
+    color, box_iou, depth_fit, coverage, violation, occluded, seen: terms of its dense score (see
     `judge.terms.Terms`); missing, foreign, detail, turned: see `texture_evidence.TextureEvidence`;
-    scale_residual: by how much the depth would have the object larger (see `refine.final`); pixels: of the
-    image that are believed to show the object; otherwise: share of the contrasts at the model's pairs that
-    point in another colour; agreed: what those that agree say (both `judge.texture_evidence`)."""
+    scale_residual: by how much the depth suggests a larger object (see `refine.final`); pixels: number of
+    pixels believed to show the object; otherwise: share of the contrasts at the model's pairs that point in
+    another colour; agreed: the evidence of those that agree (both `judge.texture_evidence`)."""
 
     total: float
     gaps: tuple[float, ...]
@@ -62,18 +62,18 @@ class QualityTerms:
 
     @property
     def margin(self) -> float:
-        """To the best other answer, at most MOST_MARGIN, which it also is where there is no other."""
+        """Difference to the best other pose, at most MOST_MARGIN, and MOST_MARGIN without another."""
         return min(max(self.gaps[0], 0.0), MOST_MARGIN) if self.gaps else MOST_MARGIN
 
 
 @dataclass(frozen=True)
 class QualityFit:
-    """presence: that the object is there, in whatever texture; this_texture, this_size: that it is not
-    another texture or another size of it; listed: that one of the poses is right. They share it by
-    exp(-sharpness x gap), where sharpness is a constant and a factor times each feature, all but the best
-    lowered further, by exp(-handicap) where they are clearly behind and by nothing where they are not
-    (`behind`). level: the quality over which 99 % of the poses of the calibration scenes were right; found:
-    the presence under which nothing is there."""
+    """Each a probability: presence: that the object is there, in whatever texture; this_texture, this_size:
+    that it is not another texture or another size of it; listed: that one of the poses is right. The poses
+    share it by exp(-sharpness x gap), where sharpness is a constant and a factor times each feature. All but
+    the best are lowered further, by exp(-handicap) where they are clearly behind and by nothing where they
+    are not (`behind`). level: the quality above which 99 % of the poses of the calibration scenes were right;
+    found: the presence below which nothing is found."""
 
     presence: Logistic
     this_texture: Logistic
@@ -85,7 +85,7 @@ class QualityFit:
     found: float
 
     def probabilities(self, terms: QualityTerms) -> Float64:
-        """Of the pose and of each other answer (1 + K,), that it is the right one; at most 1 in sum."""
+        """Probabilities (1 + K,) that the pose, or each other one, is right; their sum is at most 1."""
         known = features(terms)
         known["constant"] = 1.0
         sharpness = sum(factor * max(known[name], 0.0) for name, factor in self.sharpness.items())
@@ -93,12 +93,12 @@ class QualityFit:
         return np.asarray(one_of_them * shares(terms, sharpness, self.handicap))
 
     def present(self, terms: QualityTerms) -> float:
-        """Probability in 0..1 that the object is here at all."""
+        """Probability in 0..1 that the object is there at all."""
         return self.presence(features(terms))
 
 
 def shares(terms: QualityTerms, sharpness: float, handicap: float) -> Float64:
-    """How the pose and the other answers share what there is (1 + K,), 1 in sum.
+    """Shares (1 + K,) of the pose and the other ones; their sum is 1.
 
     >>> from dataclasses import replace
     >>> tied = QualityTerms(2.0, (0.0,), 0.6, 0.9, 0.9, 0.9, 0.0, 0.0, 0.9, 0.1, 9.0, 0.5, 0.0, 4000, 0, 0, 1)
@@ -114,12 +114,12 @@ def shares(terms: QualityTerms, sharpness: float, handicap: float) -> Float64:
 
 
 def behind(gaps: Float64) -> Float64:
-    """How far answers with these gaps, of any shape, are behind at all: 0 for a tie, 1 for a clear second."""
+    """How clearly poses with these gaps, of any shape, are behind: 0 for a tie, 1 for a clear second."""
     return np.asarray(np.tanh(gaps / TIE))
 
 
 def features(terms: QualityTerms) -> dict[str, float]:
-    """The terms in the form in which they enter a logit: the larger, the surer, for every one of them."""
+    """The terms as they enter a logit: for each of them, larger is more probable."""
     return {
         "margin": terms.margin,
         "total": terms.total,
@@ -144,7 +144,7 @@ def features(terms: QualityTerms) -> dict[str, float]:
 
 
 def fit_of(entry: Mapping[str, Any]) -> QualityFit:
-    """The fit of a method, as `fits.json` has it."""
+    """The fit of a method, from its entry in `fits.json`."""
     logistics = {
         name: Logistic(**entry[name]) for name in ("presence", "this_texture", "this_size", "listed")
     }

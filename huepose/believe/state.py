@@ -1,4 +1,4 @@
-"""What may be believed of an object's pose, in one word: of an estimate and of a track alike."""
+"""The state of an object's pose, for estimates and tracks alike."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class State(str, Enum):
     """No pose."""
 
     def __str__(self) -> str:
-        """Its word, in every version of Python."""
+        """The name, in every version of Python."""
         return str.__str__(self)
 
     def __format__(self, spec: str) -> str:
-        """Its word."""
+        """The name."""
         return str.__format__(self, spec)

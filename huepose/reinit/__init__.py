@@ -1,4 +1,4 @@
-"""Re-initialisation: when perception looks at which object, and what its answers mean."""
+"""Re-initialisation: which objects perception looks for and when, and what its estimates mean."""
 
 from huepose.reinit.config import ReinitConfig
 from huepose.reinit.judge import judge_tracked

@@ -9,18 +9,18 @@ from huepose.support.errors import InputError
 
 @dataclass(frozen=True)
 class ReinitConfig:
-    """period_ms: between requests.
+    """period_ms: time between requests.
     objects_per_request: most objects in one request.
     deadline_ms: an unanswered request expires after this time, and another one is made.
     give_up_ms: a correction is repeated at most this long.
-    stale_ms: a tracked object that was not looked at for this long gets a turn even while others are lost.
-    eager_ms: an object that is missing is looked for in every request for this long.
-    patient_ms: the time between two looks for it after that.
-    acquire_quality: quality from which an estimate without a comparison corrects a doubtful pose, and the
-    probability that an object is there from which one estimate is enough to acquire it.
-    least_quality: estimates below are never used.
-    correct_margin: how much better than the tracked pose (scores on the same pixels) a disagreeing estimate
-    must be.
+    stale_ms: a tracked object that was not looked at for this long gets a place even while others are lost.
+    eager_ms: a missing object is searched for in every request for this long.
+    patient_ms: the time between two searches for it after that.
+    acquire_quality: quality from which an estimate without a comparison corrects a doubtful pose, and
+    presence from which one estimate is enough to acquire an object.
+    least_quality: estimates with a lower quality are never used.
+    correct_margin: how much higher than the score of the tracked pose, on the same pixels, that of a
+    disagreeing estimate must be.
     doubtful_margin: the same while the object is SUSPECT."""
 
     period_ms: float = 200.0

@@ -17,21 +17,21 @@ from huepose.reinit.types import ObjectSlot, Prior
 from huepose.tracking.types import Verdict
 
 SAME_POSE = 0.08
-"""Poses whose surfaces are nearer than this share of the diameter are the same."""
+"""Poses whose surfaces are closer than this share of the diameter are the same."""
 
 SIGMAS_APART, NEVER_SAME = 4.1, 0.25
 """Poses are also the same within this Mahalanobis distance of both covariances (99 % at six degrees of
 freedom), but never beyond this share of the diameter."""
 
 TURN_LEVER = 0.25
-"""Mean distance of a surface from an axis through its middle, over the diameter."""
+"""Mean distance of a surface from an axis through its middle, as a share of the diameter."""
 
 SAME_REFINED = 0.04
-"""An estimate nearer to the refined prior than this share of the diameter is the same answer."""
+"""An estimate closer to the refined prior than this share of the diameter is the same pose."""
 
 SAME_SIGHT, SAME_SIGHT_SPEED_M_S, SAME_SIGHT_S = 0.5, 0.4, 1.0
-"""Two sightings of an untracked object agree within this share of its diameter plus what a hand moves it in
-between; sightings further apart in time than the last number are not compared."""
+"""Two sightings of an untracked object agree within this share of its diameter plus the distance that a hand
+moves it in between. The time in between counts up to the last number, in seconds."""
 
 
 def judge_tracked(
@@ -43,12 +43,12 @@ def judge_tracked(
     config: ReinitConfig,
 ) -> Verdict:
     """Verdict on an estimate of an object that has a pose. tracked: that pose at or near the estimate's
-    stamp.
+    timestamp.
 
     AGREE: both are the same pose within tolerance or within their uncertainties. Otherwise the estimate wins
     if it explains the image better than the refined prior (scores on the same pixels), or if the tracked
     pose, when refined, converges to it. Without such a comparison it wins only over a doubtful pose, and only
-    with the quality to acquire.
+    from `acquire_quality` on.
     """
     if not usable(estimate, config) or estimate.T_cam_obj is None:
         return Verdict.REJECT
@@ -67,7 +67,7 @@ def judge_tracked(
 
 
 def agrees(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSlot) -> bool:
-    """Whether an estimate and a tracked pose may be one pose."""
+    """Whether an estimate and a tracked pose may be the same pose."""
     T, expected = estimate.T_cam_obj, tracked.predicted(stamp_ns, slot.middle_obj)
     assert T is not None
     apart = _apart(T, expected, slot)
@@ -81,13 +81,13 @@ def agrees(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSl
 
 
 def _apart(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
-    """Surface distance of two poses over the diameter."""
+    """Surface distance of two poses, as a share of the diameter."""
     return displacement_m(T_a, T_b, slot) / slot.diameter_m
 
 
-def denies_turn(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSlot) -> bool:
-    """Whether an estimate has the object at the place of the tracked pose, turned another way. Both must have
-    been scored on the same pixels."""
+def denies_orientation(estimate: PoseEstimate, tracked: Prior, stamp_ns: int, slot: ObjectSlot) -> bool:
+    """Whether an estimate has the object at the position of the tracked pose, in another orientation. Both
+    must have been scored on the same pixels."""
     T, expected = estimate.T_cam_obj, tracked.predicted(stamp_ns, slot.middle_obj)
     if T is None or estimate.prior_score is None:
         return False
@@ -101,7 +101,7 @@ def acquires(estimate: PoseEstimate, config: ReinitConfig) -> bool:
 
 
 def pose_of(estimate: PoseEstimate) -> Float64:
-    """The pose (4, 4) of an estimate that was found. Raises ValueError where there is none."""
+    """The pose (4, 4) of an estimate with `found`. Raises ValueError if there is none."""
     if estimate.T_cam_obj is None:
         raise ValueError(f"an estimate of {estimate.object} that was found has no pose")
     return estimate.T_cam_obj
@@ -112,28 +112,29 @@ def usable(estimate: PoseEstimate, config: ReinitConfig) -> bool:
     return estimate.found and estimate.T_cam_obj is not None and estimate.quality >= config.least_quality
 
 
-def same_sight(T_a: Float64, T_b: Float64, seconds: float, slot: ObjectSlot) -> bool:
-    """Whether two estimates that lie that far apart in time can be of one object that is not tracked."""
+def same_sighting(T_a: Float64, T_b: Float64, seconds: float, slot: ObjectSlot) -> bool:
+    """Whether two estimates, `seconds` apart, can be of the same untracked object."""
     reach = SAME_SIGHT * slot.diameter_m + SAME_SIGHT_SPEED_M_S * min(abs(seconds), SAME_SIGHT_S)
     return displacement_m(T_a, T_b, slot) < reach
 
 
 GATE_SIGMAS = 3.0
-"""An estimate within so many standard deviations of where an instance is expected may be that instance."""
+"""An estimate within this many standard deviations of the expected position of an instance may be that
+instance."""
 
 GATE_DIAMETERS = 0.5
-"""Gate in diameters, whatever the covariance: an estimate nearer than this can be the instance, one at four
+"""Gate in diameters, whatever the covariance: an estimate closer than this can be the instance, one at four
 times this distance cannot."""
 
 TURN_SHARE = 0.1
-"""Weight of rotation in the pose distance, for instances at equal distance: half a turn counts as a third of
-a diameter."""
+"""Weight of rotation in the pose distance, for instances at equal distance: a rotation by half a circle
+counts as a third of a diameter."""
 
 
 def near(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> bool:
-    """Whether poses of one object can only be of one instance, since two would lie in each other: the middle
-    of one is nearer to the other's bounds than a quarter of its least side. Where these are not known, their
-    origins are nearer than half a diameter."""
+    """Whether two poses of one object must be of one instance, since two would overlap: the middle of one is
+    closer to the other's bounds than a quarter of its least side. If the bounds are not known: their origins
+    are closer than half a diameter."""
     if slot.bounds_m is None:
         return _shift_m(T_a, T_b, slot) < 0.5 * slot.diameter_m
     middle, half = slot.middle_obj, 0.5 * np.ptp(slot.bounds_m, axis=0)
@@ -159,7 +160,7 @@ def _turn_rad(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
 
 
 def _shift_m(T_a: Float64, T_b: Float64, slot: ObjectSlot) -> float:
-    """How far the middle of the object lies apart in two poses (4, 4), metres."""
+    """Distance of the object's middle in two poses (4, 4), metres."""
     return float(np.linalg.norm(slot.middle_cam(T_a) - slot.middle_cam(T_b)))
 
 
@@ -172,12 +173,12 @@ def assign(
 ) -> list[int | None]:
     """For each estimated pose the index of its instance, or None.
 
-    Every instance is predicted to `stamp_ns`. Of all assignments within the gates, those with most pairs are
-    taken, and of these the one with the least sum of distances. sure: which instances are where they are
-    expected, so that a pose beside one is of another.
+    Every instance is predicted to `stamp_ns`. Of all assignments within the gates, those with the most pairs
+    are taken, and of these the one with the least sum of distances. sure: which instances are at their
+    expected poses, so that a pose beside one is of another instance.
     """
-    # Every worker imports this room for its types; this one function needs a quarter of a second more, or
-    # seconds on a busy computer that reads it from its disk: see `warm_up`.
+    # Every worker imports this package for its types. This import takes a quarter of a second more, or
+    # seconds on a busy computer that reads it from disk: see `warm_up`.
     from scipy.optimize import linear_sum_assignment
 
     out: list[int | None] = [None] * len(estimates)

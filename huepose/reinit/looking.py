@@ -1,5 +1,5 @@
-"""How a request is answered: where in the frame its objects are looked at, and what an estimator is asked
-there."""
+"""How a request is answered: in which boxes of the frame its objects are looked for, and what the estimator
+is asked there."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ if TYPE_CHECKING:
     from huepose.perception.view_detector import ViewDetector
 
 SAME_BOX = 0.5
-"""Overlap of a found box with that of a tracked object from which it lies on that object."""
+"""A found box with this IoU with the box of a tracked object lies on that object."""
 
 FRESH_S, FRESH_MARGIN = 0.5, 0.08
-"""For so long a prediction says where an object is looked for, in its box grown by that share."""
+"""Up to this age a prediction gives the box in which an object is looked for, grown by that share."""
 
 NEW_TURNS = 2
-"""So many objects that never had a turn have it at once. More would let those wait that a first look finds,
-which are most (docs/detection_measured.md)."""
+"""This many objects that never had a turn have it at once. More would delay objects that the first look
+finds, which are most (docs/detection_measured.md)."""
 
 
 class Outlined(Protocol):
-    """What is known of an object by whoever looks for it."""
+    """What the search needs to know of an object."""
 
     @property
     def middle_obj(self) -> Float64:
@@ -40,17 +40,18 @@ class Outlined(Protocol):
 
 
 class Place(NamedTuple):
-    """A box to look in, and how likely the object is there."""
+    """A box to look in, and the probability that the object is there."""
 
     box: Box
     score: float = 1.0
 
 
 class Looks:
-    """Where to look: in the box of a fresh prediction, else in those that a detector finds (`chosen`).
+    """Decides where to look: in the box of a fresh prediction, else in those that a detector finds
+    (`chosen`).
 
-    One missing object at a time, by turns, is searched with all effort: a request costs the same however many
-    are missing. Of those that never had a turn NEW_TURNS have it at once."""
+    One missing object at a time, in turns, is searched for with full effort: so a request costs the same
+    however many are missing. Of those that never had a turn NEW_TURNS have it at once."""
 
     def __init__(self, detector: ViewDetector, outlines: Mapping[str, Outlined]) -> None:
         self._detector, self._outlines = detector, outlines
@@ -62,8 +63,8 @@ class Looks:
         objects: Sequence[RequestedObject],
         waiting: Sequence[RequestedObject] = (),
     ) -> list[list[Place]]:
-        """Of each object, best first, and then of those that are waiting: these are looked for where
-        something new in the picture looks like them."""
+        """The places for each object, best first, then those for each of `waiting`: these are looked for
+        where something new in the image looks like them."""
         every = [*objects, *waiting]
         predicted = [self._predicted(asked, frame) for asked in every]
         missing = (a for a, box in zip(objects, predicted, strict=False) if box is None)
@@ -86,14 +87,14 @@ class Looks:
         ]
 
     def turn(self, names: Sequence[str]) -> list[str]:
-        """Who has it now: objects that never had a turn, or that whose turn is longest ago."""
+        """The objects whose turn it is: those that never had one, or the one whose turn is longest ago."""
         turn = [name for name in names if name not in self._turns][:NEW_TURNS]
         turn = turn or [min(names, key=self._turns.index)]
         self._turns = [name for name in self._turns if name not in turn] + turn
         return turn
 
     def _predicted(self, asked: RequestedObject, frame: RgbdFrame) -> Box | None:
-        """A little more than the box of a fresh prediction; None where there is none in the image."""
+        """The box of a fresh prediction, a little grown; None without one in the image."""
         prior, camera = asked.prior, frame.camera
         if prior is None or (frame.stamp_ns - prior.stamp_ns) * 1e-9 > FRESH_S:
             return None
@@ -110,10 +111,10 @@ def _predicted(priors: Sequence[Prior], frame: RgbdFrame, outline: Outlined) -> 
 def chosen(
     seen: Sequence[Detection], name: str, wanted: int, tracked: Sequence[tuple[str, Box]]
 ) -> list[Detection]:
-    """Which of the places that a detector has seen are looked at for new instances of an object, best first:
-    as many as are wanted of those on which nothing tracked lies; and its best one, even if another object is
-    tracked there: which of the two fits better is told only by a look at both. tracked: names and boxes;
-    where an instance of the object itself is, no other one is."""
+    """Which places of a detector are looked at for new instances of an object, best first: as many as are
+    wanted of those without a tracked object on them, and its best one, even if another object is tracked
+    there: only estimates of both tell which fits better. tracked: names and boxes; no new instance is where
+    one of the same object is tracked."""
     own, any_of_them = [box for other, box in tracked if other == name], [box for _, box in tracked]
     mine = [d for d in seen if d.object == name and _lies_on_none(d.box, own)]
     free = [d for d in mine if _lies_on_none(d.box, any_of_them)][:wanted]
@@ -127,8 +128,8 @@ def _lies_on_none(box: Box, boxes: Sequence[Box]) -> bool:
 def query_of(
     asked: RequestedObject, box: Box, stamp_ns: int, middle_obj: Float64, masks: tuple[Bool, ...] = ()
 ) -> ObjectQuery:
-    """What an estimator is asked of an object with that middle (3,) in a box, with candidate masks (H, W), of
-    a frame of that stamp."""
+    """The query for the estimator: an object with that middle (3,) in a box, with candidate masks (H, W), of
+    a frame with that timestamp."""
     prior = asked.prior
     return ObjectQuery(
         asked.object,

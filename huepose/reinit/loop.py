@@ -1,11 +1,11 @@
-"""The re-initialisation loop: a scheduler and a judge, as a pure state machine on a clock that is passed in.
+"""The re-initialisation loop: a scheduler and a judge, as a pure state machine; the time is an argument.
 
     request = loop.tick(now_ns, tracks)          # at least at the period; None: nothing to ask
     for c in loop.repeats(now_ns): ...           # corrections that were not acknowledged yet
     for c in loop.answer(now_ns, result): ...    # when perception answers
 
-`tracks` are the newest published poses. The loop publishes nothing of its own but corrections; what it still
-looks for is in `searching`.
+`tracks` are the newest published poses. The loop publishes only corrections; `searching` lists the objects
+that are still missing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from huepose.estimation.types import PoseEstimate
 from huepose.perception.config import PICKED
 from huepose.reinit.answered import Answered, Frame, held
 from huepose.reinit.config import ReinitConfig
-from huepose.reinit.judge import acquires, assign, denies_turn, judge_tracked, near, pose_of, usable
+from huepose.reinit.judge import acquires, assign, denies_orientation, judge_tracked, near, pose_of, usable
 from huepose.reinit.newest_frame import Began, NewestFrame
 from huepose.reinit.outbox import Outbox
 from huepose.reinit.published_history import PublishedHistory
@@ -40,8 +40,8 @@ from huepose.reinit.types import Counters, ObjectSlot, PerceptionResult, Request
 from huepose.tracking.types import Correction, Key, TrackedPose, Verdict
 
 PATIENCE_PERIODS = 2.0
-"""For this many periods after an acquisition its instance counts as arriving, and no other is requested for
-it."""
+"""For this many periods after an acquisition its instance counts as arriving, and no other one is requested
+in its place."""
 
 ADOPTED_BELOW = 2**20
 """Tracks with instance numbers below this are adopted from an earlier loop. Higher ones, from whatever
@@ -49,7 +49,7 @@ source, are ignored, which leaves two thousand million numbers for new instances
 
 
 class ReinitLoop:
-    """Decides what perception looks at, and what its answers mean for the tracks."""
+    """Decides what perception looks for, and what its estimates mean for the tracks."""
 
     def __init__(
         self, config: ReinitConfig | None = None, objects: Iterable[ObjectSlot | tuple[str, int]] = ()
@@ -75,24 +75,24 @@ class ReinitLoop:
             self.add(slot if isinstance(slot, ObjectSlot) else ObjectSlot(*slot))
 
     def add(self, slot: ObjectSlot) -> None:
-        """Look for an object, or change how many of it are looked for."""
+        """Search for an object, or change how many instances of it are searched for."""
         self._slots[slot.object] = slot
 
     def begin_at(self, name: str, number: int) -> None:
-        """Give no new instance of an object a lower number: an earlier loop has ended those."""
+        """Give no new instance of an object a number lower than this: an earlier loop has ended those."""
         self._over[name] = number - 1
         self._last_instance[name] = max(self._last_instance.get(name, -1), number - 1)
 
     def remove(self, name: str, now_ns: int = 0) -> tuple[int, int] | None:
-        """Look for an object no longer. Returns which instances are over by this, as `forget` does."""
+        """Stop searching for an object. Returns which instances this ends, as `forget` does."""
         self._slots.pop(name, None)
         return self.forget(name, now_ns)
 
     def forget(self, name: str, now_ns: int = 0) -> tuple[int, int] | None:
-        """Search an object anew: its instances are over, and no answer on a frame before `now_ns` counts.
+        """Search for an object again: its instances end, and no answer for a frame before `now_ns` counts.
 
-        Returns the camera epoch and the first number that a new instance of it may get: the caller passes
-        no track of that epoch with a lower one to `tick` any more. None before the first epoch."""
+        Returns the camera epoch and the lowest number that a new instance of it may get: from now on the
+        caller passes no track of that epoch with a lower one to `tick`. None before the first epoch."""
         self._tracks = {key: track for key, track in self._tracks.items() if key[0] != name}
         self._past.forget(name)
         self._patience.forget(name)
@@ -117,15 +117,15 @@ class ReinitLoop:
         return out
 
     def tick(self, now_ns: int, tracks: Sequence[TrackedPose], frame: Frame | None = None) -> Request | None:
-        """Take note of the newest published poses; the next request when one is due and none is in flight.
-        frame: the camera's newest as far as it is known, for the counters alone."""
+        """Take over the newest published poses. Returns the next request if one is due and none is in flight.
+        frame: the newest frame of the camera as far as known, for the counters only."""
         self._now_ns = now_ns
         self._observe(now_ns, tracks)
         self._outbox.acknowledge(self._tracks)
         for correction in self._outbox.give_up(now_ns, self.config.give_up_ms * 1e6):
             self.counters.given_up += 1
             if correction.verdict is Verdict.ACQUIRE:
-                # Of one that is tracked nothing can come before the next frame.
+                # For a tracked instance perception has no news before the next frame.
                 self._answered.forget(correction.object)
         if self._in_flight is not None and now_ns >= self._in_flight.deadline_ns:
             was_held = held(self._in_flight, self._tracks.values(), frame)
@@ -150,17 +150,17 @@ class ReinitLoop:
             if asked.instance is None:
                 self._sightings.asked(asked.object, self.counters.requests + 1)
         period_ns = round(self.config.period_ms * 1e6)
-        # Ticks come when they come: a request that is a little late does not make the next ones later.
+        # Ticks are not exact: a request that is a little late does not delay the next ones.
         in_rhythm = now_ns - self._next_ns < period_ns
         self._next_ns = (self._next_ns if in_rhythm else now_ns) + period_ns
         self.counters.requests += 1
         self._asked_ns = now_ns
         self._pace.asked(self.counters.requests, now_ns)
         others, more = waiting(slots, self._tracks, counts, chosen), 0
-        if self.counters.answers:  # Until then nobody may be listening, so a request is made again soon.
+        if self.counters.answers:  # Until then perception may not be running: request again soon.
             more = max(0, len(chosen) - self.config.objects_per_request) + min(len(others), PICKED)
         deadline_ns = now_ns + round(self._pace.deadline_s(1e-3 * self.config.deadline_ms, more) * 1e9)
-        # One of the missing objects of a request is searched for everywhere, by turns; one turn is to spare.
+        # In each request one missing object is searched for everywhere, in turns; one turn is spare.
         seen = self._answered.seen(chosen, self.config.objects_per_request + 1)
         self._in_flight = Request(
             self.counters.requests, self._newest.epoch, deadline_ns, tuple(chosen), seen, others
@@ -168,8 +168,8 @@ class ReinitLoop:
         return self._in_flight
 
     def perception_begins(self) -> None:
-        """A part of perception listens from now on: it did not hear what was asked before, so the next tick
-        asks. Before the first answer, nothing was looked for in vain either."""
+        """A perception worker has started: it did not receive earlier requests, so the next tick makes one.
+        Before the first answer, the time of the searches so far does not count."""
         self._in_flight, self._next_ns = None, 0
         if not self.counters.answers:
             self._patience = Patience()
@@ -180,8 +180,8 @@ class ReinitLoop:
         return {name: missing(slot, self._tracks, arriving) for name, slot in self._slots.items()}
 
     def _wanted(self, now_ns: int, counts: Mapping[str, int]) -> dict[str, int]:
-        """How many missing instances of each object may be asked for now: none of one that rests, unless a
-        first uncertain sighting of it waits for a second one."""
+        """How many missing instances of each object may be requested now: none of an object that rests
+        (`Patience`), unless a first uncertain sighting of it waits for a second one."""
         out = {}
         for name, count in counts.items():
             looked_ns = self._looked_ns.get((name, None), NEVER)
@@ -191,24 +191,24 @@ class ReinitLoop:
 
     @property
     def answer_age_s(self) -> float:
-        """How old the picture was when perception's last answer about it came."""
+        """Age of the frame of perception's last answer when that came, seconds."""
         return self._pace.age_s
 
     @property
     def answer_took_s(self) -> float:
-        """How long perception's last answers took, from the request on."""
+        """How long perception's last answers took, from the request on, seconds."""
         return self._pace.took_s
 
     def repeats(self, now_ns: int) -> list[Correction]:
-        """Corrections that no pose has acknowledged for a period: to be sent once more."""
+        """Corrections that no pose has acknowledged for a period, to be sent again."""
         out = self._outbox.due(now_ns, self.config.period_ms * 1e6)
         self.counters.resent += len(out)
         return out
 
     def answer(self, now_ns: int, result: PerceptionResult) -> list[Correction]:
-        """Judge an answer; the corrections to send now. An answer to an expired request is still used if
-        nothing newer was judged meanwhile; one of another epoch, or from before the clock was set back, is
-        not."""
+        """Judge an answer. Returns the corrections to send now. An answer to an expired request is still used
+        if nothing newer was judged meanwhile. An answer for another epoch, or from before the clock was set
+        back, is not used."""
         self._now_ns = now_ns
         self.counters.answers += 1
         self._pace.answered(result.request, now_ns, result.stamp_ns)
@@ -252,13 +252,13 @@ class ReinitLoop:
             if which is not None:
                 track = tracked[which]
                 compared = estimate
-                if estimate.instance != track.instance:  # what it was scored against is no pose of this one
+                if estimate.instance != track.instance:  # scored against another instance's pose
                     compared = replace(estimate, prior_score=None, prior_T_cam_obj=None)
                 verdict = judge_tracked(
                     compared, priors[which], result.stamp_ns, track.state, slot, self.config
                 )
                 self._count(verdict)
-                if verdict is not Verdict.REJECT or denies_turn(
+                if verdict is not Verdict.REJECT or denies_orientation(
                     compared, priors[which], result.stamp_ns, slot
                 ):
                     key = (slot.object, track.instance)
@@ -275,8 +275,8 @@ class ReinitLoop:
     def _acquire(
         self, slot: ObjectSlot, estimate: PoseEstimate, result: PerceptionResult, before: Sequence[Correction]
     ) -> Correction | None:
-        """An estimate of no tracked instance: of a lost one, or of one never seen; None while it is held
-        back."""
+        """The correction for an estimate of no tracked instance: of a lost one, or of one never seen; None
+        while it is held back."""
         T = pose_of(estimate)
         taken = [c for c in before if c.verdict is Verdict.ACQUIRE]
         if any(near(T, c.T_cam_obj, slot) for c in taken):
@@ -287,13 +287,13 @@ class ReinitLoop:
             self._count(Verdict.REJECT)
             return None
         if not acquires(estimate, self.config):
-            # Perception searches for one object with all effort in each request, by turns.
+            # In each request perception searches for one object with full effort, in turns.
             wait_s = (2 + len(self._slots)) * self._pace.between_s(1e-3 * self.config.period_ms)
             first = self._sightings.confirming(slot, estimate, result.stamp_ns, result.request, wait_s)
             if first is None:
                 self.counters.unconfirmed += 1
                 return None
-            # Two looks from one place err alike: together they are no surer than the surer one.
+            # Two estimates from one viewpoint repeat the same errors: together they count as the better one.
             known = [e.present for e in (estimate, first) if e.present is not None]
             quality, present = max(estimate.quality, first.quality), max(known, default=None)
             estimate = replace(estimate, quality=quality, present=present)
@@ -303,8 +303,8 @@ class ReinitLoop:
         return self._correction(key, estimate, result, Verdict.ACQUIRE)
 
     def _free_instance(self, slot: ObjectSlot, taken: set[Key]) -> Key | None:
-        """The instance that a new pose is of: one that is lost, the most recent first, else a new number
-        while there may be more, else the most doubtful one; None where all are tracked or on their way."""
+        """The instance of a new pose: the lost one with the newest timestamp; else a new number if there may
+        be more; else the most doubtful one. None if all are tracked or arriving."""
         mine = [t for t in self._tracks.values() if t.object == slot.object]
         coming = {*self._fresh(), *taken}
         lost = [t for t in mine if t.T_cam_obj is None and (slot.object, t.instance) not in coming]
@@ -349,31 +349,31 @@ class ReinitLoop:
         return Counter(key[0] for key in self._fresh() if key not in tracked)
 
     def _fresh(self) -> tuple[Key, ...]:
-        """Instances with a correction that may still be taken."""
+        """Instances with a correction that the tracker may still apply."""
         return self._outbox.arriving(self._now_ns, PATIENCE_PERIODS * self.config.period_ms * 1e6)
 
     def _observe(self, now_ns: int, tracks: Sequence[TrackedPose]) -> None:
-        """Take over the published poses of the newest epoch; what is no longer published is no longer
-        tracked."""
+        """Take over the published poses of the newest epoch. An instance without a published pose is no
+        longer tracked."""
         for track in sorted(tracks, key=lambda t: t.stamp_ns):
             self._observe_frame(track.epoch, track.frame_id, track.stamp_ns)
         self._tracks = {t.key: t for t in tracks if self._may_be_tracked(t)}
         for track in self._tracks.values():
             self._past.note(track)
         for name, instance in self._tracks:
-            # New ones come before those that were looked at now.
+            # New ones come before those that were requested now.
             self._looked_ns.setdefault((name, instance), now_ns - 1)
             self._last_instance[name] = max(self._last_instance.get(name, -1), instance)
 
     def _may_be_tracked(self, track: TrackedPose) -> bool:
-        """Whether it is of this epoch and clock, and of an instance that a loop may have made."""
+        """Whether a track is of this epoch and clock, and of an instance that a loop may have made."""
         mine = track.instance <= self._last_instance.get(track.object, -1)
         counts = self._newest.is_of(track.epoch, track.frame_id, track.stamp_ns)
         return counts and (mine or track.instance < ADOPTED_BELOW)
 
     def _observe_frame(self, epoch: int, frame_id: int, stamp_ns: int) -> None:
-        """A newer epoch makes everything void that was about the older one; a clock that was set back, what
-        was said of stamps before."""
+        """A newer epoch deletes everything about the older one. A clock that was set back deletes everything
+        about earlier timestamps."""
         began = self._newest.note(epoch, frame_id, stamp_ns)
         if began is Began.NOTHING:
             return
@@ -383,7 +383,7 @@ class ReinitLoop:
         self._judged_ns.clear()
         if began is Began.EPOCH:
             self._tracks.clear()
-            # Numbers begin anew, but those that a search anew has ended are not used again.
+            # Numbers begin again, but not those that `forget` has ended.
             self._last_instance = dict(self._over)
             self._looked_ns.clear()
             self._patience, self._elsewhere, self._unsettled = Patience(), Elsewhere(), Unsettled()

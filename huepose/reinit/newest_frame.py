@@ -1,4 +1,4 @@
-"""The camera's newest frame, as far as poses and answers tell: with it an epoch begins, or it shows that the
+"""The camera's newest frame, as far as poses and answers tell. It may begin an epoch, or show that the
 camera's clock was set back."""
 
 from __future__ import annotations
@@ -6,7 +6,7 @@ from __future__ import annotations
 from enum import Enum, auto
 
 MOST_ENDED = 16
-"""So many ended epochs are remembered: what is still on its way is about the last one or two."""
+"""This many ended epochs are remembered: late messages are about the last one or two."""
 
 
 class Began(Enum):
@@ -15,23 +15,23 @@ class Began(Enum):
     NOTHING = auto()
     EPOCH = auto()
     CLOCK = auto()
-    """The clock was set back: the frame has a later number than the newest, and an earlier stamp."""
+    """The clock was set back: the frame has a later number than the newest, and an earlier timestamp."""
 
 
 class NewestFrame:
-    """The newest frame of the epoch that counts, None before the first; stamps in ns."""
+    """The newest frame of the present epoch, None before the first; timestamps in ns."""
 
     def __init__(self) -> None:
         self.epoch: int | None = None
         self._number = self._stamp_ns = 0
         self._ended: dict[int, int] = {}
-        """The newest stamps of epochs that have ended."""
+        """The newest timestamps of epochs that have ended."""
         self._first, self._before_ns = 0, 0
-        """Of the clock: the number of its first frame, and the latest stamp before it was set back."""
+        """Of the clock: the number of its first frame, and the latest timestamp before it was set back."""
 
     def note(self, epoch: int, number: int, stamp_ns: int) -> Began:
-        """A frame that something was said about. One of an ended epoch counts only where its stamp is later
-        than all of that epoch, and than the newest."""
+        """Note a frame that a message is about. A frame of an ended epoch counts only if its timestamp is
+        later than all of that epoch, and than the newest."""
         began = Began.NOTHING
         if epoch != self.epoch:
             if epoch in self._ended and stamp_ns <= max(self._ended[epoch], self._stamp_ns):
@@ -49,7 +49,7 @@ class NewestFrame:
         return began
 
     def is_of(self, epoch: int, number: int, stamp_ns: int) -> bool:
-        """Whether a frame is of the epoch that counts, and not from before its clock was set back."""
+        """Whether a frame is of the present epoch, and not from before its clock was set back."""
         return epoch == self.epoch and (number >= self._first or stamp_ns > self._before_ns)
 
     def _end(self) -> None:

@@ -1,8 +1,8 @@
-"""Corrections in flight: numbered per instance, and repeated until a published pose shows that they were
+"""Corrections in flight: numbered for each instance, and repeated until a published pose shows that they were
 applied.
 
 The sequence number of a correction is the time at which it was made, in ns: so it is above all numbers of an
-earlier loop, and no other message can change it.
+earlier loop, and does not depend on other messages.
 """
 
 from __future__ import annotations
@@ -28,28 +28,28 @@ class Outbox:
         self._seq: dict[Key, int] = {}
 
     def next_seq(self, key: Key, now_ns: int) -> int:
-        """Next sequence number of an instance: above all used ones, also by an earlier loop."""
+        """Next sequence number of an instance: above all used ones, also those of an earlier loop."""
         self._seq[key] = max(self._seq.get(key, 0) + 1, now_ns)
         return self._seq[key]
 
     def send(self, correction: Correction, now_ns: int) -> None:
-        """Remember a correction that goes out now."""
+        """Store a correction that is sent now."""
         self._sent[correction.key] = _Sent(correction, now_ns, now_ns)
 
     def acknowledge(self, tracks: Mapping[Key, TrackedPose]) -> None:
-        """Drop what poses show to be applied."""
+        """Drop the corrections that published poses contain."""
         for key in list(self._sent):
             track = tracks.get(key)
             if track is not None and track.applied_correction_seq >= self._sent[key].correction.seq:
                 del self._sent[key]
 
     def give_up(self, now_ns: int, after_ns: float) -> list[Correction]:
-        """Drop what was sent for too long, and return it."""
+        """Drop and return the corrections that were repeated for too long."""
         old = [key for key, sent in self._sent.items() if now_ns - sent.first_ns > after_ns]
         return [self._sent.pop(key).correction for key in old]
 
     def due(self, now_ns: int, period_ns: float) -> list[Correction]:
-        """What shall be sent again now."""
+        """The corrections to send again now."""
         out = []
         for sent in self._sent.values():
             if now_ns - sent.last_ns >= period_ns:
@@ -68,11 +68,11 @@ class Outbox:
         return tuple(self._sent)
 
     def forget(self, name: str) -> None:
-        """Send nothing about an object any more."""
+        """Drop the corrections of an object."""
         for key in [k for k in self._sent if k[0] == name]:
             del self._sent[key]
 
     def clear(self) -> None:
-        """Forget all: a new epoch, whose instances are others."""
+        """Drop everything: a new epoch has other instances."""
         self._sent.clear()
         self._seq.clear()

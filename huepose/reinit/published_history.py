@@ -1,7 +1,7 @@
 """Published poses of every instance in the last seconds.
 
-An answer of perception is about a past frame. A velocity is too inaccurate to extrapolate over that time, so
-the pose at that frame is looked up.
+An answer of perception is about a past frame. A velocity is too inaccurate to extrapolate that far, so the
+pose at that frame is looked up.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ class PublishedHistory:
                 past.popleft()
 
     def forget(self, name: str) -> None:
-        """Nothing was published of the instances of an object."""
+        """Forget the instances of an object."""
         for key in [k for k in self._poses if k[0] == name]:
             del self._poses[key]
 
     def clear(self) -> None:
-        """Nothing was published of anything."""
+        """Forget everything."""
         self._poses.clear()
 
     def at(self, track: TrackedPose, stamp_ns: int, middle_obj: Float64) -> Prior:
-        """The published pose of a track at a stamp. Between two poses it is interpolated, the object's middle
-        (3,) on a straight line; its covariance is that of the nearer one, grown over the time in between.
-        While there was none it is the next one; before the first it is the first, after the last the last.
-        Raises ValueError for a track without a pose."""
+        """The published pose of a track at a timestamp. Between two poses it is interpolated, with the
+        object's middle (3,) on a straight line; the covariance is that of the nearer one, grown over the time
+        in between. Where the track had no pose it is the next one; before the first it is the first, after
+        the last the last. Raises ValueError for a track without a pose."""
         newest = _prior(track)
         known: list[tuple[int, Prior | None]] = [*self._poses.get(track.key, ()), (track.stamp_ns, newest)]
         before = [pose for at_ns, pose in known if at_ns <= stamp_ns]

@@ -1,5 +1,5 @@
-"""Choose the objects of the next request, and when it is sent: how long perception takes is measured, and
-deadlines follow from it.
+"""Choose the objects of the next request, and when it is sent: the time that perception takes is measured,
+and deadlines follow from it.
 
 The configured times suit a computer that keeps up. On a slower one, repeating a request before it is answered
 would add work to processes that are already late."""
@@ -21,7 +21,7 @@ NEVER = -1
 @dataclass(frozen=True)
 class Candidate:
     """An object that could be requested. rank: 0 lost or never seen, 1 doubtful, 2 tracked; looked_ns: when
-    it was last requested, or first seen; decides: another look at it is likely to say what it is."""
+    it was last requested, or first seen; decides: another estimate of it is probably decisive."""
 
     rank: int
     looked_ns: int
@@ -38,27 +38,27 @@ def missing(slot: ObjectSlot, tracks: Mapping[Key, TrackedPose], arriving: Mappi
 
 
 def doubtful(track: TrackedPose, config: ReinitConfig) -> bool:
-    """Whether a pose is so unlikely that its object is looked for elsewhere, too."""
+    """Whether a pose is so improbable that its object is searched for elsewhere, too."""
     return track.state is State.SUSPECT and track.quality < config.least_quality
 
 
 class Unsettled:
-    """Which instances are SUSPECT or lost for a short time: another look at these decides more than one at
-    what was looked for in vain, or at what is known."""
+    """Which instances have been SUSPECT or LOST for a short time only: another estimate of these decides more
+    than one of an object that was not found before, or of a known one."""
 
     def __init__(self) -> None:
         self._since: dict[Key, int] = {}
 
     def keys(self, now_ns: int, tracks: Mapping[Key, TrackedPose], config: ReinitConfig) -> set[Key]:
-        """Those that are so for less than `eager_ms`."""
+        """The instances in this state for less than `eager_ms`."""
         unsettled = [key for key, track in tracks.items() if track.state is not State.TRACKING]
         self._since = {key: self._since.get(key, now_ns) for key in unsettled}
         return {key for key, since_ns in self._since.items() if now_ns - since_ns < config.eager_ms * 1e6}
 
 
 class Elsewhere:
-    """For which objects a better place is looked for: those that were unlikely for as long as one look for
-    what is missing waits for the next."""
+    """For which objects a better place is searched for: those with an improbable pose for the time between
+    two searches for a missing object."""
 
     def __init__(self) -> None:
         self._since: dict[Key, int] = {}
@@ -70,7 +70,7 @@ class Elsewhere:
         looked_ns: Mapping[tuple[str, int | None], int],
         config: ReinitConfig,
     ) -> set[str]:
-        """Objects that get such a look now. looked_ns: when each was last looked for."""
+        """Objects that get such a search now. looked_ns: when each was last searched for."""
         unlikely = [key for key, track in tracks.items() if doubtful(track, config)]
         self._since = {key: self._since.get(key, now_ns) for key in unlikely}
         waits_ns = config.patient_ms * 1e6
@@ -82,15 +82,16 @@ class Elsewhere:
 
 
 class Patience:
-    """Which objects are looked for in vain for so long that they get a turn only now and then: a look all
-    over the picture for what is not in it costs more than to track five objects for as long."""
+    """Which objects were searched for without success for so long that they get a turn only now and then: a
+    search of the whole image for an object that is not in it costs more than tracking five objects for as
+    long."""
 
     def __init__(self) -> None:
         self._since: dict[str, tuple[int, int]] = {}
 
     def rests(self, now_ns: int, name: str, count: int, looked_ns: int, config: ReinitConfig) -> bool:
-        """Whether an object of which so many instances are missing now is left out of the next request.
-        looked_ns: when they were last looked for."""
+        """Whether an object with `count` missing instances is left out of the next request. looked_ns: when
+        they were last searched for."""
         before, since_ns = self._since.get(name, (0, now_ns))
         if count > before:
             since_ns = now_ns
@@ -99,7 +100,7 @@ class Patience:
         return waits and now_ns - since_ns >= config.eager_ms * 1e6
 
     def forget(self, name: str) -> None:
-        """The search for an object begins anew."""
+        """Forget an object: the search for it begins again."""
         self._since.pop(name, None)
 
 
@@ -109,10 +110,11 @@ def waiting(
     counts: Mapping[str, int],
     chosen: Sequence[RequestedObject],
 ) -> tuple[RequestedObject, ...]:
-    """What is missing and not looked for in this request. counts: how many instances of each are missing."""
+    """The missing objects that this request does not search for. counts: how many instances of each are
+    missing."""
     asked = {one.object for one in chosen if one.instance is None}
     return tuple(
-        _anew(slot.object, counts[slot.object], _followed(slot.object, tracks))
+        _new_instances(slot.object, counts[slot.object], _followed(slot.object, tracks))
         for slot in slots
         if counts.get(slot.object, 0) > 0 and slot.object not in asked
     )
@@ -127,8 +129,8 @@ def _followed(name: str, tracks: Mapping[Key, TrackedPose]) -> dict[TrackedPose,
     }
 
 
-def _anew(name: str, count: int, followed: Mapping[TrackedPose, Prior]) -> RequestedObject:
-    """So many new instances of an object are looked for, beside those that are followed."""
+def _new_instances(name: str, count: int, followed: Mapping[TrackedPose, Prior]) -> RequestedObject:
+    """A request for `count` new instances of an object, beside those that are followed."""
     others = tuple(prior for t, prior in followed.items() if t.state is State.TRACKING)
     return RequestedObject(name, None, None, count, others=others)
 
@@ -142,16 +144,16 @@ def candidates(
     sighted: Collection[str] = (),
     unsettled: Collection[Key] = (),
 ) -> list[Candidate]:
-    """All that could be asked for. wanted: how many missing instances of an object are looked for now;
-    elsewhere: objects with doubtful instances only, for which a better place is looked for now; sighted:
-    objects of which a first uncertain sighting waits for a second one; unsettled: see `Unsettled`."""
+    """All objects that could be requested. wanted: how many missing instances of each are searched for now;
+    elsewhere: objects with doubtful instances only, for which a better place is searched for now; sighted:
+    objects with a first uncertain sighting that waits for a second one; unsettled: see `Unsettled`."""
     lost = {name for name, instance in unsettled if tracks[name, instance].T_cam_obj is None}
     decide = {*sighted, *lost}
     out = []
     for slot in slots:
         followed, count = _followed(slot.object, tracks), wanted.get(slot.object, 0)
         if count > 0 or slot.object in elsewhere:
-            asked = _anew(slot.object, max(count, 1), followed)
+            asked = _new_instances(slot.object, max(count, 1), followed)
             rank = 0 if count > 0 else 1
             looked = looked_ns.get((slot.object, None), NEVER)
             out.append(Candidate(rank, looked, asked, count > 0 and slot.object in decide))
@@ -170,8 +172,9 @@ def choose(
     wait.
 
     So that objects that cannot be found do not starve the others, one that was not looked at for `stale_ms`
-    gets the last place, and the only one in every other request; before: how many requests there were. Those
-    of which another look decides come before all others, as many of them as of the others.
+    gets the last place; if there is only one place, it gets that in every other request. before: number of
+    requests so far. Objects for which another estimate is decisive come before all others, as many as of the
+    others.
     """
     order = sorted(
         options, key=lambda c: (c.rank, c.looked_ns, c.requested.object, c.requested.instance or 0)
@@ -193,26 +196,27 @@ LONGEST_S = 10.0
 """Longest deadline, seconds."""
 
 PATIENCE = 1.5
-"""Deadline over the duration of the last answers."""
+"""Ratio of the deadline to the duration of the last answers."""
 
 EACH_MORE_S = 0.15
-"""What each object beyond the usual number adds to a deadline, seconds: four times what the search for one
-takes on two x86-64 cores, for slower ones."""
+"""Time that each object beyond the usual number adds to a deadline, seconds: four times the search for one on
+two x86-64 cores, for slower ones."""
 
 
 class Pace:
-    """Learns from requests and answers, by their numbers."""
+    """Measures how long answers to requests take."""
 
     def __init__(self) -> None:
         self._asked: deque[tuple[int, int]] = deque(maxlen=64)
         self._took_s = self._age_s = 0.0
 
     def asked(self, number: int, now_ns: int) -> None:
-        """A request goes out."""
+        """Note that a request is sent."""
         self._asked.append((number, now_ns))
 
     def answered(self, number: int, now_ns: int, stamp_ns: int) -> None:
-        """Note an answer on a frame of that stamp. The estimate rises at once and falls slowly."""
+        """Note an answer for a frame with that timestamp. The estimated duration rises at once and falls
+        slowly."""
         self._age_s = max(0.0, (now_ns - stamp_ns) * 1e-9)
         took_s = next(((now_ns - ns) * 1e-9 for asked, ns in self._asked if asked == number), 0.0)
         self._took_s = max(took_s, 0.5 * (self._took_s + took_s))
@@ -234,7 +238,7 @@ class Pace:
         return self._age_s
 
     def deadline_s(self, configured_s: float, more: int = 0) -> float:
-        """Deadline of the next request, seconds. more: objects that it has beyond the usual number."""
+        """Deadline of the next request, seconds. more: number of objects beyond the usual number."""
         known_s = 0.0 if self._took_s <= configured_s else min(PATIENCE * self._took_s, LONGEST_S)
         return max(configured_s, known_s) + more * EACH_MORE_S
 

@@ -16,7 +16,7 @@ _PERIOD_NS = 200_000_000
 
 
 def warm_up() -> None:
-    """Let a loop of its own acquire an object, agree, correct and reject."""
+    """Let a separate loop acquire an object, agree, correct and reject."""
     loop = ReinitLoop(objects=[ObjectSlot("warm_up")])
     start = se3.make(np.eye(3), np.array([0.0, 0.0, 1.0]))
     tracks: list[TrackedPose] = []

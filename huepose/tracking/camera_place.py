@@ -1,5 +1,5 @@
-"""Where a track knows its camera to be, and how it moved: so an object that stands still is not taken for one
-that moves because the camera does. Pure values, in the axes of a parent frame that does not move."""
+"""The camera pose that a track knows, and the camera's motion: so a moving camera does not make an object at
+rest look like a moving one. Pure values, in the axes of a static parent frame."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.motion import increment_velocity
 
 MAX_CAMERA_M_S, MAX_CAMERA_RAD_S = 3.0, 10.0
-"""No arm and no hand moves a camera faster. What says so is a jump of the frame that its place is told in."""
+"""No arm and no hand moves a camera faster. A faster motion is a jump of the parent frame."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraPlace:
-    """T_parent_cam (4, 4), told or measured with the frame of `known_ns`; None where it never was. moved:
-    from the axes of the camera one frame before to those of now (4, 4), and the seconds between; None where
-    that is not known. Velocities are those of objects in the parent frame where it is known, else relative to
-    the camera."""
+    """T_parent_cam (4, 4): the camera pose, given or measured, of the frame with timestamp `known_ns`; None
+    if there was none. moved: transform from the camera axes of the last frame to the present ones (4, 4), and
+    the seconds between; None if not known. Velocities are those of objects in the parent frame if `moved` is
+    known, else relative to the camera."""
 
     T_parent_cam: Float64 | None = None
     known_ns: int = 0
     moved: tuple[Float64, float] | None = None
 
     def at(self, frame: RgbdFrame) -> CameraPlace:
-        """The camera's place is that of a frame, and velocities mean what they did."""
+        """A copy with the camera pose of a frame; `moved` stays."""
         return replace(self, T_parent_cam=frame.T_parent_cam, known_ns=frame.stamp_ns)
 
     def after(self, frame: RgbdFrame, looked_ns: int) -> tuple[CameraPlace, Float64 | None]:
-        """The place in the next frame, and the transform from the camera's axes at the last known place to
-        those of now (4, 4), None if unknown. Velocities need the place in the frame just before, which is
-        that of `looked_ns`."""
+        """The `CameraPlace` in the next frame, and the transform from the camera axes of the last known pose
+        to the present ones (4, 4), None if unknown. Velocities need the camera pose of the frame just before,
+        whose timestamp is `looked_ns`."""
         seconds = (frame.stamp_ns - self.known_ns) * 1e-9
         T_new_old = _moved(self.T_parent_cam, frame.T_parent_cam, seconds)
         moved = None if T_new_old is None or self.known_ns != looked_ns else (T_new_old, seconds)
@@ -53,7 +53,7 @@ class CameraPlace:
 
 
 def _moved(T_parent_before: Float64 | None, T_parent_now: Float64 | None, seconds: float) -> Float64 | None:
-    """From a camera's axes that many seconds ago to those of now (4, 4); None where that is not known."""
+    """Transform from the camera axes `seconds` ago to the present ones (4, 4); None if not known."""
     if T_parent_before is None or T_parent_now is None:
         return None
     T = se3.compose(se3.inverse(T_parent_now), T_parent_before)

@@ -1,17 +1,17 @@
-"""Catching up: a late pose that increments cannot carry is tracked through the kept frames until it reaches
-now.
+"""Catching up: a late pose that increments cannot move is tracked through the stored frames to the newest
+one.
 
-That is the case for an object that had no pose, and for a gross correction, whose increments were measured on
-the wrong surface. Nothing is published on the way. Frames are skipped so that it ends: the frames that are
-left are halved with every step, up to a stride that the tracker's search still bridges. Where frames were
-kept farther apart than that, it goes from one to the next.
+This is needed for an object that had no pose, and for a gross correction, since its increments were measured
+on the wrong surface. Nothing is published on the way. Frames are skipped so that it ends: each step halves
+the number of frames left, up to a stride that the tracker's search still bridges. If stored frames are
+farther apart than that, it goes from one to the next.
 
-How fast the object moves is not known at first. Where a long step loses it, the pursuit goes back to where it
-was and on to the next frame, then by strides that grow as its velocity gets known. It is given up when it is
-lost again no nearer to now, so it ends.
+The velocity of the object is not known at first. If a long step loses the object, the pursuit goes back,
+takes the next frame, and then strides that grow as the velocity gets known. It is given up if the object is
+lost again without progress, so it ends.
 
-What rests is likely still where it was much later: it is looked for there as far on as nobody can have turned
-it over meanwhile, and only where it is not found so, by strides.
+An object at rest is probably still at its place much later. It is looked for there as far ahead as nobody can
+have turned it over meanwhile, and by strides only if it is not found there.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 from huepose.tracking.config import TrackerConfig
-from huepose.tracking.lost import MORE, seen_share
+from huepose.tracking.lost import MORE, visible_share
 from huepose.tracking.orientation import REST_S, at_rest
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
@@ -32,20 +32,20 @@ from huepose.tracking.types import Correction
 from huepose.tracking.usual import Usual
 
 SLACK = 1.5
-"""Frames do not come to the millisecond."""
+"""Tolerance: frames do not come to the millisecond."""
 
-STANDS_M, STANDS_RAD = 0.002, np.radians(0.3)
-"""A camera that has moved by no more stands: three standard deviations of the noise that a pose is taken to
-be told with, 0.5 mm and 0.09 degrees an axis."""
+STATIC_M, STATIC_RAD = 0.002, np.radians(0.3)
+"""A camera that has moved by no more is static: three standard deviations of the assumed noise of a given
+camera pose, 0.5 mm and 0.09 degrees per axis."""
 
 
 class Pursuit:
-    """A correction on its way to now: a track of its own, and the poses (stamp, T_cam_obj) that it went
-    through.
+    """A correction on its way to the newest frame: a track of its own, and the poses (timestamp, T_cam_obj)
+    that it went through.
 
-    before: the track of the object until now. How well it usually fits, and in which light, is known from
-    it. turned_away: a camera of which it is known how it moved does not show any more where the object stood;
-    the track is that of the last frame that showed it."""
+    before: the track of the object until now; it gives the usual total and the light. turned_away: the camera
+    motion is known, and the camera does not show the object's last place any more; the track is that of the
+    last frame that showed it."""
 
     def __init__(
         self, correction: Correction, subject: Subject, config: TrackerConfig, before: Track | None = None
@@ -67,16 +67,16 @@ class Pursuit:
 
     @property
     def supported(self) -> bool:
-        """Whether no frame on the way spoke against it. What was hidden on the way was not followed: what
-        is found behind that, on the surface that hides it, is something else."""
+        """Whether the last frame supports the pose. An object that was occluded on the way was not followed:
+        a pose found there afterwards, on the surface of the occluder, is of something else."""
         return self.track.evidence >= self._config.lost_quality
 
     def follow(self, kept: Sequence[RgbdFrame], tries: float = np.inf) -> float:
-        """One step towards the newest of the kept frames (oldest first, none before the correction's); says
-        how many of at most `tries` costly proposals that took."""
+        """One step towards the newest of the stored frames (oldest first, none before the correction's).
+        Returns how many of at most `tries` costly proposals it used."""
         tried = 0.0
         if self.track.frame is None:
-            # Settled on its own frame first, or on the one next to it: so it is known how well it should fit.
+            # Refine it first in its own frame or the nearest one: that shows how well it should fit.
             first = kept[0]
             tried = self.track.start(self.correction, first)
             self._remember(first)
@@ -85,16 +85,16 @@ class Pursuit:
         before, reached = self.track.copy(), self.track.frame
         assert reached is not None
         ahead, frame = _ahead(reached, kept), self._following(reached, kept)
-        T_stood = before.stood_in(frame)
-        assert T_stood is not None
+        T_static = before.pose_if_static(frame)
+        assert T_static is not None
         tried += self.track.look(frame, 0.0 if self._rests else tries - tried)
         if self.supported:
             self._stride = min(self._stride + 1, self._config.catch_up_stride)
             T = self.track.T_cam_obj
-            self._rests = T is not None and at_rest(self.track.subject, T_stood, T)
+            self._rests = T is not None and at_rest(self.track.subject, T_static, T)
             self.track.learn()
             self._remember(frame)
-        elif _camera_moved(reached, frame) and seen_share(before.subject.surface, T_stood, frame) <= MORE:
+        elif _camera_moved(reached, frame) and visible_share(before.subject.surface, T_static, frame) <= MORE:
             self.track, self.turned_away = before, True
         elif self._rests:
             self.track, self._rests = before, False
@@ -103,7 +103,7 @@ class Pursuit:
         return tried
 
     def needs_search(self, kept: Sequence[RgbdFrame]) -> bool:
-        """Whether the next step leads to a frame so far off that it cannot do without a search."""
+        """Whether the next frame to go to is so far ahead that a search is needed."""
         apart_ns, reached = 0, self.track.frame
         if reached is None:
             apart_ns, reached = abs(kept[0].stamp_ns - self.correction.stamp_ns), kept[0]
@@ -114,7 +114,7 @@ class Pursuit:
         return apart_ns > SLACK * normal_ns
 
     def _following(self, reached: RgbdFrame, kept: Sequence[RgbdFrame]) -> RgbdFrame:
-        """The kept frame to go to."""
+        """The stored frame to go to."""
         if not self._rests:
             return _next(reached, kept, self._stride)
         ahead = _ahead(reached, kept)
@@ -128,17 +128,17 @@ class Pursuit:
 
 
 def _camera_moved(before: RgbdFrame, frame: RgbdFrame) -> bool:
-    """Whether a camera is known to have moved from one frame to the other."""
+    """Whether the camera is known to have moved from one frame to the other."""
     T, T_now = before.T_parent_cam, frame.T_parent_cam
     if T is None or T_now is None:
         return False
     shifted_m, turned_rad = np.linalg.norm(T_now[:3, 3] - T[:3, 3]), se3.rotation_angle(T, T_now)
-    return bool(shifted_m > STANDS_M or turned_rad > STANDS_RAD)
+    return bool(shifted_m > STATIC_M or turned_rad > STATIC_RAD)
 
 
 def _next(reached: RgbdFrame, kept: Sequence[RgbdFrame], stride: int) -> RgbdFrame:
-    """The kept frame to go to: with half of those that are left skipped, and no more time than `stride`
-    frames take; at least one frame on."""
+    """The stored frame to go to: it skips half of those that are left, and no more time than `stride` frames
+    take; at least one frame ahead."""
     ahead = _ahead(reached, kept)
     count = min(len(ahead), stride, max(1, (len(ahead) + 1) // 2 + 1))
     limit_ns = SLACK * stride * _interval_ns(kept, stride)
@@ -148,11 +148,11 @@ def _next(reached: RgbdFrame, kept: Sequence[RgbdFrame], stride: int) -> RgbdFra
 
 
 def _ahead(reached: RgbdFrame, kept: Sequence[RgbdFrame]) -> list[RgbdFrame]:
-    """The kept frames after one."""
+    """The stored frames after one."""
     return [f for f in kept if f.stamp_ns > reached.stamp_ns]
 
 
 def _interval_ns(kept: Sequence[RgbdFrame], count: int) -> float:
-    """The usual time between the newest frames, none of which was left out."""
+    """The median time between the newest frames, of which none was left out."""
     stamps = [f.stamp_ns for f in kept[-count - 1 :]]
     return float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0

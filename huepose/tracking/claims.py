@@ -1,5 +1,5 @@
-"""Who holds a surface: tracks compete for what they explain, and one that is `TRACKING` is ahead. Pure
-functions."""
+"""Which track holds a surface: tracks compete for what they explain, and one that is `TRACKING` has a bonus.
+Pure functions."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from huepose.tracking.track import Track
 from huepose.tracking.types import Key
 
 TRACKING_BONUS = 0.1
-"""Bonus, in total, of a pose that is TRACKING when two compete for a surface."""
+"""Bonus, in units of the total, of a TRACKING pose when two compete for a surface."""
 
 TWIN_BONUS = 1.0
-"""Bonus, in total, of a tracked instance against a new one of the same object at its place."""
+"""Bonus, in units of the total, of a tracked instance against a new one of the same object at its place."""
 
 
 def contested(tracks: Mapping[Key, Track], frame: RgbdFrame) -> set[Key]:
@@ -26,8 +26,8 @@ def contested(tracks: Mapping[Key, Track], frame: RgbdFrame) -> set[Key]:
 
 
 def held(tracks: Mapping[Key, Track], key: Key, found: Track, frame: RgbdFrame) -> bool:
-    """Whether another instance explains the surface better that was found for this one. An instance of the
-    same object that is already tracked there keeps it."""
+    """Whether another instance explains the surface better on which this one was found. A tracked instance of
+    the same object keeps its surface."""
     if found.T_cam_obj is None:
         return False
     claims = [
@@ -35,14 +35,14 @@ def held(tracks: Mapping[Key, Track], key: Key, found: Track, frame: RgbdFrame) 
         for (name, instance), other in tracks.items()
         if (name, instance) != key and other.T_cam_obj is not None
     ]
-    # It stands nowhere yet, whatever its instance did elsewhere.
+    # The found pose gets no bonus, whatever the state of its instance elsewhere.
     mine = Claim(found.subject.surface, found.T_cam_obj, found.terms.total)
     return len(claims) in losers([*claims, mine], frame.depth, frame.camera)
 
 
 def _claim(track: Track, bonus: float = 0.0) -> Claim:
-    """What a track with a pose claims. That it is TRACKING counts: else two instances with the same pose
-    would lose in turns."""
+    """The claim of a track with a pose. TRACKING gives a bonus: else two instances with the same pose would
+    lose in turns."""
     assert track.T_cam_obj is not None
     confirmed = TRACKING_BONUS if track.state is State.TRACKING else 0.0
     return Claim(track.subject.surface, track.T_cam_obj, track.terms.total + confirmed + bonus)

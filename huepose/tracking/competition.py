@@ -1,7 +1,7 @@
 """One surface, one pose: tracked objects compete for the depth pixels of a frame.
 
-Two instances of one object that slid onto the same one, or an object that took its neighbour's surface,
-explain the same readings. The pose that explains them worse loses its claim to them.
+Two instances of one object that converged to the same copy, or an object on its neighbour's surface, explain
+the same readings. The pose that explains them worse loses its claim to them.
 """
 
 from __future__ import annotations
@@ -19,19 +19,20 @@ from huepose.select.distinct import standing
 from huepose.support.jit import jit_dividing
 
 CELL_PX = 6
-"""Claims are compared in cells of this size."""
+"""Claims are compared in image cells of this size."""
 
 FOOTPRINT = 1.5
-"""Side of what a sample claims, in mean distances of samples: the claims of evenly spread samples close up. A
-gap in the claim of one object would look like a place that another has for itself."""
+"""Side of the square that a sample claims, in mean distances of samples: so the claims of evenly spread
+samples leave no gap. A gap in the claim of one object would look like a place that only another object
+explains."""
 
 MARGIN_SIGMAS = 2.0
-"""A thing that lies flat on another fits the readings there better, by its thickness. Less than so many
-standard errors of a reading tells nothing."""
+"""An object that lies flat on another one fits the readings there better, by its thickness. A difference of
+less than this many standard errors of a reading does not count."""
 
 GRAZING = 0.2
-"""Cosine of the line of sight to the normal below which a sample claims nothing: its plane does not say how
-deep the surface is beside it."""
+"""Cosine of the angle between line of sight and normal below which a sample claims nothing: its tangent plane
+does not tell the depth of the surface beside it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,7 @@ class Claim:
 
 
 def losers(claims: Sequence[Claim], depth: Float32, camera: Camera) -> list[int]:
-    """Indices of the claims that others hold with better right; earlier ones win ties."""
+    """Indices of the claims that lose their surface to better ones; earlier claims win ties."""
     touched = _touched(claims, camera)
     if not touched.any():
         return []
@@ -63,15 +64,15 @@ def losers(claims: Sequence[Claim], depth: Float32, camera: Camera) -> list[int]
 
 
 def _touched(claims: Sequence[Claim], camera: Camera) -> Bool:
-    """Which of the poses can share a cell with another (K,): the cones from the camera round their spheres
-    overlap, or nearly."""
+    """Which of the poses (K,) can share a cell with another one: the cones from the camera around their
+    spheres overlap, or nearly."""
     out = np.zeros(len(claims), bool)
     if len(claims) < 2:
         return out
     centres = np.array([claim.surface.centre_cam(claim.T_cam_obj) for claim in claims])
     away = np.maximum(np.linalg.norm(centres, axis=1), 1e-9)
     radii = np.array([claim.surface.radius_m for claim in claims])
-    # Two pixels of one cell are a diagonal of it apart; from within a sphere it is everywhere.
+    # Two pixels of one cell are up to a diagonal apart. A sphere around the camera is everywhere.
     halves = np.where(radii < away, np.arcsin(np.minimum(radii / away, 1.0)), np.pi)
     widths = halves + CELL_PX / min(camera.fx, camera.fy)
     rays = centres / away[:, None]
@@ -82,8 +83,8 @@ def _touched(claims: Sequence[Claim], camera: Camera) -> Bool:
 
 
 def _fill(claim: Claim, depth: Float32, camera: Camera, misfit: Float32) -> None:
-    """Write by how many metres depth differs from the object's surface at least, into each cell (rows,
-    columns) of the image in which they agree."""
+    """Write into each cell (rows, columns) of the image in which depth and the object's surface agree how
+    many metres they differ at least."""
     surface, T = claim.surface, np.array(claim.T_cam_obj, np.float64, order="C")
     box = surface.box(T, camera)
     if box is None:
@@ -108,8 +109,8 @@ def _claim_cells(
     tolerance_m: float,
     misfit: Float32,
 ) -> None:
-    """Samples `first` to `last` of those that a view shows, each for `side` x `side` cells around it, where
-    its tangent plane is as deep as the reading."""
+    """Samples `first` to `last` of a view's visible samples. Each claims those of the `side` x `side` cells
+    around it in which the depth of its tangent plane is that of the reading."""
     for k in range(first, last):
         i = surface.visible[k]
         u, v, z = projected(T, surface.points, i, lens)

@@ -1,4 +1,4 @@
-"""What can be set about a tracker; the defaults are those of a live pipeline."""
+"""Settings of a tracker; the defaults are those of a live pipeline."""
 
 from __future__ import annotations
 
@@ -9,28 +9,29 @@ from huepose.support.errors import InputError
 
 @dataclass(frozen=True)
 class TrackerConfig:
-    """Memory. history_frames, older_frames: frames that are kept for late corrections: the newest ones, and
-    behind them others that lie a tenth and a sixth of a second apart, half of them each; catch_up_stride:
-    most frames skipped at once while catching up.
+    """Memory. history_frames, older_frames: how many frames are stored for late corrections: the newest ones,
+    and older ones, of which half are a tenth and half a sixth of a second apart; catch_up_stride: most frames
+    that one step of catching up advances.
 
-    States. tracking_quality, suspect_quality: evidence over the first in two frames in a row leads to
-    TRACKING, under the second to SUSPECT; confirmed_identity: how sure it must be that an acquired pose is
-    the right one before it is TRACKING: less than one in twenty is wrong; confirmed_turn: how sure, which way
-    round the object is; least_quality: no pose of a lower published quality is TRACKING; lost_quality: under
-    it a frame gives no support; lost_after such looks in a row make an object LOST. A frame that comes less
+    States. tracking_quality, suspect_quality: evidence above the first in two frames in a row leads to
+    TRACKING, evidence below the second to SUSPECT; confirmed_identity: identity that an acquired pose needs
+    to be TRACKING: less than one in twenty is wrong; confirmed_turn: the same for the orientation;
+    least_quality: no pose with a lower published quality is TRACKING; lost_quality: a frame with less
+    evidence does not support the pose; after lost_after such looks in a row an object is LOST. A frame less
     than a thirtieth of a second after the last one is a part of a look (`tracking.looks`).
 
-    Looking further (totals of the judge, 0 to 1.9). doubtful_total: a pose that explains less is looked into;
-    doubt: so is one this much under its baseline, long_doubt: after more than long_step_s, when there
-    is time for a search, as there is when it moved by more than surprising_m; hidden: share of the surface
-    behind something from which there is nothing to look for. max_search_m_s, max_search_rad_s: the fastest
-    motion that the search covers; tries_per_s: how many costly proposals (a search or a part of a wide one,
-    near-symmetric rotations) all objects together may make in a second of the frames' time, None for as many
-    as they need. They cost 5 to 18 ms each, and a live step that takes longer than its frame makes the next
-    one larger: so many take half of the time, and a step that is late is not given more than a third of a
-    second's.
+    Search (totals of the judge, 0 to 1.9). doubtful_total: if the best pose has a lower total, more poses are
+    tried; doubt: also if its total is this much below the usual total; long_doubt: the same for a frame more
+    than long_step_s after the last one, when there is time for a search. Then there is a search, too, if the
+    pose is more than surprising_m from the expected one. hidden: if a larger share of the surface is
+    occluded, a frame without such a gap makes no search. max_search_m_s, max_search_rad_s: the fastest motion
+    that the search covers; tries_per_s: how many costly proposals (a search, a part of a wide search, or
+    near-symmetric rotations) all objects together may make in a second of the frames' time, None for no
+    limit. They cost 5 to 18 ms each, and a live step that takes longer than its frame makes the next one
+    larger. 30 per second take half of the time, and a late step gets no more than those of a third of a
+    second.
 
-    odometry: fast motion of the camera is measured where its pose is not given (`tracking.odometry`)."""
+    odometry: fast camera motion is measured where no camera pose is given (`tracking.odometry`)."""
 
     history_frames: int = 20
     older_frames: int = 24

@@ -1,7 +1,7 @@
-"""Finds the place in the whole picture that looks most like a lost object, without a prior position.
+"""Finds the most probable place of a lost object in the whole image, without a prior position.
 
-View codes (`propose.view_codes`) of windows of the object's size give place and rotation; the tracker's own
-search continues from there.
+View codes (`propose.view_codes`) of windows of the object's size give position and rotation; the tracker's
+own search continues from there.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from huepose.perception.windows import Windows
 from huepose.tracking.motion import Reach
 
 WINDOWS, PARTS = 8, 5
-"""Windows that are looked at in one go, the likeliest by hue first, and how often as many more of them are.
-On drawn films the object is at the likeliest of the first eight in 99 of 100 frames."""
+"""Windows that are compared at once, those with the best hues first, and the number of such parts. In
+rendered sequences the object is at the best place of the first eight windows in 99 of 100 frames."""
 
 MOST_PIXELS = 120_000
-"""A window has 64 pixels a side, and the picture no need of more than that many for it."""
+"""A window has 64 pixels a side, so the image needs no more pixels than this."""
 
 LOOKS_EACH = 6
-"""Views that a window may show."""
+"""Most views per window."""
 
 SAME_PLACE = 0.35
-"""Views whose centres lie within this share of the diameter are of one place."""
+"""Views whose centres are within this share of the diameter belong to one place."""
 
 TURNS, APART = 2, np.radians(17.0)
-"""So many of the turns of the views at the likeliest place are taken, this far apart: half of what is between
-views."""
+"""Number of rotations that are taken from the views at the most probable place, and their least difference:
+half of that between views."""
 
 NEAR, NEAR_TURN = 0.3, np.radians(18.0)
-"""From a window's middle and the view that it is like, the object is not farther off: in diameters, in
-radians."""
+"""The object is within this distance, in diameters, of a window's middle, and within this rotation of the
+most similar view."""
 
 
 def likeliest_place(
     model: ReferenceModel, table: WindowTable, frame: RgbdFrame, part: int = 0
 ) -> Reach | None:
-    """The place and rotations of highest similarity among one part of the windows; None if nothing stands
-    there."""
+    """The place and rotations of highest likeness in one part of the windows; None if no window shows
+    anything."""
     view = clear_view(_smaller(filled(frame)), model.diameter_m)
     if view is None:
         return None
@@ -66,7 +66,7 @@ def likeliest_place(
 
 
 def _smaller(frame: RgbdFrame) -> RgbdFrame:
-    """A frame halved until it has few enough pixels."""
+    """A frame scaled down by halves until it has few enough pixels."""
     camera = frame.camera
     while camera.width * camera.height > MOST_PIXELS:
         camera = camera.scaled(0.5)

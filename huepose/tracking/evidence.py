@@ -1,13 +1,13 @@
-"""What is believed of a track, and the state that follows from its quality.
+"""The belief in a track's pose, and the state that follows from its quality.
 
-The log-odds that a pose is right are a weighted sum of the judge's terms, fitted on refined poses of drawn
-sequences (`believe.frame`), plus a prior from the last frame: a pose that was right is likely still right.
+The log-odds that a pose is right are a weighted sum of the judge's terms, fitted on refined poses of rendered
+sequences (`believe.frame`), plus a prior from the last frame: a pose that was right is probably still right.
 
-The identity is how sure it is that the pose that is followed was the right one to begin with. What one frame
-shows cannot settle everything: a can whose texture repeats, a box seen on a blank side. So the quality of the
-estimate that started a track stays with it, and doubt shrinks when perception agrees on its own, or when the
-object has been carried to another viewpoint and its texture still agrees. What the tracker itself finds after
-a loss may be another thing, so it is no surer than what is seen of it."""
+The identity is the probability that the followed pose was the right one to begin with. One frame cannot
+decide everything: a can with a repeated texture, a box seen from a blank side. So the quality of the estimate
+that started a track is kept. The doubt becomes smaller when perception agrees independently, or when the
+object is seen from another viewpoint and its texture still agrees. What the tracker itself finds after a loss
+may be another object, so its identity is no higher than what the frames show of it."""
 
 from __future__ import annotations
 
@@ -31,21 +31,22 @@ MEMORY, MOST_MEMORY = 0.6, 2.0
 correlated errors."""
 
 LEAST_SEEN, ONE_SENSE = 0.15, 0.45
-"""If depth confirms less than LEAST_SEEN of the surface, or colour does, the pose rests on one sense and its
-quality is at most ONE_SENSE."""
+"""If depth confirms less than LEAST_SEEN of the surface, or colour does, the pose rests on one kind of
+evidence (depth or colour), and its quality is at most ONE_SENSE."""
 
 MOST_LOOSE = 0.7
-"""Highest quality of a pose that may be wrong by its own covariance: it is followed and not TRACKING."""
+"""Highest quality of a pose that may be wrong by its own covariance: it is followed, but not TRACKING."""
 
 OPEN = 0.1
-"""An object of which less than this share is hidden is seen as a whole. Chosen on films of a handle."""
+"""If less than this share of an object is occluded, it counts as visible as a whole. Chosen on sequences of a
+handle."""
 
 HIDDEN, SCARCE_FADE = 0.6, 0.93
 """If more than HIDDEN of the surface is occluded, the quality falls by SCARCE_FADE per look."""
 
 RETURNED_AFTER, AT_ONCE = 2, 0.95
-"""Supported frames in a row after which a SUSPECT object is TRACKING again; at once with that much evidence:
-less than one in twenty such poses is wrong. Chosen on drawn films of the split `choose`."""
+"""Supported frames in a row after which a SUSPECT object is TRACKING again; with an evidence of AT_ONCE one
+is enough: less than one in twenty such poses is wrong. Chosen on rendered sequences of the split `choose`."""
 
 
 def log_odds(
@@ -57,38 +58,36 @@ def log_odds(
     jump: float = 0.0,
     unread: float = 0.0,
 ) -> float:
-    """Log-odds that a pose is right. baseline: its usual total; before: log-odds of the pose from which it
-    was followed; goes_on: share of its outline beyond which the surface continues; light (3,): the known
-    light in opponent colours; jump: log-odds of its motion; unread: as of `believe.frame.features`.
+    """Log-odds that a pose is right. baseline: its usual total; before: log-odds of the pose that it was
+    followed from; goes_on: share of the outline beyond which the surface continues; light (3,): the known
+    light in opponent colours; jump: log-odds of its motion; unread: as in `believe.frame.features`.
 
     >>> from huepose.judge.terms import NOTHING
     >>> log_odds(NOTHING, None, 0.0) < -4.0
     True
-
     """
     x = frame.log_odds(terms, baseline, goes_on, light, unread)
     return x + max(min(MEMORY * before, MOST_MEMORY) + jump, -MOST_MEMORY)
 
 
 def odds_of(p: float) -> float:
-    """Log-odds of a probability, at most 4.6 to both sides (99 %)."""
+    """Log-odds of a probability, between -4.6 and 4.6 (1 % and 99 %)."""
     q = min(max(p, 0.01), 0.99)
     return log(q / (1.0 - q))
 
 
 def one_sense(terms: Terms, followed: bool = False) -> bool:
-    """Whether a pose rests on depth alone, or on colour alone. followed: of an object that is known it was
-    followed here, so colours that are overexposed now are taken to be as they were: depth tells where it
-    went."""
+    """Whether a pose rests on depth alone, or on colour alone. followed: an object of confirmed identity was
+    followed to this pose. Then overexposed colours are assumed unchanged, and depth alone is enough."""
     return terms.seen < LEAST_SEEN or (terms.colored < LEAST_SEEN and not followed)
 
 
-def vouched(quality: float, spread: float) -> float:
-    """A quality when the pose is that uncertain by its own covariance; spread: RMS displacement of the
-    object's points as a share of its diameter. Right means within a tenth of it.
+def limited_by_covariance(quality: float, spread: float) -> float:
+    """A quality, limited by the uncertainty of the pose. spread: RMS displacement of the object's points by
+    its covariance, as a share of the diameter. A pose is right within a tenth of the diameter.
 
-    >>> round(vouched(0.99, 0.02), 2), vouched(0.99, 0.05), vouched(0.99, 0.3)
-    (0.99, 0.7, 0.45)
+    >>> [round(limited_by_covariance(0.99, spread), 2) for spread in (0.02, 0.05, 0.3)]
+    [0.99, 0.7, 0.45]
     """
     within = erf(RIGHT / (max(spread, 1e-6) * np.sqrt(2.0)))
     most = MOST_LOOSE if is_loose(spread) else 1.0
@@ -96,26 +95,26 @@ def vouched(quality: float, spread: float) -> float:
 
 
 def is_loose(spread: float) -> bool:
-    """Whether a pose may be wrong by its own covariance: three standard deviations are more than what is
-    right."""
+    """Whether a pose may be wrong by its own covariance: three standard deviations are more than the error of
+    a right pose."""
     return spread > RIGHT / 3.0
 
 
 def scarce(terms: Terms) -> bool:
-    """Whether something hides so much of the object that the rest can be followed for a moment only: a strip
-    of it fits in many places along itself."""
+    """Whether so much of the object is occluded that the rest can be followed for a moment only: a visible
+    strip fits in many places along itself."""
     return terms.seen < LEAST_SEEN and terms.hidden > HIDDEN
 
 
 def bounded(quality: float, scarce_looks: float) -> float:
-    """A quality after so many looks in a row in which there was little to follow."""
+    """A quality after this many looks in a row with little of the object visible (`scarce`)."""
     return min(quality, ONE_SENSE * SCARCE_FADE**scarce_looks) if scarce_looks else quality
 
 
 @dataclass(frozen=True)
 class TrackState:
-    """A state; for how many looks in a row support was missing, for how many frames it was good; found: it
-    was lost, and was found in this frame."""
+    """A state. unsupported: looks in a row without support; supported: frames in a row with good support;
+    found: the object was LOST, and found in this frame."""
 
     state: State
     unsupported: float = 0.0
@@ -131,14 +130,14 @@ class TrackState:
 def next_state(
     before: TrackState, evidence: float, confirmed: bool, config: TrackerConfig, apart_s: float = LOOK_S
 ) -> TrackState:
-    """The state after a frame with that evidence, which is not the published quality, so many seconds after
-    the last one; confirmed: identity and orientation are confirmed, and the published quality reaches
+    """The state after a frame. evidence: that of the pose, not its published quality; apart_s: seconds since
+    the last frame; confirmed: identity and orientation are confirmed, and the published quality reaches
     `least_quality`.
 
     SUSPECT at once when it is not confirmed or the evidence is under `suspect_quality`; LOST after
-    `lost_after` looks in a row under `lost_quality`. From SUSPECT to TRACKING after two frames in a row of
-    at least `tracking_quality`, or one of at least AT_ONCE, unless it was lost until then;
-    never up from LOST or SEARCHING.
+    `lost_after` looks in a row under `lost_quality`. From SUSPECT to TRACKING after two frames in a row of at
+    least `tracking_quality`, or one of at least AT_ONCE, unless it was found in that frame after a loss. LOST
+    and SEARCHING do not change here.
     """
     if before.state in (State.LOST, State.SEARCHING):
         return before
@@ -160,46 +159,47 @@ def next_state(
 
 
 NEW_VIEW = np.radians(25.0)
-"""What is seen from a viewpoint that differs by more is new, independent evidence."""
+"""What a viewpoint that differs by more than this shows is new, independent evidence."""
 
 COLOR = 0.45
-"""Agreement of the texture that counts."""
+"""Least agreement of the texture that counts."""
 
 DOUBT_LEFT = 0.5
-"""Share of the doubt that a new viewpoint leaves."""
+"""Share of the doubt that remains after a new viewpoint."""
 
 LEAST_LEFT = 0.25
-"""Share of the doubt of its surest answer that perception leaves from one viewpoint, however often it is
-asked. Origin: see docs/tracking.md (before a still camera)."""
+"""Share of the doubt of the most probable estimate that all estimates of perception from one viewpoint
+together leave at least. Origin: see docs/tracking.md ("With a static camera")."""
 
 LOOK_SHARE = 0.3
-"""Weight of a look in the running mean of what the tracker sees of a thing that it found by itself."""
+"""Weight of a look in the running mean of what the frames show of an object that the tracker found by
+itself."""
 
 LARGEST = 0.995
-"""No belief in an identity is surer."""
+"""Highest identity."""
 
 SAME_WAY = np.radians(30.0)
-"""A correction that turns the object further says that another side of it was seen."""
+"""A correction that rotates the object by more shows another side of it."""
 
 
 def turned_over(T_before: Float64, T_after: Float64) -> bool:
-    """Whether a correction says that the object was taken for another side of itself: then what was learnt
-    about the old pose says nothing about the new one."""
+    """Whether a correction rotates the object so far that another side was taken for this one: then what was
+    learnt about the old pose says nothing about the new one."""
     return bool(se3.rotation_angle(T_before, T_after) > SAME_WAY)
 
 
 LIKELIER = 0.5
-"""An answer of perception of lower quality says that its pose is more likely wrong than right: it confirms
-nothing, however often it is repeated."""
+"""An estimate of perception with a lower quality is more likely wrong than right. It confirms nothing,
+however often it is repeated."""
 
 
 @dataclass(frozen=True, eq=False)
 class Identity:
-    """value: probability in 0..1; view (3,): direction from the object to the camera, object axes, from which
-    it was last learnt; lost: the value before the tracker lost it and found something by itself, 0 where it
-    did not; jump: what the motion model says of where it was found, 0 or less; said: the surest answer of
-    perception from this viewpoint; doubt: what was left before it; there: how sure perception was, at best,
-    that the object is there at all: 1 where nobody asked, or where two viewpoints spoke for it."""
+    """value: probability in 0..1; view (3,): direction from the object to the camera, object axes, at the
+    last evidence; lost: the value before the tracker lost the object and found something by itself, else 0;
+    jump: log-odds of the motion to where it was found, 0 or less; said: quality of the most probable estimate
+    of perception from this viewpoint; doubt: the doubt that was left before this viewpoint; there: highest
+    presence so far; 1 if none was given, or if two viewpoints confirmed the object."""
 
     value: float
     view: Float64
@@ -211,20 +211,21 @@ class Identity:
 
     @staticmethod
     def none() -> Identity:
-        """Before perception has said anything."""
+        """Before the first estimate of perception."""
         return Identity(0.0, np.zeros(3))
 
     @staticmethod
     def of(quality: float, view: Float64, there: float = 1.0) -> Identity:
-        """Of a pose that perception is that sure of, and of the object being there."""
+        """From an estimate of perception with that quality; there: its presence."""
         value = min(max(quality, 0.0), LARGEST, there)
         return Identity(value, view, said=value, there=there)
 
     def agreed(self, quality: float, view: Float64, there: float = 1.0) -> Identity:
-        """After perception found the same pose by itself, being that sure of it, and of the object being
-        there. From the same viewpoint it would make the same mistake again, so there it leaves some of the
-        doubt about the pose, and all about the object, whatever it says, and however often it says so. Of
-        what the tracker found by itself its first word counts most, however like it looks."""
+        """After perception found the same pose independently; quality, there: quality and presence of its
+        estimate. From the same viewpoint perception would repeat its errors. So all its estimates from
+        there leave a share of the doubt about the pose, and all of the doubt about the presence. After the
+        tracker found the object by itself, the first estimate decides most, however well that find fits
+        the frames."""
         if self.lost > 0.0:
             value = min(self.value, 1.0 - (1.0 - quality) * DOUBT_LEFT)
             value = min(value, quality) if quality < LIKELIER else max(value, quality)
@@ -241,8 +242,8 @@ class Identity:
         return Identity(min(value, LARGEST), view, said=quality, doubt=1.0 - self.value)
 
     def contradicted(self, quality: float) -> Identity:
-        """After perception found another pose, being that sure of it, while the picture goes on to speak for
-        this one: at worst nobody knows.
+        """After perception found another pose with that quality, while the image still supports this one. The
+        value does not fall below 0.5 by this.
 
         >>> known = Identity.of(0.99, np.zeros(3))
         >>> round(known.contradicted(0.6).value, 3), known.contradicted(0.99).value
@@ -254,27 +255,28 @@ class Identity:
         return replace(self, value=max(value, min(self.value, LIKELIER)))
 
     def carried(self, terms: Terms, view: Float64) -> Identity:
-        """After a frame that supports the pose, seen from `view`."""
+        """After a frame that supports the pose, seen from the viewpoint `view` (3,)."""
         if terms.color < COLOR or float(view @ self.view) > np.cos(NEW_VIEW):
             return self
         value = min(1.0 - (1.0 - self.value) * DOUBT_LEFT, LARGEST)
         return replace(self, value=value, view=view, jump=0.0, said=0.0, doubt=1.0 - value, there=1.0)
 
     def leapt(self, view: Float64) -> Identity:
-        """After another pose became likelier than the one that was followed: the view (3,) changed because
-        the opinion did, so it is not a new one of the object."""
+        """After another pose became more probable than the followed one. The viewpoint (3,) changed with the
+        decision, so it is no new viewpoint of the object."""
         return replace(self, view=view)
 
     def found_elsewhere(self, likely: float, view: Float64, jump: float) -> Identity:
-        """After it was lost, and the tracker found what may be it; likely: the probability of that by what is
-        seen there alone; jump: what the motion model says of the way there, log-odds of 0 or less."""
+        """After the object was lost, and the tracker found something that may be it. likely: the probability
+        of that by this frame alone; jump: log-odds of the motion to there, 0 or less."""
         lost = max(self.value, self.lost)
         return Identity(min(lost, probability(odds_of(likely) + jump)), view, lost, jump)
 
     def looked_at(self, likely: float, apart_s: float = LOOK_S) -> Identity:
-        """After a frame, so many seconds later, that makes it that likely by itself: it may be again what it
-        was before the loss, and no more. The log-odds are a running mean, since another thing fits now well,
-        now badly. A jump that nothing makes counts against it until another view of it was seen."""
+        """After another frame, `apart_s` later. likely: the probability by this frame alone. The value
+        rises to that from before the loss at most. It is a running mean of log-odds, since another object
+        fits now well, now badly. An impossible motion counts against it until another viewpoint confirms
+        the object."""
         if self.lost == 0.0:
             return self
         seen = odds_of(likely) + self.jump

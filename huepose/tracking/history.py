@@ -1,9 +1,8 @@
-"""What a tracker remembers, so that a late result can still be of use: frames, and poses at their frames.
+"""What a tracker stores for late results: frames, and poses in their frames.
 
-ROFT (Piga et al. 2022) buffers velocities and replays them on a late pose; here the increments between
-buffered poses are replayed, which is the same without integrating anything. An increment is a motion of the
-scene in camera axes, `T_j inverse(T_i)`: it stays right when the pose that it was measured on was wrong by a
-turn of the object in itself.
+ROFT (Piga et al. 2022) buffers velocities and replays them on a late pose. Here the increments between
+buffered poses are replayed, which is the same without integration. An increment is a motion of the scene in
+camera axes, `T_j inverse(T_i)`: it stays right if the pose that it was measured on has a wrong orientation.
 """
 
 from __future__ import annotations
@@ -18,16 +17,16 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.frame import RgbdFrame
 
 CLOSE_S, WIDE_S = 1.0 / 10.0, 1.0 / 6.0
-"""What lies between older frames: steps that the tracker takes without a search, and with one. Fast hands are
+"""Time between older frames: steps that the tracker takes without a search, and with one. Fast hands are
 followed over every third and every fifth of thirty frames a second, but not over every ninth."""
 
 NEARLY = 0.9
-"""Stamps are not exact."""
+"""Tolerance: timestamps are not exact."""
 
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """A frame and the pose (4, 4) in it, None where there was none."""
+    """A frame and the pose (4, 4) in it, None without one."""
 
     frame_id: int
     stamp_ns: int
@@ -35,8 +34,8 @@ class Entry:
 
 
 class PoseHistory:
-    """The poses of one object at the newest frames, oldest first. middle_obj (3,): of the object, in its own
-    axes."""
+    """The poses of one object in the newest frames, oldest first. middle_obj (3,): the object's middle,
+    object axes."""
 
     def __init__(self, middle_obj: Float64) -> None:
         self._entries: deque[Entry] = deque()
@@ -60,13 +59,13 @@ class PoseHistory:
         self._entries.append(Entry(frame_id, stamp_ns, T_cam_obj))
 
     def forget_before(self, stamp_ns: int) -> None:
-        """Let go of what is older."""
+        """Delete older poses."""
         while self._entries and self._entries[0].stamp_ns < stamp_ns:
             self._entries.popleft()
 
     def at(self, stamp_ns: int) -> Float64 | None:
-        """The pose at a stamp: that of its frame, or, where that frame was skipped, interpolated between its
-        neighbours, the object's middle on a straight line. None outside of the history, and where a needed
+        """The pose at a timestamp: that of its frame, or, if that frame was skipped, interpolated between its
+        neighbours, with the object's middle on a straight line. None outside of the history, and if a needed
         pose is missing."""
         before: Entry | None = None
         for entry in self._entries:
@@ -81,14 +80,14 @@ class PoseHistory:
         return None
 
     def unbroken_since(self, stamp_ns: int) -> bool:
-        """Whether every entry at or after a stamp has a pose."""
+        """Whether every entry at or after a timestamp has a pose."""
         return all(e.T_cam_obj is not None for e in self._entries if e.stamp_ns >= stamp_ns)
 
     def replay(self, stamp_ns: int, T_cam_obj: Float64) -> Float64:
-        """Replace the pose at a stamp and carry the correction to now by the buffered increments; the kept
-        poses since then are replaced as well. Returns the newest pose.
+        """Replace the pose at a timestamp, and move the correction to the newest frame by the buffered
+        increments; the stored poses since then are replaced as well. Returns the newest pose.
 
-        Raises ValueError where `at` gives nothing or the history since is broken.
+        Raises ValueError if `at` gives nothing or a pose since then is missing.
         """
         old = self.at(stamp_ns)
         if old is None or not self.unbroken_since(stamp_ns):
@@ -103,16 +102,16 @@ class PoseHistory:
         return newest
 
     def put(self, stamp_ns: int, T_cam_obj: Float64) -> None:
-        """Set the pose of a kept frame; nothing happens where none has that stamp."""
+        """Set the pose of a stored frame; nothing happens if none has that timestamp."""
         for k, entry in enumerate(self._entries):
             if entry.stamp_ns == stamp_ns:
                 self._entries[k] = Entry(entry.frame_id, stamp_ns, T_cam_obj)
 
 
 class FrameHistory:
-    """Frames of one camera epoch, the fewer the older they are: the `newest` ones all of them, behind them
-    `older` ones, half of them a tenth of a second apart, half a sixth. So few frames reach back far, and
-    an answer that is late by seconds still finds a way to now."""
+    """Frames of one camera epoch, fewer the older they are: all of the `newest` ones, before them `older`
+    ones, half of them a tenth of a second apart, half a sixth. So few frames reach far back, and an estimate
+    that is late by seconds can still be tracked to the newest frame."""
 
     def __init__(self, newest: int, older: int = 0) -> None:
         half = older // 2
@@ -132,7 +131,7 @@ class FrameHistory:
 
     @property
     def oldest(self) -> RgbdFrame | None:
-        """The one that reaches back farthest."""
+        """The oldest frame."""
         return next(iter(self), None)
 
     def append(self, frame: RgbdFrame) -> None:
@@ -149,29 +148,29 @@ class FrameHistory:
             stretch.frames.clear()
 
     def covers(self, stamp_ns: int) -> bool:
-        """Whether a stamp is not older than the oldest kept frame."""
+        """Whether a timestamp is not older than the oldest stored frame."""
         oldest = self.oldest
         return oldest is not None and oldest.stamp_ns <= stamp_ns
 
     def since(self, stamp_ns: int) -> list[RgbdFrame]:
-        """Frames at or after a stamp, oldest first."""
+        """Frames at or after a timestamp, oldest first."""
         return [f for f in self if f.stamp_ns >= stamp_ns]
 
     def from_nearest(self, stamp_ns: int) -> list[RgbdFrame]:
-        """The frame that is nearest to a stamp, and all after it, oldest first."""
+        """The frame that is nearest to a timestamp, and all after it, oldest first."""
         nearest = min(self, key=lambda f: abs(f.stamp_ns - stamp_ns), default=None)
         return [] if nearest is None else self.since(nearest.stamp_ns)
 
 
 class _Stretch:
-    """Up to so many frames that lie at least so many seconds apart, nearly."""
+    """Up to `most` frames that are at least `apart_s` apart, within a tolerance."""
 
     def __init__(self, most: int, apart_s: float) -> None:
         self.frames: deque[RgbdFrame] = deque()
         self._most, self._apart_ns = most, apart_s * NEARLY * 1e9
 
     def taken(self, frame: RgbdFrame) -> RgbdFrame | None:
-        """Keep a frame if the last one is far enough back; what has to leave for it, if anything."""
+        """Store a frame if the last one is far enough back. Returns the frame that has to leave, if any."""
         if not self._most:
             return frame
         if self.frames and frame.stamp_ns - self.frames[-1].stamp_ns < self._apart_ns:

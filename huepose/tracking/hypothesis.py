@@ -1,5 +1,5 @@
-"""One opinion about where an object is, and an object as the last frame left it. A track holds up to three
-opinions, and time decides between them."""
+"""A hypothesis of a pose, and an object in the last frame. A track holds up to three hypotheses; the next
+frames decide between them."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from huepose.tracking.subject import Subject
 from huepose.tracking.usual import Usual
 
 MOST = 3
-"""Hypotheses of a track."""
+"""Most hypotheses of a track."""
 
 SAME = 0.05
-"""Poses whose surfaces lie this share of the diameter apart are one pose."""
+"""Poses whose surfaces are within this share of the diameter are one pose."""
 
 FOLLOWED, LOOKED_FOR = ("still", "velocity"), ("search", "views")
 FOUND_AGAIN = (*LOOKED_FOR, "turn")
-"""Sources of hypotheses that were followed from the last frame, and of those that a search found instead;
-FOUND_AGAIN adds those that were followed and then turned."""
+"""Sources of hypotheses: FOLLOWED from the last frame, or found by a search (LOOKED_FOR); FOUND_AGAIN adds
+those that were followed and then rotated."""
 
 HOPELESS = 4.0
-"""An opinion whose log-odds lie this far behind the best is dropped."""
+"""A hypothesis whose log-odds are this far behind the best is dropped."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """T_cam_obj (4, 4); velocity (6,) or None, about the object's centre; what is seen of it; information
-    (6, 6) of the refinement; source: which start led there ("still", "velocity", "search", "views", "turn",
-    "correction"); log_odds: that it is right, filtered over the frames; goes_on: share of its
-    outline beyond which the surface goes on; jump: what the motion model said of it when it was found, 0 or
-    less, and 0 if it was followed."""
+    """T_cam_obj (4, 4); velocity (6,) or None, about the object's centre; terms of the judge; information (6,
+    6) of the refinement; source: the start that led there ("still", "velocity", "search", "views", "turn",
+    "correction"); log_odds: that it is right, filtered over the frames; goes_on: share of its outline beyond
+    which the surface goes on; jump: log-odds of the motion to it, 0 or less if it was found, 0 if it was
+    followed."""
 
     T_cam_obj: Float64
     terms: Terms
@@ -50,7 +50,7 @@ class Hypothesis:
     jump: float = 0.0
 
     def seen_from(self, T_new_old: Float64) -> Hypothesis:
-        """The same place and motion in the axes of a camera that has moved; T_new_old (4, 4): from the old
+        """The same pose and motion in the axes of a camera that has moved; T_new_old (4, 4): from the old
         axes to the new ones."""
         velocity = None if self.velocity is None else se3.along(T_new_old[:3, :3]) @ self.velocity
         return replace(self, T_cam_obj=se3.compose(T_new_old, self.T_cam_obj), velocity=velocity)
@@ -58,10 +58,9 @@ class Hypothesis:
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """The object in the last frame. hypotheses: best first; usual: how it looks when its pose is right;
-    unseen_s: for how long its pose had only been predicted; place: where the last frame looked most like it,
-    if no search was made there yet; known: whether it is sure that it is this object; turn_odds: log-odds of
-    its turn."""
+    """The object in the last frame. hypotheses: best first; usual: usual total and light; unseen_s: for how
+    long its pose has only been predicted; place: the most probable place in the last frame, if no search was
+    made there yet; known: its identity is confirmed; turn_odds: log-odds of its orientation."""
 
     hypotheses: tuple[Hypothesis, ...]
     frame: RgbdFrame
@@ -78,8 +77,8 @@ class Anchor:
 
 
 def same_pose(subject: Subject, T_a: Float64, T_b: Float64, share: float = SAME) -> bool:
-    """Whether two poses (4, 4) are one for all practical purposes, or nearer than a share of the diameter, up
-    to the rotations under which the object looks the same."""
+    """Whether two poses (4, 4) are closer than a share of the diameter, up to the rotations under which the
+    object looks the same."""
     points = subject.points
     here, there = se3.apply(T_a, points[0]), se3.apply(T_b, points.reshape(-1, 3)).reshape(points.shape)
     apart = np.linalg.norm(there - here, axis=2).mean(axis=1).min()
@@ -87,7 +86,7 @@ def same_pose(subject: Subject, T_a: Float64, T_b: Float64, share: float = SAME)
 
 
 def distinct(subject: Subject, opinions: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
-    """The likeliest different ones, at most three, best first; those without a chance are left out."""
+    """The most probable different hypotheses, at most three, best first, without hopeless ones."""
     kept: list[Hypothesis] = []
     for one in sorted(opinions, key=lambda h: -h.log_odds):
         if kept and one.log_odds < kept[0].log_odds - HOPELESS:
@@ -98,8 +97,8 @@ def distinct(subject: Subject, opinions: Sequence[Hypothesis]) -> tuple[Hypothes
 
 
 def share_of_first(subject: Subject, opinions: Sequence[Hypothesis]) -> float:
-    """What part of the belief says that the first of different opinions is right: its own, and that of those
-    so near that both would be (`RIGHT`). 0 without any."""
+    """The share of the belief in the first of different hypotheses: its own, and that of those so close that
+    both would be right (`RIGHT`). 0 without any."""
     return sum(
         share
         for k, (one, share) in enumerate(zip(opinions, shares(opinions), strict=True))
@@ -108,6 +107,6 @@ def share_of_first(subject: Subject, opinions: Sequence[Hypothesis]) -> float:
 
 
 def shares(opinions: Sequence[Hypothesis]) -> list[float]:
-    """What part of the belief each of different opinions has; together 1."""
+    """The share of the belief in each of different hypotheses; together 1."""
     logs = np.array([h.log_odds for h in opinions])
     return [float(1.0 / np.exp(logs - log).sum()) for log in logs]

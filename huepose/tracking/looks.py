@@ -1,18 +1,18 @@
-"""Frames as looks: how much a frame adds to the one before it.
+"""Looks: how much a frame counts beside the one before it.
 
-Frames that follow each other soon show the same again, with the same errors. So what is averaged or counted
-over frames is averaged and counted over looks, and a tracker does not make up its mind in a third of the time
-before a camera of 90 Hz. A frame that comes late is one look, however late."""
+Frames in quick succession show the same again, with the same errors. So all averages and counts over frames
+are over looks, and a tracker decides no faster with a camera of 90 Hz. A late frame is one look, however
+late."""
 
 from __future__ import annotations
 
 LOOK_S = 0.033
-"""Frames at least so many seconds apart are looks of their own. At 30 Hz, at which all shares and numbers of
+"""Frames at least this many seconds apart are one look each. At 30 Hz, at which all shares and numbers of
 looks were chosen, each frame is one."""
 
 
 def looks(seconds: float) -> float:
-    """How many looks, at most one, a frame counts so many seconds after the last one.
+    """How many looks, at most one, a frame counts that comes `seconds` after the last one.
 
     >>> looks(0.2), looks(1 / 30), round(looks(1 / 90), 2)
     (1.0, 1.0, 0.34)
@@ -21,7 +21,8 @@ def looks(seconds: float) -> float:
 
 
 def enough(counted: float, wanted: int) -> bool:
-    """Whether so many looks were counted in a row, but for half a one: frames do not come to the millisecond.
+    """Whether the wanted number of looks in a row was reached, with a tolerance of half a look: frames do not
+    come to the millisecond.
 
     >>> enough(sum(looks(seconds) for seconds in (0.031, 0.034, 0.029, 0.036, 0.033)), 5)
     True
@@ -30,7 +31,8 @@ def enough(counted: float, wanted: int) -> bool:
 
 
 def share(of_a_look: float, seconds: float) -> float:
-    """Weight in a running mean of a frame so many seconds after the last one, where that of a look is known.
+    """Weight, in a running mean, of a frame that comes `seconds` after the last one; of_a_look: the weight of
+    a whole look.
 
     >>> three = 1.0 - (1.0 - share(0.15, 0.011)) ** 3
     >>> round(share(0.15, 0.2), 3), round(three, 3)

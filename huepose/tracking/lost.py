@@ -1,5 +1,5 @@
-"""Where a lost object may be: where it stood, as soon as that is in view again, and the place of the picture
-that looks most like it. Pure functions."""
+"""Where a lost object may be: at its last place, as soon as that is in view again, and at the most probable
+place of the image. Pure functions."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from huepose.tracking.subject import Subject
 from huepose.tracking.usual import Usual
 
 MORE, MOSTLY = 0.2, 0.5
-"""Where it stood it is looked for each time that so much more of its surface is in view, a share; with MOSTLY
-in view for the last time."""
+"""At its last place it is looked for each time that this share more of its surface is in view; for the last
+time once MOSTLY is in view."""
 
 SAMPLES, IN_FRONT = 60, 0.2
-"""Points by which that share is told; what is nearer by IN_FRONT diameters is in front of them."""
+"""Points for measuring that share; a reading that is nearer by IN_FRONT diameters occludes a point."""
 
 
-def seen_share(surface: PreparedSurface, T_cam_obj: Float64, frame: RgbdFrame) -> float:
-    """Share of what a pose would show of the object that is in the picture and has nothing in front of it."""
+def visible_share(surface: PreparedSurface, T_cam_obj: Float64, frame: RgbdFrame) -> float:
+    """Share of the surface visible at a pose that is inside the image and not occluded."""
     shown = surface.arrays.points[surface.shown(T_cam_obj, SAMPLES)].astype(np.float64)
     points = se3.apply(T_cam_obj, shown)
     points = points[points[:, 2] > NEAR_M]
@@ -43,41 +43,41 @@ def seen_share(surface: PreparedSurface, T_cam_obj: Float64, frame: RgbdFrame) -
     return float((read_m > points[inside, 2] - slack_m).sum()) / max(len(shown), 1)
 
 
-def found_standing(
-    subject: Subject, stood: Hypothesis, frame: RgbdFrame, usual: Usual, config: TrackerConfig
+def found_at_last_place(
+    subject: Subject, last: Hypothesis, frame: RgbdFrame, usual: Usual, config: TrackerConfig
 ) -> tuple[Hypothesis, ...]:
-    """The hypothesis of an object where it `stood`; none where it does not seem to be."""
-    h = best_of(subject.surface, frame, [(stood.T_cam_obj, "still")], usual.light)
-    jump = jump_odds(subject.surface, stood.T_cam_obj, stood.T_cam_obj, h.T_cam_obj, 0.0, config)
+    """The hypothesis of an object at its last place; none if it does not seem to be there."""
+    h = best_of(subject.surface, frame, [(last.T_cam_obj, "still")], usual.light)
+    jump = jump_odds(subject.surface, last.T_cam_obj, last.T_cam_obj, h.T_cam_obj, 0.0, config)
     return _believed((weighed(subject, h, frame, usual, 0.0, jump),), config)
 
 
 def found_elsewhere(
     subject: Subject,
-    seen: Hypothesis,
+    last: Hypothesis,
     gone_s: float,
     frame: RgbdFrame,
     usual: Usual,
     part: int,
     config: TrackerConfig,
 ) -> tuple[tuple[Hypothesis, ...], float]:
-    """Hypotheses, best first, of an object `seen` last `gone_s` seconds ago, at the place of one part
-    of the picture that looks most like it; none where it does not seem to be. They are all of one place:
-    which way round it is there need not be known. And how many costly proposals that took."""
+    """Hypotheses, best first, of a lost object at the most probable place of one part of the image; none if
+    it does not seem to be there. All are of one place: the orientation there need not be known. Also returns
+    the number of costly proposals used. last: the object `gone_s` seconds ago."""
     place = likeliest_place(subject.model, subject.views, frame, part)
     if place is None:
         return (), 1.0
     surface = subject.surface
     found = []
     for T in found_at(subject, frame, place, usual.light):
-        h = best_of(surface, frame, [(subject.like(T, seen.T_cam_obj), "views")], usual.light, 0, FULL)
-        jump = jump_odds(surface, seen.T_cam_obj, seen.T_cam_obj, h.T_cam_obj, gone_s, config)
+        h = best_of(surface, frame, [(subject.like(T, last.T_cam_obj), "views")], usual.light, 0, FULL)
+        jump = jump_odds(surface, last.T_cam_obj, last.T_cam_obj, h.T_cam_obj, gone_s, config)
         found.append(weighed(subject, h, frame, usual, 0.0, jump))
     return _believed(distinct(subject, found), config), 2.0
 
 
 def _believed(found: tuple[Hypothesis, ...], config: TrackerConfig) -> tuple[Hypothesis, ...]:
-    """What was found, best first, if that may be the object; else nothing."""
+    """The found hypotheses, best first, if they may be the object; else none."""
     if not found or evidence.one_sense(found[0].terms):
         return ()
     return found if probability(found[0].log_odds) >= config.suspect_quality else ()

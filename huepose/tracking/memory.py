@@ -1,7 +1,8 @@
-"""All that a tracker believes as plain values, and back: another tracker goes on from there, bit by bit.
+"""The whole state of a tracker as plain values, and back: another tracker continues from it, bit by bit the
+same.
 
-Frames are named, not copied: they are large, and who goes on has them. Only the classes below are made again,
-without calling anything of them: a file with such values can do nothing.
+Frames are named, not copied: they are large, and the other tracker has them. Only the classes below are
+created again, without calling any of their code, so a file with such values cannot run anything.
 """
 
 from __future__ import annotations
@@ -48,15 +49,15 @@ _CLASSES: dict[str, type] = {
 }
 _ENUMS: dict[str, type[Enum]] = {"State": State, "Verdict": Verdict}
 _DTYPES = ("<f8", "<f4", "<i8", "<i4", "|u1", "|b1")
-# What a tracker is made with, beside what it learns.
+# What a tracker is created with, beside what it learns.
 _GIVEN = ("config", "_subjects")
 
 FrameOf = Callable[[int, int], RgbdFrame | None]
 
 
 class _Frames:
-    """Frames as a tracker keeps them, from where each camera was (None: not known). One is made of each:
-    a tracker tells them apart by identity."""
+    """The frames that a tracker stores, each with its camera pose (None: not known). Each is made once: a
+    tracker compares frames by identity."""
 
     def __init__(self, frame_of: FrameOf) -> None:
         self._frame_of = frame_of
@@ -66,22 +67,23 @@ class _Frames:
         if (epoch, frame_id) not in self._made:
             frame = self._frame_of(epoch, frame_id)
             if frame is None:
-                raise ValueError(f"frame {frame_id} of epoch {epoch} is not there")
+                raise ValueError(f"frame {frame_id} of epoch {epoch} is missing")
             if T_parent_cam is not None:
                 if not se3.is_rigid(T_parent_cam, se3.ROUNDED):
-                    raise ValueError(f"frame {frame_id} is seen from what is no rigid transform")
+                    raise ValueError(f"the camera pose of frame {frame_id} is no rigid transform")
                 frame = frame.seen_from(T_parent_cam)
             self._made[epoch, frame_id] = frame
         return self._made[epoch, frame_id]
 
 
 def told(tracker: Tracker) -> dict[str, Any]:
-    """What the tracker believes: None, numbers, text, bytes, lists, and dicts by text."""
+    """The state of the tracker as plain values: None, numbers, text, bytes, lists, and dicts with text
+    keys."""
     return {name: plain(value, tracker) for name, value in vars(tracker).items() if name not in _GIVEN}
 
 
 def frames_of(memory: Any) -> Iterator[tuple[int, int]]:
-    """(epoch, frame_id) of the frames that are named in what `told` gave."""
+    """(epoch, frame_id) of the frames that a state of `told` names."""
     if isinstance(memory, dict):
         if isinstance(memory.get("frame"), list):
             epoch, frame_id, _ = memory["frame"]
@@ -93,8 +95,8 @@ def frames_of(memory: Any) -> Iterator[tuple[int, int]]:
 
 
 def taken_over(tracker: Tracker, memory: Any, frame_of: FrameOf) -> None:
-    """Make a tracker of the same objects and settings believe it; frame_of: from epoch and frame_id to the
-    frame. Raises InputError for values that are no tracker's memory, or name a frame that is not there."""
+    """Give this state to a tracker of the same objects and settings. frame_of: from epoch and frame_id to the
+    frame. Raises InputError for values that are no tracker's state, or name a frame that is missing."""
     learnt = [name for name in vars(tracker) if name not in _GIVEN]
     if not isinstance(memory, dict):
         memory = {}
@@ -103,12 +105,12 @@ def taken_over(tracker: Tracker, memory: Any, frame_of: FrameOf) -> None:
 
 
 def plain(value: Any, tracker: Tracker) -> Any:
-    """The same of something else that is made of what a tracker is made of."""
+    """The same for another value that consists of the same classes."""
     return _plain(value, {id(subject): name for name, subject in tracker._subjects.items()})
 
 
 def restored(plain: Any, tracker: Tracker, frame_of: FrameOf) -> Any:
-    """What `plain` was given. Raises InputError for what it did not give."""
+    """The value that `plain` was called with. Raises InputError for anything that `plain` did not return."""
     return _checked(plain, tracker, _Frames(frame_of))
 
 
@@ -119,12 +121,12 @@ def _checked(plain: Any, tracker: Tracker, frames: _Frames) -> Any:
         raise InputError(
             "the tracker's memory",
             found=f"{type(error).__name__}: {error}"[:200],
-            expected="what a tracker of this version believes",
+            expected="the state of a tracker of this version",
         ) from None
 
 
 def checksum(tracker: Tracker) -> int:
-    """CRC-32 of where everything is believed to be, and how sure that is."""
+    """CRC-32 of all poses, with their log-odds, evidence and quality."""
     crc = 0
     tracks = [*tracker._tracks.values(), *(pursuit.track for pursuit in tracker._pursuits.values())]
     for track in tracks:
@@ -145,7 +147,7 @@ def _plain(value: Any, names: dict[int, str]) -> Any:
                 "array": array.tobytes("F" if columns else "C"),
                 "dtype": array.dtype.str,
                 "shape": list(array.shape),
-                # How numbers lie in memory decides in which order they are added up.
+                # The memory layout decides in which order numbers are added up.
                 "order": "F" if columns else "C",
                 "scalar": isinstance(value, np.generic),
             }
@@ -162,7 +164,7 @@ def _plain(value: Any, names: dict[int, str]) -> Any:
         case list() | tuple() | deque():
             return {type(value).__name__: [_plain(one, names) for one in value]}
     if type(value) is not _CLASSES.get(type(value).__name__):
-        raise TypeError(f"a tracker remembers a {type(value).__name__}, which memory.py does not know")
+        raise TypeError(f"a tracker has a {type(value).__name__}, which memory.py does not know")
     return {"class": type(value).__name__, "has": {k: _plain(v, names) for k, v in vars(value).items()}}
 
 

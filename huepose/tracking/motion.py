@@ -1,8 +1,8 @@
-"""How an object moves: the velocity from its increments, where it should be next, and how far it can have
+"""How an object moves: the velocity from its increments, the pose to expect next, and how far it can have
 moved since it was last seen.
 
 A velocity is a twist per second in the order tx ty tz rx ry rz, camera axes, about the object's centre: an
-origin far from it moves on an arc whenever the object turns. Published it is about the origin
+origin far from it moves on an arc when the object rotates. The published velocity is about the origin
 (`about_origin`). As in ROFT (Piga et al. 2022) it comes from filtered increments, not from differences of
 single poses."""
 
@@ -18,14 +18,14 @@ from huepose.judge.open_region import PreparedSurface
 from huepose.tracking.config import TrackerConfig
 
 SMOOTHING_S = 0.03
-"""Time constant of the velocity's filter: about one frame, because hands accelerate within few."""
+"""Time constant of the velocity filter: about one frame, because hands accelerate within few."""
 
 MAX_AHEAD_S = 0.3
-"""A velocity says nothing about what lies further ahead."""
+"""A velocity predicts no further ahead than this."""
 
 
 def increment_velocity(surface: PreparedSurface, T_from: Float, T_to: Float, seconds: float) -> Float64:
-    """The constant velocity (6,) that moves one pose to the other in that time."""
+    """The constant velocity (6,) that moves one pose to the other in `seconds`."""
     moved = surface.centre_cam(T_to) - surface.centre_cam(T_from)
     turned = se3.rotation_log(T_to[:3, :3] @ T_from[:3, :3].T)
     return np.concatenate([moved, turned]) / seconds
@@ -42,7 +42,8 @@ def filtered(velocity: Float64 | None, measured: Float64, seconds: float) -> Flo
 def predicted(
     surface: PreparedSurface, T_cam_obj: Float64, velocity: Float64 | None, seconds: float
 ) -> Float64:
-    """The pose after an interval at constant velocity; unchanged without one, or when it is too long ago."""
+    """The pose after `seconds` at constant velocity; unchanged without a velocity, or if the last pose is too
+    old."""
     if velocity is None or seconds > MAX_AHEAD_S:
         return T_cam_obj
     centre = surface.centre_cam(T_cam_obj)
@@ -61,7 +62,7 @@ def same_motion(
 
 
 def about_centre(surface: PreparedSurface, T_cam_obj: Float64, velocity: Float64) -> Float64:
-    """The velocity about the object's centre of a motion that is given about its origin."""
+    """The velocity about the object's centre of a motion with this velocity about its origin."""
     return _about(velocity, surface.centre_cam(T_cam_obj) - T_cam_obj[:3, 3])
 
 
@@ -75,10 +76,10 @@ def _about(velocity: Float64, lever: Float64) -> Float64:
 
 
 SLACK_M, SLACK_RAD = 0.02, np.radians(10.0)
-"""How far off the last pose itself may be."""
+"""Possible error of the last pose itself."""
 
 MAX_M, MAX_RAD = 0.35, np.pi
-"""Nothing is looked for farther from where it is expected, however long it was not seen."""
+"""The search goes no farther from the expected pose, however long the object was not visible."""
 
 TRUSTED_VELOCITY = 0.5
 """Factor of the reach if the velocity is known: what remains is the acceleration."""
@@ -98,18 +99,18 @@ class Reach:
     angle_rad: float
 
     def holds(self, centre_cam: Float64) -> bool:
-        """Whether an object's centre (3,) lies within, or nearly."""
+        """Whether an object's centre (3,) lies within, with a tolerance."""
         return float(np.linalg.norm(centre_cam - self.centre_cam)) < self.distance_m + REFINED_M
 
     def seen_from(self, T_new_old: Float64) -> Reach:
-        """The same place in the axes of a camera that has moved; T_new_old (4, 4): from the old axes to the
+        """The same region in the axes of a camera that has moved; T_new_old (4, 4): from the old axes to the
         new ones."""
         rotations = tuple(T_new_old[:3, :3] @ R for R in self.rotations)
         return replace(self, centre_cam=se3.apply(T_new_old, self.centre_cam), rotations=rotations)
 
 
 def most_turned(velocity: Float64 | None, seconds: float, config: TrackerConfig) -> float:
-    """The largest rotation, radians, between an object and its prediction, so long after its last pose."""
+    """The largest rotation, radians, between an object and its prediction `seconds` after its last pose."""
     radians = float(min(SLACK_RAD + config.max_search_rad_s * seconds, MAX_RAD))
     return radians if velocity is None or seconds > MAX_AHEAD_S else TRUSTED_VELOCITY * radians
 
@@ -122,8 +123,8 @@ def reaches(
     seconds: float,
     config: TrackerConfig,
 ) -> tuple[Reach, Reach]:
-    """Where an object can be so long after its last pose: if it moved on as it did, to where it is expected,
-    and if it did not."""
+    """Where an object can be `seconds` after its last pose: if it moved on with its velocity, to the pose
+    `expected`, and if it did not."""
     metres = min(SLACK_M + config.max_search_m_s * seconds, MAX_M)
     radians = most_turned(None, seconds, config)
     last, going_on = T_last[:3, :3], expected[:3, :3]
@@ -139,8 +140,8 @@ def reaches(
 
 
 JUMP, MOST_JUMP = 4.0, 4.0
-"""Log-odds that a pose loses for each reach by which it lies farther off than anything is carried, and the
-most."""
+"""Log-odds that a pose loses for each reach by which it is farther away than the fastest motion leads, and
+the most that it loses."""
 
 
 def jump_odds(
@@ -151,8 +152,8 @@ def jump_odds(
     gone_s: float,
     config: TrackerConfig,
 ) -> float:
-    """What the motion model says of a pose that was not followed but found, 0 or less: nothing within what
-    the search covers in `gone_s` seconds from where the object was last or is expected now."""
+    """Log-odds of the motion to a pose that was found, not followed; 0 or less. 0 within what the search
+    covers in `gone_s` seconds from the last or the expected pose."""
     metres, radians = SLACK_M + config.max_search_m_s * gone_s, SLACK_RAD + config.max_search_rad_s * gone_s
     nearest = np.inf
     for T in (expected, T_last):
@@ -169,9 +170,9 @@ def jump_since(
     found: tuple[Float64, int],
     config: TrackerConfig,
 ) -> float:
-    """What the motion model says, log-odds of 0 or less, of a pose that was found, when how it moved there
-    from a known one was not seen; both with their stamps, nanoseconds. It says little of what is hardly
-    faster than anything is carried: -1 at one and a half times the reach, -4 at twice."""
+    """Log-odds, 0 or less, of the unobserved motion from a known pose to one that was found, each with its
+    timestamp in nanoseconds. A little more than the fastest usual motion costs little: -1 at one and a half
+    times the reach, -4 at twice."""
     (T_known, known_ns), (T_found, found_ns) = known, found
     jump = jump_odds(surface, T_known, T_known, T_found, (found_ns - known_ns) * 1e-9, config)
     return -(jump**2) / JUMP

@@ -1,4 +1,4 @@
-"""What is believed of each hypothesis of a frame: its log-odds, from the picture, its past and its motion."""
+"""The log-odds of each hypothesis of a frame, from the image, the last frame and its motion."""
 
 from __future__ import annotations
 
@@ -22,8 +22,9 @@ from huepose.tracking.uncertainty import FIXED, uncertainty
 from huepose.tracking.usual import Usual
 
 UNSUPPORTED = 0.1
-"""Log-odds by which a jump that nothing supports, or any such pose while the object is hidden where it is
-expected, is less likely than that place: any that make it the second. It is followed all the same."""
+"""A jump that the frame does not support gets log-odds this far below those of the followed pose, and so does
+any proposal without support while the object is occluded at its expected place. So it stays the second
+hypothesis, and is followed."""
 
 
 def opinions(
@@ -34,9 +35,10 @@ def opinions(
     config: TrackerConfig,
     impossible: Callable[[Hypothesis, Hypothesis, float, float], bool],
 ) -> list[Hypothesis]:
-    """All that a step found, with log-odds and velocity, the followed ones first, in the order of the
-    anchor's. impossible: whether a proposal cannot be, beside the first followed hypothesis, after so many
-    seconds, and where another turn must lead by that much."""
+    """All hypotheses of a step, with log-odds and velocity, the followed ones first, in the order of the
+    anchor's. impossible: whether the object cannot have made the motion to a proposal, by that proposal,
+    the first followed hypothesis, the seconds since it was last seen, and the least lead of another
+    orientation."""
     before = anchor.first
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     gone_s = seconds + anchor.unseen_s
@@ -44,9 +46,9 @@ def opinions(
         _moved(subject, anchor, h, parent, seconds, frame)
         for h, parent in zip(found.followed, anchor.hypotheses, strict=False)
     ]
-    at_its_ends = _held_by_its_ends(subject, out[0], frame, anchor.usual.light)
-    if at_its_ends is not None:
-        out.append(_moved(subject, anchor, at_its_ends, before, seconds, frame))
+    at_outline = _moved_to_outline(subject, out[0], frame, anchor.usual.light)
+    if at_outline is not None:
+        out.append(_moved(subject, anchor, at_outline, before, seconds, frame))
     expected = predicted(subject.surface, before.T_cam_obj, before.velocity, seconds)
     for h in found.proposed:
         if impossible(h, found.followed[0], gone_s, found.least_lead):
@@ -54,7 +56,7 @@ def opinions(
         h = replace(h, T_cam_obj=subject.like(h.T_cam_obj, expected))
         jump = jump_odds(subject.surface, before.T_cam_obj, expected, h.T_cam_obj, gone_s, config)
         opinion = _moved(subject, anchor, h, before, seconds, frame, jump)
-        # A jump, or a motion that was not seen, does not measure the velocity.
+        # A jump, or a motion that no frame shows, does not measure the velocity.
         came = jump == 0.0 and anchor.unseen_s == 0.0
         out.append(opinion if came else replace(opinion, velocity=None))
     covered = out[0].terms.hidden > WHOLLY_HIDDEN
@@ -77,7 +79,7 @@ def _moved(
     ago; jump: log-odds of its motion."""
     measured = increment_velocity(subject.surface, parent.T_cam_obj, h.T_cam_obj, seconds)
     velocity = filtered(parent.velocity, measured, seconds)
-    # What is found, and not followed, has to show its colours.
+    # An object that was found, not followed, has to show its colours.
     unread = believed.unread(h.terms) if anchor.known and h.source in FOLLOWED else 0.0
     opinion = weighed(subject, h, frame, anchor.usual, parent.log_odds, jump, unread)
     return replace(opinion, velocity=velocity)
@@ -98,11 +100,11 @@ def weighed(
     return replace(h, log_odds=odds, goes_on=goes_on, jump=jump)
 
 
-def _held_by_its_ends(
+def _moved_to_outline(
     subject: Subject, h: Hypothesis, frame: RgbdFrame, light: Float64 | None
 ) -> Hypothesis | None:
-    """A followed pose that could slide along the object's surface, moved so that its outline fits; or
-    None."""
+    """A followed pose that may have slid along the object's faces, moved so that its outline fits the depth
+    discontinuity; or None."""
     if h.goes_on == 0.0 and uncertainty(subject, h)[1] < FIXED:
         return None
     T = moved_to_ends(subject.contours, h.T_cam_obj, frame)

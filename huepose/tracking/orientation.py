@@ -1,9 +1,10 @@
-"""Which way round a track's object is: the belief in it against rotations that nearly fit the object's shape.
+"""The orientation of a tracked object: the belief in it against rotations that nearly map the shape to
+itself.
 
-Plain sides of a box, a repeated label, a part of one colour: the image may not tell a pose from a
-near-symmetric rotation of it. Then only the motion does, as long as the object cannot have rotated so far. So
-the best of the rotations that it can have reached unseen is judged as well, and the doubt is kept until a
-view tells them apart."""
+Plain sides of a box, a repeated label, a part of one colour: then the image may not distinguish a pose from a
+near-symmetric rotation of it. Only the motion does, as long as the object cannot have rotated so far. So the
+best of the rotations that the object can have made unnoticed is judged as well, and the doubt is kept until a
+view distinguishes them."""
 
 from __future__ import annotations
 
@@ -28,16 +29,17 @@ from huepose.tracking.refined import best_of, ranked, region_of
 from huepose.tracking.subject import Subject
 
 CLAIMED = 0.8
-"""The most that a claim of perception under `confirmed_identity` counts for the orientation.
+"""The highest quality that counts for the orientation of an estimate with a quality under
+`confirmed_identity`.
 
 To be confirmed, the pose then needs a lead of 0.034 of a total over its best near-symmetric rotation, more
 than CHANCE."""
 
 
 class Orientation:
-    """Of one track. facing: the belief, None before the first pose; sure, sure_ns: the last sure pose, from
-    which rotation is measured, and its stamp; turned_ns: the last stamp at which the object can have rotated
-    by a near symmetry, unseen."""
+    """The orientation of one track. facing: the belief, None before the first pose; sure, sure_ns: the last
+    sure pose, from which rotation is measured, and its timestamp; turned_ns: the last timestamp at which the
+    object can have made a near-symmetric rotation unnoticed."""
 
     def __init__(self, subject: Subject, config: TrackerConfig) -> None:
         self.facing: Facing | None = None
@@ -47,21 +49,21 @@ class Orientation:
 
     @property
     def probability(self) -> float:
-        """That it is right; 1 where nothing was asked."""
+        """Probability that the orientation is right; 1 if nothing was compared."""
         return 1.0 if self.facing is None else self.facing.probability
 
     @property
     def confirmed(self) -> bool:
-        """Whether it is sure enough for a pose that is TRACKING."""
+        """Whether it is sure enough for a TRACKING pose."""
         return self.probability >= self._config.confirmed_turn
 
     @property
     def worth(self) -> float:
-        """Its certainty in units of a total."""
+        """Its log-odds in units of a total."""
         return 0.0 if self.facing is None else self.facing.value / SHARPNESS
 
     def begin(self, quality: float, view: Float64) -> None:
-        """Begin with a pose of perception of that quality, seen from `view` (3,)."""
+        """Begin with an estimate of perception of that quality, seen from `view` (3,)."""
         counts = quality if quality >= self._config.confirmed_identity else min(quality, CLAIMED)
         self.facing = Facing.of(counts, view, len(self._subject.other_turns))
 
@@ -71,7 +73,7 @@ class Orientation:
             self.facing = self.facing.assured(quality)
 
     def deny(self, quality: float) -> None:
-        """Perception found it turned another way, with that quality."""
+        """Perception found another orientation, with that quality."""
         if self.facing is not None:
             self.facing = self.facing.denied(quality)
 
@@ -81,7 +83,7 @@ class Orientation:
         self.sure_ns, self.turned_ns = other.sure_ns, other.turned_ns
 
     def set_back(self, by_ns: int) -> None:
-        """Continue at rest, as if all that was before had been that much earlier."""
+        """Continue at rest, as if everything before had happened that much earlier."""
         self.sure_ns, self.turned_ns = self.sure_ns - by_ns, self.turned_ns - by_ns
         self.sure = None if self.sure is None else replace(self.sure, velocity=None)
 
@@ -90,13 +92,14 @@ class Orientation:
         self.sure = None if self.sure is None else self.sure.seen_from(T_new_old)
 
     def see(self, first: Hypothesis, stamp_ns: int) -> None:
-        """This pose is sure: rotation is measured from here."""
+        """Take this pose as sure: rotation is measured from here."""
         self.sure, self.sure_ns = first, stamp_ns
 
     def slide(self, margin: float, view: Float64, rests: bool) -> None:
-        """Doubt all rotations where the object may have slid about its axis, unnoticed. margin: how far the
-        total after the best small rotation is behind; rests: it lies where it did. One that was as near when
-        they were judged last says nothing of a slide; while it rests, also when perception judged them."""
+        """Doubt all rotations if the object may have rotated about its axis unnoticed. margin: how far the
+        total after the best small rotation is behind; rests: the object is at rest. There is no doubt if that
+        rotation was as close at the last comparison from about the same viewpoint, or if the object is at
+        rest and perception settled its orientation, without a comparison so far."""
         facing = self.facing
         if facing is None or facing.knows(margin, view):
             return
@@ -106,10 +109,10 @@ class Orientation:
             self.facing = facing.jumped(view, np.ones(len(self._subject.other_turns), bool))
 
     def check(self, anchor: Anchor, first: Hypothesis, view: Float64, frame: RgbdFrame, hurry: bool) -> float:
-        """Test a pose against its near-symmetric rotations. If the object can have turned to one of them
-        since it was seen last, the log-odds of its orientation drop to at most 0; what rests has not turned.
-        Those are tested alone if the orientation was settled before, else all are; in a hurry none is.
-        Returns the number of costly proposals used."""
+        """Compare a pose with its near-symmetric rotations. If the object can have made one of them since it
+        was last seen, the log-odds of its orientation drop to at most 0; an object at rest has not rotated.
+        If the orientation was settled before, only those rotations are compared, else those doubted before,
+        too; with `hurry` none is. Returns the number of costly proposals used."""
         # Poses while it was in doubt may have been wrong: rotation is measured from the last sure one.
         before, since_ns = anchor.first, anchor.frame.stamp_ns
         if self.sure is not None:
@@ -124,7 +127,7 @@ class Orientation:
         turned_too_far = se3.rotation_angle(first.T_cam_obj, expected) > limit
         sudden = jump < 0.0 or looked_for or turned_too_far
         if sudden:
-            # An implausible motion, or one that was not seen: any rotation is possible.
+            # An implausible motion, or one that no frame shows: any rotation is possible.
             limit, self.turned_ns = np.pi, frame.stamp_ns
         new = reached(turns, first.T_cam_obj, expected, limit)
         may_rest = new.any() and not sudden and seen_before
@@ -138,21 +141,21 @@ class Orientation:
         return 0.0 if hurry else self.ask(first, view, frame, anchor.usual.light)
 
     def ask(self, first: Hypothesis, view: Float64, frame: RgbdFrame, light: Float64 | None) -> float:
-        """Compare a pose with the best of the doubted near-symmetric rotations, if one may be right. Returns
-        the number of costly proposals used."""
+        """Compare a pose with the best of the doubted near-symmetric rotations, if the orientation is in
+        doubt and this view may give new evidence. Returns the number of costly proposals used."""
         if self.facing is None or not self.facing.open(view):
             return 0.0
         turns = self._subject.other_turns[self.facing.doubted]
         rival = best_rival(self._subject, first, turns, frame, light)
         margin = np.inf if rival is None else lead(self._subject.surface, first, rival, frame)
-        self.facing = self.facing.told(margin, view)
+        self.facing = self.facing.compared(margin, view)
         return COSTS if len(turns) else 0.0
 
     def impossible(self, found: Hypothesis, followed: Hypothesis, gone_s: float, least_lead: float) -> bool:
-        """Whether a proposal is about the followed pose after a near-symmetric rotation that it cannot have
-        made: one larger than the object can make in `gone_s` while its orientation was settled, unless it
-        explains very much more; or of what rests, where its total leads by no more than `least_lead` (see
-        `lead_to_turn`)."""
+        """Whether a proposal is about a near-symmetric rotation of the followed pose that the object cannot
+        have made. It cannot if the rotation is larger than any motion in `gone_s`, the orientation was
+        settled, and the lead in total is not very large. Nor can an object at rest if the lead is
+        `least_lead` or less (see `lead_to_turn`)."""
         leads = found.terms.total - followed.terms.total
         too_small = least_lead > 0.0 and leads <= least_lead
         too_fast = leads < OUTWEIGHS and self._too_fast(found, followed, gone_s)
@@ -168,56 +171,57 @@ class Orientation:
 
 
 def lead_to_turn(subject: Subject, anchor: Anchor, T_cam_obj: Float64, seconds: float) -> float:
-    """By how much of a total a near-symmetric rotation must lead the followed pose to be taken. What rests
-    has not turned: only what outweighs the belief in its turn says that it was wrong. 0 for what moves."""
+    """By how much of a total a near-symmetric rotation must lead the followed pose to be accepted. An object
+    at rest has not rotated: the lead has to outweigh the belief in its orientation. 0 for a moving object."""
     if seconds > REST_S or anchor.unseen_s > 0.0 or anchor.turn_odds <= 0.0 or not len(subject.other_turns):
         return 0.0
     return anchor.turn_odds / SHARPNESS if at_rest(subject, anchor.first.T_cam_obj, T_cam_obj) else 0.0
 
 
 def at_rest(subject: Subject, T_before: Float64, T_cam_obj: Float64) -> bool:
-    """Whether an object lies where it did (`RESTS`), by its poses (4, 4) at most REST_S apart."""
+    """Whether an object is at rest (`RESTS`), by its poses (4, 4) at most REST_S apart."""
     return same_pose(subject, T_before, T_cam_obj, RESTS)
 
 
 SHARPNESS = 24.0
-"""Log-odds per unit of total between the right pose and its best near-symmetric rotation; largest likelihood
-of which one is right in 1,608 comparisons on drawn films of the split `fit` (`studies.stress`: hard,
-household and YCB objects; docs/tracking_measured.md)."""
+"""Log-odds per unit of total between the right pose and its best near-symmetric rotation; fitted by maximum
+likelihood of the right one in 1,608 comparisons on rendered sequences of the split `fit` (`studies.stress`:
+hard, household and YCB objects; docs/tracking_measured.md)."""
 
 OUTWEIGHS = 2.0 * MOST_JUMP / SHARPNESS
-"""A near-symmetric rotation that leads by so much of a total is taken, though nothing turns so fast: it is
-twice what any motion counts against a pose. Stamps may be wrong, and things exchanged while nobody looks."""
+"""A near-symmetric rotation that leads by this much of a total is accepted, even if nothing rotates so fast:
+it is twice the most that a motion counts against a pose. Timestamps may be wrong, or objects are exchanged
+while no frame shows them."""
 
 CHANCE = 0.025
-"""Differences of totals under this are chance on drawn films of the split `fit`."""
+"""Differences of totals under this are chance on rendered sequences of the split `fit`."""
 
 SAME_VIEW = np.radians(8.0)
-"""A viewpoint that differs by less than this gives the evidence that is known."""
+"""A viewpoint that differs by less than this gives no new evidence."""
 
 RESTS, REST_S = 0.02, 0.5
-"""What lies where it did in the last frame, by this share of its diameter, and that not longer ago, rests:
-nobody lifts a thing, turns it over and sets it back so exactly in that time. 99 % of the steps of resting
-objects are within 0.014 (path-traced clutter, 6 Hz)."""
+"""An object is at rest if it has moved by less than this share of its diameter since the last frame, and that
+frame is not older than this: nobody lifts an object, turns it over and puts it back so exactly in that time.
+99 % of the steps of resting objects are within 0.014 (path-traced clutter, 6 Hz)."""
 
 COARSELY, TRIES = 8, 3
-"""Of the rotated poses the COARSELY best are refined coarsely; of those that do not return to the pose itself
-at most TRIES are refined fully, until one does not return."""
+"""The COARSELY best of the rotated poses are refined coarsely. Of those that do not converge to the pose
+itself at most TRIES are refined fully, until one stays apart."""
 
 COSTS = 1.0
 """Cost of one such check (3 to 8 ms) in costly proposals."""
 
 SETTLED, MOST = odds_of(0.99), 6.0
-"""Log-odds from which on the orientation is settled (99 %), and their upper bound."""
+"""Log-odds above which the orientation is settled (99 %), and their upper bound."""
 
 
 @dataclass(frozen=True, eq=False)
 class Facing:
     """The belief that the orientation is right. value: its log-odds; base: the log-odds before the evidence
     from around `view` (3,), a direction to the camera in object axes; doubted (M,): near-symmetric rotations
-    that its motion does not rule out; asked (3,): the view that was judged last; lead: of its total over the
-    best other turn then; denied_by: log-odds of perception's surest answer from around `view` that has it
-    turned another way."""
+    that the motion does not rule out; asked (3,): the view of the last comparison; lead: lead in total over
+    the best other orientation in it; denied_by: log-odds of perception's most probable estimate from around
+    `view` with another orientation."""
 
     value: float
     base: float
@@ -229,7 +233,8 @@ class Facing:
 
     @staticmethod
     def of(quality: float, view: Float64, turns: int) -> Facing:
-        """The belief in a pose of perception with that quality; turns: number of near-symmetric rotations."""
+        """The belief in an estimate of perception with that quality; turns: number of near-symmetric
+        rotations."""
         odds = odds_of(quality)
         return Facing(odds, odds, view, np.ones(turns, bool))
 
@@ -240,7 +245,7 @@ class Facing:
 
     @property
     def settled(self) -> bool:
-        """Whether the orientation is certain enough that no rotation is checked."""
+        """Whether the orientation is so sure that no rotation is compared."""
         return self.value >= SETTLED
 
     def open(self, view: Float64) -> bool:
@@ -262,33 +267,36 @@ class Facing:
         return replace(self, base=base, value=max(self.value, base))
 
     def denied(self, quality: float) -> Facing:
-        """The belief after perception found another turn, with that quality. From one view its surest answer
-        for the turn and its surest against it count: they err alike, so neither is worth more than once."""
+        """The belief after perception found another orientation, with that quality. Of all estimates from one
+        viewpoint only two count, since they repeat the same errors: the most probable for the orientation and
+        the most probable against it."""
         denied_by = max(odds_of(quality), self.denied_by)
         less = denied_by - self.denied_by
         return replace(self, base=self.base - less, value=self.value - less, denied_by=denied_by)
 
     def knows(self, margin: float, view: Float64) -> bool:
-        """Whether the best other turn was as near when it was judged last, from about this view."""
+        """Whether the best other orientation was as close at the last comparison, from about this
+        viewpoint."""
         seen = self.asked is not None and float(view @ self.asked) > np.cos(SAME_VIEW)
         return seen and margin > self.lead - CHANCE
 
-    def told(self, margin: float, view: Float64) -> Facing:
-        """The belief after the pose's total was found to exceed its best rival's by `margin`. Of the evidence
-        from similar views only the strongest counts: a label that leaves the view stays true."""
-        base, about, said, denied_by = self.base, self.view, self.value - self.base, self.denied_by
+    def compared(self, margin: float, view: Float64) -> Facing:
+        """The belief after a comparison in which the total of the pose exceeds that of its best rival by
+        `margin`. Of the evidence from similar viewpoints only the strongest counts: a label that goes out of
+        sight is not forgotten."""
+        base, about, known, denied_by = self.base, self.view, self.value - self.base, self.denied_by
         if float(view @ about) < np.cos(NEW_VIEW):
-            base, about, said, denied_by = self.value, view, 0.0, 0.0
-        says = SHARPNESS * margin
-        value = float(np.clip(base + (says if abs(says) > abs(said) else said), -MOST, MOST))
+            base, about, known, denied_by = self.value, view, 0.0, 0.0
+        evidence = SHARPNESS * margin
+        value = float(np.clip(base + (evidence if abs(evidence) > abs(known) else known), -MOST, MOST))
         return Facing(value, base, about, self.doubted, view, margin, denied_by)
 
 
 def best_rival(
     subject: Subject, first: Hypothesis, turns: Float64, frame: RgbdFrame, light: Float64 | None
 ) -> Hypothesis | None:
-    """The best of the pose's near-symmetric rotations, turns (M, 4, 4), after refinement; None if the best of
-    them return to the pose itself."""
+    """The best of the pose's near-symmetric rotations `turns` (M, 4, 4), after refinement; None if the best
+    of them converge to the pose itself."""
     surface = subject.surface
     region = region_of(surface, frame, first.T_cam_obj, light) if len(turns) else None
     if region is None:
@@ -318,20 +326,21 @@ def lead(surface: PreparedSurface, first: Hypothesis, rival: Hypothesis, frame: 
 
 
 def reached(turns: Float64, T_cam_obj: Float64, expected: Float64, radians: float) -> Bool:
-    """Mask (M,) of the turns (M, 4, 4) of a pose that the object can have reached: rotated from the expected
-    pose by no more than the limit, or no more than the pose itself."""
+    """Mask (M,) of the near-symmetric rotations `turns` (M, 4, 4) of a pose that the object can have reached:
+    rotated from the expected pose by no more than the limit, or no more than the pose itself."""
     return _within(turns, T_cam_obj, expected, max(radians, se3.rotation_angle(T_cam_obj, expected)))
 
 
 def alike(turns: Float64, T_cam_obj: Float64, T_other: Float64) -> Bool:
-    """Mask (M,) of the turns (M, 4, 4) that take one pose to about the orientation of another."""
+    """Mask (M,) of the near-symmetric rotations `turns` (M, 4, 4) that take one pose to about the orientation
+    of another."""
     return _within(turns, T_cam_obj, T_other, ABOUT)
 
 
 def another_opinion(subject: Subject, followed: Hypothesis, first: Hypothesis) -> bool:
-    """Whether the pose that is the best now is seen from elsewhere than the followed one because the opinion
-    changed, and not because the object moved: it is about the followed one after a near-symmetric rotation,
-    or no motion leads to it."""
+    """Whether the viewpoint of the best pose differs from that of the followed one because the decision
+    changed, not because the object moved: the best pose is about a near-symmetric rotation of the followed
+    one, or no motion leads to it."""
     T, T_first = followed.T_cam_obj, first.T_cam_obj
     if se3.rotation_angle(T, T_first) <= SAME_VIEW:
         return False

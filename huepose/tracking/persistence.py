@@ -1,19 +1,19 @@
-"""How long an object is searched for: after some rounds in vain only now and then. One that is half hidden
-for seconds must not cost more than others."""
+"""How often an object is searched for: after some rounds without success only now and then. An object that is
+half occluded for seconds must not cost more than others."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 ENOUGH, AGAIN_AFTER_S = 3, 0.485
-"""After ENOUGH rounds in vain a search begins only AGAIN_AFTER_S seconds after the last one: half a second,
-less half a frame of a camera at 30 Hz, whose frames do not come to the millisecond."""
+"""After ENOUGH rounds without success a search begins only AGAIN_AFTER_S seconds after the last one: half a
+second, less half a frame of a camera at 30 Hz, whose frames do not come to the millisecond."""
 
 
 @dataclass(frozen=True)
 class Persistence:
-    """seconds: since the object was searched for last; rounds: how often all stages of a search were in
-    vain; begun: the stage to try next."""
+    """seconds: time since the last search; rounds: how often all stages of a search failed; begun: the stage
+    to try next."""
 
     seconds: float = 0.0
     rounds: int = 0
@@ -30,11 +30,11 @@ class Persistence:
         return self.enough and self.seconds < AGAIN_AFTER_S
 
     def missed(self, seconds: float) -> Persistence:
-        """In the next frame, so many seconds later, in which it is missed as well."""
+        """In the next frame, `seconds` later, which does not show the object either."""
         return replace(self, seconds=self.seconds + seconds)
 
     def reached(self, stage: int, stages: int, searched: bool = True) -> Persistence:
-        """After a search of so many stages that is to go on with this one, after the last with the first.
-        searched: whether there was time for any."""
+        """After a search that continues with `stage` of `stages`, after the last one with the first.
+        searched: whether there was time for any stage."""
         seconds = 0.0 if searched else self.seconds
         return Persistence(seconds, self.rounds + (stage == stages), stage % stages)

@@ -1,4 +1,4 @@
-"""A pose on one frame: the best of several starts, refined and judged. Pure functions."""
+"""A pose in one frame: the best of several starting poses, refined and judged. Pure functions."""
 
 from __future__ import annotations
 
@@ -17,26 +17,28 @@ from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.subject import FAR_SLIDES, Subject
 
 START_SAMPLES = 150
-"""Surface samples by which the best of several starts is chosen."""
+"""Surface samples for choosing the best of several starting poses."""
 
 MARGIN_M = 0.012
-"""How far refinement may move the object out of its start's window."""
+"""How far refinement may move the object out of the window of its starting pose."""
 
 SETTLED_M = 0.004
 MORE_PASSES = 3
 """Refinement of the first hypothesis is repeated, at most MORE_PASSES times, while it moves the object's rim
-by more than SETTLED_M. That of others continues in the next frame."""
+by more than SETTLED_M. Other hypotheses are refined further in the next frame."""
 
-DRAWN_AWAY = 0.1
-"""A refinement whose total falls by more than this has followed something else; its start is kept."""
+PULLED_AWAY = 0.1
+"""If refinement lowers the total by more than this, it has converged to something else, and the starting pose
+is kept."""
 
 ROLLED_BACK = 0.015
-"""A rotation about the axis of revolution is taken where its total is so much higher; less is chance. Chosen
-on drawn scenes of a printed bottle, cans, mugs and bowls."""
+"""A rotation about the axis of revolution is accepted if its total is this much higher; less is chance.
+Chosen on rendered scenes of a printed bottle, cans, mugs and bowls."""
 
 ROLLED_OVER = 0.03
-"""A slender object's rotation by any angle is taken where its total is so much higher, and hardly any of it
-(`OPEN`) is hidden: a small print may tell it, and be what is hidden. Chosen on films of a handle."""
+"""A rotation of a slender object by any angle is accepted if its total is this much higher and hardly any of
+the object (`OPEN`) is occluded: a small print may be the only evidence, and be occluded. Chosen on sequences
+of a handle."""
 
 
 def followed(
@@ -47,7 +49,7 @@ def followed(
     light: Float64 | None,
     more_passes: int,
 ) -> Hypothesis:
-    """A hypothesis of the last frame, refined in this one from where it was or where it is expected."""
+    """A hypothesis of the last frame, refined in this one from its last or its expected pose."""
     starts = [(before.T_cam_obj, "still")]
     if expected is not before.T_cam_obj:
         starts.append((expected, "velocity"))
@@ -62,8 +64,8 @@ def best_of(
     more_passes: int = MORE_PASSES,
     schedule: Schedule = NEAR,
 ) -> Hypothesis:
-    """Refine the start with the highest total and judge the result. starts: poses (4, 4) with their
-    sources; schedule: by how far off they may be."""
+    """Refine the starting pose with the highest total and judge the result. starts: poses (4, 4) with their
+    sources; schedule: of the refinement, by the possible error of the starts."""
     boxes = [b for b in (surface.box(T, frame.camera) for T, _ in starts) if b is not None]
     region = None
     if boxes:
@@ -84,8 +86,8 @@ def best_of(
         refined.T_cam_obj, terms_at(surface, region, refined.T_cam_obj), refined.information, name
     )
     unmoved_terms = terms_at(surface, region, T_start)
-    if unmoved_terms.total > best.terms.total + DRAWN_AWAY:
-        # Drawn away by something close by, a hand that holds the object for one: only what is near counts.
+    if unmoved_terms.total > best.terms.total + PULLED_AWAY:
+        # Pulled away by something close, such as a hand that holds the object: use near readings only.
         careful = refine(surface, region, T_start, FINE)
         seen = terms_at(surface, region, careful.T_cam_obj)
         if seen.total > best.terms.total:
@@ -98,8 +100,8 @@ def best_of(
 def or_from_afar(
     surface: PreparedSurface, frame: RgbdFrame, near: Hypothesis, start: Float64, light: Float64 | None
 ) -> Hypothesis:
-    """A pose that was refined from close by, or what its start leads to from further off, where that explains
-    more."""
+    """The better of two poses by total: the given one, refined from close by, and one refined from `start`
+    with the schedule for larger errors."""
     wide = best_of(surface, frame, [(start, near.source)], light, schedule=FULL)
     return max(near, wide, key=lambda h: h.terms.total)
 
@@ -107,7 +109,7 @@ def or_from_afar(
 def unmoved(
     surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64, light: Float64 | None
 ) -> Hypothesis:
-    """A pose as it is, with what is seen of it."""
+    """A pose as it is, judged in a frame."""
     region = region_of(surface, frame, T_cam_obj, light)
     terms = NOTHING if region is None else terms_at(surface, region, T_cam_obj)
     return Hypothesis(T_cam_obj, terms, np.zeros((6, 6)), "velocity")
@@ -121,10 +123,11 @@ def about_its_axis(
     known: bool,
     least_lead: float = 0.0,
 ) -> tuple[Hypothesis, float, tuple[Hypothesis, ...]]:
-    """Rotate a pose about its axis of revolution: refinement does not see further than a letter of the label
-    is wide. Returns the pose, or if the object is `known` what it becomes from a rotation that explains more;
-    its total less that after the best small rotation; and that rotation as a proposal if it is better.
-    least_lead: of the total, by which a rotation of more than half a step must be better."""
+    """Try rotations of a pose about its axis of revolution: a refinement converges only within about the
+    width of a letter on the label. Returns the pose (for a `known` object the result of the rotation that
+    explains more, if there is one); its total minus that after the best small rotation; and that rotation as
+    a proposal if it is better. least_lead: by how much of a total a rotation of more than half a step must be
+    better."""
     surface, total = subject.surface, followed.terms.total
     rolls = subject.rolls if followed.terms.hidden < OPEN else subject.rolls[:0]
     turns = np.concatenate([subject.slides, rolls]) if known else subject.small_turns
@@ -158,7 +161,7 @@ def ranked(surface: PreparedSurface, region: OpenRegion, poses: Float64) -> tupl
 def region_of(
     surface: PreparedSurface, frame: RgbdFrame, T_cam_obj: Float64, light: Float64 | None
 ) -> OpenRegion | None:
-    """The window of a frame that a pose is looked at in; None outside of the image."""
+    """The window of a frame in which a pose is judged; None outside of the image."""
     box, z = surface.box(T_cam_obj, frame.camera), float(surface.centre_cam(T_cam_obj)[2])
     return None if box is None else _window(surface, frame, box, z, light)
 

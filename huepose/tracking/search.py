@@ -1,10 +1,9 @@
-"""The tracker's own search on the current frame, for steps that no local method bridges.
+"""The tracker's own search in the current frame, for motions that no local method bridges.
 
-At every fifth frame of a fast hand an object turns by up to 60 degrees and moves by its own length: nothing
-of the last frame's pixels is where it was, but the model's colours and the depth are. Positions come first (a
-grid over the image, at the depth that is there, for a few rotations), then rotations at the best positions,
-then short refinements of the best poses; each stage is sorted by the score of few samples at a coarse
-texture level.
+At every fifth frame of a fast hand an object rotates by up to 60 degrees and moves by its own length. No
+pixel of it is where it was, but the model's colours and the depth are the same. Positions come first (a grid
+over the image, at the measured depth, for a few rotations), then rotations at the best positions, then short
+refinements of the best poses. Each stage is sorted by the score of few samples at a coarse texture level.
 """
 
 from __future__ import annotations
@@ -29,28 +28,29 @@ from huepose.refine.photometric import COARSE, FINE, QUICK, refine, refine_all
 from huepose.tracking.motion import Reach
 
 POSITION_SAMPLES, ROTATION_SAMPLES, POSE_SAMPLES = 60, 100, 250
-"""Surface samples by which positions, rotations and refined poses are rated: the fewer are left, the more."""
+"""Surface samples for rating positions, rotations and refined poses: the fewer candidates are left, the more
+samples."""
 
 POSITION_STEP = 0.12
-"""Spacing of the tried positions, in diameters; at thin objects half their thickness if that is less."""
+"""Spacing of the tried positions, in diameters; for a thin object half its thickness if that is less."""
 
 POSITION_TURN = np.radians(40.0)
 """Positions are scored with the expected rotations and with rotations of this angle around them."""
 
 HUE, HUE_SIDE, HUE_STEP = 0.5, 0.7, 2
-"""Weight of the object's hues at a position, whatever its rotation (log-likelihood ratio), the side of
-the square over which it is averaged, as a share of the object's thickness, and of how many pixels along each
-axis one is taken."""
+"""Weight of the object's hues at a position, whatever its rotation (log-likelihood ratio); side of the square
+over which they are averaged, as a share of the object's thickness; step in pixels along each axis at which
+they are computed."""
 
 ROTATION_STEP, WIDE_STEP = np.radians(18.0), np.radians(25.0)
 WIDE = np.radians(80.0)
 """Spacing of the tried rotations; the wider one if more than WIDE is within reach."""
 
 DIFFERENT_TURN = np.radians(10.0)
-"""Candidates nearer than this, and than 0.05 diameters, are one."""
+"""Candidates closer than this, and than 0.05 diameters, count as one."""
 
 FINAL_SAMPLES = 400
-"""Surface samples by which the finalists are rated."""
+"""Surface samples for rating the finalists."""
 
 FOUND, APART_TURN, APART = 2, np.radians(25.0), 0.15
 """Number of poses returned; they differ by more than APART_TURN or by APART diameters."""
@@ -67,21 +67,21 @@ class Beam:
     finalists: int
 
     def share(self, parts: int, of: int) -> Beam:
-        """The same for some of so many parts of the rotations; all positions are looked at for each."""
+        """The same for `parts` of `of` parts of the rotations. Each part tries all positions."""
         return Beam(self.positions, *(-(-n * parts // of) for n in (self.quick, self.poses, self.finalists)))
 
 
 SMALL_BEAM = Beam(2, 24, 6, 2)
-"""Where place and turn are known roughly."""
+"""If position and rotation are known roughly."""
 
 NORMAL_BEAM = Beam(5, 80, 20, 4)
-"""Near where the object is expected."""
+"""Near the expected position."""
 
 GREAT_BEAM = Beam(8, 250, 40, 6)
-"""Wherever it can be by now."""
+"""At any position that the object can have reached."""
 
 PARTS = 10
-"""A wide search can be made in so many parts."""
+"""Number of parts that a wide search can be split into."""
 
 
 def is_wide(reach: Reach) -> bool:
@@ -90,8 +90,8 @@ def is_wide(reach: Reach) -> bool:
 
 
 def parts_a_try(reach: Reach, long: bool) -> int:
-    """How many parts of a wide search one costly proposal pays for. long: there is time for several, which
-    are made together and share the look at the picture."""
+    """How many parts of a wide search one costly proposal pays for. long: there is time for several parts,
+    which are made together and share the preparation of the image."""
     return 1 if is_wide(reach) and not long else 2
 
 
@@ -103,8 +103,8 @@ def search(
     light: Float64 | None = None,
     parts: range = range(PARTS),
 ) -> list[Float64]:
-    """The best clearly different poses (4, 4) within reach, best first, at most two; none where no depth
-    is. parts: which of the PARTS of the rotations are tried; each is spread over all of the reach."""
+    """The best clearly different poses (4, 4) within reach, best first, at most two; none without any depth.
+    parts: which of the PARTS of the rotations are tried; each is spread over all of the reach."""
     beam = beam.share(len(parts), PARTS)
     region = _region(surface, frame, reach)
     if region is None:
@@ -129,7 +129,7 @@ def search(
 
 
 def _region(surface: PreparedSurface, frame: RgbdFrame, reach: Reach) -> OpenRegion | None:
-    """The window that may hold the object."""
+    """The window of the frame that may show the object."""
     z = float(reach.centre_cam[2])
     if z < NEAR_M:
         return None
@@ -144,7 +144,7 @@ def _positions(
     surface: PreparedSurface, region: OpenRegion, reach: Reach, count: int, parts: range
 ) -> list[Float64]:
     """Up to `count` centres of the object, best first: the middle of its surface is put on a grid of pixels,
-    at the depth that is there."""
+    at the measured depth."""
     camera, depth = region.camera, cv2.medianBlur(region.arrays.depth, 5)
     z = float(reach.centre_cam[2])
     step_m = min(POSITION_STEP * surface.diameter_m, max(0.5 * surface.thickness_m, 0.006))
@@ -175,7 +175,7 @@ def _positions(
 
 
 def _hues(surface: PreparedSurface, arrays: RegionArrays, side_px: float) -> Float32:
-    """How typical the hues round a pixel are of the object (h, w), at every HUE_STEP-th pixel."""
+    """How typical the hues around a pixel are of the object (h, w), at every HUE_STEP-th pixel."""
     some = np.s_[::HUE_STEP, ::HUE_STEP]
     fewer = arrays._replace(
         colors=arrays.colors[(slice(None), *some)], depth=arrays.depth[some], saturated=arrays.saturated[some]
@@ -184,7 +184,7 @@ def _hues(surface: PreparedSurface, arrays: RegionArrays, side_px: float) -> Flo
 
 
 def _middle(surface: PreparedSurface, R: Float64) -> Float64:
-    """The point (3,) of the surface that is seen nearest to the object's centre, object axes. The centre
+    """The visible surface point (3,) closest to the object's centre in the image, object axes. The centre
     itself may lie in a hole."""
     a = surface.arrays
     view = int(np.argmax(a.directions @ -R[2]))
@@ -218,7 +218,7 @@ def _at(surface: PreparedSurface, R: Float64, centres: Float64) -> Float64:
 
 
 def _some(rotations: list[Float64], parts: range) -> list[Float64]:
-    """Those rotations that belong to the parts."""
+    """The rotations of these parts."""
     return [R for k, R in enumerate(rotations) if k % PARTS in parts]
 
 
@@ -238,7 +238,7 @@ def _best(
     count: int,
     turn_rad: float,
 ) -> Float64:
-    """The `count` best poses that differ by the turn, or by a twentieth of the diameter."""
+    """The `count` best poses that differ by `turn_rad`, or by a twentieth of the diameter."""
     order = np.argsort(-totals(surface, region, poses, samples, tolerance_m), kind="stable")
     kept = first_different(poses[order], turn_rad, count, 0.05 * surface.diameter_m)
     return np.ascontiguousarray(poses[order][kept])
@@ -246,7 +246,7 @@ def _best(
 
 def _turned(rotations: tuple[Float64, ...], step_rad: float, limit_rad: float) -> list[Float64]:
     """Rotations on shells of `step_rad` about the given ones, up to `limit_rad` (rounded to whole shells);
-    where the shells of two overlap, those of the first."""
+    where two of these overlap, those of the first are kept."""
     shells = max(1, round(limit_rad / step_rad))
     ball = np.array(_ball(round(float(step_rad), 6), shells))
     turned = np.zeros((len(rotations) * len(ball), 4, 4))

@@ -1,8 +1,8 @@
-"""More poses for an object, where those that were followed explain less than they should.
+"""More poses for an object if those that were followed explain less than they should.
 
-Cheap sources come first: a search nearby, the place that looks most like the object, the rest of what it can
-have reached, then its near-symmetric rotations. They are tried stage by stage until a pose explains enough;
-what does not fit into one frame's time continues in the next. All poses are refined and judged alike."""
+Cheap sources come first: a search nearby, the most probable place, the rest of what the object can have
+reached, then its near-symmetric rotations. They are tried stage by stage until a pose explains enough. What
+does not fit into one frame's time continues in the next. All poses are refined and judged in the same way."""
 
 from __future__ import annotations
 
@@ -30,22 +30,23 @@ from huepose.tracking.subject import Subject
 NEARBY, PLACE, THERE, FAR = 0, 1, 2, 3
 TURN = FAR + PARTS
 END = TURN + 1
-"""Stages that are tried, in this order, while the best total is too low: a search nearby, the place
-that looks most like the object, a search there, parts of a wide search, near-symmetric rotations."""
+"""Stages that are tried, in this order, while the best total is too low: a search nearby, finding the most
+probable place, a search there, parts of a wide search, near-symmetric rotations."""
 
 HIDDEN_COSTS = 0.5
-"""A right pose loses this much of its total per hidden share of the object; no search is needed for that."""
+"""A right pose loses this much of its total per occluded share of the object; no search is needed for
+that."""
 
 RETURNING_SEEN = 0.2
-"""If this share of an object is seen again after it was hidden, its rotation is checked."""
+"""If this share of an object is visible again after it was occluded, its rotation is checked."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What more poses are proposed for: the object of `anchor` in a later frame. near, far: where it is
-    likely, and where it can be; long: more than `long_step_s` later; uneasy: its pose may be wrong though it
-    explains enough; back: it is in full view again, so it need not be searched for nearby; hidden: something
-    hides it where it is expected, so only the likeliest place of the picture is searched."""
+    """What more poses are proposed for: the object of `anchor` in a later frame. near, far: where it probably
+    is, and where it can be; long: more than `long_step_s` later; uneasy: its pose may be wrong though it
+    explains enough; back: it is in full view again, so no search nearby is needed; hidden: it is occluded
+    where it is expected, so only the most probable place of the image is searched."""
 
     subject: Subject
     anchor: Anchor
@@ -60,7 +61,7 @@ class Task:
 
     @property
     def doubt(self) -> float:
-        """How far under its baseline the total of a pose may lie."""
+        """How far below its usual total the total of a pose may be."""
         return self.config.long_doubt if self.long else self.config.doubt
 
     def doubts(self, best: Hypothesis) -> bool:
@@ -68,13 +69,13 @@ class Task:
         return not convincing(best, self.anchor.usual.baseline, self.doubt, self.config)
 
     def wants(self, stage: int, best: Hypothesis, place: Reach | None) -> bool:
-        """Whether a stage is worth its time. place: where the picture looks most like the object, if no
-        search was made there yet."""
+        """Whether a stage is worth its time. place: the most probable place of the image, if no search was
+        made there yet."""
         doubtful = self.doubts(best)
         if self.hidden and stage not in (PLACE, THERE):
             return False
         if stage == NEARBY:
-            # A wide one would be all of a wide search in one frame.
+            # With many rotations it would be a whole wide search in one frame.
             fits = self.long or not is_wide(self.near)
             return fits and (doubtful or (self.uneasy and not self.back))
         if stage == THERE:
@@ -87,8 +88,8 @@ class Task:
     def starts(
         self, stage: int, parts: range, best: Hypothesis, place: Reach | None
     ) -> list[list[tuple[Float64, str]]]:
-        """What a stage proposes: of each list of poses (4, 4) with their source, the best is refined. parts:
-        of the wide search."""
+        """What a stage proposes: lists of poses (4, 4) with their source; the best of each list is refined.
+        parts: of the wide search."""
         surface, frame, light = self.subject.surface, self.frame, self.anchor.usual.light
         if stage == TURN:
             return [[(best.T_cam_obj @ turn, "turn") for turn in self.subject.near_symmetries]]
@@ -103,8 +104,8 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Proposed:
-    """proposed: poses, refined and judged; best: of them and of what there was before; tried: costly
-    proposals; begun: the stage to try next, END if all were tried; place: as in `Anchor`, for the next
+    """proposed: poses, refined and judged; best: the best of them and of the pose before; tried: number of
+    costly proposals; begun: the stage to try next, END if all were tried; place: as in `Anchor`, for the next
     frame."""
 
     proposed: tuple[Hypothesis, ...]
@@ -116,11 +117,11 @@ class Proposed:
 
 def propose(task: Task, best: Hypothesis, begun: int, tries: float) -> Proposed:
     """Try stages from `begun` on until a pose explains enough, with at most `tries` costly proposals. best:
-    the pose that explains most so far."""
+    the pose with the highest total so far."""
     surface, frame, light = task.subject.surface, task.frame, task.anchor.usual.light
     proposed: tuple[Hypothesis, ...] = ()
     tried, place = 0, task.anchor.place
-    # A picture that comes late is looked at anew; only the parts of a wide search go on where they ended.
+    # After a long gap the stages start again; only a wide search continues with its next part.
     stage, part = (NEARBY, max(begun, FAR)) if task.long else (begun, FAR)
     while stage < END:
         if stage == FAR:
@@ -146,7 +147,7 @@ def propose(task: Task, best: Hypothesis, begun: int, tries: float) -> Proposed:
 
 
 def found_at(subject: Subject, frame: RgbdFrame, place: Reach, light: Float64 | None) -> list[Float64]:
-    """At most two poses (4, 4) at the place that looks most like the object."""
+    """At most two poses (4, 4) at the most probable place."""
     return search(subject.surface, frame, place, SMALL_BEAM, light)
 
 

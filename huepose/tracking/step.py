@@ -1,8 +1,7 @@
 """One tracking step: from the hypotheses of one frame to those of the next. Pure functions.
 
-Each hypothesis is followed from its last pose and from where its velocity takes it (`tracking.refined`).
-Where the best explains less than it should, more are proposed (`tracking.stages`). The track decides what to
-believe."""
+Each hypothesis is followed from its last pose and from its predicted one (`tracking.refined`). If the best
+explains less than it should, more are proposed (`tracking.stages`). The track decides what to believe."""
 
 from __future__ import annotations
 
@@ -32,10 +31,10 @@ from huepose.tracking.stages import NEARBY, RETURNING_SEEN, THERE, Task, convinc
 from huepose.tracking.subject import Subject
 
 WHOLLY_HIDDEN = 0.9
-"""Hidden share above which nothing is left to be followed."""
+"""Occluded share above which nothing is left to follow."""
 
 HIDDEN_LONG_S = 0.17
-"""An object that was hidden for longer is looked for elsewhere, too. At 30 Hz it is LOST by then, and
+"""An object that was occluded for longer is looked for elsewhere, too. At 30 Hz it is LOST by then, and
 searched for as such."""
 
 
@@ -43,9 +42,9 @@ searched for as such."""
 class Advance:
     """The result of a step. followed: one per hypothesis of the anchor, in order; proposed: further ones from
     searches and near-symmetric rotations; tried: number of costly proposals; doubtful: the best total is
-    below what is expected; begun: the stage to try next, END if all were tried; margin: total of the first
+    below the expected one; begun: the stage to try next, END if all were tried; margin: total of the first
     followed one less that after the best small rotation; place: as in the anchor of the next step;
-    least_lead: by how much a near-symmetric rotation must be better (see `lead_to_turn`)."""
+    least_lead: by how much of a total a near-symmetric rotation must be better (see `lead_to_turn`)."""
 
     followed: tuple[Hypothesis, ...]
     proposed: tuple[Hypothesis, ...] = ()
@@ -67,7 +66,7 @@ def advance(
     tries: float = np.inf,
 ) -> Advance:
     """Find the object of `anchor` in a later frame. resting: all stages failed and may pause; begun: the
-    stage to try next, from the last frame; tries: how many costly proposals this frame has time for."""
+    stage to try next, from the last frame; tries: number of costly proposals that this frame has time for."""
     surface, first, light = subject.surface, anchor.first, anchor.usual.light
     seconds = (frame.stamp_ns - anchor.frame.stamp_ns) * 1e-9
     expected = predicted(surface, first.T_cam_obj, first.velocity, seconds)
@@ -89,7 +88,7 @@ def advance(
     if anchor.unseen_s > 0.0:
         waiting = unmoved(surface, frame, expected, light)
         if waiting.terms.hidden > WHOLLY_HIDDEN:
-            # Still occluded: refinement would move it onto the occluder. It may be in view elsewhere.
+            # Still occluded: refinement would move it onto the occluder. It may be visible elsewhere.
             for_long = seconds + anchor.unseen_s > HIDDEN_LONG_S
             best = max([waiting, *others], key=lambda h: h.terms.total)
             stage = NEARBY if anchor.place is None else THERE
@@ -143,13 +142,14 @@ def found_nearby(
     light: Float64 | None,
     config: TrackerConfig,
 ) -> tuple[Hypothesis, int]:
-    """A pose of a frame settled on that frame, or on one that was taken so many seconds before or after:
-    there the object is searched for, if it is not found where it was; and how many searches that took."""
+    """Refine a pose of one frame in that frame, or in one that was taken `apart_s` seconds before or after.
+    There the object is searched for if it is not found at the pose. Returns the result, and the number of
+    searches."""
     best = best_of(surface, frame, [(T_cam_obj, "correction")], light)
     if not convincing(best, None, config.doubt, config):
         best = or_from_afar(surface, frame, best, T_cam_obj, light)
     if apart_s == 0.0:
-        # Perception refined it more closely, on this very frame: what explains less is no improvement.
+        # Perception refined it more closely in this same frame: a lower total is no improvement.
         given = unmoved(surface, frame, T_cam_obj, light)
         better = given.terms.total > best.terms.total
         return (replace(given, information=best.information, source=best.source) if better else best), 0

@@ -1,4 +1,5 @@
-"""What a tracker prepares of an object once: its surface, its outline, and the rotations that look alike."""
+"""What a tracker prepares once for each object: its surface, its outlines, and the rotations that look
+alike."""
 
 from __future__ import annotations
 
@@ -18,7 +19,8 @@ from huepose.perception.window_table import WindowTable, window_table
 from huepose.select.distinct import FINAL_TURN_RAD, RIGHT
 
 SMALL_TURN = np.radians(45.1)
-"""Near-symmetric rotations up to 45 degrees, which may be rounded, exist only about an axis of revolution."""
+"""Near-symmetric rotations up to 45 degrees (with a tolerance for rounding) exist only about an axis of
+revolution."""
 
 POINTS = 48
 """Surface points over which the distance of two poses, or the spread of one, is averaged."""
@@ -26,13 +28,12 @@ POINTS = 48
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """The object: its reference model and prepared surface, and the rotations (M, 4, 4) that nearly map its
-    shape to itself, without the identity; other_turns: those of them after which a pose is wrong;
-    small_turns: of these those about an axis of revolution, by which it can be slid in small steps; slides
-    (K, 4, 4): rotations about that axis that are tried while it is followed; rolls (L, 4, 4): those that
-    move a slender object too little to be wrong; points (E, P, 3): of its surface, after each of the
-    rotations under which it looks the same, the identity first; contours: where it ends, seen from
-    anywhere."""
+    """The object. near_symmetries (M, 4, 4): rotations that nearly map its shape to itself, without the
+    identity; other_turns: those of them after which a pose is wrong; small_turns: those of other_turns that
+    are small, about an axis of revolution; slides (K, 4, 4): rotations about that axis that are tried while
+    it is followed; rolls (L, 4, 4): rotations that move a slender object too little for the pose to be wrong;
+    points (E, P, 3): points of its surface, after each of the rotations under which it looks the same, the
+    identity first; contours: its outlines from all viewpoints."""
 
     model: ReferenceModel
     surface: PreparedSurface
@@ -66,19 +67,19 @@ class Subject:
         )
 
     def like(self, T_cam_obj: Float64, T_near: Float64) -> Float64:
-        """Of the poses (4, 4) that look the same as one, that which is rotated least from another."""
+        """Of the poses (4, 4) that look the same as T_cam_obj, the one rotated least from T_near."""
         return nearest_alike(T_cam_obj, self.model.equivalents, T_near)
 
     def viewpoint(self, T_cam_obj: Float64, near: Float64) -> Float64:
-        """Unit vector (3,) from the object to the camera, object axes; of those that show the same, the one
-        nearest to another."""
+        """Unit vector (3,) from the object to the camera, object axes; of those that look the same, the one
+        nearest to `near`."""
         eye = -T_cam_obj[:3, :3].T @ self.surface.centre_cam(T_cam_obj)
         alike = eye / max(float(np.linalg.norm(eye)), 1e-9) @ self.model.equivalents[:, :3, :3]
         return np.asarray(alike[np.argmax(alike @ near)])
 
     def closer(self, turns: Float64) -> Float64:
-        """Rotations (M, 4, 4) and, of an object of revolution, those half a step further about its axis
-        (2M, 4, 4): between stripes of a print a refinement does not get from one step to the next."""
+        """Rotations (M, 4, 4) and, for an object of revolution, those half a step further about its axis (2M,
+        4, 4): between the stripes of a print a refinement does not converge from one step to the next."""
         return turns if not len(self.slides) else np.concatenate([turns, turns @ self.slides[HALF_STEP]])
 
     @property
@@ -88,7 +89,7 @@ class Subject:
 
     @cached_property
     def views(self) -> WindowTable:
-        """Its views from all sides, computed or loaded when first asked for."""
+        """Its views from all sides, computed or loaded at the first use."""
         return window_table(self.model)
 
     def make_ready(self) -> None:
@@ -97,16 +98,16 @@ class Subject:
 
 
 SLIDES = (-2.0, -1.0, -0.5, 0.5, 1.0, 2.0)
-"""Of the step between two near-symmetric rotations about an axis of revolution."""
+"""Shares of the step between two near-symmetric rotations about an axis of revolution."""
 
 HALF_STEP = SLIDES.index(0.5)
 FAR_SLIDES = np.abs(SLIDES) > 0.5
-"""Which of them are more than half a step: those change what is believed of the turn."""
+"""Those of more than half a step: they change the belief in the orientation."""
 
 
 def _slides(turns: Float64) -> Float64:
-    """Rotations (K, 4, 4) about the axis of revolution, in parts of the smallest of these turns (M, 4, 4);
-    none where there is no such axis."""
+    """Rotations (K, 4, 4) about the axis of revolution, by SLIDES times the smallest of these rotations (M,
+    4, 4); none without such an axis."""
     angles = _angles(turns, np.eye(4))
     if not len(turns) or angles.min() > SMALL_TURN:
         return np.zeros((0, 4, 4))
@@ -115,13 +116,13 @@ def _slides(turns: Float64) -> Float64:
 
 
 ALIKE = 0.01
-"""Mean displacement of the surface, in diameters, up to which a rotation is one under which the object looks
-the same: these are given in steps."""
+"""Mean displacement of the surface, in diameters, up to which the object looks the same after a rotation. It
+is not 0 because rotations about an axis of revolution are given in steps."""
 
 
 def _wrong_by(model: ReferenceModel, turns: Float64) -> Float64:
-    """How far a pose is from right after each of these rotations (M, 4, 4): (M,) mean displacements of the
-    surface in diameters, 0 for a true symmetry."""
+    """Error of a right pose after each of these rotations (M, 4, 4): (M,) mean displacements of the surface
+    in diameters, 0 for a true symmetry."""
     points = model.eval_points.astype(np.float64)
     apart = []
     for T in model.equivalents:

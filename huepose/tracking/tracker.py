@@ -22,7 +22,7 @@ from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.looks import LOOK_S
 from huepose.tracking.motion import about_origin
 from huepose.tracking.odometry import Odometry
-from huepose.tracking.stamps import refuse_another_picture, without_time
+from huepose.tracking.stamps import refuse_another_image, without_time
 from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 from huepose.tracking.tries import Tries
@@ -30,7 +30,8 @@ from huepose.tracking.types import Applied, Correction, Doubt, Key, TrackedPose,
 from huepose.tracking.warm_up import warm_up
 
 SAME_SURFACE_IOU = 0.5
-"""A correction is carried to now by the measured motion if both outlines overlap by more than this IoU."""
+"""The measured motion moves a correction to the newest frame if the outlines of the tracked and the corrected
+pose overlap by more than this IoU."""
 
 CLOCK_GAP_NS = round(LOOK_S * 1e9)
 """Assumed time between two frames if the camera's clock was set back: 30 Hz."""
@@ -39,7 +40,7 @@ CLOCK_GAP_NS = round(LOOK_S * 1e9)
 class Tracker:
     """Tracks instances of known objects through the frames of one camera. Deterministic; owns their states.
 
-    Instances come into being by a correction of verdict ACQUIRE and keep their number for a camera epoch.
+    A correction with the verdict ACQUIRE creates an instance, which keeps its number during a camera epoch.
 
         tracker = Tracker(load_models("bundles"))
         tracker.correct(first_pose)
@@ -73,7 +74,7 @@ class Tracker:
         self.remove_instances(name)
 
     def remove_instances(self, name: str) -> None:
-        """Remove all instances of an object, also those that no frame has shown yet."""
+        """Remove all instances of an object, also those that have no track yet."""
         for key in [k for k in self._seen_seq if k[0] == name]:
             self.remove_instance(*key)
 
@@ -97,13 +98,14 @@ class Tracker:
         return self._subjects[name].contours
 
     def doubt(self, name: str, instance: int) -> Doubt | None:
-        """What alone keeps an instance whose pose fits from being `TRACKING`."""
+        """The one reason why an instance whose pose fits the frame is not `TRACKING`; None if there is
+        none."""
         track = self._tracks.get((name, instance))
         return None if track is None else track.doubt
 
     @property
     def reach_s(self) -> float | None:
-        """Time span of the kept frames, seconds; None until the history is full."""
+        """Time span of the stored frames, seconds; None until the history is full."""
         if len(self._frames) < self.config.history_frames + self.config.older_frames:
             return None
         newest, oldest = self._frames.newest, self._frames.oldest
@@ -115,13 +117,13 @@ class Tracker:
         return tuple(sorted(self._tracks))
 
     def hypotheses(self, name: str, instance: int) -> tuple[Hypothesis, ...]:
-        """What is held possible of an instance at the newest frame, best first; empty without a pose."""
+        """The hypotheses of an instance in the newest frame, best first; empty without a pose."""
         track = self._tracks.get((name, instance))
         return () if track is None else track.hypotheses
 
     def warm_up(self) -> None:
-        """Compile kernels and load models, so that no frame waits for them; seconds if nothing is cached.
-        Tracked instances are not touched."""
+        """Compile kernels and load models, so that no frame waits for them. It takes seconds if nothing is
+        cached, and does not change tracked instances."""
         double = Tracker({}, self.config)
         double._subjects = dict(self._subjects)
         warm_up(double, self._subjects)
@@ -137,9 +139,9 @@ class Tracker:
         """Track all instances to a new frame and return their poses there.
 
         A frame of another epoch removes all instances. A frame that is not newer than the last one is ignored
-        and gives an empty list. One with a later number but an earlier stamp is the newest: the camera's
-        clock was set back. Raises InputError for what is no frame, for another picture with number and stamp
-        of the newest one, and for the third frame in a row without time between them.
+        and gives an empty list. A frame with a later number but an earlier timestamp is the newest: the
+        camera's clock was set back. Raises InputError for anything but a frame, for another image with the
+        number and timestamp of the newest frame, and for the third frame in a row without time between them.
         """
         require(frame, RgbdFrame, "frame", "an RgbdFrame")
         newest = self._frames.newest
@@ -149,7 +151,7 @@ class Tracker:
         elif newest is not None:
             earlier = frame.stamp_ns <= newest.stamp_ns
             if earlier and frame.frame_id <= newest.frame_id:
-                refuse_another_picture(newest, frame)
+                refuse_another_image(newest, frame)
                 return []
             self._no_time = without_time(self._no_time, newest, frame)
             if earlier:
@@ -171,14 +173,15 @@ class Tracker:
         return self.poses()
 
     def _boxes(self, frame: RgbdFrame) -> list[Box]:
-        """Boxes of what is tracked in the picture, by the poses of the frame before."""
+        """Boxes of the tracked objects in the image, by their poses in the last frame."""
         posed = [(t.subject.surface, T) for t in self._tracks.values() if (T := t.T_cam_obj) is not None]
         boxes = (surface.box(T, frame.camera) for surface, T in posed)
         return [box for box in boxes if box is not None]
 
     def _look(self, frame: RgbdFrame) -> None:
         """Update every instance, beginning after the last one that used a costly proposal, so that all get
-        their share. While a pursuit waits for one, nothing lost is searched for: perception says where to."""
+        their share. While a pursuit waits for one, lost objects get none: the estimate that it follows says
+        where to look."""
         tracks = list(self._tracks.items())
         first = self._whose_turn % max(len(tracks), 1)
         for offset, (key, track) in enumerate(tracks[first:] + tracks[:first], 1):
@@ -191,7 +194,8 @@ class Tracker:
                 self._whose_turn = first + offset - track.halfway
 
     def _search(self, key: Key, track: Track, frame: RgbdFrame) -> float:
-        """Look for a lost instance where no other one is. Returns the number of costly proposals used."""
+        """Look for a lost instance, but not where another instance of its object is TRACKING. Returns the
+        number of costly proposals used."""
         tries = 0.0 if self._pursuit_waits else self._tries.whole
         twins = [
             other.T_cam_obj
@@ -204,12 +208,13 @@ class Tracker:
         return tried
 
     def correct(self, correction: Correction) -> Applied:
-        """Apply perception's verdict on a past frame, or on the next one. Raises InputError for an unknown
-        object, and for what is no correction.
+        """Apply perception's verdict on a past frame, or on one that has not arrived yet. Raises InputError
+        for an unknown object, and for anything but a correction.
 
-        AGREE keeps the pose and raises its quality. Otherwise the new pose replaces the one of its frame. It
-        is carried to now by the measured motion if that was measured on the same surface, else tracked
-        through the kept frames (catching up). Idempotent by `seq`.
+        AGREE keeps the pose and raises its quality. REJECT keeps it and lowers the belief in its orientation.
+        Otherwise the new pose replaces the one of its frame. The motion measured since then moves it to the
+        newest frame if it was measured on the same surface; else the object is tracked again through the
+        stored frames (catching up). A correction whose `seq` was seen before changes nothing.
         """
         require(correction, Correction, "correction", "a Correction", "Make one: Correction.of(pose, frame).")
         key = correction.key
@@ -268,7 +273,7 @@ class Tracker:
         return Applied.APPLIED
 
     def _same_surface(self, track: Track, correction: Correction) -> bool:
-        """Whether the motion measured since then may carry the correction to now."""
+        """Whether the motion measured since a correction's frame can move it to the newest frame."""
         old, frame = track.history.at(correction.stamp_ns), self._frames.newest
         if old is None or track.T_cam_obj is None or frame is None:
             return False
@@ -297,8 +302,8 @@ class Tracker:
             self._pursue(oldest)
 
     def _pursue(self, key: Key) -> None:
-        """Advance one pursuit. When it reaches the newest frame its pose is verified, and taken or dropped;
-        where the camera has turned away from the object, it ends there."""
+        """Advance one pursuit. When it reaches the newest frame, its pose is verified, and taken or dropped.
+        If the camera has turned away from the object, the pursuit ends there."""
         newest, pursuit = self._frames.newest, self._pursuits[key]
         assert newest is not None
         reached = pursuit.track.frame
@@ -317,13 +322,13 @@ class Tracker:
         if not pursuit.turned_away:
             self._arrive(key, pursuit, newest)
         elif track is None or track.T_cam_obj is None:
-            self._track_of(key, newest).stand(pursuit.track, pursuit.correction)
+            self._track_of(key, newest).lose_from_view(pursuit.track, pursuit.correction)
         track = self._tracks.get(key)
         if track is not None:
             track.applied_seq = max(track.applied_seq, pursuit.correction.seq)
 
     def _track_of(self, key: Key, frame: RgbdFrame) -> Track:
-        """The track of an instance; a new one, without a pose on `frame`, where there was none."""
+        """The track of an instance; if there is none, a new one without a pose on `frame`."""
         if key not in self._tracks:
             self._tracks[key] = track = Track(self._subjects[key[0]], *key, self.config)
             track.history.append(frame.frame_id, frame.stamp_ns, None)
@@ -331,8 +336,8 @@ class Tracker:
 
     def _arrive(self, key: Key, pursuit: Pursuit, frame: RgbdFrame) -> None:
         """Take the pose of a pursuit that reached the newest frame if the frame supports it, no other
-        instance holds its surface, and it is better than the instance's own pose. Else it is dropped. What
-        held its surface until now is not believed any more."""
+        instance holds its surface, and it is better than the instance's own pose. Else drop it. An instance
+        that held its surface until now is not believed any more."""
         correction, found = pursuit.correction, pursuit.track
         if not pursuit.supported or held(self._tracks, key, found, frame):
             return
@@ -347,7 +352,7 @@ class Tracker:
             track.history.put(stamp_ns, T)
 
     def _set_back(self, by_ns: int) -> None:
-        """Handle a camera clock that was set back by so much: clear the frame history, and continue the
+        """Handle a camera clock that was set back by `by_ns`: clear the stored frames, and continue the
         tracks as if the last frame had come that much earlier."""
         self._frames.clear()
         self._pursuits.clear()

@@ -1,4 +1,4 @@
-"""How many costly proposals there is time for: searches, or parts of a wide one, and near-symmetric
+"""How many costly proposals there is time for: searches, parts of a wide search, or near-symmetric
 rotations."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ LONGEST_EARNED_S = 1.0 / 3.0
 
 
 class Tries:
-    """Those of one step; per_s: so many in a second of the frames' time, None for as many as are needed.
+    """The costly proposals of one step; per_s: how many in a second of the frames' time, None for no limit.
 
     >>> tries = Tries(30.0)
     >>> tries.earn(0.1)
@@ -23,12 +23,12 @@ class Tries:
         self._per_s, self._left = per_s, 1.0
 
     def earn(self, seconds: float) -> None:
-        """Add those for the time since the last frame; unused ones do not accumulate."""
+        """Add the proposals for the time since the last frame; unused ones do not accumulate."""
         earned = np.inf if self._per_s is None else self._per_s * min(seconds, LONGEST_EARNED_S)
         self._left = min(self._left + earned, max(1.0, earned))
 
     def spend(self, tried: float) -> None:
-        """So many were used."""
+        """Count used proposals."""
         self._left -= tried
 
     @property

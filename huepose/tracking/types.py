@@ -19,23 +19,23 @@ Key = tuple[str, int]
 
 
 class Doubt(str, Enum):
-    """What alone keeps a pose that fits the frame from being `TRACKING`."""
+    """The one reason why a pose that fits the frame is not `TRACKING`."""
 
     TURN = "turn"
-    """Turned another way the object would fit nearly as well."""
+    """In another orientation the object would fit nearly as well."""
     IDENTITY = "identity"
-    """Whether it was the right pose, or the right object, to begin with."""
+    """It is not sure that the first pose, or the object, was the right one."""
     ANOTHER = "another"
-    """It is more likely another thing, or was found after a loss by its looks alone."""
+    """It is more likely another object, or it was found after a loss by its appearance alone."""
     LOOSE = "loose"
-    """Too little of it is seen to fix its pose."""
+    """Too little of it is visible to fix its pose."""
     FOUND = "found"
-    """It fits, and did not in the frame before."""
+    """It has fitted for one frame only; one more is needed."""
 
 
 class Verdict(str, Enum):
-    """What the judge of the re-initialisation loop made of an estimate. REJECT is sent where the estimate has
-    the object at its place, turned another way."""
+    """The decision of the re-initialisation loop about an estimate. A REJECT is sent to the tracker only if
+    the estimate has the object at the same position in another orientation."""
 
     AGREE = "agree"
     CORRECT = "correct"
@@ -45,11 +45,12 @@ class Verdict(str, Enum):
 
 @dataclass(frozen=True, eq=False)
 class TrackedPose:
-    """One object at one frame. T_cam_obj (4, 4), covariance (6, 6) and velocity (6,) are None without a pose.
+    """One instance in one frame. T_cam_obj (4, 4), covariance (6, 6) and velocity (6,) are None without a
+    pose.
 
     Covariance: order tx ty tz rx ry rz, metres and radians, about the object's origin, camera axes; velocity
-    in the same order per second. stamp_ns is the frame's capture time. applied_correction_seq: the last
-    correction that was taken, or tried and not borne out by the image.
+    in the same order per second. stamp_ns: capture time of the frame. applied_correction_seq: the last
+    correction that was applied, or tried and not supported by the image.
     """
 
     object: str
@@ -71,7 +72,7 @@ class TrackedPose:
 
 
 class Estimated(Protocol):
-    """What starts a track of an estimate (`PoseEstimate`)."""
+    """What a first correction needs of an estimate (`PoseEstimate`)."""
 
     @property
     def object(self) -> str: ...
@@ -91,9 +92,9 @@ class Estimated(Protocol):
 class Correction:
     """A verdict on one instance at one (past) frame, named by epoch, frame_id and capture time stamp_ns
     (CLOCK_MONOTONIC). T_cam_obj (4, 4): object to camera, metres; quality in 0..1; seq: the time at which it
-    was made, ns, or another number that grows for each instance; mask (H, W) bool at that frame, which the
-    paper's tracker alone reads; reason and present: of the estimate behind it.
-    Raises InputError where T_cam_obj is no rigid transform (4, 4)."""
+    was made, ns, or another number that grows for each instance; mask (H, W) bool at that frame, which only
+    the paper's tracker reads; reason, present: those of the estimate that it was made from. Raises InputError
+    if T_cam_obj is no rigid transform (4, 4)."""
 
     object: str
     instance: int
@@ -124,8 +125,8 @@ class Correction:
 
     @staticmethod
     def of(estimate: Estimated, frame: RgbdFrame) -> Correction:
-        """What starts the instance of an estimate of a frame, as sure as the estimate is, for those who run a
-        tracker themselves. Raises InputError where it has no pose."""
+        """The correction that starts a track from an estimate of a frame, with the quality of that estimate;
+        for programs that run a tracker themselves. Raises InputError if the estimate has no pose."""
         T = estimate.T_cam_obj
         if T is None:
             raise _no_pose(estimate.object, None, np.zeros(0))
@@ -134,16 +135,17 @@ class Correction:
 
     @staticmethod
     def first(name: str, T_cam_obj: Float64, frame: RgbdFrame, quality: float) -> Correction:
-        """What starts the first instance of an object, with T_cam_obj (4, 4) in metres at a frame. quality:
-        how probably that pose is right, 0..1; a true one has 1. Raises InputError where T_cam_obj is no rigid
-        transform."""
+        """The correction that starts the first instance of an object from its pose T_cam_obj (4, 4), metres,
+        in a frame. quality: the probability that this pose is right, 0..1; 1 for a true pose. Raises
+        InputError if T_cam_obj is no rigid transform."""
         return Correction(
             name, 0, frame.epoch, frame.frame_id, frame.stamp_ns, T_cam_obj, quality, Verdict.ACQUIRE, 1
         )
 
 
 def _no_pose(name: str, given: object, T: Float64) -> InputError:
-    """What a correction of that object was given as its pose; T: as far as that is numbers."""
+    """The error for a correction of that object with an invalid pose. given: the value; T: the same as an
+    array, empty if it is not numbers."""
     fix = "Give an estimate to `Correction.of`."
     if given is None:
         found, fix = "None", "Ask `pose.found` first: an estimate without a pose has None."
@@ -159,7 +161,7 @@ def _no_pose(name: str, given: object, T: Float64) -> InputError:
 
 
 class Applied(str, Enum):
-    """What became of a correction."""
+    """What the tracker did with a correction."""
 
     APPLIED = "applied"
     CATCHING_UP = "catching_up"

@@ -1,8 +1,9 @@
-"""How far a pose may be off: its covariance, which is published, and the expected error of its points.
+"""The uncertainty of a pose: its covariance, which is published, and the expected error of its points.
 
 A covariance has the order tx ty tz rx ry rz, metres and radians, about the object's origin, camera axes. The
-refinement's information counts residuals as if their errors were independent; those of neighbouring pixels
-are not, and a sensor and a scanned model err alike everywhere, which no number of samples averages away."""
+refinement's information counts residuals as if their errors were independent. Those of neighbouring pixels
+are not, and a sensor and a scanned model have errors that are the same everywhere, which no number of samples
+averages out."""
 
 from __future__ import annotations
 
@@ -21,32 +22,32 @@ from huepose.tracking.hypothesis import Hypothesis
 from huepose.tracking.subject import Subject
 
 FIXED = 0.012
-"""Expected pose error, as a share of the diameter, up to which the texture fixes the pose; textured objects
-have half of it."""
+"""Expected pose error, as a share of the diameter, up to which the texture fixes the pose; that of textured
+objects is half as large."""
 
 FLOOR_SIGMA = np.array([0.0003, 0.0003, 0.0005, 0.004, 0.004, 0.004])
-"""Least standard errors of a pose, metres along the camera's axes and radians, however many pixels speak for
-it: what a model's own errors leave."""
+"""Least standard errors of a pose, metres along camera axes and radians, however many pixels support it: what
+the errors of a model leave."""
 
 BIAS_SHARE = 0.15
-"""Of the depth sensor's noise: what its errors have in common over an object."""
+"""Share of the depth sensor's noise that is common to all readings of an object."""
 
 LEAST_INSIDE = 0.05
-"""What is inside of the picture counts as this share at least. That errors grow with the inverse root of it:
-medians of error over expected error in 5,900 frames of drawn objects that the picture's edge cuts."""
+"""The share inside the image counts as at least this. Errors grow with its inverse root: medians of error
+over expected error in 5,900 frames of rendered objects that the image border cuts."""
 
 WEAK_SIGMA = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])
-"""What is known even where nothing was measured: the object was tracked a moment ago."""
+"""Standard errors without any measurement: the object was tracked a moment ago."""
 
 DISTANCES_M = tuple(0.1 * k for k in range(2, 21))
-"""At which `exact_within_m` asks: from where depth cameras begin to 2 m."""
+"""Distances that `exact_within_m` tries: from where depth cameras begin to 2 m."""
 
 _NOTHING = np.zeros((6, 6))
 
 
 def uncertainty(subject: Subject, h: Hypothesis, frame: RgbdFrame | None = None) -> tuple[Float64, float]:
-    """Covariance (6, 6) of a pose, and its expected error as a share of the diameter. frame: asked where the
-    object ends, if depth and texture do not fix the pose."""
+    """Covariance (6, 6) of a pose, and its expected error as a share of the diameter. If depth and texture do
+    not fix the pose and `frame` is given, the outline in that frame is used, too."""
     known, spread = _uncertainty(subject, h, _NOTHING)
     if frame is None or spread < FIXED:
         return known, spread
@@ -54,29 +55,29 @@ def uncertainty(subject: Subject, h: Hypothesis, frame: RgbdFrame | None = None)
 
 
 def _uncertainty(subject: Subject, h: Hypothesis, by_outline: Float64) -> tuple[Float64, float]:
-    # A copy, since each kind of array would have the kernel compiled once more.
+    # A copy: for each kind of array the kernel would be compiled once more.
     surface, T = subject.surface, np.array(h.T_cam_obj)
     centre = surface.centre_cam(T)
-    # What is known without the picture, and its floors, are about the object, wherever its origin is.
+    # Prior and floors are about the object's centre, wherever its origin is.
     to_origin = carrying(T[:3, 3] - centre)
     known = covariance(to_origin.T @ h.information @ to_origin, float(centre[2]), by_outline)
     known = to_origin @ known @ to_origin.T
-    # What readings have in common turns the object about the part that is in the picture.
+    # Errors common to all readings rotate the object about the part inside the image.
     known /= max(1.0 - h.terms.outside, LEAST_INSIDE)
     return known, spread_m(known, T, subject.points[0]) / surface.diameter_m
 
 
 def covariance(information: Float64, distance_m: float, by_outline: Float64 = _NOTHING) -> Float64:
     """Covariance (6, 6) of a refined pose at that distance, about the point that the information (6, 6) is
-    about; by_outline (6, 6): what the outline says about that point beside it."""
+    about; by_outline (6, 6): information of the outline about the same point."""
     out = np.empty((6, 6))
     _covariance(information, by_outline, BIAS_SHARE * depth_noise_m(distance_m), out)
     return out
 
 
 def exact_within_m(points: Float64, diameter_m: float) -> float:
-    """The farthest of `DISTANCES_M` at which an object of those points (N, 3), about its centre, can be
-    TRACKING at all: farther away the floors alone make every pose `is_loose`. 0 where they do everywhere."""
+    """The largest of `DISTANCES_M` at which an object with these points (N, 3), about its centre, can be
+    TRACKING at all: farther away the floors alone make every pose `is_loose`. 0 if they do so everywhere."""
     certain = np.eye(6) / np.finfo(np.float64).eps
     spreads = [spread_m(covariance(certain, z), np.eye(4), points) / diameter_m for z in DISTANCES_M]
     return max(
@@ -104,8 +105,8 @@ def _covariance(information: Float64, by_outline: Float64, bias_m: float, out: F
 
 @jit
 def spread_m(covariance: Float64, T: Float64, points: Float64) -> float:
-    """By how much the object's points (N, 3) lie off at a pose T_cam_obj (4, 4), RMS, if it errs as that
-    covariance (6, 6) says."""
+    """RMS displacement of the object's points (N, 3) at a pose T_cam_obj (4, 4), if its error has this
+    covariance (6, 6)."""
     square = 0.0
     for k in range(points.shape[0]):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]

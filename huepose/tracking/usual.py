@@ -1,5 +1,5 @@
-"""How a tracked object usually looks: its total and the offset of the light, learnt from frames that support
-its pose. What fits worse than usual, or is of another colour, may be another thing."""
+"""The usual total and light of a tracked object, learnt from frames that support its pose. An object that
+fits worse than usual, or has another colour, may be another one."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from huepose.tracking.evidence import LEAST_SEEN, OPEN
 from huepose.tracking.looks import LOOK_S, share
 
 BASELINE_SHARE, LIGHT_SHARE = 0.15, 0.2
-"""Weights of a look in the running means of the baseline total and of the light."""
+"""Weights of a look in the running means of the usual total and of the light."""
 
 FORGOTTEN_PER_S = 0.25
-"""How fast the total asked of a returning object falls, per second: the light may have changed."""
+"""How fast the total required of a returning object falls, per second: the light may have changed."""
 
 SAME_LIGHT, OTHER_LIGHT, OTHER_THING = 2.0, 10.0, 25.0
-"""Standard deviations of a change of the chromatic opponents' offset: of an object in the same light, in
-another light, and of another thing. Origin: true poses in pairs of frames, recorded ones in one light (0.2 to
-4) and path-traced or drawn ones in changed light (5 to 15); what was taken for an object (15 to 50)."""
+"""Standard deviations of a change of the offset in the two chromatic opponent channels: of an object in the
+same light, of an object in another light, and of another object. Origin: true poses in pairs of frames,
+recorded ones in one light (0.2 to 4) and path-traced or rendered ones in changed light (5 to 15); what was
+taken for an object (15 to 50)."""
 
 LIGHT_CHANGES = 0.2
 """Probability that the light changed while the object was not followed. Assumed."""
@@ -30,17 +31,17 @@ LIGHT_CHANGES = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Usual:
-    """baseline: the usual total; light (3,): the light's offset in opponent colours; sure_light (3,): as it
-    was when the object was last TRACKING. None where nothing is known."""
+    """baseline: the usual total; light (3,): the light's offset in opponent colours; sure_light (3,): the
+    light when the object was last TRACKING. None if not known."""
 
     baseline: float | None = None
     light: Float64 | None = None
     sure_light: Float64 | None = None
 
     def after(self, terms: Terms, sure: bool = False, apart_s: float = LOOK_S) -> Usual:
-        """After a frame with these terms that supports the pose, so many seconds after the last one; sure:
-        the object is TRACKING in it. The total of a covered or overexposed object never lowers the
-        baseline."""
+        """After a frame with these terms that supports the pose, `apart_s` seconds after the last one; sure:
+        the object is TRACKING in it. The total of an occluded or overexposed object never lowers the usual
+        total."""
         baseline, light = self.baseline, self.light
         if baseline is None:
             baseline = terms.total
@@ -52,19 +53,19 @@ class Usual:
         return Usual(baseline, light, light if sure else self.sure_light)
 
     def confirmed(self, terms: Terms) -> Usual:
-        """After perception found the pose of a frame with these terms, too: that is how the object looks,
-        unless something hides it."""
+        """After perception agreed with the pose of a frame with these terms: their total is the usual one,
+        unless the object is occluded."""
         return replace(self, baseline=terms.total) if terms.hidden < OPEN else self
 
     def remembered(self, seconds: float) -> Usual:
-        """So many seconds after it was last seen: less is asked of it."""
+        """`seconds` after the object was last seen: a lower total is required."""
         if self.baseline is None:
             return self
         return replace(self, baseline=self.baseline - FORGOTTEN_PER_S * max(0.0, seconds))
 
     def same_color(self, terms: Terms) -> float:
-        """Log-odds, 0 at most, that what is seen is the object whose light was known before, and not another
-        thing, by the change of that light.
+        """Log-odds, 0 at most, that this is the object whose light was known before, not another one, by the
+        change of that light.
 
         >>> from dataclasses import replace
         >>> from huepose.judge.terms import NOTHING

@@ -1,6 +1,6 @@
-"""A warm-up: all that a tracker will do, on made-up frames, so that every kernel is compiled and loaded
-before the first real one, and the contours and codes of all views. Without it a first search or
-correction waits for the compiler, and each new view for its contour."""
+"""A warm-up: all that a tracker can do, on made-up frames, so that every kernel is compiled and loaded before
+the first real one, and the contours and codes of all views are ready. Without it a first search or correction
+waits for the compiler, and each new view for its contour."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from huepose.tracking.tracker import Tracker
 
 CAST = 2
-"""So many objects take part: one can be before another."""
+"""Number of objects in the frames: one can occlude another."""
 
 _CAMERA = Camera(240.0, 240.0, 159.5, 119.5, 320, 240)
 _PERIOD_NS = 33_000_000
@@ -35,7 +35,7 @@ _FRAMES = 10
 
 def warm_up(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
     """Let a new tracker of these objects (subjects by their names) acquire late, follow, agree, correct a
-    little and grossly, jump and lose, two objects being partly before each other. It is of no use
+    little and grossly, jump and lose, while two objects partly occlude each other. The tracker cannot be used
     afterwards."""
     for subject in subjects.values():
         subject.make_ready()
@@ -50,13 +50,13 @@ def warm_up(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
             past = max(number - 3, 0)
             T_cam_obj = _pose(subject, place, past)
             if number in (3, 6, 8):
-                # A pose that is nearly the tracked one is carried to now, one far off is caught up.
+                # A correction near the tracked pose is moved to the newest frame, one far off is caught up.
                 T_cam_obj = se3.perturb(T_cam_obj, np.full(6, {3: 0.0, 6: 0.002, 8: 0.03}[number]))
                 verdict = Verdict.ACQUIRE if number == 3 else Verdict.CORRECT
                 tracker.correct(_correction(name, past, T_cam_obj, verdict, number))
             elif number == 5:
                 tracker.correct(_correction(name, past, T_cam_obj, Verdict.AGREE, number))
-    # A step that tries everything there is: nothing explains as much as its baseline asks.
+    # A step that tries every stage: no pose reaches the usual total.
     T_start = _pose(shown[0], 0, 0)
     before = Hypothesis(T_start, NOTHING, np.zeros((6, 6)), "still", velocity=np.zeros(6))
     for unseen_s in (0.0, 0.1):
@@ -66,7 +66,7 @@ def warm_up(tracker: Tracker, subjects: Mapping[str, Subject]) -> None:
 
 
 def _pose(subject: Subject, place: int, number: int) -> Float64:
-    """Slowly to the side, with a jump."""
+    """The pose in frame `number`: slowly to the side, with a jump."""
     size_m = 2.0 * subject.surface.radius_m
     x = 0.002 * number + 0.3 * size_m * place + (0.04 if number >= 7 else 0.0)
     R = se3.rotation_exp(np.array([0.3, 0.02 * number, 0.1 * place]))
@@ -74,7 +74,7 @@ def _pose(subject: Subject, place: int, number: int) -> Float64:
 
 
 def _frame(shown: list[Subject], number: int) -> RgbdFrame:
-    """The objects before a wall; gone in the last frame."""
+    """A frame with the objects before a wall; without them in the last frame."""
     wall_m = 1.0 + max(8.0 * subject.surface.radius_m for subject in shown)
     color = np.random.default_rng(number).integers(60, 90, (240, 320, 3), dtype=np.uint8)
     depth = np.full((240, 320), wall_m, np.float32)

@@ -13,7 +13,7 @@ from huepose.geometry.se3 import carrying
 from huepose.judge.open_region import PreparedSurface
 from huepose.judge.terms import NOTHING
 from huepose.tracking import Correction, Tracker, TrackerConfig
-from huepose.tracking.evidence import MOST_LOOSE, ONE_SENSE, vouched
+from huepose.tracking.evidence import MOST_LOOSE, ONE_SENSE, limited_by_covariance
 from huepose.tracking.hypothesis import Hypothesis, distinct, same_pose, share_of_first
 from huepose.tracking.motion import jump_odds
 from huepose.tracking.subject import Subject
@@ -44,12 +44,12 @@ def test_the_spread_is_that_of_poses_drawn_from_the_covariance() -> None:
 
 
 def test_a_quality_is_no_better_than_what_the_covariance_vouches_for() -> None:
-    assert vouched(0.99, 0.01) == pytest.approx(0.99)
-    assert vouched(1.0, 0.1) == pytest.approx(0.6827, abs=1e-4)
-    assert vouched(1.0, 1.0) == ONE_SENSE
-    assert vouched(0.1, 1.0) == 0.1
-    assert vouched(1.0, 0.033) > 0.99
-    assert vouched(1.0, 0.034) == MOST_LOOSE < TrackerConfig().least_quality, (
+    assert limited_by_covariance(0.99, 0.01) == pytest.approx(0.99)
+    assert limited_by_covariance(1.0, 0.1) == pytest.approx(0.6827, abs=1e-4)
+    assert limited_by_covariance(1.0, 1.0) == ONE_SENSE
+    assert limited_by_covariance(0.1, 1.0) == 0.1
+    assert limited_by_covariance(1.0, 0.033) > 0.99
+    assert limited_by_covariance(1.0, 0.034) == MOST_LOOSE < TrackerConfig().least_quality, (
         "right is less than three sigmas"
     )
 

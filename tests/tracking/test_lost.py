@@ -179,11 +179,11 @@ def looks_where_it_stood(monkeypatch) -> list[bool]:
     found: list[bool] = []
 
     def spied(*args):
-        hypotheses = lost.found_standing(*args)
+        hypotheses = lost.found_at_last_place(*args)
         found.append(bool(hypotheses))
         return hypotheses
 
-    monkeypatch.setattr(track, "found_standing", spied)
+    monkeypatch.setattr(track, "found_at_last_place", spied)
     return found
 
 

@@ -119,22 +119,22 @@ def test_only_turns_that_it_can_have_made_are_rivals() -> None:
 def test_what_the_image_tells_of_one_view_counts_once() -> None:
     facing = Facing.of(0.5, VIEW, 2)
     for _ in range(9):
-        facing = facing.told(0.1, VIEW)
+        facing = facing.compared(0.1, VIEW)
     assert facing.value == pytest.approx(0.1 * SHARPNESS)
     aside = se3.rotation_exp(np.array([1.1 * NEW_VIEW, 0.0, 0.0])) @ VIEW
-    assert facing.told(0.1, aside).value == pytest.approx(0.2 * SHARPNESS)
+    assert facing.compared(0.1, aside).value == pytest.approx(0.2 * SHARPNESS)
     assert not facing.open(VIEW)
     assert facing.open(aside)
-    assert facing.told(1.0, aside).value > SETTLED
-    assert facing.told(1.0, aside).jumped(aside, facing.doubted).probability == pytest.approx(0.5)
+    assert facing.compared(1.0, aside).value > SETTLED
+    assert facing.compared(1.0, aside).jumped(aside, facing.doubted).probability == pytest.approx(0.5)
 
 
 def test_a_label_that_went_out_of_sight_is_not_forgotten() -> None:
-    seen = Facing.of(0.9, VIEW, 2).told(-0.3, VIEW)
+    seen = Facing.of(0.9, VIEW, 2).compared(-0.3, VIEW)
     assert seen.value < -1.0
     little_aside = se3.rotation_exp(np.array([0.5 * NEW_VIEW, 0.0, 0.0])) @ VIEW
-    assert seen.told(0.02, little_aside).value == seen.value, "a plain side says nothing"
-    assert seen.told(0.5, little_aside).value > SETTLED
+    assert seen.compared(0.02, little_aside).value == seen.value, "a plain side says nothing"
+    assert seen.compared(0.5, little_aside).value > SETTLED
 
 
 def test_a_turn_that_was_ruled_out_stays_so_when_another_is_doubted() -> None:
@@ -197,7 +197,7 @@ def test_an_object_half_covered_after_its_start_may_have_turned_since_the_start(
 
 
 def states_of(model: ReferenceModel, poses: Sequence[np.ndarray], apart_s: float) -> list[State]:
-    """Of a tracker that is told the first of these poses, and sees the object in each, so far apart."""
+    """Of a tracker that is given the first of these poses, and sees the object in each, so far apart."""
     tracker, states = Tracker({model.name: model}), []
     for number, T in enumerate(poses):
         seen = picture(model.mesh, T, (90, 130, 160))
@@ -248,7 +248,7 @@ def test_a_claim_of_nine_in_ten_does_not_settle_which_way_round_it_is(plain_box:
     def after(claim: float, lead: float = 0.0) -> float:
         orientation.begin(claim, VIEW)
         assert orientation.facing is not None
-        return orientation.facing.told(lead, VIEW).probability
+        return orientation.facing.compared(lead, VIEW).probability
 
     assert after(0.9, 0.02) < config.confirmed_turn < after(0.9, 0.04)
     assert after(config.confirmed_identity) > config.confirmed_turn
@@ -290,7 +290,7 @@ class TestDenied:
     def test_it_says_nothing_of_another_view(self) -> None:
         denied = Facing.of(0.9, VIEW, 2).denied(0.99)
         aside = se3.rotation_exp(np.array([1.01 * NEW_VIEW, 0.0, 0.0])) @ VIEW
-        seen = denied.told(0.3, aside).assured(0.99)
+        seen = denied.compared(0.3, aside).assured(0.99)
         assert seen.probability > 0.98
 
     def test_a_track_is_suspect_then(self, soup_can: ReferenceModel) -> None:
@@ -357,7 +357,7 @@ def test_what_rests_has_not_slid_since_perception_judged_it(soup_can: ReferenceM
 
 
 def test_a_rival_that_was_as_near_before_is_no_new_doubt() -> None:
-    facing = Facing.of(0.99, VIEW, 2).told(-0.03, VIEW)
+    facing = Facing.of(0.99, VIEW, 2).compared(-0.03, VIEW)
     assert facing.knows(-0.05, VIEW)
     assert not facing.knows(-0.06, VIEW)
     assert not facing.knows(-0.03, se3.rotation_exp(np.array([0.2, 0.0, 0.0])) @ VIEW)

@@ -214,7 +214,8 @@ def test_another_picture_of_the_same_number_and_stamp_is_refused(tea_box, shoot,
     tracker.correct(Correction.first("tea_box", path(0), first, 1.0))
     assert len(tracker.step(first)) == 1
     assert tracker.step(first) == []
-    with pytest.raises(InputError, match="frame 0: found another picture of the same number and stamp, 0 ns"):
+    found = "frame 0: found another image with the same number and timestamp, 0 ns"
+    with pytest.raises(InputError, match=found):
         tracker.step(second)
 
 

@@ -1,6 +1,7 @@
 """The z-buffer kernel: which triangle of a mesh is nearest in each pixel, and how far.
 
-Inverse depth is linear in the image over a plane, so the buffer holds 1/z and the nearest is the largest."""
+Inverse depth is linear in the image over a plane, so the buffer holds 1/z, and the largest value is the
+nearest."""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ import numpy as np
 from huepose.geometry.arrays import Float32, Float64, Int32
 from huepose.support.jit import jit
 
-EDGE = 1e-7  # px by which triangles are wider, so that neighbours leave no crack between them
+EDGE = 1e-7  # px by which triangles are widened, so that neighbours leave no gap between them
 
 
 @jit
@@ -89,8 +90,8 @@ def _fill(
 
 @jit
 def _between(a: float, b: float, c: float, middle: float) -> bool:
-    """Whether no whole number lies among three coordinates, which are from `middle` on: a triangle with such
-    corners lies between two rows or columns of pixels."""
+    """Whether a triangle whose corners have these coordinates, relative to `middle`, lies between two rows
+    or columns of pixel centres: no integer lies in their range."""
     return math.floor(max(a, b, c) + middle + EDGE) < min(a, b, c) + middle - EDGE
 
 
@@ -107,11 +108,12 @@ def rasterise(
     faces_out: Int32,
     owner: Int32,
 ) -> tuple[int, int, int, int]:
-    """Draw camera-frame points (V, 3) with faces (F, 3) into the buffers of 1/z, face and owner (H, W).
+    """Render camera-frame points (V, 3) with faces (F, 3) into the buffers of 1/z, face and owner (H, W).
 
-    Triangles that cross the near plane are clipped there. Of a closed surface that is all beyond it, what
-    turns its clockwise side to the camera is hidden, and left out. `index` is the owner's number.
-    Returns the bounds left, top, right, bottom (inclusive) of the pixels touched; right < left for none.
+    Triangles that cross the near plane are clipped there. closed: the surface is closed and all of it
+    beyond the near plane, so its back faces (clockwise as the camera sees them) are skipped. `index` is the
+    owner's number. Returns the bounds left, top, right, bottom (inclusive) of the pixels touched; right <
+    left for none.
     """
     height, width = inverse.shape
     fx, fy = focal

@@ -1,8 +1,8 @@
-"""Pictures of textured meshes for any pinhole camera, crops included: depth, colour, surface coordinates.
+"""Renders textured meshes for any pinhole camera, crops included: depth, colour, surface coordinates.
 
-A scalar z-buffer rasteriser on the CPU: small, exact, and fast where objects are small in the image. Normals
-and points are computed when they are read, of some pixels only where these are asked for. All kernels release
-the interpreter lock.
+A scalar z-buffer rasteriser on the CPU: small, exact, and fast if objects are small in the image. Normals
+and points are computed when they are read, also for some pixels alone. All kernels release the interpreter
+lock.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from huepose.geometry.arrays import Float, Float32, Float64, Int32, Int64, UInt8
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.mesh import Mesh
 from huepose.rendering.raster import depth_of, rasterise, transform
-from huepose.rendering.shade import Drawn, locate, paint, turn_normals
+from huepose.rendering.shade import Rasterised, locate, paint, rotate_normals
 from huepose.rendering.textures import Pyramid, build_pyramid
 from huepose.support.jit import jit
 from huepose.support.kept import kept, once_for_each
@@ -26,13 +26,13 @@ _SNAP = 2.0**20
 
 
 class _Prepared:
-    """What is computed once per mesh, when first needed."""
+    """Data computed once per mesh, at the first request."""
 
     def __init__(self, mesh: Mesh) -> None:
         self.faces: Int32 = np.ascontiguousarray(mesh.faces, dtype=np.int32)
         self.vertices: Float32 = np.ascontiguousarray(mesh.vertices, dtype=np.float32)
         self.uv: Float32 = np.ascontiguousarray(mesh.uv, dtype=np.float32)
-        # A mesh that refers to itself from the cache would never be freed: only arrays are kept.
+        # Only arrays are kept: a mesh that refers to itself from the cache would never be freed.
         self._parts, self._digest = (mesh.vertices, mesh.faces, mesh.uv, mesh.texture), mesh.digest
 
     @cached_property
@@ -45,11 +45,12 @@ class _Prepared:
 
     @cached_property
     def closed(self) -> bool:
-        """Whether the surface has no border and looks outwards: its far side is hidden then."""
+        """Whether the surface has no border and its faces look outwards. Then its back faces are never
+        visible."""
         return is_closed(self.vertices, self.faces)
 
-    def hides_its_far_side(self, points_cam: Float64, near_m: float) -> bool:
-        """Whether what looks away is hidden: a closed surface, all of it beyond `near_m`."""
+    def may_skip_back_faces(self, points_cam: Float64, near_m: float) -> bool:
+        """Whether back faces can be skipped: the surface is closed, and all of it is beyond `near_m`."""
         return self.closed and bool(points_cam[:, 2].min() > near_m)
 
     @cached_property
@@ -62,19 +63,19 @@ _prepare = once_for_each(_Prepared)
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A mesh as it was drawn at a pose T (4, 4)."""
+    """A mesh as it was rendered at a pose T (4, 4)."""
 
     mesh: _Prepared
     T: Float64
-    where: Drawn
+    where: Rasterised
 
 
 @dataclass(frozen=True, eq=False)
 class Rendering:
     """What a camera sees of some meshes.
 
-    depth (H, W) float32 metres, 0 = nothing; color (H, W, 3) uint8 RGB, 0 = nothing, or (0, 0, 3) where it
-    was not asked for; object_index (H, W) int16, position in the scene, -1 = nothing.
+    depth (H, W) float32 metres, 0 = nothing; color (H, W, 3) uint8 RGB, 0 = nothing, or (0, 0, 3) if it was
+    not requested; object_index (H, W) int16, position in the scene, -1 = nothing.
     """
 
     depth: Float32
@@ -89,19 +90,19 @@ class Rendering:
 
     @cached_property
     def points_obj(self) -> Float32:
-        """(H, W, 3) float32 metres in the frame of the object seen, 0 = nothing."""
+        """(H, W, 3) float32 metres in the frame of the visible object, 0 = nothing."""
         return self._everywhere(self.points_at)
 
     def normals_at(self, rows: Int64, columns: Int64) -> Float32:
-        """The same of some pixels (N,) alone: (N, 3)."""
+        """Normals (N, 3) at some pixels (N,), as in `normals_cam`."""
         out = np.zeros((len(rows), 3), np.float32)
         for part in self._parts:
             locate(part.where, part.mesh.corner_normals, rows, columns, out)
-            turn_normals(part.where, np.ascontiguousarray(part.T[:3, :3]), rows, columns, out)
+            rotate_normals(part.where, np.ascontiguousarray(part.T[:3, :3]), rows, columns, out)
         return out
 
     def points_at(self, rows: Int64, columns: Int64) -> Float32:
-        """The same of some pixels (N,) alone: (N, 3)."""
+        """Points (N, 3) at some pixels (N,), as in `points_obj`."""
         out = np.zeros((len(rows), 3), np.float32)
         for part in self._parts:
             locate(part.where, part.mesh.corner_points, rows, columns, out)
@@ -115,8 +116,8 @@ class Rendering:
 
 
 def is_closed(vertices: Float32, faces: Int32) -> bool:
-    """Whether faces (F, 3) are the boundary of a solid, seen counter-clockwise from outside: each edge is
-    there once in each direction, and the volume is positive."""
+    """Whether faces (F, 3) are the boundary of a solid, counter-clockwise as seen from outside: each edge
+    exists once in each direction, and the volume is positive."""
     if not len(faces):
         return False
     a, b = faces.astype(np.int64).ravel(), np.roll(faces.astype(np.int64), -1, axis=1).ravel()
@@ -128,8 +129,8 @@ def is_closed(vertices: Float32, faces: Int32) -> bool:
 
 
 def _intrinsics(camera: Camera) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Focal lengths and principal point; the latter rounded to 2^-20 px, so that positions relative to it are
-    the same numbers in a crop and in the whole image, and a crop is the sub-image to the bit."""
+    """Focal lengths and principal point. The latter is rounded to 2^-20 px, so that positions relative to
+    it are the same numbers in a crop and in the whole image, and a crop equals the sub-image bit by bit."""
     cx, cy = round(camera.cx * _SNAP) / _SNAP, round(camera.cy * _SNAP) / _SNAP
     return (float(camera.fx), float(camera.fy)), (cx, cy)
 
@@ -150,27 +151,27 @@ def render(scene: Sequence[tuple[Mesh, Float]], camera: Camera, *, color: bool =
         part = _prepare(mesh)
         T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
         points_cam = transform(part.vertices, T)
-        closed = part.hides_its_far_side(points_cam, NEAR_M)
+        closed = part.may_skip_back_faces(points_cam, NEAR_M)
         bounds = rasterise(points_cam, part.faces, focal, centre, NEAR_M, closed, index, inverse, face, owner)
-        where = Drawn(owner, face, index, bounds, points_cam, part.faces, focal, centre)
+        where = Rasterised(owner, face, index, bounds, points_cam, part.faces, focal, centre)
         parts.append(_Part(part, T, where))
     color_out: UInt8 = np.zeros((*size, 3) if color else (0, 0, 3), np.uint8)
     if color:
-        for drawn in parts:
-            p = drawn.mesh.pyramid
-            paint(drawn.where, drawn.mesh.uv, p.texels, p.levels, color_out)
+        for rendered in parts:
+            p = rendered.mesh.pyramid
+            paint(rendered.where, rendered.mesh.uv, p.texels, p.levels, color_out)
     return Rendering(depth_of(inverse), color_out, owner.astype(np.int16), tuple(parts))
 
 
 def render_depth(mesh: Mesh, T_cam_obj: Float, camera: Camera, *, near_m: float = NEAR_M) -> Float32:
-    """Depth (H, W) float32 metres of one mesh at `T_cam_obj` (4, 4), 0 = nothing: the cheap one."""
+    """Depth (H, W) float32 metres of one mesh at `T_cam_obj` (4, 4), 0 = nothing: cheaper than `render`."""
     part = _prepare(mesh)
     size = (camera.height, camera.width)
     inverse: Float32 = np.zeros(size, np.float32)
     face: Int32 = np.empty(size, np.int32)
     focal, centre = _intrinsics(camera)
     points_cam = transform(part.vertices, np.ascontiguousarray(T_cam_obj, dtype=np.float64))
-    closed = part.hides_its_far_side(points_cam, near_m)
+    closed = part.may_skip_back_faces(points_cam, near_m)
     rasterise(points_cam, part.faces, focal, centre, float(near_m), closed, 0, inverse, face, face)
     return depth_of(inverse)
 
@@ -181,9 +182,9 @@ CREASE_COS = float(np.cos(np.radians(40.0)))  # faces that bend more than this k
 def corner_normals(mesh: Mesh) -> Float32:
     """Unit normals (F, 3, 3) float32 at the corners of the faces, in the mesh frame.
 
-    Corners at the same place count as one vertex, whatever their uv; each takes the mean of those faces there
-    that bend less than 40 degrees from its own, weighted by the angle of the face at that corner, so that it
-    does not matter how flat parts are cut into triangles (Thuermer and Wuethrich 1998).
+    Corners at the same position count as one vertex, whatever their uv. Each takes the mean normal of those
+    faces there that bend less than 40 degrees from its own, weighted by the angle of each face at that
+    corner. So it does not matter how flat parts are cut into triangles (Thuermer and Wuethrich 1998).
     """
     normals, _ = mesh.face_normals()
     angles = _corner_angles(mesh)

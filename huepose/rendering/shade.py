@@ -1,8 +1,9 @@
 """Per-pixel attributes of the visible triangles, perspective-correct.
 
-Over the camera-frame corners v0 v1 v2 of a triangle, a viewing ray r has barycentric coordinates
-proportional to r.(v1 x v2), r.(v2 x v0), r.(v0 x v1) (homogeneous rasterisation, Olano and Greer 1997): right
-also where the triangle passes behind the camera. So an attribute is (r.n) / (r.d), with n and d per triangle.
+For the camera-frame corners v0 v1 v2 of a triangle, a viewing ray r has barycentric coordinates
+proportional to r.(v1 x v2), r.(v2 x v0), r.(v0 x v1) (homogeneous rasterisation, Olano and Greer 1997).
+This also holds where the triangle passes behind the camera. So an attribute is (r.n) / (r.d), with n and d
+per triangle.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from huepose.geometry.arrays import Float32, Float64, Int32, Int64, UInt8
 from huepose.support.jit import jit
 
 
-class Drawn(NamedTuple):
-    """A mesh in the z-buffer: `number` in owner (H, W) where it is the nearest, faces_at (H, W) its triangle
-    there; bounds: left, top, right, bottom pixel; points (V, 3), camera axes, and faces (F, 3)."""
+class Rasterised(NamedTuple):
+    """A mesh in the z-buffer: owner (H, W) is `number` where the mesh is the nearest, faces_at (H, W) its
+    triangle there; bounds: left, top, right, bottom pixel; points (V, 3), camera axes, and faces (F, 3)."""
 
     owner: Int32
     faces_at: Int32
@@ -32,8 +33,8 @@ class Drawn(NamedTuple):
 
 @jit
 def _edges(points: Float64, face: Int32, m: Float64) -> float:
-    """The three cross products (3, 3) of a triangle's corners, and their sum in m[3]; returns det[v0 v1 v2],
-    which is positive for a triangle seen from behind."""
+    """The three cross products (3, 3) of a triangle's corners, and their sum in m[3]; returns det[v0 v1
+    v2], which is positive for a triangle whose back the camera sees."""
     for k in range(3):
         a, b = points[face[(k + 1) % 3]], points[face[(k + 2) % 3]]
         m[k, 0] = a[1] * b[2] - a[2] * b[1]
@@ -69,14 +70,14 @@ def _texel(
 
 
 @jit
-def paint(drawn: Drawn, uv: Float32, texels: UInt8, levels: Int64, color: UInt8) -> None:
-    """Texture colour of the pixels of a mesh into color (H, W, 3): trilinear in the pyramid.
+def paint(mesh: Rasterised, uv: Float32, texels: UInt8, levels: Int64, color: UInt8) -> None:
+    """Write the texture colour of the pixels of a mesh into color (H, W, 3), trilinear in the pyramid.
 
-    The level is where a texel is as large as the pixel: the Jacobian determinant of the projective map from
-    the image to the texture, per pixel.
+    The level is the one at which a texel is as large as the pixel, by the Jacobian determinant of the
+    projective map from the image to the texture, per pixel.
     """
-    left, top, right, bottom = drawn.bounds
-    focal, centre = drawn.focal, drawn.centre
+    left, top, right, bottom = mesh.bounds
+    focal, centre = mesh.focal, mesh.centre
     m, s_of, t_of = np.empty((4, 3)), np.empty(3), np.empty(3)
     scale = levels[0, 1] * levels[0, 2] / (focal[0] * focal[1])
     last, top_level, base = -1, levels.shape[0] - 1, 0.0
@@ -84,12 +85,12 @@ def paint(drawn: Drawn, uv: Float32, texels: UInt8, levels: Int64, color: UInt8)
     for row in range(top, bottom + 1):
         y = (row - centre[1]) / focal[1]
         for column in range(left, right + 1):
-            if drawn.owner[row, column] != drawn.number:
+            if mesh.owner[row, column] != mesh.number:
                 continue
-            f = drawn.faces_at[row, column]
+            f = mesh.faces_at[row, column]
             if f != last:
                 last = f
-                volume = _edges(drawn.points, drawn.faces[f], m)
+                volume = _edges(mesh.points, mesh.faces[f], m)
                 s0, s1, s2 = np.float64(uv[f, 0, 0]), np.float64(uv[f, 1, 0]), np.float64(uv[f, 2, 0])
                 t0, t1, t2 = np.float64(uv[f, 0, 1]), np.float64(uv[f, 1, 1]), np.float64(uv[f, 2, 1])
                 for k in range(3):
@@ -127,20 +128,20 @@ def paint(drawn: Drawn, uv: Float32, texels: UInt8, levels: Int64, color: UInt8)
 
 
 @jit
-def locate(drawn: Drawn, corner_values: Float32, rows: Int64, columns: Int64, out: Float32) -> None:
-    """Interpolate values at face corners (F, 3, 3) at those of the pixels (N,) that show the mesh, into
-    out (N, 3)."""
-    focal, centre = drawn.focal, drawn.centre
+def locate(mesh: Rasterised, corner_values: Float32, rows: Int64, columns: Int64, out: Float32) -> None:
+    """Interpolate values at face corners (F, 3, 3) into out (N, 3), at those of the pixels (N,) that show
+    the mesh."""
+    focal, centre = mesh.focal, mesh.centre
     m, of, low, high = np.empty((4, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
     last = -1
     for n in range(rows.shape[0]):
         row, column = rows[n], columns[n]
-        if drawn.owner[row, column] != drawn.number:
+        if mesh.owner[row, column] != mesh.number:
             continue
-        f = drawn.faces_at[row, column]
+        f = mesh.faces_at[row, column]
         if f != last:
             last = f
-            _edges(drawn.points, drawn.faces[f], m)
+            _edges(mesh.points, mesh.faces[f], m)
             for k in range(3):
                 a, b, c = corner_values[f, 0, k], corner_values[f, 1, k], corner_values[f, 2, k]
                 low[k], high[k] = min(a, b, c), max(a, b, c)
@@ -155,19 +156,19 @@ def locate(drawn: Drawn, corner_values: Float32, rows: Int64, columns: Int64, ou
 
 
 @jit
-def turn_normals(drawn: Drawn, R: Float64, rows: Int64, columns: Int64, normals: Float32) -> None:
-    """Model-frame normals (N, 3) of those of the pixels (N,) that show the mesh into the camera frame, unit
-    length, in place; negated where the back of a face is seen."""
+def rotate_normals(mesh: Rasterised, R: Float64, rows: Int64, columns: Int64, normals: Float32) -> None:
+    """Rotate model-frame normals (N, 3) into the camera frame, in place and with unit length, at those of
+    the pixels (N,) that show the mesh. They are negated where the camera sees the back of a face."""
     m = np.empty((4, 3))
     last, side = -1, 1.0
     for n in range(rows.shape[0]):
         row, column = rows[n], columns[n]
-        if drawn.owner[row, column] != drawn.number:
+        if mesh.owner[row, column] != mesh.number:
             continue
-        f = drawn.faces_at[row, column]
+        f = mesh.faces_at[row, column]
         if f != last:
             last = f
-            side = -1.0 if _edges(drawn.points, drawn.faces[f], m) > 0 else 1.0
+            side = -1.0 if _edges(mesh.points, mesh.faces[f], m) > 0 else 1.0
         x, y, z = np.float64(normals[n, 0]), np.float64(normals[n, 1]), np.float64(normals[n, 2])
         scale = side / max(math.sqrt(x * x + y * y + z * z), 1e-12)
         for k in range(3):

@@ -1,7 +1,8 @@
-"""Texture pyramids, so that a small picture of a fine texture does not alias.
+"""Texture pyramids, so that a small image of a fine texture does not alias.
 
 Each level halves the one below. Only texels that lie on the surface are averaged, and the others are filled
-from the coarser level: the blank between the charts of an unwrapped mesh does not bleed into the texture.
+from the coarser level, so that the blank between the charts of an unwrapped mesh does not bleed into the
+texture.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from huepose.rendering.raster import rasterise
 from huepose.support.jit import jit
 
 SPECK = 0.01
-"""Area, in texels, of a triangle in the texture that counts as none: it has one colour, as from a palette."""
+"""A triangle with less area than this in the texture, in texels, counts as having none: it has one colour,
+as from a palette."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +57,7 @@ def build_pyramid(mesh: Mesh) -> Pyramid:
 
 
 def covered_texels(mesh: Mesh) -> UInt8:
-    """Texels (H, W) that some face uses: 1, else 0. All of them where the texture repeats."""
+    """Texels (H, W) that some face uses: 1, else 0. All of them if the texture repeats."""
     height, width = mesh.texture.shape[:2]
     if mesh.uv.min() < 0 or mesh.uv.max() > 1:
         return np.ones((height, width), np.uint8)
@@ -72,8 +74,8 @@ def covered_texels(mesh: Mesh) -> UInt8:
 
 
 def mark_specks(used: UInt8, uv: Float32) -> None:
-    """Mark in `used` (H, W) the texels from which triangles (F, 3, 2) without an area take their colour. They
-    cover none, and what is not used is filled with another colour."""
+    """Mark in `used` (H, W) the texels that give their colour to triangles (F, 3, 2) without area. Such
+    triangles cover no texel, and unused texels are filled with another colour."""
     height, width = used.shape
     specks = uv[triangle_areas(uv) * width * height < SPECK].astype(np.float64)
     read = np.clip(specks * [width, height] - 0.5, 0.0, [width - 1.0, height - 1.0])
@@ -86,7 +88,7 @@ def mark_specks(used: UInt8, uv: Float32) -> None:
 
 
 def triangle_areas(uv: Float) -> Float64:
-    """Areas (F,) of triangles (F, 3, 2), in units of the texture's."""
+    """Areas (F,) of triangles (F, 3, 2), in units of their coordinates."""
     a, b = (uv[:, 1:] - uv[:, :1]).astype(np.float64).transpose(1, 0, 2)
     return np.asarray(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2.0)
 

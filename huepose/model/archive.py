@@ -1,7 +1,8 @@
-"""The zip of plain arrays that a reference model is stored in: every size is checked before memory is taken.
+"""The zip of plain arrays in which a reference model is stored. Every size is checked before memory is
+allocated.
 
-Entries are stored, never compressed, so no file can hold more than it has bytes. Large arrays are not read
-but mapped: the processes of a machine share them, and what a process never looks at takes none of its memory.
+Entries are stored, never compressed, so a file cannot hold more than its own size. Large arrays are not
+read but memory-mapped: the processes of a machine share them, and unused parts take no memory.
 """
 
 from __future__ import annotations
@@ -32,27 +33,27 @@ _MAX_HEADER_BYTES = 1024 * 1024
 _MAX_ARRAY_HEADER_BYTES = 4096
 
 MAPPED_BYTES = 64 * 1024
-"""Arrays from this size on are mapped; smaller ones share their pages with others anyway."""
+"""Arrays from this size on are mapped; smaller ones share their memory pages with others anyway."""
 
 _LOCAL_HEADER = struct.Struct("<4s22xHH")
-"""Of an entry in a zip file: signature, length of its name, length of its extra field."""
+"""Header of an entry in a zip file: signature, length of its name, length of its extra field."""
 
 _PADDING = 0xD935
-"""The kind of extra field that only aligns (as Android's zipalign writes it)."""
+"""The kind of extra field that only aligns the content (as Android's zipalign writes it)."""
 
 
 class Archive:
-    """An opened file. Raises ValueError, or what zipfile and json raise, for one that is damaged."""
+    """An opened file. Raises ValueError, or what zipfile and json raise, if it is damaged."""
 
     def __init__(self, path: Path) -> None:
         if not path.is_file():
-            path.stat()  # says that there is none
-            raise ValueError("it is no file")
+            path.stat()  # raises FileNotFoundError if there is none
+            raise ValueError("it is not a file")
         size = path.stat().st_size
         if size > MAX_FILE_BYTES:
             raise ValueError(f"{size} bytes are more than a reference model has")
         with path.open("rb") as file:
-            # A private mapping: what a process writes to its arrays, it alone sees.
+            # A private mapping: what a process writes to its arrays, only that process reads.
             self._bytes = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
         self._zip = zipfile.ZipFile(path)
         entries = self._zip.infolist()
@@ -61,37 +62,37 @@ class Archive:
             raise ValueError("compressed entries")
         if sum(entry.file_size for entry in entries) > size:
             self.close()
-            raise ValueError("entries that are larger than the file")
+            raise ValueError("entries larger than the file")
 
     def header(self) -> dict[str, Any]:
-        """The values that are no arrays."""
+        """The values that are not arrays."""
         if self._zip.getinfo("header.json").file_size > _MAX_HEADER_BYTES:
             raise ValueError("its header is too large")
         header = json.loads(self._zip.read("header.json"))
         if not isinstance(header, dict):
-            raise ValueError("its header is no JSON object")
+            raise ValueError("its header is not a JSON object")
         return header
 
     def digest(self) -> str:
-        """Of names, sizes and checksums of all entries: another content has another one."""
+        """A digest of the names, sizes and checksums of all entries: another content has another digest."""
         entries = [(entry.filename, entry.file_size, entry.CRC) for entry in self._zip.infolist()]
         return hashlib.sha256(repr(entries).encode()).hexdigest()[:32]
 
     def array(self, name: str, kind: str) -> np.ndarray:
-        """An array as that type (numpy's name of it), which may be wider than the stored one. A large one of
-        the stored type is mapped from the file, which must not be written to meanwhile, only replaced."""
+        """An array as this type (NumPy's name of it), which may be wider than the stored one. A large array
+        of the stored type is mapped from the file. Such a file may be replaced, but not written to."""
         wanted = np.dtype(kind)
         if wanted.kind not in "biuf" or wanted.itemsize > 8:
-            raise ValueError(f"{name} is of no type of numbers: {kind[:20]}")
+            raise ValueError(f"{name} has a type that is not numeric: {kind[:20]}")
         stored_bytes = self._stored(f"{name}.npy")
         file = io.BytesIO(stored_bytes[:_MAX_ARRAY_HEADER_BYTES])
         version = np.lib.format.read_magic(file)
         read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
         shape, column_wise, stored = read[version](file)
         if stored.kind not in "biuf" or (column_wise and len(shape) > 1):
-            raise ValueError(f"{name} is no plain array of numbers")
+            raise ValueError(f"{name} is not a plain array of numbers")
         if math.prod(shape) * stored.itemsize != len(stored_bytes) - file.tell():
-            raise ValueError(f"{name} has not the size that it states")
+            raise ValueError(f"{name} does not have the size that it states")
         array = np.frombuffer(stored_bytes, stored, offset=file.tell()).reshape(shape)
         if stored == wanted and array.nbytes >= MAPPED_BYTES and array.flags.aligned:
             return array
@@ -109,7 +110,7 @@ class Archive:
         return content
 
     def close(self) -> None:
-        """Let go of the file, and of the memory that looking through it took; mapped arrays stay valid."""
+        """Close the file, and free the memory that reading it took; mapped arrays stay valid."""
         self._zip.close()
         self._bytes.madvise(mmap.MADV_DONTNEED)
 
@@ -121,7 +122,7 @@ class Archive:
 
 
 def aligned_entry(name: str, offset: int, time: tuple[int, int, int, int, int, int]) -> zipfile.ZipInfo:
-    """An entry whose content starts at a multiple of 64 bytes, when it is written at that offset."""
+    """An entry whose content starts at a multiple of 64 bytes if it is written at this offset."""
     entry = zipfile.ZipInfo(name, time)
     least = struct.calcsize("<HH")
     padding = -(offset + _LOCAL_HEADER.size + len(name.encode()) + least) % ALIGNMENT
@@ -129,11 +130,12 @@ def aligned_entry(name: str, offset: int, time: tuple[int, int, int, int, int, i
     return entry
 
 
-def picture(png: UInt8) -> UInt8:
-    """Picture (H, W, 3) RGB of the bytes of a PNG. Raises ValueError when it is none, or too large."""
+def texture_of(png: UInt8) -> UInt8:
+    """The image (H, W, 3) RGB in the bytes of a PNG. Raises ValueError if it is not an image, or too
+    large."""
     size = picture_size(png.tobytes())
     if size is None:
-        raise ValueError("its texture is no picture")
+        raise ValueError("its texture is not an image")
     if max(size) > MAX_TEXTURE_SIDE:
         raise ValueError(f"its texture has {size[0]} x {size[1]} pixels, over {MAX_TEXTURE_SIDE} a side")
     texture = cv2.imdecode(png, cv2.IMREAD_COLOR)

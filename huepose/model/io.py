@@ -17,7 +17,7 @@ import numpy as np
 
 from huepose.geometry.arrays import UInt8
 from huepose.geometry.mesh import Mesh
-from huepose.model.archive import Archive, aligned_entry, picture
+from huepose.model.archive import Archive, aligned_entry, texture_of
 from huepose.model.plausible import check_model
 from huepose.model.types import (
     DistanceGrid,
@@ -52,7 +52,7 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)  # no clock in the file: the same model gives the
 
 
 def check_name(name: str) -> str:
-    """The name itself; raises InputError unless it is of [a-z0-9_-]{1,64}."""
+    """The name itself. Raises InputError unless it is of [a-z0-9_-]{1,64}."""
     if not re.fullmatch(r"[a-z0-9_-]{1,64}", name):
         raise InputError(
             f"object name '{name}'", expected="1 to 64 of a-z, 0-9, _ and -", fix="Give another name."
@@ -61,18 +61,18 @@ def check_name(name: str) -> str:
 
 
 def model_path(bundles_dir: Path | str, name: str) -> Path:
-    """Where the reference model of that name lives."""
+    """The path of the reference model of that name."""
     return Path(bundles_dir) / f"{name}{SUFFIX}"
 
 
 def model_names(bundles_dir: Path | str) -> list[str]:
-    """The names of the reference models of a folder in alphabetical order, by its files alone."""
+    """The names of the reference models in a folder, in alphabetical order, from the file names alone."""
     files = Path(bundles_dir).glob(f"*{SUFFIX}")
     return sorted(p.name[: -len(SUFFIX)] for p in files if not p.name.startswith("."))
 
 
 def save_model(model: ReferenceModel, path: Path | str) -> None:
-    """Write a reference model; the file appears whole or not at all. Equal models give equal bytes."""
+    """Write a reference model. The file appears complete or not at all. Equal models give equal bytes."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     ok, png = cv2.imencode(".png", model.mesh.texture[..., ::-1])
@@ -104,10 +104,10 @@ def save_model(model: ReferenceModel, path: Path | str) -> None:
     }
     if model.frame_offset_m is not None:
         arrays["frame_offset_m"] = model.frame_offset_m
-    for room in ("surface", "templates", "pairs", "tables", "keypoints"):
-        part = getattr(model, room)
+    for section in ("surface", "templates", "pairs", "tables", "keypoints"):
+        part = getattr(model, section)
         for name in _array_fields(type(part)) if part is not None else ():
-            arrays[f"{room}.{name}"] = getattr(part, name)
+            arrays[f"{section}.{name}"] = getattr(part, name)
     arrays = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     header["types"] = {name: array.dtype.str for name, array in arrays.items()}
     with whole(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED) as archive:
@@ -142,7 +142,7 @@ def load_model(path: Path | str) -> ReferenceModel:
     except FileNotFoundError:
         raise InputError(path, found="no such file", expected="a reference model", fix=f"{_MAKE}.") from None
     except Exception as error:
-        # A damaged file may fail anywhere in zip, JSON, NumPy and OpenCV, each with errors of its own.
+        # A damaged file may fail anywhere in zip, JSON, NumPy and OpenCV, each with its own errors.
         found = f"a damaged or foreign file ({type(error).__name__}: {str(error)[:200]})"
         raise InputError(path, found=found, expected="a reference model", fix=_AGAIN) from None
 
@@ -150,8 +150,8 @@ def load_model(path: Path | str) -> ReferenceModel:
 def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> dict[str, ReferenceModel]:
     """Reference models of a folder by name: all of them in alphabetical order, or the named ones.
 
-    Raises InputError for a folder without models, for an unknown name, listing the known ones, and for a file
-    that was renamed.
+    Raises InputError for a folder without models, for an unknown name (listing the known ones), and for a
+    file that was renamed.
     """
     folder = Path(bundles_dir)
     known = model_names(folder)
@@ -170,7 +170,8 @@ def load_models(bundles_dir: Path | str, names: Iterable[str] | None = None) -> 
 
 
 def _named(path: Path, name: str) -> ReferenceModel:
-    """The model in a file, which has the name of the file: all else says the model's own."""
+    """The model in a file. Raises InputError if the model's own name, which is used everywhere else, is
+    another one."""
     model = load_model(path)
     if model.name != name:
         raise InputError(
@@ -183,7 +184,7 @@ def _named(path: Path, name: str) -> ReferenceModel:
 
 
 def _no_models(folder: Path) -> InputError:
-    """Of what is no folder of reference models, with what may be meant."""
+    """The error for a folder without reference models, with a suggestion."""
     found = "no reference models" if folder.is_dir() else "no such folder"
     fix = f"Make them: huepose onboard MESH --name NAME --out {shlex.quote(str(folder))}."
     if folder.is_file():
@@ -198,19 +199,19 @@ def _array_fields(kind: type) -> list[str]:
 
 
 def _narrowed(name: str, array: np.ndarray) -> np.ndarray:
-    """Integers of the paper's tables in the smallest type that holds them. All others are stored as they are
-    used, so that they can be mapped."""
+    """Integers of the paper's tables in the smallest type that holds them. All other arrays are stored as
+    they are used, so that they can be mapped."""
     if not name.startswith("tables.") or array.dtype.kind not in "iu" or not array.size:
         return array
     return array.astype(np.promote_types(np.min_scalar_type(array.min()), np.min_scalar_type(array.max())))
 
 
 def _assembled(header: dict[str, Any], arrays: dict[str, Any], digest: str) -> ReferenceModel:
-    def part(room: str, kind: type) -> dict[str, Any]:
-        return {name: arrays[f"{room}.{name}"] for name in _array_fields(kind)}
+    def part(section: str, kind: type) -> dict[str, Any]:
+        return {name: arrays[f"{section}.{name}"] for name in _array_fields(kind)}
 
     tables = header["table_parameters"]
-    texture = kept(_Texture, digest, lambda: _Texture(picture(arrays["mesh.texture_png"])))
+    texture = kept(_Texture, digest, lambda: _Texture(texture_of(arrays["mesh.texture_png"])))
     return ReferenceModel(
         name=check_name(header["name"]),
         object_id=header["object_id"],

@@ -1,4 +1,4 @@
-"""Whether the arrays of a reference model fit together: kernels trust their indices."""
+"""Checks that the arrays of a reference model fit together, because kernels trust their indices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ Indices = tuple[str, np.ndarray, int]
 
 
 def check_model(model: ReferenceModel) -> None:
-    """Raises ValueError that names what does not fit: a shape, a number that is not finite, an index."""
+    """Raises ValueError with the name of what does not fit: a shape, a number that is not finite, an
+    index."""
     mesh, surface, pairs, templates = model.mesh, model.surface, model.pairs, model.templates
     keypoints = model.keypoints
     samples, views = len(surface.points), len(surface.directions)
@@ -60,9 +61,9 @@ def check_model(model: ReferenceModel) -> None:
             raise ValueError(f"{name} is not finite")
     for name, array, end in indices:
         if array.size and not (array.min() >= 0 and array.max() < end):
-            raise ValueError(f"{name} points at what is not there")
+            raise ValueError(f"{name} has an index out of range")
     if (np.diff(surface.offsets) < 0).any():
-        raise ValueError("surface.offsets do not grow")
+        raise ValueError("surface.offsets decrease")
     for name, value in (("diameter_m", model.diameter_m), ("grid_step", model.grid.step)):
         if not (isinstance(value, float | int) and 0.0 < value < float("inf")):
             raise ValueError(f"{name} is {value!r}")

@@ -262,15 +262,15 @@ def test_a_compressed_file_is_refused_before_it_is_unpacked(saved: Path, tmp_pat
 @pytest.mark.parametrize(
     ("entry", "data", "reason"),
     [
-        ("surface.lab.npy", npy("(2, 1000000000000, 3)"), "not the size that it states"),
-        ("surface.lab.npy", npy("(2, 3, 3)", "|O", bytes(72)), "no plain array"),
+        ("surface.lab.npy", npy("(2, 1000000000000, 3)"), "not have the size that it states"),
+        ("surface.lab.npy", npy("(2, 3, 3)", "|O", bytes(72)), "not a plain array"),
         ("surface.lab.npy", npy("(2, 0, 3"), "damaged"),  # tokenize's own error
         ("surface.lab.npy", npy("(" * 100), "damaged"),
         ("surface.lab.npy", b"\x93NUMPY\x07\x00", "damaged"),
         ("surface.lab.npy", b"", "damaged"),
         ("surface.lab.npy", npy("(2, 5, 3)", data=bytes(120)), "surface.lab has the shape"),
         ("header.json", b"[" * 100_000, "damaged"),
-        ("header.json", b"[]", "no JSON object"),
+        ("header.json", b"[]", "not a JSON object"),
         ("header.json", b'{"a": ' + b"9" * 5000 + b"}", "damaged"),
     ],
 )
@@ -296,11 +296,11 @@ def test_an_index_that_points_at_nothing_is_refused(
     array = getattr(getattr(tea_box, room), field).copy()
     array.flat[-1] = np.iinfo(array.dtype).max
     data = npy(str(array.shape), array.dtype.str, array.tobytes())
-    with pytest.raises(InputError, match=f"{name} points at what is not there"):
+    with pytest.raises(InputError, match=f"{name} has an index out of range"):
         load_model(packed(saved, tmp_path / "tea_box.huepose", **{f"{name}.npy": data}))
 
 
 def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "tea_box.huepose")
-    with pytest.raises(InputError, match="it is no file"):
+    with pytest.raises(InputError, match="it is not a file"):
         load_model(tmp_path / "tea_box.huepose")

@@ -1,9 +1,9 @@
-"""Which of many objects is searched for first: those that what is new in the picture looks like.
+"""Chooses which of many objects to search for first: those that something new in the image looks like.
 
-To compare some windows of the picture with the views of twenty objects takes as long as a search for a few of
-them. So where many are missing, windows that have changed are compared with them all, once; what these look
-like is searched for at once, the rest when it is its turn. Where the camera moves, everything is new in each
-look: then objects of one size after another are compared, as there is time.
+Comparing some windows of the image with the views of twenty objects takes as long as searching for a few of
+them. So if many are missing, windows that have changed are compared with all of them, once. Objects that
+these windows look like are searched for at once, the others in their turn. If the camera moves, everything
+is new in each look: then objects of one size after another are compared, as time allows.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from huepose.perception.window_table import LIKE, WindowTable, compared, promisi
 from huepose.perception.windows import Windows, WindowsBySize
 
 EACH, CODED, EARNED = 20, 240, 60
-"""Windows that are compared with one object, those on pieces of their own or with its hues first, as in a
-first search; windows that are coded for this in one look at most, nearly (0.1 CPU seconds); and by how many
-that grows from look to look. Chosen for time."""
+"""EACH: windows that are compared with one object, those on separate pieces or with its hues first, as in a
+first search. CODED: about the most windows that are encoded for this in one look (0.1 CPU seconds). EARNED:
+by how many that number grows from look to look. Chosen for time."""
 
 
 @dataclass(frozen=True)
 class Attention:
     """What was compared. looks: by size of window, the look in which everything new was compared; likeness:
     by object, of what is new and was not searched for yet; searched: by object, of what was searched for in
-    vain; left: windows that may be coded. Likenesses are the highest, of a window and a view."""
+    vain; left: windows that may still be encoded. A likeness is the highest of a window and a view."""
 
     looks: Mapping[int, int] = field(default_factory=dict)
     likeness: Mapping[str, float] = field(default_factory=dict)
@@ -38,14 +38,15 @@ class Attention:
     left: int = CODED
 
     def picked(self, waiting: Collection[str]) -> list[str]:
-        """Those of the waiting objects that are searched for now, likeliest first: something new looks like
-        them, and more so than anything that was searched for in vain."""
+        """The waiting objects that are searched for now, most similar first: something new looks like them,
+        and at least as much as anything that was searched for in vain."""
         likely = {name: self.likeness.get(name, 0.0) for name in waiting}
         some = [name for name, x in likely.items() if x >= max(LIKE, self.searched.get(name, 0.0))]
         return sorted(some, key=lambda name: -likely[name])[:PICKED]
 
     def after(self, searched: Collection[str], missing: Collection[str]) -> Attention:
-        """After a search for some of the missing objects. What is not missing any more begins anew."""
+        """The state after a search for some of the missing objects. Objects that are no longer missing are
+        forgotten."""
         known = {
             name: max(self.searched.get(name, 0.0), self.likeness.get(name, 0.0) if name in searched else 0.0)
             for name in missing
@@ -60,8 +61,8 @@ def attended(
     windows: WindowsBySize,
     missing: Sequence[tuple[str, float, WindowTable]],
 ) -> Attention:
-    """After a look at what is new. missing: objects, their diameters in metres and their views. Sizes that it
-    has no time for come first in the next look."""
+    """The state after comparing what is new in a look. missing: objects, their diameters in metres and
+    their views. Sizes for which there is no time come first in the next look."""
     looks, likeness = dict(before.looks), dict(before.likeness)
     left = min(before.left + EARNED, CODED)
     of_size: dict[int, list[tuple[str, WindowTable]]] = {}
@@ -84,7 +85,7 @@ def attended(
 
 
 def _new(memory: Memory, windows: Windows, look: int | None) -> Bool:
-    """Which windows (W,) have changed since a look: all where it is not remembered."""
+    """Which windows (W,) have changed since a look; all of them if it is not remembered."""
     if look is None or look not in memory.tiles:
         return np.ones(len(windows), bool)
     changed = memory.changed_since(look)

@@ -1,5 +1,5 @@
-"""The detector's view of a frame: large planes removed, cropped to the rest, colours as smoothed
-opponents."""
+"""The detector's view of a frame: large planes removed, cropped to the rest, with smoothed opponent
+colours."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ from huepose.model.types import COLOR_SCALES_M, ReferenceModel
 from huepose.perception.embedded import depth_steps
 from huepose.perception.filled import filled
 from huepose.perception.planes import BAND_M, BAND_PER_M, large_planes, standing_clear
-from huepose.perception.stretches import connected, written
+from huepose.perception.stretches import connected, write_values
 from huepose.propose.view_pictures import Pyramid
 from huepose.support.jit import jit
 
 FAR_M = 9.0
-"""Depth assigned to pixels of planes: a pose that covers them counts as seen through there."""
+"""Depth assigned to pixels of planes, metres: a pose that covers them violates free space there."""
 
 SPECK_M2 = 1e-4
-"""Smallest piece of the depth, m^2: less than a square centimetre is noise."""
+"""Smallest piece of the depth, m^2: smaller ones are noise."""
 
 MARGIN_PX = 12.0
-"""Margin of the crop round what is left."""
+"""Margin of the crop around what is left."""
 
 WHOLE = slice(0, None), slice(0, None)
-"""Rows and columns."""
+"""All rows and columns."""
 
 THIN_M = 2.0 * (BAND_M + BAND_PER_M)
-"""An object that is thinner may be taken away with the plane it lies on: at a metre, a plane's noise reaches
-half as far."""
+"""An object thinner than this, metres, may be removed with the plane that it lies on: at a distance of one
+metre, a plane's noise reaches half as far."""
 
 WIDE_PX = 1.5
 """From this standard deviation on, a blur is computed at half the resolution."""
@@ -47,11 +47,13 @@ WIDE_PX = 1.5
 
 @dataclass(frozen=True, eq=False)
 class ClearView:
-    """The part of a frame in which something stands. frame: the whole, `filled`; crop: the part, with
-    planes at FAR_M; clear (h, w): pixels that belong to no plane; colors (2, h, w, 3) float32: opponents at
-    two scales, as in `judge.region`; pieces (P, 4): connected parts without a depth step: centre pixel, mean
-    depth, and longer side in metres; depth (h, w): of the part as measured, planes included, metres; pyramid:
-    of its colours. taken (h, w): pixels of something known, which have no depth here; None for none."""
+    """The part of a frame in which objects can be.
+
+    frame: the whole frame, `filled`; crop: the part, with planes at FAR_M; clear (h, w): pixels that belong
+    to no plane; colors (2, h, w, 3) float32: opponents at two scales, as in `judge.region`; pieces (P, 4):
+    connected parts without a depth step, each with its centre pixel, mean depth and longer side, metres;
+    depth (h, w): of the part as measured, planes included, metres; pyramid: of its colours; taken (h, w):
+    pixels of known instances, which have no depth here, or None."""
 
     frame: RgbdFrame
     crop: Crop
@@ -63,8 +65,8 @@ class ClearView:
     taken: Bool | None = None
 
     def without(self, taken: Bool) -> ClearView:
-        """The same view in which pixels (H, W) of the frame belong to something known: no depth is read
-        there."""
+        """The same view without the depth of the pixels (H, W) of the frame that belong to known
+        instances."""
         c = self.crop
         h, w = c.depth.shape
         mine = taken[c.y0 : c.y0 + h, c.x0 : c.x0 + w]
@@ -79,8 +81,8 @@ class ClearView:
         )
 
     def given_back(self, poses: Sequence[Float64], model: ReferenceModel) -> ClearView:
-        """The same view in which what an object explains of a plane, at poses T_cam_obj (4, 4), is clear, as
-        if it stood out of the plane."""
+        """The same view in which the pixels of a plane that an object explains, at poses T_cam_obj (4, 4),
+        are clear, as if it stood out of the plane."""
         c = self.crop
         h, w = c.depth.shape
         mine = taken_by(model, self.frame, poses)[c.y0 : c.y0 + h, c.x0 : c.x0 + w] & (self.depth > 0.0)
@@ -89,7 +91,7 @@ class ClearView:
         )
 
     def free(self, pixels: Float) -> Bool:
-        """Which of pixels (N, 2) of the crop belong to nothing that is known."""
+        """Which of pixels (N, 2) of the crop belong to no known instance."""
         if self.taken is None:
             return np.ones(len(pixels), bool)
         height, width = self.taken.shape
@@ -102,7 +104,7 @@ class ClearView:
 
     @cached_property
     def whole(self) -> ClearView:
-        """The same view of the whole frame."""
+        """The same view, extended to the whole frame."""
         c, clear = self.crop, np.zeros(self.frame.depth.shape, bool)
         if self.clear.shape == clear.shape:
             return self
@@ -111,8 +113,9 @@ class ClearView:
 
     @cached_property
     def with_planes(self) -> ClearView:
-        """The same view to judge poses that were found: planes have their depth, negative, and say nothing of
-        a surface that lies in them. A thin thing on a table is within the table's noise."""
+        """The same view for judging poses that were found: pixels of planes have their depth, negative, and
+        count neither for nor against a surface that lies in a plane. A thin thing on a table is within the
+        table's noise."""
         taken_away = ~self.clear & (self.depth > 0.0)
         return replace(
             self, crop=replace(self.crop, depth=np.where(taken_away, -self.depth, self.crop.depth))
@@ -120,7 +123,7 @@ class ClearView:
 
 
 def thin(model: ReferenceModel) -> bool:
-    """Whether an object may be taken away with the plane it lies on."""
+    """Whether an object may be removed with the plane that it lies on."""
     return model.thickness_m < THIN_M
 
 
@@ -137,7 +140,7 @@ def clear_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
 
 
 def whole_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
-    """`clear_view` of all of a frame, even if nothing is left; None if it has no depth."""
+    """Like `clear_view`, but of the whole frame, even if nothing is left; None if it has no depth."""
     if not (frame.depth > 0.0).any():
         return None
     frame = filled(frame)
@@ -145,7 +148,7 @@ def whole_view(frame: RgbdFrame, largest_m: float) -> ClearView | None:
 
 
 def _standing(frame: RgbdFrame, largest_m: float) -> tuple[Bool, Float64]:
-    """Mask (H, W) of what stands clear of large planes, and its pieces (P, 4)."""
+    """Mask (H, W) of what is clear of large planes, and its pieces (P, 4)."""
     planes = large_planes(frame.depth, frame.camera, largest_m**2)
     return _pieces(frame.depth, standing_clear(frame.depth, frame.camera, planes, largest_m), frame.camera.fx)
 
@@ -162,7 +165,7 @@ def _part(frame: RgbdFrame, clear: Bool, pieces: Float64, rows: slice, columns: 
 
 
 def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
-    """Mask (H, W) of what stands clear, without specks, and its pieces (P, 4)."""
+    """Mask (H, W) of what is clear, without specks, and its pieces (P, 4)."""
     opened = cv2.morphologyEx(clear.view(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)) > 0
     free = opened & ~depth_steps(depth)
     stretches, count = connected(free.view(np.uint8))
@@ -170,9 +173,9 @@ def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
     size = sums[:, 0]
     middles, mean_m = sums[:, 1:3] / size[:, None], sums[:, 3] / size
     kept = size * (mean_m / focal) ** 2 >= SPECK_M2
-    # The far sides of steps belong to no piece, but to what is beside them.
+    # The far side of a depth step belongs to no piece; it is kept as part of what is beside it.
     shown = np.zeros(depth.shape, np.uint8)
-    written(stretches, kept.view(np.uint8), shown)
+    write_values(stretches, kept.view(np.uint8), shown)
     near = cv2.dilate(shown, np.ones((5, 5), np.uint8)) > 0
     side_m = (bounds[:, 2:] - bounds[:, :2]).max(1) * mean_m / focal
     return near & opened, np.column_stack([middles, mean_m, side_m])[kept]
@@ -180,8 +183,8 @@ def _pieces(depth: Float32, clear: Bool, focal: float) -> tuple[Bool, Float64]:
 
 @jit
 def _measured(stretches: Int32, depth: Float32, count: int) -> tuple[Float64, Int64]:
-    """Of each piece of some stretches: sums (count, 4) of its pixels, their columns, rows and depth; bounds
-    (count, 4): left, top, right, bottom (exclusive)."""
+    """For each piece of some stretches: sums (count, 4) of its pixels, their columns, rows and depth;
+    bounds (count, 4): left, top, right, bottom (exclusive)."""
     sums, bounds = np.zeros((count, 4)), np.zeros((count, 4), np.int64)
     for v, first, last, k in stretches:
         if sums[k, 0] == 0.0:
@@ -206,13 +209,13 @@ def _smoothed(color: UInt8, pixels_per_m: float) -> Float32:
     return out
 
 
-def _blur(picture: Float32, sigma: float, out: Float32) -> None:
-    """Gaussian blur of a picture into `out`, at half the resolution where it is wide."""
+def _blur(image: Float32, sigma: float, out: Float32) -> None:
+    """Gaussian blur of an image into `out`, at half the resolution if it is wide."""
     if sigma < WIDE_PX:
-        cv2.GaussianBlur(picture, (0, 0), sigma, dst=out)
+        cv2.GaussianBlur(image, (0, 0), sigma, dst=out)
         return
-    height, width = picture.shape[:2]
-    half = cv2.resize(picture, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
-    # Taking means of two pixels and going back between the means blurs a little, too.
+    height, width = image.shape[:2]
+    half = cv2.resize(image, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    # Averaging two pixels and interpolating back between the means also blurs a little.
     half = cv2.GaussianBlur(half, (0, 0), 0.5 * (sigma**2 - 0.75) ** 0.5)
     cv2.resize(half, (width, height), dst=out, interpolation=cv2.INTER_LINEAR)

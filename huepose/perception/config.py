@@ -1,4 +1,4 @@
-"""What can be set about the detector that needs no network; the defaults are those of a live pipeline."""
+"""Settings of the default detector. Their defaults are those of a live pipeline."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ Source = Literal["keypoints", "views"]
 SOURCES: tuple[Source, ...] = get_args(Source)
 
 PICKED = 4
-"""Most objects that a look searches for beside those that it was asked for, because something new in the
-picture looks like them. Chosen for time."""
+"""Most objects that are searched for in addition to the requested ones, because something new in the image
+looks like them. Chosen for time."""
 
 
 @dataclass(frozen=True)
 class DetectorConfig:
-    """sources: what proposes poses; proposals: most boxes of one object; min_score: a place that is the
-    object's with less than this probability is not worth an estimate; threads: objects that are searched for
-    at the same time; remembering: frames come from one camera, in order, so that what stands still is not
-    looked at each time (`perception.memory`).
+    """sources: what proposes poses; proposals: most boxes of one object; min_score: a place where the
+    object is with less than this probability is not worth an estimate; threads: objects that are searched
+    for at the same time; remembering: frames come from one camera, in order, so that what has not changed
+    is not processed again (`perception.memory`).
 
-    Origin: chosen for time. Two boxes instead of three lose 0 to 3 % of the labels (first 1 / 2 / 5 proposals
-    in docs/detection_measured.md), and each box costs an estimate.
+    Origin: chosen for time. Two boxes instead of three lose 0 to 3 % of the labels (first 1 / 2 / 5
+    proposals in docs/detection_measured.md), and each box costs an estimate.
     """
 
     sources: tuple[Source, ...] = SOURCES

@@ -1,16 +1,17 @@
-"""The segmenter that needs no weights: support plane, depth pieces, and a cut by colour.
+"""The segmenter that needs no network: support plane, depth pieces, and a cut by colour.
 
-Its candidates are judged together by the poses that they lead to, so a wrong one costs time, not the answer.
+Its candidate masks are judged together by the poses that they lead to, so a wrong one costs time, not the
+answer.
 
-Pieces are connected pixels without a step in depth between them. An object shows as one, or as several where
-something thin crosses it; those that together fit the box best are the object. One that fits badly may be the
-wrong one, then a second answer is given.
+Pieces are connected pixels without a depth step between them. An object appears as one piece, or as several
+if something thin crosses it. The object is the set of pieces that together fit the box best. If they fit
+badly, they may be the wrong ones; then a second mask is given.
 
-Where neighbours touch without a depth step, their colours may still tell them apart. Which colours are the
-object's is learned from the mask, most from its middle, and which are not from what surrounds the box; both
-as histograms, and anew from what was kept. A pixel is kept when its neighbourhood is more likely the
-object's: the two likelihoods of GrabCut (Rother et al. 2004) with smoothing instead of a graph, which takes a
-sixth of the time and gives masks as good.
+Neighbours that touch without a depth step may still differ in colour. The object's colours are learned from
+the mask, most from the middle of the box; other colours from what surrounds the box. Both are histograms;
+the object's is learned again from the pixels that were kept. A pixel is kept if its neighbourhood is more
+likely the object's. These are the two likelihoods of GrabCut (Rother et al. 2004) with smoothing instead of
+a graph cut, which takes a sixth of the time and gives masks as good.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int, Int32, UInt8, m
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 from huepose.perception.planes import above_plane, find_support_plane
-from huepose.perception.stretches import connected, written
+from huepose.perception.stretches import connected, write_values
 from huepose.support.jit import jit
 
 COLOR_MIN_PIXELS = 60
-"""A colour cut of fewer pixels is no candidate."""
+"""A colour cut is a candidate if it has more pixels than this."""
 
 COLOR_SAME = 0.8
-"""A colour cut that agrees with the depth mask by this IoU is no other candidate."""
+"""A colour cut is another candidate only if its IoU with the depth mask is less than this."""
 
 
 class DepthSegmenter:
-    """Outlines an object in a box from depth, helped by colour. Stateless and deterministic."""
+    """Segments an object in a box by depth, helped by colour. Stateless and deterministic."""
 
     def segment(self, frame: RgbdFrame, box: Box, diameter_m: float) -> list[Bool]:
-        """One to three candidate masks (H, W) of pixels with depth, most likely first; a single mask without
-        a pixel when the box holds no depth."""
+        """One to three candidate masks (H, W) of pixels with depth, most likely first. If depth shows no
+        object, one mask: the inner half of the box, empty if that has hardly any depth."""
         masks = depth_masks(frame, box, diameter_m)
         if not masks:
             return [_middle_of(frame, box)]
@@ -51,7 +52,7 @@ class DepthSegmenter:
 
 
 def depth_masks(frame: RgbdFrame, box: Box, diameter_m: float) -> list[Bool]:
-    """The candidates that depth alone gives, best first; empty when nothing stands in the box."""
+    """The candidate masks from depth alone, best first; empty if the box has no piece of depth."""
     if box.clipped(frame.camera.width, frame.camera.height).area < 4:
         return []
     rows, columns = box.grown(0.25, 4.0).slices(frame.camera.width, frame.camera.height)
@@ -71,7 +72,7 @@ def _in_frame(mask: Bool, frame: RgbdFrame, rows: slice, columns: slice) -> Bool
 
 
 def _middle_of(frame: RgbdFrame, box: Box) -> Bool:
-    """The inner half of a box where it has depth: what is left when the object cannot be told from its
+    """The inner half of a box where it has depth: used when the object cannot be separated from its
     support."""
     out = np.zeros(frame.depth.shape, bool)
     rows, columns = box.grown(-0.25).slices(frame.camera.width, frame.camera.height)
@@ -80,13 +81,13 @@ def _middle_of(frame: RgbdFrame, box: Box) -> Bool:
 
 
 MIN_PIXELS, MIN_MASK_PIXELS = 15, 25
-"""Pixels that a piece of depth and a mask have at least: smaller ones are noise at edges."""
+"""Least pixels of a piece of depth, and of a mask: smaller ones are noise at edges."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """Pieces of a window, numbered from 0. labels (h, w) int32: piece of each pixel, -1 for none; bounds (n,
-    4): left, top, right, bottom (exclusive); share (n,): part of the piece inside the box; weight (n,):
+    """Pieces of a window, numbered from 0. labels (h, w) int32: piece of each pixel, -1 for none; bounds
+    (n, 4): left, top, right, bottom (exclusive); share (n,): part of the piece inside the box; weight (n,):
     pixels, weighted by their nearness to the box's centre; depth (n,): median, metres."""
 
     labels: Int
@@ -111,7 +112,7 @@ def cut_pieces(depth: Float32, candidate: Bool, box: Box) -> Pieces:
     number = np.full(count, -1, np.int32)
     number[keep] = np.arange(len(keep))
     labels = np.full(depth.shape, -1, np.int32)
-    written(stretches, number, labels)
+    write_values(stretches, number, labels)
     return Pieces(
         labels, bounds[keep], share[keep] / size[keep], weight[keep], median_depths(depth, labels, len(keep))
     )
@@ -129,8 +130,9 @@ def _sums(
     near: Float64,
     bounds: Float64,
 ) -> None:
-    """Of each piece (P,) of some stretches: its pixels, those inside the box, and their nearness, both
-    products of what holds for rows (h,) and columns (w,); bounds (P, 4) as of `Pieces`."""
+    """Sum up for each piece (P,) of some stretches: its pixels, those inside the box, and their nearness to
+    its centre. Being inside and nearness are products of factors for rows (h,) and columns (w,). bounds
+    (P, 4): as in `Pieces`."""
     bounds[:, :2], bounds[:, 2:] = np.inf, -np.inf
     for v, first, last, k in stretches:
         size[k] += last - first
@@ -143,7 +145,7 @@ def _sums(
 
 
 def depth_steps(depth: Float32) -> Bool:
-    """The far side of every depth step: rims of near things stay whole."""
+    """The pixels at the far side of every depth step: rims of near things stay whole."""
     smooth = np.asarray(cv2.medianBlur(np.ascontiguousarray(depth), 3), np.float32)
     step = np.empty(depth.shape, bool)
     _mark_steps(smooth, 0.006 + 0.004 * depth, step)
@@ -152,8 +154,8 @@ def depth_steps(depth: Float32) -> Bool:
 
 @jit
 def _mark_steps(smooth: Float32, limit: Float32, step: Bool) -> None:
-    """Mark the pixels (h, w) farther than a neighbour by more than a limit, the upper or left one's of the
-    two. In plain loops over a row, so that the compiler works on several pixels at once."""
+    """Mark the pixels (h, w) that are farther than a neighbour by more than a limit, that of the upper or
+    left one of the two. Plain loops over a row, so that the compiler vectorises them."""
     height, width = smooth.shape
     for v in range(height):
         for u in range(width - 1):
@@ -173,7 +175,7 @@ def median_depths(depth: Float32, labels: Int, count: int) -> Float64:
     """Median depth of each piece."""
     inside = labels >= 0
     values, owner = depth[inside], labels[inside]
-    # Positive numbers are ordered as their bits are: one sort of whole numbers, the piece in front.
+    # Positive floats sort like their bits: one sort of integers, with the piece in the high bits.
     bits = np.ascontiguousarray(values, dtype=np.float32).view(np.int32).astype(np.int64)
     order = np.sort((owner.astype(np.int64) << 32) | bits)
     sizes = np.bincount(owner, minlength=count)
@@ -183,8 +185,8 @@ def median_depths(depth: Float32, labels: Int, count: int) -> Float64:
 
 
 def join_pieces(depth: Float32, candidate: Bool, pieces: Pieces, box: Box, diameter_m: float) -> list[Bool]:
-    """One or two masks (h, w), best first: the likeliest piece with those that belong to it, and the same
-    for the runner-up where the first fits the box badly. Empty when no piece touches the box."""
+    """One or two masks (h, w), best first: the best piece with those that belong to it, and the same for
+    the second best if the first fits the box badly. Empty if no piece touches the box."""
     if not len(pieces.weight):
         return []
     merit = pieces.weight * (0.2 + _ious(pieces.bounds, box)) * pieces.share
@@ -204,7 +206,8 @@ def join_pieces(depth: Float32, candidate: Bool, pieces: Pieces, box: Box, diame
 
 
 def _joined(pieces: Pieces, main: int, box: Box, diameter_m: float) -> tuple[Bool, Float64]:
-    """A piece with every other that lies in the box, is about as deep, and does not worsen the fit."""
+    """A piece with every other piece that lies in the box, has about the same depth, and does not worsen
+    the fit."""
     members = np.zeros(len(pieces.weight) + 1, bool)
     members[main] = True
     bounds = pieces.bounds[main]
@@ -224,8 +227,8 @@ def _joined(pieces: Pieces, main: int, box: Box, diameter_m: float) -> tuple[Boo
 def _finished(
     mask: Bool, bounds: Float64, depth: Float32, candidate: Bool, box: Box, diameter_m: float
 ) -> tuple[Bool, float]:
-    """Rims put back, far-off depth and what lies beside the box cut off; the mask and how well it fits the
-    box."""
+    """The mask with its rims added again, without far-off depth and pixels beside the box; and how well it
+    fits the box."""
     near = np.abs(depth - median(depth[mask])) < 0.75 * diameter_m
     grown = cv2.dilate((mask & near).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     mask = grown & candidate & near
@@ -246,29 +249,29 @@ def _ious(bounds: Float64, box: Box) -> Float64:
 
 
 MAX_SIDE = 72
-"""The cut runs on a reduced picture of at most this many pixels a side."""
+"""The cut runs on an image reduced to at most this many pixels a side."""
 
 BINS = 16
-"""Of each channel of CIELAB."""
+"""Histogram bins for each channel of CIELAB."""
 
 ROUNDS = 2
-"""Of the cut: each takes the colours of what the one before kept."""
+"""Rounds of the cut: each learns the object's colours from what the one before kept."""
 
 SMOOTHING_PX = 1.5
-"""Sigma by which evidence is smoothed, pixels of the reduced picture."""
+"""Sigma of the smoothing of the evidence, pixels of the reduced image."""
 
 MOST_EVIDENCE = 3.0
-"""Log-likelihood ratio that a single pixel can have."""
+"""Largest log-likelihood ratio of a single pixel."""
 
 RARE = 1e-4
-"""Added to shares of colours: rarer than this is not known."""
+"""Added to the share of each colour, so that very rare colours are no evidence."""
 
 MIDDLE = 0.4
-"""Standard deviation of the weight that the middle of the box has, in its sizes."""
+"""Standard deviation of the weight around the middle of the box, in sizes of the box."""
 
 
 def color_cut(color: UInt8, box: Box, mask: Bool) -> Bool:
-    """The part of a mask (H, W) whose colours (RGB) differ from those outside the box; the mask itself where
+    """The part of a mask (H, W) whose colours (RGB) differ from those outside the box; the mask itself if
     there is nothing to compare."""
     height, width = mask.shape
     rows, columns = box.grown(0.35, 8.0).slices(width, height)
@@ -298,8 +301,8 @@ def color_cut(color: UInt8, box: Box, mask: Bool) -> Bool:
 
 
 def _likelier(color: UInt8, covered: Bool, weight: Float64, outside: Bool) -> Bool:
-    """Covered pixels (h, w) that are more likely of the covered pixels' colours, each with its weight, than
-    of those outside."""
+    """The covered pixels (h, w) whose neighbourhood is more likely to have the colours of the covered
+    pixels, weighted by `weight`, than the colours outside."""
     lab = cv2.cvtColor(color, cv2.COLOR_RGB2LAB).astype(np.int32) // (256 // BINS)
     place = (lab[..., 0] * BINS + lab[..., 1]) * BINS + lab[..., 2]
     others = np.log(_shares(place, outside.astype(np.float64)) + RARE)
@@ -318,10 +321,10 @@ def _smoothed(evidence: Float32) -> Float32:
 
 
 def _shares(place: np.ndarray, weight: Float64) -> Float64:
-    """Share (BINS ** 3,) of each colour in weighted pixels, spread over its neighbours."""
+    """Share (BINS ** 3,) of each colour in weighted pixels, smoothed over neighbouring bins."""
     counts = np.bincount(place.ravel(), weight.ravel(), BINS**3).reshape(BINS, BINS, BINS)
     for axis in range(3):
-        turned = np.moveaxis(counts, axis, 0)
-        below, above = np.concatenate([turned[:1], turned[:-1]]), np.concatenate([turned[1:], turned[-1:]])
-        counts = np.moveaxis(0.5 * turned + 0.25 * (below + above), 0, axis)
+        moved = np.moveaxis(counts, axis, 0)
+        below, above = np.concatenate([moved[:1], moved[:-1]]), np.concatenate([moved[1:], moved[-1:]])
+        counts = np.moveaxis(0.5 * moved + 0.25 * (below + above), 0, axis)
     return np.asarray(counts.ravel() / max(float(weight.sum()), 1e-9))

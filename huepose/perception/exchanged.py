@@ -1,7 +1,8 @@
-"""Are red and blue exchanged, as in pictures that OpenCV reads?
+"""Detects images whose red and blue channels are exchanged, as in images that OpenCV reads.
 
-A picture is searched once more with its first and last channel exchanged: what is plainly in it then, and was
-not before, says so; what is in it only as it is says that the order is right."""
+A frame is searched once more with its first and last channel exchanged. An object that is clearly found
+only then shows that they were exchanged; one that is clearly found only in the frame as it is shows that
+the order is right."""
 
 from __future__ import annotations
 
@@ -15,16 +16,17 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.perception.types import Detection, Detector
 
 PLAIN = 0.7
-"""Least score of an object that is plainly there. Of 74 labels in 19 real and drawn frames 54 reach it, and
-two, both a marker, in the pictures with exchanged channels."""
+"""Least score of an object that is clearly there. Of 74 labels in 19 real and rendered frames 54 reach it,
+and two, both a marker, in the frames with exchanged channels."""
 
 LEAD = 0.3
-"""Least lead of such a score over that of the same object in the other order."""
+"""Least lead of such a score over the score of the same object in the other order."""
 
 
 class ChannelOrder(NamedTuple):
-    """What a picture says of the order of its channels. exchanged: what to ask, empty where nothing speaks
-    against the order; right: an object is there that is not with red and blue exchanged."""
+    """What a frame shows about the order of its channels. exchanged: a question to the user, empty if
+    nothing speaks against the order; right: an object is found that is not found with red and blue
+    exchanged."""
 
     exchanged: str = ""
     right: bool = False
@@ -33,11 +35,12 @@ class ChannelOrder(NamedTuple):
 def order_of_channels(
     frame: RgbdFrame, detector: Detector, names: Sequence[str], seen: Mapping[str, float] | None = None
 ) -> ChannelOrder:
-    """The order of a frame's channels, by the named objects. Those that look alike both ways, as a grey mug,
-    say nothing. seen: scores in the frame of objects that were just looked for; the others are searched."""
+    """The order of a frame's channels, by the named objects. Objects that look alike in both orders, such
+    as a grey mug, show nothing. seen: scores of objects that have just been searched for in the frame; the
+    others are searched for here."""
     other = replace(frame, color=np.ascontiguousarray(frame.color[:, :, ::-1]))
     exchanged, as_it_is = _scores(detector.detect(other, names)), dict(seen or {})
-    # A short look may have missed what is plain in the other order.
+    # A short search may have missed an object that is clear in the other order.
     again = [name for name in names if name not in as_it_is or exchanged.get(name, 0.0) >= PLAIN]
     if again:
         as_it_is |= _scores(detector.detect(frame, again))
@@ -52,7 +55,7 @@ def order_of_channels(
     if leads.get(name, 0.0) < LEAD:
         return ChannelOrder()
     return ChannelOrder(
-        f"With red and blue exchanged, {name} is in the picture: are its channels in the order "
+        f"With red and blue exchanged, {name} is found in the image: are its channels in the order "
         "blue, green, red? They have to be red, green, blue (cv2.cvtColor, COLOR_BGR2RGB)."
     )
 

@@ -1,5 +1,4 @@
-"""Depth whose readings stand apart, as where that of a smaller picture was registered into a larger one: the
-holes between them are filled."""
+"""Fills the holes in sparse depth, such as depth of a smaller image that was registered to a larger one."""
 
 from __future__ import annotations
 
@@ -11,14 +10,15 @@ import numpy as np
 from huepose.geometry.frame import RgbdFrame
 
 WHOLE = 0.5
-"""A smaller share of all readings that lie in squares of 3 x 3 pixels without a hole: no surface is whole."""
+"""Depth is sparse if less than this share of all readings lies in squares of 3 x 3 pixels without a
+hole."""
 
 _SQUARE = np.ones((3, 3), np.uint8)
 
 
 def filled(frame: RgbdFrame) -> RgbdFrame:
-    """A frame with the nearest reading beside them in the holes of one or two pixels, where these are nearly
-    everywhere; any other as it is."""
+    """A frame with holes of one or two pixels nearly everywhere gets in each of them the nearest reading
+    beside it. Any other frame stays as it is."""
     read = (frame.depth > 0.0).view(np.uint8)
     whole = cv2.morphologyEx(read, cv2.MORPH_OPEN, _SQUARE)
     if cv2.countNonZero(whole) >= WHOLE * cv2.countNonZero(read):

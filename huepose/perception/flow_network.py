@@ -1,8 +1,8 @@
-"""Optical flow by a network: NeuFlow v2 as it is exported to ONNX, behind the same protocol as DIS.
+"""Optical flow by a network: NeuFlow v2 exported to ONNX, behind the same protocol as DIS.
 
-Two pictures go in as float 1 x 3 x H x W, BGR in 0..1, sides multiples of 16; one flow comes out, 2 x H x W
-or 1 x 2 x H x W, from the first to the second in pixels of the input. The window is brought to the input's
-size, so the flow's *values* are scaled back as well as its grid, each axis by its own ratio.
+Its inputs are two images, float 1 x 3 x H x W, BGR in 0..1, sides multiples of 16. Its output is the flow
+from the first to the second in pixels of the input, 2 x H x W or 1 x 2 x H x W. The window is resized to
+the input's size, so the flow's *values* are scaled back as well as its grid, each axis by its own ratio.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from huepose.propose.flow import MIN_SIDE, Flow, consistency
 
 STEP = 16
 OPEN_SIZE = (256, 320)
-"""Height and width of the input where the file leaves them open."""
+"""Height and width of the input if the file leaves them open."""
 
 
 class NetworkFlow:
-    """A FlowSource. Raises InputError when the network is not of this kind."""
+    """A FlowSource. Raises InputError if the network is not of this kind."""
 
     def __init__(self, network: Network) -> None:
         self._network = network
@@ -55,8 +55,8 @@ class NetworkFlow:
 def _input_size(network: Network) -> tuple[int, int]:
     """Height and width of both inputs."""
     wanted = "two inputs of float 1 x 3 x H x W, sides multiples of 16"
-    if len(network.inputs) != 2 or not all(_is_picture(tensor) for tensor in network.inputs):
-        raise network.refused(wanted, "Export NeuFlow v2 with two pictures as its inputs.")
+    if len(network.inputs) != 2 or not all(_is_image(tensor) for tensor in network.inputs):
+        raise network.refused(wanted, "Export NeuFlow v2 with two images as its inputs.")
     sizes = [
         tuple(side if isinstance(side, int) else OPEN_SIZE[k] for k, side in enumerate(tensor.shape[2:]))
         for tensor in network.inputs
@@ -67,12 +67,13 @@ def _input_size(network: Network) -> tuple[int, int]:
     return height, width
 
 
-def _is_picture(tensor: Tensor) -> bool:
+def _is_image(tensor: Tensor) -> bool:
     return len(tensor.shape) == 4 and tensor.shape[1] == 3 and tensor.kind == "tensor(float)"
 
 
 def _shaped(box: Box, size: tuple[int, int], image_shape: tuple[int, ...]) -> Box:
-    """The box, wider or higher where the image has room, so that it is stretched as little as may be."""
+    """The box, made wider or higher as far as the image has room, so that resizing distorts it as little as
+    possible."""
     width = max(box.w, box.h * size[1] / size[0])
     height = max(box.h, box.w * size[0] / size[1])
     width, height = min(width, image_shape[1]), min(height, image_shape[0])
@@ -83,7 +84,7 @@ def _shaped(box: Box, size: tuple[int, int], image_shape: tuple[int, ...]) -> Bo
 
 def _tensor(window: UInt8, size: tuple[int, int]) -> Float32:
     """A window (H, W, 3) RGB as the network's input."""
-    # Where the window is larger, mere interpolation would skip pixels and move what is small.
+    # If the window is larger, plain interpolation would skip pixels and displace small details.
     kind = cv2.INTER_AREA if window.shape[1] > size[1] else cv2.INTER_LINEAR
     scaled = cv2.resize(np.ascontiguousarray(window[..., ::-1]), (size[1], size[0]), interpolation=kind)
     return np.ascontiguousarray(scaled.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255.0)

@@ -1,8 +1,9 @@
 """The detector's memory of one camera: codes and features of what has not changed are used again.
 
-A window keeps its place and codes while its part of the picture is unchanged; image features stay where the
-picture is unchanged. Both expire after some looks, so that noise which hid an object once does not hide it
-for long. If the camera moves, nothing is kept; the comparison costs 1.3 ms.
+A *look* is one frame that the detector searches. A window keeps its place and codes while its part of the
+image is unchanged; image features are kept where the image is unchanged. Both expire after some looks, so
+that noise that concealed an object once does not conceal it for long. If the camera moves, nothing is kept;
+the comparison costs 1.3 ms.
 """
 
 from __future__ import annotations
@@ -24,21 +25,21 @@ FEWEST, MOST = 6, 18
 """Codes expire after 6 to 18 looks, spread so that only some of them expire in the same look."""
 
 CHANGED = 0.03
-"""A window is coded again if more than this share of its tiles has changed."""
+"""A window is encoded again if more than this share of its tiles has changed."""
 
 SAME_PLACE = 0.08
 """Windows whose centres are this near, in diameters, are the same: a third of their spacing."""
 
 LONE = 2
-"""A changed tile counts as noise if fewer than this many of the 3 x 3 tiles around it, with itself,
-changed."""
+"""A changed tile counts as noise if fewer than this many of the 3 x 3 tiles around it, itself included,
+have changed."""
 
 SHOWN, NOT_SHOWN = 0.5, 0.1
-"""A tile also counts as changed if features are now searched in more than SHOWN of it and were in less than
-NOT_SHOWN."""
+"""A tile also counts as changed if features are now searched for in more than SHOWN of it, and before in
+less than NOT_SHOWN of it."""
 
 MUCH = 0.5
-"""If this share of the view has to be searched for features again, all of it is."""
+"""If features have to be searched for again in this share of the view, they are in all of it."""
 
 BESIDE_PX = 32
 """Margin around a changed part in which features are extracted, pixels: the reach of a descriptor."""
@@ -46,8 +47,9 @@ BESIDE_PX = 32
 
 @dataclass(frozen=True, eq=False)
 class KeptWindows:
-    """Coded windows of one size. pixels (N, 2): centres in the frame; depth_m, span_px (N,); codes (N, D);
-    look, until (N,): the look in which each was coded, and the last one in which its code is valid."""
+    """Encoded windows of one size. pixels (N, 2): centres in the frame; depth_m, span_px (N,); codes
+    (N, D); look, until (N,): the look in which each was encoded, and the last look in which its code is
+    valid."""
 
     pixels: Float64
     depth_m: Float64
@@ -62,8 +64,9 @@ class KeptWindows:
 
 @dataclass(frozen=True, eq=False)
 class KeptFeatures:
-    """Image features with pixels in the frame. tiles: the picture from which each was extracted; shown (h,
-    w): share of each tile that was searched; until: the last look in which they are valid."""
+    """Image features with pixels in the frame. tiles: the image from which each feature was extracted;
+    shown (h, w): share of each tile that was searched; until: the last look in which the features are
+    valid."""
 
     features: Features
     tiles: Tiles
@@ -73,8 +76,8 @@ class KeptFeatures:
 
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """look: number of the latest look; camera: its camera; tiles: the picture of each recent look; windows:
-    by size; features: None if none were asked for."""
+    """look: number of the latest look; camera: its camera; tiles: the image of each recent look; windows:
+    by size; features: None if none were extracted."""
 
     look: int
     camera: Camera
@@ -84,8 +87,8 @@ class Memory:
     _changed: dict[int, Bool] = field(default_factory=dict, init=False)
 
     def windows_of(self, size: int) -> KeptWindows | None:
-        """Valid windows of one size whose content is unchanged since they were coded; None if that size is
-        new."""
+        """The valid windows of one size whose content is unchanged since they were encoded; None if that
+        size is new."""
         kept = self.windows.get(size)
         if kept is None:
             return None
@@ -103,8 +106,8 @@ class Memory:
         return self._changed[look]
 
 
-def looking(before: Memory | None, frame: RgbdFrame) -> Memory:
-    """The memory for the look at a new frame; empty if the frame is another camera's."""
+def next_look(before: Memory | None, frame: RgbdFrame) -> Memory:
+    """The memory for the look at a new frame; empty if the frame comes from another camera."""
     tiles = Tiles.of(frame)
     if before is None or before.camera != frame.camera:
         return Memory(0, frame.camera, {0: tiles}, {})
@@ -114,13 +117,13 @@ def looking(before: Memory | None, frame: RgbdFrame) -> Memory:
 
 
 def features_of(memory: Memory, view: ClearView, shown: Bool, source: FeatureSource) -> KeptFeatures:
-    """The features of a view in the pixels `shown` (h, w), extracted again only where the picture has
+    """The features of a view in the pixels `shown` (h, w), extracted again only where the image has
     changed."""
     crop, now, kept = view.crop, memory.tiles[memory.look], memory.features
     in_frame = np.zeros(view.frame.depth.shape, bool)
     in_frame[crop.y0 : crop.y0 + shown.shape[0], crop.x0 : crop.x0 + shown.shape[1]] = shown
     shares = _shares(in_frame, now.known.shape)
-    # A picture that is smaller than a tile has none in which something could have changed.
+    # An image smaller than a tile has no tiles, so changes cannot be found.
     if kept is not None and kept.until >= memory.look and now.known.size:
         appeared = (shares > SHOWN) & (kept.shown < NOT_SHOWN)
         anew = _together((now.changed(kept.tiles) & (shares > 0)) | appeared)
@@ -142,7 +145,7 @@ def _renewed(
     shown: Bool,
     source: FeatureSource,
 ) -> KeptFeatures:
-    """Kept features, with those in the tiles `anew` (h, w) replaced by new ones from parts of the picture."""
+    """Kept features, with those in the tiles `anew` (h, w) replaced by new ones from parts of the image."""
     some = [kept.features[~_inside(kept.features.pixels, anew)]]
     for left, top, right, low in parts:
         part = np.s_[top:low, left:right]
@@ -175,8 +178,8 @@ def _together(changed: Bool) -> Bool:
 
 
 def _parts(anew: Bool, size: tuple[int, ...]) -> list[tuple[int, int, int, int]]:
-    """Bounds (left, top, right, bottom) of the connected parts of tiles, with a margin, in a picture (H,
-    W)."""
+    """Bounds (left, top, right, bottom) of the connected parts of tiles, with a margin, in an image
+    (H, W)."""
     found = cv2.connectedComponentsWithStats(anew.view(np.uint8), connectivity=8)[2][1:, :4]
     return [
         (
@@ -197,7 +200,7 @@ def _inside(pixels: Float32, tiles: Bool) -> Bool:
 
 def matched(places: Float64, kept: Float64) -> tuple[Int64, Int64]:
     """One-to-one matches between places (W, 3) and kept ones (N, 3), in diameters: indices (K,) into both."""
-    from scipy.spatial.distance import cdist  # a tenth of a second, which the tracker does not need
+    from scipy.spatial.distance import cdist  # 0.1 s to import, which the tracker saves
 
     none = np.zeros(0, np.int64), np.zeros(0, np.int64)
     if not len(places) or not len(kept):

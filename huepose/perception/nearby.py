@@ -24,7 +24,7 @@ from huepose.refine.solver import Body
 from huepose.support.jit import jit
 
 POINTS, ITERATIONS = 150, 10
-"""Readings of the depth that a sphere should give (at most four times as many), and steps of ICP."""
+"""Depth readings to use in a sphere, about (at most four times as many), and steps of ICP."""
 
 GATE_START, GATE_END_M = 0.15, 0.012
 """Correspondence gate: at the start in diameters, at the end in metres."""
@@ -34,8 +34,7 @@ REACH = 0.55
 
 
 class _View(NamedTuple):
-    """Depth (h, w) in metres, mask (h, w) of what stands clear of planes, and fx, fy, cx, cy of the
-    camera."""
+    """Depth (h, w) in metres, mask (h, w) of what is clear of planes, and fx, fy, cx, cy of the camera."""
 
     depth: Float32
     clear: Bool
@@ -77,7 +76,7 @@ def _align(
             z += T[2, c] * sphere.centre[c]
         if z < NEAR_M:
             continue
-        count = points_round(x, y, z, sphere.radius, view, points)
+        count = points_around(x, y, z, sphere.radius, view, points)
         if count < 10:
             continue
         scene = ScenePoints(points[:count], weights[:count])
@@ -85,7 +84,7 @@ def _align(
 
 
 @jit
-def points_round(x: float, y: float, z: float, reach: float, view: _View, points: Float64) -> int:
+def points_around(x: float, y: float, z: float, reach: float, view: _View, points: Float64) -> int:
     """Fill `points` (N, 3) with clear points within `reach` metres of (x, y, z); returns their number."""
     depth, clear, camera = view.depth, view.clear, view.camera
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]

@@ -1,5 +1,6 @@
-"""Planes in a picture's depth, by RANSAC (Fischler and Bolles, 1981): the one that an object stands on, in a
-ring round its box; and those larger than any object, such as tables, floors and walls. No object is there."""
+"""Planes in a frame's depth, by RANSAC (Fischler and Bolles, 1981): the plane that an object stands on, in
+a ring around its box; and planes larger than any object, such as tables, floors and walls, which are
+removed."""
 
 from __future__ import annotations
 
@@ -15,55 +16,57 @@ from huepose.perception.stretches import connected
 from huepose.support.jit import jit, jit_dividing
 
 RING_GROWTH, RING_PIXELS = 0.6, 15.0
-"""The ring reaches 60 % of the box's size and 15 pixels beyond it."""
+"""The ring reaches 60 % of the box's size and 15 pixels beyond the box."""
 
 POINTS = 1500
-"""Most readings that are looked at."""
+"""Most depth readings that RANSAC uses."""
 
 RING_TRIALS, LARGE_TRIALS = 150, 500
-"""Triples of readings that RANSAC draws, in the ring and in the whole picture: there one of them lies in a
-plane of a fifth of the readings with 98 %."""
+"""Triples of readings that RANSAC draws, in the ring and in the whole image. The latter contain a triple in
+a plane of a fifth of the readings with a probability of 98 %."""
 
 NEAR_M = 0.008
-"""Points within this of a plane are its."""
+"""Points within this distance of a plane belong to it, metres."""
 
 MIN_RING_SHARE, MIN_SHARE = 0.25, 0.06
-"""A plane that holds less of the ring is no support; one that holds less of the picture is not looked for."""
+"""Least share of the ring's readings in a support plane, and of the image's readings in a large plane."""
 
 MOST = 5
-"""Most large planes of a picture: a table, the floor, walls."""
+"""Most large planes of an image: a table, the floor, walls."""
 
 NOISIEST, NOISIER, QUIET = 0.0062, 3.0, 0.003
-"""A plane has at most the first noise, and at most so many times that of the least noisy one, or the last:
-noise is the camera's. Readings that spread wider lie on several surfaces: evenly within the reach of a fit
-they have 0.0089."""
+"""A large plane has at most the noise NOISIEST, and at most NOISIER times that of the least noisy plane, or
+QUIET if that is more: noise is the camera's. Readings that spread wider lie on several surfaces. Readings
+spread evenly within the reach of a fit have 0.0089."""
 
 REFITS = 3
 """Least-squares fits of a plane, each to the points near the one before."""
 
 BAND_M, BAND_PER_M = 0.004, 0.004
 BEYOND = 2.0
-"""Depth this near to a plane, and so much more per square metre of depth squared, lies on it; what is more
-than so many times as far off stands in front of it."""
+"""Depth z lies on a plane within BAND_M + BAND_PER_M * z^2 of it (metres). Farther off than BEYOND times
+that, it lies in front of the plane or behind it."""
 
 NOISE_SIGMAS = 2.0
-"""Depth within so many standard deviations of a plane's own noise lies on it, too: far walls are noisy."""
+"""Depth within this many standard deviations of a plane's own noise lies on it, too: far walls are
+noisy."""
 
 IN_FRONT, UNDER, BELOW = 1, -1, -2
-"""Depth beside a plane: in front of it, behind it by less than the diameter of the largest object, and
+"""Depth relative to a plane: in front of it, behind it by less than the diameter of the largest object, and
 farther behind."""
 
 TOP = 0.5
-"""A large piece of a plane is the top of objects that lie side by side where depth falls UNDER it from more
-than so much of its edge, to what they lie on. From a table it falls farther, or not at all."""
+"""A large piece of a plane is the top of objects that lie side by side if, at more than this share of its
+edge, depth falls UNDER it, to what they lie on. At a table's edge depth falls farther, or not at all."""
 
 SOME = 4
-"""Of a large piece one pixel in so many of a row is asked what is beside it, with time in mind."""
+"""In a large piece, what is beside a pixel is checked for every fourth pixel of a row, to save time."""
 
 BESIDE_PX, BOUNDED = 3, 0.25
-"""A small piece of a plane is the plane's where, of what is so far beside it, so much more stands in front of
-it or is the plane again than lies behind it. The floor, continued, also cuts through what stands on a table,
-and a table through the bottom of a bowl; there the surface goes on beside it, or crosses it."""
+"""A small piece of a plane is removed with it if, of the pixels BESIDE_PX away, more are in front of the
+plane or on a plane than behind it, by at least the share BOUNDED. Extended, the floor also cuts through
+what stands on a table, and a table through the bottom of a bowl; there the surface goes on beside the
+plane, or crosses it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +84,8 @@ class Plane:
 
 
 def find_support_plane(depth: Float32, camera: Camera, box: Box) -> Plane | None:
-    """The largest plane in the depth (H, W) round a box by RANSAC and three refits; None when no plane holds
-    a quarter of it. The same picture always gives the same plane."""
+    """The largest plane in the depth (H, W) around a box, by RANSAC and three refits; None if no plane
+    holds a quarter of the readings there. Deterministic."""
     window = box.grown(RING_GROWTH, RING_PIXELS)
     rows, columns = window.slices(camera.width, camera.height)
     ring = np.ascontiguousarray(depth[rows, columns][::2, ::2])
@@ -111,8 +114,8 @@ def find_support_plane(depth: Float32, camera: Camera, box: Box) -> Plane | None
 
 @jit
 def _outside(ring: Float32, left: float, top: float, right: float, bottom: float) -> Int64:
-    """Places (N,), row by row, of the readings of every second pixel (h, w) of a window that do not lie in a
-    box, which is given in all of its pixels."""
+    """Indices (N,), row by row, of the readings outside a box. ring (h, w): every second pixel of a window;
+    the box is in full-resolution pixels of the window."""
     out = np.empty(ring.size, np.int64)
     count = 0
     for v in range(ring.shape[0]):
@@ -126,8 +129,8 @@ def _outside(ring: Float32, left: float, top: float, right: float, bottom: float
 
 @jit
 def _near_plane(points: Float64, normal: Float64, point: Float64) -> tuple[int, Float64, Float64]:
-    """How many points (N, 3) lie within NEAR_M of a plane, their mean (3,) and their spread about it (3, 3),
-    not divided."""
+    """How many points (N, 3) lie within NEAR_M of a plane, their mean (3,), and the lower triangle of their
+    scatter matrix (3, 3), not divided by their number."""
     count, mean, spread = 0, np.zeros(3), np.zeros((3, 3))
     rows = np.empty((points.shape[0], 3))
     for k in range(points.shape[0]):
@@ -153,7 +156,7 @@ def _near_plane(points: Float64, normal: Float64, point: Float64) -> tuple[int, 
 
 
 def above_plane(depth: Float32, camera: Camera, plane: Plane | None) -> Bool:
-    """Pixels (H, W) with depth that stand clear of the plane (all with depth, without one)."""
+    """Pixels (H, W) with depth that are clearly above the plane; without a plane, all with depth."""
     valid = depth > 0
     if plane is None:
         return valid
@@ -167,9 +170,9 @@ def above_plane(depth: Float32, camera: Camera, plane: Plane | None) -> Bool:
 
 
 def large_planes(depth: Float32, camera: Camera, larger_than_m2: float) -> list[Plane]:
-    """Planes of a picture's depth (H, W) of which more than `larger_than_m2` is seen, the largest first.
+    """Planes in a depth image (H, W) whose visible area is more than `larger_than_m2`, the largest first.
 
-    By RANSAC on a sparse lattice, one plane after the other; the same picture always gives the same planes.
+    RANSAC on a sparse lattice, one plane after the other. Deterministic.
     """
     step = max(2, round(np.sqrt(depth.size / (3 * POINTS))))
     v, u = (g.ravel() for g in np.mgrid[step // 2 : depth.shape[0] : step, step // 2 : depth.shape[1] : step])
@@ -187,31 +190,33 @@ def large_planes(depth: Float32, camera: Camera, larger_than_m2: float) -> list[
             break
         plane, near = _refitted(points, Plane(best[1:4], best[4:7]))
         least = min((p.noise for p in planes), default=NOISIEST)
-        even = plane.noise > min(NOISIEST, max(NOISIER * least, QUIET))
-        if not even and each * _area(points[near], plane) > larger_than_m2:
+        too_noisy = plane.noise > min(NOISIEST, max(NOISIER * least, QUIET))
+        if not too_noisy and each * _area(points[near], plane) > larger_than_m2:
             planes.append(plane)
         points = points[~near]
     return planes
 
 
 def standing_clear(depth: Float32, camera: Camera, planes: Sequence[Plane], largest_m: float) -> Bool:
-    """Pixels (H, W) with depth that lie on none of the planes. Of a plane those pieces count that are larger
-    than the square of the largest object's diameter, and what of it is seen between things that stand on it;
-    but not the tops of objects side by side, at whose edge depth falls by less than that diameter."""
+    """Pixels (H, W) with depth that lie on none of the planes.
+
+    Of a plane, pieces larger than the square of the largest object's diameter are removed, and pieces that
+    are visible between things standing on it. Not removed are the tops of objects side by side, at whose
+    edges depth falls by less than that diameter."""
     clear = depth > 0
     on, side = np.empty(depth.shape, np.uint8), np.empty(depth.shape, np.int8)
     for plane in planes:
         n, offset = plane.normal, float(plane.point @ plane.normal)
         rows = np.array([n[0] / camera.fx, n[1] / camera.fy, n[2]])
         rows[2] -= rows[0] * camera.cx + rows[1] * camera.cy
-        _sorted(depth, clear, rows, offset, NOISE_SIGMAS * plane.noise, largest_m, on, side)
-        # A pixel sees z^3 / (fx fy |offset|) of a plane.
-        _take_away(on, depth, side, largest_m**2 * camera.fx * camera.fy * abs(offset), clear)
+        _classify(depth, clear, rows, offset, NOISE_SIGMAS * plane.noise, largest_m, on, side)
+        # A pixel at depth z covers the area z^3 / (fx fy |offset|) of a plane.
+        _remove_pieces(on, depth, side, largest_m**2 * camera.fx * camera.fy * abs(offset), clear)
     return np.asarray(clear)
 
 
 @jit_dividing
-def _sorted(
+def _classify(
     depth: Float32,
     clear: Bool,
     rows: Float64,
@@ -221,18 +226,18 @@ def _sorted(
     on: UInt8,
     side: Int8,
 ) -> None:
-    """Fill two pictures (H, W) about a plane. on: 1 where what is clear lies on it, else 0. side, also of
-    what was taken: IN_FRONT of it, UNDER it by less than `reach_m`, BELOW that, 0 on it, near it or without
-    depth.
+    """Fill two images (H, W) that describe a plane. on: 1 where a clear pixel lies on it, else 0. side,
+    also for pixels that were removed before: IN_FRONT of it, UNDER it by less than `reach_m`, or BELOW
+    that; 0 on it, near it or without depth.
 
-    rows (3,): the product of a pixel's ray with the normal is rows @ (u, v, 1); noise_per_m: noise that lies
-    on it."""
+    rows (3,): the product of a pixel's ray with the normal is rows @ (u, v, 1); noise_per_m: noise within
+    which depth lies on the plane, metres per square metre of depth squared."""
     right = np.float32(rows[0])
     for v in range(depth.shape[0]):
         first = np.float32(rows[1] * v + rows[2])
         for u in range(depth.shape[1]):
             z = depth[v, u]
-            # The normal points to the camera: what is in front of the plane has more height.
+            # The normal points to the camera, so height is positive in front of the plane.
             height = z * (right * np.float32(u) + first) - np.float32(offset)
             square = z * z
             usual = np.float32(BAND_M) + np.float32(BAND_PER_M) * square
@@ -247,13 +252,14 @@ def _sorted(
 
 
 @jit
-def _take_away(on: UInt8, depth: Float32, side: Int8, larger_than: float, clear: Bool) -> None:
-    """Clear away the connected pieces of a plane (`on`) that are large (their sums of depth cubed), unless
-    most of what is beside them lies a little under them, and those that what has depth beside them bounds:
-    more of it is in front, the plane again or taken before than is behind."""
+def _remove_pieces(on: UInt8, depth: Float32, side: Int8, larger_than: float, clear: Bool) -> None:
+    """Set `clear` to False on connected pieces of a plane (`on`). Large pieces, by the sum of their depth
+    cubed, are removed unless most of their edge lies a little above what is beside it. Small pieces are
+    removed if, of the pixels with depth beside them, clearly more are in front of the plane, on it or
+    removed before than behind it."""
     height, width = on.shape
     stretches, count = connected(on)
-    size, beside, seen, bounded, falls = np.zeros((5, count))
+    size, beside, with_depth, bounded, falls = np.zeros((5, count))
     pieces = np.full(on.shape, -1, np.int32)
     for v, first, last, piece in stretches:
         pieces[v, first:last] = piece
@@ -266,7 +272,7 @@ def _take_away(on: UInt8, depth: Float32, side: Int8, larger_than: float, clear:
                 if not (0 <= b < height and 0 <= a < width):
                     beside[piece] += 1.0
                 elif pieces[b, a] != piece and depth[b, a] > 0.0:
-                    seen[piece] += 1.0
+                    with_depth[piece] += 1.0
                     again = on[b, a] or not clear[b, a]
                     bounded[piece] += 1.0 if again else np.sign(side[b, a])
                     beside[piece] += side[b, a] != 0
@@ -275,15 +281,15 @@ def _take_away(on: UInt8, depth: Float32, side: Int8, larger_than: float, clear:
         if size[piece] >= larger_than:
             taken = falls[piece] <= TOP * beside[piece]
         else:
-            taken = bounded[piece] >= BOUNDED * seen[piece]
+            taken = bounded[piece] >= BOUNDED * with_depth[piece]
         if taken:
             clear[v, first:last] = False
 
 
 def _refitted(points: Float64, plane: Plane) -> tuple[Plane, Bool]:
-    """The plane fitted to the points near it, and which points (N,) these are. Each counts by the inverse of
-    its variance, for depth noise grows with the square of depth: a far wall that the plane cuts would else
-    tilt it."""
+    """The plane fitted to the points near it, and which points (N,) these are. Each point is weighted by
+    the inverse of its variance, since depth noise grows with the square of depth: otherwise a far wall that
+    the plane cuts would tilt it."""
     near = _near(points, plane)
     for _ in range(REFITS):
         if near.sum() < 3:
@@ -303,18 +309,18 @@ def _near(points: Float64, plane: Plane) -> Bool:
 
 
 def _area(points: Float64, plane: Plane) -> float:
-    """Area of a plane seen in pixels of unit focal length at points (N, 3)."""
+    """Area of a plane that the pixels at points (N, 3) cover, for a focal length of one pixel."""
     slant = np.abs(points @ plane.normal) / np.linalg.norm(points, axis=1)
     return float((points[:, 2] ** 2 / np.maximum(slant, 0.1)).sum())
 
 
 @jit
 def _best_plane(points: Float64, triples: np.ndarray) -> Float64:
-    """Count, normal, point of the plane through one of the triples that has most points near it; what is near
-    grows with the square of depth, as the noise of stereo does."""
+    """Count, normal and point of the plane through one of the triples that has most points near it. The
+    tolerance grows with the square of depth, as the noise of stereo does."""
     best = np.zeros(7)
     n = np.empty(3)
-    # Coordinate by coordinate, so that the compiler works on several points at once.
+    # One array per coordinate, so that the compiler vectorises the loop.
     x, y, z, near = np.empty((4, points.shape[0]))
     for k in range(points.shape[0]):
         x[k], y[k], z[k] = points[k, 0], points[k, 1], points[k, 2]

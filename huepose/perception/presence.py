@@ -1,4 +1,5 @@
-"""Measures the evidence that an object is where a pose says, for the belief in its presence."""
+"""Measures the evidence that an object is at a pose, for the probability of its presence
+(`believe.presence`)."""
 
 from __future__ import annotations
 
@@ -17,8 +18,8 @@ from huepose.judge.region import Region
 from huepose.judge.terms import CLOSE_SAMPLES, Terms, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, thin
-from huepose.perception.scouting import seen_pixels
-from huepose.perception.verification import Pictures, verified
+from huepose.perception.scouting import visible_pixels
+from huepose.perception.verification import Images, verified
 from huepose.propose.templates import SPAN
 from huepose.propose.view_codes import codes_of_pictures, codes_of_windows
 from huepose.propose.view_pictures import clean_view, window_pictures
@@ -28,7 +29,7 @@ RIM_SAMPLES = 400
 """Samples of the outline."""
 
 WORTH = -3.0
-"""Log-odds below which the costlier terms are not computed: a place of 2 % is not proposed."""
+"""Log-odds below which the more expensive terms are not computed: a probability of 5 %."""
 
 
 Named = Sequence[tuple[str, Float64]]
@@ -38,8 +39,9 @@ Named = Sequence[tuple[str, Float64]]
 def sights_of(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, verifying: bool
 ) -> list[Sight]:
-    """The evidence for each named object at its pose T_cam_obj (4, 4). The costlier terms, outline and what
-    networks say, are computed only where the object may still be there. verifying: the poses are refined."""
+    """The evidence for each named object at its pose T_cam_obj (4, 4). The more expensive terms, of the
+    outline and of networks, are computed only where the object may still be. verifying: whether the poses
+    are refined, and so verified."""
     regions = {name: view.with_planes.region(models[name].diameter_m) for name, _ in poses}
     sights = [sight(view, regions[name], models[name], T) for name, T in poses]
     if not verifying:
@@ -48,11 +50,11 @@ def sights_of(
     for closer in (outlined, alike):
         doubtful = [int(k) for k in np.flatnonzero(logits_of(sights) > WORTH)]
         asked = closer(view, models, [poses[k] for k in doubtful], [sights[k] for k in doubtful])
-        for k, seen in zip(doubtful, asked, strict=True):
-            sights[k] = seen
+        for k, better in zip(doubtful, asked, strict=True):
+            sights[k] = better
     if not verifying:
         return sights
-    # What is not worth the last look is not verified: that network says nothing of it.
+    # Poses that are too improbable are not verified: the network says nothing about them.
     return [s if k in doubtful else replace(s, verified=0.0) for k, s in enumerate(sights)]
 
 
@@ -79,11 +81,11 @@ def sight(view: ClearView, region: Region, model: ReferenceModel, T_cam_obj: Flo
 def alike(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, sights: Sequence[Sight]
 ) -> list[Sight]:
-    """The evidence with what networks say of what is seen and of the object in its pose: similarity of their
-    codes, and verification where it is asked for."""
+    """The evidence with what networks say about the window and the object in its pose: likeness of their
+    codes, and verification if it is asked for."""
     if not sights:
         return []
-    windows, views = pictures_of(view, models, poses)
+    windows, views = windows_and_views(view, models, poses)
     likeness = (codes_of_pictures(*views) * codes_of_windows(*windows)).sum(1)
     out = [replace(s, likeness=float(x)) for s, x in zip(sights, likeness, strict=True)]
     if sights[0].verified is None:
@@ -94,8 +96,8 @@ def alike(
 def outlined(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Named, sights: Sequence[Sight]
 ) -> list[Sight]:
-    """The evidence with the term of the outline; of a thin object the depth says nothing there, since it may
-    lie on something."""
+    """The evidence with the term of the outline. A thin object goes without: it may lie on something, so
+    depth says nothing about its outline."""
     return [
         s if thin(models[name]) else replace(s, goes_on=continued(Contours.of(models[name]), T, view.frame))
         for s, (name, T) in zip(sights, poses, strict=True)
@@ -104,22 +106,22 @@ def outlined(
 
 def agreeing_pixels(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) -> int:
     """Number of pixels of a frame whose depth agrees with a surface sample of a pose (4, 4)."""
-    return len(np.unique(seen_pixels(model, frame.depth, frame.camera, T_cam_obj, CLOSE_SAMPLES)[1]))
+    return len(np.unique(visible_pixels(model, frame.depth, frame.camera, T_cam_obj, CLOSE_SAMPLES)[1]))
 
 
-def pictures_of(
+def windows_and_views(
     view: ClearView, models: Mapping[str, ReferenceModel], poses: Named
-) -> tuple[Pictures, Pictures]:
-    """The windows at each named object's pose T_cam_obj (4, 4), one or more, and the models drawn in these
-    poses. What would be nearer than NEAR_M, or behind the camera, is taken to be there."""
+) -> tuple[Images, Images]:
+    """The windows at each named object's pose T_cam_obj (4, 4), one or more, and the models rendered in
+    these poses. A centre nearer than NEAR_M, or behind the camera, is moved to that depth."""
     clean, middles = [], []
     for name, T in poses:
         model = models[name]
         centre = T[:3, :3] @ model.mesh.centre + T[:3, 3]
         centre[2] = max(centre[2], NEAR_M)
-        turn = onto_rays(centre[None] / centre[2])[0]
-        clean.append(clean_view(model.mesh, model.diameter_m, turn.T @ T[:3, :3]))
-        middles.append(centre + turn @ clean[-1].middle_m)
+        to_ray = onto_rays(centre[None] / centre[2])[0]
+        clean.append(clean_view(model.mesh, model.diameter_m, to_ray.T @ T[:3, :3]))
+        middles.append(centre + to_ray @ clean[-1].middle_m)
     middle, diameters = np.stack(middles), np.array([models[name].diameter_m for name, _ in poses])
     middle[:, 2] = np.maximum(middle[:, 2], NEAR_M)
     span_px = SPAN * diameters / middle[:, 2] * view.crop.camera.fx

@@ -1,10 +1,10 @@
-"""A segmenter of the SAM family with a box as its prompt: NanoSAM and MobileSAM as they are exported to ONNX.
+"""A segmenter of the SAM family with a box as its prompt: NanoSAM and MobileSAM, exported to ONNX.
 
-The encoder sees the whole picture once; the decoder runs once for each box. Pixels are scaled so that the
-longer side is 1024; the rest is filled with zeros *after* normalising, so it is the mean colour, not black.
-The box is prompted as two points in those pixels, labelled 2 (upper left) and 3 (lower right); half a pixel
-is added to them inside the network. The mask of 256 x 256 covers the square of 1024: the part with the
-picture is cut out and brought to the picture's size.
+The encoder runs once per image, the decoder once per box. The image is scaled so that its longer side is
+1024; the rest is filled with zeros *after* normalising, so with the mean colour, not black. The box is
+given as two points in those pixels, labelled 2 (upper left) and 3 (lower right); the network itself adds
+half a pixel to them. The mask of 256 x 256 covers the square of 1024: the part with the image is cut out
+and resized to the image.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ _LOW = 256
 
 
 class SamSegmenter:
-    """Outlines what a box holds, by colour alone. Keeps the last picture's embedding.
+    """Segments what a box holds, by colour alone. Keeps the embedding of the last image.
 
-    Raises InputError when the networks are not an encoder and a decoder of this kind."""
+    Raises InputError if the networks are not an encoder and a decoder of this kind."""
 
     def __init__(self, encoder: Network, decoder: Network) -> None:
         _check(encoder, decoder)
@@ -38,7 +38,7 @@ class SamSegmenter:
         self._embedding: Float32 | None = None
 
     def segment(self, frame: RgbdFrame, box: Box, diameter_m: float) -> list[Bool]:
-        """One mask (H, W); empty where the network sees nothing in the box. The diameter is not used."""
+        """One mask (H, W); empty if the network finds nothing in the box. The diameter is not used."""
         height, width = frame.color.shape[:2]
         box = box.clipped(width, height)
         if box.area <= 0.0:
@@ -67,7 +67,7 @@ class SamSegmenter:
 
 
 def tensor_of(color: UInt8) -> Float32:
-    """The encoder's input (1, 3, 1024, 1024) of a picture (H, W, 3) RGB."""
+    """The encoder's input (1, 3, 1024, 1024) for an image (H, W, 3) RGB."""
     height, width = _scaled_size(color.shape[:2])
     resized = cv2.resize(color, (width, height), interpolation=cv2.INTER_LINEAR)
     out = np.zeros((1, 3, SIDE, SIDE), np.float32)
@@ -79,16 +79,17 @@ def tensor_of(color: UInt8) -> Float32:
 
 
 def points_of(box: Box, image_size: tuple[int, ...]) -> Float32:
-    """The prompt (1, 2, 2) of a box in a picture of (height, width): its corners in pixels of the square."""
+    """The prompt (1, 2, 2) for a box in an image of (height, width): its corners in pixels of the
+    square."""
     scale = SIDE / max(image_size)
     return np.array([[[box.x, box.y], [box.x1, box.y1]]], np.float32) * np.float32(scale)
 
 
 def mask_of(low: Float32, image_size: tuple[int, int]) -> Bool:
-    """The mask (H, W) of the logits (256, 256) of the square."""
+    """The mask (H, W) from the logits (256, 256) of the square."""
     height, width = image_size
     scale = _LOW / max(height, width)
-    # A pixel's centre lies half a pixel from its corner, in both pictures.
+    # In both images a pixel's centre is half a pixel from its corner.
     to_low = np.array([[scale, 0.0, 0.5 * scale - 0.5], [0.0, scale, 0.5 * scale - 0.5]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     logits = cv2.warpAffine(low, to_low, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
@@ -96,14 +97,14 @@ def mask_of(low: Float32, image_size: tuple[int, int]) -> Bool:
 
 
 def _scaled_size(image_size: tuple[int, ...]) -> tuple[int, int]:
-    """Height and width with the longer side 1024, the other cut down to whole pixels."""
+    """Height and width with the longer side 1024, the other rounded down to whole pixels."""
     height, width = image_size[0], image_size[1]
     scale = SIDE / max(height, width)
     return (SIDE, int(width * scale)) if height >= width else (int(height * scale), SIDE)
 
 
 def _check(encoder: Network, decoder: Network) -> None:
-    """Raises InputError when the interface is another one."""
+    """Raises InputError if the interface is another one."""
     image, embedding = (1, 3, SIDE, SIDE), (1, 256, 64, 64)
     one = len(encoder.inputs) == 1 and len(encoder.outputs) == 1
     if not (one and _fits(encoder.inputs[0], image) and _fits(encoder.outputs[0], embedding)):

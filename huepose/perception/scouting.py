@@ -1,5 +1,5 @@
 """Proposes poses of an object in a view: rough poses from views and keypoints are scored, aligned with the
-depth, refined and reduced to the best at a few places."""
+depth and refined. The best at a few places remain."""
 
 from __future__ import annotations
 
@@ -26,35 +26,40 @@ from huepose.support.jit import jit
 from huepose.support.stages import stage
 
 FIRST_SAMPLES, SECOND_SAMPLES = 60, 200
-"""Surface samples by which all rough poses are rated, and by which the refined ones are."""
+"""Surface samples used to score all rough poses, and to score aligned and refined ones."""
 
-LOOK_WEIGHT = 7.0
-"""Weight of a cosine of codes against `evidence`: the right view mostly leads by 0.03, which is worth 0.2."""
+LIKENESS_WEIGHT = 7.0
+"""Weight of a cosine of codes relative to `evidence`. The right view usually leads by 0.03, which is then
+worth 0.2."""
 
-TEXTURE_WEIGHT, SEEN_WEIGHT, RIM_WEIGHT = 1.5, 0.3, 0.7
-"""Weights of texture, visible share and outline in the score; depth and free space as in the dense score."""
+TEXTURE_WEIGHT, VISIBLE_WEIGHT, RIM_WEIGHT = 1.5, 0.3, 0.7
+"""Weights of texture, visible share and outline in the score. Depth fit and free-space violation have the
+weights of the dense score."""
 
 SEARCH_SAMPLES, SEARCH_STEPS_DEG = 100, (8.0, 4.0)
-"""Surface samples and steps of the coordinate search from the best poses."""
+"""Surface samples and steps, degrees, of the coordinate search from the best poses."""
 
 SAME_SHIFT, SAME_IOU = 0.25, 0.6
-"""Poses whose centres are nearer than this (diameters), or whose boxes overlap by this IoU, are one place."""
+"""Poses whose centres are nearer than this (diameters), or whose boxes overlap by more than this IoU, are
+at one place."""
 
-SAME_TURN, TURNS = np.radians(30.0), 2
-"""Up to TURNS poses of one place are kept if they differ by more than SAME_TURN, the spacing of views: which
-way a plain mug's handle points is told better by the codes than by the score."""
+SAME_ROTATION, ROTATIONS = np.radians(30.0), 2
+"""Up to ROTATIONS poses of one place are kept if their rotations differ by more than SAME_ROTATION, the
+spacing of views. For example, the codes tell better than the score where the handle of a plain mug
+points."""
 
-SEEN_M, SEEN_SAMPLES, LEAST_SEEN, PATCH_PX = 0.02, 400, 5, 6
-"""A surface sample is seen where the depth agrees to SEEN_M; most samples that are asked, fewest that are
-seen; side of a patch of the support."""
+VISIBLE_M, VISIBLE_SAMPLES, LEAST_VISIBLE, PATCH_PX = 0.02, 400, 5, 6
+"""A surface sample is visible if the measured depth agrees to VISIBLE_M (metres). Most samples that are
+checked; fewest that must be visible; side of a patch of the support, pixels."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much a search by views tries. windows: considered; at_any_rate: coded even if no neighbour looks
-    similar; looks, looks_each: pairs of window and view in all and per window; aligned, aligned_each: poses
-    aligned with the depth in all and per window; searched: places refined; with_near_symmetries: at how many
-    of these the object's near-symmetric rotations are tried as well."""
+    """How much a search by views tries. windows: how many are considered; at_any_rate: how many of them are
+    encoded even if no similar window is near; looks, looks_each: pairs of window and view, in all and per
+    window; aligned, aligned_each: poses aligned with the depth, in all and per window; searched: places
+    refined; with_near_symmetries: at how many of these the object's near-symmetric rotations are tried as
+    well."""
 
     windows: int
     at_any_rate: int
@@ -66,7 +71,7 @@ class Effort:
     with_near_symmetries: int
 
     def at(self, places: int) -> Effort:
-        """The same with enough poses for so many places."""
+        """The same effort, with enough poses for this many places."""
         return replace(
             self,
             looks=max(self.looks, places * self.looks_each),
@@ -76,21 +81,21 @@ class Effort:
 
 
 EFFORTS = (Effort(20, 20, 36, 6, 6, 2, 2, 0), Effort(300, 20, 128, 6, 40, 3, 8, 2))
-"""The first effort, and the second one if no place is sure after it. The second takes nearly all windows,
-because a camera's white balance may order the object's own ones last."""
+"""The first effort, and the second one, used if no place is certain after the first. The second takes
+nearly all windows, because a camera's white balance may put the object's own windows last."""
 
 SURE = 1.35
-"""A place with this score is surely the object's: the search ends."""
+"""A place with this score or more is certainly the object's: the search ends."""
 
 UNLIKE = 0.21
-"""Where no window has this likeness with a view, keypoints give no place that is believed
+"""If no window has this likeness with a view, keypoints give no place that is believed
 (docs/detection_measured.md, keypoints of a model)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Rough poses (M, 4, 4) with scores (M,). likeness: of the window and the view that are most alike; 1
-    where none were compared."""
+    """Rough poses (M, 4, 4) with scores `rated` (M,). likeness: the highest of a window and a view; 1 if
+    none were compared."""
 
     poses: Float64
     rated: Float64
@@ -103,15 +108,15 @@ class Found:
 
     @property
     def sure(self) -> bool:
-        """Whether one of the poses surely is the object's."""
+        """Whether one of the poses is certainly the object's."""
         return bool((self.rated >= SURE).any())
 
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """A rough pose T_cam_obj (4, 4), the box of the visible part in the frame, and a score. support (N,):
-    indices of the picture's patches that show it; place: poses of an object at the same place have the same
-    number."""
+    """A rough pose T_cam_obj (4, 4), the box of its visible part in the frame, and its score. support (N,):
+    indices of the image patches that show it; place: its number, the same for poses of one object at one
+    place."""
 
     T_cam_obj: Float64
     box: Box
@@ -130,26 +135,27 @@ def propose(
     guessed: Callable[[], Float64] | None = None,
     several: int = 1,
 ) -> list[Proposal]:
-    """The poses of an object at its `count` best places in a view. windows: of the object's size; several: so
-    many instances of it are looked for.
+    """Poses of an object at its `count` best places in a view.
 
-    Views with the first effort, then with more; after the first of them in which a window looks like the
-    object, keypoints; the search ends when a place is sure. Without the last of EFFORTS, which looks at all
-    windows, what no window looked like is looked for by keypoints as well. guessed: returns poses (K, 4, 4)
-    from keypoints; efforts: those of the search by views."""
+    Views are searched with the first effort, then with more. Keypoints are tried once: after the first
+    search by views in which a window looks like the object but no place is certain. The search ends when a
+    place is certain. If `efforts` lacks the last of EFFORTS, which considers nearly all windows, keypoints
+    are also tried if no window looked like the object. windows: of the object's size; efforts: of the
+    search by views; guessed: returns poses (K, 4, 4) from keypoints; several: how many instances are
+    searched for."""
     by_views = by_keypoints = Found.nothing()
     if efforts:
         with stage("windows"):
             order = promising(table, windows)
             order = order[view.free(windows.pixels[order])]
     for effort in efforts:
-        by_views = _tried(model, table, view, windows, order[: effort.windows], effort.at(several))
+        by_views = _from_views(model, table, view, windows, order[: effort.windows], effort.at(several))
         if guessed is not None and not by_views.sure and by_views.likeness >= UNLIKE:
-            by_keypoints, guessed = _followed(model, view, guessed()), None
+            by_keypoints, guessed = _from_guesses(model, view, guessed()), None
         if by_views.sure or by_keypoints.sure:
             break
     if guessed is not None and not by_views.sure and len(efforts) < len(EFFORTS):
-        by_keypoints = _followed(model, view, guessed())
+        by_keypoints = _from_guesses(model, view, guessed())
     poses = np.concatenate([by_keypoints.poses, by_views.poses])
     rated = np.concatenate([by_keypoints.rated, by_views.rated])
     with stage("thin"):
@@ -157,13 +163,14 @@ def propose(
 
 
 def proposals_from(model: ReferenceModel, view: ClearView, guesses: Float64, count: int) -> list[Proposal]:
-    """The poses of an object at its `count` best places in a view, from guessed ones (K, 4, 4) alone."""
-    found = _followed(model, view, guesses)
+    """Poses of an object at its `count` best places in a view, from guessed poses (K, 4, 4) alone."""
+    found = _from_guesses(model, view, guesses)
     return _thinned(model, view, found.poses, found.rated, count)
 
 
-def _followed(model: ReferenceModel, view: ClearView, guesses: Float64) -> Found:
-    """Poses from guessed ones (K, 4, 4): as they are, aligned, and refined."""
+def _from_guesses(model: ReferenceModel, view: ClearView, guesses: Float64) -> Found:
+    """Guessed poses (K, 4, 4) as they are, the same aligned with the depth, and the best of these
+    refined."""
     if not len(guesses):
         return Found.nothing()
     region = view.region(model.diameter_m)
@@ -176,7 +183,7 @@ def _followed(model: ReferenceModel, view: ClearView, guesses: Float64) -> Found
         return Found(np.concatenate([found, poses]), rated)
 
 
-def _tried(
+def _from_views(
     model: ReferenceModel,
     table: WindowTable,
     view: ClearView,
@@ -192,7 +199,8 @@ def _tried(
     region = view.region(model.diameter_m)
     with stage("first"):
         rated = (
-            evidence(score_many(model, region, looks.poses, FIRST_SAMPLES)) + LOOK_WEIGHT * looks.likenesses
+            evidence(score_many(model, region, looks.poses, FIRST_SAMPLES))
+            + LIKENESS_WEIGHT * looks.likenesses
         )
         first = looks.poses[_varied(looks.windows, rated, effort)]
     with stage("icp"):
@@ -213,8 +221,8 @@ def _tried(
 
 
 def likeliest_near_symmetries(model: ReferenceModel, region: Region, poses: Float64) -> Float64:
-    """The best-scored poses among near-symmetric rotations of poses (N, 4, 4), at most N: a coarse view tells
-    a box's place better than which of its faces is seen."""
+    """The best-scored near-symmetric rotations of poses (N, 4, 4), at most N. A coarse view determines the
+    position of a box better than which of its faces is visible."""
     near_symmetric = model.near_symmetric(poses)
     if not len(near_symmetric):
         return near_symmetric
@@ -223,7 +231,8 @@ def likeliest_near_symmetries(model: ReferenceModel, region: Region, poses: Floa
 
 
 def _judged(model: ReferenceModel, view: ClearView, region: Region, poses: Float64) -> Float64:
-    """Scores (M,) of poses (M, 4, 4): `evidence` less what continues beyond their outlines."""
+    """Scores (M,) of poses (M, 4, 4): `evidence` minus a penalty for surfaces that continue beyond the
+    outline."""
     terms = score_many(model, region, poses, SECOND_SAMPLES)
     return evidence(terms) - RIM_WEIGHT * continuation_many(
         model_arrays(model), view.crop.depth, view.clear, view.crop.camera, poses, SECOND_SAMPLES
@@ -232,17 +241,18 @@ def _judged(model: ReferenceModel, view: ClearView, region: Region, poses: Float
 
 def evidence(terms: Float64) -> Float64:
     """Scores (M,) from the terms (M, 8) of the dense score, without the outline."""
-    fit, violation, color, seen = terms[:, 1], terms[:, 3], terms[:, 4], terms[:, 6]
+    fit, violation, color, visible = terms[:, 1], terms[:, 3], terms[:, 4], terms[:, 6]
     return np.asarray(
         DEFAULT_WEIGHTS.depth_fit * fit
         - DEFAULT_WEIGHTS.violation * violation
         + TEXTURE_WEIGHT * color
-        + SEEN_WEIGHT * np.sqrt(np.clip(seen, 0.0, 1.0))
+        + VISIBLE_WEIGHT * np.sqrt(np.clip(visible, 0.0, 1.0))
     )
 
 
 def _varied(windows: Int64, rated: Float64, effort: Effort) -> Int64:
-    """Indices of the best-scored looks, at most `effort.aligned_each` of one window. windows, rated: (M,)."""
+    """Indices of the best-scored pairs of window and view: at most `effort.aligned`, and
+    `effort.aligned_each` per window. windows, rated: (M,)."""
     taken = np.zeros(windows.max() + 1, np.int64)
     chosen = []
     for k in np.argsort(-rated, kind="stable"):
@@ -283,48 +293,53 @@ def _thinned(
         if firsts and away[k, firsts].min() < SAME_SHIFT * model.diameter_m:
             place = int(away[k, firsts].argmin())
             mine = [p for p in out if p.place == place]
-            if len(mine) < TURNS and all(se3.rotation_angle(p.T_cam_obj, poses[k]) > SAME_TURN for p in mine):
-                seen = seen_part(model, view, poses[k])
-                if seen is not None:
-                    out.append(Proposal(poses[k], seen[0], float(rated[k]), seen[1], place))
+            if len(mine) < ROTATIONS and all(
+                se3.rotation_angle(p.T_cam_obj, poses[k]) > SAME_ROTATION for p in mine
+            ):
+                visible = visible_part(model, view, poses[k])
+                if visible is not None:
+                    out.append(Proposal(poses[k], visible[0], float(rated[k]), visible[1], place))
         elif len(firsts) < count:
-            seen = seen_part(model, view, poses[k])
-            if seen is None or any(seen[0].iou(p.box) > SAME_IOU for p in out):
+            visible = visible_part(model, view, poses[k])
+            if visible is None or any(visible[0].iou(p.box) > SAME_IOU for p in out):
                 continue
-            out.append(Proposal(poses[k], seen[0], float(rated[k]), seen[1], len(firsts)))
+            out.append(Proposal(poses[k], visible[0], float(rated[k]), visible[1], len(firsts)))
             firsts.append(int(k))
     return out
 
 
-def seen_part(model: ReferenceModel, view: ClearView, T_cam_obj: Float64) -> tuple[Box, Int64] | None:
-    """Box in the frame of the surface samples that agree with the depth, and indices of the patches in which
-    they lie; None if fewer than LEAST_SEEN agree."""
+def visible_part(model: ReferenceModel, view: ClearView, T_cam_obj: Float64) -> tuple[Box, Int64] | None:
+    """Box in the frame around the surface samples that agree with the depth, and indices of the patches in
+    which they lie; None if fewer than LEAST_VISIBLE agree."""
     depth = view.crop.depth
-    (left, top, right, bottom), pixels = seen_pixels(model, depth, view.crop.camera, T_cam_obj, SEEN_SAMPLES)
-    if len(pixels) < LEAST_SEEN:
+    (left, top, right, bottom), pixels = visible_pixels(
+        model, depth, view.crop.camera, T_cam_obj, VISIBLE_SAMPLES
+    )
+    if len(pixels) < LEAST_VISIBLE:
         return None
     box = Box(left + view.crop.x0, top + view.crop.y0, right - left + 1.0, bottom - top + 1.0)
     y, x = np.divmod(pixels, depth.shape[1])
     return box, np.unique((y // PATCH_PX) * depth.shape[1] + x // PATCH_PX)
 
 
-def seen_pixels(
+def visible_pixels(
     model: ReferenceModel, depth: Float32, camera: Camera, T_cam_obj: Float64, samples: int
 ) -> tuple[Float64, Int64]:
-    """Of at most `samples` surface samples that a pose (4, 4) shows, those that agree with the depth (h, w):
-    the left, top, right and bottom of where they fall, and the number (N,) of the pixel of each, row by
+    """The surface samples visible in a pose (4, 4), at most `samples`, that agree with the depth (h, w).
+    Returns left, top, right and bottom of their projections, and the pixel number (N,) of each, row by
     row."""
     bounds, pixels = np.array([1e9, 1e9, -1e9, -1e9]), np.empty(samples, np.int64)
     T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
-    count = _seen(T, model_arrays(model), depth, camera.lens, bounds, pixels)
+    count = _visible(T, model_arrays(model), depth, camera.lens, bounds, pixels)
     return bounds, pixels[:count]
 
 
 @jit
-def _seen(
+def _visible(
     T: Float64, model: ModelArrays, depth: Float32, lens: Float64, bounds: Float64, pixels: Int64
 ) -> int:
-    """Widen bounds (4,) by the samples that agree, fill in their pixels (N,); returns how many they are."""
+    """Widen bounds (4,) by the samples that agree, fill in their pixel numbers (N,), and return how many
+    there are."""
     height, width = depth.shape
     first, last = shown_range(T, model, pixels.shape[0])
     count = 0
@@ -333,7 +348,7 @@ def _seen(
         if z < NEAREST_M or u < -0.5 or v < -0.5 or u >= width - 0.5 or v >= height - 0.5:
             continue
         x, y = int(u + 0.5), int(v + 0.5)
-        if depth[y, x] == 0.0 or abs(depth[y, x] - z) >= SEEN_M:
+        if depth[y, x] == 0.0 or abs(depth[y, x] - z) >= VISIBLE_M:
             continue
         bounds[0], bounds[1] = min(bounds[0], u), min(bounds[1], v)
         bounds[2], bounds[3] = max(bounds[2], u), max(bounds[3], v)

@@ -1,8 +1,8 @@
-"""Networks in ONNX files, run by ONNX Runtime: the one place that opens them.
+"""Networks in ONNX files that the user gives, run by ONNX Runtime.
 
-A file is checked when it is opened, not at the hundredth frame: its digest, that it is a network, and that
-it has the inputs and outputs which its user expects. ONNX Runtime falls back to the processor without a word
-when a provider cannot be had, so what was really chosen is asked of the session and told (`provider`).
+A file is checked when it is opened, not at the hundredth frame: its digest, and that it is a network. The
+classes that use it check its inputs and outputs at the start. ONNX Runtime silently falls back to the CPU
+if a provider cannot be started, so the provider that it really uses is read from the session (`provider`).
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ _TYPES: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class NetworkSettings:
-    """How networks are run. providers: keys of PROVIDERS, the preferred first; threads: of the processor;
-    fp16: half precision with TensorRT; cache: folder for the engines that TensorRT builds."""
+    """How networks are run. providers: keys of PROVIDERS, preferred ones first; threads: of the CPU; fp16:
+    half precision with TensorRT; cache: folder for the engines that TensorRT builds."""
 
     providers: tuple[str, ...] = ("tensorrt", "cuda", "openvino", "cpu")
     threads: int = 1
@@ -47,7 +47,7 @@ class NetworkSettings:
 
 @dataclass(frozen=True)
 class Tensor:
-    """An input or output: a size is an int, or the name of a free one."""
+    """An input or output. Each size is an int, or the name of a free size."""
 
     name: str
     shape: tuple[int | str, ...]
@@ -65,7 +65,7 @@ class Tensor:
 
 
 class Network:
-    """An opened network. Not for several threads at the same time: inputs of fixed size are reused."""
+    """An opened network. Not thread-safe: buffers of inputs of fixed size are reused."""
 
     def __init__(self, session: Any, path: Path) -> None:
         self._session, self.path = session, path
@@ -75,25 +75,25 @@ class Network:
         names = {name: key for key, name in PROVIDERS.items()}
         self.provider = names.get(session.get_providers()[0], session.get_providers()[0])
         self._binding: Any = None
-        self._places: dict[str, np.ndarray] = {}
+        self._buffers: dict[str, np.ndarray] = {}
         if all(tensor.fixed and tensor.kind in _TYPES for tensor in self.inputs):
             self._bind()
 
     def _bind(self) -> None:
-        """Inputs of fixed size keep their place in memory, so that a run copies once."""
+        """Give inputs of fixed size a buffer that is used again, so that a run copies once."""
         import onnxruntime as ort
 
         self._binding = self._session.io_binding()
         for tensor in self.inputs:
-            place = np.zeros([int(size) for size in tensor.shape], _TYPES[tensor.kind])
-            self._places[tensor.name] = place
-            # The value shares the array's memory: what is written there is what the network reads.
-            self._binding.bind_ortvalue_input(tensor.name, ort.OrtValue.ortvalue_from_numpy(place))
+            buffer = np.zeros([int(size) for size in tensor.shape], _TYPES[tensor.kind])
+            self._buffers[tensor.name] = buffer
+            # The value shares the array's memory: the network reads what is written to the array.
+            self._binding.bind_ortvalue_input(tensor.name, ort.OrtValue.ortvalue_from_numpy(buffer))
         for tensor in self.outputs:
             self._binding.bind_output(tensor.name)
 
     def run(self, feeds: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """The outputs by name. Raises InputError where an input's name or shape is not the network's."""
+        """The outputs by name. Raises InputError if the name or shape of an input is not the network's."""
         if feeds.keys() != {tensor.name for tensor in self.inputs}:
             raise InputError(
                 f"{self.path}: inputs", found=", ".join(feeds), expected=self.described(self.inputs)
@@ -101,17 +101,17 @@ class Network:
         if self._binding is None:
             values = self._session.run(None, dict(feeds))
         else:
-            for name, place in self._places.items():
-                if feeds[name].shape != place.shape:
+            for name, buffer in self._buffers.items():
+                if feeds[name].shape != buffer.shape:
                     found = " x ".join(map(str, feeds[name].shape))
-                    raise InputError(f"{self.path}: {name}", found=found, expected=f"{place.shape}")
-                np.copyto(place, feeds[name], casting="same_kind")
+                    raise InputError(f"{self.path}: {name}", found=found, expected=f"{buffer.shape}")
+                np.copyto(buffer, feeds[name], casting="same_kind")
             self._session.run_with_iobinding(self._binding)
             values = self._binding.copy_outputs_to_cpu()
         return {tensor.name: value for tensor, value in zip(self.outputs, values, strict=True)}
 
     def warm_up(self, sizes: Mapping[str, int] | None = None) -> None:
-        """Run it once on zeros; `sizes` gives those that are free, by name."""
+        """Run it once on zeros; `sizes` gives the free sizes, by name."""
         shapes = {
             tensor.name: [
                 size if isinstance(size, int) else (sizes or {}).get(size, 1) for size in tensor.shape
@@ -127,7 +127,7 @@ class Network:
         return "; ".join(map(str, tensors)) or "none"
 
     def refused(self, expected: str, fix: str = "") -> InputError:
-        """The error for a network that is not of the kind that is needed."""
+        """The error for a network of another kind than needed."""
         found = f"inputs {self.described(self.inputs)}, outputs {self.described(self.outputs)}"
         return InputError(self.path, found=found, expected=expected, fix=fix)
 
@@ -135,10 +135,10 @@ class Network:
 def open_network(
     path: Path, settings: NetworkSettings | None = None, *, sha256: str | None = None, half: bool = True
 ) -> Network:
-    """Open the network in a file. `half` False: it must not run in half precision.
+    """Open the network in a file. half: whether it may run in half precision.
 
-    Raises InputError when there is no such file, its digest is another, it is not a network, or none of the
-    providers can be had."""
+    Raises InputError if there is no such file, its digest differs, it is not a network, or none of the
+    providers can be started."""
     import onnxruntime as ort
 
     settings = settings or NetworkSettings()
@@ -146,13 +146,13 @@ def open_network(
     wanted = providers_here(settings)
     options = ort.SessionOptions()
     options.intra_op_num_threads, options.inter_op_num_threads = settings.threads, 1
-    # Waiting threads would spin, and take the core from the workers beside this one.
+    # By default, waiting threads spin and take CPU time from the other workers.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 3
     providers = [(PROVIDERS[key], _options(key, settings, half)) for key in wanted]
     try:
         session = ort.InferenceSession(str(path), options, providers=providers)
-    except Exception as error:  # ONNX Runtime has a dozen kinds, without a common ancestor of their own
+    except Exception as error:  # ONNX Runtime raises a dozen kinds, which have no base class of their own
         raise InputError(
             path,
             found=" ".join(str(error).split())[:300],
@@ -167,8 +167,8 @@ def open_network(
 
 
 def providers_here(settings: NetworkSettings) -> list[str]:
-    """Those of the providers that this ONNX Runtime has, which is not to say that they can be started.
-    Raises InputError where it has none of them."""
+    """Those of the providers that this ONNX Runtime contains; starting one may still fail. Raises
+    InputError if it contains none of them."""
     import onnxruntime as ort
 
     have = ort.get_available_providers()
@@ -188,7 +188,7 @@ def _no_provider(settings: NetworkSettings, have: Sequence[str]) -> InputError:
 
 
 def _options(key: str, settings: NetworkSettings, half: bool) -> dict[str, str]:
-    """What is told to a provider."""
+    """The options of a provider."""
     if key != "tensorrt":
         return {}
     options = {"trt_fp16_enable": "1" if settings.fp16 and half else "0"}
@@ -199,7 +199,7 @@ def _options(key: str, settings: NetworkSettings, half: bool) -> dict[str, str]:
 
 
 def check_file(path: Path, sha256: str | None = None) -> None:
-    """Raises InputError when there is no such file, or its digest is another than the given one."""
+    """Raises InputError if there is no such file, or its digest is not the given one."""
     if not path.is_file():
         raise InputError(
             path, found="no file", expected="a network", fix="`huepose models list` says what there is."

@@ -1,6 +1,6 @@
-"""Detects which parts of a camera's picture have changed.
+"""Detects which parts of a camera's image have changed.
 
-Pictures are compared in tiles by mean colour and mean depth, which have little noise. The threshold grows
+Images are compared in tiles by mean colour and mean depth, which have little noise. The threshold grows
 with a tile's standard deviation, because depth and blur flicker at edges.
 """
 
@@ -22,9 +22,9 @@ LEVELS, OF_DEVIATION = 4.0, 0.1
 its standard deviation."""
 
 DEPTH_M, DEPTH_PER_M, OF_DEPTH_DEVIATION, WHOLE = 0.006, 0.006, 0.5, 0.9
-"""Or if its mean depth differs by more than DEPTH_M + DEPTH_PER_M * z^2 (stereo noise) plus a share of its
-standard deviation. Asked only of tiles with depth in more than WHOLE of the pixels: holes flicker at
-edges."""
+"""Or if its mean depth differs by more than DEPTH_M + DEPTH_PER_M * z^2 (stereo noise) plus this share of
+its standard deviation. Only tiles with depth in more than WHOLE of their pixels are compared: holes flicker
+at edges."""
 
 UNKNOWN, KNOWN = 0.05, 0.9
 """Or if its share of pixels with depth went from below UNKNOWN to above KNOWN, or back."""
@@ -35,7 +35,7 @@ _SUMS = 2 * _COLORS + 3
 
 @dataclass(frozen=True, eq=False)
 class Tiles:
-    """A picture in tiles of TILE_PX pixels. means (h, w, 4): red, green, blue, and known depth in metres;
+    """An image in tiles of TILE_PX pixels. means (h, w, 4): red, green, blue, and known depth in metres;
     deviations (h, w, 4): their standard deviations; known (h, w): share of pixels with depth."""
 
     means: Float32
@@ -47,7 +47,8 @@ class Tiles:
         """The tiles of a frame; incomplete ones at the right and bottom are left out."""
         height, width = (side // TILE_PX for side in frame.depth.shape)
         sums = np.zeros((height, width, _SUMS), np.float64)
-        # As it comes from the wire. One that may be written to would have the kernel compiled once more.
+        # Read-only, as images come from the wire: for a writable array the kernel would be compiled once
+        # more.
         color = frame.color.view()
         color.flags.writeable = False
         _add_up(color, frame.depth, sums)

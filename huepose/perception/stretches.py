@@ -1,6 +1,6 @@
-"""Connected pieces of a mask as stretches of its rows: far fewer than its pixels, so that what is asked of a
-piece is asked of these. Run-based labelling: He, Chao and Suzuki, A Run-Based Two-Scan Labeling Algorithm
-(IEEE TIP 2008)."""
+"""Connected pieces of a mask as stretches: runs of pixels in a row. There are far fewer of them than
+pixels, so sums over pieces are fast. Run-based labelling: He, Chao and Suzuki, A Run-Based Two-Scan
+Labeling Algorithm (IEEE TIP 2008)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from huepose.support.jit import jit
 
 @jit
 def connected(mask: UInt8) -> tuple[Int32, int]:
-    """The stretches (N, 4) of the rows of a mask (H, W), row by row: row, first column, the one after the
-    last, and piece; and how many pieces there are. Pieces are connected by 4 neighbours, and numbered from 0
-    in the order of their first pixels."""
+    """The stretches (N, 4) of a mask (H, W), row by row: row, first column, column after the last, and
+    piece; and how many pieces there are. Pieces are connected by 4 neighbours, and numbered from 0 in the
+    order of their first pixels."""
     height, width = mask.shape
     found = np.empty((height * ((width + 1) // 2), 4), np.int32)
     piece = found[:, 3]
@@ -44,7 +44,7 @@ def connected(mask: UInt8) -> tuple[Int32, int]:
             piece[k] = count
             count += 1
         else:
-            piece[k] = piece[piece[k]]  # numbered before: no stretch is joined to a later one
+            piece[k] = piece[piece[k]]  # its root is already numbered: a root comes before its stretches
     return found[:n], count
 
 
@@ -57,7 +57,7 @@ def _root(piece: Int32, k: int) -> int:
 
 
 @jit
-def written(stretches: Int32, values: Int, out: Int) -> None:
-    """Write the value (P,) of its piece to each pixel (H, W) of some stretches."""
+def write_values(stretches: Int32, values: Int, out: Int) -> None:
+    """Write to each pixel (H, W) of some stretches the value (P,) of its piece."""
     for v, first, last, piece in stretches:
         out[v, first:last] = values[piece]

@@ -13,9 +13,9 @@ from huepose.geometry.frame import RgbdFrame
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """An object by name, where it is, and how sure the detector is (higher is surer).
+    """The name of an object, its box, and the detector's score (higher is more certain).
 
-    T_cam_obj (4, 4): roughly its pose, if the detector knows."""
+    T_cam_obj (4, 4): a rough pose, if the detector has one."""
 
     object: str
     box: Box
@@ -32,7 +32,7 @@ class Detector(Protocol):
 
 
 class Segmenter(Protocol):
-    """Outlines an object inside a box."""
+    """Segments an object inside a box."""
 
     def segment(self, frame: RgbdFrame, box: Box, diameter_m: float) -> list[Bool]:
         """One to three candidate masks (H, W), most likely first; they are judged together later."""

@@ -1,9 +1,9 @@
 """The default detector: finds objects in a whole frame by their reference models, without training on them.
 
-Planes larger than any object are removed. In the rest, windows of the object's metric size are compared with
-its rendered views by codes (`propose.view_codes`), and keypoints of the model are matched. The resulting
-poses are scored, aligned with the depth and refined; the best places are returned with boxes of what is
-visible there. An absent object gets places with low scores, too: the estimator decides.
+Planes larger than any object are removed. In the rest, windows of the object's metric size are compared
+with its rendered views by their codes (`propose.view_codes`), and the model's keypoints are matched. The
+resulting poses are scored, aligned with the depth and refined. The best places are returned, each with the
+box of what is visible there. An absent object gets places too, with low scores: the estimator decides.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from huepose.perception.attention import Attention, attended
 from huepose.perception.clear_view import ClearView, clear_view, thin, whole_view
 from huepose.perception.config import DetectorConfig
 from huepose.perception.lying import Lying
-from huepose.perception.memory import Memory, features_of, looking
+from huepose.perception.memory import Memory, features_of, next_look
 from huepose.perception.presence import sights_of
-from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose, seen_part
+from huepose.perception.scouting import EFFORTS, Effort, Proposal, propose, visible_part
 from huepose.perception.types import Detection
 from huepose.perception.window_table import WindowTable, window_table
 from huepose.perception.windows import WindowsBySize
 from huepose.propose.features import Features, FeatureSource, Sift
 from huepose.propose.keypoint_reference import build_keypoints
-from huepose.propose.keypoints import ModelKeypoints, PictureFeatures, consensus_poses, match
+from huepose.propose.keypoints import ImageFeatures, ModelKeypoints, consensus_poses, match
 from huepose.rendering.render import render
 from huepose.select.distinct import HALF, share_held
 from huepose.support.kept import kept, once_for_each
@@ -46,18 +46,20 @@ from huepose.support.pool import Pool
 from huepose.support.stages import stage
 
 COMPETING = 3
-"""Places of each object, at least, that compete with those of the others. Chosen for time."""
+"""At least this many places of each object compete with those of the others. Chosen for time."""
 
 AT_ONCE = 6
-"""Most places of one object that are proposed at once. Chosen for time: each takes an estimate."""
+"""Most places that are proposed because several instances of an object are wanted. Chosen for time: each
+place takes an estimate."""
 
 HOLE_PX = 9
-"""Pixels without depth this near to the clear part may belong to it: sheen leaves holes."""
+"""Side of the square, pixels, by which the clear part grows into pixels without depth: specular highlights
+leave holes."""
 
 
 class ViewDetector:
-    """Finds known objects in whole frames. Stateless, unless `DetectorConfig.remembering` says that all
-    frames come from one camera. Thread-safe."""
+    """Finds known objects in whole frames. Thread-safe. Stateless, unless `DetectorConfig.remembering` says
+    that all frames come from one camera."""
 
     def __init__(self, models: Mapping[str, ReferenceModel], config: DetectorConfig | None = None) -> None:
         self.config = config or DetectorConfig()
@@ -93,30 +95,30 @@ class ViewDetector:
     ) -> list[Detection]:
         """Boxes of the named objects, best first. Raises InputError for an unknown name.
 
-        thorough: the objects that get the full search if a first one does not find them; default all. The
-        others take a third of the time. followed: poses T_cam_obj (4, 4) of instances that are known already,
-        by object: others of it are looked for beside them. wanted: how many new instances of an object are
-        looked for, one by default: so many places are proposed at least, up to AT_ONCE. waiting: further
-        objects; those of them that something new in the picture looks like are looked for as well, by a first
-        search, if one camera is remembered."""
+        thorough: objects that get the full search if a first one does not find them; default all. The
+        others get the first search alone, a third of the time. followed: poses T_cam_obj (4, 4) of known
+        instances, by object; their depth is ignored, so that further instances are found. wanted: how many
+        new instances of an object are searched for, default one; at least as many places are proposed, up
+        to AT_ONCE. waiting: further objects. With `remembering`, those that something new in the image
+        looks like are searched for as well, by a first search."""
         with self._lock:
             models = {name: self._models[name] for name in (*names, *waiting)}
             largest_m = max((model.diameter_m for model in self._models.values()), default=0.0)
         with stage("veil"):
-            seen = unveiled(frame)
+            unveiled_frame = unveiled(frame)
         with stage("clear view"):
-            view = clear_view(seen, largest_m)
+            view = clear_view(unveiled_frame, largest_m)
         by_keypoints = "keypoints" in self.config.sources
         thorough = list(names) if thorough is None else thorough
         flat = {name for name in names if by_keypoints and name in thorough and thin(models[name])}
         if view is None and flat:
-            view = whole_view(seen, largest_m)
+            view = whole_view(unveiled_frame, largest_m)
         if view is None:
             return []
         memory = None
         if self.config.remembering:
             with stage("memory"):
-                memory = looking(self._memory, frame)
+                memory = next_look(self._memory, frame)
             if memory.look == 0:
                 self._attention = Attention()
         features, windows = _FeaturesOnce(self._features, view, memory), WindowsBySize(view, memory)
@@ -130,7 +132,7 @@ class ViewDetector:
         def places_of(name: str) -> list[Proposal]:
             model, known = models[name], (followed or {}).get(name, ())
             most = max(proposals[name], COMPETING) if len(names) > 1 else proposals[name]
-            free = view.without(taken_by(model, seen, known)) if known else view
+            free = view.without(taken_by(model, unveiled_frame, known)) if known else view
             proposed = propose(
                 model,
                 self._table(model),
@@ -169,20 +171,21 @@ class ViewDetector:
         missing: Mapping[str, ReferenceModel],
         waiting: Sequence[str],
     ) -> list[str]:
-        """Which of the waiting objects are searched for as well as the other missing ones."""
+        """The waiting objects that are searched for in this frame as well: something new looks like
+        them."""
         views = [(name, model.diameter_m, self._table(model)) for name, model in missing.items()]
-        seen = attended(self._attention, memory, windows, views)
-        picked = seen.picked(waiting)
-        self._attention = seen.after((set(missing) - set(waiting)).union(picked), missing)
+        attention = attended(self._attention, memory, windows, views)
+        picked = attention.picked(waiting)
+        self._attention = attention.after((set(missing) - set(waiting)).union(picked), missing)
         return picked
 
     def _guessed(self, model: ReferenceModel, view: ClearView, features: _FeaturesOnce) -> Float64:
         """Poses (K, 4, 4) of an object from its keypoints in a view."""
-        seen, sought = features.spots(), self._keypoints_of(model)
+        found, keypoints = features.spots(), self._keypoints_of(model)
         with stage("keypoints"):
             if view.taken is not None:
-                seen = PictureFeatures.of(seen.features[view.free(seen.features.pixels)])
-            return consensus_poses(match(sought, seen), view.crop.depth, view.crop.camera).poses
+                found = ImageFeatures.of(found.features[view.free(found.features.pixels)])
+            return consensus_poses(match(keypoints, found), view.crop.depth, view.crop.camera).poses
 
     def warm_up(self) -> None:
         """Load the views of all objects, and compile the kernels on a rendered frame of the first."""
@@ -195,9 +198,9 @@ class ViewDetector:
             camera = Camera(300.0, 300.0, 159.5, 119.5, 320, 240)
             distance = max(0.5, 3.0 * model.diameter_m)
             T = se3.make(np.eye(3), np.array([0.0, 0.0, distance]) - model.mesh.centre)
-            picture = render([(model.mesh, T)], camera)
-            depth = np.where(picture.depth > 0, picture.depth, np.float32(1.5 * distance))
-            self.detect(RgbdFrame(picture.color, depth.astype(np.float32), camera), [model.name])
+            rendering = render([(model.mesh, T)], camera)
+            depth = np.where(rendering.depth > 0, rendering.depth, np.float32(1.5 * distance))
+            self.detect(RgbdFrame(rendering.color, depth.astype(np.float32), camera), [model.name])
 
     def _kept_keypoints(self, model: ReferenceModel) -> ModelKeypoints:
         return kept(ModelKeypoints, model.digest, partial(self._matching_keypoints, model))
@@ -215,20 +218,20 @@ class ViewDetector:
 
 
 class _FeaturesOnce:
-    """The image features of a view, extracted when first asked for. kept: what the memory keeps of them."""
+    """The image features of a view, extracted at the first request. kept: what the memory keeps of them."""
 
     def __init__(self, source: FeatureSource, view: ClearView, memory: Memory | None) -> None:
         self._source, self._view, self._memory = source, view, memory
         self.kept = None if memory is None else memory.features
-        self._spots: PictureFeatures | None = None
+        self._spots: ImageFeatures | None = None
         self._lock = threading.Lock()
 
-    def spots(self) -> PictureFeatures:
+    def spots(self) -> ImageFeatures:
         """The features, with the neighbours of each."""
         with self._lock:
             if self._spots is None:
                 with stage("features"):
-                    self._spots = PictureFeatures.of(self._extracted())
+                    self._spots = ImageFeatures.of(self._extracted())
             return self._spots
 
     def _extracted(self) -> Features:
@@ -246,14 +249,14 @@ class _FeaturesOnce:
 
 
 def _supported(view: ClearView, model: ReferenceModel, proposal: Proposal) -> Proposal:
-    """A proposal from another view of the frame, with its support as it is counted in this one."""
+    """A proposal from another view of the frame, with its support counted in this view."""
     measured = replace(view, crop=replace(view.crop, depth=view.depth))
-    seen = seen_part(model, measured, proposal.T_cam_obj)
-    return replace(proposal, support=np.zeros(0, np.int64) if seen is None else seen[1])
+    visible = visible_part(model, measured, proposal.T_cam_obj)
+    return replace(proposal, support=np.zeros(0, np.int64) if visible is None else visible[1])
 
 
 def _rated(view: ClearView, model: ReferenceModel, proposals: Sequence[Proposal]) -> list[Proposal]:
-    """The best pose at each place; its score is the log-odds that it is the object's."""
+    """The best pose at each place; its score is the log-odds that the object is there."""
     poses = [(model.name, p.T_cam_obj) for p in proposals]
     logits = logits_of(sights_of(view, {model.name: model}, poses, verifying=False))
     best: dict[int, Proposal] = {}
@@ -264,11 +267,11 @@ def _rated(view: ClearView, model: ReferenceModel, proposals: Sequence[Proposal]
 
 
 LEAD = 0.7
-"""A place goes to another object whose log-odds there are higher by this, and which explains half of its
-surface."""
+"""A place is lost to another object that has log-odds higher by more than this and explains over half of
+the same surface."""
 
 FALL = 1.5
-"""Penalty, in log-odds, of a place that goes to another object."""
+"""Penalty, in log-odds, of a place that is lost to another object."""
 
 
 def contested(proposals: Mapping[str, Sequence[Proposal]]) -> dict[str, list[Proposal]]:

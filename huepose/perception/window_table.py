@@ -1,4 +1,4 @@
-"""A model's view templates as the detector compares them with windows of a picture: fewer views, larger
+"""A model's view templates as the detector compares them with windows of an image: fewer views, larger
 cells, codes; and the most similar ones as poses."""
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from huepose.support.kept import kept
 from huepose.support.stages import stage
 
 VIEWS, ROLL_STRIDE = 42, 2
-"""The first 42 directions are the icosphere of level 1, 32 degrees apart; every second roll, 30 degrees."""
+"""The first 42 directions are the icosphere of level 1, 32 degrees apart; every second roll, 30 degrees
+apart."""
 
 MIN_COVERAGE = 0.25
 """Least coverage (0..1) of a cell that counts."""
@@ -31,10 +32,10 @@ _MIDDLE = (np.hypot(*_GRID) <= COARSE_SIDE / 4.0).ravel().astype(np.float32)
 
 @dataclass(frozen=True, eq=False)
 class WindowTable:
-    """Of N views: codes (N, D) float32; rotations (N, 3, 3), origins (N, 3): as of a `TemplateTable`; used
-    (P,): the cells that any of them covers; coverage (N, P) float32 of these, relief (N, P) float32:
-    millimetres from a view's own median depth, times coverage. hues (V, 2) float32: what the two colour
-    opponents are in the middle of the views from each direction."""
+    """Tables of N views. codes (N, D) float32; rotations (N, 3, 3), origins (N, 3): as in a
+    `TemplateTable`; used (P,): the cells that any view covers; of these, coverage (N, P) float32 and relief
+    (N, P) float32: millimetres from a view's own median depth, times coverage. hues (V, 2) float32: the two
+    colour opponents in the middle of the views from each direction."""
 
     codes: Float32
     rotations: Float64
@@ -46,7 +47,7 @@ class WindowTable:
 
 
 def window_table(model: ReferenceModel) -> WindowTable:
-    """The table of a model (about 2 MB, 0.3 s where it has to be made)."""
+    """The table of a model (about 2 MB; 0.3 s if it has to be made)."""
     return kept(WindowTable, model.digest, lambda: _made(model))
 
 
@@ -82,9 +83,9 @@ def _in_all_cells(coarse: CoarseViews, values: Float32) -> Float32:
 
 
 APART, BESIDE, LIKEST, LIKE = 0.3, 0.36, 16, 0.18
-"""A coarse-to-fine search: first windows at least APART diameters from each other are coded, then all that
-lie within BESIDE diameters of the LIKEST most similar ones, as far as these have a likeness of LIKE with some
-view (docs/detection_measured.md, codes of views)."""
+"""A coarse-to-fine search. First, windows at least APART diameters from each other are encoded. Then all
+windows within BESIDE diameters of the LIKEST most similar ones are encoded, if these have a likeness of
+LIKE with some view (docs/detection_measured.md, codes of views)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,7 @@ class LikestViews:
 
 
 def promising(table: WindowTable, windows: Windows) -> Int64:
-    """Indices (W,) of all windows in order of promise: those on separate pieces first, then by the distance
+    """Indices (W,) of all windows, most promising first: those on separate pieces, then by the distance
     between the hue of their middle and the nearest hue of the object's views."""
     cells = windows.middles
     weight = cells[..., 4]
@@ -119,13 +120,13 @@ def compared(table: WindowTable, windows: Windows, chosen: Int64) -> Float32:
 
 
 def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) -> tuple[Int64, Float32]:
-    """Code some of the chosen windows (W,). Returns those (K,), in the same order, and cosines (N, K) of all
-    views with them.
+    """Encode some of the chosen windows (W,). Returns these (K,), in the same order, and cosines (N, K) of
+    all views with them.
 
-    Always coded: the `first` ones, those on separate pieces, and those recalled from memory. Of the others a
-    subset APART diameters apart, and then the neighbours of the most similar ones, where these are similar at
-    all."""
-    from scipy.spatial.distance import cdist  # a tenth of a second, which the tracker does not need
+    Always encoded are the `first` ones, those on separate pieces, and those recalled from memory. Of the
+    others, a subset APART diameters apart is encoded, and then the neighbours of the most similar ones that
+    are similar enough."""
+    from scipy.spatial.distance import cdist  # 0.1 s to import, which the tracker saves
 
     places = windows.places_diameters(chosen)
     taken = (np.arange(len(chosen)) < first) | (chosen < windows.pieces) | windows.recalled[chosen]
@@ -153,8 +154,8 @@ def likest_views(
     count: int,
     each: int,
 ) -> LikestViews:
-    """The `count` most similar pairs of a view and one of the chosen windows (W,), at most `each` of one
-    window. alike: cosines (N, W) of views and windows. The depth of a pose is that at which the view's relief
+    """The `count` most similar pairs of a view and one of the chosen windows (W,), at most `each` per
+    window. alike: cosines (N, W) of views and windows. A pose has the depth at which the view's relief
     fits."""
     if not len(chosen):
         return LikestViews(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
@@ -169,16 +170,16 @@ def likest_views(
         behind_mm = _behind_mm(table, windows.cells(chosen[among]), view, again.reshape(-1))
         depth_m = windows.depth_m[chosen[window]] + behind_mm / MILLIMETRES
         rays = camera.rays(windows.pixels[chosen[window]])
-        turns = onto_rays(rays)
+        to_rays = onto_rays(rays)
         poses = np.tile(np.eye(4), (len(order), 1, 1))
-        poses[:, :3, :3] = turns @ table.rotations[view]
-        poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, table.origins[view])
+        poses[:, :3, :3] = to_rays @ table.rotations[view]
+        poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", to_rays, table.origins[view])
     return LikestViews(poses, alike[view, window].astype(np.float64), window)
 
 
 @jit
 def _spread(places: Float64, taken: Bool) -> None:
-    """Mark in `taken` (W,) each of places (W, 3) that is at least APART from all that are marked (greedy)."""
+    """Mark in `taken` (W,) each of places (W, 3) that is at least APART from all marked ones (greedy)."""
     for k in range(places.shape[0]):
         free = not taken[k]
         for i in range(places.shape[0]):
@@ -194,9 +195,9 @@ def _spread(places: Float64, taken: Bool) -> None:
 
 def _behind_mm(table: WindowTable, cells: Float32, view: Int64, window: Int64) -> Float64:
     """Mean offset in depth (K,), mm, between each view and its window, over cells where both are known."""
-    seen = cells[:, table.used]
-    weight = table.coverage[view] * seen[window, :, 4]
-    gap = table.coverage[view] * seen[window, :, 3] - table.relief[view]
+    known = cells[:, table.used]
+    weight = table.coverage[view] * known[window, :, 4]
+    gap = table.coverage[view] * known[window, :, 3] - table.relief[view]
     return np.asarray(
-        (seen[window, :, 4] * gap).sum(1) / np.maximum(weight.sum(1), np.float32(1e-3)), np.float64
+        (known[window, :, 4] * gap).sum(1) / np.maximum(weight.sum(1), np.float32(1e-3)), np.float64
     )

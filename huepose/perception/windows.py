@@ -1,6 +1,7 @@
 """Sliding windows of an object's metric size over a view, and their features: coarse cells and view codes.
 
-Objects of nearly the same diameter share their windows, so each window is cut and coded once for all of them.
+Objects of nearly the same diameter share their windows, so each window is cut and encoded once for all of
+them.
 """
 
 from __future__ import annotations
@@ -22,39 +23,40 @@ from huepose.support.jit import jit
 from huepose.support.stages import stage
 
 SPACING = 0.25
-"""Spacing of windows, in diameters. An object's middle is then no farther from a window's than the offsets
-that the codes were trained with (`training.view_codes.LARGEST_SHIFT`)."""
+"""Spacing of windows, in diameters. An object's middle is then no farther from the middle of a window than
+in the training of the codes (`training.view_codes.LARGEST_SHIFT`)."""
 
 SIZES = 1.15
 """Ratio of neighbouring window sizes: a window is at most 7 % too large or too small, as in training
 (`training.view_codes.STRETCH`)."""
 
 LATTICE_PX = 3
-"""Every third pixel of each axis proposes a place for a window."""
+"""Windows are placed by every third pixel along each axis."""
 
 BIG = 1 << 20
-"""More than the cubes along any axis, to number them."""
+"""More than the number of cubes along any axis: used to number the cubes."""
 
 CHANNELS = 6
-"""Of a cell: three opponent colours, relief, share of the object's depth, share of background."""
+"""Channels of a cell: three opponent colours, relief, share of the object's depth, share of background."""
 
 SAMPLES = 3
 """Samples of a cell along each axis."""
 
 MIN_SHARE = 0.2
-"""A cell is known where so many of its samples lie at the object's depth."""
+"""A cell is known if more than this share of its samples lies at the object's depth."""
 
 BORDER = 2
-"""Cells from each side that do not belong to a window's middle, whose hue orders the windows."""
+"""Cells from each side that do not belong to a window's middle. The hue of the middle orders the
+windows."""
 
 
 class Windows:
-    """All W windows of one size in a view. Their features are computed when first asked for; thread-safe.
+    """All W windows of one size in a view. Features are computed at the first request; thread-safe.
 
-    known: windows of earlier looks whose content has not changed; look: number of this look. diameter_m: of
-    the objects that they suit; pixels (W, 2): centres in the view; depth_m (W,): depth at the centre; span_px
-    (W,): side length; pieces: how many windows, the first ones, are centred on separate pieces of the depth;
-    recalled (W,): which ones come from `known`."""
+    known: windows of earlier looks whose content has not changed; look: number of this look; diameter_m: of
+    the objects that the windows suit; pixels (W, 2): centres in the view; depth_m (W,): depth at the
+    centre; span_px (W,): side length; pieces: how many windows, the first ones, are centred on separate
+    pieces of the depth; recalled (W,): which windows come from `known`."""
 
     def __init__(
         self, view: ClearView, diameter_m: float, known: KeptWindows | None = None, look: int = 0
@@ -80,7 +82,7 @@ class Windows:
 
     @property
     def frame_pixels(self) -> Float64:
-        """Their centres (W, 2) in the frame."""
+        """The centres (W, 2) in the frame."""
         crop = self._view.crop
         return np.asarray(self.pixels + np.array([crop.x0, crop.y0]))
 
@@ -98,7 +100,7 @@ class Windows:
         return np.asarray(np.column_stack([across, 0.5 * depth_m]) / self.diameter_m, np.float64)
 
     def _recall(self, known: KeptWindows) -> None:
-        """Put windows that match a known one at its place, with its codes."""
+        """Move each window that matches a known one to that one's place, and give it its codes."""
         crop = self._view.crop
         pixels = known.pixels - [crop.x0, crop.y0]
         before = self._in_diameters(pixels, known.depth_m)
@@ -118,7 +120,7 @@ class Windows:
 
     @cached_property
     def middles(self) -> Float32:
-        """As `cells`, of all windows (W, P, 6), with only the cells in the middle filled."""
+        """Like `cells`, for all windows (W, P, 6), with only the cells in the middle filled."""
         return self._filled(np.arange(len(self)), BORDER)
 
     def cells(self, index: Int64) -> Float32:
@@ -149,7 +151,8 @@ class Windows:
 
 
 class WindowsBySize:
-    """The windows of a view by size, shared by objects of nearly the same diameter. memory: earlier looks."""
+    """The windows of a view by size, shared by objects of nearly the same diameter. memory: of earlier
+    looks."""
 
     def __init__(self, view: ClearView, memory: Memory | None = None) -> None:
         self._view, self._memory, self._lock = view, memory, threading.Lock()
@@ -161,7 +164,7 @@ class WindowsBySize:
 
     @staticmethod
     def size_of(diameter_m: float) -> int:
-        """The number of the size that suits an object of this diameter."""
+        """The number of the window size for objects of this diameter."""
         return round(log(diameter_m) / log(SIZES))
 
     def at(self, size: int) -> Windows:
@@ -226,7 +229,7 @@ def _fill(
                 cell = cells[w, row + x // SAMPLES]
                 away = depth[v, u] - middle
                 if clear[v, u] and abs(away) < gate_m:
-                    # The wider smoothing stands for the mean of the samples between.
+                    # The more smoothed colours, which replace a mean over the pixels between the samples.
                     cell[0] += colors[v, u, 0]
                     cell[1] += colors[v, u, 1]
                     cell[2] += colors[v, u, 2]

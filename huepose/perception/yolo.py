@@ -1,21 +1,21 @@
-"""A detector of the YOLO family, from an ONNX file that its user has trained.
+"""A detector of the YOLO family, from an ONNX file that the user has trained.
 
-Its classes are the user's: each object is told which of them mean it. A class that means several objects
-gives each of them the box; the estimator tells them apart. A picture is scaled to fit the network's input,
-the rest is filled, and boxes are brought back (`Letterbox`).
+Its classes are the user's: each object has a list of the classes that mean it. If a class means several
+objects, each of them gets the box, and the estimator distinguishes them. An image is scaled to fit the
+network's input, the rest is filled with grey, and boxes are mapped back (`Letterbox`).
 
-What the outputs mean is told by their shape, or named. With an input of H x W there are
-G = sum of (H/s)(W/s) over the strides 8, 16, 32 places:
+The layout of the output is recognised by its shape, or named by the user. An input of H x W has G = sum of
+(H/s)(W/s) grid places over the strides s = 8, 16, 32:
 
-| layout      | output            | columns                                          |
-|-------------|-------------------|--------------------------------------------------|
-| `v8`        | 1 x (4+nc) x G    | cx cy w h, scores                                 |
-| `v5`        | 1 x 3G x (5+nc)   | cx cy w h, objectness, scores                     |
-| `yolox`     | 1 x G x (5+nc)    | the same                                          |
+| layout      | output            | columns                                             |
+|-------------|-------------------|-----------------------------------------------------|
+| `v8`        | 1 x (4+nc) x G    | cx cy w h, scores                                   |
+| `v5`        | 1 x 3G x (5+nc)   | cx cy w h, objectness, scores                       |
+| `yolox`     | 1 x G x (5+nc)    | the same                                            |
 | `yolox_raw` | 1 x G x (5+nc)    | offset in its place and logarithm of size, by stride |
-| `end2end`   | 1 x n x 6         | x0 y0 x1 y1, score, class; overlaps are gone      |
+| `end2end`   | 1 x n x 6         | x0 y0 x1 y1, score, class; overlaps already removed |
 
-A shape alone does not tell `yolox` from `yolox_raw`: decoded boxes are hundreds of pixels, raw ones are small
+`yolox` and `yolox_raw` have the same shape, but decoded boxes are hundreds of pixels and raw ones small
 numbers. With one or two classes some shapes fit two layouts: then the layout has to be named."""
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ Class = int | str
 class YoloDetector:
     """Finds objects by the classes of a network.
 
-    classes: by object, the numbers or names of its classes; layout: one of LAYOUTS, or `auto`. Raises
-    InputError when the network is none of the family, or has no such class."""
+    classes: numbers or names of the classes of each object; layout: one of LAYOUTS, or `auto`. Raises
+    InputError if the network does not belong to the family, or has no such class."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class YoloDetector:
     ) -> None:
         self._network, self._confidence, self._overlap = network, confidence, overlap
         self._input_size = _input_size(network)
-        # The first run proves that the file works, and shows the shape where the file leaves it open.
+        # The first run proves that the file works, and shows the output's shape if the file leaves it open.
         grey = np.full((1, 3, *self._input_size), 114.0 / 255.0, np.float32)
         output = network.run({network.inputs[0].name: grey})[network.outputs[0].name]
         self.layout = _layout(network, output, self._input_size, layout)
@@ -76,7 +76,7 @@ class YoloDetector:
         self._classes = self._numbers(classes, count)
 
     def without_class(self, names: Iterable[str]) -> list[str]:
-        """Those of these objects that no class means: they get no box, whatever is in the picture."""
+        """Those of these objects that no class means: they never get a box."""
         return [name for name in names if not self._classes.get(name)]
 
     def _numbers(
@@ -101,7 +101,7 @@ class YoloDetector:
 
     def detect(self, frame: RgbdFrame, names: Sequence[str]) -> list[Detection]:
         """Boxes of the named objects, best first; several of one name are several instances. Raises
-        InputError where the network's boxes are no pixels."""
+        InputError if the network's boxes are not in pixels."""
         box_of = Letterbox.of(frame.color.shape[:2], self._input_size, centered=not self._is_yolox)
         tensor = self._tensor(box_of.apply(frame.color, self._input_size))
         output = self._network.run({self._network.inputs[0].name: tensor})[self._network.outputs[0].name]
@@ -109,7 +109,7 @@ class YoloDetector:
         if len(found.corners) and found.corners.max() <= _SHARES:
             raise InputError(
                 self._network.path,
-                found=f"boxes within {found.corners.max():.2f} pixels of the corner: shares of the picture?",
+                found=f"boxes within {found.corners.max():.2f} pixels of the corner: normalised boxes?",
                 expected=f"corners, or centres and sizes, in pixels of its input ({self.layout})",
                 fix="Export the network again, with boxes that are not normalised.",
             )
@@ -133,14 +133,14 @@ class YoloDetector:
         return self.layout in ("yolox", "yolox_raw")
 
     def _tensor(self, image: UInt8) -> Float32:
-        """YOLOX takes BGR up to 255, the others RGB up to 1; all channel by channel."""
+        """The network's input, channels first: BGR up to 255 for YOLOX, RGB up to 1 for the others."""
         if self._is_yolox:
             return np.ascontiguousarray(image[..., ::-1].transpose(2, 0, 1)[None], dtype=np.float32)
         return np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255.0)
 
 
 def class_names(network: Network, count: int | None) -> tuple[str, ...]:
-    """Names of the classes: from the file where it has them, those of COCO where it has 80 classes."""
+    """Names of the classes: from the file if it has them; else those of COCO if there are 80 classes."""
     text = network.metadata.get("names")
     if text is not None:
         try:
@@ -158,8 +158,8 @@ def class_names(network: Network, count: int | None) -> tuple[str, ...]:
 
 
 def _check_it_only_detects(network: Network, count: int | None) -> None:
-    """Raises InputError where the file says that the network is for another task, or that it has other
-    classes than its output: masks and keypoints are columns beside the scores."""
+    """Raises InputError if the file says that the network is for another task, or lists another number of
+    classes than the output has: masks and keypoints are columns beside the scores."""
     task, names = network.metadata.get("task", "detect"), class_names(network, None)
     if task == "detect" and (not names or count in (None, len(names))):
         return
@@ -168,12 +168,12 @@ def _check_it_only_detects(network: Network, count: int | None) -> None:
         network.path,
         found=found,
         expected="a network for boxes alone (task detect), whose output has a column for each class",
-        fix="Export a detector: one for masks, keypoints or turned boxes does not do.",
+        fix="Export a detector: a network for masks, keypoints or rotated boxes cannot be used.",
     )
 
 
 def _input_size(network: Network) -> tuple[int, int]:
-    """Height and width of the input; 640 where the file leaves them open."""
+    """Height and width of the input; 640 if the file leaves them open."""
     shape = network.inputs[0].shape if len(network.inputs) == 1 else ()
     if len(shape) != 4 or shape[1] != 3 or network.inputs[0].kind != "tensor(float)":
         raise network.refused("one input of float 1 x 3 x H x W")
@@ -184,7 +184,7 @@ def _input_size(network: Network) -> tuple[int, int]:
 
 
 def _layout(network: Network, output: Float32, input_size: tuple[int, int], named: str) -> str:
-    """The layout of an output. Raises InputError, showing the shapes, when it is none or several."""
+    """The layout of an output. Raises InputError, showing the shapes, if none or several fit."""
     possible = layouts_of(output.shape, input_size)
     if "yolox" in possible and named in ("auto", "yolox_raw") and (named == "yolox_raw" or is_raw(output)):
         possible = tuple("yolox_raw" if p == "yolox" else p for p in possible)
@@ -207,7 +207,7 @@ _GREY = 114
 
 @dataclass(frozen=True)
 class Letterbox:
-    """How a picture of a size lies in an input: scale, and the pixels left and above it."""
+    """How an image lies in the network's input: its scale, and the pixels left of it and above it."""
 
     scale: float
     left: int
@@ -215,7 +215,8 @@ class Letterbox:
 
     @staticmethod
     def of(image_size: tuple[int, int], input_size: tuple[int, int], centered: bool) -> Letterbox:
-        """Of a picture (height, width) in an input (height, width): in its middle, or its corner."""
+        """For an image (height, width) in an input (height, width): in its middle, or in its upper left
+        corner."""
         scale = min(input_size[0] / image_size[0], input_size[1] / image_size[1])
         height, width = round(image_size[0] * scale), round(image_size[1] * scale)
         if not centered:
@@ -226,7 +227,7 @@ class Letterbox:
         return Letterbox(scale, left, top)
 
     def apply(self, image: UInt8, input_size: tuple[int, int]) -> UInt8:
-        """The picture (H, W, 3) in an input of that (height, width), the rest grey."""
+        """The image (H, W, 3) in an input of that (height, width), the rest grey."""
         size = (round(image.shape[1] * self.scale), round(image.shape[0] * self.scale))
         resized = (
             image if size == image.shape[1::-1] else cv2.resize(image, size).astype(np.uint8, copy=False)
@@ -236,13 +237,14 @@ class Letterbox:
         return out
 
     def back(self, corners: Float) -> Float64:
-        """Boxes (N, 4) x0 y0 x1 y1 of the input in pixels of the picture."""
+        """Boxes (N, 4) x0 y0 x1 y1 of the input, in pixels of the image."""
         offset = np.array([self.left, self.top, self.left, self.top], dtype=np.float64)
         return np.asarray((np.asarray(corners, np.float64) - offset) / self.scale)
 
 
 def suppress_overlaps(corners: Float, scores: Float, classes: np.ndarray, overlap: float) -> np.ndarray:
-    """Indices of the boxes to keep, best first: of two of a class with a higher IoU only the better one.
+    """Indices of the boxes to keep, best first: of two boxes of one class whose IoU is higher than
+    `overlap`, only the better one.
 
     corners (N, 4) x0 y0 x1 y1, scores (N,), classes (N,)."""
     order = np.argsort(-scores, kind="stable")
@@ -261,9 +263,9 @@ def suppress_overlaps(corners: Float, scores: Float, classes: np.ndarray, overla
 
 STRIDES = (8, 16, 32)
 LAYOUTS = ("v5", "v8", "yolox", "yolox_raw", "end2end")
-# Decoded centres reach across the input; raw offsets and logarithms stay below this.
 _SHARES = 2.0
-"""No box of an object is so near to the picture's corner as where all are shares of its width and height."""
+"""If no box reaches farther than this from the corner, boxes are shares of the image's width and height."""
+# Decoded centres reach across the input; raw offsets and logarithms stay below this.
 _RAW_LIMIT = 24.0
 
 
@@ -277,7 +279,7 @@ class Candidates:
 
 
 def places(input_size: tuple[int, int]) -> int:
-    """How many places the three grids of an input (height, width) have."""
+    """How many places the grids of the three strides have in an input (height, width)."""
     return sum((input_size[0] // s) * (input_size[1] // s) for s in STRIDES)
 
 
@@ -303,14 +305,15 @@ def layouts_of(shape: tuple[int, ...], input_size: tuple[int, int]) -> tuple[str
 
 
 def classes_in(layout: str, shape: tuple[int, ...]) -> int | None:
-    """How many classes an output of a layout has; None where its shape does not say."""
+    """How many classes an output of a layout has; None if its shape does not say."""
     if layout == "end2end":
         return None
     return shape[1] - 4 if layout == "v8" else shape[2] - 5
 
 
 def is_raw(output: Float) -> bool:
-    """Whether an output (1, G, 5+nc) of YOLOX has boxes that are still offsets and logarithms."""
+    """Whether the boxes in an output (1, G, 5+nc) of YOLOX are still offsets and logarithms, not
+    decoded."""
     return bool(np.abs(output[0, :, :4]).max() < _RAW_LIMIT)
 
 
@@ -338,7 +341,8 @@ def candidates(output: Float, layout: str, input_size: tuple[int, int], confiden
 
 
 def _decoded(boxes: Float64, index: np.ndarray, input_size: tuple[int, int]) -> Float64:
-    """Raw boxes (N, 4) of the places `index`: centre (offset + place) stride, size exp(size) stride."""
+    """Raw boxes (N, 4) of the grid places `index`, decoded: centre (offset + place) stride, size exp(size)
+    stride."""
     grids, strides = [], []
     for stride in STRIDES:
         height, width = input_size[0] // stride, input_size[1] // stride

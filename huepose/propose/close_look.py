@@ -1,12 +1,12 @@
-"""The close look: score view templates at their places in a picture, cell by cell.
+"""The close look: the second, detailed comparison of view templates with the image, cell by cell.
 
-The depth of a template is the one at which most of its cells agree with the picture (the mode of the
-differences). At this depth cells fit, are occluded (the picture is nearer) or are seen through (the picture
-is farther); colours are correlated over the cells that fit. So an object that is half hidden behind another
-is separated from it by depth alone.
+The depth of a template is the one at which most of its cells agree with the image (the mode of the
+differences). At this depth cells fit, are occluded (the measured depth is nearer) or violate free space (it
+is farther); colours are correlated over the cells that fit. So depth alone separates an object from one
+that half occludes it.
 
-The loops run over all cells of a template, with a weight in place of a branch, so that the compiler works on
-several cells at once.
+The loops run over all cells of a template, with weights instead of branches, so that the compiler
+vectorises them.
 """
 
 from __future__ import annotations
@@ -36,31 +36,32 @@ COLOR_WEIGHT, BOX_WEIGHT, OCCLUDED_WEIGHT = 0.7, 1.4, 0.1
 """Weights of the terms; depth fit and free-space violation as in `judge.terms`, the others chosen."""
 
 CHANNEL_WEIGHTS = np.array([0.4, 1.0, 1.0])
-"""Of the correlation of lightness, in which shading is, red-green and yellow-blue."""
+"""Weights in the correlation, of lightness (which shading changes), red-green and yellow-blue."""
 
 CHANNEL_FLOOR, PLAIN = 3.0, 4.0
-"""Opponent units, added to the spreads of a channel and to the sum of the channels' weights: keep the
-correlation of plain cells low. Chosen."""
+"""Opponent units, added to the product of a channel's standard deviations and to the sum of the channels'
+weights. They keep the correlation of plain cells low. Chosen."""
 
 TOLERANCE, MIN_TOLERANCE_MM = 0.05, 8.0
-"""Largest difference of a fitting cell, the larger of this share of the diameter and these millimetres."""
+"""A cell fits if its depth differs by less than this share of the diameter, or these millimetres if that is
+more."""
 
 MAX_OFFSET = 0.75
 """Largest offset between the template's depth and the median depth of the window, in diameters."""
 
 BINS = 64
-"""Of the histogram of depth offsets."""
+"""Bins of the histogram of depth offsets."""
 
 FEWEST, NO_SCORE = 4, -9.0
-"""Cells that have to be known for a score, and to fit for a correlation; the score where fewer are known,
-which is under all others."""
+"""Least number of known cells for a score, and of fitting cells for a correlation; the score if fewer are
+known, which is lower than all others."""
 
 UNKNOWN_MM, KNOWN_MM = np.float32(1e9), np.float32(5e8)
-"""Relief of a cell of which nothing is known; what is nearer than the second is known."""
+"""Relief of a cell without depth; relief below KNOWN_MM is known."""
 
 
 class Canvas(NamedTuple):
-    """The picture resampled to template cells. color (n, n, 3): opponents; relief (n, n): millimetres from
+    """The image resampled to template cells. color (n, n, 3): opponents; relief (n, n): millimetres from
     the median depth, UNKNOWN_MM where there is none; bounds (4,): left, top, right, bottom of the box in
     cells."""
 
@@ -70,9 +71,9 @@ class Canvas(NamedTuple):
 
 
 class _Scratch(NamedTuple):
-    """Of the cells of one template. where (C,): their indices in the flat canvas; differences (C,): picture
-    minus template relief there, millimetres; bins (C,): of the histogram (2 * (BINS + 2),); near (C,): 1
-    where it fits, else 0; colors (3 * C,): of the picture, channel by channel."""
+    """Work arrays for the cells of one template. where (C,): their indices in the flat canvas; differences
+    (C,): measured minus template relief there, millimetres; bins (C,): of the histogram (2 * (BINS + 2),);
+    near (C,): 1 where the cell fits, else 0; colors (3 * C,): of the image, channel by channel."""
 
     where: Int64
     differences: Float32
@@ -83,8 +84,8 @@ class _Scratch(NamedTuple):
 
 
 def canvas_of(color: UInt8, depth: Float32, fine: int, middle_m: float, bounds: Float64) -> Canvas:
-    """The canvas of samples (n, n) as of `quick_look.sampled`. Relief is the one reading in the middle of a
-    cell: a mean across a depth step would lie on no surface."""
+    """The canvas of samples (n, n) as made by `quick_look.sampled`. Relief is the one reading in the middle
+    of a cell: a mean across a depth step would lie on no surface."""
     cells = len(depth) // fine
     colors = np.zeros((cells, cells, 3), np.float32)
     relief = np.full((cells, cells), UNKNOWN_MM, np.float32)
@@ -122,7 +123,7 @@ def _fill(
 def check_templates(
     table: TemplateTable, canvas: Canvas, templates: Int64, corners: Int64
 ) -> tuple[Float64, Float64]:
-    """Score templates (K,) placed with their top-left cell at `corners` (K, 2) (x, y) of the canvas.
+    """Score templates (K,) whose top-left cells are at `corners` (K, 2) (x, y) of the canvas.
 
     Returns scores (K,), and the depth offset (K,) in millimetres at which each fits best."""
     scores, offsets = np.zeros(len(templates)), np.zeros(len(templates))
@@ -186,8 +187,8 @@ def _check(
 
 @jit_dividing
 def _find(places: UInt16, first: int, count: int, wide: int, corner: int, where: Int64) -> None:
-    """Where the cells of a template from `first` on are in a flat canvas `wide` cells wide, the template's
-    corner being at `corner`."""
+    """Fill `where` with the indices of a template's cells, from `first` on, in a flat canvas `wide` cells
+    wide. The template's corner is at `corner`."""
     begin, row, origin = np.uint64(first), np.uint64(wide), np.uint64(corner)
     for n in range(np.uint64(count)):
         place = places[begin + n]
@@ -198,8 +199,8 @@ def _find(places: UInt16, first: int, count: int, wide: int, corner: int, where:
 def _differ(
     values: np.ndarray, first: int, count: int, relief: Float32, max_offset: float, scratch: _Scratch
 ) -> int:
-    """Fill differences and bins; cells in which both are known. A difference that is out of max_offset gets
-    the first or the last bin, which are not looked at."""
+    """Fill differences and bins; returns how many cells are known in both. A difference beyond max_offset
+    gets the first or the last bin, which are not used."""
     differences, bins = scratch.differences, scratch.bins
     row = np.uint64(4 * first + 3 * count)
     scale, middle = np.float32(BINS / (2.0 * max_offset)), np.float32(BINS / 2.0 + 1.0)
@@ -207,9 +208,9 @@ def _differ(
     for n in range(np.uint64(count)):
         differences[n] = relief[np.uint64(scratch.where[n])]
     for n in range(np.uint64(count)):
-        drawn = values[row + n]
-        difference = differences[n] - np.float32(drawn) * np.float32(1.0 / RELIEF_STEPS)
-        difference = difference if drawn != NOT_COVERED else UNKNOWN_MM
+        stored = values[row + n]
+        difference = differences[n] - np.float32(stored) * np.float32(1.0 / RELIEF_STEPS)
+        difference = difference if stored != NOT_COVERED else UNKNOWN_MM
         known += np.int32(1) if difference < KNOWN_MM else np.int32(0)
         differences[n] = difference
         bins[n] = np.int32(min(max(difference * scale + middle, np.float32(0.0)), np.float32(BINS + 1)))
@@ -218,19 +219,20 @@ def _differ(
 
 @jit_dividing
 def _mode(scratch: _Scratch, count: int, tolerance: float, max_offset: float) -> float:
-    """The mode of the differences within `max_offset` of 0: histogram maximum, then twice the mean of those
-    near it."""
+    """The mode of the differences within `max_offset` of 0: the maximum of the histogram, then twice the
+    mean of the differences near it."""
     differences, bins, histogram = scratch.differences, scratch.bins, scratch.histogram
     one, half = np.uint64(1), np.uint64(BINS + 2)
     histogram[:] = 0
-    # Two histograms by turns: one would wait for what it has just written to the same bin.
+    # Two histograms in alternation: with one, each step would wait for the last one's write to the same
+    # bin.
     for n in range(np.uint64(count // 2)):
         histogram[np.uint64(bins[n + n])] += 1
         histogram[half + np.uint64(bins[n + n + one])] += 1
     for b in range(half):
         histogram[b] += histogram[b + half]
     histogram[0] = histogram[BINS + 1] = 0
-    # The first of the fullest: its number is part of what is compared.
+    # Of equally full bins, the first: the bin's number is part of the compared number.
     best = np.int32(0)
     for b in range(one, np.uint64(BINS + 1)):
         near = histogram[b - one] + histogram[b] + histogram[b + one]
@@ -253,8 +255,8 @@ def _mode(scratch: _Scratch, count: int, tolerance: float, max_offset: float) ->
 def _agreement(
     scratch: _Scratch, count: int, offset: float, tolerance: float
 ) -> tuple[float, float, float, float]:
-    """Fill `near`; how well the fitting cells fit, summed up, and how many cells fit, are occluded and are
-    seen through."""
+    """Fill `near`. Returns the summed fit of the fitting cells, and how many cells fit, are occluded, and
+    violate free space."""
     differences, near = scratch.differences, scratch.near
     zero, one = np.float32(0.0), np.float32(1.0)
     moved, each = np.float32(offset), np.float32(1.0 / tolerance)
@@ -285,10 +287,10 @@ def _color(
     zero, each, unit = np.float32(0.0), np.float32(1.0 / fitting), np.float32(1.0 / STEPS)
     agreed, weights = 0.0, PLAIN
     for q in range(np.uint64(3)):
-        row, seen = np.uint64(4 * first) + q * second, q * second
+        row, channel = np.uint64(4 * first) + q * second, q * second
         s_t, s_i, s_tt, s_ii, s_ti = zero, zero, zero, zero, zero
         for n in range(np.uint64(count)):
-            a, b = near[n] * np.float32(values[row + n]) * unit, near[n] * colors[seen + n]
+            a, b = near[n] * np.float32(values[row + n]) * unit, near[n] * colors[channel + n]
             s_t += a
             s_i += b
             s_tt += a * a
@@ -307,7 +309,7 @@ def _color(
 def _box_iou(
     places: UInt16, first: int, count: int, near: Float32, side: int, x: int, y: int, bounds: Float64
 ) -> float:
-    """IoU of the bounds of the fitting cells, the template's corner being at (x, y), and the box."""
+    """IoU of the bounds of the fitting cells and the box. The template's corner is at (x, y)."""
     zero, one, eight, low = np.int32(0), np.int32(1), np.int32(8), np.int32(255)
     size = np.int32(side)
     begin = np.uint64(first)

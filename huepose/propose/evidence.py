@@ -17,8 +17,8 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.judge.region import Region, prepare_believed, prepare_crop, sampled_points
 
 FITTING_IOU = 0.75
-"""IoU of a mask's bounds and the box from which the mask gets full weight: a true mask reaches it in a box
-that is shifted and scaled by a tenth. Chosen."""
+"""IoU of a mask's bounds and the box from which on the mask gets full weight: a true mask reaches it in a
+box that is shifted and scaled by a tenth. Chosen."""
 
 LEAST_TRUST = 0.05
 """Weight of a mask that does not overlap the box at all. Chosen."""
@@ -27,14 +27,14 @@ MASK_POINTS, BOX_POINTS = 400, 800
 """Surface points sampled for registration from each mask and from the whole box."""
 
 REACH = 0.7
-"""Margin of the crop around a mask, in object diameters at the mask's depth, so that the whole object lies in
-the crop. A mask of only one end of a thin object would need 1.0. Chosen."""
+"""Margin of the crop around a mask, in object diameters at the mask's depth, so that the whole object lies
+in the crop. A mask of only one end of a thin object would need 1.0. Chosen."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """region: what poses are judged in; sources: masks (h, w) of its crop that propose poses, the whole box
-    last; points_cam: surface points (N, 3) of each source, metres."""
+    """region: the region that poses are judged in; sources: masks (h, w) of its crop that propose poses,
+    the whole box last; points_cam: surface points (N, 3) of each source, metres."""
 
     region: Region
     sources: tuple[Bool, ...]
@@ -42,7 +42,7 @@ class Evidence:
 
 
 def gather(frame: RgbdFrame, masks: Sequence[Bool], box: Box, diameter_m: float) -> Evidence | None:
-    """Crop a frame for candidate masks (H, W) bool and a box; None when neither has any depth."""
+    """Crop a frame for candidate masks (H, W) bool and a box; None if neither has any depth."""
     size = (frame.camera.width, frame.camera.height)
     inside = np.zeros(frame.depth.shape, bool)
     inside[box.slices(*size)] = True

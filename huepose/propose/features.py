@@ -15,13 +15,13 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, UInt8
 
 SIFT_WIDTH = 128
-"""Numbers of a descriptor."""
+"""Numbers in a descriptor."""
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """pixels (N, 2) float32: (u, v) in the picture; descriptors (N, D) float32 of unit length, no value
-    negative: similarity is their scalar product, 0..1."""
+    """pixels (N, 2) float32: (u, v) in the image; descriptors (N, D) float32 of unit length, without
+    negative values: similarity is their scalar product, 0..1."""
 
     pixels: Float32
     descriptors: Float32
@@ -42,12 +42,12 @@ class FeatureSource(Protocol):
         ...
 
     def extract(self, color: UInt8, mask: Bool | None = None) -> Features:
-        """Features of a picture (H, W, 3) uint8 RGB, only those on the mask (H, W) where there is one."""
+        """Features of an image (H, W, 3) uint8 RGB, only those on the mask (H, W) if there is one."""
         ...
 
 
 class Sift:
-    """SIFT with OpenCV's settings: its finest scale is that of a picture of twice the size."""
+    """SIFT with OpenCV's settings: its finest scale is that of an image of twice the size."""
 
     name = "sift"
 
@@ -55,7 +55,7 @@ class Sift:
         self._sift = cv2.SIFT.create()
 
     def extract(self, color: UInt8, mask: Bool | None = None) -> Features:
-        """Features of a picture (H, W, 3) uint8 RGB, only those on the mask (H, W) where there is one."""
+        """Features of an image (H, W, 3) uint8 RGB, only those on the mask (H, W) if there is one."""
         grey = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
         found, plain = self._sift.detectAndCompute(grey, None if mask is None else mask.view(np.uint8))
         if not found:

@@ -1,7 +1,7 @@
-"""Dense optical flow between two frames, on the object's region only, checked forward and backward.
+"""Dense optical flow between two frames, only in the object's region, checked forward and backward.
 
-DIS flow (Kroeger et al. 2016, OpenCV) needs no network and costs about a millisecond on 240 x 240 pixels; its
-patches are normalised for brightness. A learned flow can replace it (`perception.flow_network`).
+DIS flow (Kroeger et al. 2016, OpenCV) needs no network and costs about a millisecond on 240 x 240 pixels;
+its patches are normalised for brightness. A network's flow can replace it (`perception.flow_network`).
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class FlowSource(Protocol):
     """Computes optical flow; `compute` is the default, which needs no network."""
 
     def __call__(self, color_a: UInt8, color_b: UInt8, box: Box) -> Flow | None:
-        """Flow from one colour image (H, W, 3) uint8 RGB to another in a window that covers `box` where the
-        image has room; None when too few pixels are left."""
+        """Flow from one colour image (H, W, 3) uint8 RGB to another in a window that covers `box` as far as
+        the image has room; None if too few pixels are left."""
         ...
 
 
@@ -76,13 +76,13 @@ def compute(
     color_a: UInt8, color_b: UInt8, box: Box, preset: int = cv2.DISOPTICAL_FLOW_PRESET_FAST
 ) -> Flow | None:
     """Flow from one colour image (H, W, 3) uint8 RGB to another inside `box` (clipped to the image); None
-    when less than 32 pixels a side are left."""
+    if less than 32 pixels a side are left."""
     rows, columns = box.slices(color_a.shape[1], color_a.shape[0])
     if rows.stop - rows.start < MIN_SIDE or columns.stop - columns.start < MIN_SIDE:
         return None
     a = cv2.cvtColor(color_a[rows, columns], cv2.COLOR_RGB2GRAY)
     b = cv2.cvtColor(color_b[rows, columns], cv2.COLOR_RGB2GRAY)
-    dis: Any = cv2.DISOpticalFlow.create(preset)  # its types know no call without a flow to begin with
+    dis: Any = cv2.DISOpticalFlow.create(preset)  # its type stubs require a flow to begin with
     forward, backward = (np.asarray(dis.calc(*pair, None), np.float32) for pair in ((a, b), (b, a)))
     return Flow(forward, backward, consistency(forward, backward), columns.start, rows.start)
 

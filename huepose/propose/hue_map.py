@@ -14,8 +14,8 @@ BINS, WIDTH = 40, 6.0
 middle."""
 
 BLUR_BINS, UNKNOWN_LIGHT_BLUR_BINS = 1.0, 2.5
-"""Gaussian sigma on the object's histogram, in bins: for shading and noise where the light's colour is known,
-and for its unknown tint where it is not."""
+"""Gaussian sigma on the object's histogram, in bins: for shading and noise if the light's colour is known,
+and for its unknown tint if it is not."""
 
 MIN_DENSITY = 2e-4
 """Added to both densities, so that hues in neither histogram get a ratio of 1."""
@@ -25,8 +25,8 @@ MAX_LOG_RATIO = 2.0
 
 
 def hue_map(model: ModelArrays, region: RegionArrays) -> Float32:
-    """Log-likelihood ratio (h, w, natural logarithm) of each pixel's hue: object against whole region; 0
-    where the pixel is saturated or has no depth."""
+    """Log-likelihood ratio (h, w, natural logarithm) of each pixel's hue, object to whole region; 0 where
+    the pixel is saturated or has no depth."""
     shift = region.light[1:] if region.lit else np.zeros(2)
     object_density = _histogram(_bins(model.colors[1][:, 1:] + shift.astype(np.float32)))
     object_density = _blurred(object_density, BLUR_BINS if region.lit else UNKNOWN_LIGHT_BLUR_BINS)

@@ -21,8 +21,8 @@ LEVEL = 1
 that."""
 
 PIXELS_PER_M = 1100.0
-"""Resolution of the views, pixels per metre at the object: as seen from 0.55 m with a focal length of 600 px,
-which is nearer than in most frames."""
+"""Resolution of the views, pixels per metre at the object: that of 0.55 m distance and a focal length of
+600 px, which is nearer than in most frames."""
 
 PICTURE_PX = 640.0
 """Largest diameter in a view, pixels: the resolution is lower for objects of more than 0.58 m."""
@@ -34,14 +34,14 @@ TEST_VIEWS, TEST_OFF_DEG = 3, 15.0
 """Test views rendered for each view, and the angle between their directions and the view's, degrees."""
 
 REFOUND_PX, MIN_SIMILARITY = 2.0, 0.75
-"""A feature is detected again if one within this many pixels has at least this descriptor product with it,
-and none elsewhere has more."""
+"""A feature is detected again if another one within this many pixels has at least this descriptor product
+with it, and none elsewhere has more."""
 
 DUPLICATE_M, DUPLICATE_SIMILARITY = 0.003, 0.9
 """Features this near on the object (metres) with at least this descriptor product are duplicates."""
 
 MAX_KEYPOINTS = 1500
-"""Keypoints kept for an object: 230 kB. With 800, the frames tried gave a fifth fewer inliers."""
+"""Most keypoints kept for an object: 230 kB. With 800, the frames tried gave a fifth fewer inliers."""
 
 DESCRIPTOR_STEPS = 255.0
 """Descriptor values 0..1 are stored as bytes in this many steps."""
@@ -63,8 +63,8 @@ class _View:
 def build_keypoints(
     mesh: Mesh, diameter_m: float, source: FeatureSource | None = None, count: int = MAX_KEYPOINTS
 ) -> Keypoints:
-    """The `count` keypoints of a mesh that are detected again most often, fewer where there are not as many;
-    deterministic. source: feature detector, default SIFT."""
+    """The `count` keypoints of a mesh that are detected again most often, or fewer if there are not as
+    many; deterministic. source: feature detector, default SIFT."""
     source = source or Sift()
     rng = np.random.default_rng(0)
     max_pixels_per_m = min(PIXELS_PER_M, PICTURE_PX / diameter_m)
@@ -102,17 +102,17 @@ def _view_camera(
 
 
 def _view(mesh: Mesh, T_cam_obj: Float64, camera: Camera, source: FeatureSource) -> _View:
-    seen = render([(mesh, T_cam_obj)], camera)
-    inner = cv2.erode((seen.depth > 0).astype(np.uint8), np.ones((EDGE_PX, EDGE_PX), np.uint8)) > 0
-    features = source.extract(_on_background(seen, 128), inner)
+    rendering = render([(mesh, T_cam_obj)], camera)
+    inner = cv2.erode((rendering.depth > 0).astype(np.uint8), np.ones((EDGE_PX, EDGE_PX), np.uint8)) > 0
+    features = source.extract(_on_background(rendering, 128), inner)
     u, v = np.clip(np.rint(features.pixels), 0, camera.width - 1).astype(int).T
-    normals = seen.normals_at(v, u).astype(np.float64) @ T_cam_obj[:3, :3]
-    return _View(features, seen.points_at(v, u).astype(np.float64), normals)
+    normals = rendering.normals_at(v, u).astype(np.float64) @ T_cam_obj[:3, :3]
+    return _View(features, rendering.points_at(v, u).astype(np.float64), normals)
 
 
-def _on_background(seen: Rendering, background: int) -> UInt8:
+def _on_background(rendering: Rendering, background: int) -> UInt8:
     """The rendered colours (H, W, 3) on a uniform background of this grey level."""
-    return np.where((seen.depth > 0)[..., None], seen.color, np.uint8(background))
+    return np.where((rendering.depth > 0)[..., None], rendering.color, np.uint8(background))
 
 
 def _refound(
@@ -128,13 +128,13 @@ def _refound(
 
     max_pixels_per_m: the resolution of the view itself."""
     across = np.cross(direction, rng.normal(size=3))
-    turn = se3.rotation_exp(np.radians(TEST_OFF_DEG) * across / np.linalg.norm(across))
+    rotation = se3.rotation_exp(np.radians(TEST_OFF_DEG) * across / np.linalg.norm(across))
     pixels_per_m = max_pixels_per_m * rng.uniform(MIN_SCALE, 1.0)
-    T_cam_obj, camera = _view_camera(mesh, diameter_m, turn @ direction, pixels_per_m)
+    T_cam_obj, camera = _view_camera(mesh, diameter_m, rotation @ direction, pixels_per_m)
     roll = se3.rotation_exp(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]))
     T_cam_obj = se3.make(roll, np.zeros(3)) @ T_cam_obj
-    seen = render([(mesh, T_cam_obj)], camera)
-    other = source.extract(_augmented(_on_background(seen, int(rng.integers(0, 256))), rng))
+    rendering = render([(mesh, T_cam_obj)], camera)
+    other = source.extract(_augmented(_on_background(rendering, int(rng.integers(0, 256))), rng))
     if not len(other):
         return np.zeros(len(view.points))
     at = camera.project(se3.apply(T_cam_obj, view.points))
@@ -145,7 +145,7 @@ def _refound(
 
 
 def _augmented(color: UInt8, rng: np.random.Generator) -> UInt8:
-    """The picture (H, W, 3) with random brightness, tint, tone curve, blur and noise."""
+    """The image (H, W, 3) with random brightness, tint, tone curve, blur and noise."""
     light = rng.uniform(0.4, 1.2) * rng.uniform(0.8, 1.2, 3)
     taken = 255.0 * np.clip((color / 255.0) ** rng.uniform(0.7, 1.4) * light, 0.0, 1.0)
     taken = cv2.GaussianBlur(taken, (0, 0), rng.uniform(0.4, 0.9)) + rng.normal(0.0, 4.0, taken.shape)

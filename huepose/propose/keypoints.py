@@ -1,9 +1,9 @@
-"""Pose hypotheses from keypoints: match the model's features with the picture's, then fit poses by RANSAC.
+"""Pose hypotheses from keypoints: match the model's features with the image's, then fit poses by RANSAC.
 
-Each model keypoint is matched with the most similar picture feature, if that passes Lowe's ratio test. Three
+Each model keypoint is matched with the most similar image feature, if that passes Lowe's ratio test. Three
 matches whose mutual distances are the same on the object and in space give a pose (Kabsch). The pose with
-most inliers is refitted to them; the search then repeats on the remaining matches. Where most matches have no
-depth, one pose comes from the pixels alone (P3P and RANSAC, OpenCV).
+the most inliers is refitted to them; the search then repeats on the remaining matches. If most matches have
+no depth, one pose comes from the pixels alone (P3P and RANSAC, OpenCV).
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from huepose.propose.products import product
 
 RATIO = 0.85
 """Ratio test: descriptor distance of the best match over that of the best one elsewhere. Looser than Lowe's
-0.8, because the distances between matches reject wrong ones later."""
+0.8, because the distances between matches later reject wrong ones."""
 
 SAME_SPOT_PX, SPOT_NEIGHBOURS = 5.0, 6
-"""Features within this radius are at the same spot and are no rivals in the ratio test; at most so many
+"""Features within this radius are at the same spot and are no rivals in the ratio test; at most this many
 neighbours of a feature are looked up, itself included."""
 
 MAX_POSES = 3
-"""Poses proposed for one object in one picture."""
+"""Most poses proposed for one object in one image."""
 
 MIN_INLIERS = 4
-"""Distinct inliers of an accepted pose: one more than the three that define it."""
+"""Least distinct inliers of an accepted pose: one more than the three that define it."""
 
 TRIALS = 150
 """RANSAC trials: sampled triples of matches."""
@@ -43,32 +43,33 @@ MIN_SIDE_M = 0.012
 """Least distance between two points of a triple: closer ones do not determine a rotation."""
 
 TOLERANCE_M, DEPTH_SIGMAS = 0.004, 2.0
-"""A match is an inlier up to this residual plus so many standard deviations of the depth noise."""
+"""A match is an inlier up to this residual plus this many standard deviations of the depth noise."""
 
 CELL_PX = 2.0
-"""Inliers within one cell of this side in the picture, or of TOLERANCE_M on the surface, count once."""
+"""Inliers within one cell of this side in the image, or of TOLERANCE_M on the surface, count once."""
 
 REPROJECTION_PX, MIN_INLIERS_2D = 3.0, 7
-"""Without depth: largest reprojection error of an inlier, and distinct inliers of an accepted pose."""
+"""Without depth: largest reprojection error of an inlier, and least distinct inliers of an accepted
+pose."""
 
 
 @dataclass(frozen=True, eq=False)
-class PictureFeatures:
-    """The features of a picture, with their neighbours: near (N, K) indices of the features at the same spot,
-    the feature itself included (and repeated where there are fewer than K)."""
+class ImageFeatures:
+    """The features of an image, with their neighbours: near (N, K) indices of the features at the same
+    spot, the feature itself included (and repeated if there are fewer than K)."""
 
     features: Features
     near: Int64
 
     @staticmethod
-    def of(features: Features) -> PictureFeatures:
+    def of(features: Features) -> ImageFeatures:
         """Look up the neighbours of each feature."""
         n = len(features)
         if not n:
-            return PictureFeatures(features, np.zeros((0, SPOT_NEIGHBOURS), np.int64))
+            return ImageFeatures(features, np.zeros((0, SPOT_NEIGHBOURS), np.int64))
         tree = cKDTree(features.pixels)
         near = tree.query(features.pixels, SPOT_NEIGHBOURS, distance_upper_bound=SAME_SPOT_PX)[1]
-        return PictureFeatures(features, np.where(near == n, np.arange(n)[:, None], near))
+        return ImageFeatures(features, np.where(near == n, np.arange(n)[:, None], near))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,17 +120,17 @@ class ConsensusPoses:
         return ConsensusPoses(np.zeros((0, 4, 4)), np.zeros(0, np.int64))
 
 
-def match(model: ModelKeypoints, picture: PictureFeatures) -> Matches:
-    """Putative matches of a model's keypoints in a picture, by the ratio test; many of them are wrong."""
-    if not len(model.descriptors) or not len(picture.features):
+def match(model: ModelKeypoints, image: ImageFeatures) -> Matches:
+    """Putative matches of a model's keypoints in an image, by the ratio test; many of them are wrong."""
+    if not len(model.descriptors) or not len(image.features):
         return Matches(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)))
-    similarity = product(model.descriptors, picture.features.descriptors.T)
+    similarity = product(model.descriptors, image.features.descriptors.T)
     rows = np.arange(len(similarity))
     best = similarity.argmax(1)
     most = similarity[rows, best]
-    similarity[rows[:, None], picture.near[best]] = 0.0
+    similarity[rows[:, None], image.near[best]] = 0.0
     found = 1.0 - most < RATIO**2 * (1.0 - similarity.max(1))
-    pixels = picture.features.pixels[best[found]].astype(np.float64)
+    pixels = image.features.pixels[best[found]].astype(np.float64)
     return Matches(model.points[found], model.normals[found], pixels)
 
 
@@ -163,15 +164,16 @@ def consensus_poses(matches: Matches, depth: Float32, camera: Camera) -> Consens
 
 @dataclass(frozen=True, eq=False)
 class _Matches3D:
-    """N matches with depth: points and normals (N, 3) of the model; seen (N, 3): the measured points, camera
-    axes; tolerance (N,) metres; surface_cells, picture_cells (N,): ids of the cells they fall into."""
+    """N matches with depth: points and normals (N, 3) of the model; measured (N, 3): the measured points,
+    camera axes; tolerance (N,) metres; surface_cells, image_cells (N,): ids of the cells that they fall
+    into."""
 
     points: Float64
     normals: Float64
-    seen: Float64
+    measured: Float64
     tolerance: Float64
     surface_cells: Int64
-    picture_cells: Int64
+    image_cells: Int64
 
     def __getitem__(self, index: np.ndarray) -> _Matches3D:
         return _Matches3D(*(x[index] for x in vars(self).values()))
@@ -179,17 +181,17 @@ class _Matches3D:
     def inliers(self, R: Float64, t: Float64) -> Bool:
         """Which matches are inliers (K, N) of rotations (K, 3, 3) and translations (K, 3): within tolerance,
         and on a surface that faces the camera."""
-        turns = R.reshape(-1, 3)
-        at = (turns @ self.points.T).reshape(len(R), 3, -1) + t[:, :, None]
-        near = ((at - self.seen.T) ** 2).sum(1) < self.tolerance**2
-        facing = ((turns @ self.normals.T).reshape(at.shape) * at).sum(1) < 0
+        rotations = R.reshape(-1, 3)
+        at = (rotations @ self.points.T).reshape(len(R), 3, -1) + t[:, :, None]
+        near = ((at - self.measured.T) ** 2).sum(1) < self.tolerance**2
+        facing = ((rotations @ self.normals.T).reshape(at.shape) * at).sum(1) < 0
         return np.asarray(near & facing)
 
     def distinct_count(self, inliers: Bool) -> Int64:
         """Distinct inliers (K,) of masks (K, N): the smaller count of occupied cells of surface and
-        picture."""
+        image."""
         counts = []
-        for ids in (self.surface_cells, self.picture_cells):
+        for ids in (self.surface_cells, self.image_cells):
             occupied = np.zeros((len(ids), ids.max(initial=-1) + 1), np.float32)
             occupied[np.arange(len(ids)), ids] = 1
             counts.append((inliers.astype(np.float32) @ occupied > 0).sum(1))
@@ -215,7 +217,7 @@ def _best_pose(matches: _Matches3D, rng: np.random.Generator) -> tuple[Float64, 
         return None
     found, inliers, most = se3.make(R[best], t[best]), agree[best], count[best]
     for _ in range(3):
-        fitted = kabsch.fit(matches.points[inliers], matches.seen[inliers])
+        fitted = kabsch.fit(matches.points[inliers], matches.measured[inliers])
         again = matches.inliers(fitted[None, :3, :3], fitted[None, :3, 3])
         if matches.distinct_count(again)[0] < most:
             break
@@ -227,7 +229,7 @@ def _triple_poses(matches: _Matches3D, rng: np.random.Generator) -> tuple[Float6
     """RANSAC minimal samples: rotations (K, 3, 3) and translations (K, 3) fitted to triples of matches whose
     mutual distances agree on the object and in space."""
     none = np.zeros((0, 3, 3)), np.zeros((0, 3))
-    on_object, in_space = cdist(matches.points, matches.points), cdist(matches.seen, matches.seen)
+    on_object, in_space = cdist(matches.points, matches.points), cdist(matches.measured, matches.measured)
     fits = np.abs(on_object - in_space) < matches.tolerance[:, None] + matches.tolerance
     fits &= np.minimum(on_object, in_space) > MIN_SIDE_M
     partners = fits.sum(1)
@@ -240,8 +242,8 @@ def _triple_poses(matches: _Matches3D, rng: np.random.Generator) -> tuple[Float6
     three = np.stack([first, second, third], 1)[both.any(1)]
     if not len(three):
         return none
-    R, t = kabsch.fit_triples(matches.points[three], matches.seen[three])
-    off = matches.points[three] @ R.transpose(0, 2, 1) + t[:, None] - matches.seen[three]
+    R, t = kabsch.fit_triples(matches.points[three], matches.measured[three])
+    off = matches.points[three] @ R.transpose(0, 2, 1) + t[:, None] - matches.measured[three]
     close = ((off**2).sum(2) < matches.tolerance[three] ** 2).all(1)
     return R[close], t[close]
 

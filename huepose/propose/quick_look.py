@@ -1,12 +1,13 @@
-"""The quick look: score all view templates against all windows of a picture, by sums over their cells.
+"""The quick look: the first, fast comparison of all view templates with all windows of an image, by sums
+over cells.
 
-A window is the picture around a pixel, resampled at metric scale to the cells of the templates. Colours are
+A window is the image around a pixel, resampled at metric scale to the cells of the templates. Colours are
 averaged as linear light, then converted to opponents; depth becomes relief, its difference from a median
-depth. Compiled, since a frame has dozens of windows.
+depth. The code is compiled, since a frame has dozens of windows.
 
 The score has four terms: correlation of opponent colours (so that the strength of light does not matter),
 standard deviation of the relief difference, cells of the mask that the template covers, and cells of the
-template where the background is seen. All follow from sums over the cells that a template covers, so
+template where the background is visible. All follow from sums over the cells that a template covers, so
 thousands of templates take a few milliseconds.
 """
 
@@ -31,21 +32,21 @@ def sampled(
     color: UInt8, depth: Float32, centre: Float64, cell: float, cells: int
 ) -> tuple[int, UInt8, Float32, Float64]:
     """Resample colours (H, W, 3) and depth (H, W) on a lattice of `cells` cells a side, each `cell` pixels
-    wide, centred on a pixel (2,). Returns samples per cell and axis, colours (n, n, 3), depth (n, n), and the
-    affine map (2, 3) from lattice to picture."""
+    wide, centred on a pixel (2,). Returns samples per cell and axis, colours (n, n, 3), depth (n, n), and
+    the affine map (2, 3) from lattice to image."""
     fine = max(1, min(OVERSAMPLING, round(cell)))
     step, n = cell / fine, cells * fine
-    to_picture = np.array(
+    to_image = np.array(
         [[step, 0.0, centre[0] - (n - 1) / 2 * step], [0.0, step, centre[1] - (n - 1) / 2 * step]]
     )
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    colors = np.asarray(cv2.warpAffine(color, to_picture, (n, n), flags=flags), dtype=np.uint8)
-    return fine, colors, np.asarray(nearest(depth, to_picture, n), dtype=np.float32), to_picture
+    colors = np.asarray(cv2.warpAffine(color, to_image, (n, n), flags=flags), dtype=np.uint8)
+    return fine, colors, np.asarray(nearest(depth, to_image, n), dtype=np.float32), to_image
 
 
-def nearest(image: np.ndarray, to_picture: Float64, n: int) -> np.ndarray:
+def nearest(image: np.ndarray, to_image: Float64, n: int) -> np.ndarray:
     """Values (n, n) of an image on a lattice, by nearest neighbour."""
-    return cv2.warpAffine(image, to_picture, (n, n), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
+    return cv2.warpAffine(image, to_image, (n, n), flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP)
 
 
 def masked_cells(
@@ -105,23 +106,24 @@ RELIEF_SIGMA = 0.05
 """Standard deviation of the relief difference, in diameters, at which the depth term has fallen to 0.6."""
 
 CHANNEL_WEIGHTS = (0.35, 1.0, 1.0)
-"""Of lightness, red-green and yellow-blue in the correlation."""
+"""Weights of lightness, red-green and yellow-blue in the correlation."""
 CHANNEL_FLOOR = 9.0
-"""Added to the variances, squared opponent units: flat cells have no correlation."""
+"""Added to the product of the standard deviations, squared opponent units: flat cells have no
+correlation."""
 DEPTH_WEIGHT, OVERLAP_WEIGHT, FREE_WEIGHT, FULL_WEIGHT = 0.8, 1.0, 0.8, 0.3
-"""Of depth, share of the mask covered, share of the template on background (subtracted) and on the mask.
-Chosen."""
+"""Weights of depth, of the share of the mask that is covered, of the share of the template on background
+(subtracted) and on the mask. Chosen."""
 
 LANES = 32
 """Windows that a template is compared with at once."""
 
 SEEN = 10
-"""Numbers of a window's cell that are summed up. With w the share of it that is known and v its four values:
-w, the share of background, w v, w v v."""
+"""Numbers of a window's cell that are summed. With w the known share of the cell and v its four values: w,
+the share of background, w v, w v v."""
 
 SUMS = 22
-"""Sums over a template's cells for each window, with t the four values of the template: of the SEEN numbers
-by coverage; of w v by coverage times t, of w by coverage times t, of w by coverage times t t."""
+"""Sums over a template's cells for each window. With c the coverage and t the four values of a template's
+cell: of the SEEN numbers times c; of w v times c t; of w times c t; of w times c t t."""
 
 
 def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int64, Float32]:
@@ -142,8 +144,7 @@ def quick_look(table: TemplateTable, windows: Float32, places: int) -> tuple[Int
 
 
 def _in_line(count: int) -> Float32:
-    """So many zeros, from the start of a line of the processor's cache: vectors across two lines cost
-    twice."""
+    """`count` zeros that start at a cache line: vectors across two lines cost twice."""
     numbers = np.zeros(count + 15, np.float32)
     first = -(numbers.ctypes.data // 4) % 16
     return numbers[first : first + count]
@@ -152,8 +153,8 @@ def _in_line(count: int) -> Float32:
 @jit_dividing
 def _lay_out(windows: Float32, used: Int64, seen: Float32, area: Float32) -> None:
     """Fill `seen` with the numbers of the cells `used` (P,) of windows (C, Q, 6), flat: (blocks of windows,
-    P, SEEN, LANES); `area` (C or more,) with how much of each window is known. Of a cell, w is number 4,
-    background number 5, v are numbers 0 to 3: the three opponents and relief."""
+    P, SEEN, LANES). Fill `area` (C or more,) with how much of each window is known. In a cell, number 4 is
+    w, number 5 the background, and numbers 0 to 3 are v: the three opponents and relief."""
     for k in range(windows.shape[0]):
         known = np.float32(0.0)
         for p in range(used.shape[0]):
@@ -213,8 +214,8 @@ def _sum_up(
     begin: int, end: int, cells: UInt8, numbers: Float32, seen: Float32, block: int, lanes: int, sums: Float32
 ) -> None:
     """Fill `sums` (SUMS * LANES,) for the cells `begin` to `end` of a template, AT_ONCE together, and the
-    windows of the block that begins at `block`. Indices are without a sign and rows a constant apart, so that
-    the compiler works on whole vectors."""
+    windows of the block that begins at `block`. Indices are unsigned and rows a constant apart, so that the
+    compiler vectorises the loops."""
     one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
     cell, row, number, wide = np.uint64(SEEN * LANES), np.uint64(LANES), np.uint64(5), np.uint64(lanes)
     for p in range(np.uint64(SUMS * LANES)):
@@ -253,24 +254,24 @@ def _rate(
     covered = np.float32(max(area, 1.0))
     free, full = np.float32(FREE_WEIGHT) / covered, np.float32(FULL_WEIGHT) / covered
     of_values, of_squares, crossed = np.uint64(2 * LANES), np.uint64(6 * LANES), np.uint64(10 * LANES)
-    drawn, drawn_squares = np.uint64(14 * LANES), np.uint64(18 * LANES)
+    template_values, template_squares = np.uint64(14 * LANES), np.uint64(18 * LANES)
     for k in range(np.uint64(lanes)):
         shared = sums[k]
         common = one / max(shared, one)
         color, weights = zero, np.float32(2.0)
         for c in range(np.uint64(3)):
             at = c * np.uint64(LANES) + k
-            mean_w, mean_t = sums[at + of_values] * common, sums[at + drawn] * common
+            mean_w, mean_t = sums[at + of_values] * common, sums[at + template_values] * common
             var_w = max(sums[at + of_squares] * common - mean_w * mean_w, zero)
-            var_t = max(sums[at + drawn_squares] * common - mean_t * mean_t, zero)
+            var_t = max(sums[at + template_squares] * common - mean_t * mean_t, zero)
             w = np.float32(CHANNEL_WEIGHTS[c]) * np.sqrt(var_t)
             both = sums[at + crossed] * common - mean_w * mean_t
             color += w * both / (np.sqrt(var_w * var_t) + floor)
             weights += w
         at = np.uint64(3 * LANES) + k  # relief
-        apart = (sums[at + of_values] - sums[at + drawn]) * common
+        apart = (sums[at + of_values] - sums[at + template_values]) * common
         both = sums[at + crossed]
-        square = (sums[at + of_squares] + sums[at + drawn_squares] - both - both) * common
+        square = (sums[at + of_squares] + sums[at + template_squares] - both - both) * common
         deviation[k] = max(square - apart * apart, zero)
         without_depth[k] = (
             color / weights

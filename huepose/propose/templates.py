@@ -1,10 +1,10 @@
-"""View templates: small pictures of an object from all directions, at metric scale, rendered once, offline;
-and tables of them: dense 8 x 8 cells for the quick look (matrix products over all templates), lists of
-covered cells for the close look at a few.
+"""View templates: small images of an object from all directions, at metric scale, rendered once, offline;
+and tables of them: dense 8 x 8 cells for the quick look at all templates, lists of covered cells for the
+close look at a few.
 
-The poses of the templates: `T_cam_obj` of direction v at roll r has the rotation Rz(2 pi r / R) look_at(v)
-when the object is on the optical axis, Rz being the turn about the optical axis from x to y (clockwise in the
-picture), and the origin lies at Rz(2 pi r / R) `origins[v]` from the point on the axis at the median depth.
+The pose of a template: with the object on the optical axis, `T_cam_obj` of direction v at roll r has the
+rotation Rz(2 pi r / R) look_at(v). Rz rotates about the optical axis from x to y (clockwise in the image).
+The origin lies at Rz(2 pi r / R) `origins[v]` from the point on the axis at the median depth.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ SPAN = 1.1
 _OVERSAMPLING = 6
 """Rendered pixels per cell and axis."""
 DISTANCE_M, DISTANCE_DIAMETERS = 0.85, 2.5
-"""Distance of the rendering camera, the larger of both, so that large objects are not distorted by
-perspective."""
+"""Distance of the rendering camera, the larger of both, so that perspective does not distort large
+objects."""
 
 
 def build_templates(
@@ -64,26 +64,26 @@ def build_templates(
         else:  # thinner than a pixel from here
             centroid, median = np.array([camera.cx, camera.cy]), distance
         origins[v] = T_cam_obj[:3, 3] - camera.backproject(centroid, np.array(median))
-        picture = np.zeros((*covered.shape, 5), np.float32)
+        image = np.zeros((*covered.shape, 5), np.float32)
         lab = cv2.cvtColor(rendering.color.astype(np.float32) / 255.0, cv2.COLOR_RGB2Lab)
-        picture[..., :3] = lab * covered[..., None]
-        picture[..., 3] = (rendering.depth - median) * covered
-        picture[..., 4] = covered
+        image[..., :3] = lab * covered[..., None]
+        image[..., 3] = (rendering.depth - median) * covered
+        image[..., 4] = covered
         for r in range(rolls):
-            small = _turned(picture, centroid, 2 * np.pi * r / rolls, distance / median, window)
+            small = _rolled(image, centroid, 2 * np.pi * r / rolls, distance / median, window)
             planes[v, r] = small.transpose(2, 0, 1)
     return ViewTemplates(directions.astype(np.float32), planes, origins, SPAN)
 
 
-def _turned(picture: Float32, centroid: np.ndarray, angle: float, scale: float, window: int) -> Float32:
-    """One template (SIDE, SIDE, 5): the picture (H, W, 5) rotated by `angle` (radians) about `centroid` (2,),
-    cut to the window and box-averaged. scale: picture pixels per window pixel. All channels but coverage are
-    divided by it."""
+def _rolled(image: Float32, centroid: np.ndarray, angle: float, scale: float, window: int) -> Float32:
+    """One template (SIDE, SIDE, 5): the image (H, W, 5) rotated by `angle` (radians) about `centroid` (2,),
+    cut to the window and box-averaged. scale: image pixels per window pixel. All channels but coverage are
+    divided by coverage."""
     c, s = np.cos(angle), np.sin(angle)
-    A = np.array([[c, s], [-s, c]]) * scale  # from the turned window back to the picture
+    A = np.array([[c, s], [-s, c]]) * scale  # from the rotated window back to the image
     offset = centroid - A @ np.full(2, (window - 1) / 2.0)
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    large = cv2.warpAffine(picture, np.column_stack([A, offset]), (window, window), flags=flags)
+    large = cv2.warpAffine(image, np.column_stack([A, offset]), (window, window), flags=flags)
     small = cv2.resize(large, (SIDE, SIDE), interpolation=cv2.INTER_AREA)
     known = small[..., 4:] > 1e-3
     small[..., :4] = np.where(known, small[..., :4] / np.maximum(small[..., 4:], 1e-3), 0.0)
@@ -92,38 +92,41 @@ def _turned(picture: Float32, centroid: np.ndarray, angle: float, scale: float, 
 
 
 COARSE_SIDE = 8
-"""Cells a side at the quick look."""
+"""Cells a side in the quick look."""
 
 AT_ONCE = 4
-"""Cells that the quick look takes at once."""
+"""Cells that the quick look processes at once."""
 
 BESIDE = 8
-"""Cells that the close look takes at once."""
+"""Cells that the close look processes at once."""
 
 MILLIMETRES = 1000.0
 COVERED = 0.5
-"""Least coverage (0..1) of a cell that counts at the close look."""
+"""Least coverage (0..1) of a cell that counts in the close look."""
 
 STEPS, RELIEF_STEPS = 100.0, 10.0
 """Integer steps per opponent unit and per millimetre in the stored values."""
 
 NOT_COVERED = np.int16(-32768)
-"""Stored relief of a cell that fills up a template."""
+"""Stored relief of a cell that pads a template."""
 
 
 @dataclass(frozen=True, eq=False)
 class TemplateTable:
     """Templates of V views in R rolls (N = V * R), built once for a model.
 
-    For the quick look, over the P of 8 * 8 cells that any template covers: used (P,) their indices; the cells
-    that template i covers are begins[i] to begins[i + 1], filled up with cells without coverage to a multiple
-    of AT_ONCE: cells (K,) uint8, indices in `used`; numbers (K, 5) float32: coverage, opponents and relief in
-    millimetres; area (N,) sum of coverage. For the close look: template i covers covered[i] cells, which are
-    starts[i] to starts[i + 1], filled up with NOT_COVERED to a multiple of BESIDE: places (M,) in the window
-    of side * side, row * 256 + column; values (4 * M,) int16, template by template: its three opponents in
-    1 / STEPS and its relief in 1 / RELIEF_STEPS millimetres, one after the other. rotations (N, 3, 3),
-    origins (N, 3): R_cam_obj and the object's origin as seen from the window's middle at median depth;
-    span_m: the window's side.
+    For the quick look, over the P of 8 * 8 cells that any template covers. used (P,): their indices.
+    Template i covers the cells begins[i] to begins[i + 1], padded with cells without coverage to a multiple
+    of AT_ONCE. Of these, cells (K,) uint8: indices in `used`; numbers (K, 5) float32: coverage, opponents
+    and relief in millimetres. area (N,): sum of coverage.
+
+    For the close look. Template i covers covered[i] cells, starts[i] to starts[i + 1], padded with
+    NOT_COVERED to a multiple of BESIDE. places (M,): in the window of side * side cells, row * 256 +
+    column; values (4 * M,) int16, template by template: its three opponents in 1 / STEPS and its relief in
+    1 / RELIEF_STEPS millimetres, one after the other.
+
+    rotations (N, 3, 3), origins (N, 3): R_cam_obj, and the object's origin relative to the window's middle
+    at median depth; span_m: the window's side.
     """
 
     used: Int64
@@ -144,7 +147,7 @@ class TemplateTable:
 
 @once_for_each
 def table_of(model: ReferenceModel) -> TemplateTable:
-    """A model's view templates laid out for retrieval, mapped as long as it is there."""
+    """A model's view templates laid out for retrieval, memory-mapped as long as the model exists."""
     return kept(TemplateTable, model.digest, lambda: build_table(model.templates, model.diameter_m))
 
 
@@ -152,7 +155,7 @@ def build_table(templates: ViewTemplates, diameter_m: float) -> TemplateTable:
     """Build the tables of a model (0.2 s, about 4 MB)."""
     close = _listed(_planes(templates))
     coarse = coarse_views(templates)
-    begins, cells, numbers = _filled_up(coarse)
+    begins, cells, numbers = _padded(coarse)
     return TemplateTable(
         coarse.used,
         begins,
@@ -190,7 +193,7 @@ def coarse_views(templates: ViewTemplates, min_coverage: float = 0.5) -> CoarseV
     return CoarseViews(used, np.ascontiguousarray(flat[:, used]), values.reshape(len(planes), -1, 4)[:, used])
 
 
-def _filled_up(coarse: CoarseViews) -> tuple[Int64, UInt8, Float32]:
+def _padded(coarse: CoarseViews) -> tuple[Int64, UInt8, Float32]:
     """Begins (N + 1,), cells (K,) and numbers (K, 5) of a TemplateTable."""
     covered = coarse.coverage > 0
     counts = covered.sum(1)
@@ -266,8 +269,8 @@ def view_rotations(directions: Float, rolls: int) -> Float64:
 def _roll_rotations(rolls: int) -> Float64:
     """Rotations (rolls, 3, 3) about the optical axis, evenly spaced."""
     angles = 2 * np.pi * np.arange(rolls) / rolls
-    turn = np.zeros((rolls, 3, 3))
-    turn[:, 0, 0] = turn[:, 1, 1] = np.cos(angles)
-    turn[:, 1, 0], turn[:, 0, 1] = np.sin(angles), -np.sin(angles)
-    turn[:, 2, 2] = 1.0
-    return turn
+    rotations = np.zeros((rolls, 3, 3))
+    rotations[:, 0, 0] = rotations[:, 1, 1] = np.cos(angles)
+    rotations[:, 1, 0], rotations[:, 0, 1] = np.sin(angles), -np.sin(angles)
+    rotations[:, 2, 2] = 1.0
+    return rotations

@@ -1,10 +1,12 @@
-"""Codes of views: which view of a model looks like what is in a window, whatever light and sensor did to it?
+"""Codes of views: descriptors that compare views of a model with windows of a frame, in any light and for
+any sensor.
 
-One small network reads a model's clean views and the windows of a frame alike (`view_pictures`). It gives
-each of 8 x 8 cells 16 numbers; the likeness of a window and a view is the sum of products over the cells that
-the view covers, so what is hidden costs its own cells only. It was trained on objects and scenes made by code
-(`huepose.training.view_codes`) and knows none of a user's objects. Local codes that are compared on the
-template's mask: Nguyen et al., Templates for 3D Object Pose Estimation Revisited (CVPR 2022).
+One small network encodes a model's clean views and the windows of a frame (`view_pictures`). It gives 16
+numbers to each of 8 x 8 cells. The likeness of a window and a view is the sum of products over the cells
+that the view covers, so an occluded part costs only its own cells. The network was trained on procedurally
+generated objects and scenes (`huepose.training.view_codes`) and knows none of a user's objects. Local codes
+that are compared on the template's mask: Nguyen et al., Templates for 3D Object Pose Estimation Revisited
+(CVPR 2022).
 """
 
 from __future__ import annotations
@@ -23,10 +25,10 @@ CELLS = 8
 """Cells of a code along each side."""
 
 NUMBERS = 16
-"""Of each cell."""
+"""Numbers of each cell."""
 
 BATCH = 16
-"""Windows a run: what the network makes of more does not stay in a core's cache."""
+"""Windows per run of the network: the results of more do not stay in a core's cache."""
 
 WEIGHTS = Path(__file__).parent / "weights"
 """views.onnx; views.json beside it says how it was made."""
@@ -46,20 +48,20 @@ def codes_of_pictures(colors: UInt8, reliefs: Float32) -> Float32:
 
 
 def in_cells(shares: np.ndarray) -> Float32:
-    """Means (N, 8, 8) of pictures (N, 64, 64)."""
+    """Means (N, 8, 8) of images (N, 64, 64)."""
     each = SIDE // CELLS
     return np.asarray(shares.reshape(-1, CELLS, each, CELLS, each).mean((2, 4)), np.float32)
 
 
 def codes_of_windows(colors: UInt8, reliefs: Float32) -> Float32:
-    """Codes (W, D) of the windows of a frame: the cosine of one with a view's code is the likeness."""
+    """Codes (W, D) of the windows of a frame: the likeness is the scalar product with a view's code."""
     codes = _codes(colors, reliefs, clean=False)
     length = np.maximum(np.linalg.norm(codes, axis=1, keepdims=True), np.float32(_SMALLEST))
     return np.asarray((codes / (CELLS * length)).reshape(len(codes), NUMBERS * CELLS**2), np.float32)
 
 
 def _codes(colors: UInt8, reliefs: Float32, *, clean: bool) -> Float32:
-    """What the network says (N, C, 8, 8)."""
+    """The network's output (N, C, 8, 8)."""
     session, parts = packaged_session(WEIGHTS / "views.onnx"), []
     for k in range(0, len(colors), BATCH):
         some = slice(k, k + BATCH)
@@ -74,7 +76,7 @@ def _of_unit_length(codes: Float32) -> Float32:
 
 @cache
 def packaged_session(file: Path) -> Any:
-    """A network of this package, opened once in a process; sessions of ONNX Runtime serve several threads."""
+    """A network of this package, opened once per process; ONNX Runtime's sessions are thread-safe."""
     import onnxruntime as ort
 
     options = ort.SessionOptions()

@@ -1,4 +1,4 @@
-"""Input pictures of the view-code network: colour and relief (depth from the median) at metric scale.
+"""Input images of the view-code network: colour and relief (depth from the median) at metric scale.
 
 Rendered views of a model and windows of a frame have the same form, 1.1 diameters wide, so that one network
 encodes both. Training uses the same functions.
@@ -21,21 +21,22 @@ from huepose.rendering.render import render
 from huepose.support.jit import jit_dividing
 
 SIDE = 64
-"""Side of an input picture, pixels."""
+"""Side of an input image, pixels."""
 
 LEVEL, ROLLS = 1, 12
-"""Views: directions of the icosphere (42, 32 degrees apart) times rolls. No direction is farther than half of
-that from a view; training covers these differences."""
+"""Views: directions of the icosphere (42, 32 degrees apart) times rolls. No direction is farther than half
+of that from the nearest view; training covers these differences."""
 
 CHANNELS, PLACES = 6, 8
-"""Of the input, see `network_input`; and the bytes that a pixel takes there, as many as processors like to
+"""Channels of the input, see `network_input`; and bytes of a pixel there, as many as processors like to
 read at once."""
 
 NEAR = 0.6
-"""Largest relief that can be the object, in diameters from the median depth; it is clipped there."""
+"""Largest relief that can belong to the object, in diameters from the median depth; relief is clipped
+there."""
 
 STEP, ZERO = np.float32(4.0 * NEAR) / np.float32(255.0), 128
-"""What a byte of the input means: the number (byte - ZERO) * STEP, -1.2 to 1.2."""
+"""A byte of the input means the number (byte - ZERO) * STEP, -1.2 to 1.2."""
 
 UNTURNED = 92
 """Side of an unrolled view, pixels: sqrt(2) * SIDE plus a margin, so that a view at any roll can be cut from
@@ -78,27 +79,27 @@ def clean_view(mesh: Mesh, diameter_m: float, R_cam_obj: Float64, side: int = SI
     focal = _OVERSAMPLING * SIDE * distance / (SPAN * diameter_m)
     wide = int(_MARGIN * SPAN * _OVERSAMPLING * SIDE)
     camera = Camera(focal, focal, wide / 2 - 0.5, wide / 2 - 0.5, wide, wide)
-    seen = render([(mesh, se3.make(R_cam_obj, [0.0, 0.0, distance] - R_cam_obj @ mesh.centre))], camera)
-    shown = seen.depth > 0
+    rendering = render([(mesh, se3.make(R_cam_obj, [0.0, 0.0, distance] - R_cam_obj @ mesh.centre))], camera)
+    shown = rendering.depth > 0
     rows, columns = np.divmod(np.flatnonzero(shown), wide)
     if len(rows):
-        middle, median_m = np.array([columns.mean(), rows.mean()]), median(seen.depth[shown])
+        middle, median_m = np.array([columns.mean(), rows.mean()]), median(rendering.depth[shown])
     else:  # thinner than a pixel from here
         middle, median_m = np.array([camera.cx, camera.cy]), distance
     step = np.array([_OVERSAMPLING * distance / median_m])
-    (to_picture,) = _lattices_to_picture(middle[None], step, side)
-    blurred = np.asarray(cv2.GaussianBlur(seen.color, (0, 0), _BLUR_PX), np.uint8)
-    depth = _resampled(seen.depth, to_picture, side, cv2.INTER_NEAREST)
+    (to_image,) = _lattices_to_image(middle[None], step, side)
+    blurred = np.asarray(cv2.GaussianBlur(rendering.color, (0, 0), _BLUR_PX), np.uint8)
+    depth = _resampled(rendering.depth, to_image, side, cv2.INTER_NEAREST)
     there = (depth > 0)[..., None]
     relief = np.where(depth > 0, (depth - np.float32(median_m)) / np.float32(diameter_m), np.float32(np.nan))
-    color = np.where(there, _resampled(blurred, to_picture, side, cv2.INTER_LINEAR), 0).astype(np.uint8)
+    color = np.where(there, _resampled(blurred, to_image, side, cv2.INTER_LINEAR), 0).astype(np.uint8)
     point = camera.backproject(middle[None], np.array([median_m]))[0]
     return CleanView(color, relief, point - np.array([0.0, 0.0, distance]))
 
 
 def turned(colors: UInt8, reliefs: Float32) -> tuple[UInt8, Float32]:
-    """Roll unturned views: colours (V * 12, 64, 64, 3) and relief (V * 12, 64, 64), views first, as in a
-    `TemplateTable` of 12 rolls."""
+    """Views at all rolls from unrolled ones: colours (V * 12, 64, 64, 3) and relief (V * 12, 64, 64), views
+    first, as in a `TemplateTable` of 12 rolls."""
     out_colors = np.zeros((len(colors), ROLLS, SIDE, SIDE, 3), np.uint8)
     out_reliefs = np.full((len(colors), ROLLS, SIDE, SIDE), np.nan, np.float32)
     for r, angle in enumerate(2 * np.pi * np.arange(ROLLS) / ROLLS):
@@ -112,13 +113,13 @@ def turned(colors: UInt8, reliefs: Float32) -> tuple[UInt8, Float32]:
 
 
 class Pyramid:
-    """A picture (H, W, 3) uint8 and its halvings, each made when first asked for. Thread-safe."""
+    """An image (H, W, 3) uint8 and its halvings, each computed at the first request. Thread-safe."""
 
     def __init__(self, color: UInt8) -> None:
         self._levels, self._lock = [color], threading.Lock()
 
     def halved(self, times: int) -> UInt8:
-        """The picture after so many halvings of its sides."""
+        """The image after this many halvings of its sides."""
         with self._lock:
             while len(self._levels) <= times:
                 self._levels.append(np.asarray(cv2.pyrDown(self._levels[-1]), np.uint8))
@@ -126,7 +127,7 @@ class Pyramid:
 
 
 def window_pictures(
-    picture: Pyramid,
+    image: Pyramid,
     depth: Float32,
     pixels: Float64,
     depth_m: Float64,
@@ -137,35 +138,36 @@ def window_pictures(
     """Cut windows from a frame: colours (W, 64, 64, 3) and relief (W, 64, 64) in diameters, NaN where depth
     is unknown.
 
-    picture and depth (H, W) metres: the frame; pixels (W, 2), depth_m (W,): centres; span_px
-    (W,): widths in pixels. diameter_m: of the object, or one per window (W,). wide: factor on width and
-    pixels (training)."""
+    image, depth (H, W) metres: the frame; pixels (W, 2), depth_m (W,): centres; span_px (W,): widths in
+    pixels. diameter_m: of the object, or one per window (W,). wide: factor on width and pixels
+    (training)."""
     side, step = wide * SIDE, span_px / SIDE
-    to_picture = _lattices_to_picture(pixels, step, side)
+    to_image = _lattices_to_image(pixels, step, side)
     halvings = np.maximum(0, np.ceil(np.log2(step / MAX_STEP))).astype(int)
-    to_smaller = to_picture / 2.0 ** halvings[:, None, None]
-    # As if the pixels of a halved picture lay between those of the larger one. Those of pyrDown lie on every
-    # second; the network has learned with this (docs/tried.md, "Windows without a displacement").
+    to_smaller = to_image / 2.0 ** halvings[:, None, None]
+    # This assumes that the pixels of a halved image lie between those of the larger one. In fact pyrDown
+    # puts them on every second one. The network was trained with this (docs/tried.md, "Windows without a
+    # displacement").
     to_smaller[:, :, 2] += 0.5 * (0.5 ** halvings[:, None] - 1.0)
     colors = np.empty((len(pixels), side, side, 3), np.uint8)
     for k, halving in enumerate(halvings):
-        _resampled(picture.halved(halving), to_smaller[k], side, cv2.INTER_LINEAR, out=colors[k])
+        _resampled(image.halved(halving), to_smaller[k], side, cv2.INTER_LINEAR, out=colors[k])
     reliefs = np.empty((len(pixels), side, side), np.float32)
-    _gaps(depth, to_picture, np.asarray(depth_m, np.float32), reliefs)
+    _gaps(depth, to_image, np.asarray(depth_m, np.float32), reliefs)
     reliefs /= np.broadcast_to(diameter_m, len(pixels)).astype(np.float32)[:, None, None]
     return colors, reliefs
 
 
 @jit_dividing
-def _gaps(depth: Float32, to_picture: Float64, depth_m: Float32, out: Float32) -> None:
-    """Fill `out` (W, n, n) with the depth nearest to each point of upright lattices, less that of their
-    middle (W,); NaN where it is unknown."""
+def _gaps(depth: Float32, to_image: Float64, depth_m: Float32, out: Float32) -> None:
+    """Fill `out` (W, n, n) with the depth of the pixel nearest to each point of upright lattices, minus the
+    depth of their middle (W,); NaN where it is unknown."""
     height, width = depth.shape
     side, nothing = out.shape[1], np.float32(np.nan)
-    # Without a sign, so that the compiler need not think of indices counted from the end.
+    # Unsigned, so that the compiler need not handle negative indices.
     columns, inside = np.empty(side, np.uint64), np.empty(side, np.bool_)
     for k in range(out.shape[0]):
-        step, left, top = to_picture[k, 0, 0], to_picture[k, 0, 2] + 0.5, to_picture[k, 1, 2] + 0.5
+        step, left, top = to_image[k, 0, 0], to_image[k, 0, 2] + 0.5, to_image[k, 1, 2] + 0.5
         middle = depth_m[k]
         for x in range(side):
             u = int(np.floor(step * x + left))
@@ -183,22 +185,22 @@ def _gaps(depth: Float32, to_picture: Float64, depth_m: Float32, out: Float32) -
 
 
 def network_input(colors: UInt8, reliefs: Float32, *, clean: bool) -> UInt8:
-    """Network input (N, 64, 64, 8), bytes of STEP: red, green, blue in -1..1; relief, clipped at NEAR and
-    doubled; 1 where it is known; 1 where it is within NEAR; nothing. clean: rendered views, whose colour is
-    set to 0 outside the object."""
+    """Network input (N, 64, 64, 8), as bytes in units of STEP: red, green, blue in -1..1; relief, clipped
+    at NEAR and doubled; 1 where relief is known; 1 where it is within NEAR; two unused bytes. clean: for
+    rendered views, whose colour is set to 0 outside the object."""
     pixels = np.empty((len(colors), SIDE, SIDE), np.uint64)
     _fill(colors, reliefs, clean, _LEVELS, _NO_COLOR, _KNOWN, pixels)
     return pixels.view(np.uint8).reshape(*pixels.shape, PLACES)
 
 
 def as_bytes(numbers: Float32) -> UInt8:
-    """The nearest bytes of the input to numbers of any shape; of two as near the even one."""
+    """The nearest bytes of the input for numbers of any shape; of two equally near ones the even one."""
     return np.asarray(np.clip(np.rint(numbers / STEP) + ZERO, 0, 255), np.uint8)
 
 
 def _in_places(first: int, *numbers: Float32) -> UInt64:
-    """What numbers (N,) in one place of a pixel after the other add to the pixel (N,), whose bytes are read
-    as one number."""
+    """What numbers (N,) in consecutive bytes of a pixel, from `first` on, add to that pixel (N,) as one
+    integer."""
     bytes_ = np.zeros((len(numbers[0]), PLACES), np.uint8)
     bytes_[:, first : first + len(numbers)] = as_bytes(np.stack(numbers, 1))
     return bytes_.view(np.uint64)[:, 0]
@@ -209,7 +211,7 @@ _COLORS = np.arange(256, dtype=np.float32) * np.float32(2.0 / 255.0) - np.float3
 _LEVELS = np.stack([_in_places(channel, _COLORS) for channel in range(3)])
 _NO_COLOR = _in_places(0, *np.zeros((3, 1), np.float32))[0]
 _KNOWN = _in_places(4, *np.array([[0, 1, 1], [0, 0, 1]], np.float32))
-"""Of a pixel whose relief is not known, known, and within NEAR."""
+"""For a pixel whose relief is unknown, known, and within NEAR."""
 
 
 @jit_dividing
@@ -230,7 +232,7 @@ def _fill(
                 z = reliefs[n, v, u]
                 finite = np.isfinite(z)
                 z = z if finite else np.float32(0.0)
-                # Rounded like the quotient of single precision, which a reciprocal is not.
+                # Rounds like a quotient of single precision; a product with the reciprocal would not.
                 share = np.float32(np.float64(min(max(z, -near), near) * np.float32(2.0)) / step)
                 heights[u] = min(int(np.rint(share)) + ZERO, 255)
                 state[u] = np.int64(finite) + np.int64(finite and abs(z) < near)
@@ -244,8 +246,8 @@ def _fill(
                 pixels[n, v, u] = pixel
 
 
-def _lattices_to_picture(middles: Float64, steps: Float64, side: int) -> Float64:
-    """Affine maps (N, 2, 3) to the picture from lattices of `side` points a side, `steps` (N,) pixels apart,
+def _lattices_to_image(middles: Float64, steps: Float64, side: int) -> Float64:
+    """Affine maps (N, 2, 3) to the image from lattices of `side` points a side, `steps` (N,) pixels apart,
     centred on pixels (N, 2)."""
     out = np.zeros((len(middles), 2, 3))
     out[:, 0, 0] = out[:, 1, 1] = steps

@@ -1,9 +1,9 @@
-"""Pose hypotheses by view retrieval: find the model's templates that look like the picture under each mask.
+"""Pose hypotheses by view retrieval: find the model's templates that look like the image under each mask.
 
-The quick look (`quick_look`) compares all templates (views times rolls) with the picture at nine positions
-around each mask, at metric scale. The close look (`close_look`) scores the best of them without the mask. So
-a mask may be wrong in detail as long as it contains the object; the whole box can serve as one. The idea of
-view templates is LINEMOD's (Hinterstoisser et al. 2012).
+The quick look (`quick_look`) compares all templates (views times rolls) with the image at nine positions
+around each mask, at metric scale. The close look (`close_look`) scores the best of them without the mask.
+So a mask may be wrong in detail as long as it contains the object; the whole box can serve as one. The idea
+of view templates is LINEMOD's (Hinterstoisser et al. 2012).
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ SHIFTS = (-1, 0, 1)
 """Shifts of the window from the mask's centroid, in cells of the quick look, along both image axes."""
 
 VIEWS = 30
-"""Hypotheses for all masks together. Chosen by recall in piles (`huepose eval estimate`)."""
+"""Most hypotheses for all masks together. Chosen by recall in piles (`huepose eval estimate`)."""
 
 CLOSER, CLOSEST = 1500, 200
 """Templates per mask that get the close look, and the best of these, which are also tried one cell to each
 side. Chosen by recall in piles: 700 and 80, with fewer poses searched, lose three points there."""
 
 QUICK_WEIGHT = 0.5
-"""Of the score of the quick look, added to the close look's. Chosen."""
+"""Weight of the quick look's score, which is added to the close look's. Chosen."""
 
 RANKED, APART_RAD = 300, np.radians(18.0)
-"""Best templates per mask that may become hypotheses; least angle between the rotations of two hypotheses:
-template directions are 16 degrees apart, so that neighbours count as the same view."""
+"""Best templates per mask that may become hypotheses; least angle between the rotations of two hypotheses.
+Template directions are 16 degrees apart, so neighbours count as the same view."""
 
 MAX_MEDIAN_PIXELS = 4000
-"""Depth readings used for the median depth of a mask: more do not change it."""
+"""Most depth readings used for the median depth of a mask: more do not change it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Retrieved:
-    """Hypotheses, best first: poses T_cam_obj (K, 4, 4), scores (K,), and masks (K,): index of the mask each
-    came from."""
+    """Hypotheses, best first: poses T_cam_obj (K, 4, 4), scores (K,), and masks (K,): index of the mask
+    that each came from."""
 
     poses: Float64
     scores: Float64
@@ -77,14 +77,14 @@ class _Ranked:
 def retrieve(
     table: TemplateTable, crop: Crop, bounds: Float64, masks: Sequence[Bool], views: int = VIEWS
 ) -> Retrieved:
-    """The best hypotheses under candidate masks (h, w) bool of a crop; empty where no mask has a pixel with
-    depth. bounds (4,): left, top, right, bottom of the object's box in the crop's pixels; views: the most of
-    them, for all masks together."""
-    seen = [(k, mask & (crop.depth > 0)) for k, mask in enumerate(masks)]
-    seen = [(k, mask) for k, mask in seen if mask.any()]
-    if not seen:
+    """The best hypotheses under candidate masks (h, w) bool of a crop; empty if no mask has a pixel with
+    depth. bounds (4,): left, top, right, bottom of the object's box in the crop's pixels; views: most
+    hypotheses, for all masks together."""
+    known = [(k, mask & (crop.depth > 0)) for k, mask in enumerate(masks)]
+    known = [(k, mask) for k, mask in known if mask.any()]
+    if not known:
         return Retrieved(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
-    places = [_place(table, crop, mask) for _, mask in seen]
+    places = [_place(table, crop, mask) for _, mask in known]
     best_shift, quick = quick_look(table, np.concatenate([p.windows for p in places]), len(SHIFTS) ** 2)
     found = [
         _close_look(table, crop, bounds, p, w, q) for p, w, q in zip(places, best_shift, quick, strict=True)
@@ -99,7 +99,7 @@ def retrieve(
         crop.camera,
     )
     chosen = first_different(poses, APART_RAD, views)
-    origin = np.repeat([k for k, _ in seen], [len(f.scores) for f in found])
+    origin = np.repeat([k for k, _ in known], [len(f.scores) for f in found])
     return Retrieved(poses[chosen], scores[order[chosen]], origin[order[chosen]])
 
 
@@ -111,8 +111,8 @@ def _place(table: TemplateTable, crop: Crop, mask: Bool) -> _Place:
     span = table.span_m / middle_m * crop.camera.fx
     margin = max(SHIFTS)
     wide = COARSE_SIDE + 2 * margin
-    fine, color, depth, to_picture = sampled(crop.color, crop.depth, centre, span / COARSE_SIDE, wide)
-    inside = nearest(mask.view(np.uint8), to_picture, len(depth))
+    fine, color, depth, to_image = sampled(crop.color, crop.depth, centre, span / COARSE_SIDE, wide)
+    inside = nearest(mask.view(np.uint8), to_image, len(depth))
     cells = masked_cells(color, depth, inside, fine, middle_m, middle_m - 0.1 * table.diameter_m)
     starts = [(margin + x, margin + y) for y in SHIFTS for x in SHIFTS]
     windows = [cells[y : y + COARSE_SIDE, x : x + COARSE_SIDE].reshape(-1, 6) for x, y in starts]
@@ -179,10 +179,10 @@ def _poses(
 ) -> Float64:
     """T_cam_obj (K, 4, 4) of templates (K,) whose windows are centred at pixels (K, 2) and depths (K,)."""
     rays = camera.rays(pixels)
-    turns = onto_rays(rays)
+    to_rays = onto_rays(rays)
     poses = np.tile(np.eye(4), (len(templates), 1, 1))
-    poses[:, :3, :3] = turns @ table.rotations[templates]
-    poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", turns, table.origins[templates])
+    poses[:, :3, :3] = to_rays @ table.rotations[templates]
+    poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", to_rays, table.origins[templates])
     return poses
 
 

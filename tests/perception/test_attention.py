@@ -12,7 +12,7 @@ from huepose.model import ReferenceModel
 from huepose.perception.attention import CODED, EACH, EARNED, Attention, attended
 from huepose.perception.clear_view import clear_view
 from huepose.perception.config import PICKED, DetectorConfig
-from huepose.perception.memory import looking
+from huepose.perception.memory import next_look
 from huepose.perception.view_detector import ViewDetector
 from huepose.perception.window_table import LIKE, window_table
 from huepose.perception.windows import SIZES, WindowsBySize
@@ -85,7 +85,7 @@ def test_where_everything_moves_objects_of_one_size_after_another_are_compared(
         moved = replace(
             frame, color=np.roll(frame.color, shift, axis=1), depth=np.roll(frame.depth, shift, axis=1)
         )
-        memory, view = looking(memory, moved), clear_view(moved, 0.6)
+        memory, view = next_look(memory, moved), clear_view(moved, 0.6)
         assert view is not None
         coded.clear()
         seen = attended(seen, memory, WindowsBySize(view, memory), missing)

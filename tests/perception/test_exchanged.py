@@ -21,7 +21,7 @@ def test_the_order_of_the_channels_is_asked_for(
     frame, empty = take_picture([(tea_box.mesh, standing)]), take_picture([])
     blue_first = replace(frame, color=np.ascontiguousarray(frame.color[:, :, ::-1]))
     said = order_of_channels(blue_first, detector, ["tea_box"])
-    assert said.exchanged.startswith("With red and blue exchanged, tea_box is in the picture")
+    assert said.exchanged.startswith("With red and blue exchanged, tea_box is found in the image")
     assert not said.right
     assert order_of_channels(frame, detector, ["tea_box"]) == ChannelOrder(right=True)
     assert order_of_channels(frame, detector, ["tea_box"], {"tea_box": 0.9}) == ChannelOrder(right=True)
@@ -47,4 +47,4 @@ def test_an_object_that_looks_alike_both_ways_says_nothing_and_hides_nothing() -
     assert order_of_channels(frame, _Seen(True), ["grey", "absent"]) == ChannelOrder()
     assert order_of_channels(frame, _Seen(True), ["grey", "red", "absent"]).right
     said = order_of_channels(frame, _Seen(False), ["grey", "red", "absent"])
-    assert said.exchanged.startswith("With red and blue exchanged, red is in the picture")
+    assert said.exchanged.startswith("With red and blue exchanged, red is found in the image")

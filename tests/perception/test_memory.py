@@ -11,7 +11,7 @@ from huepose.judge.region import prepare_crop
 from huepose.model import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.config import DetectorConfig
-from huepose.perception.memory import FEWEST, MOST, KeptWindows, features_of, looking, matched, until
+from huepose.perception.memory import FEWEST, MOST, KeptWindows, features_of, matched, next_look, until
 from huepose.perception.stillness import TILE_PX, Tiles, changed_shares
 from huepose.perception.view_detector import ViewDetector
 from huepose.propose.features import Sift
@@ -73,10 +73,10 @@ def test_windows_are_kept_for_some_looks_where_nothing_changed() -> None:
         np.tile([80.0, 60.0], (count, 1)), np.ones(count), np.full(count, 40.0),
         np.zeros((count, 4), np.float32), np.zeros(count, np.int64), until(0, count),
     )  # fmt: skip
-    memory = replace(looking(None, plain()), windows={7: windows})
+    memory = replace(next_look(None, plain()), windows={7: windows})
     left = []
     for _ in range(MOST + 1):
-        memory = looking(memory, plain())
+        memory = next_look(memory, plain())
         kept = memory.windows_of(7)
         assert kept is not None
         left.append(len(kept.look))
@@ -84,7 +84,7 @@ def test_windows_are_kept_for_some_looks_where_nothing_changed() -> None:
     assert memory.windows_of(8) is None
     moved = plain()
     moved.color[50:70, 70:90] += np.uint8(40)
-    kept = looking(replace(looking(None, plain()), windows={7: windows}), moved).windows_of(7)
+    kept = next_look(replace(next_look(None, plain()), windows={7: windows}), moved).windows_of(7)
     assert kept is not None
     assert len(kept.look) == 0
 
@@ -116,12 +116,12 @@ def test_features_are_kept_where_nothing_changed_and_sought_where_it_did(
 ) -> None:
     first = take_picture([(tea_box.mesh, standing)])
     then = take_picture([(tea_box.mesh, standing), (tea_box.mesh, beside)])
-    memory, source = looking(None, first), Sift()
+    memory, source = next_look(None, first), Sift()
     kept = features_of(memory, *shown_in(first), source)
-    memory = looking(replace(memory, features=kept), first)
+    memory = next_look(replace(memory, features=kept), first)
     again = features_of(memory, *shown_in(first), source).features
     assert np.array_equal(again.pixels, kept.features.pixels)
-    memory = looking(replace(memory, features=kept), then)
+    memory = next_look(replace(memory, features=kept), then)
     merged = features_of(memory, *shown_in(then), source).features
     view, shown = shown_in(then)
     every = source.extract(view.crop.color, shown)
@@ -138,9 +138,9 @@ def test_a_picture_that_is_smaller_than_a_tile_is_looked_at_anew() -> None:
     crop = prepare_crop(low, Box(0.0, 0.0, 160.0, 7.0))
     view = ClearView(low, crop, ~crop.saturated, np.zeros((2, *color.shape), np.float32),
                      np.zeros((0, 4)), low.depth, Pyramid(color))  # fmt: skip
-    memory = looking(None, low)
+    memory = next_look(None, low)
     for _ in range(2):
-        memory = looking(replace(memory, features=features_of(memory, view, view.clear, Sift())), low)
+        memory = next_look(replace(memory, features=features_of(memory, view, view.clear, Sift())), low)
 
 
 def shown_in(frame: RgbdFrame) -> tuple[ClearView, np.ndarray]:
@@ -156,7 +156,7 @@ def without_print(model: ReferenceModel) -> Mesh:
 
 
 def test_another_camera_s_picture_is_not_remembered() -> None:
-    memory = looking(looking(None, plain()), plain())
+    memory = next_look(next_look(None, plain()), plain())
     assert memory.look == 1
     other = replace(plain(), camera=replace(plain().camera, fx=310.0))
-    assert looking(memory, other).look == 0
+    assert next_look(memory, other).look == 0

@@ -11,7 +11,7 @@ from huepose.believe.presence import logits_of
 from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
-from huepose.perception.presence import agreeing_pixels, pictures_of, sights_of
+from huepose.perception.presence import agreeing_pixels, sights_of, windows_and_views
 from huepose.propose.view_pictures import NEAR
 from huepose.rendering.render import render
 from tests.conftest import TakePicture
@@ -89,6 +89,6 @@ def test_of_a_pose_in_or_behind_the_camera_there_is_a_picture_that_shows_nothing
     poses = [("tea_box", se3.make(R, c - R @ tea_box.mesh.centre)) for R in turns for c in centres]
     sights = sights_of(view, {"tea_box": tea_box}, poses, verifying=False)
     assert (logits_of(sights) < 0.0).all()
-    (colors, reliefs), _ = pictures_of(view, {"tea_box": tea_box}, poses)
+    (colors, reliefs), _ = windows_and_views(view, {"tea_box": tea_box}, poses)
     assert len(colors) == len(poses)
     assert not (np.abs(reliefs) < NEAR).any()

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from huepose.perception.stretches import connected, written
+from huepose.perception.stretches import connected, write_values
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 0.6, 0.95, 1.0])
@@ -36,7 +36,7 @@ def test_arms_that_meet_below_are_one_piece_and_each_piece_gets_its_value() -> N
     stretches, count = connected(mask)
     assert count == 2
     out = np.full(mask.shape, -1, np.int32)
-    written(stretches, np.array([5, 8], np.int32), out)
+    write_values(stretches, np.array([5, 8], np.int32), out)
     assert out[2, 7] == 8
     assert (out == 5).sum() == mask.sum() - 1
     assert (out == -1).sum() == (mask == 0).sum()

@@ -12,7 +12,7 @@ from huepose.model.types import Keypoints, ReferenceModel
 from huepose.propose import keypoint_reference
 from huepose.propose.features import Features, Sift
 from huepose.propose.keypoint_reference import PICTURE_PX, build_keypoints
-from huepose.propose.keypoints import Matches, ModelKeypoints, PictureFeatures, consensus_poses, match
+from huepose.propose.keypoints import ImageFeatures, Matches, ModelKeypoints, consensus_poses, match
 from tests.conftest import TakePicture
 
 CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
@@ -29,7 +29,7 @@ def frame(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarr
 
 
 def matches_in(frame: RgbdFrame, keypoints: Keypoints) -> Matches:
-    return match(ModelKeypoints.of(keypoints), PictureFeatures.of(Sift().extract(frame.color)))
+    return match(ModelKeypoints.of(keypoints), ImageFeatures.of(Sift().extract(frame.color)))
 
 
 def test_keypoints_lie_on_the_surface_and_look_outwards(
@@ -88,7 +88,7 @@ def test_no_pose_is_agreed_on_where_the_object_is_not(
     table = take_picture([])
     assert len(consensus_poses(matches_in(table, keypoints), table.depth, table.camera).poses) == 0
     grey = np.full((480, 640, 3), 90, np.uint8)
-    assert len(match(ModelKeypoints.of(keypoints), PictureFeatures.of(Sift().extract(grey)))) == 0
+    assert len(match(ModelKeypoints.of(keypoints), ImageFeatures.of(Sift().extract(grey)))) == 0
 
 
 def test_a_spot_that_looks_alike_does_not_make_a_match_doubtful_and_another_place_does() -> None:
@@ -98,12 +98,12 @@ def test_a_spot_that_looks_alike_does_not_make_a_match_doubtful_and_another_plac
 
     def matched(*pixels: tuple[float, float]) -> int:
         features = Features(np.array(pixels, np.float32), np.concatenate([look, near, other])[: len(pixels)])
-        return len(match(model, PictureFeatures.of(features)))
+        return len(match(model, ImageFeatures.of(features)))
 
     assert matched((10.0, 10.0), (11.0, 10.0)) == 1
     assert matched((10.0, 10.0), (60.0, 10.0)) == 1  # exactly alike: nothing is nearer
     features = Features(np.array([[10.0, 10.0], [60.0, 10.0]], np.float32), np.concatenate([near, near]))
-    assert len(match(model, PictureFeatures.of(features))) == 0
+    assert len(match(model, ImageFeatures.of(features))) == 0
 
 
 def planted(right: int, wrong: int, seed: int = 0) -> tuple[Matches, np.ndarray, np.ndarray]:

@@ -37,7 +37,7 @@ def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, bo
     assert bus.said[-1].objects == [] or max(box.score for box in bus.said[-1].objects) < 0.7
     now[0] += ASK_EVERY_NS
     (said,) = warned(box_frame.color[:, :, ::-1])
-    assert said.startswith("With red and blue exchanged, tea_box is in the picture")
+    assert said.startswith("With red and blue exchanged, tea_box is found in the image")
     assert bus.logged["colours"] == [said]
     warned(box_frame.color[:, :, ::-1])
     assert bus.said[-1].camera == said, "it goes on with the boxes, and to every pose"

@@ -1,6 +1,6 @@
 """HuePose: live 6D object poses from an RGB-D camera and textured CAD models.
 
-The front door. Everything is imported when it is first used, so that importing this package is instant.
+The public names of the library. Each is imported at its first use, so importing this package is instant.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-# Read when these libraries are loaded: otherwise ONNX Runtime and depthai tell their makers how they are
-# used, under a number that they keep for this computer, wherever there is internet.
+# These libraries read this when they are loaded. Otherwise, if there is internet, ONNX Runtime and depthai
+# send usage data to their makers, with a number that identifies this computer.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 os.environ.setdefault("DEPTHAI_TELEMETRY", "0")
 

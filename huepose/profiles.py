@@ -1,8 +1,8 @@
 """Named settings of detector, estimator and tracker, one set for each use.
 
-The workers of a pipeline, the command line and the evaluation load the same objects, so that what is measured
-is what runs. `live` is for a stream of frames, where time is short and the next frame is due; `patient` is
-for single frames, where an answer may take longer.
+The workers of a pipeline, the command line and the evaluation load the same objects, so that what is
+measured is what runs. `live` is for a stream of frames, where time is short; `patient` is for single
+frames, where an answer may take longer.
 
 >>> profile("live").tracker.tries_per_s
 30.0
@@ -28,7 +28,8 @@ NAMES: tuple[ProfileName, ...] = get_args(ProfileName)
 class Profile:
     """How much each part may spend on an answer. The defaults of the parts are those of a live pipeline.
 
-    What depends on the machine or on the task is set beside it: threads, frames that are kept, the method."""
+    Settings that depend on the machine or the task are separate: threads, number of kept frames, the
+    method."""
 
     detector: DetectorConfig = field(default_factory=DetectorConfig)
     estimator: EstimatorConfig = field(default_factory=EstimatorConfig)
@@ -49,7 +50,7 @@ PROFILES: Mapping[ProfileName, Profile] = MappingProxyType(
 
 
 def profile(name: str) -> Profile:
-    """The profile of that name. Raises InputError for another one."""
+    """The profile of that name. Raises InputError for an unknown one."""
     for known in NAMES:
         if name == known:
             return PROFILES[known]

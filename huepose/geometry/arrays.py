@@ -1,5 +1,4 @@
-"""Array types by meaning, and what draws them at random: shapes are in the docstrings, dtypes are here. And a
-fast median."""
+"""Array types, the type of random generators, and a fast median. Shapes of arrays are in the docstrings."""
 
 from __future__ import annotations
 
@@ -27,8 +26,8 @@ NORMAL_MAD = 1.4826
 
 
 def median(values: Float) -> float:
-    """The median of numbers (N,), N > 0, none of them nan, in a fifth of the time of `np.median`, which looks
-    for nan and for both middle numbers at once.
+    """The median of numbers (N,), N > 0, without nan. It takes a fifth of the time of `np.median`, which
+    also looks for nan and always for both middle numbers.
 
     >>> median(np.array([4.0, 1.0, 3.0, 2.0]))
     2.5

@@ -1,4 +1,4 @@
-"""An image between its pixels."""
+"""Bilinear interpolation of an image."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from huepose.geometry.arrays import Float, Float64, UInt8
 
 
 def bilinear(image: Float | UInt8, u: Float64, v: Float64) -> Float64:
-    """Values (N, C) of an image (H, W, C) at columns u (N,) and rows v (N,); the border continues outwards.
+    """Values (N, C) of an image (H, W, C) at columns u (N,) and rows v (N,); outside, the border value.
 
     >>> bilinear(np.array([[[0.0], [4.0]], [[2.0], [6.0]]]), np.array([0.25, 9.0]), np.array([0.5, -1.0])).T
     array([[2., 4.]])

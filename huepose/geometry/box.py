@@ -36,7 +36,7 @@ class Box(NamedTuple):
         return max(0.0, self.w) * max(0.0, self.h)
 
     def clipped(self, width: int, height: int) -> Box:
-        """The part inside an image; w or h is 0 where there is none."""
+        """The part inside an image; w or h is 0 if there is none."""
         x0, y0 = min(max(self.x, 0.0), width), min(max(self.y, 0.0), height)
         x1, y1 = min(max(self.x1, 0.0), width), min(max(self.y1, 0.0), height)
         return Box(x0, y0, max(0.0, x1 - x0), max(0.0, y1 - y0))
@@ -55,7 +55,7 @@ class Box(NamedTuple):
         return shared / union if union > 0 else 0.0
 
     def slices(self, width: int, height: int) -> tuple[slice, slice]:
-        """Rows and columns of the pixels it touches inside an image of that size."""
+        """Rows and columns of the pixels that the box touches inside an image of that size."""
         b = self.clipped(width, height)
         return (slice(int(np.floor(b.y)), int(np.ceil(b.y1))), slice(int(np.floor(b.x)), int(np.ceil(b.x1))))
 
@@ -70,7 +70,7 @@ class Box(NamedTuple):
 
     @staticmethod
     def around(*boxes: Box) -> Box:
-        """The smallest box that holds all of these."""
+        """The smallest box that contains all of these."""
         x, y = min(b.x for b in boxes), min(b.y for b in boxes)
         return Box(x, y, max(b.x1 for b in boxes) - x, max(b.y1 for b in boxes) - y)
 
@@ -82,13 +82,13 @@ class Box(NamedTuple):
 
 
 def given_box(numbers: Sequence[float], size: tuple[int, int] | None = None) -> Box:
-    """The box of four numbers that a person gave. size: width and height of the picture, None where they are
-    not known. Raises InputError for one that holds less than a pixel of it."""
+    """The box of four numbers that a user gave. size: width and height of the image, None if they are not
+    known. Raises InputError for a box that is less than a pixel wide or high inside the image."""
     box = Box(*numbers)
-    seen = box if size is None else box.clipped(*size)
-    if all(map(math.isfinite, box)) and seen.w >= 1.0 and seen.h >= 1.0:
+    inside = box if size is None else box.clipped(*size)
+    if all(map(math.isfinite, box)) and inside.w >= 1.0 and inside.h >= 1.0:
         return box
-    least = "at least a pixel large" if size is None else f"and in the picture of {size[0]} x {size[1]}"
+    least = "at least a pixel large" if size is None else f"and in the image of {size[0]} x {size[1]}"
     raise InputError(
         "--box",
         found=" ".join(f"{number:g}" for number in numbers),

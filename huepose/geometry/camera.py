@@ -1,5 +1,5 @@
-"""Pinhole cameras, and how exact a depth reading is: the noise model that gates, tolerances and covariances
-follow from. Pixel (u, v) = (column, row); integer coordinates are pixel centres."""
+"""Pinhole cameras, and the noise model of depth, from which gates, tolerances and covariances follow.
+Pixel (u, v) = (column, row); integer coordinates are pixel centres."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from huepose.geometry.arrays import Float, Float64, UInt16
 from huepose.support.errors import InputError
 
 NEAREST_M = 0.02
-"""Nothing is nearer to a camera."""
+"""No object is nearer to a camera than this, metres."""
 
 NEAR_M = 0.05
-"""What is nearer is neither drawn nor judged: a pixel covers so little of it that a picture says nothing."""
+"""Surfaces nearer than this, metres, are neither rendered nor judged: the image shows too little of
+them."""
 
 
 @dataclass(frozen=True)
 class Camera:
     """Intrinsics of a pinhole camera: focal lengths and principal point in pixels, size in pixels.
 
-    Raises InputError where a focal length is not positive, or a number is not finite."""
+    Raises InputError if a focal length is not positive or a number is not finite."""
 
     fx: float
     fy: float
@@ -32,7 +33,7 @@ class Camera:
     height: int
 
     def __post_init__(self) -> None:
-        # Kernels are compiled for numbers of one type, whatever a driver or a file gives.
+        # Kernels are compiled for one type of number; drivers and files give others.
         if {type(self.fx), type(self.fy), type(self.cx), type(self.cy)} != {float}:
             for name in ("fx", "fy", "cx", "cy"):
                 object.__setattr__(self, name, float(getattr(self, name)))
@@ -68,15 +69,15 @@ class Camera:
         return replace(self, cx=self.cx - x0, cy=self.cy - y0, width=width, height=height)
 
     def scaled(self, factor: float) -> Camera:
-        """The camera of the image resized by `factor`, to whole pixels and one at least, pixel areas kept (as
-        cv2.resize does)."""
+        """The camera of the image resized by `factor` as cv2.resize does; the size is rounded to whole
+        pixels, at least one."""
         width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
         x, y = width / self.width, height / self.height
         cx, cy = (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5
         return Camera(self.fx * x, self.fy * y, cx, cy, width, height)
 
     def project(self, points_cam: Float) -> Float64:
-        """Pixels (..., 2) of camera-frame points (..., 3); points at or behind the camera give nan."""
+        """Pixels (..., 2) of camera-frame points (..., 3); nan for points at or behind the camera."""
         p = np.asarray(points_cam, dtype=np.float64)
         z = np.where(p[..., 2] > 1e-9, p[..., 2], np.nan)
         return np.stack([p[..., 0] / z * self.fx + self.cx, p[..., 1] / z * self.fy + self.cy], -1)
@@ -93,24 +94,27 @@ class Camera:
 
 
 STEREO_NOISE_PER_M = 0.0027
-"""RMS error of an active stereo camera of the D435 class is this times the square of the distance (metres):
-subpixel error 0.08 px over focal length 600 px times baseline 5 cm."""
+"""RMS depth error of an active stereo camera of the D435 class is this times the square of the distance
+(metres): subpixel error 0.08 px over focal length 600 px times baseline 5 cm."""
 
 FLOOR_M = 0.0005
-"""What better sensors, calibration and scanned models leave."""
+"""RMS error that does not depend on the distance, metres: of better sensors, calibration and scanned
+models."""
 
 POINTS_PER_READING = 6.0
-"""Stereo matches windows, so neighbouring pixels err alike: so many points of an object count as one."""
+"""So many points of an object count as one measurement: stereo matches windows, so the errors of
+neighbouring pixels are correlated."""
 
 
 def whole_steps(depth: Float, end: int = 1 << 16) -> UInt16:
-    """Depth (H, W), counted in steps, in whole ones; 0 where there is no reading, also from so many on.
+    """Depth (H, W), given in steps, rounded to whole steps; 0 where there is no reading, or `end` steps or
+    more.
 
     >>> whole_steps(np.array([0.0, 0.5, np.nan, 9.0], np.float32) / 0.0001).tolist()
     [0, 5000, 0, 0]
     """
     steps = np.asarray(np.rint(depth))
-    if not (steps.min() >= 0 and steps.max() < end):  # or one is not a number
+    if not (steps.min() >= 0 and steps.max() < end):  # out of range or nan
         steps = np.where((steps >= 0) & (steps < end), steps, 0)
     return steps.astype(np.uint16)
 

@@ -1,4 +1,4 @@
-"""How large a set of points is: its largest distance, in far less than all pairs, and its least thickness."""
+"""Size of a set of points: the largest distance, without comparing all pairs, and the least thickness."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import numpy as np
 
 from huepose.geometry.arrays import Float64
 
-_BLOCK = 1000  # points that lie together, whose distances to those opposite are in memory at once
-_SLACK = 1e-6  # of the distance: what rounding may cost a bound
+_BLOCK = 1000  # neighbouring points whose distances to the points opposite are computed at once
+_SLACK = 1e-6  # share of the distance by which bounds are widened against rounding
 
 
 def largest_distance(points: Float64) -> float:
-    """The largest distance of any two of points (n, 3), in their unit; exactly that of all pairs.
+    """The exact largest distance between any two of points (n, 3), in their unit.
 
-    With c the middle of a pair at distance d and R the radius about c that holds all points, the
-    parallelogram law puts who is d or more from p within sqrt(2 |p - c|^2 + 2 R^2 - d^2) of the mirror image
-    of p in c; where that is no number, nobody is. Of a ball or a capsule that leaves few pairs.
+    Let c be the middle of a pair at distance d, and R the radius about c that contains all points. By the
+    parallelogram law, all points at a distance of d or more from p are within
+    sqrt(2 |p - c|^2 + 2 R^2 - d^2) of the mirror image of p in c; if the root is not real, there are none.
+    For a ball or a capsule few pairs remain.
     """
     from scipy.spatial import cKDTree
     from scipy.spatial.distance import cdist
@@ -38,7 +39,8 @@ def largest_distance(points: Float64) -> float:
 
 
 def _far_pair(points: Float64) -> tuple[float, Float64]:
-    """A large distance of two points, and their middle: always on to the farthest, until it is no farther."""
+    """A large distance between two points, and their middle: goes on to the farthest point until the
+    distance no longer grows."""
     from scipy.spatial.distance import cdist
 
     best, here, middle = 0.0, points[0], points[0]
@@ -51,8 +53,8 @@ def _far_pair(points: Float64) -> tuple[float, Float64]:
 
 
 def thickness(points: Float64) -> float:
-    """The least distance of two parallel planes that hold all of points (n, 3) between them: one of them lies
-    on a side of their convex hull."""
+    """The least distance between two parallel planes with all points (n, 3) between them, one of which
+    contains a face of the convex hull; 0 for points without a hull."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:

@@ -1,4 +1,4 @@
-"""The RGB-D frame: what every source yields and every method reads."""
+"""The RGB-D frame. Every camera source and data set yields it, and every method reads it."""
 
 from __future__ import annotations
 
@@ -13,21 +13,22 @@ from huepose.geometry.camera import Camera
 from huepose.support.errors import InputError, require
 
 LEAST_SIDE = 2
-"""Pixels between which the rays of a picture can be told."""
+"""Fewest pixels of a side of an image; bilinear interpolation needs two."""
 
 FARTHEST_M = 1e8
-"""No camera is farther from where its place is told from: ten times what a map of the earth has."""
+"""Largest distance of a camera from the origin of its parent frame, metres: ten times that of any map of
+the earth."""
 
 
 @dataclass(frozen=True, eq=False)
 class RgbdFrame:
     """One rectified colour image with depth in its pixels.
 
-    color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 where there is no reading (also where NaN or an
-    infinite number is given); frame_id counts within a camera epoch; stamp_ns is the capture time, monotonic
-    clock; T_parent_cam (4, 4): where the camera was then, in a frame that does not move, such as a robot's
-    base, None where nobody knows. Raises InputError when sizes or types differ, or where T_parent_cam is no
-    rigid transform.
+    color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 where there is no reading (NaN and infinite
+    numbers become 0); frame_id counts within a camera epoch; stamp_ns is the capture time on the monotonic
+    clock; T_parent_cam (4, 4): the pose of the camera at that time in a static frame, such as a robot's
+    base; None if it is not known. Raises InputError if sizes or types do not fit, or if T_parent_cam is not
+    a rigid transform.
     """
 
     color: UInt8
@@ -41,16 +42,16 @@ class RgbdFrame:
     def __post_init__(self) -> None:
         require(self.camera, Camera, "camera", "a Camera", "Make one: Camera(fx, fy, cx, cy, width, height).")
         require(self.color, np.ndarray, "colour image", "a numpy array")
-        require(self.depth, np.ndarray, "depth image", "a numpy array", "Every picture needs its depth.")
+        require(self.depth, np.ndarray, "depth image", "a numpy array", "Every frame needs depth.")
         size = (self.camera.height, self.camera.width)
         if self.color.shape != (*size, 3) or self.color.dtype.name != "uint8":
             fix = "Check that the image and the camera file belong together."
             if self.color.shape == (*size, 4):
                 fix = "Leave out the fourth channel: color[..., :3]."
             elif self.color.shape == size:
-                fix = "A picture without colour does not do: objects are told by their colours."
+                fix = "A grey image is not enough: objects are distinguished by their colours."
             elif self.color.shape == (*size, 3):
-                fix = "Values of 0 to 1 are most often meant: (color * 255).astype(np.uint8)."
+                fix = "If the values are 0 to 1: (color * 255).astype(np.uint8)."
             raise InputError(
                 "colour image",
                 found=f"{self.color.shape} {self.color.dtype}",
@@ -61,7 +62,7 @@ class RgbdFrame:
             fix = "Align depth to colour in the camera driver, or check the file."
             if self.depth.shape == size:
                 whole = np.issubdtype(self.depth.dtype, np.integer)
-                fix = "Whole numbers are most often millimetres: " if whole else ""
+                fix = "Integers are usually millimetres: " if whole else ""
                 fix += f"depth.astype(np.float32){' * 0.001' if whole else ''}."
             raise InputError(
                 "depth image",
@@ -70,7 +71,7 @@ class RgbdFrame:
                 fix=fix,
             )
         if min(size) < LEAST_SIDE:
-            raise InputError("picture", found=str(size), expected=f"sides of {LEAST_SIDE} pixels or more")
+            raise InputError("image", found=str(size), expected=f"sides of {LEAST_SIDE} pixels or more")
         for name in ("frame_id", "stamp_ns", "epoch"):
             number = getattr(self, name)
             if type(number) is not int:
@@ -78,32 +79,32 @@ class RgbdFrame:
                 require(number, int | np.integer, name, "a whole number", fix)
                 object.__setattr__(self, name, int(number))
         if self.T_parent_cam is not None:
-            # A copy: whoever fills one array again and again says nothing of the frames before.
+            # A copy, because the caller may write the next pose into the same array.
             T = np.array(self.T_parent_cam, np.float64)
             if not se3.is_rigid(T, se3.ROUNDED) or np.abs(T[:3, 3]).max() > FARTHEST_M:
                 raise InputError(
                     "T_parent_cam, the camera's pose",
                     found=" ".join(str(self.T_parent_cam).split())[:80],
                     expected=f"a rigid transform (4, 4), metres, at most {FARTHEST_M:.0e}",
-                    fix="Leave it out where nobody knows where the camera was.",
+                    fix="Leave it out if the camera pose is not known.",
                 )
             object.__setattr__(self, "T_parent_cam", se3.orthonormalised(T))
-        # Kernels are compiled for arrays of one layout, whatever a driver or a slice gives.
+        # Kernels are compiled for arrays of one layout; drivers and slices give others.
         if not self.color.flags.c_contiguous:
             object.__setattr__(self, "color", np.ascontiguousarray(self.color))
         if not (self.depth.flags.c_contiguous and self.depth.flags.writeable):
             object.__setattr__(self, "depth", self.depth.copy())
-        # Tells it of all of them without an array of its own.
+        # Tests all readings without a temporary array.
         if not (np.isfinite(self.depth.min()) and np.isfinite(self.depth.max())):
             known = np.where(np.isfinite(self.depth), self.depth, np.float32(0.0))
             object.__setattr__(self, "depth", known)
 
     def seen_from(self, T_parent_cam: Float64 | None) -> RgbdFrame:
-        """The same frame of a camera that was there, a rigid transform (4, 4)."""
-        other = copy(self)  # nothing of it has to be asked again
+        """The same frame with another camera pose, a rigid transform (4, 4)."""
+        other = copy(self)  # skips the checks of __post_init__
         object.__setattr__(other, "T_parent_cam", T_parent_cam)
         return other
 
     def without(self, pixels: Bool) -> RgbdFrame:
-        """The same frame without the depth of some pixels (H, W)."""
+        """The same frame without the depth readings of `pixels` (H, W)."""
         return replace(self, depth=np.where(pixels, np.float32(0.0), self.depth))

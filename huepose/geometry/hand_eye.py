@@ -1,12 +1,13 @@
-"""Where a camera is on a robot, from poses of the hand and poses of one object (hand-eye calibration).
+"""Hand-eye calibration: where a camera is on a robot, from poses of the hand and poses of one object.
 
-With A_i X B_i = Y for all i: a closed form finds X of M_k X = X N_k, from moves of the hand and of the camera
-between measurements, then X and Y are refined together over all measurements.
+The problem is A_i X B_i = Y for all measurements i. First a closed form solves M_k X = X N_k, where M_k and
+N_k are the motions of the hand and of the camera between measurements. Then X and Y are refined together
+over all measurements.
 
-Of the closed forms Park finds the rotation from rotation vectors, Tsai from tangents of half angles;
-translations follow by least squares. Daniilidis finds both at once from the screws of the moves. OpenCV 4 has
-them as `calibrateHandEye`, OpenCV 5 no more. They weigh errors differently, so where they disagree the
-measurements say little.
+Park's closed form finds the rotation from rotation vectors, Tsai's from tangents of half angles; both then
+find the translation by least squares. Daniilidis finds both at once from the screws of the motions. They
+weigh errors differently, so if they disagree, the measurements determine the result badly. OpenCV 4 has the
+three as `calibrateHandEye`; OpenCV 5 does not.
 """
 
 from __future__ import annotations
@@ -27,20 +28,22 @@ from huepose.support.errors import InputError
 from huepose.support.words import counted
 
 FEWEST = 4
-"""Measurements: three moves are the fewest whose rotations also show how well they agree."""
+"""Fewest measurements. Three independent motions are the fewest whose rotations also show how well they
+agree."""
 
 LEAST_SPREAD_RAD = np.radians(10.0)
-"""How far the moves have to turn about a second axis: under that, a degree of error in a pose becomes
-several centimetres in the answer."""
+"""Least RMS rotation of the motions about a second axis. Below it, an error of a degree in a pose becomes
+an error of several centimetres in the result."""
 
 MOST_STEPS = 50
-"""Of the refinement: measurements that belong together need under ten, others never end."""
+"""Most evaluations of the refinement. Measurements that fit together need fewer than ten; others never
+converge."""
 
 
 @dataclass(frozen=True, eq=False)
 class HandEye:
-    """X and Y (4, 4); what is left of each measurement, shift in metres (N,) and turn in radians (N,);
-    forms_apart: how far the closed forms lie apart, metres and radians."""
+    """X and Y (4, 4). shift_m, turn_rad (N,): residual of each measurement, translation in metres and
+    rotation in radians. forms_apart: how much the closed forms differ, metres and radians."""
 
     X: Float64
     Y: Float64
@@ -50,12 +53,12 @@ class HandEye:
 
 
 def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
-    """X and Y of A_i X B_i = Y, A and B (N, 4, 4). method: the closed form from which it is refined.
+    """X and Y of A_i X B_i = Y, A and B (N, 4, 4). method: the closed form that the refinement starts from.
 
-    A camera on the hand that looks at an object which stands still: A = T_base_hand, B = T_cam_obj; X is
-    T_hand_cam, Y is T_base_obj. A camera that is fixed and looks at an object in the hand: A = T_hand_base;
-    X is T_base_cam, Y is T_hand_obj. Raises InputError for too few measurements, numbers that are
-    not finite, or moves about one axis."""
+    B is T_cam_obj. For a camera on the hand and a static object, A is T_base_hand, X is T_hand_cam, and Y is
+    T_base_obj. For a fixed camera and an object in the hand, A is T_hand_base, X is T_base_cam, and Y is
+    T_hand_obj. Raises InputError for too few measurements, numbers that are not finite, or rotations about
+    one axis only."""
     A, B = np.asarray(A, np.float64), np.asarray(B, np.float64)
     if not (np.isfinite(A).all() and np.isfinite(B).all()):
         raise InputError("hand-eye calibration", found="numbers that are not finite", expected="poses (4, 4)")
@@ -63,7 +66,7 @@ def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
         raise InputError(
             "hand-eye calibration",
             found=counted(len(A), "measurement"),
-            expected=f"{FEWEST} or more, better twelve, with the hand turned about different axes",
+            expected=f"{FEWEST} or more, better twelve, with the hand rotated about different axes",
         )
     M, alpha = moves(A)  # M X = X N
     N, _ = moves(np.array([se3.inverse(b) for b in B]))
@@ -71,24 +74,25 @@ def solve(A: Float64, B: Float64, method: Method = "park") -> HandEye:
     if spread < LEAST_SPREAD_RAD:
         raise InputError(
             "hand-eye calibration",
-            found=f"next to no turns of the hand ({np.degrees(most):.1f} degrees)"
+            found=f"almost no rotation of the hand ({np.degrees(most):.1f} degrees)"
             if most < LEAST_SPREAD_RAD
-            else f"turns about one axis alone ({np.degrees(spread):.1f} degrees about any other)",
-            expected="the hand turned about two axes or more, by 20 degrees or more",
+            else f"rotations about one axis only ({np.degrees(spread):.1f} degrees about any other)",
+            expected="the hand rotated about two axes or more, by 20 degrees or more",
         )
     X = CLOSED_FORMS[method](M, N)
     return _refined(A, B, X, A[0] @ X @ B[0], disagreement(M, N))
 
 
 def moves(A: Float64) -> tuple[Float64, Float64]:
-    """From each pose to each later one, A_n^-1 A_m (K, 4, 4), and their rotation vectors (K, 3), radians."""
+    """Motions between all pairs of poses, A_n^-1 A_m with n after m (K, 4, 4), and their rotation vectors
+    (K, 3), radians."""
     i, j = np.triu_indices(len(A), 1)
     between = np.array([se3.inverse(T) for T in A])[j] @ A[i]
     return between, rotation_vectors(between)
 
 
 def _refined(A: Float64, B: Float64, X: Float64, Y: Float64, forms_apart: tuple[float, float]) -> HandEye:
-    """Least squares over all measurements; a radian counts as much as the distance at which it is seen."""
+    """Robust least squares over all measurements. Rotations are weighted by the distance of the object."""
     lever_m = lever(B)
 
     def left(steps: Float64) -> Float64:
@@ -101,12 +105,12 @@ def _refined(A: Float64, B: Float64, X: Float64, Y: Float64, forms_apart: tuple[
 
 
 def lever(B: Float64) -> float:
-    """The distance in metres at which the object is seen: a turn of an error moves it by so much."""
+    """Median distance of the object from the camera, metres: it converts rotation errors into lengths."""
     return float(np.median(np.linalg.norm(B[:, :3, 3], axis=1)))
 
 
 def residuals(A: Float64, B: Float64, X: Float64, Y: Float64, lever_m: float) -> Float64:
-    """What X and Y leave of each measurement in metres, all shifts (3N,), then all turns times the lever
+    """Residuals of all measurements in metres: all translations (3N,), then all rotations times the lever
     (3N,)."""
     left = se3.inverse(Y) @ A @ X @ B
     turns = rotation_vectors(left)
@@ -117,22 +121,23 @@ Method = Literal["park", "tsai", "daniilidis"]
 
 
 def park(M: Float64, N: Float64) -> Float64:
-    """X (4, 4) of moves (K, 4, 4): the rotation vectors of M are those of N, turned.
+    """X (4, 4) from motions (K, 4, 4): X rotates the rotation vectors of N onto those of M.
 
     Park and Martin, Robot sensor calibration: solving AX = XB on the Euclidean group (1994)."""
     alpha, beta = rotation_vectors(M), rotation_vectors(N)
-    # Opposite ones make the fit one about the origin.
+    # The negated vectors make both centroids zero, so that the fit is a pure rotation.
     R = fit(np.vstack([beta, -beta]), np.vstack([alpha, -alpha]))[:3, :3]
     return _with_translation(M, N, R)
 
 
 def tsai(M: Float64, N: Float64) -> Float64:
-    """X (4, 4) of moves (K, 4, 4), by modified Rodrigues vectors 2 sin(angle / 2) axis.
+    """X (4, 4) from motions (K, 4, 4), by modified Rodrigues vectors 2 sin(angle / 2) axis.
 
     Tsai and Lenz, A new technique for fully autonomous and efficient 3D robotics hand/eye calibration (1989).
-    Where X turns by 180 degrees its equations leave the axis open. So X is sought times each half turn about
-    an axis, too, as Shuster's method of sequential rotations does (Approximate algorithms for fast optimal
-    attitude computation, 1978), and the best determined of the four is taken."""
+    If X rotates by 180 degrees, the equations do not determine its axis. So they are also solved with N
+    rotated by 180 degrees about each axis, as in Shuster's method of sequential rotations (Approximate
+    algorithms for fast optimal attitude computation, 1978). The best determined of the four solutions is
+    taken."""
     p = _modified(M)
     found = []
     for half in (np.eye(3), *(se3.rotation_exp(np.pi * axis) for axis in np.eye(3))):
@@ -141,13 +146,13 @@ def tsai(M: Float64, N: Float64) -> Float64:
         tangent, _, _, singular = np.linalg.lstsq(left, (q - p).ravel(), rcond=None)
         found.append((float(singular[-1]), tangent, half))
     _, tangent, half = max(found, key=lambda one: one[0])
-    length = float(np.linalg.norm(tangent))  # of half the angle
+    length = float(np.linalg.norm(tangent))  # the tangent of half the angle
     R = np.eye(3) if length < 1e-12 else se3.rotation_exp(2.0 * np.arctan(length) * tangent / length)
     return _with_translation(M, N, R @ half)
 
 
 def daniilidis(M: Float64, N: Float64) -> Float64:
-    """X (4, 4) of moves (K, 4, 4), by unit dual quaternions, rotation and translation at once.
+    """X (4, 4) from motions (K, 4, 4), by unit dual quaternions: rotation and translation at once.
 
     Daniilidis, Hand-eye calibration using dual quaternions (1999), equations 31 to 35."""
     rows = []
@@ -158,7 +163,7 @@ def daniilidis(M: Float64, N: Float64) -> Float64:
         rows.append(np.hstack([np.column_stack([a_dual - b_dual, se3.hat(a_dual + b_dual)]), upper]))
     v7, v8 = np.linalg.svd(np.vstack(rows), full_matrices=False)[2][-2:]
     (u1, v1), (u2, v2) = (v7[:4], v7[4:]), (v8[:4], v8[4:])
-    # The answer is s v7 + t v8 with a unit real part, across which its dual part lies: two for s / t.
+    # X is s v7 + t v8 with a unit real part that is orthogonal to its dual part: s / t has two candidates.
     ratios = np.roots([u1 @ v1, u1 @ v2 + u2 @ v1, u2 @ v2]).real
     lengths = [s * s * (u1 @ u1) + 2.0 * s * (u1 @ u2) + u2 @ u2 for s in ratios]
     s, length = ratios[int(np.argmax(lengths))], max(lengths)
@@ -175,8 +180,8 @@ CLOSED_FORMS: dict[Method, Callable[[Float64, Float64], Float64]] = {
 
 
 def disagreement(M: Float64, N: Float64) -> tuple[float, float]:
-    """How far the closed forms of moves (K, 4, 4) lie apart: the largest distance between two, metres, and
-    the largest angle, radians."""
+    """How much the closed forms of motions (K, 4, 4) differ: the largest distance between two, metres, and
+    the largest angle between two, radians."""
     pairs = list(combinations([solved(M, N) for solved in CLOSED_FORMS.values()], 2))
     return (
         max(float(np.linalg.norm(one[:3, 3] - other[:3, 3])) for one, other in pairs),
@@ -185,19 +190,19 @@ def disagreement(M: Float64, N: Float64) -> tuple[float, float]:
 
 
 def rotation_vectors(M: Float64) -> Float64:
-    """Of poses (K, 4, 4), as (K, 3), radians."""
+    """Rotation vectors (K, 3) of poses (K, 4, 4), radians."""
     return np.asarray(Rotation.from_matrix(M[:, :3, :3]).as_rotvec())
 
 
 def _with_translation(M: Float64, N: Float64, R: Float64) -> Float64:
-    """X of a known rotation: (R_M - 1) t = R t_N - t_M for all moves, by least squares."""
+    """X from its known rotation: (R_M - 1) t = R t_N - t_M for all motions, by least squares."""
     left = np.vstack([m[:3, :3] - np.eye(3) for m in M])
     right = np.concatenate([R @ n[:3, 3] - m[:3, 3] for m, n in zip(M, N, strict=True)])
     return se3.make(R, np.linalg.lstsq(left, right, rcond=None)[0])
 
 
 def _modified(M: Float64) -> Float64:
-    """Modified Rodrigues vectors (K, 3) as Tsai has them: twice the vector part of the quaternion."""
+    """Tsai's modified Rodrigues vectors (K, 3): twice the vector part of the quaternion."""
     return np.array([2.0 * _quaternion(m)[:3] for m in M])
 
 
@@ -208,6 +213,6 @@ def _screw(T: Float64) -> tuple[Float64, Float64]:
 
 
 def _quaternion(T: Float64) -> Float64:
-    """That of an angle up to 180 degrees, xyzw (4,): moves that belong together have the same angle."""
+    """Quaternion xyzw (4,) with w >= 0: corresponding motions have the same angle, up to 180 degrees."""
     q = se3.quaternion_from_rotation(T[:3, :3])
     return q if q[3] >= 0.0 else -q

@@ -1,8 +1,8 @@
-"""How well measurements determine where the camera is on the robot, and which ones are missing.
+"""How well the measurements determine where the camera is on the robot, and which ones are missing.
 
-The covariance of least squares, (J^T J)^-1, times the variance of what is left over (6N - 12 degrees of
-freedom). Without that variance it says how far the answer errs beside one measurement, however large the
-error of a measurement is. An answer that errs more than each of its measurements wants more of them.
+The covariance of the result is that of least squares, (J^T J)^-1, times the variance of the residuals
+(6N - 12 degrees of freedom). Without this variance it is the error of the result relative to the error of
+one measurement. If the result has a larger error than one measurement, more measurements are needed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from huepose.geometry.arrays import Float64
 from huepose.geometry.hand_eye import HandEye, lever, moves, residuals
 
 WANTED_RAD = np.radians(30.0)
-"""How far the hand is to be turned to either side: most arms can, and the object stays in view."""
+"""Rotation of the hand to either side in the measurements to add: most arms can do it, and the object stays
+in view."""
 
 _MOST_MORE = 40
 _STEP = 1e-5
@@ -24,11 +25,11 @@ _STEP = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class Certainty:
-    """shift_m, turn_rad: one standard deviation of the camera's place and of how it is turned, in the worst
-    direction; shift_ratio, turn_ratio: the same beside that of one measurement. axis (3,), in the frame of
-    the camera's mount: about it the hand turned least, by turned_rad from one pose to another, and by
-    most_rad about the one with the most. more: how many further measurements, turned by WANTED_RAD about all
-    axes, bring both ratios to 1; None where 40 do not."""
+    """shift_m, turn_rad: one standard deviation of the camera's position and orientation, in the worst
+    direction; shift_ratio, turn_ratio: the same relative to one measurement. axis (3,): the axis about
+    which the hand rotated least, in the frame of the camera's mount; turned_rad: RMS rotation between two
+    poses about it; most_rad: the same about the axis with the most rotation. more: how many further
+    measurements, rotated by WANTED_RAD about all axes, bring both ratios to 1; None if 40 do not."""
 
     shift_m: float
     turn_rad: float
@@ -41,12 +42,12 @@ class Certainty:
 
     @property
     def well(self) -> bool:
-        """Whether the answer errs no more than one measurement."""
+        """Whether the error of the result is at most that of one measurement."""
         return self.more == 0
 
 
 def certainty(A: Float64, B: Float64, found: HandEye) -> Certainty:
-    """Of the answer of `hand_eye.solve(A, B)`."""
+    """The certainty of `found`, the result of `hand_eye.solve(A, B)`."""
     lever_m = lever(B)
     rest = residuals(A, B, found.X, found.Y, lever_m)
     sigma_m = float(np.sqrt((rest**2).sum() / (len(rest) - 12)))
@@ -67,10 +68,10 @@ def certainty(A: Float64, B: Float64, found: HandEye) -> Certainty:
 
 
 def _ratios(A: Float64, found: HandEye, lever_m: float) -> tuple[float, float]:
-    """The error of X in its worst directions, of the shift and of the turn times the lever, for measurements
-    with an error of 1 in each component."""
+    """Error of X in its worst direction, of the translation and of the rotation times the lever, for
+    measurements with an error of 1 in each component."""
     X, Y = found.X, found.Y
-    B = np.array([se3.inverse(a @ X) @ Y for a in A])  # as they would be without an error
+    B = np.array([se3.inverse(a @ X) @ Y for a in A])  # error-free measurements
 
     def left(steps: Float64) -> Float64:
         return residuals(A, B, X @ se3.exp(steps[:6]), Y @ se3.exp(steps[6:]), lever_m)
@@ -82,7 +83,8 @@ def _ratios(A: Float64, found: HandEye, lever_m: float) -> tuple[float, float]:
 
 
 def _more(A: Float64, found: HandEye, lever_m: float, axes: Float64) -> int | None:
-    """How many poses like one of them, turned to either side about each axis in turn, the least first."""
+    """How many poses to add: copies of one pose, rotated to either side about one axis after another, first
+    the axis with the least rotation. None if `_MOST_MORE` are not enough."""
     turns = [sign * WANTED_RAD * axis for axis in axes[::-1] for sign in (1.0, -1.0)]
     one = A[len(A) // 2]
     for count in range(_MOST_MORE + 1):

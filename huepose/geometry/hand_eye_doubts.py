@@ -1,8 +1,8 @@
-"""Whether poses of a hand and of an object belong together at all, and what they may have been taken for.
+"""Whether poses of a hand and of an object fit together at all, and which wrong convention may be the cause.
 
-Poses of an object err by millimetres and by a degree or two. Where the best answer leaves far more than that
-at the usual pose, it is no error of poses: the numbers mean something else than was taken. What they may mean
-instead is tried, and what then fits is named.
+Poses of an object have errors of millimetres and of a degree or two. If the median residual of the best
+solution is far larger, the cause is not pose error: the numbers have other units or another convention than
+assumed. Other meanings are tried, and those that fit are reported.
 """
 
 from __future__ import annotations
@@ -19,31 +19,32 @@ from huepose.support.errors import InputError
 
 MOST_SHIFT_M, MOST_TURN_RAD = 0.02, np.radians(3.0)
 MOST_SHIFT = 0.02
-"""Of the distance at which the object is seen: depth errs by a share of it."""
+"""Share of the object's distance: the depth error grows with it."""
 
 FARTHEST_M = 10.0
-"""No depth camera measures poses of an object that is farther away: these are no metres."""
+"""Objects are not farther than this from a depth camera; if poses say so, they are not in metres."""
 
 WIDEST = np.tan(np.radians(60.0))
-"""Of half the field of view: the widest depth cameras see 120 degrees (Azure Kinect)."""
+"""Tangent of half the field of view of the widest depth cameras: 120 degrees (Azure Kinect)."""
 
 UNSEEN = 0.1
-"""Share of poses that may lie where no camera sees: wild ones."""
+"""Share of poses that may lie outside the field of view of any camera: outliers."""
 
 Meaning = Literal["millimetres", "object in millimetres", "quaternion order", "camera"]
-"""Positions of the hand, or of the object, that are no metres; quaternions of the hand with w first; a camera
-that is mounted the other way, or poses of the base in the hand, which are the same."""
+"""Positions of the hand, or of the object, in millimetres; quaternions of the hand with w first; "camera":
+the camera is mounted the other way, or the poses are of the base in the hand, which gives the same
+equations."""
 _MEANINGS: tuple[Meaning, ...] = ("millimetres", "object in millimetres", "quaternion order", "camera")
 
 
 def measured(hand: Float64, fixed: bool) -> Float64:
-    """A (N, 4, 4) of `hand_eye.solve` of T_base_hand (N, 4, 4), for a fixed camera or one on the hand."""
+    """A (N, 4, 4) of `hand_eye.solve` from T_base_hand (N, 4, 4), for a fixed camera or one on the hand."""
     return np.array([se3.inverse(T) for T in hand]) if fixed else np.asarray(hand, np.float64)
 
 
 def fits(B: Float64, found: HandEye) -> bool:
-    """Whether what is left of the usual (median) measurement may be the error of its poses; B (N, 4, 4) and
-    the answer of `hand_eye.solve`."""
+    """Whether the median residual can be explained by errors of the poses. B (N, 4, 4) and the result of
+    `hand_eye.solve`."""
     most_m = max(MOST_SHIFT_M, MOST_SHIFT * lever(B))
     if float(np.median(np.linalg.norm(B[:, :3, 3], axis=1))) > FARTHEST_M:
         return False
@@ -51,29 +52,29 @@ def fits(B: Float64, found: HandEye) -> bool:
 
 
 def exchanged(hand: Float64, B: Float64) -> bool:
-    """Whether T_base_hand (N, 4, 4) and B (N, 4, 4) were taken for each other: B lies where no camera sees an
-    object, and the hand where one might. Poses that are exchanged fit as well, to another mount."""
-    return _unseen(B) > UNSEEN and _unseen(hand) == 0.0
+    """Whether T_base_hand (N, 4, 4) and B (N, 4, 4) were exchanged: B lies outside of any camera's view,
+    and the hand does not. The residuals do not show it: exchanged poses fit as well, with another mount."""
+    return _outside_view(B) > UNSEEN and _outside_view(hand) == 0.0
 
 
-def _unseen(T: Float64) -> float:
-    """Share of the poses (N, 4, 4) that lie behind a camera, or beside all that the widest sees."""
+def _outside_view(T: Float64) -> float:
+    """Share of the poses (N, 4, 4) that lie behind a camera or outside of the widest field of view."""
     return float(np.mean(np.abs(T[:, :2, 3]).max(1) > WIDEST * T[:, 2, 3]))
 
 
 def meant(hand: Float64, B: Float64, fixed: bool) -> tuple[Meaning, ...]:
-    """What else the poses of the hand (N, 4, 4), taken as T_base_hand, may mean: the fewest changes with
-    which they fit B (N, 4, 4), empty where none do. For poses that do not fit as they are."""
+    """What else the poses of the hand (N, 4, 4), read as T_base_hand, may mean: the fewest changes with
+    which they fit B (N, 4, 4); empty if no change helps. For poses that do not fit as they are."""
     for count in range(1, len(_MEANINGS) + 1):
         for changes in combinations(_MEANINGS, count):
             A = measured(_changed(hand, changes), fixed != ("camera" in changes))
-            seen = np.array(B, np.float64)
+            objects = np.array(B, np.float64)
             if "object in millimetres" in changes:
-                seen[:, :3, 3] *= 1e-3
+                objects[:, :3, 3] *= 1e-3
             try:
-                if fits(seen, solve(A, seen)):
+                if fits(objects, solve(A, objects)):
                     return changes
-            except InputError:  # turns about one axis alone: it is not that
+            except InputError:  # rotations about one axis only: not this meaning
                 continue
     return ()
 

@@ -11,7 +11,7 @@ from huepose.geometry.arrays import Float, Float64, Int32
 
 @lru_cache(maxsize=8)
 def directions(level: int) -> Float64:
-    """Unit vectors (V, 3): 12, 42, 162, 642 for levels 0 to 3; order is fixed, read-only."""
+    """Unit vectors (V, 3), read-only, in a fixed order: 12, 42, 162, 642 for levels 0 to 3."""
     phi = (1 + 5**0.5) / 2
     corners = [(0.0, s, t * phi) for s in (1.0, -1.0) for t in (1.0, -1.0)]
     points = np.array([np.roll(c, k) for k in range(3) for c in corners])
@@ -49,15 +49,15 @@ def directions(level: int) -> Float64:
 
 
 def neighbours(level: int) -> Int32:
-    """Indices (V, 6) of the six nearest vertices of each, those that share an edge with it among them. Who
-    goes from any vertex on to the neighbour nearest to a direction comes to the vertex nearest to it."""
+    """Indices (V, 6) of the six nearest vertices of each vertex, with all that share an edge with it. From
+    any vertex, steps to the neighbour nearest to a direction lead to the vertex nearest to it."""
     vertices = directions(level)
     return np.argsort(-(vertices @ vertices.T), axis=1, kind="stable")[:, 1:7].astype(np.int32)
 
 
 def look_at(direction: Float) -> Float64:
-    """Rotation R_cam_obj (3, 3) of a camera that stands in `direction` (3,) of the object and looks at its
-    origin; image up is the object's z where that is defined, else its x."""
+    """Rotation R_cam_obj (3, 3) of a camera that is in `direction` (3,) from the object and looks at its
+    origin. Up in the image is the object's z axis, or its x axis if the camera looks nearly along z."""
     d = np.asarray(direction, np.float64) / np.linalg.norm(direction)
     up = np.array([0.0, 0.0, 1.0]) if abs(d[2]) < 0.95 else np.array([1.0, 0.0, 0.0])
     x = np.cross(-d, up)

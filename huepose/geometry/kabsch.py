@@ -15,14 +15,13 @@ REFINEMENTS = 5
 """Rounds of reweighting after the best triple."""
 
 INLIER_M, MIN_INLIERS, TRIALS = 0.006, 8, 60
-"""Of a motion between two frames: residual of a believed pair, metres; so many of them make a motion; triples
-that are tried."""
+"""For `motion`: largest residual of an inlier, metres; fewest inliers; number of triples that are tried."""
 
 
 def fit(source: Float, target: Float, weights: Float | None = None) -> Float64:
     """Least-squares rigid T_target_source (4, 4) of paired points (N, 3), N >= 3, weights (N,) >= 0.
 
-    Raises ValueError with fewer than three pairs or when the weights are all zero.
+    Raises ValueError for fewer than three pairs, or if all weights are zero.
     """
     p, q = np.asarray(source, np.float64), np.asarray(target, np.float64)
     w = np.ones(len(p)) if weights is None else np.asarray(weights, np.float64)
@@ -37,10 +36,11 @@ def fit(source: Float, target: Float, weights: Float | None = None) -> Float64:
 
 
 def motion(source: Float, target: Float, weights: Float | None = None) -> Float64 | None:
-    """The motion T_target_source (4, 4) of one surface between two frames from paired points (N, 3), wrong
-    ones among them; None where fewer than MIN_INLIERS agree with it.
+    """The motion T_target_source (4, 4) of one surface between two frames, from paired points (N, 3) with
+    outliers among them; None for fewer than MIN_INLIERS inliers.
 
-    Triples are drawn in proportion to `weights` (N,). The same pairs give the same motion.
+    Triples are drawn in proportion to `weights` (N,), from a fixed seed: the same pairs give the same
+    motion.
     """
     p, q = np.asarray(source, np.float64), np.asarray(target, np.float64)
     n = len(p)
@@ -65,7 +65,7 @@ def motion(source: Float, target: Float, weights: Float | None = None) -> Float6
 
 
 def fit_triples(p: Float64, q: Float64) -> tuple[Float64, Float64]:
-    """Rigid fits of many triples at once: p, q (K, 3, 3) points by rows; returns R (K, 3, 3), t (K, 3)."""
+    """Rigid fits of many triples at once. p, q (K, 3, 3): one point per row; gives R (K, 3, 3), t (K, 3)."""
     p0, q0 = p.mean(1), q.mean(1)
     H = np.einsum("kni,knj->kij", p - p0[:, None], q - q0[:, None])
     U, _, Vt = np.linalg.svd(H)

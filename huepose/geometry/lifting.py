@@ -1,4 +1,4 @@
-"""Pixels lifted to 3D with depth that is never averaged over an occlusion edge."""
+"""Lifts pixels to 3D. Depth is never averaged across an occlusion edge."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from huepose.geometry.camera import Camera
 
 EDGE_M = 0.006
 EDGE_SHARE = 0.012
-"""Four neighbouring readings that differ by more than this and this share of the distance belong to two
-surfaces."""
+"""Neighbouring readings belong to two surfaces if they differ by more than EDGE_M plus EDGE_SHARE of the
+distance."""
 
 
 def lift(depth: Float32, camera: Camera, pixels: Float) -> tuple[Float64, Bool]:
-    """Points (N, 3), camera axes, of pixels (N, 2) on a depth image (H, W), and which of them are known (N,).
+    """Points (N, 3), camera axes, of pixels (N, 2) of a depth image (H, W), and which are known (N,).
 
-    Depth is bilinear where the four readings belong to one surface. At an edge the reading of the nearest
-    pixel counts if a second one of the four confirms it; otherwise, without a reading or outside, it is
-    unknown.
+    Depth is interpolated bilinearly if the four readings around a pixel belong to one surface. At an edge
+    the nearest reading is taken if one other of the four agrees with it. In all other cases, also outside
+    the image, the point is unknown.
     """
     p = np.asarray(pixels, np.float64)
     height, width = depth.shape
@@ -35,7 +35,7 @@ def lift(depth: Float32, camera: Camera, pixels: Float) -> tuple[Float64, Bool]:
     one_surface = agree.all(1)
     z = np.where(one_surface, (corners * shares).sum(1), nearest)
     known = inside & (nearest > 0) & (agree.sum(1) >= 2)
-    # A reading that is kept from its own pixel is a point on that pixel's ray.
+    # A reading that is not interpolated is a point on the ray of its own pixel.
     at = np.stack([x0 + (shares.argmax(1) % 2), y0 + shares.argmax(1) // 2], 1)
     points = camera.backproject(np.where(one_surface[:, None], p, at), np.where(known, z, 0.0))
     return np.where(known[:, None], points, 0.0), known

@@ -14,8 +14,8 @@ from huepose.geometry.arrays import Float32, Float64, Int32, UInt8
 class Mesh:
     """vertices (V, 3) float32 metres; faces (F, 3) int32; uv (F, 3, 2) float32 per face corner in texture
     coordinates (u right, v *down*, 0..1 over the whole image: u * W - 0.5 is a column); texture (H, W, 3)
-    uint8 RGB. A mesh with colours per vertex is given a texture by its reader: nobody else has two cases.
-    digest: of the file that it is from, under which what is derived from it is kept, or None."""
+    uint8 RGB. If a file has colours per vertex, its reader makes a texture of them. digest: of the mesh's
+    file, the key of cached data that are derived from the mesh, or None."""
 
     vertices: Float32
     faces: Int32
@@ -25,16 +25,16 @@ class Mesh:
 
     @cached_property
     def bounds(self) -> Float64:
-        """Least and greatest coordinates (2, 3), which everyone shares: not to be written to."""
+        """Least and greatest coordinates (2, 3). Do not write to this array: all callers share it."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)]).astype(np.float64)
 
     @cached_property
     def centre(self) -> Float64:
-        """Centre of the bounding box (3,), which everyone shares: not to be written to."""
+        """Centre of the bounding box (3,). Do not write to this array: all callers share it."""
         return np.asarray((self.vertices.min(0) + self.vertices.max(0)) / 2.0, dtype=np.float64)
 
     def content(self) -> bytes:
-        """All that is drawn of it, of which digests are made."""
+        """All data that rendering uses, as bytes for a digest."""
         return b"".join(array.tobytes() for array in (self.vertices, self.faces, self.uv, self.texture))
 
     def face_normals(self) -> tuple[Float64, Float64]:

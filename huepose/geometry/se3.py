@@ -1,8 +1,8 @@
 """Rigid transforms as 4x4 arrays; `T_a_b` maps b coordinates into a. Rotation vectors in radians.
 
-A twist is `[v, w]` (translation first) and is applied on the left in camera axes about the object's
-origin where a covariance or a velocity is meant (see `perturb`); `exp` and `log` are the usual SE(3) maps.
-A covariance of a pose is of such twists, (6, 6): order tx ty tz rx ry rz, metres and radians.
+A twist is `[v, w]`, translation first. `exp` and `log` are the usual SE(3) maps of twists. Covariances and
+velocities use the motion of `perturb` instead: along camera axes, about the object's origin. A covariance
+of a pose is (6, 6), in the order tx ty tz rx ry rz, in metres and radians.
 """
 
 from __future__ import annotations
@@ -14,15 +14,16 @@ import numpy as np
 from huepose.geometry.arrays import Float, Float64
 
 ROUNDED = 1e-2
-"""A transform whose numbers were rounded in a file is rigid to this tolerance."""
+"""Tolerance of `is_rigid` for a transform whose numbers were rounded in a file."""
 
 NEARLY_ORTHONORMAL = 1e-7
-"""Up to this norm of I - R^T R one step of Newton and Schulz, which squares it, ends at machine precision."""
+"""Largest norm of I - R^T R at which one Newton-Schulz step, which squares it, reaches machine
+precision."""
 
 
 def make(R: Float, t: Float) -> Float64:
     """4x4 transform from a 3x3 rotation and a translation (3,)."""
-    T = _AT_REST.copy()
+    T = _IDENTITY.copy()
     T[:3, :3] = R
     T[:3, 3] = t
     return T
@@ -36,7 +37,7 @@ def inverse(T: Float) -> Float64:
 def orthonormalised(T: Float) -> Float64:
     """The nearest rigid transform to `T` (4, 4): singular values of its rotation set to one, det +1."""
     (a, b, c, x), (d, e, f, y), (g, h, i, z) = np.asarray(T, np.float64)[:3].tolist()
-    # Half of I - R^T R, which is symmetric. As plain numbers, for it is done some hundred times a frame.
+    # Half of I - R^T R, which is symmetric. In plain numbers, because it runs some hundred times per frame.
     xx, xy = 0.5 * (1.0 - a * a - d * d - g * g), -0.5 * (a * b + d * e + g * h)
     yy, xz = 0.5 * (1.0 - b * b - e * e - h * h), -0.5 * (a * c + d * f + g * i)
     zz, yz = 0.5 * (1.0 - c * c - f * f - i * i), -0.5 * (b * c + e * f + h * i)
@@ -56,10 +57,10 @@ def orthonormalised(T: Float) -> Float64:
     return make(U @ Vt, T[:3, 3])
 
 
-_AT_REST, _ORIGIN = np.eye(4), np.zeros(3)
+_IDENTITY, _ORIGIN = np.eye(4), np.zeros(3)
 
 ACCELERATION = np.array([4.0, 4.0, 4.0, 20.0, 20.0, 20.0])
-"""RMS of what may have happened to a body that is not seen, m/s^2 and rad/s^2."""
+"""Assumed RMS acceleration of a body that is not measured, m/s^2 and rad/s^2."""
 
 
 def compose(*transforms: Float) -> Float64:
@@ -171,8 +172,8 @@ def log(T: Float) -> Float64:
 
 
 def interpolate(T_0: Float, T_1: Float, s: float, about: Float = _ORIGIN) -> Float64:
-    """Pose between `T_0` (s = 0) and `T_1` (s = 1): shortest rotation, and straight translation of a point
-    (3,) of what moves, its origin where nothing else is said."""
+    """Pose between `T_0` (s = 0) and `T_1` (s = 1). It rotates the shortest way, and the point `about` (3,)
+    of the body, by default its origin, moves on a straight line."""
     R = T_0[:3, :3] @ rotation_exp(s * rotation_log(T_0[:3, :3].T @ T_1[:3, :3]))
     start, end = (T[:3, :3] @ about + T[:3, 3] for T in (T_0, T_1))
     return orthonormalised(make(R, (1 - s) * start + s * end - R @ about))
@@ -180,7 +181,7 @@ def interpolate(T_0: Float, T_1: Float, s: float, about: Float = _ORIGIN) -> Flo
 
 def perturb(T_cam_obj: Float, delta: Float) -> Float64:
     """Move a pose by `delta` = tx ty tz rx ry rz (6,): a small translation and a small rotation about the
-    object's origin, both along camera axes. The convention of every covariance and velocity here."""
+    object's origin, both along camera axes. All covariances and velocities use this convention."""
     T = np.array(T_cam_obj, np.float64)
     T[:3, :3] = rotation_exp(delta[3:]) @ T[:3, :3]
     T[:3, 3] += delta[:3]
@@ -215,9 +216,9 @@ def angles_to(rotations: Float, reference: Float) -> Float64:
 
 
 def carrying(lever: Float) -> Float64:
-    """The matrix (6, 6) that takes a small motion about one point of a body to the same motion about another,
-    lever (3,) from the first to the second, metres, camera axes. So a covariance C about the first is
-    `carrying(lever) @ C @ carrying(lever).T` about the second.
+    """Matrix (6, 6) that converts a small motion about one point of a body into the same motion about
+    another. lever (3,): from the first point to the second, metres, camera axes. A covariance C about the
+    first point is `carrying(lever) @ C @ carrying(lever).T` about the second.
 
     >>> carrying([0.0, 0.0, 2.0]) @ [0, 0, 0, 0.1, 0, 0]
     array([ 0. , -0.2,  0. ,  0.1,  0. ,  0. ])
@@ -228,8 +229,8 @@ def carrying(lever: Float) -> Float64:
 
 
 def along(R: Float) -> Float64:
-    """The matrix (6, 6) that takes twists to axes that R (3, 3) takes the old ones' coordinates to. So a
-    covariance C becomes `along(R) @ C @ along(R).T`.
+    """Matrix (6, 6) that rotates the coordinates of twists by R (3, 3). A covariance C becomes
+    `along(R) @ C @ along(R).T`.
 
     >>> along(rotation_exp([0.0, 0.0, np.pi / 2])).round() @ [1, 0, 0, 0, 1, 0]
     array([ 0.,  1.,  0., -1.,  0.,  0.])
@@ -245,16 +246,17 @@ def mahalanobis(T_a: Float, T_b: Float, covariance: Float) -> float:
 
 
 def grown(covariance: Float, seconds: float, lever: Float = _ORIGIN, unseen_s: float = 0.0) -> Float64:
-    """`covariance` (6, 6) after `seconds` without a measurement, in which the body may have been accelerated;
-    unseen_s: of which it has grown already.
+    """`covariance` (6, 6) after `seconds` more without a measurement, in which the body may have
+    accelerated.
 
-    lever (3,): from the point that the covariance is about to the one that is accelerated and that the body
-    turns about, its middle, metres, camera axes."""
+    unseen_s: seconds without a measurement for which the covariance has grown already. lever (3,): from the
+    point that the covariance is about to the centre of the body, about which it rotates; metres, camera
+    axes."""
     to_point = carrying(-np.asarray(lever))
     growth = _growth(unseen_s + seconds) - _growth(unseen_s)
     return np.asarray(covariance, np.float64) + to_point @ np.diag(growth) @ to_point.T
 
 
 def _growth(seconds: float) -> Float64:
-    """Variances (6,) after so long, m^2 and rad^2."""
+    """Variances (6,) after `seconds` of unknown acceleration, m^2 and rad^2."""
     return np.asarray((0.5 * ACCELERATION * seconds**2) ** 2)

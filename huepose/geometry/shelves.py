@@ -1,4 +1,4 @@
-"""Rectangles packed on shelves, as pictures into one texture."""
+"""Shelf packing of rectangles, for a texture atlas."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 
 def on_shelves(sizes: Sequence[tuple[int, int]], limit: int) -> tuple[list[tuple[int, int]], int, int]:
-    """Top-left places (x, y) of rectangles (height, width), the tallest first, on shelves that are as wide as
-    `limit` or as one rectangle; and the width and height of the whole.
+    """Top-left corners (x, y) of rectangles (height, width), and the width and height of the whole. The
+    tallest are placed first. A shelf is at most `limit` wide, or as wide as one wider rectangle.
 
     >>> on_shelves([(2, 3), (4, 3), (1, 3)], 6)
     ([(3, 0), (0, 0), (0, 4)], 6, 5)

@@ -1,4 +1,4 @@
-"""Greedy suppression: of poses close to each other only the best stays."""
+"""Greedy non-maximum suppression: of poses close to each other only the best is kept."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ ORIGIN = np.zeros(3)
 def first_different(
     poses: Float64, turn_rad: float, count: int, shift_m: float = np.inf, centre: Float64 = ORIGIN
 ) -> Int64:
-    """Indices (K,) of at most `count` poses (N, 4, 4), best first, that differ from all better ones by
-    `turn_rad`, or by `shift_m` at `centre` (3,) of the object; without a shift by their rotation alone."""
+    """Indices (K,) of at most `count` of the poses (N, 4, 4), sorted best first, that differ from all
+    chosen before by `turn_rad` in rotation, or by `shift_m` in the position of the object's point `centre`
+    (3,). By default only the rotation counts."""
     least_trace = 1.0 + 2.0 * float(np.cos(turn_rad))
     most = min(count, len(poses))
     return _different(poses, np.asarray(centre, np.float64), least_trace, float(shift_m), most)

@@ -69,7 +69,7 @@ def test_box_iou_and_mask_bounds():
     [(1, 2, 0, 5), (1, 2, 5, -5), (640, 2, 30, 50), (-30, 2, 30, 50), (1, 480, 30, 50), (np.nan, 2, 30, 50)],
 )
 def test_a_given_box_without_a_pixel_of_the_picture_is_refused_with_its_size(numbers):
-    with pytest.raises(InputError, match="in the picture of 640 x 480"):
+    with pytest.raises(InputError, match="in the image of 640 x 480"):
         given_box(numbers, (640, 480))
 
 
@@ -101,7 +101,7 @@ def test_depth_of_another_type_is_told_what_it_is_most_likely(dtype: type, fix: 
     ("color", "fix"),
     [
         (np.zeros((480, 640, 4), np.uint8), r"color\[..., :3\]"),
-        (np.zeros((480, 640), np.uint8), "without colour does not do"),
+        (np.zeros((480, 640), np.uint8), "A grey image is not enough"),
         (np.zeros((480, 640, 3), np.float32), r"\(color \* 255\).astype"),
         (np.zeros((240, 320, 3), np.uint8), "belong together"),
     ],
@@ -114,7 +114,7 @@ def test_a_colour_image_of_another_form_is_refused_with_what_to_do(color: np.nda
 def test_a_frame_without_depth_or_camera_is_refused_with_what_to_do() -> None:
     camera = Camera(600.0, 600.0, 4.0, 3.0, 8, 6)
     color, depth = np.zeros((6, 8, 3), np.uint8), np.ones((6, 8), np.float32)
-    with pytest.raises(InputError, match=r"depth image: found None; expected a numpy array. Every picture"):
+    with pytest.raises(InputError, match=r"depth image: found None; expected a numpy array. Every frame"):
         RgbdFrame(color, None, camera)  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"camera: found ndarray; expected a Camera. Make one: Camera"):
         RgbdFrame(color, depth, np.eye(3))  # type: ignore[arg-type]

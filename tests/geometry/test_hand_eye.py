@@ -63,7 +63,7 @@ def test_moves_that_cannot_tell_are_refused() -> None:
         hand_eye.solve(*measured(8, axis=np.array([0.0, 0.0, 1.0])))
     A, B = measured(8)
     A[:, :3, :3] = np.eye(3)
-    with pytest.raises(InputError, match=r"found next to no turns of the hand \(0\.0 degrees\); expected"):
+    with pytest.raises(InputError, match=r"found almost no rotation of the hand \(0\.0 degrees\); expected"):
         hand_eye.solve(A, B)
     with pytest.raises(InputError, match="3 measurements"):
         hand_eye.solve(*measured(3))

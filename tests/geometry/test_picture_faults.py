@@ -65,7 +65,7 @@ def test_depth_a_tenth_of_what_it_is_is_asked_about(good: RgbdFrame) -> None:
     assert depth_doubted(good) is None
     said = depth_doubted(replace(good, depth=good.depth / np.float32(10.0)))
     assert said is not None
-    assert said.startswith("Half of all depth is nearer than 0.1 m: is that so")
+    assert said.startswith("Half of all depth is nearer than 0.1 m: is this right")
     assert depth_doubted(replace(good, depth=np.zeros_like(good.depth))) is None
 
 
@@ -100,7 +100,7 @@ def test_black_and_grey_pictures_are_named(good: RgbdFrame) -> None:
     black = bad_picture(replace(good, color=good.color // np.uint8(40)), DIAMETER_M)
     grey = bad_picture(replace(good, color=np.repeat(good.color[..., :1], 3, axis=2)), DIAMETER_M)
     assert black is not None
-    assert black.startswith("The picture is black")
+    assert black.startswith("The image is black")
     assert grey is not None
     assert grey == NO_COLOUR
 
@@ -110,8 +110,8 @@ def test_black_and_grey_pictures_are_named(good: RgbdFrame) -> None:
     [
         ({}, None),
         ({"cx": 305.0, "cy": 250.0, "fy": 610.0}, None),
-        ({"cx": 280.0}, "cx 280, cy 240, 40 px from the middle of 640 x 480"),
-        ({"cy": 300.0}, "cx 320, cy 300, 60 px from the middle of 640 x 480"),
+        ({"cx": 280.0}, "cx 280, cy 240, 40 px from the centre of 640 x 480"),
+        ({"cy": 300.0}, "cx 320, cy 300, 60 px from the centre of 640 x 480"),
         ({"fx": 450.0}, "fx 450 and fy 600"),
     ],
 )

@@ -303,7 +303,7 @@ def test_without_json_an_answer_is_a_line(files: list[str], printed: Says) -> No
     [
         (["--box", "1", "2", "0", "5"], "--box: found 1 2 0 5; expected X Y W H (left, top, width, height)"),
         (["--box", "nan", "2", "30", "50"], "--box: found nan 2 30 50"),
-        (["--box", "5000", "2", "30", "50"], "and in the picture of 640 x 480"),
+        (["--box", "5000", "2", "30", "50"], "and in the image of 640 x 480"),
         (["--box", "1", "2", "30", "50", "--object", "coffee"], "coffee"),
     ],
 )

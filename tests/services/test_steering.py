@@ -104,7 +104,7 @@ def test_a_box_outside_of_the_picture_is_refused_once_its_size_is_known(objects,
     done, text = objects.decide(outside)
     assert not done
     assert "found 900 100 50 50" in text
-    assert "in the picture of 640 x 480" in text
+    assert "in the image of 640 x 480" in text
     assert objects.orders() == []
     objects.picture_size = None
     assert objects.decide(outside)[0]

@@ -1,1 +1,1 @@
-"""Arrays in, picture out: overlays, contact sheets, depth as colours, plots."""
+"""Pictures made of arrays: overlays, contact sheets, depth as colours, plots."""

@@ -1,4 +1,5 @@
-"""A plot's frame: axes with round ticks, a grid, labels, a legend. Data are drawn in their own units."""
+"""The canvas of a plot: axes with round ticks, a grid, labels, a legend. Data are drawn in their own
+units."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ Colour = tuple[int, int, int]
 FONT, PAPER = cv2.FONT_HERSHEY_SIMPLEX, 248
 INK: Colour = (40, 40, 40)
 PALE: Colour = (225, 225, 225)
-# Okabe and Ito's colours, told apart also by those who do not see all of them.
+# The colours of Okabe and Ito, which colour-blind people can distinguish, too.
 COLOURS: tuple[Colour, ...] = (
     (0, 114, 178),
     (213, 94, 0),
@@ -31,7 +32,7 @@ _SEARCH_PX = 2
 
 
 def ticks(low: float, high: float, about: int = 6) -> list[float]:
-    """Round numbers in [low, high]: steps of 1, 2 or 5 times a power of ten, about so many.
+    """About `about` round numbers in [low, high], in steps of 1, 2 or 5 times a power of ten.
 
     >>> ticks(0.0, 0.97)
     [0.0, 0.2, 0.4, 0.6, 0.8]
@@ -44,7 +45,8 @@ def ticks(low: float, high: float, about: int = 6) -> list[float]:
 
 
 def limits(values: Float, zero: bool = False) -> tuple[float, float]:
-    """A range that holds the finite values with 4 % of room; from zero where asked and possible."""
+    """A range that contains the finite values, with a margin of 4 %; with `zero` it starts at 0 if no value
+    is negative."""
     finite = np.asarray(values, np.float64)
     finite = finite[np.isfinite(finite)]
     if not len(finite):
@@ -58,7 +60,7 @@ def limits(values: Float, zero: bool = False) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
-    """A picture with axes; `x` and `y` are the ranges that its frame shows. Made by `Canvas.empty`."""
+    """A picture with axes; `x` and `y` are the ranges that it shows. `Canvas.empty` makes one."""
 
     picture: UInt8
     x: tuple[float, float]
@@ -74,7 +76,7 @@ class Canvas:
         size: tuple[int, int] = (720, 460),
         x_names: Sequence[str] | None = None,
     ) -> Canvas:
-        """Axes, grid and labels on white; size (width, height) px. `x_names` stand at 0, 1, 2..."""
+        """Axes, grid and labels on white; size (width, height) px. `x_names` label x = 0, 1, 2..."""
         canvas = Canvas(np.full((size[1], size[0], 3), 255, np.uint8), x, y)
         picture = canvas.picture
         for value in ticks(*y, about=7):
@@ -111,7 +113,7 @@ class Canvas:
         return np.stack([u, v], -1)
 
     def line(self, x: Float, y: Float, color: Colour, thickness: int = 2, dashed: bool = False) -> None:
-        """A line through points (N,), broken at nan, cut off at the frame; dashes are every second piece."""
+        """A line through points (N,), interrupted at nan and clipped to the axes, solid or dashed."""
         points: Float = np.stack([np.asarray(x, np.float64), np.asarray(y, np.float64)], -1)
         if dashed:
             points = _pieces(points, 40)
@@ -122,7 +124,7 @@ class Canvas:
                 cv2.line(inner, a, b, color, thickness, cv2.LINE_AA, _SHIFT)
 
     def dots(self, x: Float, y: Float, color: Colour, radius: float = 3.0) -> None:
-        """Discs at points (N,); those outside the frame are cut off."""
+        """Discs at points (N,), clipped to the axes."""
         inner = self._frame()
         points = np.stack([np.asarray(x, np.float64), np.asarray(y, np.float64)], -1)
         for at in self._fixed(points[np.isfinite(points).all(1)]):
@@ -135,7 +137,7 @@ class Canvas:
         cv2.rectangle(self._frame(), (low[0], low[1]), (high[0], high[1]), color, -1)
 
     def band(self, x0: float, x1: float, color: Colour) -> None:
-        """The whole height of the frame between two x, under what is drawn already."""
+        """A band between two x over the whole height, behind what is drawn already."""
         inner = self._frame()
         (left, _), (right, _) = (
             (round(u / 2**_SHIFT), v) for u, v in self._fixed(np.array([[x0, 0.0], [x1, 0.0]]))
@@ -149,8 +151,8 @@ class Canvas:
         _text(self.picture, text, (round(float(at[0])), round(float(at[1])) - 10), 0.46, "centre", 1, INK)
 
     def with_legend(self, names: Sequence[str], colors: Sequence[Colour]) -> UInt8:
-        """The picture with names and their colours: in the frame where nothing is drawn, first in a corner,
-        in several columns if only that fits; below the axes where no place is free."""
+        """The picture with a legend. It is placed where nothing is drawn: in a corner if possible, in
+        several columns if only that fits, below the axes if no place is free."""
         if not names:
             return self.picture
         inner = self._frame()
@@ -161,7 +163,7 @@ class Canvas:
         sums = cv2.integral(ink.astype(np.uint8))
 
         def covered(rows: int) -> tuple[int, int, int, int]:
-            """What the best place of that many rows hides, the rows, and the place."""
+            """For a legend of that many rows: the pixels that it covers at best, the rows, its x and y."""
             width, height = wide * -(-len(names) // rows), 20 * rows + 8
             right, bottom = max(0, inner.shape[1] - width - 8), max(0, inner.shape[0] - height - 8)
             corners = [(right, 8), (8, 8), (right, bottom), (8, bottom)]
@@ -192,11 +194,11 @@ class Canvas:
         return picture
 
     def _frame(self) -> UInt8:
-        """The part of the picture inside the axes."""
+        """The part of the picture inside the axes, a view."""
         return self.picture[_TOP:-_BOTTOM, _LEFT:-_RIGHT]
 
     def _fixed(self, points: Float) -> list[tuple[int, int]]:
-        """Sub-pixel positions in the frame, kept within what the drawing functions can hold."""
+        """Positions inside the axes in OpenCV's fixed-point pixels, clipped to a range that it can draw."""
         inner: Int32 = np.rint(np.clip(self.pixels(points) - (_LEFT, _TOP), -9000, 9000) * 2**_SHIFT).astype(
             np.int32
         )
@@ -223,7 +225,7 @@ def _text(
     thickness: int = 1,
     color: Colour = INK,
 ) -> None:
-    """Text whose left end, middle or right end is at a pixel, centred in height."""
+    """Text with its left end, middle or right end (`side`) at a pixel, centred vertically."""
     (width, height), _ = cv2.getTextSize(text, FONT, scale, thickness)
     x = at[0] - {"left": 0, "centre": width // 2, "right": width}[side]
     cv2.putText(picture, text, (x, at[1] + height // 2), FONT, scale, color, thickness, cv2.LINE_AA)
@@ -233,8 +235,8 @@ LINE_PX, MARGIN_PX = 18, 8
 
 
 def paragraph(text: str, width: int, scale: float = 0.45) -> UInt8:
-    """Text broken into lines on a strip of paper (H, width, 3) uint8 RGB. A word that is wider than the strip
-    stands in a line of its own, cut off."""
+    """Text broken into lines, a picture (H, width, 3) uint8 RGB. A word that is wider gets its own line and
+    is cut off."""
     lines: list[str] = []
     for words in (part.split() for part in text.split("\n")):
         line = ""

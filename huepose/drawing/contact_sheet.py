@@ -11,7 +11,7 @@ from huepose.drawing.canvas import FONT, PAPER
 from huepose.geometry.arrays import UInt8
 
 GAP_PX, LABEL_PX, LINE_PX = 6, 22, 16
-_SCALE, _SMALLEST = 0.5, 0.4  # of a label's letters; smaller ones cannot be read
+_SCALE, _SMALLEST = 0.5, 0.4  # scale of a label's letters, usual and smallest; smaller ones cannot be read
 
 
 def contact_sheet(
@@ -22,8 +22,9 @@ def contact_sheet(
 ) -> UInt8:
     """A page (H, W, 3) uint8 RGB of images (h, w, 3) or (h, w) uint8 in rows of `columns`, labels below them.
 
-    Each image is scaled, its proportions kept, into a cell (width, height), by default as large as the
-    largest image. Raises ValueError without images or when the labels are not as many.
+    Each image is scaled into a cell (width, height) and keeps its aspect ratio. By default a cell is as
+    wide as the widest and as high as the highest image. Raises ValueError for no images, or another number
+    of labels.
     """
     if not images or columns < 1:
         raise ValueError("a contact sheet needs at least one image and one column")
@@ -31,7 +32,7 @@ def contact_sheet(
         raise ValueError(f"{len(labels)} labels for {len(images)} images")
     width, height = cell or (max(i.shape[1] for i in images), max(i.shape[0] for i in images))
     lines = [_lines(label, width) for label in labels or ()]
-    strip = LABEL_PX + LINE_PX * (max(len(said) for said, _ in lines) - 1) if lines else 0
+    strip = LABEL_PX + LINE_PX * (max(len(texts) for texts, _ in lines) - 1) if lines else 0
     columns = min(columns, len(images))
     rows = -(-len(images) // columns)
     step_x, step_y = width + GAP_PX, height + strip + GAP_PX
@@ -39,15 +40,15 @@ def contact_sheet(
     for k, image in enumerate(images):
         x, y = GAP_PX + k % columns * step_x, GAP_PX + k // columns * step_y
         page[y : y + height, x : x + width] = fitted(image, width, height)
-        said, scale = lines[k] if lines else ([], 0.0)
-        for row, line in enumerate(said):
+        texts, scale = lines[k] if lines else ([], 0.0)
+        for row, line in enumerate(texts):
             at = x, y + height + 16 + row * LINE_PX
             cv2.putText(page, line, at, FONT, scale, (30, 30, 30), 1, cv2.LINE_AA)
     return page
 
 
 def fitted(image: UInt8, width: int, height: int) -> UInt8:
-    """The image scaled to fit and centred on paper (height, width, 3); enlarged pixels stay square."""
+    """The image scaled to fit and centred on a page (height, width, 3); enlarged pixels stay sharp."""
     rgb = np.repeat(image[..., None], 3, 2) if image.ndim == 2 else image
     factor = min(width / rgb.shape[1], height / rgb.shape[0])
     size = (max(1, round(rgb.shape[1] * factor)), max(1, round(rgb.shape[0] * factor)))
@@ -64,7 +65,7 @@ def _long(text: str, scale: float) -> int:
 
 
 def _lines(label: str, width: int) -> tuple[list[str], float]:
-    """A label in as few lines as keep its letters large enough, and their scale."""
+    """A label broken into as few lines as keep its letters readable, and the scale of its letters."""
     if _long(label, _SCALE) <= width:
         return [label], _SCALE
     lines = [""]

@@ -9,8 +9,8 @@ from huepose.geometry.arrays import Float, UInt8
 
 
 def depth_to_color(depth: Float) -> UInt8:
-    """Picture (H, W, 3) uint8 RGB of depth (H, W) metres: no reading black, the 1st percentile of what was
-    read blue, the 99th red."""
+    """Picture (H, W, 3) uint8 RGB of depth (H, W) metres. Pixels without a reading are black; the colours
+    go from blue at the 1st percentile of the readings to red at the 99th."""
     known = np.asarray(depth) > 0
     if not known.any():
         return np.zeros((*depth.shape, 3), np.uint8)

@@ -20,15 +20,16 @@ from huepose.geometry.se3 import apply
 
 AXES: tuple[Colour, Colour, Colour] = ((230, 60, 50), (60, 190, 70), (60, 110, 240))  # x, y, z
 STATE_COLOURS: dict[str, Colour] = {"TRACKING": (60, 220, 60), "SUSPECT": (255, 190, 40)}
-"""Of poses that may be acted on, and of those that may not."""
+"""Colours of poses that may be acted on, and of those that may not."""
 
 LABEL_SCALE = 0.5
 _SUBPIXEL_BITS = 4
-_LETTER_PX = 8.0  # of an axis beyond its tip
+_LETTER_PX = 8.0  # distance of an axis's letter from its tip
 
 
 def silhouette(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> Bool:
-    """Pixels (H, W) that a mesh covers at a pose; faces that reach behind the camera are left out."""
+    """Mask (H, W) of the pixels that a mesh covers at a pose; faces that reach behind the camera are left
+    out."""
     mask: UInt8 = np.zeros((camera.height, camera.width), np.uint8)
     corners = camera.project(apply(T_cam_obj, mesh.vertices))[mesh.faces]
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -43,7 +44,7 @@ def silhouette(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> Bool:
 
 
 class Body(NamedTuple):
-    """A mesh at a pose, the colour of its outline, and the label over it."""
+    """A mesh at a pose, the colour of its outline, and its label."""
 
     mesh: Mesh
     T_cam_obj: Float
@@ -52,8 +53,8 @@ class Body(NamedTuple):
 
 
 def draw_poses(image: UInt8, camera: Camera, bodies: Iterable[Body]) -> UInt8:
-    """The outlines of meshes at poses, their axes at their origins, and over all of it their labels, none of
-    which covers another where there is room."""
+    """The outlines of meshes at poses, their axes at their origins, and on top their labels, which do not
+    overlap if there is room."""
     picture, labelled = image, []
     for body in bodies:
         mask = silhouette(body.mesh, body.T_cam_obj, camera)
@@ -75,7 +76,7 @@ def draw_poses(image: UInt8, camera: Camera, bodies: Iterable[Body]) -> UInt8:
 
 
 def draw_mask_outline(image: UInt8, mask: Bool, color: Colour, thickness: int = 2) -> UInt8:
-    """The border of a mask (H, W), inner holes included."""
+    """The outline of a mask (H, W), with those of its holes."""
     picture = image.copy()
     outline, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     cv2.drawContours(picture, outline, -1, color, thickness, cv2.LINE_AA)
@@ -83,7 +84,7 @@ def draw_mask_outline(image: UInt8, mask: Bool, color: Colour, thickness: int = 
 
 
 def tint(image: UInt8, mask: Bool, color: Colour, strength: float = 0.45) -> UInt8:
-    """The pixels of a mask (H, W) mixed with a colour: 0 leaves them, 1 paints them over."""
+    """The pixels of a mask (H, W) mixed with a colour; strength: its share, 0 to 1."""
     picture = image.copy()
     picture[mask] = np.rint((1 - strength) * image[mask] + strength * np.array(color)).astype(np.uint8)
     return picture
@@ -92,9 +93,9 @@ def tint(image: UInt8, mask: Bool, color: Colour, strength: float = 0.45) -> UIn
 def draw_axes(
     image: UInt8, camera: Camera, T_cam_obj: Float, length_m: float, letters: bool = False
 ) -> UInt8:
-    """x red, y green, z blue from the object's origin, each `length_m` long, the farthest tip drawn first.
-    letters: at the tips, or where an axis leaves the picture, of axes that do not point at the camera or away
-    from it."""
+    """Axes x red, y green, z blue from the object's origin, each `length_m` long, the farthest tip drawn
+    first. letters: names the axes at their tips, or where they leave the image, except those along the line
+    of sight."""
     picture = image.copy()
     tips = apply(T_cam_obj, np.vstack([np.zeros(3), length_m * np.eye(3)]))
     pixels = camera.project(tips)
@@ -115,7 +116,8 @@ def draw_axes(
 
 
 def draw_way_out(image: UInt8, towards: Float, text: str) -> UInt8:
-    """An arrow to the picture's border in a direction (2,) of pixels, and in a corner what lies there."""
+    """An arrow to the image border in a direction (2,) of pixels, and in a corner a text that says what is
+    there."""
     picture = image.copy()
     size = np.array(image.shape[1::-1], np.float64)
     way = np.asarray(towards, np.float64) / np.linalg.norm(towards)
@@ -126,7 +128,7 @@ def draw_way_out(image: UInt8, towards: Float, text: str) -> UInt8:
 
 
 def _put_inside(picture: UInt8, letter: str, at: Float) -> None:
-    """A letter whose lower left corner is at a pixel (2,), moved so that all of it lies inside."""
+    """A letter with its lower left corner at a pixel (2,), moved so that it lies inside the image."""
     (width, height), base = cv2.getTextSize(letter, FONT, LABEL_SCALE, 1)
     low, high = (1, height + 1), (picture.shape[1] - width - 1, picture.shape[0] - base - 1)
     x, y = np.rint(np.clip(at, low, high)).astype(int).tolist()
@@ -136,7 +138,8 @@ def _put_inside(picture: UInt8, letter: str, at: Float) -> None:
 def draw_label(
     image: UInt8, text: str, at: tuple[float, float], color: Colour, scale: float = LABEL_SCALE
 ) -> UInt8:
-    """Text on a plate of `color` whose lower left corner is `at`, moved so that it lies inside the image."""
+    """Text on a filled box of `color` with its lower left corner `at`, moved so that it lies inside the
+    image."""
     picture = image.copy()
     x, y, width, height = (int(v) for v in _plate(image, text, at, scale))
     cv2.rectangle(picture, (x, y), (x + width - 1, y + height - 1), color, -1)
@@ -147,7 +150,7 @@ def draw_label(
 
 
 def _plate(image: UInt8, text: str, at: tuple[float, float], scale: float) -> Box:
-    """Whole pixels of a label."""
+    """The filled box of a label, in whole pixels inside the image."""
     (width, height), base = cv2.getTextSize(text, FONT, scale, 1)
     width, height = width + 8, height + base + 6
     x = int(np.clip(at[0], 0, max(0, image.shape[1] - width)))

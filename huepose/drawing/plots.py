@@ -24,8 +24,8 @@ def line_plot(
     bands: Sequence[tuple[float, float, Colour]] = (),
     size: tuple[int, int] = (720, 460),
 ) -> UInt8:
-    """Lines by name: x (N,), y (N,), broken where either is nan; with dots at the points when `marks`; over
-    bands from one x to another in their colours."""
+    """A line for each name: x (N,), y (N,), interrupted where either is nan; marks: a dot at each point;
+    bands: coloured backgrounds from one x to another."""
     every = [np.empty(0), *(np.asarray(v, np.float64) for pair in series.values() for v in pair)]
     x_shown = x_range or limits(np.concatenate(every[1::2] or [np.empty(0)]))
     y_shown = y_range or limits(np.concatenate(every[2::2] or [np.empty(0)]), zero=True)
@@ -48,7 +48,7 @@ def bar_chart(
     size: tuple[int, int] = (720, 460),
     notes: bool = True,
 ) -> UInt8:
-    """Bars side by side for each group, one per series, with their values on top when `notes`."""
+    """For each group one bar per series, side by side; notes: their values on top."""
     heights = np.array([list(v) for v in series.values()], np.float64).reshape(len(series), len(groups))
     span = y_range or (0.0, 1.22 * float(np.nanmax(heights, initial=1e-9)))
     canvas = Canvas.empty((-0.6, len(groups) - 0.4), span, title, "", y_label, size, x_names=groups)
@@ -69,16 +69,17 @@ def bar_chart(
 
 
 def beside(pictures: Sequence[UInt8]) -> UInt8:
-    """Pictures in a row, white below those that are less high."""
+    """Pictures in a row, filled up with white below the shorter ones."""
     height = max(len(picture) for picture in pictures)
     padded = [np.pad(one, ((0, height - len(one)), (0, 0), (0, 0)), constant_values=255) for one in pictures]
     return np.asarray(np.hstack(padded), np.uint8)
 
 
 def reliability_bins(quality: Float, right: Bool, bins: int = 10) -> tuple[Float, Float, Float]:
-    """Mean quality (B,), share that is right (B,) and count (B,) in bins of equal count, by quality.
+    """Mean quality (B,), share of right poses (B,) and count (B,) of bins with equal counts, sorted by
+    quality.
 
-    quality (N,) in 0..1; right (N,) bool. Fewer than `bins` where there are fewer values.
+    quality (N,) in 0..1; right (N,) bool. Fewer than `bins` bins if there are fewer values.
     """
     order = np.argsort(quality, kind="stable")
     parts = [part for part in np.array_split(order, bins) if len(part)]
@@ -88,7 +89,8 @@ def reliability_bins(quality: Float, right: Bool, bins: int = 10) -> tuple[Float
 
 
 def reliability_plot(quality: Float, right: Bool, bins: int = 10, title: str = "") -> UInt8:
-    """Stated quality against the share that is right, in bins of equal count; on the diagonal, both agree."""
+    """Stated quality against the share of right poses, in bins of equal count; on the diagonal both are
+    equal."""
     stated, true, count = reliability_bins(quality, right, bins)
     canvas = Canvas.empty((0.0, 1.0), (0.0, 1.0), title, "stated quality", "share that is right", (520, 480))
     canvas.line(np.array([0.0, 1.0]), np.array([0.0, 1.0]), INK, 1, dashed=True)

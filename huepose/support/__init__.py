@@ -1,1 +1,1 @@
-"""What every room needs and none owns: errors that say what to do, compiled kernels, progress."""
+"""What every package needs: errors that say what to do, files, caches, compiled kernels, progress."""

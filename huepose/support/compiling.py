@@ -1,7 +1,8 @@
-"""Says that kernels are being compiled: a first command on a computer would be silent for a minute or two.
+"""Shows that kernels are being compiled: otherwise a first command on a computer is silent for a minute or
+two.
 
-Kernels are counted as they get ready; all are known once their modules are imported. A command needs most of
-them and says "of up to", setup needs all.
+Compiled kernels are counted; their total is known once all modules are imported. A command needs most of
+them and says "of up to"; setup needs all.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from huepose.support.jit import KERNELS, NOT_KEPT, name_of
 from huepose.support.progress import Status, bar_is_drawn
 
 _FEWEST = 3
-"""Kernels after which something is known of how long the others take."""
+"""Kernels that are compiled before the remaining time is estimated."""
 
 
 class CompilingNotice(event.Listener):  # type: ignore[misc]  # numba has no types
-    """A line when the first kernel has to be compiled, then how many are, at the end how many were. say:
-    writes a line of a log; every: whether all kernels are going to be compiled."""
+    """Writes a line when the first kernel is compiled, then the number of compiled kernels, and a last
+    line. say: writes a line of a log; every: whether all kernels will be compiled."""
 
     def __init__(self, say: Callable[[str], None] | None = None, every: bool = False) -> None:
         self._say, self._every = say, every
@@ -30,14 +31,15 @@ class CompilingNotice(event.Listener):  # type: ignore[misc]  # numba has no typ
         self._status: Status | None = None
 
     def on_start(self, event: Any) -> None:
-        """A kernel, or one that it calls, begins to be compiled."""
+        """The compilation of a function starts."""
         if self._status is None:
             self._started, self._status = time.monotonic(), Status(say=self._say)
             once = "" if NOT_KEPT else ", once"
             self._status.line(f"compiling kernels for this computer{once}: some seconds to two minutes")
 
     def on_end(self, event: Any) -> None:
-        """One is compiled. Those of numba itself, which a kernel calls, are not counted."""
+        """The compilation of a function has ended. Numba's own functions, which kernels call, are not
+        counted."""
         name = name_of(event.data["dispatcher"].py_func)
         if self._status is None or name not in KERNELS:
             return
@@ -56,7 +58,7 @@ class CompilingNotice(event.Listener):  # type: ignore[misc]  # numba has no typ
         return f"{text}, {'' if self._every else 'up to '}{left_s:.0f} s left"
 
     def finish(self) -> None:
-        """Nothing more is compiled."""
+        """Write the last line."""
         if self._status is not None and self._done:
             took_s = self._ended - self._started
             self._status.line(f"{len(self._done)} kernels compiled in {took_s:.0f} s")
@@ -66,7 +68,7 @@ class CompilingNotice(event.Listener):  # type: ignore[misc]  # numba has no typ
 def telling_of_compiling(
     say: Callable[[str], None] | None = None, every: bool = False
 ) -> Generator[None, None, None]:
-    """As long as the context lasts; on standard error, or through `say`."""
+    """A context in which a `CompilingNotice` writes to standard error, or through `say`."""
     notice = CompilingNotice(say, every)
     with event.install_listener("numba:compile", notice):
         yield

@@ -1,4 +1,4 @@
-"""Names of a package that are imported when they are first used: who wants a type loads no kernels."""
+"""Names of a package that are imported at first use: a program that needs only a type loads no kernels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def deferred(package: str, homes: Mapping[str, str]) -> Callable[[str], Any]:
-    """The `__getattr__` of a package whose names live in these modules."""
+    """The `__getattr__` of a package; homes: the module that defines each of its names."""
 
     def get(name: str) -> Any:
         if name in homes:

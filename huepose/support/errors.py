@@ -1,4 +1,4 @@
-"""Errors for people: what was read, what was found, what was expected, what to do."""
+"""Errors for users: what was read, what was found, what was expected, what to do."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class InputError(ValueError):
 
 
 def require(value: object, kind: type | UnionType, what: object, expected: str, fix: str = "") -> None:
-    """Raises InputError where what a caller gave is of another type.
+    """Raises InputError if a value from a caller has another type.
 
     >>> require((1, 2), str, "a name", "text")
     Traceback (most recent call last):

@@ -1,4 +1,4 @@
-"""Which packages are installed, and how to install an extra of this one: from the place that it came from."""
+"""Which packages are installed, and the command that installs an extra of this package."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ PACKAGE = "huepose"
 
 
 def installed_version(package: str) -> str | None:
-    """The version of an installed package; None where it is not installed."""
+    """The version of a package; None if it is not installed."""
     try:
         return metadata.version(package)
     except metadata.PackageNotFoundError:
@@ -18,13 +18,13 @@ def installed_version(package: str) -> str | None:
 
 
 def install_command(extra: str) -> str:
-    """The pip command for an extra. It names the checkout or the wheel that was installed (PEP 610), because
-    no package index need have the package."""
+    """The pip command for an extra. It names the checkout or the wheel that was installed (PEP 610),
+    because the package may be on no package index."""
     try:
-        told = metadata.distribution(PACKAGE).read_text("direct_url.json")
+        record = metadata.distribution(PACKAGE).read_text("direct_url.json")
     except metadata.PackageNotFoundError:
-        told = None
-    origin = json.loads(told) if told else {}
+        record = None
+    origin = json.loads(record) if record else {}
     url = urlparse(origin.get("url", ""))
     if url.scheme != "file":
         return f"pip install '{PACKAGE}[{extra}]'"

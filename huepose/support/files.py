@@ -1,4 +1,4 @@
-"""Where the program keeps what it can make again, and how it writes a file: as a whole or not at all."""
+"""The cache folder, and how the program writes a file: completely or not at all."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 def cache_folder() -> Path:
-    """`$XDG_CACHE_HOME/huepose`, or `~/.cache/huepose`. Raises InputError where nobody says which."""
+    """`$XDG_CACHE_HOME/huepose`, or `~/.cache/huepose`. Raises InputError if neither is known."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else home_folder("XDG_CACHE_HOME") / ".cache") / "huepose"
 
 
 def home_folder(variable: str) -> Path:
-    """The user's. Raises InputError where there is none; variable: of the environment, it says where to put
-    things instead."""
+    """The user's home folder. Raises InputError if there is none; variable: the environment variable with
+    which the user can name another folder."""
     try:
         return Path.home()
     except RuntimeError:
@@ -33,14 +33,14 @@ def home_folder(variable: str) -> Path:
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A path beside this one to write to, which then takes its place: nobody ever reads a part of a file.
-    What the disk refuses is an OSError that names this path."""
+    """A temporary path beside `path` to write to. At the end it replaces `path`, so that no process ever
+    reads an incomplete file. An OSError from the disk names `path`."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield part
         part.replace(path)
     except OSError as error:
-        if error.filename in (None, str(part)):  # none where an open file was written to
+        if error.filename in (None, str(part)):  # None after a write to an open file
             error.filename = str(path)
         raise
     finally:
@@ -51,7 +51,7 @@ def whole(path: Path) -> Iterator[Path]:
 def writing(
     place: Path | str, expected: str = "a place that can be written", fix: str = ""
 ) -> Iterator[None]:
-    """What the disk refuses inside becomes an InputError about this place."""
+    """An OSError inside the context becomes an InputError about `place`."""
     try:
         yield
     except OSError as error:
@@ -59,8 +59,8 @@ def writing(
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file, whole or not at all; in its place where it is a link or a device, which stays one, or
-    where its folder takes nothing new. Makes missing folders. Raises InputError."""
+    """Write a file, completely or not at all. A link or a device, and a file in a folder that is not
+    writable, are written in place instead. Makes missing folders. Raises InputError."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         there = path.exists()
@@ -72,13 +72,13 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """The same with a text."""
+    """`write_bytes` for a text."""
     write_bytes(Path(path), text.encode())
 
 
 def write_picture(path: Path, picture: np.ndarray) -> None:
-    """Write an RGB picture (H, W, 3) uint8, or a grey one (H, W), as its ending says, PNG without one. Makes
-    missing folders. Raises InputError."""
+    """Write an RGB picture (H, W, 3) uint8, or a grey one (H, W). The ending of the path says the format,
+    PNG without one. Makes missing folders. Raises InputError."""
     import cv2
     import numpy as np
 
@@ -89,7 +89,8 @@ def write_picture(path: Path, picture: np.ndarray) -> None:
 
 
 def check_picture(path: Path) -> str:
-    """The ending of a picture's kind, PNG's without one. Raises InputError for one that cannot be written."""
+    """The ending of a picture's path, .png without one. Raises InputError if this format cannot be
+    written."""
     import cv2
 
     ending = path.suffix.lower() or ".png"
@@ -99,8 +100,8 @@ def check_picture(path: Path) -> str:
 
 
 def check_place(path: Path, makes_folders: bool = True) -> None:
-    """Raises InputError unless something can be written there: asked before the work, not after it.
-    makes_folders: whether those that are missing are made then."""
+    """Raises InputError unless `path` can be written; call it before the work, not after it. makes_folders:
+    whether the later write makes missing folders."""
     path = path.absolute()
     with writing(path):
         there = next(p for p in (path, *path.parents) if p.exists())
@@ -116,8 +117,8 @@ def check_place(path: Path, makes_folders: bool = True) -> None:
 
 
 def _can_be_written(there: Path) -> bool:
-    """Whether a file, or something new in a folder, can be written. Permissions alone do not tell: no user
-    can make anything in /proc."""
+    """Whether a file can be written, or a new file in a folder. Permissions alone are not enough: no user
+    can make a file in /proc."""
     if not os.access(there, os.W_OK):
         return False
     if not there.is_dir():

@@ -1,11 +1,11 @@
-"""The one way to compile a numeric kernel: numba, cached on disk where a cache folder can be written.
+"""The only way to compile a numeric kernel: numba, cached on disk if a cache folder can be written.
 
-Where neither site-packages nor the home folder is writable (a hardened service), numba refuses at
-import to cache; such a kernel is compiled without a cache then, and a line says so and names the variable to
+If neither site-packages nor the home folder is writable (a hardened service), numba refuses to cache and
+raises at import. Then the kernel is compiled without a cache, and a line says so and names the variable to
 set.
 
-Numba takes a cached kernel for fresh while its own source file is the same, though it holds the machine code
-of every kernel that it calls. Here a kernel is fresh while all source files with kernels are.
+A cached kernel contains the machine code of all kernels that it calls, but numba uses it as long as its own
+source file is unchanged. Here it is used only as long as all source files with kernels are unchanged.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ import numba
 F = TypeVar("F", bound=Callable[..., Any])
 
 KERNELS: set[str] = set()
-"""The names of all kernels of the modules that were imported so far."""
+"""Names of all kernels in the modules that are imported so far."""
 
 NOT_KEPT: set[str] = set()
-"""Those of them that are compiled anew at each start."""
+"""Names of the kernels that are not cached, but compiled again at each start."""
 
 
 def name_of(function: Callable[..., Any]) -> str:
-    """As in KERNELS."""
+    """The name of a kernel in KERNELS."""
     return f"{function.__module__}.{function.__qualname__}"
 
 
 def jit(function: F) -> F:
-    """Compile `function` in nopython mode, releasing the interpreter lock, with fast floating point."""
+    """Compile `function` in nopython mode, with fast floating point; it releases the interpreter lock."""
     return _compiled(function, {})
 
 
 def jit_dividing(function: F) -> F:
-    """The same, and a division by zero gives inf or nan as in NumPy where `jit` raises: without that check in
-    the way, the compiler works on several numbers at once."""
+    """`jit`, but a division by zero gives inf or nan as in NumPy, and does not raise. Without this check
+    the compiler can vectorise."""
     return _compiled(function, {"error_model": "numpy"})
 
 
@@ -54,21 +54,21 @@ def _compiled(function: F, more: dict[str, Any]) -> F:
             raise
         if not NOT_KEPT:
             text = (
-                "kernels are compiled anew at each start, which takes up to two minutes: there is no folder "
-                "to keep them in. Set NUMBA_CACHE_DIR to one that can be written"
+                "kernels are compiled anew at each start, which takes up to two minutes: there is no "
+                "writable folder to keep them in. Set NUMBA_CACHE_DIR to a writable folder"
             )
             print(text, file=sys.stderr, flush=True)
         NOT_KEPT.add(name_of(function))
         return cast(F, numba.njit(**options)(function))
-    if not numba.config.DISABLE_JIT:  # else it is the function itself
+    if not numba.config.DISABLE_JIT:  # otherwise `kernel` is the plain function
         kernel._cache._cache_file._source_stamp = kernel_sources()
-        _forgive(kernel._cache)
+        _ignore_outdated(kernel._cache)
     return cast(F, kernel)
 
 
-def _forgive(kept: Any) -> None:
-    """Compile anew where a cache names modules or classes that are no more: an older version of the package
-    wrote it."""
+def _ignore_outdated(kept: Any) -> None:
+    """Compile again if a cache names modules or classes that no longer exist: an older version of the
+    package wrote it."""
     load = kept.load_overload
 
     def load_overload(*arguments: Any) -> Any:
@@ -83,7 +83,7 @@ def _forgive(kept: Any) -> None:
 
 @cache
 def kernel_sources() -> str:
-    """A digest of all source files of the package that hold kernels."""
+    """A digest of all source files of the package with kernels."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         text = path.read_bytes()

@@ -1,9 +1,11 @@
-"""What is derived from a file, made once: kept in the cache folder and mapped by every process that needs it.
+"""Data that are derived from a file: computed once, kept in the cache folder, and mapped into every process
+that needs them.
 
-The processes of a machine share what they read of it, and what nobody looks at takes no memory. It is made
-anew for another file, and by another version of this package or of the libraries that compute it.
+The processes of a machine share the memory of what they read, and what no process reads takes no memory.
+The data are computed again for another file, and by another version of this package or of the libraries
+that it uses.
 
-What is made once for each object in memory (`once_for_each`) is kept as long as that object lives.
+`once_for_each` caches in memory: one result for each object, kept as long as the object exists.
 """
 
 from __future__ import annotations
@@ -35,19 +37,19 @@ from huepose.support.files import cache_folder, whole
 T = TypeVar("T")
 
 UNUSED_DAYS = 30
-"""What nobody has asked for as long is removed."""
+"""Cached data that no process has read for so many days are removed."""
 
 VERSIONS = 2
-"""So many versions of one file's are left: the running one's and the one before."""
+"""Versions of the code whose data are kept for one file: the running one and the one before."""
 
 ALIGNMENT = 64
-"""Bytes: of each array's first element; NumPy aligns the data within its own files to as many."""
+"""Alignment of each array's first element, bytes; NumPy's own files have the same."""
 
 
 def kept(kind: type[T], digest: str | None, make: Callable[[], T]) -> T:
-    """A dataclass of arrays, numbers and such dataclasses, as `make` gives it for the file of that digest;
-    what is written to its arrays, this process alone sees. Made and not kept where there is no digest, or no
-    folder that can be written."""
+    """What `make` derives from the file of that digest: a dataclass of arrays, numbers and such dataclasses.
+    Changes to its arrays are visible only to this process. Without a digest or a writable cache folder it is
+    made but not kept."""
     if digest is None:
         return make()
     try:
@@ -59,7 +61,7 @@ def kept(kind: type[T], digest: str | None, make: Callable[[], T]) -> T:
         if (found := _mapped(path)) is not None:
             return _assembled(kind, found)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _alone(path):
+        with _locked(path):
             if _mapped(path) is None:
                 _write(path, make())
                 _tidy(home)
@@ -71,7 +73,7 @@ def kept(kind: type[T], digest: str | None, make: Callable[[], T]) -> T:
 
 @cache
 def code_version() -> str:
-    """A digest of the package's source and weights, and of the libraries' versions."""
+    """A digest of the package's source and weights, and of the versions of the libraries."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*")):
         if path.suffix in (".py", ".json", ".onnx"):
@@ -81,7 +83,7 @@ def code_version() -> str:
 
 
 def _parts(value: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
-    """The arrays and numbers of a dataclass by name, those of one within it by both names."""
+    """The arrays and numbers of a dataclass by name; those of a nested dataclass as `.outer.inner`."""
     if is_dataclass(value):
         for field in fields(value):
             yield from _parts(getattr(value, field.name), f"{name}.{field.name}")
@@ -98,7 +100,7 @@ def _assembled(kind: type[T], parts: dict[str, np.ndarray], name: str = "") -> T
 
 
 def _write(path: Path, value: Any) -> None:
-    """The file appears whole or not at all, a power cut included: kernels trust what is in it."""
+    """Write the file completely or not at all, even in a power cut: kernels do not check its content."""
     parts = dict(_parts(value))
     end, where = 0, {}
     for name, array in parts.items():
@@ -117,10 +119,10 @@ def _write(path: Path, value: Any) -> None:
 
 
 def _mapped(path: Path) -> dict[str, np.ndarray] | None:
-    """The arrays of a file; None where there is none, or not a whole one."""
+    """The arrays of a file; None if there is no file, or not a complete one."""
     try:
         with path.open("rb") as file:
-            # A private mapping: what a process writes to its arrays, it alone sees.
+            # A private mapping: what a process writes to its arrays is visible only to itself.
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
     except (FileNotFoundError, ValueError):
         return None
@@ -144,31 +146,32 @@ def _mapped(path: Path) -> dict[str, np.ndarray] | None:
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Of several processes one makes it, and the others wait for it. What it is made of may be kept as well:
-    each has a lock of its own."""
+def _locked(path: Path) -> Iterator[None]:
+    """One of several processes makes the file, and the others wait. Each file has its own lock, because
+    making it may need other cached files."""
     with path.with_name(f".{path.name}.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 
 
 def _tidy(home: Path) -> None:
-    """Remove what other versions of the code made of a file, but the newest, and what belongs to files that
-    nobody asks for. Whoever has it mapped keeps it."""
+    """Remove a file's data of older versions of the code, except those of the VERSIONS last used, and the
+    data of files that are not used any more. A process that has them mapped keeps them."""
     by_use = sorted(home.iterdir(), key=lambda one: one.stat().st_mtime, reverse=True)
     for folder in (*by_use[VERSIONS:], *unused(home.parent.iterdir(), UNUSED_DAYS)):
         shutil.rmtree(folder, ignore_errors=True)
 
 
 def unused(places: Iterable[Path], days: float) -> list[Path]:
-    """Those of some files and folders that nobody has asked for in so many days: whoever asks for a file, or
-    for anything in a folder, sets its time."""
+    """The files and folders that no process has used for so many days. Each use sets the modification time
+    of the file, or of something in the folder."""
     long_ago = time.time() - days * 86400.0
     return [place for place in places if _last_asked(place) < long_ago]
 
 
 def _last_asked(place: Path) -> float:
-    """Seconds of the wall clock; of an empty folder, which somebody is about to fill, infinity."""
+    """Time of the last use, seconds of the wall clock; infinity for an empty folder, which is about to be
+    filled."""
     try:
         asked = [one.stat().st_mtime for one in (place.iterdir() if place.is_dir() else (place,))]
     except FileNotFoundError:  # another process removes it
@@ -181,8 +184,8 @@ V = TypeVar("V")
 
 
 def once_for_each(make: Callable[[K], V]) -> Callable[[K], V]:
-    """`make`, called once for each object: the result is kept until the object is gone, and threads that ask
-    meanwhile wait for it.
+    """`make`, called once for each object. The result is kept as long as the object exists; other threads
+    that ask for it meanwhile wait.
 
     >>> class Mesh: ...
     >>> of, mesh = once_for_each(lambda mesh: object()), Mesh()

@@ -1,4 +1,4 @@
-"""Units of length in which a mesh may be, and lengths in words."""
+"""Units of length of meshes, and lengths as text."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ NAMES: dict[Unit, str] = {
 }
 
 LIKELY: tuple[Unit, ...] = ("m", "mm")
-"""The units that are guessed where none is given, the likelier first."""
+"""Units that are assumed if none is given, the more likely first."""
 
 
 def length(metres: float) -> str:
-    """A length in the unit in which a person would say it.
+    """A length as text, in m, cm or mm by its size.
 
     >>> length(1.5), length(0.15), length(0.005)
     ('1.5 m', '15 cm', '5 mm')
@@ -31,7 +31,7 @@ def length(metres: float) -> str:
 
 
 def number(x: float) -> str:
-    """Four figures, and no power of ten where a person can do without.
+    """A number with four significant digits, without a power of ten up to 1e9.
 
     >>> number(120000.0), number(9.2)
     ('120000', '9.2')

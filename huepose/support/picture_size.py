@@ -1,4 +1,4 @@
-"""How large a picture is, read from its first bytes: a small file can hold more pixels than memory has room.
+"""The size of an image, read from its first bytes: a small file can hold more pixels than fit into memory.
 
 >>> picture_size(b"no picture") is None
 True
@@ -11,13 +11,13 @@ import struct
 from huepose.support.errors import InputError
 
 MAX_PIXELS = 2**26
-"""Of a camera's picture or a texture: 8192 x 8192."""
+"""Largest image of a camera, or texture: 8192 x 8192."""
 _PNG = b"\x89PNG\r\n\x1a\n"
 _NO_FRAME_MARKERS = (0xC4, 0xC8, 0xCC)
 
 
 def picture_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height of a PNG or a JPEG; None for anything else, and where its beginning is damaged."""
+    """Width and height of a PNG or a JPEG; None for other data, or if its beginning is damaged."""
     if data.startswith(_PNG):
         return struct.unpack_from(">II", data, 16) if len(data) >= 24 else None
     return _jpeg_size(data) if data.startswith(b"\xff\xd8") else None
@@ -35,7 +35,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int] | None:
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]
-        if marker == 0xFF:  # a byte that fills
+        if marker == 0xFF:  # a fill byte
             at += 1
         elif 0xC0 <= marker <= 0xCF and marker not in _NO_FRAME_MARKERS:
             height, width = struct.unpack_from(">HH", data, at + 5)

@@ -1,4 +1,4 @@
-"""Threads that work on the parts of one question at the same time, as compiled kernels let them."""
+"""Threads that work on the parts of one task in parallel; compiled kernels release the interpreter lock."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 Steps = Generator[None, None, R]
-"""Work that may be set aside wherever it yields, and goes on in another thread."""
+"""Work that may pause wherever it yields, and continue in another thread."""
 
 
 class Pool:
-    """So many threads; with one, whoever asks does the work."""
+    """A pool of `threads` threads; with one, the calling thread does the work."""
 
     def __init__(self, threads: int) -> None:
         self._threads = _started(threads) if threads > 1 else None
 
     def map(self, work: Callable[[T], R], parts: Sequence[T]) -> list[R]:
-        """What `work` gives for each part, in their order; listeners to stages hear all threads."""
+        """The result of `work` for each part, in their order. Stages in all threads reach the caller's
+        listener."""
         if self._threads is None or len(parts) <= 1:
             return [work(part) for part in parts]
         contexts = [copy_context() for _ in parts]
         return list(self._threads.map(lambda context, part: context.run(work, part), contexts, parts))
 
     def map_steps(self, work: Callable[[T], Steps[R]], parts: Sequence[T]) -> list[R]:
-        """The same for work in steps: a free thread takes the next step of the part that waited longest, so
-        that all threads are busy to the end. Two threads need the time of 1.5 parts for three of two steps,
-        not of 2."""
+        """`map` for work in steps. A free thread takes the next step of the part that has waited longest,
+        so that all threads are busy to the end: three parts of two steps take two threads the time of 1.5
+        parts, not 2."""
         if self._threads is None or len(parts) <= 1:
             return [finished(work(part)) for part in parts]
         threads, results = self._threads, [Future[R]() for _ in parts]
@@ -53,7 +54,7 @@ class Pool:
 
 
 def finished(steps: Steps[R]) -> R:
-    """What work in steps gives, all of them one after the other.
+    """Do all steps of the work one after another, and return its result.
 
     >>> def work():
     ...     yield
@@ -72,8 +73,8 @@ def finished(steps: Steps[R]) -> R:
 
 
 def _started(threads: int) -> ThreadPoolExecutor:
-    """With all its threads: one that is started when memory is short may end before it says that it runs, and
-    is waited for without end."""
+    """An executor with all its threads running. Started later, when memory is short, a thread may end
+    before it reports that it runs, and the program would wait for it forever."""
     pool, together = ThreadPoolExecutor(threads), Barrier(threads)
     list(pool.map(lambda _: together.wait(), range(threads)))
     return pool

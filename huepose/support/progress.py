@@ -1,4 +1,4 @@
-"""What is said while something takes longer than two seconds: a bar on a terminal, in a log some lines."""
+"""Progress of work that takes longer than two seconds: a bar on a terminal, some lines in a log."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from typing import TextIO, TypeVar
 T = TypeVar("T")
 
 _FIRST_LINE_S = 2.0
-"""By then something is known of how long it will take."""
+"""By then the remaining time can be estimated."""
 _LINE_EVERY_S = 10.0
 _DRAWN_EVERY_S = 0.1
 _LOOK_EVERY_S = 0.5
-_TOLD_AFTER, _TOLD_AFTER_S = 0.2, 10.0
-"""Share of the steps, or seconds, after which it is told how long the rest takes: the first mislead."""
+_LEFT_AFTER, _LEFT_AFTER_S = 0.2, 10.0
+"""The remaining time is shown after this share of the steps or these seconds: the first steps mislead."""
 
 
 _bars = 0
-"""Of those that are drawn on a terminal now."""
+"""Number of progress bars on the terminal now."""
 
 
 def bar_is_drawn() -> bool:
-    """Whether `progress` has the terminal's line."""
+    """Whether `progress` draws a bar on the terminal now."""
     return _bars > 0
 
 
 class Status:
-    """How far something is. On a terminal in one line that is written over, at most ten times a second; in a
-    log as a line after two seconds, then every ten.
+    """Shows how far work is. On a terminal it overwrites one line, at most ten times a second; in a log it
+    writes a line after two seconds, then every ten.
 
-    say: writes a line of a log, whatever `out` is."""
+    say: writes a line of a log; then `out` is not used."""
 
     def __init__(self, out: TextIO | None = None, say: Callable[[str], None] | None = None) -> None:
         self._out, self._say = out or sys.stderr, say
@@ -49,19 +49,19 @@ class Status:
         print(text, file=self._out, flush=True)
 
     def clear(self) -> None:
-        """Nothing of it stays."""
+        """Erase the line on the terminal."""
         if self.live:
             self._out.write("\r\x1b[K")
             self._out.flush()
 
     def show(self, text: str) -> None:
-        """Where it is time for it."""
+        """Show `text` if a line is due."""
         now = time.monotonic()
         if now < self._due:
             return
         self._due = now + (_DRAWN_EVERY_S if self.live else _LINE_EVERY_S)
         if self.live:
-            # The cursor at its start: what others write begins there.
+            # The cursor goes back to the start of the line: other output begins there.
             self._out.write(f"\r{text}\x1b[K\r")
             self._out.flush()
         else:
@@ -73,11 +73,11 @@ def progress(
 ) -> Generator[T, None, None]:
     """Yield `items`, drawing `label [#####     ] 5/10  3 s left`.
 
-    Not on a terminal, a line is written at the start, then some that say how many are left, and one at the
-    end. A step that takes long is not silent: what is said of it is said by a thread."""
+    Without a terminal it writes a line at the start, some that say how many are done, and one at the end. A
+    thread writes them, so that a long step is not silent."""
     if total is None:
         total = len(items) if isinstance(items, Sized) else 0
-    status, done, saying, ended = Status(out), 0, threading.Lock(), threading.Event()
+    status, done, lock, ended = Status(out), 0, threading.Lock(), threading.Event()
     start = last = first = time.monotonic()
 
     def show() -> None:
@@ -85,15 +85,15 @@ def progress(
         # The first step may have waited for the compiler: the others say how long one takes.
         each_s = (last - first) / (done - 1) if done > 1 else 0.0
         left_s = each_s * (total - done) - (now - last)
-        # Of a step that takes longer than those before it, nobody knows how long; nor of many, by a few.
-        told = done > 1 and (done >= _TOLD_AFTER * total or now - start >= _TOLD_AFTER_S)
-        left = f"{left_s:.0f} s left" if told and total and left_s >= 0.5 else ""
+        # The remaining time is unknown after few steps, and in a step that takes longer than those before.
+        is_known = done > 1 and (done >= _LEFT_AFTER * total or now - start >= _LEFT_AFTER_S)
+        left = f"{left_s:.0f} s left" if is_known and total and left_s >= 0.5 else ""
         if status.live and total:
             text = _bar(label, done, total, left or f"{now - start:.0f} s")
         else:
             rest = ", ".join(filter(None, [f"{now - start:.0f} s", left]))
             text = f"{label}: {done}{f' of {total}' if total else ''}, {rest}"
-        with saying:
+        with lock:
             if not ended.is_set():
                 status.show(text)
 
@@ -116,11 +116,11 @@ def progress(
             if done != total:
                 show()
     finally:
-        with saying:
+        with lock:
             ended.set()
         _bars -= status.live
         took = time.monotonic() - start
-        if done == total or not total:  # of what failed or was stopped, whoever stopped it says all
+        if done == total or not total:  # if the work failed or was stopped, the caller reports it
             status.line(f"{label}: {done}{f' of {total}' if total else ''} in {took:.1f} s")
         else:
             status.clear()

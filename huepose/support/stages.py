@@ -1,10 +1,11 @@
-"""Where the time goes: named stages that cost nothing until somebody listens.
+"""Time spent in named stages; without a listener they cost nothing.
 
     with listening() as clock:
         estimator.estimate(frame, queries)
-    clock.totals()   # {"masks": (wall_s, cpu_s), ...} of everything that ran in this thread meanwhile
+    clock.totals()   # {"masks": (wall_s, cpu_s), ...} of all stages that ran in this context meanwhile
 
-Wall time and the CPU time of the calling thread; the compiled kernels are single-threaded, so that is theirs.
+Measured are wall time and the CPU time of the calling thread. It includes compiled kernels: they are
+single-threaded.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ class StageClock:
         self.spans: dict[str, list[tuple[float, float]]] = {}
 
     def ended(self, name: str, wall_s: float, cpu_s: float) -> None:
-        """A stage is over."""
+        """Add the times of a stage that has ended."""
         self.spans.setdefault(name, []).append((wall_s, cpu_s))
 
     def totals(self) -> dict[str, tuple[float, float]]:
@@ -35,7 +36,7 @@ _listener: ContextVar[StageClock | None] = ContextVar("stage_clock", default=Non
 
 @contextmanager
 def listening(clock: StageClock | None = None) -> Iterator[StageClock]:
-    """Collect the stages that run in this context, with a clock of one's own where it does something else."""
+    """Collect the times of the stages that run in this context, in `clock` or in a new StageClock."""
     clock = clock or StageClock()
     token = _listener.set(clock)
     try:
@@ -46,7 +47,7 @@ def listening(clock: StageClock | None = None) -> Iterator[StageClock]:
 
 @contextmanager
 def stage(name: str) -> Iterator[None]:
-    """Name what runs inside; without a listener this is a variable look-up."""
+    """Measure what runs inside as a named stage; without a listener this only reads a variable."""
     clock = _listener.get()
     if clock is None:
         yield

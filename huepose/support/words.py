@@ -1,4 +1,4 @@
-"""Numbers and names in sentences."""
+"""Numbers and names as text."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 
 def counted(number: int, thing: str) -> str:
-    """So many of a thing whose plural ends in s.
+    """A number with a noun whose plural ends in s.
 
     >>> counted(1, "object"), counted(0, "pose"), counted(20, "label")
     ('1 object', '0 poses', '20 labels')
@@ -16,7 +16,7 @@ def counted(number: int, thing: str) -> str:
 
 
 def known(value: float | None, form: str = ".1f", unit: str = "") -> str:
-    """A number, or a dash where it is not known.
+    """A number, or a dash if it is not known.
 
     >>> known(93.27), known(None, ".3f"), known(1.5, ".2f", " s")
     ('93.3', '-', '1.50 s')
@@ -25,7 +25,7 @@ def known(value: float | None, form: str = ".1f", unit: str = "") -> str:
 
 
 def first_of(names: Sequence[str], most: int) -> str:
-    """The first names with commas between them, and how many more there are.
+    """The first `most` names with commas between them, and how many more there are.
 
     >>> first_of(["box", "can", "mug"], 3), first_of(["box", "can", "mug"], 1)
     ('box, can, mug', 'box and 2 more')
@@ -35,7 +35,7 @@ def first_of(names: Sequence[str], most: int) -> str:
 
 
 def listed(names: Sequence[str], longest: int = 200) -> str:
-    """Names with commas between them, as many as so many characters hold, and how many more there are.
+    """As many names as `longest` characters hold, with commas between them, and how many more there are.
 
     >>> listed(["box", "can", "mug"]), listed(["box", "tin can", "mug", "jug"], 14)
     ('box, can, mug', 'box, tin can and 2 more')
@@ -47,7 +47,7 @@ def listed(names: Sequence[str], longest: int = 200) -> str:
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """A question that names the likest of the known words; empty where none is like it.
+    """A question that names the most similar of the known words; empty if none is similar.
 
     >>> did_you_mean("mugg", ["can", "mug"]), did_you_mean("mug", ["can"])
     ("Did you mean 'mug'?", '')
@@ -57,7 +57,7 @@ def did_you_mean(word: str, known: Sequence[str]) -> str:
 
 
 def rounded(value: float) -> str:
-    """A number to two digits that count, so that a sentence with it stays the same while it wavers.
+    """A number with two significant digits, so that a sentence stays the same while it varies a little.
 
     >>> rounded(941.3), rounded(6.42), rounded(0.0984), rounded(1242000.0), rounded(0.0)
     ('940', '6.4', '0.098', '1200000', '0')
@@ -66,8 +66,7 @@ def rounded(value: float) -> str:
 
 
 def beside(right_px: float, down_px: float, decimals: int = 0) -> str:
-    """How far and to which side of something, which the sentence names next; empty where it is less than half
-    a pixel.
+    """Distance and direction in the image, to be followed by a noun; empty if both are below half a pixel.
 
     >>> beside(6.0, 0.0), beside(-1.0, -1.0), beside(0.2, 5.4), beside(0.2, -0.3)
     ('6 px to the right of', '1 px to the left and 1 px above', '5 px below', '')

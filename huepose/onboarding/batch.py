@@ -1,4 +1,5 @@
-"""Onboarding many objects in worker processes: events while it runs, and nothing half-written if it stops."""
+"""Onboards many objects in worker processes, with events while it runs, and without incomplete files if it
+stops."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ from huepose.support.errors import InputError
 from huepose.support.lengths import Unit
 
 MANY_TRIANGLES = 500_000
-"""A mesh of more is simplified for so long that it is said."""
+"""Simplifying a mesh of more triangles takes so long that the user is told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +45,9 @@ class Job:
 
 @dataclass(frozen=True)
 class Onboarded:
-    """What became of an object: its file, extents (x, y, z) and diameter in metres, counts, whether it has
-    the tables of the paper's method, and what may be wrong with its mesh."""
+    """An onboarded object: the file of its model, size_m (x, y, z) and diameter in metres, number of
+    equivalent rotations, paper: whether it has the tables of the paper's method, notes: what may be wrong
+    with its mesh."""
 
     name: str
     path: Path
@@ -68,7 +70,7 @@ class Failed:
 
 @dataclass(frozen=True)
 class StageBegun:
-    """The object `name` enters a stage (one of `reference.STAGES`)."""
+    """The object `name` begins a stage (one of `reference.STAGES`)."""
 
     name: str
     stage: str
@@ -84,8 +86,8 @@ class _StoppedError(Exception):
 def onboard_one(
     job: Job, bundles_dir: Path, report: Callable[[str], None], say: Callable[[str], None] = silent
 ) -> Onboarded:
-    """Onboard an object in this process and save its model. report: told each stage as it begins; say: told
-    in words what takes long."""
+    """Onboard an object in this process and save its model. report: called with each stage when it begins;
+    say: called with a text before a long step."""
     start = time.monotonic()
     report("mesh")
     notes: list[str] = []
@@ -119,10 +121,11 @@ def onboard_one(
 
 
 def onboard_many(jobs: Sequence[Job], bundles_dir: Path, processes: int) -> Generator[Event, None, None]:
-    """Onboard objects in worker processes, yielding what happens.
+    """Onboard objects in worker processes, and yield events.
 
-    A mesh that cannot be used is a `Failed` event; the others go on. When the consumer stops early (Ctrl-C
-    included), workers stop at their next stage and leave no file. Raises RuntimeError when a worker dies.
+    A mesh that cannot be used gives a `Failed` event; the others continue. When the consumer stops early
+    (also by Ctrl-C), workers stop at their next stage and leave no file. Raises RuntimeError if a worker
+    dies.
     """
     context = multiprocessing.get_context("spawn")  # a fork after numba or OpenCV started threads may hang
     events, stop = context.Queue(), context.Event()
@@ -130,8 +133,9 @@ def onboard_many(jobs: Sequence[Job], bundles_dir: Path, processes: int) -> Gene
     pool = ProcessPoolExecutor(processes, context, _prepare_worker, (events, stop))
     futures: list[Future[None]] = []
     try:
-        # Ctrl-C reaches all processes, and the first decides. Those that it starts inherit what it blocks:
-        # one that was interrupted while it begins would die with a page of text, or leave the others waiting.
+        # Ctrl-C reaches all processes, but only this one must react. Its workers inherit the blocked
+        # signal: a worker that is interrupted while it starts would die with a long traceback, or leave the
+        # others waiting.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             futures = [pool.submit(_work, job, bundles_dir) for job in jobs]

@@ -1,4 +1,4 @@
-"""A BOP models folder as a list of things to onboard: meshes, names, symmetries, frame offsets."""
+"""A BOP models folder as a list of objects to onboard: meshes, names, symmetries, frame offsets."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from huepose.support.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class BopModel:
-    """mesh_path: in millimetres; info: the object's entry of models_info.json;
-    frame_offset_m (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame, or None."""
+    """mesh_path: a mesh in millimetres; info: the object's entry of models_info.json; frame_offset_m (3,):
+    transforms points of the PoseCNN/YCB-Video frame to the mesh's frame, or None."""
 
     object_id: int
     name: str
@@ -30,15 +30,15 @@ class BopModel:
 def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[BopModel]:
     """The objects `obj_NNNNNN.ply` or `.obj` of a folder, by id; `ids`: only these.
 
-    Names come from frame_offsets.json, else from models_info.json; BOP's own download has neither, there
-    YCB-V is known by its diameters; else they are `obj_NNNNNN`. Raises InputError for a folder without
-    meshes, a missing id, a broken file, and names that are not unique.
+    Names come from frame_offsets.json, or else from models_info.json. BOP's own download has no names;
+    YCB-V is recognised there by its diameters. Other objects are named `obj_NNNNNN`. Raises InputError for
+    a folder without meshes, a missing id, a broken file, and names that are not unique.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise InputError(folder, found="no such folder", expected="a BOP models folder")
     meshes: dict[int, Path] = {}
-    for suffix in (".ply", ".obj"):  # where there are both, the OBJ: it has its texture with it
+    for suffix in (".ply", ".obj"):  # if there are both, the OBJ is used: it has a texture
         for path in sorted(folder.glob(f"obj_*{suffix}")):
             if number := re.fullmatch(r"obj_(\d+)", path.stem):
                 meshes[int(number[1])] = path
@@ -57,7 +57,7 @@ def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[B
             folder,
             found=f"no mesh of object {missing[0]}",
             expected=f"one of {', '.join(str(i) for i in sorted(meshes))}",
-            fix="Ask for one of these, or put its mesh there.",
+            fix="Choose one of these, or put its mesh there.",
         )
     out = [_entry(i, meshes[i], folder, infos, offsets) for i in sorted(meshes) if not ids or i in ids]
     if is_ycbv({m.object_id: float(m.info["diameter"]) for m in out if "diameter" in m.info}):
@@ -70,7 +70,7 @@ def bop_models(folder: Path | str, ids: Collection[int] | None = None) -> list[B
 
 
 def safe_name(text: str) -> str:
-    """A name of [a-z0-9_-]{1,64} from any text, '' where nothing is left.
+    """A name of [a-z0-9_-]{1,64} from any text, '' if nothing is left.
 
     >>> safe_name("Mustard Bottle (006)")
     'mustard_bottle_006'
@@ -98,7 +98,7 @@ def _entry(
 
 
 def _as_ycb(model: BopModel, known: YcbObject | None) -> BopModel:
-    """With what is known of the object, where the folder does not say it."""
+    """The model with the known name and offset of the YCB object, if the folder does not state them."""
     if known is None:
         return model
     unnamed = model.name == f"obj_{model.object_id:06d}"

@@ -15,13 +15,13 @@ from huepose.onboarding.neighbourhoods import Cells
 from huepose.onboarding.visibility import DepthViews, votes
 from huepose.onboarding.winding import outward_sign
 
-_SAMPLES_PER_MM2, _MIN_SAMPLES, _MAX_SAMPLES = 2.0, 40_000, 300_000  # of the whole surface
+_SAMPLES_PER_MM2, _MIN_SAMPLES, _MAX_SAMPLES = 2.0, 40_000, 300_000  # samples on the whole surface
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """points, normals (M, 3) float64 metres, lab (M, 3) float32, in random order; area_m2: of the visible
-    surface."""
+    """Samples in random order: points (M, 3) float64 metres, normals (M, 3) float64, lab (M, 3) float32;
+    area_m2: of the visible surface."""
 
     points: Float64
     normals: Float64
@@ -36,7 +36,7 @@ class Cloud:
         return cKDTree(self.points)
 
     def cells(self, radius_m: float) -> Cells:
-        """The samples, sorted for averages over a radius."""
+        """The samples, sorted for averages within a radius; kept for the next call."""
         if radius_m not in self._cells:
             self._cells[radius_m] = Cells.of(self.points, self.normals, self.lab, radius_m)
         return self._cells[radius_m]
@@ -47,11 +47,10 @@ class Cloud:
 
 
 def visible_cloud(mesh: Mesh, views: DepthViews) -> Cloud:
-    """Uniformly random samples of the surface that is visible from some view; hidden inner walls are left
-    out.
+    """Uniform random samples of the surface that is visible in some view. Inner walls are left out.
 
-    Normals point outwards for a closed mesh. For an open one, or one with inconsistent faces, they point to
-    the side that more views see.
+    Normals point outwards for a closed mesh. For an open mesh, or one with inconsistent faces, they point
+    to the side that is visible in more views.
     """
     rng = np.random.default_rng(0)
     face_normals, areas = mesh.face_normals()
@@ -74,7 +73,7 @@ def visible_cloud(mesh: Mesh, views: DepthViews) -> Cloud:
         normals = np.where((back > front)[:, None], -normals, normals)
         is_seen = np.maximum(front, back) > 0
     order = rng.permutation(count)
-    if is_seen.mean() > 0.01:  # else so small or thin that no view resolves it
+    if is_seen.mean() > 0.01:  # otherwise it is too small or thin for the views
         order = order[is_seen[order]]
     uv = np.einsum("nk,nkd->nd", weights[order], mesh.uv[face[order]].astype(np.float64))
     return Cloud(points[order], normals[order], _texels(lab_texture(mesh), uv), total * len(order) / count)
@@ -93,15 +92,15 @@ def _texels(picture: Float32, uv: Float64) -> Float32:
 
 
 def smoothed_normals(cloud: Cloud, points: Float, normals: Float, radius_m: float) -> Float64:
-    """Mean normals (N, 3) of the cloud within a radius, among those on the same side as `normals` (N, 3)."""
+    """Mean normals (N, 3) of the cloud within a radius, of samples that face like `normals` (N, 3)."""
     total = cloud.cells(radius_m).facing_sum(points, normals, least_cosine=0.5)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.where(length > 1e-9, total / np.maximum(length, 1e-9), normals)
 
 
 def averaged_lab(cloud: Cloud, points: Float, normals: Float, sigma_m: float) -> Float32:
-    """Lab colours (N, 3) at `points`: Gaussian mean of sigma `sigma_m` over samples with similar normals; the
-    nearest sample's colour where none is within reach."""
+    """Lab colours (N, 3) at `points`: Gaussian mean with sigma `sigma_m` over samples with similar normals;
+    the colour of the nearest sample if none is near."""
     mean, weight = cloud.cells(2.5 * sigma_m).gaussian(points, normals, sigma_m)
     lonely = weight < 1e-6
     if lonely.any():

@@ -1,4 +1,4 @@
-"""Symmetries that a file declares, in the form of BOP's models_info.json."""
+"""Symmetries that a file declares, in the format of BOP's models_info.json."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _FORM = (
 
 
 def read_symmetries(path: Path | str) -> dict[str, Any]:
-    """Entry with `symmetries_discrete` and `symmetries_continuous` (millimetres), checked.
+    """Checked entry with `symmetries_discrete` and `symmetries_continuous` (millimetres).
 
-    Raises InputError for a missing or broken file, and for anything that is not a turn or an axis.
+    Raises InputError for a missing or broken file, and for symmetries that are not transforms or axes.
     """
     path = Path(path)
     tree = files.read_json(path)
@@ -35,13 +35,13 @@ def read_symmetries(path: Path | str) -> dict[str, Any]:
 
 
 def symmetries_of(value: str | None) -> dict[str, Any] | str | None:
-    """What --symmetric says: an axis of the object ("x", "y" or "z"), or an entry of `read_symmetries`; None
-    where it is not given."""
+    """The value of --symmetric: an axis of the object ("x", "y" or "z"), or an entry of `read_symmetries`;
+    None if it is not given."""
     return value if value is None or value in AXES else read_symmetries(value)
 
 
 def check_symmetries(entry: Mapping[str, Any], where: str) -> None:
-    """Raises InputError, naming `where`, for symmetries of an entry that are no turns or no axes."""
+    """Raises InputError, naming `where`, for symmetries that are not rigid transforms or axes."""
     for name in _NAMES:
         if not isinstance(entry.get(name, []), list):
             raise InputError(f"{where} {name}", found=str(entry[name])[:80], expected=f"a list as in {_FORM}")
@@ -49,7 +49,7 @@ def check_symmetries(entry: Mapping[str, Any], where: str) -> None:
         T = _numbers(row, 16)
         if T is None or not se3.is_rigid(T.reshape(4, 4), se3.ROUNDED):
             raise InputError(
-                f"{where} symmetries_discrete[{k}]", found=str(row)[:80], expected="a rigid 4x4 turn"
+                f"{where} symmetries_discrete[{k}]", found=str(row)[:80], expected="a rigid 4x4 transform"
             )
     for k, item in enumerate(entry.get("symmetries_continuous", [])):
         axis = _numbers(item.get("axis"), 3) if isinstance(item, dict) else None

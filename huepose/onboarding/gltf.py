@@ -1,8 +1,8 @@
 """glTF 2.0, as one binary file (GLB) or as .gltf with its parts: all meshes of the scene, merged.
 
-Read: POSITION, TEXCOORD, COLOR_0, indices, factor and texture of the base (or diffuse, or emissive) colour,
-how it wraps, the nodes' transforms.
-Lengths are metres and y is up by the standard; axes are kept as they are in the file.
+Read are: POSITION, TEXCOORD, COLOR_0, indices, factor and texture of the base (or diffuse, or emissive)
+colour, its wrap mode, and the transforms of the nodes. By the standard, lengths are metres and y is up;
+axes are kept as in the file.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ class Asset:
     buffers: list[bytes]
 
     def accessor(self, index: int) -> Any:
-        """Values of an accessor (N, width), normalised integers as floats. Raises InputError for sparse ones,
-        and whatever the tree's damage leads to."""
+        """Values of an accessor (N, width), normalised integers as floats. Raises InputError for a sparse
+        accessor, and other errors for a damaged tree."""
         a = self.tree["accessors"][index]
         if "sparse" in a or "bufferView" not in a:
             raise InputError(
@@ -47,7 +47,7 @@ class Asset:
         dtype, width = np.dtype(_COMPONENTS[a["componentType"]]), _WIDTHS[a["type"]]
         row_bytes = dtype.itemsize * width
         stride = view.get("byteStride", row_bytes)
-        if stride < row_bytes:  # rows that lie over each other would make much of little
+        if stride < row_bytes:  # overlapping rows would need far more memory than the file
             raise ValueError(f"a byteStride of {stride} for rows of {row_bytes} bytes")
         start = view.get("byteOffset", 0) + a.get("byteOffset", 0)
         rows = np.ndarray(
@@ -58,7 +58,7 @@ class Asset:
         return rows
 
     def image(self, index: int) -> UInt8:
-        """Picture of an image entry: from the buffer, a data URI, or a file beside the asset."""
+        """The texture of an image entry: from the buffer, a data URI, or a file beside the asset."""
         entry = self.tree["images"][index]
         if "bufferView" in entry:
             view = self.tree["bufferViews"][entry["bufferView"]]
@@ -72,8 +72,8 @@ class Asset:
 
 
 def load_asset(files: MeshFiles) -> Asset:
-    """The asset of a .glb or .gltf file with its buffers. Raises InputError, and whatever the
-    tree's damage leads to."""
+    """The asset of a .glb or .gltf file with its buffers. Raises InputError, and other errors for a damaged
+    tree."""
     data = files.read_mesh()
     chunk = b""
     text = data
@@ -119,7 +119,7 @@ def _data_uri(uri: str) -> bytes:
 
 
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives that have faces
-_MOST_NODES = 10_000  # of one object
+_MOST_NODES = 10_000  # or meshes, of a file
 _TRANSFORM, _GLOSSY = "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"
 _WRAPS: dict[int, Wrap] = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
 _NEARLY_WHITE = 0.98  # of COLOR_0, which is linear: two levels of 255 less than white
@@ -139,7 +139,7 @@ _LOOKS = (
     "volume",
     "volume_scatter",
 )
-"""What KHR_materials_... add to a material; none changes its base colour."""
+"""Extensions KHR_materials_... that do not change the base colour of a material."""
 _UNDERSTOOD = {
     *(f"KHR_materials_{name}" for name in _LOOKS),
     "EXT_lights_ies",
@@ -162,8 +162,8 @@ _COMPRESSED = {
 
 
 def read_gltf(files: MeshFiles) -> RawMesh:
-    """Mesh of a .glb or .gltf file. Raises InputError naming the file and what to do; for a damaged tree also
-    LookupError, TypeError, ValueError and AttributeError, from wherever it was damaged."""
+    """Mesh of a .glb or .gltf file. Raises InputError naming the file and what to do; for a damaged tree
+    also LookupError, TypeError, ValueError and AttributeError."""
     asset = load_asset(files)
     foreign = set(asset.tree.get("extensionsRequired", [])) - _UNDERSTOOD
     if foreign:
@@ -235,10 +235,10 @@ def _merged(asset: Asset) -> RawMesh:
 
 
 def _placed_primitives(asset: Asset) -> tuple[list[tuple[Float64, dict[str, Any]]], tuple[str, ...]]:
-    """Every primitive of the scene that has triangles, with its transform to the scene (4, 4); and the names
-    of the meshes that they are of.
+    """Every primitive of the scene that has triangles, with its transform to the scene (4, 4); and the
+    names of their meshes.
 
-    Raises InputError for too many, before memory is taken for them: nodes may show one mesh many times.
+    Raises InputError for too many, before memory is allocated for them: many nodes may use one mesh.
     """
     path = asset.files.mesh
     nodes = max(len(asset.tree.get(kind, [])) for kind in ("nodes", "meshes"))
@@ -279,7 +279,7 @@ def _placed_meshes(tree: dict[str, Any]) -> list[tuple[Float64, int, str]]:
     while stack:
         T_parent, i = stack.pop()
         if i in met:
-            raise ValueError(f"node {i} is met twice, and nodes are a tree")
+            raise ValueError(f"node {i} is met twice, but nodes must form a tree")
         met.add(i)
         T = T_parent @ _node_transform(nodes[i])
         if "mesh" in nodes[i]:
@@ -298,7 +298,7 @@ def _node_transform(node: dict[str, Any]) -> Float64:
 
 
 def _size(tree: dict[str, Any], primitive: dict[str, Any]) -> int:
-    """Triangles of a primitive, or a third of its vertices where that is more."""
+    """Upper bound of the triangles of a primitive, at least a third of its vertices."""
     vertices = int(tree["accessors"][primitive["attributes"]["POSITION"]]["count"])
     corners = int(tree["accessors"][primitive["indices"]]["count"]) if "indices" in primitive else vertices
     return max(corners if primitive.get("mode", 4) != _TRIANGLES else corners // 3, vertices // 3)
@@ -323,16 +323,16 @@ def _faces(asset: Asset, primitive: dict[str, Any]) -> Int64:
 
 def _transformed(uv: Float64, transform: dict[str, Any]) -> Float64:
     """Texture coordinates (F, 3, 2) after the scale, rotation and offset of KHR_texture_transform."""
-    turn = float(transform.get("rotation", 0.0))
-    cosine, sine = np.cos(turn), np.sin(turn)
+    angle = float(transform.get("rotation", 0.0))
+    cosine, sine = np.cos(angle), np.sin(angle)
     u, v = np.moveaxis(uv * np.array(transform.get("scale", [1.0, 1.0])), -1, 0)
-    turned: Float64 = np.stack([cosine * u + sine * v, cosine * v - sine * u], -1)
-    return np.asarray(turned + np.array(transform.get("offset", [0.0, 0.0])))
+    rotated: Float64 = np.stack([cosine * u + sine * v, cosine * v - sine * u], -1)
+    return np.asarray(rotated + np.array(transform.get("offset", [0.0, 0.0])))
 
 
 def _base(material: dict[str, Any]) -> tuple[dict[str, Any], list[float]]:
-    """Texture and factor of a material's base colour; where it has none, of its diffuse colour; where that is
-    black, of the light that it sends out: some exporters put all colours there."""
+    """Texture and factor of a material's base colour; if it has none, of its diffuse colour; if that is
+    black, of its emissive colour: some exporters put all colours there."""
     base = material.get("pbrMetallicRoughness", {})
     diffuse = material.get("extensions", {}).get(_GLOSSY, {})
     if "baseColorTexture" not in base and ("diffuseTexture" in diffuse or "baseColorFactor" not in base):
@@ -358,18 +358,18 @@ def _material(asset: Asset, index: int) -> Material:
     r, g, b = (int(x) for x in _srgb(factor))
     texture, sampler = None, dict[str, Any]()
     if reference:
-        said = asset.tree["textures"][reference["index"]]
-        if said.get("source") is None:
+        source_entry = asset.tree["textures"][reference["index"]]
+        if source_entry.get("source") is None:
             raise InputError(
                 asset.files.mesh,
                 found="a texture without PNG or JPEG image",
                 expected="a plain image",
                 fix="Export again with PNG or JPEG textures (not KTX2 or WebP).",
             )
-        texture = asset.image(said["source"])
-        sampler = asset.tree["samplers"][said["sampler"]] if "sampler" in said else sampler
+        texture = asset.image(source_entry["source"])
+        sampler = asset.tree["samplers"][source_entry["sampler"]] if "sampler" in source_entry else sampler
         if not asset.files.textured and opaque:
-            texture = np.zeros((1, 1, 3), np.uint8)  # nothing of it shows through
+            texture = np.zeros((1, 1, 3), np.uint8)  # black: opaque
         if (factor != 1.0).any():
             tables = _srgb(_linear(np.arange(256, dtype=np.uint8))[:, None] * factor)
             texture = np.stack([tables[texture[..., c], c] for c in range(3)], -1)
@@ -379,7 +379,7 @@ def _material(asset: Asset, index: int) -> Material:
 
 
 def _corner_colors(colors: Float64 | None, count: int, material: Material) -> UInt8:
-    """COLOR_0 is linear, and multiplies the material's base colour."""
+    """sRGB colours (F, 3, 3) of corners: COLOR_0, which is linear, times the material's base colour."""
     base = _linear(np.array(material.color, np.uint8))
     if colors is None:
         return np.broadcast_to(_srgb(base), (count, 3, 3)).copy()

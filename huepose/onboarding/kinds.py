@@ -1,4 +1,4 @@
-"""What a file is that is no mesh that is read, told by its ending or by its first bytes, and what to do."""
+"""Recognises files that cannot be read as a mesh, by their ending or first bytes, and says what to do."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _COLOURLESS = (
 )
 _EXPORT = "Open it in its program, and export it as GLB with its texture."
 _LONGEST = 256
-"""Bytes at the beginning of a file by which its kind is told."""
+"""Number of first bytes of a file that show its kind."""
 
 _GIT_LFS = b"version https://git-lfs"
 _WEB_PAGE = (b"<!doctype html", b"<html", b"<head", b"<script")
@@ -31,22 +31,22 @@ class _Kind:
 _KINDS = (
     _Kind("an STL mesh", (".stl",), (b"solid ",), _COLOURLESS),
     _Kind("a STEP file", (".step", ".stp"), (b"ISO-10303",), _COLOURLESS),
-    _Kind("a file of Blender", (".blend",), (b"BLENDER",), _EXPORT),
+    _Kind("a Blender file", (".blend",), (b"BLENDER",), _EXPORT),
     _Kind("an FBX file", (".fbx",), (b"Kaydara",), _EXPORT),
     _Kind("a COLLADA file", (".dae",), (), _EXPORT),
     _Kind(
-        "a picture",
+        "an image",
         (".png", ".jpg", ".jpeg"),
         (b"\x89PNG", b"\xff\xd8\xff"),
-        "Give the mesh that it belongs to: that names its texture itself.",
+        "Give the mesh that it belongs to: the mesh names its texture.",
     ),
     _Kind("a zip archive", (".zip",), (b"PK\x03\x04",), "Unpack it, and give the mesh in it."),
 )
 
 
 def check_kind(path: Path, readable: Collection[str]) -> None:
-    """Raises InputError for a file of another kind than those whose endings are `readable`, also where it
-    has such an ending."""
+    """Raises InputError for a file of another kind than those with the endings `readable`, even if it has
+    such an ending."""
     ending = path.suffix.lower()
     start = _start(path)
     check_fetched(start, path, "the mesh")
@@ -64,16 +64,17 @@ def check_kind(path: Path, readable: Collection[str]) -> None:
 
 
 def check_fetched(data: bytes, path: Path, expected: str) -> None:
-    """Raises InputError for what a download leaves in a file's place. data: at least its first bytes."""
+    """Raises InputError for a file from a failed download, such as a web page. data: at least its first
+    bytes."""
     if data.startswith(_GIT_LFS):
-        raise InputError(path, found="a pointer of Git LFS", expected=expected, fix="Fetch it: git lfs pull.")
+        raise InputError(path, found="a Git LFS pointer", expected=expected, fix="Fetch it: git lfs pull.")
     if data[:_LONGEST].removeprefix(b"\xef\xbb\xbf").lstrip().lower().startswith(_WEB_PAGE):
         fix = "The download failed: open the link in a browser, and save the file itself."
         raise InputError(path, found="a web page (HTML)", expected=expected, fix=fix)
 
 
 def _start(path: Path) -> bytes:
-    """Its first bytes; none of what cannot be read, which its reader says."""
+    """The first bytes of a file; none if it cannot be read, which its reader will report."""
     if not path.is_file():
         return b""
     try:

@@ -1,7 +1,8 @@
-"""The files of a mesh: itself and what it names (materials, textures, buffers), read with bounds.
+"""Reads a mesh file and the files that it names (materials, textures, buffers), with limits.
 
-A mesh may come from anywhere. So only regular files under the mesh's folder are read, and sizes are checked
-before memory is taken: of a file before it is read, of a picture before it is decoded.
+A mesh may come from an untrusted source. So only regular files under the mesh's folder are read, and sizes
+are checked before memory is allocated: that of a file before it is read, that of an image before it is
+decoded.
 """
 
 from __future__ import annotations
@@ -22,19 +23,22 @@ from huepose.onboarding.kinds import check_fetched
 from huepose.support.errors import InputError
 
 LARGEST_BYTES = 2**30
-"""Of all files of one mesh together; a scan of five million triangles as OBJ text takes a third of it."""
+"""Most bytes of all files of one mesh; a scan of five million triangles as OBJ text has a third of it."""
 LARGEST_TEXTURE = 2**26
-"""Texels of one texture: 8192 x 8192. Decoded it takes 200 MB; the reference model keeps 1024 x 1024."""
+"""Most texels of one texture: 8192 x 8192. Decoded it takes 200 MB; the reference model keeps 1024 x
+1024."""
 LARGEST_TEXTURES = 2**28
-"""Texels of all textures of one mesh together: 0.8 GB."""
-_LONGEST_NAME = 1000  # letters of a name that are read and shown
+"""Most texels of all textures of one mesh: 0.8 GB."""
+_LONGEST_NAME = 1000  # characters of a file name that are used
 _PICTURE_FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP")
 
 
 class MeshFiles:
-    """Reads a mesh file and the files that it names, and counts what they take. textured: its pictures are
-    asked for; else they are black, of one texel, and only their sizes are looked at; of those that may be
-    transparent the texels that are so are white."""
+    """Reads a mesh file and the files that it names, and counts their bytes and texels.
+
+    textured: whether textures are decoded. If not, only their size is checked, and they become one black
+    texel; a texture that may be transparent becomes an image with transparent texels white and the others
+    black."""
 
     def __init__(self, mesh: Path, textured: bool) -> None:
         self.mesh, self.textured = mesh, textured
@@ -46,17 +50,17 @@ class MeshFiles:
         return self._read(self.mesh, "mesh", None)
 
     def read(self, name: str, role: str, named_in: Path) -> tuple[Path, bytes]:
-        """Place and content of a file that `named_in` names. Raises InputError that says who named it.
+        """Path and content of a file that `named_in` names. Raises InputError that says which file names it.
 
-        name: as written there, relative to the folder of `named_in`. Names that differ in case only are
-        forgiven. Of a name that leads out of the mesh's folder (the folders of the machine that exported the
-        mesh) only the last part counts.
+        name: as written there, relative to the folder of `named_in`. Another case of letters is accepted.
+        If the name leads out of the mesh's folder (to a folder of the machine that exported the mesh), only
+        its last part counts.
         """
         path = self._find(name, role, named_in)
         return path, self._read(path, role, named_in)
 
     def has(self, name: str, role: str, named_in: Path) -> bool:
-        """Whether a file that `named_in` names is where `read` looks for it."""
+        """Whether `read` would find a file that `named_in` names."""
         try:
             self._find(name, role, named_in)
         except InputError:
@@ -64,20 +68,20 @@ class MeshFiles:
         return True
 
     def texture(self, name: str, named_in: Path) -> UInt8:
-        """Picture (H, W, 3) uint8 RGB of an image file that `named_in` names. Raises InputError."""
+        """Texture (H, W, 3) uint8 RGB of an image file that `named_in` names. Raises InputError."""
         path = self._find(name, "texture", named_in)
         if path not in self._textures:
             self._textures[path] = self.picture(self._read(path, "texture", named_in), str(path))
         return self._textures[path]
 
     def picture(self, data: bytes, what: str) -> UInt8:
-        """PNG, JPEG and so on to (H, W, 3) uint8 RGB. Raises InputError naming `what`."""
+        """Decode a PNG, JPEG and so on to (H, W, 3) uint8 RGB. Raises InputError naming `what`."""
         texels, may_be_clear = _header(data, what)
         self._texels_left -= texels
         if self._texels_left < 0:
             raise InputError(
                 what,
-                found="a texture too many for one mesh",
+                found="too many texels for one mesh",
                 expected=f"at most {LARGEST_TEXTURES / 1e6:.0f} million texels in all",
                 fix="Make the textures smaller.",
             )
@@ -96,7 +100,7 @@ class MeshFiles:
         return np.ascontiguousarray(image[..., ::-1])
 
     def _find(self, name: str, role: str, named_in: Path) -> Path:
-        """Where a named file is. Raises InputError where it is not, or not under the mesh's folder."""
+        """Path of a named file. Raises InputError unless it exists under the mesh's folder."""
         written = name.replace("\\", "/")[:_LONGEST_NAME]
         path = named_in.parent / written
         inside = Path(os.path.abspath(path)).is_relative_to(os.path.abspath(self.mesh.parent))
@@ -114,7 +118,7 @@ class MeshFiles:
             if not alike:
                 raise self._outside(named_in, f"the {role} {written[:80]}", role)
             path = alike[0]
-        # A link may lead to where the mesh file itself lies: some data sets are folders of links.
+        # A link may lead into the folder of the mesh file itself: some data sets are folders of links.
         homes = (self.mesh.parent.resolve(), self.mesh.resolve().parent)
         if not any(path.resolve().is_relative_to(home) for home in homes):
             raise self._outside(path, f"a link to {path.resolve()}", role)
@@ -154,7 +158,7 @@ class MeshFiles:
 
 
 def decoded(data: bytes) -> str:
-    """Text of a mesh or material file: UTF-8, and where it is not, Latin-1 as older exporters write."""
+    """Text of a mesh or material file: UTF-8, or if it is not, Latin-1, which older exporters write."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -162,8 +166,8 @@ def decoded(data: bytes) -> str:
 
 
 def _header(data: bytes, what: str) -> tuple[int, bool]:
-    """Width times height as a picture's header says, and whether it may be transparent. Raises InputError for
-    none, and for too many."""
+    """Texels of an image by its header, and whether it may be transparent. Raises InputError if it is not
+    an image or too large."""
     from PIL import Image
 
     try:
@@ -182,7 +186,7 @@ def _header(data: bytes, what: str) -> tuple[int, bool]:
 
 
 def _clear(image: NDArray[Any]) -> UInt8:
-    """White (H, W, 3) where a picture as decoded is transparent, else black."""
+    """An image (H, W, 3), white where the decoded `image` is transparent, black elsewhere."""
     if image.ndim != 3 or image.shape[2] != 4:
         return np.zeros((1, 1, 3), np.uint8)
     clear = image[..., 3:] < np.iinfo(image.dtype).max // 2
@@ -194,14 +198,14 @@ def _too_large(what: str, found: str) -> InputError:
         what,
         found=found,
         expected=f"at most {LARGEST_TEXTURE / 1e6:.0f} million texels (8192 x 8192)",
-        fix="Make the texture smaller; 1024 x 1024 texels are kept of it.",
+        fix="Make the texture smaller; HuePose keeps 1024 x 1024 texels of it.",
     )
 
 
 def _no_picture(data: bytes, what: str) -> InputError:
     return InputError(
         what,
-        found="a DDS texture" if data.startswith(b"DDS ") else f"{len(data)} bytes that are no picture",
+        found="a DDS texture" if data.startswith(b"DDS ") else f"{len(data)} bytes that are not an image",
         expected="a PNG or JPEG texture",
         fix="Open the texture in an image editor and save it again as PNG.",
     )

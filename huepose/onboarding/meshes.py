@@ -1,4 +1,4 @@
-"""Mesh files to `geometry.Mesh`: OBJ, PLY, GLB and glTF; units settled, one texture, faces outwards."""
+"""Mesh files (OBJ, PLY, GLB, glTF) as `geometry.Mesh`: in metres, with one texture, faces outwards."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from huepose.support.errors import InputError
 from huepose.support.lengths import LIKELY, METRES, NAMES, Unit, length, number
 
 SMALLEST_M, LARGEST_M = 0.01, 2.0
-"""Bounds of the largest side of an object, by which the unit of a mesh is guessed."""
+"""Limits of the largest side of an object, metres; they decide the unit of a mesh."""
 _MAX_ROUNDING = 1e-3  # of the largest side: a tenth of a millimetre of 10 cm
-# What code raises that reads a damaged file, beside the errors that it foresees.
+# Errors that a damaged file may cause in its reader, besides InputError.
 _DAMAGE = (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError, ValueError, cv2.error)
 _READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read_gltf}
 
@@ -35,13 +35,13 @@ _READERS = {".obj": read_obj, ".ply": read_ply, ".glb": read_gltf, ".gltf": read
 def read_mesh(path: Path | str, unit: Unit | None = None, note: Callable[[str], None] | None = None) -> Mesh:
     """Mesh of a file, in metres, axes as in the file.
 
-    unit: the file's unit of length. Without it glTF is taken as metres (its standard), OBJ and PLY as the one
-    of metres and millimetres that gives a largest side of 1 cm to 2 m. note: told what may be wrong with
-    the mesh, in words. Raises InputError naming the file, what was found and what to do; for implausible
-    sizes it shows both.
+    unit: the file's unit of length. Without it, glTF is in metres (its standard), and OBJ and PLY are in
+    metres or millimetres, whichever gives a largest side of 1 cm to 2 m. note: is called with texts about
+    what may be wrong with the mesh. Raises InputError naming the file, what was found and what to do; for
+    an implausible size it shows the size in each unit.
     """
     path = Path(path)
-    with np.errstate(all="ignore"), _damage_named(path):  # what is not finite is refused, not warned of
+    with np.errstate(all="ignore"), _damage_named(path):  # numbers that are not finite are refused later
         raw = _raw(path)
         if note is not None:
             for text in (*raw.notes, *([UPSIDE_DOWN] if upside_down(raw) else [])):
@@ -50,8 +50,8 @@ def read_mesh(path: Path | str, unit: Unit | None = None, note: Callable[[str], 
 
 
 def read_geometry(path: Path | str, unit: Unit) -> Mesh:
-    """Mesh of a PLY file, in metres, of which only the shape counts: it may be without colours, as BOP's
-    `models_eval/`, and is grey. Raises InputError as `read_mesh`."""
+    """Shape of a PLY file as a grey mesh, in metres; it needs no colours, like BOP's `models_eval/`. Raises
+    InputError as `read_mesh`."""
     path = Path(path)
     with np.errstate(all="ignore"), _damage_named(path):
         check_kind(path, (".ply",))
@@ -60,7 +60,7 @@ def read_geometry(path: Path | str, unit: Unit) -> Mesh:
 
 @contextmanager
 def _damage_named(path: Path) -> Iterator[None]:
-    """Errors that damaged content causes, as InputError."""
+    """Converts errors that damaged content causes into InputError."""
     try:
         yield
     except InputError:
@@ -71,16 +71,18 @@ def _damage_named(path: Path) -> Iterator[None]:
 
 
 def unit_of_format(path: Path) -> Unit | None:
-    """The unit that the standard of a file's format gives; None where it gives none."""
+    """The unit by the standard of a file's format; None if the standard gives none."""
     return "m" if _READERS.get(path.suffix.lower()) is read_gltf else None
 
 
 @dataclass(frozen=True)
 class Looked:
-    """What a mesh is before its unit is settled. sizes: its largest side, metres, by the units in which it is
-    that of an object, the likely ones first; parts: the names of the meshes that are taken as one;
-    away, diameter: from its origin to its middle, and across its bounds, in the file's unit; clear: the share
-    of its surface on which its texture or its material is transparent, which is read as if it were not."""
+    """Properties of a mesh before its unit is decided.
+
+    sizes: its largest side in metres, for each unit in which this is the size of an object, likely units
+    first; parts: the names of the meshes that are merged; away: distance of the centre of its bounds from
+    its origin, and diameter: diagonal of its bounds, in the file's unit; clear: share of its surface that
+    is transparent, by texture or material; transparent surfaces are read as opaque."""
 
     sizes: dict[Unit, float]
     parts: tuple[str, ...]
@@ -90,9 +92,9 @@ class Looked:
 
 
 def look_at(path: Path) -> Looked:
-    """What there is to say of a mesh file. Raises InputError as `read_mesh`."""
+    """Properties of a mesh file. Raises InputError as `read_mesh`."""
     with np.errstate(all="ignore"), _damage_named(path):
-        raw = _raw(path, textured=False)  # a large one takes seconds
+        raw = _raw(path, textured=False)  # decoding a large texture takes seconds
         vertices = _referenced(raw)[0]
         side, low, high = _extent(vertices), vertices.min(0), vertices.max(0)
         clear = _clear_share(raw)
@@ -103,12 +105,12 @@ def look_at(path: Path) -> Looked:
 
 
 _INSIDE = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [4, 4, 1], [4, 1, 4], [1, 4, 4]], float)
-"""Places of a triangle at which its texture is looked at: barycentric coordinates, but for their sums."""
+"""Points of a triangle at which its texture is read: barycentric coordinates, not normalised."""
 
 
 def _clear_share(raw: RawMesh) -> float:
-    """The share of the surface whose material is clear or whose texels are white, of a mesh that was read
-    without its textures."""
+    """Share of the surface whose material is clear or whose texels are white, for a mesh that was read with
+    `textured=False`."""
     places = _INSIDE / _INSIDE.sum(1, keepdims=True)
     a, b, c = (raw.vertices[raw.faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -122,13 +124,13 @@ def _clear_share(raw: RawMesh) -> float:
             continue
         height, width = material.texture.shape[:2]
         u, v = np.moveaxis(places @ raw.uv[mine].astype(float) % 1.0, -1, 0)
-        seen = material.texture[(v * height).astype(int) % height, (u * width).astype(int) % width].any(-1)
-        clear += float((seen.mean(1) * areas[mine]).sum())
+        white = material.texture[(v * height).astype(int) % height, (u * width).astype(int) % width].any(-1)
+        clear += float((white.mean(1) * areas[mine]).sum())
     return clear / max(float(areas.sum()), np.finfo(float).tiny)
 
 
 def _raw(path: Path, textured: bool = True) -> RawMesh:
-    """The mesh as the file has it; textured: with its pictures."""
+    """The mesh as in the file; textured: with its textures."""
     if path.is_dir():
         raise InputError(
             path, found="a folder", expected=f"a mesh file: {', '.join(_READERS)}", fix=_inside(path)
@@ -138,7 +140,7 @@ def _raw(path: Path, textured: bool = True) -> RawMesh:
 
 
 def _inside(folder: Path) -> str:
-    """Which of the meshes in a folder may be meant."""
+    """Advice for a folder: which of its meshes may be meant."""
     there = sorted(path for path in folder.iterdir() if path.suffix.lower() in _READERS)
     return f"Did you mean {there[0]}?" if there else "Name the file itself; this folder has none."
 
@@ -155,21 +157,21 @@ def _converted(raw: RawMesh, unit: Unit | None, path: Path) -> Mesh:
 
 
 def _check_rounding(metric: Float32, path: Path) -> None:
-    """Raises InputError for vertices (V, 3), metres, so far from their origin that 32 bits change its
-    shape."""
+    """Raises InputError for vertices (V, 3), metres, so far from their origin that rounding to 32 bits
+    changes the shape."""
     step = float(np.spacing(np.abs(metric).max()))
     if not step <= _MAX_ROUNDING * _extent(metric.astype(np.float64)):  # also for infinity
         away = float(np.linalg.norm((metric.min(0) + metric.max(0)) / 2.0))
         raise InputError(
             path,
-            found=f"a mesh {length(away)} from its origin, where 32 bits round places to {length(step)}",
+            found=f"a mesh {length(away)} from its origin, where 32 bits round positions to {length(step)}",
             expected="an origin in or near the object, not that of a map",
             fix="Move the mesh to its origin in the modelling program, and export again.",
         )
 
 
 def _referenced(raw: RawMesh) -> tuple[Float64, Int32]:
-    """Vertices that a face uses, in their order, and faces renumbered."""
+    """The vertices that faces use, in their order, and the faces with new indices."""
     used = np.zeros(len(raw.vertices), bool)
     used[raw.faces] = True
     numbers = np.cumsum(used) - 1
@@ -181,7 +183,7 @@ def _extent(vertices: Float64) -> float:
     return float((vertices.max(0) - vertices.min(0)).max())
 
 
-def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path: Path) -> float:
+def _metres_per_unit(vertices: Float64, unit: Unit | None, was_given: bool, path: Path) -> float:
     extent = _extent(vertices)
     if extent == 0.0:
         found = "a mesh without size: all its points are in one place"
@@ -192,11 +194,11 @@ def _metres_per_unit(vertices: Float64, unit: Unit | None, was_told: bool, path:
     if taken is not None:
         return METRES[taken]
     sizes = " or ".join(f"{length(extent * METRES[u])} if it is in {NAMES[u]}" for u in (*tried, *plausible))
-    said = " or ".join(f"--unit {u}" for u in plausible)
+    options = " or ".join(f"--unit {u}" for u in plausible)
     if plausible:
-        fix = f"Did you mean {said}?" if was_told else f"Give {said}."
+        fix = f"Did you mean {options}?" if was_given else f"Give {options}."
     else:
-        fix = f"By no --unit ({', '.join(METRES)}) is it one: scale the mesh."
+        fix = f"No --unit ({', '.join(METRES)}) gives that size: scale the mesh."
     raise InputError(
         path,
         found=f"a largest side of {number(extent)} units{f' (taken as {unit})' if unit else ''}: {sizes}",

@@ -23,12 +23,12 @@ from huepose.model.types import DistanceGrid, Surface
 from huepose.refine.point_to_plane import SurfaceArrays, surface_arrays
 from huepose.support.jit import jit
 
-_NORMAL_LENGTH = 0.05  # of the diameter: samples that face away are a tenth of a diameter farther
+_NORMAL_LENGTH = 0.05  # of the diameter: opposite normals count as a tenth of a diameter
 
 
 @dataclass(frozen=True, eq=False)
 class SidedSurface:
-    """points, normals (N, 3) of a surface, searched in both at once; diameter_m of the object."""
+    """points, normals (N, 3) of a surface, searched by both at once; diameter_m of the object."""
 
     points: Float64
     normals: Float64
@@ -48,30 +48,30 @@ class SidedSurface:
         query = np.hstack([points, _NORMAL_LENGTH * self.diameter_m * np.asarray(normals)])
         return np.asarray(self.tree.query(query)[1], np.int64)
 
-    def offsets(self, turn: Float, points: Float, normals: Float) -> tuple[Float64, Float64]:
-        """Distances of transformed points (M, 3) with normals from the surface, over the diameter: to its
-        tangent plane (M,) and to the sample itself (M,); at least a twentieth where the surface faces another
-        way."""
-        moved, turned = se3.apply(turn, points), normals @ turn[:3, :3].T
-        j = self.nearest(moved, turned)
+    def offsets(self, rotation: Float, points: Float, normals: Float) -> tuple[Float64, Float64]:
+        """Distances of transformed points (M, 3) with normals from the surface, over the diameter: to the
+        tangent plane of the nearest sample (M,) and to the sample itself (M,). They are at least 0.05 if
+        the normals differ by more than 60 degrees."""
+        moved, rotated = se3.apply(rotation, points), normals @ rotation[:3, :3].T
+        j = self.nearest(moved, rotated)
         gap = moved - self.points[j]
-        elsewhere = np.einsum("md,md->m", self.normals[j], turned) < 0.5
+        elsewhere = np.einsum("md,md->m", self.normals[j], rotated) < 0.5
         plane = np.abs(np.einsum("md,md->m", gap, self.normals[j])) / self.diameter_m
         distance = np.linalg.norm(gap, axis=1) / self.diameter_m
         return np.maximum(plane, 0.05 * elsewhere), np.maximum(distance, 0.05 * elsewhere)
 
-    def polished(self, turn: Float64, points: Float, normals: Float) -> Float64:
+    def polished(self, rotation: Float64, points: Float, normals: Float) -> Float64:
         """Refine a transform (4, 4) by eight point-to-plane steps of the transformed points onto the
         surface."""
-        T = turn
+        T = rotation
         for _ in range(8):
-            moved, turned = se3.apply(T, points), normals @ T[:3, :3].T
-            j = self.nearest(moved, turned)
+            moved, rotated = se3.apply(T, points), normals @ T[:3, :3].T
+            j = self.nearest(moved, rotated)
             n = self.normals[j]
             gap = moved - self.points[j]
             residual = np.einsum("md,md->m", gap, n)
             weight = 1.0 / (1.0 + (np.linalg.norm(gap, axis=1) / (0.02 * self.diameter_m)) ** 2)
-            weight *= np.maximum(np.einsum("md,md->m", n, turned), 0.0)
+            weight *= np.maximum(np.einsum("md,md->m", n, rotated), 0.0)
             lever = moved - moved.mean(0)
             J = np.hstack([n, np.cross(lever, n)])
             damping = np.diag([1e-3] * 3 + [1e-3 * self.diameter_m**2 / 12] * 3) * weight.sum()
@@ -81,7 +81,7 @@ class SidedSurface:
         return T
 
 
-MAX_ERROR = 0.03  # mean surface distance over the diameter; loose, since one rotation too many costs little
+MAX_ERROR = 0.03  # mean surface distance over the diameter; loose: a superfluous rotation costs little
 MAX_ERROR_ABOUT_AXIS = 0.025  # the same for all rotations about an axis of revolution
 STEP_RAD = np.radians(15.0)  # between rotations about an axis
 DISTINCT_RAD = np.radians(20.0)  # between other rotations: refinement bridges smaller differences
@@ -90,7 +90,7 @@ _STARTS = 1500  # rotations spread over SO(3)
 _POINTS = 400  # surfels that errors are measured on
 _FIT_POINTS = 250  # surfels that fits use
 _ITERATIONS = 15  # of point-to-plane ICP
-_MAX_ROUGH_ERROR = 0.06  # on the grid, which does not separate the two sides of a wall
+_MAX_ROUGH_ERROR = 0.06  # mean error on the grid, which does not separate the two sides of a wall
 _SAME_AXIS = np.cos(np.radians(7.0))  # cosine between directions of one axis
 
 
@@ -134,7 +134,7 @@ def near_symmetries(surface: Surface, grid: DistanceGrid, diameter_m: float) -> 
 
 
 def _measured_on(surface: Surface) -> tuple[Float64, Float64]:
-    """The points and normals (N, 3) by which errors are measured."""
+    """The points and normals (N, 3) that errors are measured on."""
     return surface.points[:_POINTS].astype(np.float64), surface.normals[:_POINTS].astype(np.float64)
 
 
@@ -165,8 +165,8 @@ def rotations_about(axis: Float, offset: Float, step_rad: float) -> Float64:
 
 
 def _distinct(transforms: Float64, apart_rad: float, most: int) -> Int64:
-    """Indices of at most `most` transforms that differ by `apart_rad` from the identity and from all chosen
-    before."""
+    """Indices of at most `most` transforms that differ by `apart_rad` from the identity and from each
+    other; earlier ones are preferred."""
     with_identity = np.concatenate([np.eye(4)[None], transforms])
     return np.asarray(first_different(with_identity, apart_rad, most + 1)[1:] - 1)
 
@@ -176,8 +176,8 @@ def axis_of_revolution(
 ) -> tuple[Float64, Float64] | None:
     """Axis (direction, a point on it) about which every rotation is a near-symmetry, or None.
 
-    transforms (N, 4, 4): near-symmetries, best first. A sphere has no unique axis: the one with least error
-    is taken.
+    transforms (N, 4, 4): near-symmetries, best first. If there are several axes, as for a sphere, the one
+    with the least error is taken.
     """
     vectors = np.array([se3.rotation_log(T[:3, :3]) for T in transforms]).reshape(-1, 3)
     angles = np.linalg.norm(vectors, axis=1)
@@ -194,8 +194,7 @@ def axis_of_revolution(
             continue
         direction = np.linalg.eigh(axes[same].T @ axes[same])[1][:, 2]
         direction = direction * np.sign(direction[int(np.argmax(np.abs(direction)))])
-        # Points that the transforms leave in place: (I - R) p = t for each; of those the nearest to the
-        # centre.
+        # A point that all transforms leave in place, (I - R) p = t, and of those the nearest to the centre.
         A = np.concatenate([np.eye(3) - T[:3, :3] for T in members[same]] + [1e-3 * np.eye(3)])
         b = np.concatenate([T[:3, 3] for T in members[same]] + [1e-3 * centre])
         offset = np.linalg.lstsq(A, b, rcond=None)[0]
@@ -219,8 +218,8 @@ def fitted(
     transforms: Float64, surface: Surface, grid: DistanceGrid, diameter_m: float
 ) -> tuple[Float64, Float64]:
     """Transforms (M, 4, 4) after point-to-plane ICP of the surface onto itself, and their mean errors (M,)
-    over the diameter. A surfel that lands where the surface faces another way counts with at least a
-    twentieth of a diameter."""
+    over the diameter. The error of a surfel is at least 0.05 if its normal differs by more than 60 degrees
+    from the surface's."""
     out = np.ascontiguousarray(transforms, np.float64).copy()
     errors = np.empty(len(out))
     _fit_all(out, errors, surface_arrays(surface, grid), float(diameter_m))
@@ -268,7 +267,7 @@ def _fit_all(transforms: Float64, errors: Float64, surface: SurfaceArrays, d: fl
             errors[m] = error / (count * d)
             if it == _ITERATIONS:
                 break
-            for a in range(3):  # slides along what the surface does not fix are damped away
+            for a in range(3):  # damps motions that the surface does not determine
                 A[a, a] += 2e-4 * d * d * count
                 A[a + 3, a + 3] += 2e-3 * count
             x = np.linalg.solve(A, b)

@@ -1,4 +1,4 @@
-"""Averages of samples over a radius, by sorting samples into cells: no neighbour lists are stored."""
+"""Averages of samples within a radius. Samples are sorted into cells; no neighbour lists are stored."""
 
 from __future__ import annotations
 
@@ -41,8 +41,9 @@ class Cells(NamedTuple):
         )
 
     def gaussian(self, points: Float, normals: Float, sigma: float) -> tuple[Float64, Float64]:
-        """Means (N, C) of the values around oriented points (N, 3), and total weights (N,): Gaussian in the
-        distance, within the radius, times the cosine to the sample's normal; 0 for samples that face away."""
+        """Weighted means (N, C) of the values around oriented points (N, 3), and total weights (N,). A
+        weight is a Gaussian of the distance, within the radius, times the cosine to the sample's normal, at
+        least 0."""
         out = np.zeros((len(points), self.values.shape[1]))
         weights = np.zeros(len(points))
         _gaussian(self, _columns(points), _columns(normals), sigma, out, weights)
@@ -75,7 +76,7 @@ def _row(cells: Cells, i: int, j: int, k: int) -> tuple[int, int]:
 
 @jit
 def _cell(cells: Cells, at: Float64) -> tuple[int, int, int]:
-    """The cell (i, j, k) that a point (3,) lies in."""
+    """The cell (i, j, k) that contains a point (3,)."""
     low, size = cells.low, cells.size
     return (
         int(np.floor((at[0] - low[0]) / size)),
@@ -86,7 +87,7 @@ def _cell(cells: Cells, at: Float64) -> tuple[int, int, int]:
 
 @jit
 def _square_and_cosine(point: Float64, normal: Float64, at: Float64, facing: Float64) -> tuple[float, float]:
-    """Squared distance of two oriented points, and the cosine between their normals."""
+    """Squared distance between two oriented points, and the cosine between their normals."""
     d0, d1, d2 = point[0] - at[0], point[1] - at[1], point[2] - at[2]
     cosine = normal[0] * facing[0] + normal[1] * facing[1] + normal[2] * facing[2]
     return d0 * d0 + d1 * d1 + d2 * d2, cosine

@@ -1,12 +1,12 @@
 """Wavefront OBJ: all forms of faces, negative indices, polygons; materials with the colour `Kd` and the
-texture `map_Kd`, or `map_Ka` where that is the only one.
+texture `map_Kd`, or `map_Ka` if there is no `map_Kd`.
 
-Colours come from the textures; without texture from six-number vertices (x y z r g b), else from `Kd`. It is
-`Kd`, too, where all vertices have one grey and the materials have colours: exporters write such a grey, or
-white, where there are no colours at the vertices.
+Colours come from textures, without texture from vertices with six numbers (x y z r g b), without these from
+`Kd`. `Kd` is also used if all vertices have the same grey and the materials have colours: exporters write
+such a grey, or white, for vertices without colours.
 
-Vertices and texture coordinates keep their own numbers, as in the file: one number for both would repeat the
-vertices along every seam of the texture, and the error of a pose is measured over vertices.
+Vertices and texture coordinates keep their separate indices, as in the file. Common indices would repeat
+vertices along every seam of the texture, and would change pose errors, which are means over vertices.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from huepose.support.errors import InputError
 
 _MAP_OPTION_ARGUMENTS = {"-blendu": 1, "-blendv": 1, "-bm": 1, "-boost": 1, "-cc": 1, "-clamp": 1}
 _MAP_OPTION_ARGUMENTS |= {"-imfchan": 1, "-mm": 2, "-texres": 1, "-type": 1}
-"""Words that follow each option of a texture in a material file."""
+"""Number of words after each option of a texture in a material file."""
 
 _GREY = (200, 200, 200)
 """RGB of a material that states no colour."""
@@ -46,11 +46,11 @@ _LIBRARY = "material file"
 def read_materials(
     files: MeshFiles, libraries: Sequence[str], wanted: Collection[str]
 ) -> tuple[dict[str, Material], list[str], list[str]]:
-    """Materials by name that an OBJ file's libraries have of those `wanted`, the names of all they have, and
-    notes on those whose pictures do not show their colour.
+    """The `wanted` materials of an OBJ file's libraries by name, the names of all materials in them, and
+    notes on materials whose textures do not give their colour.
 
-    A material that nobody wants costs nothing: its texture is not read. A single material is read always.
-    Raises InputError naming the file, what was found and what to do.
+    The textures of other materials are not read. A single material is always read. Raises InputError naming
+    the file, what was found and what to do.
     """
     colors: dict[str, tuple[int, int, int]] = {}
     maps: dict[str, tuple[Path, dict[str, str]]] = {}
@@ -83,7 +83,7 @@ def read_materials(
 
 
 def _unquoted(files: MeshFiles, name: str, mtl: Path) -> str:
-    """The name without its quotes, unless there is a file whose name has them."""
+    """The name without its quotes, unless a file with the quotes in its name exists."""
     quoted = len(name) > 2 and name[0] == name[-1] and name[0] in "\"'"
     return name[1:-1] if quoted and not files.has(name, "texture", mtl) else name
 
@@ -91,13 +91,13 @@ def _unquoted(files: MeshFiles, name: str, mtl: Path) -> str:
 def _no_color_map(name: str, lines: dict[str, str]) -> str:
     there = ", ".join(line.strip()[:60] for line in lines.values())
     return (
-        f"material {name} has no picture of its colour (map_Kd), only {there}; it is shown in one colour "
-        "(Kd). If that is wrong, name the picture of its colour with map_Kd in the material file"
+        f"material {name} has no colour texture (map_Kd), only {there}; it gets one colour (Kd). If that is "
+        "wrong, name its colour texture with map_Kd in the material file"
     )
 
 
 def _libraries(files: MeshFiles, line: str) -> list[str]:
-    """The material files that `mtllib` names: one, whose name may have spaces, else several."""
+    """The material files that `mtllib` names: one whose name may have spaces, or several."""
     words = line.split()
     several = not files.has(line, _LIBRARY, files.mesh) and files.has(words[0], _LIBRARY, files.mesh)
     return words if several else [line]
@@ -106,8 +106,8 @@ def _libraries(files: MeshFiles, line: str) -> list[str]:
 def _parsed(
     mtl: Path, text: str
 ) -> tuple[dict[str, tuple[int, int, int]], dict[str, dict[str, str]], dict[str, float]]:
-    """Colours, lines `map_...` by their first word, and opacities where there are any, by the name of their
-    material."""
+    """By the name of their material: colours, lines `map_...` by their first word, and opacities if
+    given."""
     colors: dict[str, tuple[int, int, int]] = {}
     maps: dict[str, dict[str, str]] = {}
     opacities: dict[str, float] = {}
@@ -127,17 +127,17 @@ def _parsed(
                 found = line.strip()[:60]
                 raise InputError(mtl, found=found, expected="Kd r g b with numbers 0..1") from None
             colors[name] = (r, g, b)
-        elif kind.startswith("map_") and kind != "map_aat" and len(words) > 1:  # map_aat names no picture
+        elif kind.startswith("map_") and kind != "map_aat" and len(words) > 1:  # map_aat names no texture
             maps.setdefault(name, {})[kind] = line
         elif kind == "d" and _is_number(words[-1]):  # before it there may be `-halo`
             opacities[name] = float(words[-1])
-        elif kind == "tr" and _is_number(words[-1]):  # of which some exporters mean the opposite: `d` counts
+        elif kind == "tr" and _is_number(words[-1]):  # some exporters mean the opposite of it: `d` counts
             opacities.setdefault(name, 1.0 - float(words[-1]))
     return colors, maps, opacities
 
 
 def _map_file(mtl: Path, line: str) -> tuple[str, Wrap]:
-    """File name of a `map_Kd` line, and what the texture shows outside of 0..1: other options are skipped,
+    """File name of a `map_Kd` line, and how the texture continues outside 0..1. Other options are skipped;
     spaces in the name are kept."""
     wrap: Wrap = "repeat"
     rest = line.split(None, 1)[1].strip()
@@ -178,7 +178,7 @@ _FORMS = {
     "vt": "vt u v",
     "f": "f v, v/vt, v//vn or v/vt/vn",
 }
-_LONGEST_LINE = 1_000_000  # letters: a polygon of some hundred thousand corners is no face of an object
+_LONGEST_LINE = 1_000_000  # characters: a polygon of some hundred thousand corners is not a face of an object
 
 
 @dataclass
@@ -188,8 +188,8 @@ class _Statements:
     v: array[float] = field(default_factory=lambda: array("d"))  # x y z, or x y z r g b, one after the other
     v_width: int = 0  # numbers of a vertex: 3 or 6
     vt: array[float] = field(default_factory=lambda: array("d"))  # u v
-    corners: array[int] = field(default_factory=lambda: array("q"))  # v and vt (or -1); three pairs a face
-    polygons: array[int] = field(default_factory=lambda: array("q"))  # the number of the polygon of each face
+    corners: array[int] = field(default_factory=lambda: array("q"))  # v and vt (or -1), three pairs per face
+    polygons: array[int] = field(default_factory=lambda: array("q"))  # the polygon of each face
     face_materials: array[int] = field(default_factory=lambda: array("q"))
     material_names: list[str] = field(default_factory=list)
     libraries: list[str] = field(default_factory=list)
@@ -198,12 +198,12 @@ class _Statements:
 def read_obj(files: MeshFiles) -> RawMesh:
     """Mesh of an OBJ file. Raises InputError naming the file, the line and what to do."""
     path = files.mesh
-    said = _statements(path, decoded(files.read_mesh()))
-    v = np.array(said.v, np.float64).reshape(-1, max(said.v_width, 3))
-    vt = np.array(said.vt, np.float64).reshape(-1, 2)
-    corners = np.array(said.corners, np.int64).reshape(-1, 3, 2)
+    statements = _statements(path, decoded(files.read_mesh()))
+    v = np.array(statements.v, np.float64).reshape(-1, max(statements.v_width, 3))
+    vt = np.array(statements.vt, np.float64).reshape(-1, 2)
+    corners = np.array(statements.corners, np.int64).reshape(-1, 3, 2)
     check_faces(path, v, corners[..., 0])
-    _cut_by_ears(path, v, corners, np.array(said.polygons, np.int64))
+    _cut_by_ears(path, v, corners, np.array(statements.polygons, np.int64))
     faces = corners[..., 0].astype(np.int32)
     if len(vt) and corners[..., 1].max() >= len(vt):
         found = f"texture coordinate {corners[..., 1].max() + 1}"
@@ -217,10 +217,10 @@ def read_obj(files: MeshFiles) -> RawMesh:
     if v.shape[1] == 6:
         scale = 255.0 if v[:, 3:].max() <= LARGEST_FRACTION else 1.0
         colors = np.clip(np.round(v[:, 3:] * scale), 0, 255).astype(np.uint8)[faces]
-    face_materials = np.array(said.face_materials, np.int32)
+    face_materials = np.array(statements.face_materials, np.int32)
     used = np.unique(face_materials)
     colored = colors is not None and not _one_grey(colors)
-    materials, notes = _materials(files, said, [said.material_names[i] for i in used], colored)
+    materials, notes = _materials(files, statements, [statements.material_names[i] for i in used], colored)
     for i, material in zip(used, materials, strict=True):
         naked = uv is None or (corners[face_materials == i, :, 1] < 0).any()
         if material.texture is not None and naked:
@@ -250,9 +250,9 @@ def _one_grey(colors: UInt8) -> bool:
 
 
 def _have_colors(materials: Sequence[Material]) -> bool:
-    """Whether those without a texture say more than one grey does."""
-    told = {material.color for material in materials if material.texture is None}
-    return len(told) > 1 or any(len(set(color)) > 1 for color in told)
+    """Whether the materials without a texture have several colours, or one that is not grey."""
+    colors = {material.color for material in materials if material.texture is None}
+    return len(colors) > 1 or any(len(set(color)) > 1 for color in colors)
 
 
 def _statements(path: Path, text: str) -> _Statements:
@@ -294,7 +294,8 @@ def _statements(path: Path, text: str) -> _Statements:
 
 
 def _lines(path: Path, text: str) -> Iterator[tuple[int, str]]:
-    """Lines with their numbers; one that ends with a backslash goes on in the next, but not a comment."""
+    """Lines with their numbers. A line that ends with a backslash continues in the next, unless it is a
+    comment."""
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     start = 0
@@ -303,7 +304,7 @@ def _lines(path: Path, text: str) -> Iterator[tuple[int, str]]:
         end = text.find("\n", start)
         line = text[start : end if end >= 0 else len(text)]
         if len(line) > _LONGEST_LINE:
-            found = f"a line of {len(line)} letters"
+            found = f"a line of {len(line)} characters"
             raise InputError(f"{path} line {number}", found=found, expected="an OBJ file", fix=RE_EXPORT)
         goes_on = line.endswith("\\") and end >= 0 and not line.lstrip().startswith("#")
         parts.append(line[:-1] if goes_on else line)
@@ -336,7 +337,7 @@ def _add_face(out: _Statements, words: list[str], material: int) -> None:
 
 
 def _cut_by_ears(path: Path, v: Float64, corners: Int64, polygon: Int64) -> None:
-    """In place: the triangles of polygons that their fans leave."""
+    """Triangulate by ears, in place, the polygons for which a fan is wrong."""
     for fan in polygons.left(v[:, :3], corners[..., 0], polygon):
         around = np.concatenate([corners[fan.start, :2], corners[fan, 2]])
         corners[fan] = around[polygons.ears(v[around[:, 0], :3], path)]
@@ -352,11 +353,11 @@ def _corner(word: str, vertices: int, texture_vertices: int) -> tuple[int, int]:
 
 
 def _materials(
-    files: MeshFiles, said: _Statements, names: list[str], colored: bool
+    files: MeshFiles, statements: _Statements, names: list[str], colored: bool
 ) -> tuple[tuple[Material, ...], list[str]]:
-    """The materials of these names, and notes on them. colored: the vertices have colours, which are shown
-    where the material file is lost."""
-    libraries = [name for line in said.libraries for name in _libraries(files, line)]
+    """The materials of these names, and notes on them. colored: the vertices have colours, which are used
+    if the material file is missing."""
+    libraries = [name for line in statements.libraries for name in _libraries(files, line)]
     there = [name for name in libraries if not colored or files.has(name, _LIBRARY, files.mesh)]
     known, order, notes = read_materials(files, there, names)
     lost = [name for name in libraries if name not in there]
@@ -366,7 +367,7 @@ def _materials(
         return (known[order[0]],), notes
     missing = [name for name in names if name and name not in known]
     if missing and not (colored and (lost or not libraries)):
-        named = ", ".join(said.libraries) or "no mtllib"
+        named = ", ".join(statements.libraries) or "no mtllib"
         raise InputError(
             files.mesh,
             found=f"usemtl {missing[0]}",
@@ -378,6 +379,6 @@ def _materials(
 
 def _lost(library: str) -> str:
     return (
-        f"the {_LIBRARY} {library[:80]}, which the mesh names, is not there; the colours at its vertices are "
-        "shown. If it should have a texture, put that file and the picture beside the mesh"
+        f"the {_LIBRARY} {library[:80]}, which the mesh names, is missing; the colours at its vertices are "
+        "used. If the mesh should have a texture, put that file and the texture beside the mesh"
     )

@@ -1,4 +1,4 @@
-"""From a mesh to a reference model. Meshes of more than 60,000 triangles are simplified on the way."""
+"""Makes the reference model of a mesh. Meshes of more than 60,000 triangles are simplified first."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def onboard_mesh(
     paper: bool = False,
     report: Report = silent,
 ) -> ReferenceModel:
-    """Reference model of a mesh, which is simplified where it is large; see `reference_model` for the rest.
+    """Reference model of a mesh, which is simplified if it is large; arguments as of `reference_model`.
 
-    Raises InputError for a mesh or symmetries that cannot be used, ModuleNotFoundError for a large mesh where
+    Raises InputError for a mesh or symmetries that cannot be used, ModuleNotFoundError for a large mesh if
     the extra `onboard` is not installed.
     """
     check_name(name)

@@ -1,8 +1,8 @@
 """Build the colour pairs of a model from rendered views, offline (paper, section III-C).
 
-Pairs are extracted from every view, lifted onto the surface and merged over views: a pair found in many views
-becomes one row, weighted by the number of views. This is done at two scales. Every model has these pairs; the
-tables of the paper's method are built from the coarse ones (`paper.tables`) on request.
+Pairs are extracted from every view, lifted onto the surface and merged: a pair that is found in many views
+becomes one row, weighted by the number of views. This is done at two scales. Every model has these pairs.
+The tables of the paper's method are built from the coarse ones (`paper.tables`) on request.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from huepose.support.errors import InputError
 from huepose.support.jit import jit
 
 DISTANCE = 4.0
-"""Distance of the camera in the views, object diameters."""
+"""Distance of the camera in the views, in object diameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,29 +62,28 @@ class Scale:
 
 
 COARSE, FINE = Scale(0.75, 110.0, 190.0), Scale(1.0, 130.0, 240.0)
-"""Of the views for hypotheses (large texture, few pairs) and for verification (small texture)."""
+"""Scales of the views: for hypotheses (large texture, few pairs) and for verification (small texture)."""
 
 LEVEL = 1
-"""Of the icosphere of view directions."""
+"""Level of the icosphere of view directions."""
 
 MIN_FACING = 0.35
 """Least cosine of the viewing angle at a pair."""
 
 MAX_PAIRS = 8000
-"""Rows of a scale."""
+"""Most rows of a scale."""
 
 MERGE = 0.012
-"""Distance, in diameters, within which pairs of different views are one."""
+"""Distance, in diameters, within which pairs of different views are merged."""
 
 PAIRS_OF_A_VIEW = 4000
-"""Most that are extracted."""
+"""Most pairs that are extracted from a view."""
 
 
 def reference_cameras(diameter_m: float) -> list[tuple[Camera, Float64]]:
-    """The views that the database is made of: cameras and poses `T_cam_obj` of an object centred on its
-    origin, coarse and fine.
+    """Cameras and poses `T_cam_obj` of the coarse and fine views of an object that is centred on its origin.
 
-    For an object with its centre elsewhere, compose with the translation that centres it.
+    For another object, compose them with the translation that centres it.
     """
     t = np.array([0.0, 0.0, DISTANCE * diameter_m])
     views = []
@@ -100,8 +99,8 @@ def reference_cameras(diameter_m: float) -> list[tuple[Camera, Float64]]:
 def coarse_and_fine(views: Sequence[PairView], diameter_m: float) -> tuple[MergedPairs, MergedPairs]:
     """The colour pairs of a model at both scales, from the views of `reference_cameras`, in any order.
 
-    Views count as coarse or fine by their focal length, whichever is nearer. An object without texture has
-    few pairs or none. Raises InputError without views.
+    The focal length of a view decides whether it is coarse or fine. An object without texture has few pairs
+    or none. Raises InputError without views.
     """
     if not views:
         raise InputError("colour pairs of a model", found="no views", expected="at least one rendered view")
@@ -119,7 +118,7 @@ def coarse_and_fine(views: Sequence[PairView], diameter_m: float) -> tuple[Merge
 
 
 def pair_reference(coarse: MergedPairs, fine: MergedPairs, diameter_m: float) -> PairReference:
-    """The pairs of both scales as a model keeps them, the rows of coarse ones first."""
+    """The pairs of both scales as a model keeps them, the coarse rows first."""
     every = SurfacePairs.joined([coarse.pairs, fine.pairs])
     return PairReference(
         points=every.points,
@@ -150,8 +149,9 @@ def _all_pairs(views: Sequence[PairView]) -> tuple[SurfacePairs, Int32]:
 
 
 def merged(pairs: SurfacePairs, owners: Int32, radius_m: float, limit: int) -> MergedPairs:
-    """Pairs of one position, direction and similar colours as one: position and edge of the sharpest, mean
-    colours of all; at most `limit`."""
+    """Merge pairs with nearly the same position, direction and colours: each group gets the position and
+    direction of its pair with the most contrast, and the mean colours. At most `limit` pairs, those of the
+    most views."""
     if not len(pairs):
         return MergedPairs(pairs, owners, np.zeros(0, np.int32))
     contrast = np.linalg.norm(pairs.colors[:, 1] - pairs.colors[:, 0], axis=1)
@@ -180,8 +180,8 @@ def merged(pairs: SurfacePairs, owners: Int32, radius_m: float, limit: int) -> M
 def _cluster_heads(
     points: Float32, normals: Float32, tangents: Float32, colors: Float32, radius: float
 ) -> Int32:
-    """For each pair the index of the first pair in its neighbourhood with similar normal, tangent and
-    colours."""
+    """For each pair the index of the nearest earlier head of a group within `radius` whose normal, tangent
+    and colours are similar, or its own index: then it is a head itself."""
     n = points.shape[0]
     low = np.empty(3)
     size = np.empty(3, np.int64)

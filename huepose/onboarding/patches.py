@@ -1,8 +1,8 @@
-"""Patch layouts: a square of texels for every triangle, to make a texture of colours that have none.
+"""Patch layouts: a square of texels for every triangle, to bake colours into a texture.
 
-Patches have sides of powers of two and lie along a Morton curve, in the order of another Morton curve along
-the surface. Neighbours on the surface are then neighbours in the picture, so that its coarser levels average
-what belongs together.
+The sides of patches are powers of two. Patches are placed along a Morton curve, in the order of another
+Morton curve along the surface. So neighbours on the surface are neighbours in the texture, and its coarser
+levels average texels that belong together.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 from huepose.geometry.arrays import Float, Float32, Float64, Int, Int64, UInt8
 
 LARGEST = 1024  # texels a side of a texture
-_LARGEST_EQUAL_PATCH, _LARGEST_PATCH = 8, 512  # texels a side: of one size for all, of any
+_LARGEST_EQUAL_PATCH, _LARGEST_PATCH = 8, 512  # texels a side: in a layout of equal patches, in any layout
 
-# Faces (N,) and barycentric weights (N, 3) to the colours (N, 3), 0..255, at those points.
+# From faces (N,) and barycentric weights (N, 3) to the colours (N, 3), 0..255, at those points.
 Colors = Callable[[Int64, Float64], Float]
 
 
 @dataclass(frozen=True, eq=False)
 class PatchLayout:
     """corners (F, 2): left column and top row of each face's patch; sides (F,): of the patches, in texels;
-    size: of the square picture."""
+    size: side of the square texture, in texels."""
 
     corners: Int64
     sides: Int64
@@ -32,15 +32,15 @@ class PatchLayout:
 
     @property
     def uv(self) -> Float32:
-        """Texture coordinates (F, 3, 2): corners lie on texel centres, so bilinear lookup stays inside."""
+        """Texture coordinates (F, 3, 2). Corners are at texel centres, so bilinear lookup stays inside."""
         last = self.sides - 1
         none = np.zeros_like(last)
         offsets = np.stack([np.stack(c, -1) for c in ((none, none), (last, none), (none, last))], 1)
         return ((self.corners[:, None] + offsets + 0.5) / self.size).astype(np.float32)
 
     def baked(self, colors: Colors) -> UInt8:
-        """Bake a picture (size, size, 3) uint8: each patch filled with the colours of its face."""
-        picture = np.zeros((self.size, self.size, 3), np.uint8)
+        """Bake a texture (size, size, 3) uint8: each patch is filled with the colours of its face."""
+        texture = np.zeros((self.size, self.size, 3), np.uint8)
         for side in np.unique(self.sides).tolist():
             faces = np.flatnonzero(self.sides == side)
             last = side - 1
@@ -51,12 +51,12 @@ class PatchLayout:
                 s, t = (x / last, np.full(len(x), y / last)) if last else (np.full(len(x), 1 / 3),) * 2
                 values = colors(owner, np.stack([1.0 - s - t, s, t], 1))
                 row, column = self.corners[owner, 1] + y, self.corners[owner, 0] + x
-                picture[row, column] = np.clip(np.round(values), 0, 255).astype(np.uint8)
-        return picture
+                texture[row, column] = np.clip(np.round(values), 0, 255).astype(np.uint8)
+        return texture
 
 
 def equal_patches(vertices: Float, faces: Int) -> PatchLayout | None:
-    """Patches of one size, for colours that vary linearly over each face; None for more faces than texels."""
+    """Patches of one size, for colours that vary linearly over each face; None for too many faces."""
     grid = 1 << max(0, int(np.ceil(np.log2(len(faces)) / 2)))
     if grid > LARGEST:
         return None
@@ -65,7 +65,7 @@ def equal_patches(vertices: Float, faces: Int) -> PatchLayout | None:
 
 
 def fitting_patches(vertices: Float, faces: Int) -> PatchLayout:
-    """Patches as large as their faces, at the finest scale at which all fit; for up to 250,000 faces."""
+    """Patches of sizes like their faces, at the finest scale at which all fit; for up to 250,000 faces."""
     v = np.asarray(vertices, np.float64)[faces]
     longest = np.linalg.norm(v - np.roll(v, 1, axis=1), axis=2).max(1)
     low, high = longest.max() / LARGEST / 64, longest.max()
@@ -82,7 +82,7 @@ def _sides(longest: Float64, texel: float) -> Int64:
 
 
 def _packed(vertices: Float, faces: Int, sides: Int64) -> PatchLayout:
-    """Largest first along a Morton curve of texels: each patch begins at a multiple of its own area."""
+    """Patches along a Morton curve of texels, largest first: each begins at a multiple of its own area."""
     along = _along_surface(np.asarray(vertices, np.float64), faces)
     order = along[np.argsort(-sides[along], kind="stable")]
     areas = sides[order] ** 2
@@ -94,7 +94,7 @@ def _packed(vertices: Float, faces: Int, sides: Int64) -> PatchLayout:
 
 
 def _along_surface(vertices: Float64, faces: Int) -> Int64:
-    """Order of the faces along a Morton curve of their centres, those with similar normals together."""
+    """Order of the faces along a Morton curve of their centres; faces with similar normals are together."""
     corners = vertices[faces]
     centres = corners.mean(1)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

@@ -1,7 +1,7 @@
 """PLY, ascii and binary: colours per vertex, BOP's texture_u and texture_v, MeshLab's texcoord lists.
 
-The texture's file is named by `comment TextureFile NAME`, or is a picture of the mesh's own name. An ascii
-body is read as a binary one in which every number is a double.
+`comment TextureFile NAME` names the texture's file; without it, an image with the name of the mesh is used.
+An ascii body is read as a binary one in which every number is a double.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _U_NAMES, _V_NAMES = ("texture_u", "u", "s"), ("texture_v", "v", "t")
 class _Property:
     name: str
     kind: str
-    count_kind: str | None = None  # of a list
+    count_kind: str | None = None  # type of a list's length; None for a scalar
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ Table = dict[str, Any]  # property name to a column: an array, or a list of arra
 
 
 def read_ply(files: MeshFiles, colored: bool = True) -> RawMesh:
-    """Mesh of a PLY file. colored: one without colours is refused; else colours are not looked at, and it is
-    grey. Raises InputError naming the file and what to do."""
+    """Mesh of a PLY file. colored: a mesh without colours is refused; if False, colours are not read and
+    the mesh is grey. Raises InputError naming the file and what to do."""
     path = files.mesh
     data = files.read_mesh()
     header = _header(path, data)
@@ -119,7 +119,7 @@ def read_ply(files: MeshFiles, colored: bool = True) -> RawMesh:
             if face_materials.max() >= len(names):
                 found, expected = "a texnumber without texture", f"0 to {len(names) - 1}"
                 raise InputError(path, found=found, expected=expected, fix=RE_EXPORT)
-            without = face_materials < 0  # MeshLab writes -1 of faces that have no texture
+            without = face_materials < 0  # MeshLab writes -1 for faces without texture
             if without.any():
                 face_materials[without] = len(names)
                 materials.append(Material(""))
@@ -139,7 +139,7 @@ def read_ply(files: MeshFiles, colored: bool = True) -> RawMesh:
 
 
 def _is_lists(column: Any) -> bool:
-    """Whether a column is of a list property."""
+    """Whether a column belongs to a list property."""
     return isinstance(column, list) or column.ndim == 2
 
 
@@ -200,12 +200,12 @@ def _tables(header: _Header, body: memoryview) -> dict[str, Table]:
 
 
 def _numbers(body: memoryview) -> Any:
-    """All numbers of an ascii body, float64. Raises ValueError where there is anything else."""
+    """All numbers of an ascii body, float64. Raises ValueError if it has anything else."""
     text = bytes(body).strip()
     if not text:
         return np.empty(0)
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # what is no number is a warning to older numpy
+        warnings.simplefilter("error")  # older numpy warns of text that is not a number
         try:
             return np.fromstring(text, sep=" ")
         except DeprecationWarning as error:
@@ -217,13 +217,13 @@ def _as_double(p: _Property) -> _Property:
 
 
 def _cast(column: Any, p: _Property) -> Any:
-    """A column of an ascii file in its declared type. Raises FloatingPointError where it does not fit."""
+    """A column of an ascii file in its declared type. Raises FloatingPointError if it does not fit."""
     with np.errstate(invalid="raise"):
         return [row.astype(p.kind) for row in column] if isinstance(column, list) else column.astype(p.kind)
 
 
 def _table(element: _Element, order: str, body: memoryview, at: int) -> tuple[Table, int]:
-    """An element's table that begins at byte `at`, and where the next begins."""
+    """The table of an element at byte `at`, and the byte at which the next begins."""
     lists = [p for p in element.properties if p.count_kind is not None]
     dtype = _row_type(element, order, body, at)
     if at + dtype.itemsize * element.count <= len(body):
@@ -238,7 +238,7 @@ def _table(element: _Element, order: str, body: memoryview, at: int) -> tuple[Ta
 
 
 def _row_type(element: _Element, order: str, body: memoryview, at: int) -> np.dtype[Any]:
-    """Type of a row if all rows have lists as long as the first row's."""
+    """Type of a row, on the assumption that all rows have lists as long as those of the first row."""
     fields: list[Any] = []
     for p in element.properties:
         if p.count_kind is None:
@@ -273,7 +273,7 @@ def _walk(element: _Element, order: str, body: memoryview, at: int) -> tuple[Tab
 
 
 def _triangulated(path: Path, lists: Any) -> tuple[Int64, Int32, Int32]:
-    """Fans: faces (F, 3), the polygon each came from (F,), and its corners within that polygon (F, 3)."""
+    """Polygons as fans: faces (F, 3), the polygon of each (F,), and its corners in that polygon (F, 3)."""
     if isinstance(lists, np.ndarray):
         sizes = np.full(len(lists), lists.shape[1])
         flat = lists.reshape(-1).astype(np.int64)
@@ -316,6 +316,6 @@ def _vertex_colors(vertex: Table) -> UInt8 | None:
 
 
 def _textures_beside(path: Path) -> list[str]:
-    """A picture of the mesh's own name, for files whose writer forgot to name it."""
+    """An image with the name of the mesh, for files that do not name their texture."""
     names = [path.with_suffix(s).name for s in (".png", ".jpg", ".jpeg")]
     return [n for n in names if os.path.exists(path.parent / n)][:1]

@@ -1,7 +1,7 @@
-"""Polygons to triangles: as fans from their first corners, and by ears where that would leave the polygon.
+"""Polygons to triangles: as a fan from the first corner, or by ear clipping if a fan leaves the polygon.
 
-A fan is right for every polygon that its first corner sees all of. That of an L from the wrong corner covers
-what lies beside it: a bracket would be learnt with its recess filled.
+A fan is right if the whole polygon is visible from its first corner. For an L, a fan from a wrong corner
+covers area outside of it: the model of a bracket would have its recess filled.
 """
 
 from __future__ import annotations
@@ -14,16 +14,18 @@ from huepose.geometry.arrays import Float, Float64, Int, Int32
 from huepose.support.errors import InputError
 
 LARGEST = 2000
-"""Corners of a polygon that is cut by ears, which takes half a second for so many."""
+"""Most corners of a polygon for ear clipping, which takes half a second for so many."""
 _AGAINST = 1e-4
-"""A fan leaves its polygon where a triangle faces the other way with more than this share of the area."""
+"""A fan leaves its polygon if one of its triangles faces the other way with more than this share of the
+area."""
 
 
 def left(vertices: Float, faces: Int, polygon: Int) -> list[slice]:
-    """The triangles of each polygon that its fan leaves.
+    """The triangles, as slices, of each polygon whose fan leaves it.
 
-    vertices (V, 3); faces (F, 3) of all fans; polygon (F,): that of each triangle, from 0, ascending."""
-    if len(polygon) == polygon[-1] + 1:  # triangles, which have no other fan
+    vertices (V, 3); faces (F, 3) of all fans; polygon (F,): the polygon of each triangle, from 0,
+    ascending."""
+    if len(polygon) == polygon[-1] + 1:  # all polygons are triangles
         return []
     a, b, c = (np.asarray(vertices, np.float64)[faces[:, k]] for k in range(3))
     areas = np.cross(b - a, c - a)
@@ -35,9 +37,9 @@ def left(vertices: Float, faces: Int, polygon: Int) -> list[slice]:
 
 
 def ears(points: Float, path: Path) -> Int32:
-    """Triangles (N - 2, 3) of a polygon (N, 3) as numbers of its corners, which they keep in order.
+    """Triangles (N - 2, 3) of a polygon (N, 3) by ear clipping, as indices of its corners in its direction.
 
-    A polygon may touch itself, as one with a hole does that is cut open. Raises InputError, naming the mesh
+    A polygon may touch itself, like one with a hole that is cut open. Raises InputError, naming the mesh
     file, for more than `LARGEST` corners."""
     if len(points) > LARGEST:
         raise InputError(
@@ -59,7 +61,7 @@ def ears(points: Float, path: Path) -> Int32:
 
 
 def _flat(points: Float64) -> Float64:
-    """The polygon (N, 2) in the plane of its largest area, counter-clockwise."""
+    """The polygon (N, 2) projected along the axis that keeps most of its area, counter-clockwise."""
     centred = points - points[0]
     normal = np.cross(centred, np.roll(centred, -1, 0)).sum(0)
     drop = int(np.abs(normal).argmax())
@@ -69,8 +71,8 @@ def _flat(points: Float64) -> Float64:
 
 
 def _next_ear(flat: Float64, rest: list[int], start: int) -> int:
-    """The place in `rest` of a corner whose triangle holds no other corner; where none is left, of a flat or
-    at last of any one."""
+    """Index in `rest` of an ear: a convex corner whose triangle contains no other corner. If there is none,
+    the corner that is nearest to straight."""
     corners = flat[rest]
     before, after = corners - np.roll(corners, 1, 0), np.roll(corners, -1, 0) - corners
     turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
@@ -82,7 +84,8 @@ def _next_ear(flat: Float64, rest: list[int], start: int) -> int:
 
 
 def _holds_another(corners: Float64, place: int) -> bool:
-    """Whether a corner lies in the triangle of another; those at the triangle's own corners do not."""
+    """Whether another corner lies in the triangle of a corner; those at the triangle's own corners do not
+    count."""
     a, b, c = corners[place - 1], corners[place], corners[(place + 1) % len(corners)]
     inside = np.ones(len(corners), bool)
     for p, q in ((a, b), (b, c), (c, a)):

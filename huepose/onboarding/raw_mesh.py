@@ -1,4 +1,4 @@
-"""The mesh as read from a file, before units and textures are settled; the common output of the readers."""
+"""The mesh as read from a file, before unit and texture are decided: the common output of the readers."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from huepose.support.errors import InputError
 RE_EXPORT = "Export the mesh again as OBJ, PLY or GLB with its texture."
 SIMPLIFY = "Simplify the mesh (Blender: Decimate; MeshLab: Quadric Edge Collapse Decimation)"
 LARGEST_FACES = 5_000_000
-"""Triangles of a mesh: a scan of a hand-sized object at a tenth of a millimetre has fewer."""
+"""Most triangles of a mesh: a scan of a hand-sized object at a tenth of a millimetre has fewer."""
 LARGEST_FRACTION = 2.0
-"""Colours at vertices up to this are of 0..1, rounding may lift them over 1; those of 0..255 go further."""
+"""If the largest colour of the vertices is at most this, the range is 0..1 (rounding may exceed 1), else
+0..255."""
 Wrap = Literal["repeat", "mirror", "clamp"]
-"""What a texture shows outside of 0..1: itself again, itself mirrored, its outermost texels."""
+"""How a texture continues outside 0..1: repeated, mirrored, or with its outermost texels."""
 
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """texture (H, W, 3) uint8 RGB, or None where only `color` (RGB, 0..255) is known; clear: it is more
-    transparent than not, whatever its texture; wrap: of the texture, along u and along v."""
+    """texture (H, W, 3) uint8 RGB, or None if only `color` (RGB, 0..255) is known; clear: its opacity is
+    under one half, apart from its texture; wrap: of the texture, along u and along v."""
 
     name: str
     color: tuple[int, int, int] = (200, 200, 200)
@@ -35,10 +36,10 @@ class Material:
 
 @dataclass(frozen=True, eq=False)
 class RawMesh:
-    """vertices (V, 3) float64 in the file's unit; faces (F, 3) int32; per face corner, where the file has
+    """vertices (V, 3) float64 in the file's unit; faces (F, 3) int32; per face corner, if the file has
     them: uv (F, 3, 2) with v down, colors (F, 3, 3) uint8 RGB; face_materials (F,) int32 into `materials`;
-    parts: the names of the meshes of the file, where it tells them apart; notes: what may be wrong with its
-    colours, in words."""
+    parts: the names of the file's meshes, if the format has several; notes: what may be wrong with its
+    colours, as text."""
 
     vertices: Float64
     faces: Int32
@@ -51,18 +52,19 @@ class RawMesh:
 
 
 def check_count(path: Path, faces: int) -> None:
-    """Raises InputError for more triangles than are read; asked before memory is taken for them."""
+    """Raises InputError for more than LARGEST_FACES triangles; call it before memory is allocated for
+    them."""
     if faces > LARGEST_FACES:
         raise InputError(
             path,
             found=f"{faces} triangles",
             expected=f"at most {LARGEST_FACES}",
-            fix=f"{SIMPLIFY}; 20,000 triangles are kept of it.",
+            fix=f"{SIMPLIFY}; HuePose keeps 20,000 triangles of it.",
         )
 
 
 def check_faces(path: Path, vertices: Float, faces: Int) -> None:
-    """Raises InputError unless there are finite vertices, and faces that point at them."""
+    """Raises InputError unless there are finite vertices and faces with valid indices."""
     if len(vertices) == 0 or len(faces) == 0:
         raise InputError(
             path,

@@ -1,4 +1,4 @@
-"""From a mesh to a reference model: everything that estimation and tracking need, computed once."""
+"""Makes the reference model of a mesh: all data that estimation and tracking need, computed once."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from huepose.support.errors import InputError
 
 STAGES = ("mesh", "visibility", "surface", "symmetries", "templates", "keypoints", "colour pairs")
 EVAL_POINTS = 20_000
-"""Most vertices by which errors are measured."""
+"""Most vertices over which pose errors are measured."""
 
-_STEP_RAD = np.pi / 36  # of declared continuous symmetries
+_STEP_RAD = np.pi / 36  # between samples of a declared continuous symmetry
 
 Report = Callable[[str], None]
 
 
 def silent(stage: str) -> None:
-    """A report to nobody."""
+    """A report that does nothing."""
 
 
 def reference_model(
@@ -52,13 +52,13 @@ def reference_model(
 ) -> ReferenceModel:
     """Reference model of a mesh.
 
-    lean: the mesh simplified, for the model and its pictures (surfels are taken from the full mesh); without
-    it the mesh itself serves. info: the object's entry of `models_info.json` (millimetres), for its diameter
-    and the symmetries of its shape; symmetric: an entry of the same form whose symmetries hold for shape and
-    texture, or "x", "y" or "z": how it is turned about that axis does not matter where its shape allows it;
-    frame_offset_m (3,): takes points of the PoseCNN/YCB-Video frame to the mesh's frame; paper:
-    whether the model gets the tables of the paper's method, too; report:
-    called with each stage's name as it begins. Deterministic: one mesh gives one model, bit for bit.
+    lean: the simplified mesh, for the model and its rendered views (surfels are taken from the full mesh);
+    by default the mesh itself. info: the object's entry of `models_info.json` (millimetres), for its
+    diameter and the symmetries of its shape; symmetric: an entry of the same form whose symmetries hold for
+    shape and texture, or "x", "y" or "z": all rotations about that axis that the shape allows count as the
+    same; frame_offset_m (3,): transforms points of the PoseCNN/YCB-Video frame to the mesh's frame; paper:
+    whether the model also gets the tables of the paper's method; report: called with each stage's name when
+    it begins. Deterministic: one mesh gives one model, bit for bit.
     """
     check_name(name)
     diameter = _diameter(mesh, info or {}, name)
@@ -104,7 +104,8 @@ def reference_model(
 
 
 def _diameter(mesh: Mesh, info: Mapping[str, Any], name: str) -> float:
-    """The diameter as the data set states it, if that fits the mesh at all, else the mesh's own."""
+    """The diameter that the data set states, or that of the mesh if it states none. Raises InputError if
+    the two differ by more than 10 %."""
     own = diameter_of(mesh)
     if "diameter" not in info:
         return own
@@ -120,7 +121,7 @@ def _diameter(mesh: Mesh, info: Mapping[str, Any], name: str) -> float:
 
 
 def diameter_of(mesh: Mesh) -> float:
-    """The largest distance of two vertices, metres."""
+    """The largest distance between two vertices, metres."""
     from scipy.spatial import ConvexHull, QhullError
 
     points = mesh.vertices.astype(np.float64)
@@ -143,6 +144,6 @@ def _pair_views(mesh: Mesh, diameter_m: float) -> list[PairView]:
 
 
 def _tables(coarse: MergedPairs, diameter_m: float) -> PaperTables:
-    from huepose.paper.tables import build_tables  # nobody else needs that room
+    from huepose.paper.tables import build_tables  # imported here because only this function needs `paper`
 
     return build_tables(coarse.pairs, coarse.seen, diameter_m)

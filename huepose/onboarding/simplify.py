@@ -1,4 +1,4 @@
-"""Mesh simplification: hundreds of thousands of triangles would slow drawing and tracking."""
+"""Mesh simplification: hundreds of thousands of triangles would slow down rendering and tracking."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from huepose.geometry.mesh import Mesh
 from huepose.onboarding.patches import fitting_patches
 from huepose.onboarding.winding import welded
 
-MAX_TRIANGLES = 60_000  # of a mesh that is kept as it is
+MAX_TRIANGLES = 60_000  # most triangles of a mesh that is kept as it is
 TARGET = 20_000  # most triangles after simplification
-_MAX_DISTANCE = 0.01  # of the simplified surface from the original one, over the size of the mesh
+_MAX_DISTANCE = 0.01  # between the simplified and the original surface, over the size of the mesh
 
 
 def simplified(mesh: Mesh) -> Mesh:
-    """The mesh itself up to 60,000 triangles, else one of at most 20,000 with its texture baked anew
-    (Open3D).
+    """The mesh itself if it has up to 60,000 triangles, otherwise a mesh of at most 20,000 with a new
+    texture (needs Open3D).
 
-    Vertex clustering (Rossignac and Borrel 1993): vertices in one small cell with similar normals are merged;
-    normals are part of the key, so that the sides of thin walls and sharp edges stay apart. Cells grow until
-    few enough triangles are left.
+    Vertex clustering (Rossignac and Borrel 1993): vertices with similar normals in one small cell are
+    merged. Normals are compared so that the two sides of thin walls and of sharp edges stay separate. Cells
+    grow until few enough triangles are left.
     """
     if len(mesh.faces) <= MAX_TRIANGLES:
         return mesh
@@ -58,12 +58,12 @@ def _vertex_normals(vertices: Float64, faces: Int64) -> Float64:
 
 
 def _clustered(vertices: Float64, faces: Int64, normals: Float64, cell: float) -> tuple[Float32, Int32]:
-    """Vertices (N, 3) and faces (F, 3) after merging the vertices of each cell and class of normals to their
-    mean."""
+    """Vertices (N, 3) and faces (F, 3) after the vertices of each cell and class of normals are merged into
+    their mean."""
     place = np.floor((vertices - vertices.min(0)) / cell).astype(np.int64)
     facing = (
         np.round(normals * 1.2).astype(np.int64) + 1
-    )  # 27 kinds: along an axis, between two, between three
+    )  # 27 classes: along an axis, between two, between three
     key = ((place[:, 0] * 4096 + place[:, 1]) * 4096 + place[:, 2]) * 27
     key += (facing[:, 0] * 3 + facing[:, 1]) * 3 + facing[:, 2]
     _, cluster, count = np.unique(key, return_inverse=True, return_counts=True)
@@ -92,8 +92,8 @@ class _Original:
         self._scene.add_triangles(self._tensor(mesh.vertices), self._tensor(mesh.faces.astype(np.uint32)))
 
     def colors(self, points: Float64, normals: Float64) -> Float64:
-        """Colours (N, 3) 0..255 of the original surface where rays along the normals (N, 3) from points (N,
-        3) meet it, else of the nearest place. So each side of a thin wall keeps its own colours."""
+        """Colours (N, 3) 0..255 of the original surface where rays along the normals (N, 3) through points
+        (N, 3) hit it, otherwise of its nearest point. So each side of a thin wall keeps its own colours."""
         starts = points + self._reach * normals
         rays = np.concatenate([starts, -normals], 1).astype(np.float32)
         hit = self._scene.cast_rays(self._tensor(rays))

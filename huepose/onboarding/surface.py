@@ -1,9 +1,10 @@
-"""Build the surfels of a model: about two thousand evenly spaced samples of its visible surface, and a lookup
-grid.
+"""Build the surfels of a model, about two thousand evenly spaced samples of its visible surface, and a
+lookup grid.
 
 Sample elimination (Yuksel 2015, "Sample Elimination for Generating Poisson Disk Sample Sets") spaces them
-evenly. It is continued below the wanted number to get an order in which every prefix is even, too. A grid
-around the object stores the nearest surfel of each cell, so that a correspondence is one lookup.
+evenly. It continues below the wanted number, which gives an order in which every prefix is evenly spaced,
+too. A grid around the object stores the nearest surfel of each cell, so that finding a correspondence is
+one lookup.
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from huepose.onboarding.visibility import DepthViews, seen
 from huepose.support.jit import jit
 
 COUNT = 2000  # surfels of a model
-NORMAL_RADIUS_M = 0.003  # over which normals are averaged
-_CANDIDATES = 8  # random samples for each surfel that stays
+NORMAL_RADIUS_M = 0.003  # within which normals are averaged
+_CANDIDATES = 8  # random samples for each surfel
 MARGIN_M = 0.03  # of the grid around the object
 _SMALLEST_STEP_M = 0.0015  # of the grid
 _STEPS_PER_DIAMETER = 70.0  # of the grid of a large object
@@ -46,7 +47,7 @@ def build_surface(cloud: Cloud, views: DepthViews) -> Surface:
 def even_order(points: Float, normals: Float, area_m2: float, count: int) -> Int64:
     """Indices (count,) of evenly spaced points, ordered so that every prefix is evenly spaced too.
 
-    points, normals (M, 3), random and dense on a surface of `area_m2`. Points of opposite sides of a thin
+    points, normals (M, 3), random and dense on a surface of `area_m2`. Points on opposite sides of a thin
     wall do not count as neighbours.
     """
     alive = np.arange(len(points))
@@ -75,7 +76,7 @@ def _eliminated(points: Float, normals: Float, area_m2: float, target: int) -> I
     same_side = np.einsum("nd,nd->n", normals[pairs[:, 0]], normals[pairs[:, 1]]) > -0.3
     pairs = pairs[same_side]
     distance = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
-    # The floor keeps clumps of the random input from deciding everything (section 3 of the paper).
+    # The floor prevents clumps of the random input from dominating (section 3 of the paper).
     floor = radius * (1 - (target / count) ** 1.5) * 0.65
     weight = (1 - np.maximum(distance, 2 * floor) / (2 * radius)) ** 8
     ends = np.concatenate([pairs[:, 0], pairs[:, 1]])
@@ -110,7 +111,7 @@ def _eliminate(neighbours: Int32, offsets: Int32, weights: Float, removals: int)
 
 
 def build_grid(points: Float, diameter_m: float) -> DistanceGrid:
-    """Lookup grid over surfel `points` (N, 3), N < 32768, reaching 3 cm beyond them."""
+    """Lookup grid of surfel `points` (N, 3), N < 32768, with a margin of 3 cm."""
     from scipy.spatial import cKDTree
 
     step = max(diameter_m / _STEPS_PER_DIAMETER, _SMALLEST_STEP_M)
@@ -119,7 +120,7 @@ def build_grid(points: Float, diameter_m: float) -> DistanceGrid:
     axes = [low[k] + step * np.arange(shape[k]) for k in range(3)]
     tree = cKDTree(points)
     nearest = np.empty(shape, np.int16)
-    for i, x in enumerate(axes[0]):  # a slice at a time: half a gigabyte less
+    for i, x in enumerate(axes[0]):  # one slice at a time needs half a gigabyte less
         y, z = np.meshgrid(axes[1], axes[2], indexing="ij")
         nearest[i] = tree.query(np.stack([np.full_like(y, x), y, z], -1))[1]
     return DistanceGrid(low, float(step), nearest)

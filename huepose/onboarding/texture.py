@@ -1,8 +1,8 @@
-"""Make one texture of at most 1024 x 1024 texels from whatever colours a mesh file has.
+"""Make one texture of at most 1024 x 1024 texels from all colours of a mesh file.
 
-Vertex colours are baked into a small patch of texels for every triangle, several materials are packed into an
-atlas, and textures of which more than 0..1 is shown are unrolled. Used texels are dilated over the seams, so
-that no background bleeds in; large pictures are reduced with an area filter.
+Vertex colours are baked into a small patch of texels for every triangle. Several materials are packed into
+an atlas. Textures that are used beyond 0..1 are unrolled. Used texels are dilated over the seams, so that
+no background bleeds in. Large textures are reduced with an area filter.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from huepose.rendering.textures import mark_specks, triangle_areas
 from huepose.support.errors import InputError
 
 _MAX_REPEATS = 8  # tiles of an unrolled texture along an axis
-_MAX_SLACK = 0.01  # by which texture coordinates may lie outside of 0..1, or of a tile, and mean its border
+_MAX_SLACK = 0.01  # texture coordinates outside 0..1, or a tile, by up to this mean its border
 _PATCH = 16  # side of the patch of a material without texture, texels
-# Texture coordinates of its triangles in the patch: over some texels, since uncovered texels have no colour.
+# Texture coordinates of its triangles in the patch: they cover some texels, because others have no colour.
 _IN_PATCH = np.array([[0.4, 0.4], [0.6, 0.4], [0.5, 0.6]], np.float32)
-_MAX_OVERLAP = 64  # area of all triangles over that of the picture
-_MAX_MATERIALS = 4096  # an atlas holds some ten thousand without texture
+_MAX_OVERLAP = 64  # area of all triangles over that of the texture
+_MAX_MATERIALS = 4096  # an atlas has room for some ten thousand without texture
 _MARGIN = 4  # texels between the materials of an atlas
 
 
 def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
-    """Texture coordinates (F, 3, 2) and texture (H, W, 3) uint8 RGB of a mesh as read, in the form of
-    geometry.Mesh."""
+    """Texture coordinates (F, 3, 2) and texture (H, W, 3) uint8 RGB of a mesh as read, as `geometry.Mesh`
+    has them."""
     if len(raw.materials) > _MAX_MATERIALS:
         raise InputError(
             path,
@@ -65,8 +65,8 @@ def single_texture(raw: RawMesh, path: Path) -> tuple[Float32, UInt8]:
 
 
 def used_texels(uv: Float32, height: int, width: int) -> UInt8:
-    """Mask (H, W) uint8 of the texels that triangles (F, 3, 2) touch; all texels where triangles overlap so
-    often that drawing them would take too long."""
+    """Mask (H, W) uint8 of the texels that triangles (F, 3, 2) touch; all texels if the triangles overlap
+    so often that filling them would take too long."""
     if triangle_areas(uv).sum() > _MAX_OVERLAP:
         return np.ones((height, width), np.uint8)
     used = np.zeros((height, width), np.uint8)
@@ -78,7 +78,7 @@ def used_texels(uv: Float32, height: int, width: int) -> UInt8:
 
 
 def reduced(texture: UInt8, used: UInt8) -> UInt8:
-    """The texture at no more than LARGEST texels a side, unused texels filled from their neighbours."""
+    """The texture with at most LARGEST texels a side; unused texels are filled from their neighbours."""
     height, width = texture.shape[:2]
     scale = min(1.0, LARGEST / max(height, width))
     if scale == 1.0 and used.all():
@@ -86,7 +86,7 @@ def reduced(texture: UInt8, used: UInt8) -> UInt8:
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     weight = cv2.resize(used.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     planes = []
-    for k in range(3):  # one at a time: a texture of 8192 texels would need gigabytes at once
+    for k in range(3):  # one at a time: all of a texture of 8192 x 8192 would need gigabytes
         plane = texture[..., k].astype(np.float32) * used
         planes.append(cv2.resize(plane, size, interpolation=cv2.INTER_AREA))
     colors = np.stack(planes, -1).reshape(size[1], size[0], 3)
@@ -95,8 +95,8 @@ def reduced(texture: UInt8, used: UInt8) -> UInt8:
 
 
 def _filled(premultiplied: Float64, weight: Float64) -> Float64:
-    """Fill holes: colours (H, W, 3) where weight is positive, elsewhere means of ever larger
-    neighbourhoods."""
+    """Colours (H, W, 3) with holes filled: where the weight is zero, the mean of the smallest neighbourhood
+    with colours."""
     height, width = weight.shape
     known = weight > 1e-3
     own = premultiplied / np.maximum(weight, 1e-3)[..., None]
@@ -113,21 +113,21 @@ def _filled(premultiplied: Float64, weight: Float64) -> Float64:
 
 
 def _tell_more(colors: UInt8, material: Material) -> bool:
-    """Whether the colours (F, 3, 3) at corners say more than the material: white ones are what exporters
-    write where there are none."""
+    """Whether the colours (F, 3, 3) at corners say more than the material's colour. White does not:
+    exporters write it if there are no colours."""
     return bool((colors != material.color).any() and (colors != 255).any())
 
 
 def _baked(vertices: Float64, faces: Int32, colors: UInt8, path: Path) -> tuple[Float32, UInt8, UInt8]:
-    """Colours (F, 3, 3) at corners as patches of texels: texture coordinates, texture, and the mask (H, W) of
-    the texels that have a colour."""
+    """Colours (F, 3, 3) at corners baked into patches of texels: texture coordinates, texture, and the mask
+    (H, W) of the texels with a colour."""
     layout = equal_patches(vertices, faces)
     if layout is None:
         raise InputError(
             path,
             found=f"{len(faces)} coloured triangles",
             expected=f"at most {LARGEST**2}",
-            fix=f"{SIMPLIFY}, or give it a texture in place of colours at its vertices.",
+            fix=f"{SIMPLIFY}, or give it a texture instead of colours at its vertices.",
         )
     corners = colors.astype(np.float64)
     texture = layout.baked(lambda faces, w: np.einsum("fk,fkc->fc", w, corners[faces]))
@@ -135,8 +135,8 @@ def _baked(vertices: Float64, faces: Int32, colors: UInt8, path: Path) -> tuple[
 
 
 def _unrolled(uv: Float32, texture: UInt8, wrap: tuple[Wrap, Wrap], path: Path) -> tuple[Float32, UInt8]:
-    """uv within 0..1: triangles outside are moved by whole tiles where the texture repeats, those that cross
-    tiles get more tiles."""
+    """uv within 0..1, and the texture for them. If the texture repeats, triangles outside are moved by
+    whole tiles; for triangles that cross tiles, the texture gets more tiles."""
     height, width = texture.shape[:2]
     slack = np.minimum(_MAX_SLACK, [1.0 / width, 1.0 / height])
     outside = ((uv < -slack) | (uv > 1 + slack)).any((1, 2))
@@ -165,18 +165,19 @@ def _unrolled(uv: Float32, texture: UInt8, wrap: tuple[Wrap, Wrap], path: Path) 
 
 
 def _nearer(along: Float32, wrap: Wrap, slack: float) -> Float32:
-    """Coordinates (F, 3) along an axis, moved as near to 0..1 as they show the same."""
+    """Coordinates (F, 3) along an axis, moved as near to 0..1 as possible without changing what they
+    show."""
     low, high = along.min(1, keepdims=True), along.max(1, keepdims=True)
     if wrap == "clamp":
         beyond = (low >= 1) | (high <= 0)
         return np.where(beyond, np.clip(along, 0.0, 1.0), along)
     period = 2.0 if wrap == "mirror" else 1.0
-    tile = np.floor(low + np.minimum(slack, (high - low) / 2))  # a small triangle is where its middle is
+    tile = np.floor(low + np.minimum(slack, (high - low) / 2))  # a small one is in the tile of its centre
     return np.asarray(along - period * np.floor(tile / period), np.float32)
 
 
 def _wrapped(first: int, tiles: int, size: int, wrap: Wrap) -> Int64:
-    """Which of `size` texels each texel of so many tiles shows."""
+    """For each texel of `tiles` tiles the texel, out of `size`, that it shows."""
     at = np.arange(first * size, (first + tiles) * size)
     if wrap == "clamp":
         return np.clip(at, 0, size - 1)
@@ -185,7 +186,8 @@ def _wrapped(first: int, tiles: int, size: int, wrap: Wrap) -> Int64:
 
 
 def _atlas(uv: Float32, face_materials: Int32, pictures: list[UInt8]) -> tuple[Float32, UInt8]:
-    """Pack pictures into an atlas by shelves, tallest first; all are shrunk until it is small enough."""
+    """Pack the textures of materials into an atlas by shelves; all are scaled down until it is small
+    enough."""
     scale = 1.0
     while True:
         sizes = [tuple(max(2, round(s * scale)) for s in p.shape[:2]) for p in pictures]

@@ -1,4 +1,4 @@
-"""Visibility of surface points from many directions, by rendered depth pictures (z-buffer test)."""
+"""Visibility of surface points from many directions, by rendered depth images (z-buffer test)."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _MIN_COSINE = 0.12  # of the viewing angle at a visible surface
 _TOLERANCE_M = 0.0015  # of the depth comparison, beside pixel size and slope
 
 _AT_ONCE = 20_000
-"""Points for a kernel: a tenth of a second, and in between Ctrl-C is heard."""
+"""Points per call of the kernel: a tenth of a second, so that Ctrl-C can act between calls."""
 
 
 class DepthViews(NamedTuple):
-    """Depth pictures of an object from `directions` (V, 3), each at `T_cam_obj` (V, 4, 4); depths
-    (V, H, W) float32 metres, 0 = nothing; focal, middle: of the camera, the same along both axes, pixels;
-    pixel_m: size of a pixel at the object."""
+    """Rendered depth images of an object from `directions` (V, 3), at poses `T_cam_obj` (V, 4, 4); depths
+    (V, H, W) float32 metres, 0 = nothing; focal, middle: focal length and principal point, the same along
+    both axes, pixels; pixel_m: size of a pixel at the object."""
 
     directions: Float64
     T_cam_obj: Float64
@@ -38,7 +38,7 @@ class DepthViews(NamedTuple):
 
 
 def depth_views(mesh: Mesh, diameter_m: float, level: int = LEVEL) -> DepthViews:
-    """Pictures of the mesh from all directions of an icosphere, about its centre."""
+    """Depth images of the mesh from all directions of an icosphere; its centre is in the middle of each."""
     directions = icosphere.directions(level)
     distance = _DISTANCE * diameter_m
     focal = _DIAMETER_PX * distance / diameter_m
@@ -50,7 +50,7 @@ def depth_views(mesh: Mesh, diameter_m: float, level: int = LEVEL) -> DepthViews
 
 
 def pose_from(direction: Float, centre: Float, distance_m: float) -> Float64:
-    """T_cam_obj (4, 4) of a camera in `direction` (3,) of the object that looks at `centre` (3,)."""
+    """T_cam_obj (4, 4) of a camera in `direction` (3,) from the object, which looks at `centre` (3,)."""
     R = icosphere.look_at(direction)
     return se3.make(R, np.array([0.0, 0.0, distance_m]) - R @ centre)
 
@@ -66,8 +66,9 @@ def seen(views: DepthViews, points: Float, normals: Float) -> Bool:
 
 
 def votes(views: DepthViews, points: Float, normals: Float, enough: int | None = None) -> Int32:
-    """Number of views (N,) that see each point from the side of its normal: among every fourth view, or among
-    all for points that none of those sees. enough: so many are counted at most, all without."""
+    """Number of views (N,) in which each point is visible from the side of its normal. A quarter of the
+    views is tried first, and all views for points that are visible in none of these. enough: counting stops
+    at this number, by default never."""
     most = len(views.directions) if enough is None else enough
     parts = [
         _votes(views, points[first : first + _AT_ONCE], normals[first : first + _AT_ONCE], most)
@@ -117,7 +118,7 @@ def _seen(views: DepthViews, points: Float64, normals: Float64, out: Bool) -> No
 def _count_seen(
     views: DepthViews, points: Float64, normals: Float64, first: int, most: int, out: Int32
 ) -> None:
-    """How many of the first so many views see each point, `most` at most."""
+    """Add to `out` how many of the first `first` views see each point, at most `most`."""
     for i in range(points.shape[0]):
         for k in range(min(first, views.directions.shape[0])):
             if _is_seen(views, k, points[i], normals[i]):

@@ -122,7 +122,7 @@ def test_the_first_mask_is_the_object_above_the_table(how: str) -> None:
 
 def test_the_table_and_holes_are_refused_as_an_object() -> None:
     frame = drawn(pose(0.0), 0)
-    with pytest.raises(InputError, match=r"a surface over \d+ % of the picture"):
+    with pytest.raises(InputError, match=r"a surface over \d+ % of the image"):
         first_mask(frame, Selection(click=(40.0, 200.0)))
     blind = RgbdFrame(frame.color, np.zeros_like(frame.depth), CAMERA)
     with pytest.raises(InputError, match="no depth there"):
@@ -141,7 +141,7 @@ def test_what_points_outside_of_the_picture_is_told_its_size(selection: Selectio
     with pytest.raises(InputError) as error:
         first_mask(drawn(pose(0.0), 0), selection)
     assert str(error.value).startswith(given)
-    assert f"in the picture of {CAMERA.width} x {CAMERA.height}" in str(error.value)
+    assert f"in the image of {CAMERA.width} x {CAMERA.height}" in str(error.value)
 
 
 def test_a_wall_that_was_clicked_is_refused_as_an_object() -> None:
@@ -154,14 +154,14 @@ def test_a_wall_that_was_clicked_is_refused_as_an_object() -> None:
 
 
 def test_an_object_that_stands_still_is_refused() -> None:
-    with pytest.raises(InputError, match="turned by less than 5 degrees"):
+    with pytest.raises(InputError, match="rotated by less than 5 degrees"):
         learn((drawn(pose(0.0), k) for k in range(3)), box_of(pose(0.0)))
 
 
 def test_an_object_that_leaves_is_refused_with_the_reason() -> None:
     gone = se3.make(np.eye(3), np.array([0, 0, 5.0]))
     frames = [drawn(pose(0.0), 0), *(drawn(gone, k) for k in range(1, 5))]
-    with pytest.raises(InputError, match=r"followed in 1 of 5 frames only; .*Turn it more slowly"):
+    with pytest.raises(InputError, match=r"tracked in only 1 of 5 frames; .*Turn it more slowly"):
         learn(frames, box_of(pose(0.0)))
 
 
@@ -207,7 +207,7 @@ def test_an_object_that_is_all_rim_is_refused_and_how_to_record_it_is_said() -> 
     box = Box.of_mask(render([(pencil, T)], CAMERA, color=False).depth > 0)
     assert box is not None
     frame = RgbdFrame(seen.color, seen.depth, CAMERA)
-    with pytest.raises(InputError, match=r"4 pixels thick at most.*Record it from nearer"):
+    with pytest.raises(InputError, match=r"4 pixels thick at most.*Record it from a shorter distance"):
         learn([frame, frame], Selection(box.grown(0.08)))
 
 

@@ -70,7 +70,7 @@ def broken(tmp_path: Path, mesh: Mesh, how: str) -> Path:
     [
         ("no mtl", "m.mtl: found no such file; expected the material file, which m.obj names"),
         ("no texture", "m.png: found no such file; expected the texture, which m.mtl names"),
-        ("broken texture", "m.png: found 12 bytes that are no picture"),
+        ("broken texture", "m.png: found 12 bytes that are not an image"),
         ("dds texture", "m.png: found a DDS texture; expected a PNG or JPEG texture"),
         ("no such material", "m.obj: found usemtl print; expected that material in m.mtl"),
         ("cut obj", "m.obj: found a face that names vertex 998"),
@@ -87,7 +87,7 @@ def broken(tmp_path: Path, mesh: Mesh, how: str) -> Path:
         ("page for a material", "m.mtl: found a web page (HTML); expected the material file, which m.obj"),
         (
             "pointer to a texture",
-            "m.png: found a pointer of Git LFS; expected the texture, which m.mtl names",
+            "m.png: found a Git LFS pointer; expected the texture, which m.mtl names",
         ),
     ],
 )
@@ -121,7 +121,7 @@ def test_a_lost_material_file_is_noted_where_the_vertices_have_colours(
     mesh = read_mesh(tmp_path / "m.obj", note=notes.append)
     np.testing.assert_allclose(colors_at(mesh, (0.5, 0.5, 0.0)), 127.5 * np.array([[1, 0, 1]] * 2), atol=1.5)
     assert len(notes) == bool(library)
-    assert all("the material file gone.mtl, which the mesh names, is not there;" in n for n in notes)
+    assert all("the material file gone.mtl, which the mesh names, is missing;" in n for n in notes)
 
 
 def test_a_texture_under_colours_of_a_gltf_is_refused(tmp_path: Path, printed_box: Mesh) -> None:
@@ -175,23 +175,23 @@ def test_extensions_that_change_the_mesh_are_refused_by_name(
     [
         ("m.stl", b"", "found an STL mesh; expected .obj, .ply, .glb, .gltf. It holds no texture"),
         ("m.STP", b"", "found a STEP file; expected .obj, .ply, .glb, .gltf. It holds no texture"),
-        ("m.blend", b"", "found a file of Blender; expected .obj, .ply, .glb, .gltf. Open it in its program"),
+        ("m.blend", b"", "found a Blender file; expected .obj, .ply, .glb, .gltf. Open it in its program"),
         (
             "m.fbx",
             b"",
             "found an FBX file; expected .obj, .ply, .glb, .gltf. Open it in its program, and export",
         ),
         ("m.dae", b"", "found a COLLADA file; expected .obj, .ply, .glb, .gltf. Open it in its program"),
-        ("m.png", b"", "found a picture; expected .obj, .ply, .glb, .gltf. Give the mesh that it belongs to"),
-        ("m.obj", b"BLENDER-v279", "found a file of Blender by its first bytes, with the ending '.obj'"),
+        ("m.png", b"", "found an image; expected .obj, .ply, .glb, .gltf. Give the mesh that it belongs to"),
+        ("m.obj", b"BLENDER-v279", "found a Blender file by its first bytes, with the ending '.obj'"),
         ("m.glb", b"ISO-10303-21;", "found a STEP file by its first bytes, with the ending '.glb'"),
         ("m.ply", b"Kaydara FBX Binary", "found an FBX file by its first bytes, with the ending '.ply'"),
         ("m.glb", b"PK\x03\x04", "found a zip archive by its first bytes, with the ending '.glb'"),
         ("m.obj", b"solid cube\nfacet", "found an STL mesh by its first bytes, with the ending '.obj'"),
         ("m", b"PK\x03\x04", "found a zip archive by its first bytes, with the ending ''"),
         ("m", b"v 0 0 0", "found a file without an ending; expected .obj"),
-        ("m.obj", POINTER, "found a pointer of Git LFS; expected the mesh. Fetch it: git lfs pull."),
-        ("m.glb", POINTER, "found a pointer of Git LFS; expected the mesh. Fetch it: git lfs pull."),
+        ("m.obj", POINTER, "found a Git LFS pointer; expected the mesh. Fetch it: git lfs pull."),
+        ("m.glb", POINTER, "found a Git LFS pointer; expected the mesh. Fetch it: git lfs pull."),
         ("m.obj", b"\n\n<!DOCTYPE html>\n<html>", "found a web page (HTML); expected the mesh. The download"),
         (
             "m.ply",

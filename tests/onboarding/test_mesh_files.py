@@ -145,7 +145,7 @@ def test_all_pictures_of_a_mesh_are_measured(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(mesh_files, "LARGEST_TEXTURES", 128)
     assert len(read_mesh(path).faces) == 4
     monkeypatch.setattr(mesh_files, "LARGEST_TEXTURES", 127)
-    with pytest.raises(InputError, match=r"other.png: found a texture too many"):
+    with pytest.raises(InputError, match=r"other.png: found too many texels"):
         read_mesh(path)
 
 

@@ -78,7 +78,7 @@ def test_a_material_whose_pictures_do_not_show_its_colour_is_noted(tmp_path: Pat
     mesh = read_mesh(tmp_path / "m.obj", note=notes.append)
     assert (mesh.texture == [255, 0, 0]).all()
     (note,) = notes
-    assert "material print has no picture of its colour (map_Kd), only map_Bump -bm 0.5 m.png;" in note
+    assert "material print has no colour texture (map_Kd), only map_Bump -bm 0.5 m.png;" in note
 
 
 def test_one_line_of_an_obj_may_name_several_material_files(tmp_path: Path, printed_box: Mesh) -> None:

@@ -52,7 +52,7 @@ def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, met
             "20 cm if it is in metres or 6.096 cm if it is in feet; expected an object of 1 cm to 2 m. "
             "Did you mean --unit m or --unit ft?",
         ),
-        (4000.0, None, "By no --unit (mm, cm, m, in, ft) is it one: scale the mesh."),
+        (4000.0, None, "No --unit (mm, cm, m, in, ft) gives that size: scale the mesh."),
     ],
 )
 def test_implausible_sizes_are_refused_with_all_units_that_make_an_object_of_it(

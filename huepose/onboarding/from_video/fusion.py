@@ -1,5 +1,5 @@
-"""Fuse views to one surface: Open3D's truncated signed distances, and the visual hull where nothing was
-measured. Its texture comes from the pictures themselves: finer than the cells of the volume."""
+"""Fuse views to one surface: by Open3D's truncated signed distance field, and by the visual hull where
+nothing was measured. Its texture comes from the images, so it is finer than the cells of the volume."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from huepose.onboarding.texture import reduced
 from huepose.propose.flow import sampled
 
 CELLS, FEW_CELLS = 128, 64
-"""Cells of the volume along its longest side: for the final mesh, and for the surface that frames are aligned
+"""Cells along a side of the volume: for the final mesh, and for the surface that frames are registered
 with."""
 
 SMALLEST_CELL_M = 0.001
-"""The volume of a small object is made larger until its cells have this side."""
+"""Least side of a cell: the volume of a small object is made larger to reach it."""
 
 MARGIN = 0.1
 """Empty margin around the object, over its size."""
@@ -32,18 +32,18 @@ SQUARELY = 0.25
 """Least cosine of the viewing angle of readings that are fused."""
 
 FACES = 20_000
-"""Triangles of the closed surface, as the reference model has of any mesh."""
+"""Most triangles of the closed surface, like those of a simplified mesh."""
 
 SMOOTHINGS = 10
 """Rounds of smoothing: the visual hull has steps of a cell."""
 
-_THIN = 2  # cells: a guess that is thinner is a gap between outlines
+_THIN = 2  # cells: thinner parts of the visual hull are gaps between outlines
 
 
 @dataclass(frozen=True, eq=False)
 class Fused:
-    """vertices, normals (V, 3) object axes; faces (F, 3) int32; seen (V,): fused of readings, not taken from
-    the outline."""
+    """vertices, normals (V, 3) object axes; faces (F, 3) int32; seen (V,): measured by a view, not taken
+    from the visual hull."""
 
     vertices: Float64
     normals: Float64
@@ -52,7 +52,7 @@ class Fused:
 
 
 def fused(views: Sequence[View], closed: bool = False, cells: int = CELLS) -> Fused:
-    """The surface that views show. closed: extended by the visual hull where it was not seen."""
+    """The surface that the views show. closed: completed by the visual hull where it was not measured."""
     points = np.concatenate([view.points_obj for view in views])
     low, high = np.percentile(points, [0.5, 99.5], axis=0)
     size = float((high - low).max()) * (1 + 2 * MARGIN)
@@ -70,7 +70,7 @@ def fused(views: Sequence[View], closed: bool = False, cells: int = CELLS) -> Fu
         mesh = mesh.filter_smooth_taubin(SMOOTHINGS).simplify_quadric_decimation(FACES)
     mesh.compute_vertex_normals()
     vertices = np.asarray(mesh.vertices)
-    # Of the vertices that views see, some were only closed over.
+    # A vertex was measured if a view confirms it; others come from the visual hull.
     return Fused(
         vertices,
         np.asarray(mesh.vertex_normals),
@@ -112,7 +112,8 @@ def _integrated(views: Sequence[View], origin: Float64, size: float, cells: int,
 
 
 def _close(volume: Any, views: Sequence[View], origin: Float64, cell: float, cells: int) -> None:
-    """Cells without a reading: solid where the object hides them and no view sees through, else empty."""
+    """Fill cells without a reading: solid if the object occludes them, and they are neither free space in a
+    view nor under the ground, else empty."""
     import open3d as o3d
     from scipy.ndimage import binary_opening
 
@@ -120,20 +121,20 @@ def _close(volume: Any, views: Sequence[View], origin: Float64, cell: float, cel
     index = np.indices((cells,) * 3).reshape(3, -1).T
     centres = origin + (index + 0.5) * cell
     unknown = field[:, 1] == 0
-    hidden = np.zeros(len(field), bool)
+    occluded = np.zeros(len(field), bool)
     left = np.flatnonzero(unknown)
     for view in views:
-        said = votes(centres[left], [view])
-        hidden[left] |= said.behind > 0
-        left = left[(said.through == 0) & (said.beneath == 0)]
+        vote = votes(centres[left], [view])
+        occluded[left] |= vote.behind > 0
+        left = left[(vote.through == 0) & (vote.beneath == 0)]
     solid = np.zeros(len(field), bool)
-    solid[left] = hidden[left]
+    solid[left] = occluded[left]
     solid = binary_opening((solid | ~unknown).reshape((cells,) * 3), iterations=_THIN).ravel()
     field[unknown, 0] = np.where(solid[unknown], -1.0, 1.0)
-    # Readings of what moved against the object: seen through more often than there.
+    # Empty the cells with readings of things that moved: more views show free space there than the object.
     known = np.flatnonzero(~unknown)
-    said = votes(centres[known], views)
-    field[known[said.through > said.there + said.behind], 0] = 1.0
+    vote = votes(centres[known], views)
+    field[known[vote.through > vote.there + vote.behind], 0] = 1.0
     field[:, 1] = np.maximum(field[:, 1], 1.0)
     at_border = ((index == 0) | (index == cells - 1)).any(1)
     field[at_border, 0] = 1.0
@@ -149,11 +150,12 @@ def _largest_piece(mesh: Any) -> Any:
 
 
 SHARPNESS = 6
-"""Power of the cosine by which views are averaged: the squarest count, seams fade over some ten degrees."""
+"""Power of the cosine that weights views: the most frontal views dominate, seams fade over some ten
+degrees."""
 
 
 def painted(shape: Fused, views: Sequence[View]) -> Mesh:
-    """The surface with the colours of the views; what none saw has their mean."""
+    """The surface with the colours of the views; parts that no view shows have their mean colour."""
     layout = fitting_patches(shape.vertices, shape.faces)
     corners, normals = shape.vertices[shape.faces], shape.normals[shape.faces]
     seen_colors = np.concatenate([view.frame.color[view.inner] for view in views])
@@ -167,7 +169,7 @@ def painted(shape: Fused, views: Sequence[View]) -> Mesh:
         return _colors(points, normal, pictures, plain)
 
     texture = layout.baked(colors)
-    # Texels between the triangles, which coarser levels of the picture average in.
+    # Fill the texels between the triangles, because coarser levels of the texture average them in.
     texture = reduced(texture, np.asarray(texture.any(2), np.uint8))
     return Mesh(shape.vertices.astype(np.float32), shape.faces, layout.uv, texture)
 

@@ -1,5 +1,5 @@
-"""Reconstruct a mesh from a recording: track the object on what was seen of it, close loops, fuse views,
-texture it."""
+"""Reconstruct a mesh from a recording: track the object by its reconstruction so far, close loops, fuse the
+views, texture the mesh."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ VIEW_STEP = np.radians(5.0)
 """Rotation after which a frame is kept as a new view, radians."""
 
 LOCAL = np.radians(90.0)
-"""Rotation, radians, up to which earlier views are consistent with the newest one before a loop is closed."""
+"""Rotation, radians, up to which earlier views are consistent with the newest one before a loop is
+closed."""
 
 AGAIN = np.radians(30.0)
 """Two views with a smaller difference in rotation show mostly the same surface, radians."""
@@ -43,11 +44,12 @@ SEEN = 0.5
 """Least share of the surface that depth must confirm at an accepted pose."""
 
 COLORED = 0.2
-"""Least colour correlation of an accepted pose: round and flat sides agree in depth at wrong poses, too."""
+"""Least colour correlation of an accepted pose: at wrong poses, round and flat sides may agree in depth,
+too."""
 
 CLOSES = 0.9
-"""A loop is accepted if the pose scores at least this share against the old views of what it scores against
-the recent ones."""
+"""A loop is accepted if the total of its pose against the old views is at least this share of the total
+against the recent ones."""
 
 POLISHES = 2
 """Rounds of bundle refinement: fuse all views, then register each with the fusion of the others."""
@@ -61,12 +63,12 @@ FEWEST_FOLLOWED = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """mesh: metres, origin at the middle of its bounds, z up from the ground that it stood on (without one:
-    axes of the camera in the first frame); seen (V,): its vertices that were seen, the others lie where
-    outlines leave room. T_cam_obj: of the frames that were followed, by their places in
-    the recording. frames: how many there were; views: of these, kept; directions: share of all directions
-    from which it was seen, 0..1; surface: share of the mesh that was seen; closing_m: how far apart the ends
-    of turns lay before they were joined, at most, None where none was closed."""
+    """mesh: metres, origin at the centre of its bounds, z up from the ground (without a ground: axes of the
+    camera in the first frame); seen (V,): vertices that were measured, the others come from the visual
+    hull. T_cam_obj: poses of the tracked frames, by their index in the recording. frames: number of all
+    frames; views: number of frames that were kept as views; directions: share of all directions from which
+    the object was seen, 0..1; surface: share of the mesh that was measured; closing_m: largest gap of a
+    loop before it was closed, None without loops."""
 
     mesh: Mesh
     seen: Bool
@@ -79,9 +81,9 @@ class Learned:
 
 
 def learn(frames: Iterable[RgbdFrame], selection: Selection, report: Report = silent) -> Learned:
-    """Mesh of the object that is selected in the first frame. report: called before each piece of the work
-    that is left when all frames were seen, some seconds each. Raises InputError that says what to record
-    otherwise, ModuleNotFoundError without the extra `onboard`."""
+    """Mesh of the object that is selected in the first frame. report: called before each step after the
+    last frame, which take some seconds each. Raises InputError that says how to record instead,
+    ModuleNotFoundError without the extra `onboard`."""
     track: _Track | None = None
     count, where = 0, {}
     for count, frame in enumerate(frames, 1):
@@ -95,21 +97,20 @@ def learn(frames: Iterable[RgbdFrame], selection: Selection, report: Report = si
     if len(where) < FEWEST_FOLLOWED * count:
         raise InputError(
             "the recording",
-            found=f"an object that could be followed in {len(where)} of {count} frames only; "
-            + track.why_not,
+            found=f"an object that could be tracked in only {len(where)} of {count} frames; " + track.why_not,
             fix="Turn it more slowly, about 45 degrees a second, in full view of the camera.",
         )
     if len(track.views) == 1:
         raise InputError(
             "the recording",
-            found=f"an object that turned by less than {np.degrees(VIEW_STEP):.0f} degrees",
-            expected="one that is turned before the camera, best all round",
+            found=f"an object that rotated by less than {np.degrees(VIEW_STEP):.0f} degrees",
+            expected="one that rotates in front of the camera, best all round",
         )
     polished = _polished(track.views, track.radius_m, report)
     views = _showing(polished)
-    report("fusing them and closing the surface")
+    report("fusing the views and closing the surface")
     shape = fused(views, closed=True)
-    report("painting it")
+    report("texturing the mesh")
     T_old_new = _frame_of(shape, views[0], track.ground)
     mesh = painted(_moved(shape, se3.inverse(T_old_new)), [v.at(v.T_cam_obj @ T_old_new) for v in views])
     poses = {
@@ -129,8 +130,8 @@ def learn(frames: Iterable[RgbdFrame], selection: Selection, report: Report = si
 
 @dataclass(eq=False)
 class _Track:
-    """What is known while frames come in. path: turn up to each view, radians; total: what the last pose
-    explains of its frame."""
+    """The state of tracking. path: sum of the rotations up to each view, radians; total: of the last pose
+    in its frame."""
 
     ground: Float64 | None
     radius_m: float
@@ -149,15 +150,15 @@ class _Track:
 
     @staticmethod
     def begun(frame: RgbdFrame, selection: Selection) -> _Track:
-        """From the first frame."""
+        """The state after the first frame. Raises InputError."""
         mask, near, ground = first_mask(frame, selection)
         rows, columns = np.nonzero(eroded(mask))
         if not len(rows):
             raise InputError(
                 "the first frame",
-                found=f"an object that is {2 * RIM_PX} pixels thick at most, which is all rim",
-                expected="one that is thicker in the picture",
-                fix="Record it from nearer.",
+                found=f"an object that is {2 * RIM_PX} pixels thick at most, so that all of it is border",
+                expected="one that is thicker in the image",
+                fix="Record it from a shorter distance.",
             )
         points = frame.camera.backproject(np.stack([columns, rows], 1), frame.depth[rows, columns])
         T = se3.make(np.eye(3), np.median(points, axis=0))
@@ -167,7 +168,7 @@ class _Track:
             raise InputError(
                 "the first frame",
                 found=f"a surface {2 * radius:.1f} m across, {T[2, 3]:.1f} m from the camera",
-                expected="one object, which is farther from the camera than twice its own size",
+                expected="one object, at a distance of more than twice its own size",
                 fix="Point at the object, or mark it with --box X Y W H.",
             )
         part = cut(frame, *window)
@@ -175,21 +176,22 @@ class _Track:
         shape = fused([view])
         surface = surface_of(shape, [view], T)
         if surface is None:
-            raise InputError("the first frame", found="no surface", fix="Record it from nearer.")
+            raise InputError("the first frame", found="no surface", fix="Record it from a shorter distance.")
         return _Track(ground, radius, [view], frame, mask, T, shape, surface, T)
 
     def since_view(self) -> tuple[int, Float64]:
-        """The number of the newest view, and how the object has moved since then: T_now_then (4, 4), camera
-        axes. A loop that is closed later moves both poses alike."""
+        """The index of the newest view, and the motion of the object since then: T_now_then (4, 4), camera
+        axes. It stays valid when a loop is closed later, which moves both poses alike."""
         return len(self.views) - 1, self.T_cam_obj @ se3.inverse(self.views[-1].T_cam_obj)
 
     @property
     def why_not(self) -> str:
-        """The commonest reason why it was not followed."""
+        """The most frequent reason why a frame was not tracked."""
         return max(self.misses, key=lambda why: self.misses[why])
 
     def follow(self, frame: RgbdFrame) -> bool:
-        """Find the object in the next frame, and keep it as a view where it shows something new."""
+        """Track the object to the next frame; keep the frame as a view if it shows something new. False if
+        the pose is not accepted."""
         flowed = followed(self.frame, self.mask, self.T_cam_obj, frame)
         guesses = [T for T in (flowed, self.T_cam_obj) if T is not None]
         found = registered(self.surface, frame, guesses)
@@ -202,7 +204,7 @@ class _Track:
         T = found.T_cam_obj
         view = view_at(frame, T, self.local(), self.ground, self.radius_m)
         if view is None:
-            self.misses["it left the picture"] = self.misses.get("it left the picture", 0) + 1
+            self.misses["it left the image"] = self.misses.get("it left the image", 0) + 1
             return False
         self.frame, self.T_cam_obj, self.total = frame, T, found.terms.total
         self.mask = np.zeros(frame.depth.shape, bool)
@@ -210,14 +212,15 @@ class _Track:
         assert window is not None
         self.mask[window] = view.mask
         turned = [se3.rotation_angle(v.T_cam_obj[:3, :3], T[:3, :3]) for v in self.local()]
-        if min(turned) > VIEW_STEP and view.inner.any():  # of what is all rim nothing new is seen
+        if min(turned) > VIEW_STEP and view.inner.any():  # a mask that is all border shows nothing new
             self._keep(view)
         if se3.rotation_angle(self.surface_T[:3, :3], T[:3, :3]) > VIEW_STEP:
             self._look_from(self.T_cam_obj)
         return True
 
     def local(self) -> list[View]:
-        """Views that are right with respect to the newest: the last, and those that loops join to them."""
+        """Views whose poses are consistent with the newest: the last ones, and those that loops connect to
+        them."""
         recent = {k for k, way in enumerate(self.path) if self.path[-1] - way <= LOCAL}
         joined = {edge.a for edge in self.edges if edge.loop and edge.b in recent}
         near = {k for j in joined for k, way in enumerate(self.path) if abs(way - self.path[j]) <= LOCAL / 2}
@@ -242,7 +245,8 @@ class _Track:
         self._look_from(self.T_cam_obj)
 
     def _close(self) -> bool:
-        """Join the newest view to one of long ago that shows the same, if there is one not joined yet."""
+        """Close a loop: connect the newest view to an old one that shows the same side, if there is one
+        that is not connected yet."""
         newest, number = self.views[-1], len(self.views) - 1
         R, known = newest.T_cam_obj[:3, :3], {id(view) for view in self.local()}
         others = [
@@ -273,21 +277,21 @@ def _edge(a: int, view_a: View, b: int, view_b: View, loop: bool) -> Edge:
 
 
 def _doubt(found: Registered | None) -> str:
-    """Why a pose is not taken; empty where it is."""
+    """Why a pose is not accepted; empty if it is."""
     if found is None:
-        return "it left the picture"
+        return "it left the image"
     if found.terms.blind > SEEN:
         return "it had no depth"
     if found.terms.hidden > SEEN:
-        return "something was before it"
+        return "it was occluded"
     if found.terms.seen < SEEN or found.terms.color < COLORED:
-        return "it turned or moved too far from one frame to the next"
+        return "it rotated or moved too far from one frame to the next"
     return ""
 
 
 def _polished(views: Sequence[View], radius_m: float, report: Report) -> list[View]:
-    """Views at poses and with masks that fit all others; empty is the mask of one that shows nothing, after
-    all, and takes no further part."""
+    """Views with poses and masks that are consistent with all others. A view that turns out to show nothing
+    gets an empty mask and is not used any more."""
     out = list(views)
     for number in range(1, POLISHES + 1):
         showing = _showing(out)
@@ -300,29 +304,29 @@ def _polished(views: Sequence[View], radius_m: float, report: Report) -> list[Vi
 
 
 def _showing(views: Sequence[View]) -> list[View]:
-    """Those that show the object."""
+    """The views that show the object."""
     return [view for view in views if view.mask.any()]
 
 
 def _moved_to_fit(view: View, shape: Fused, views: Sequence[View]) -> View:
-    """A view registered with the fused surface of all; as it is where that is in doubt."""
+    """A view registered with the fused surface of all; unchanged if the new pose is not accepted."""
     surface = surface_of(shape, views, view.T_cam_obj)
     found = None if surface is None else registered(surface, view.frame, [view.T_cam_obj])
     return view if found is None or _doubt(found) else view.at(found.T_cam_obj)
 
 
 def _masked_by(view: View, views: Sequence[View], radius_m: float) -> View:
-    """A view with the mask that all of them agree on."""
+    """A view with a new mask, from the votes of all views."""
     mask, denied = object_mask(view.frame, view.T_cam_obj, views, view.ground, radius_m)
     return replace(view, mask=mask, denied=denied)
 
 
 def _frame_of(shape: Fused, first: View, ground: Float64 | None) -> Float64:
-    """T_old_new: axes with z up from the ground in the first view, origin at the middle of the bounds."""
+    """T_old_new (4, 4): z axis up from the ground in the first view, origin at the centre of the bounds."""
     R = np.eye(3)
     if ground is not None:
         up = first.T_cam_obj[:3, :3].T @ ground[:3]
-        right = np.cross(first.T_cam_obj[2, :3], up)  # across the view and level
+        right = np.cross(first.T_cam_obj[2, :3], up)  # horizontal and across the line of sight
         right = right if np.linalg.norm(right) > 1e-3 else np.cross(first.T_cam_obj[1, :3], up)
         right /= np.linalg.norm(right)
         R = np.stack([right, np.cross(up, right), up], 1)

@@ -1,4 +1,4 @@
-"""Segment the object in a frame whose pose and other views are known."""
+"""Segment the object in a frame, given its pose and other views."""
 
 from __future__ import annotations
 
@@ -14,15 +14,16 @@ from huepose.onboarding.from_video.selection import connected_surfaces, on_groun
 from huepose.onboarding.from_video.views import View, votes
 
 STEP_M = 0.008
-"""By how much a mask may grow into what no view has seen, beside what a turn uncovers."""
+"""Distance by which a mask may grow into surface that no view has measured, besides what a rotation
+uncovers."""
 
-_SEEN_GROUND = 0.05  # of a window
-_SUPPORT = 0.2  # of a connected surface that other views saw; less is something that touches it
+_SEEN_GROUND = 0.05  # least share of a crop in which the ground counts as visible
+_SUPPORT = 0.2  # least share of a connected surface that other views confirm; others only touch the object
 
 
 def window_of(frame: RgbdFrame, T_cam_obj: Float64, radius_m: float) -> tuple[slice, slice] | None:
-    """Rows and columns about a ball of that radius around the object's origin, in multiples of four pixels;
-    None where it lies outside."""
+    """Rows and columns of the crop around a ball of this radius about the object's origin, with sides in
+    multiples of four pixels; None if it is outside, or too small."""
     x, y, z = T_cam_obj[:3, 3]
     if z <= radius_m:
         return None
@@ -36,7 +37,7 @@ def window_of(frame: RgbdFrame, T_cam_obj: Float64, radius_m: float) -> tuple[sl
 
 
 def cut(frame: RgbdFrame, rows: slice, columns: slice) -> RgbdFrame:
-    """A window of a frame."""
+    """A crop of a frame."""
     height, width = rows.stop - rows.start, columns.stop - columns.start
     return RgbdFrame(
         np.ascontiguousarray(frame.color[rows, columns]),
@@ -50,8 +51,8 @@ def cut(frame: RgbdFrame, rows: slice, columns: slice) -> RgbdFrame:
 def view_at(
     frame: RgbdFrame, T_cam_obj: Float64, views: Sequence[View], ground: Float64 | None, radius_m: float
 ) -> View | None:
-    """The view that a window of a frame gives at a pose, its mask by what other views say; None where it
-    shows nothing of the object. radius_m: of the object, as far as it is known."""
+    """The view of the object in a frame at a pose, with a mask by what other views say; None if it shows
+    nothing of the object. radius_m: of the object, as far as it is known."""
     window = window_of(frame, T_cam_obj, 1.6 * radius_m)
     if window is None:
         return None
@@ -63,24 +64,25 @@ def view_at(
 
 
 def shows(part: RgbdFrame, ground: Float64) -> bool:
-    """Whether a plane is seen in a window: the camera may have moved, or the plane be out of sight."""
+    """Whether the ground is visible in a crop. It is not if the camera has moved, or the ground is not in
+    view."""
     return bool(on_ground(part, ground).sum() > _SEEN_GROUND * part.depth.size)
 
 
 def object_mask(
     part: RgbdFrame, T_cam_obj: Float64, views: Sequence[View], ground: Float64 | None, radius_m: float
 ) -> tuple[Bool, Bool]:
-    """Pixels (H, W) that are the object: connected to what other views saw of it, and in the way of none; and
-    those that are not: the ground, and what other views deny."""
+    """Pixels (H, W) that are the object: connected to surface that other views confirm, and denied by none;
+    and pixels that are not: the ground, and what other views deny."""
     standing = part.depth > 0
     if ground is not None and shows(part, ground):
         standing &= ~on_ground(part, ground)
     rows, columns = np.nonzero(standing)
     points = part.camera.backproject(np.stack([columns, rows], 1), part.depth[rows, columns])
-    said = votes(se3.apply(se3.inverse(T_cam_obj), points), views)
+    vote = votes(se3.apply(se3.inverse(T_cam_obj), points), views)
     confirmed, possible, denied = np.zeros((3, *part.depth.shape), bool)
-    confirmed[rows, columns] = (said.there > said.through) & (said.there >= said.other)
-    possible[rows, columns] = (said.there + said.through + said.other == 0) | confirmed[rows, columns]
+    confirmed[rows, columns] = (vote.there > vote.through) & (vote.there >= vote.other)
+    possible[rows, columns] = (vote.there + vote.through + vote.other == 0) | confirmed[rows, columns]
     denied[part.depth > 0] = True
     denied &= ~possible
     turned = min(se3.rotation_angle(view.T_cam_obj[:3, :3], T_cam_obj[:3, :3]) for view in views)

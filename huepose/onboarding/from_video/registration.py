@@ -1,5 +1,5 @@
-"""Register a frame with the fused views: start from optical flow, then refine on depth and colour. And close
-loops: views that were passed before spread the error over the path, by Open3D's pose graph."""
+"""Register a frame with the fused views: start from optical flow, then refine on depth and colour.
+Distribute the drift over all views when a loop is closed, by Open3D's pose graph."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ SAMPLES = 3000
 """Surface samples for an alignment."""
 
 MATCHES = 400
-"""Pixels whose flow is used."""
+"""Most pixels whose flow is used."""
 
 WINDOW = 0.35
 """Margin around the object's box for its motion in one frame, over the size of the box."""
 
 MORE_SQUARELY = 0.02
-"""A view replaces the colour of a point if its cosine of the viewing angle is larger by this."""
+"""A view replaces the colour of a point if the cosine of its viewing angle is larger by this."""
 
 TURNS = np.radians([-24.0, -12.0, 12.0, 24.0])
-"""Start rotations about each axis, radians: refinement converges from starts this far apart."""
+"""Rotations of initial poses about each axis, radians: refinement converges from starts this far apart."""
 
 
 @dataclass(frozen=True, eq=False)
 class Registered:
-    """T_cam_obj (4, 4); terms: what the pose explains."""
+    """T_cam_obj (4, 4), and the terms of this pose."""
 
     T_cam_obj: Float64
     terms: Terms
 
 
 def surface_of(shape: Fused, views: Sequence[View], T_cam_obj: Float64) -> PreparedSurface | None:
-    """What a pose shows of a fused surface, with the colours of the views that see it most squarely; None
-    where it shows nothing that a view saw."""
+    """The part of a fused surface that is visible at a pose, with the colours of the most frontal views;
+    None if too little of it was measured by a view."""
     R, t = T_cam_obj[:3, :3], T_cam_obj[:3, 3]
     p_cam = shape.vertices @ R.T + t
     facing = -((shape.normals @ R.T) * p_cam).sum(1) / np.linalg.norm(p_cam, axis=1) > 0.1
@@ -78,7 +78,7 @@ def surface_of(shape: Fused, views: Sequence[View], T_cam_obj: Float64) -> Prepa
         np.zeros((1, 1, 1), np.int16),
         centre,
     )
-    # From one side the depth of an object is not known: taken as its smaller extent across.
+    # From one side the third extent of the object is unknown: the smaller visible one is assumed.
     return PreparedSurface(
         arrays,
         steepest(arrays.points, arrays.normals, arrays.colors),
@@ -89,8 +89,8 @@ def surface_of(shape: Fused, views: Sequence[View], T_cam_obj: Float64) -> Prepa
 
 
 def _colors(points: Float64, normals: Float64, views: Sequence[View]) -> tuple[Float32, Bool]:
-    """Opponents (N, 3, 3) at three scales of points, each from the view that sees it most squarely, and which
-    points a view sees (N,)."""
+    """Opponent colours (N, 3, 3) of points at three scales, each from the most frontal view, and which
+    points are visible in a view (N,)."""
     best = np.full(len(points), -1.0)
     colors = np.zeros((len(points), 3, 3), np.float32)
     for view in views:
@@ -102,7 +102,7 @@ def _colors(points: Float64, normals: Float64, views: Sequence[View]) -> tuple[F
 
 
 def registered(surface: PreparedSurface, frame: RgbdFrame, guesses: Sequence[Float64]) -> Registered | None:
-    """The best of the poses that the guesses lead to; None where none lies in the picture."""
+    """The best pose of those refined from the guesses; None if no guess is in the image."""
     best: Registered | None = None
     for guess in guesses:
         box = surface.box(guess, frame.camera)
@@ -122,15 +122,15 @@ def registered(surface: PreparedSurface, frame: RgbdFrame, guesses: Sequence[Flo
 
 
 def turned_about(T_cam_obj: Float64) -> list[Float64]:
-    """A pose, and those turned from it about each of the camera's axes."""
-    turns = [se3.rotation_exp(angle * axis) for axis in np.eye(3) for angle in TURNS]
+    """A pose, and copies of it that are rotated about each of the camera's axes."""
+    rotations = [se3.rotation_exp(angle * axis) for axis in np.eye(3) for angle in TURNS]
     R, t = T_cam_obj[:3, :3], T_cam_obj[:3, 3]
-    return [T_cam_obj, *(se3.make(turn @ R, t) for turn in turns)]
+    return [T_cam_obj, *(se3.make(rotation @ R, t) for rotation in rotations)]
 
 
 def followed(last: RgbdFrame, mask: Bool, T_cam_obj: Float64, frame: RgbdFrame) -> Float64 | None:
-    """The pose in a frame by the flow of a mask (H, W) since the last one; None where flow says nothing, and
-    where the pictures differ in size: their pixels are not those of one camera."""
+    """The pose in a frame by the optical flow of a mask (H, W) since the last frame; None if flow gives no
+    motion, or if the image size has changed: then the pixels do not correspond."""
     rows, columns = np.nonzero(mask)
     if not len(rows) or last.color.shape != frame.color.shape:
         return None
@@ -150,12 +150,12 @@ def followed(last: RgbdFrame, mask: Bool, T_cam_obj: Float64, frame: RgbdFrame) 
 
 
 SIGMA_M = 0.0015
-"""Error of a registration of two views, at the object's rim; the same for all, so that only outliers of
-several times as much are told apart by it."""
+"""Assumed error of a registration of two views, at the object's radius, metres. It is the same for all
+edges, so the pose graph recognises only edges with several times this error as outliers."""
 
 
 class Edge(NamedTuple):
-    """T_b_a (4, 4): camera axes of view a to those of view b, as registered; loop: it closes a turn."""
+    """T_b_a (4, 4): camera axes of view a to those of view b, as registered; loop: it closes a loop."""
 
     a: int
     b: int
@@ -164,11 +164,11 @@ class Edge(NamedTuple):
 
 
 def relaxed(views: Sequence[View], edges: Sequence[Edge], radius_m: float) -> list[View]:
-    """Views at the optimised poses; loop edges that contradict the others are dropped."""
+    """Views with optimised poses; loop edges that contradict the others are dropped."""
     import open3d as o3d
 
     registration = o3d.pipelines.registration
-    # About the object's centre and not the camera's, so that turns and shifts have one unit.
+    # About the object's centre, not the camera's, so that rotations and translations are comparable.
     T_cam_centre = [se3.make(np.eye(3), view.T_cam_obj[:3, 3]) for view in views]
     graph = registration.PoseGraph()
     for view, T in zip(views, T_cam_centre, strict=True):

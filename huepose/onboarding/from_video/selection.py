@@ -1,4 +1,4 @@
-"""Segment the object in the first frame: what stands out of the ground plane at a click or inside a box."""
+"""Segment the object in the first frame: the surface above the ground plane at a click or inside a box."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from huepose.onboarding.from_video.views import tolerance_m
 from huepose.support.errors import InputError
 
 REACH_M = 0.5
-"""Radius around the object in which the ground plane is searched, metres."""
+"""Radius around the object in which the ground plane is searched for, metres."""
 
 NARROWEST_M = 0.15
-"""Least extent of a ground plane on all sides of the object, metres: fingers and arms are narrower."""
+"""Least width of a ground plane, metres: fingers and arms are narrower."""
 
 LARGEST_SHARE = 0.4
-"""Largest share of the picture that an object may cover: more is the room."""
+"""Largest share of the image that an object may cover: a larger surface is the room."""
 
 FEWEST_PX = 300
-"""Least pixels of an object: with fewer, its shape cannot be separated from noise."""
+"""Fewest pixels of an object: with fewer, its shape cannot be separated from noise."""
 
-_SHARE_OF_GROUND = 0.2  # of the readings around; less is a coincidence
+_SHARE_OF_GROUND = 0.2  # least share of the readings around the object; less is a coincidence
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What the user points at in the first frame: a box, or one pixel (column, row)."""
+    """The user's selection in the first frame: a box, or one pixel (column, row)."""
 
     box: Box | None = None
     click: tuple[float, float] | None = None
 
 
 def first_mask(frame: RgbdFrame, selection: Selection) -> tuple[Bool, Bool, Float64 | None]:
-    """Pixels (H, W) of the object; those that may be (in the box, or with a click the same); and the ground
-    (4,): normal towards the camera and offset in camera axes, None where there is none. Raises InputError
-    that says what to point at instead."""
+    """Pixels (H, W) of the object; pixels (H, W) that may be the object (also others in the box; for a
+    click, the same); and the ground (4,): normal towards the camera and offset, camera axes, None if there
+    is none. Raises InputError that says what to select instead."""
     depth, (rows, columns) = frame.depth, np.indices(frame.depth.shape)
     size = (depth.shape[1], depth.shape[0])
     box = None if selection.box is None else given_box(selection.box, size)
@@ -59,15 +59,15 @@ def first_mask(frame: RgbdFrame, selection: Selection) -> tuple[Bool, Bool, Floa
         assert selection.click is not None
         middle = selection.click
         if not (0 <= middle[0] < size[0] and 0 <= middle[1] < size[1]):
-            raise InputError(where, expected="X Y (left, top) in the picture of {} x {}".format(*size))
+            raise InputError(where, expected="X Y (left, top) in the image of {} x {}".format(*size))
         central = np.hypot(columns - middle[0], rows - middle[1]) < 4
     seeds = central & (depth > 0)
     if seeds.sum() < 0.2 * max(int(central.sum()), 1) or not seeds.any():
         raise InputError(
             where,
             found="no depth there in the first frame",
-            expected="an object that the depth camera sees",
-            fix="Move the object to within the camera's range; glass and mirrors give no depth.",
+            expected="an object that the depth camera can measure",
+            fix="Move the object into the camera's range; glass and mirrors give no depth.",
         )
     near_m = float(np.median(depth[seeds]))
     seed_cam = frame.camera.backproject(np.array([middle]), np.array([near_m]))[0]
@@ -76,7 +76,7 @@ def first_mask(frame: RgbdFrame, selection: Selection) -> tuple[Bool, Bool, Floa
     if ground is not None:
         standing &= ~on_ground(frame, ground)
         if not (seeds & standing).any():
-            raise InputError(where, found="the ground itself there", expected="the object")
+            raise InputError(where, found="the ground there", expected="the object")
         near_m = float(np.median(depth[seeds & standing]))
     number, parts = connected_surfaces(depth, standing & inside)
     chosen = seeds & standing & (np.abs(depth - near_m) < EDGE_M + tolerance_m(near_m))
@@ -88,14 +88,14 @@ def first_mask(frame: RgbdFrame, selection: Selection) -> tuple[Bool, Bool, Floa
     if mask.sum() < FEWEST_PX:
         raise InputError(
             where,
-            found=f"{int(mask.sum())} pixels with depth that stand out",
-            expected=f"{FEWEST_PX} or more of the object",
-            fix="Record it from nearer.",
+            found=f"a surface of {int(mask.sum())} pixels",
+            expected=f"an object of {FEWEST_PX} or more",
+            fix="Record it from a shorter distance.",
         )
     if mask.mean() > LARGEST_SHARE:
         raise InputError(
             where,
-            found=f"a surface over {100 * mask.mean():.0f} % of the picture",
+            found=f"a surface over {100 * mask.mean():.0f} % of the image",
             expected="one object",
             fix="Point at the object, or mark it with --box X Y W H.",
         )
@@ -108,15 +108,15 @@ def on_ground(frame: RgbdFrame, ground: Float64) -> Bool:
 
 
 def _height(frame: RgbdFrame, ground: Float64) -> Float64:
-    """Metres (H, W) of the readings over the ground."""
+    """Heights (H, W) of the readings above the ground, metres."""
     rows, columns = np.indices(frame.depth.shape)
     points = frame.camera.backproject(np.stack([columns, rows], -1), frame.depth)
     return np.asarray(points @ ground[:3] + ground[3])
 
 
 def _ground(frame: RgbdFrame, seed_cam: Float64, beside: Bool) -> Float64 | None:
-    """The largest plane around a point (3,) of the object that does not hold it: such is a face of its own.
-    beside (H, W): pixels that may show the ground."""
+    """The largest plane around a point (3,) of the object that does not contain the point: a plane that
+    does is a face of the object. beside (H, W): pixels that may show the ground."""
     import open3d as o3d
 
     rows, columns = np.nonzero((frame.depth > 0) & beside)
@@ -133,7 +133,7 @@ def _ground(frame: RgbdFrame, seed_cam: Float64, beside: Bool) -> Float64 | None
         spread = around[inliers] - around[inliers].mean(0)
         across = np.ptp(spread @ np.linalg.eigh(spread.T @ spread)[1][:, 1])
         plane = np.asarray(found) / np.linalg.norm(found[:3])
-        plane = plane if plane[3] > 0 else -plane  # the camera lies above it
+        plane = plane if plane[3] > 0 else -plane  # the camera is above it
         if across > NARROWEST_M and seed_cam @ plane[:3] + plane[3] > slack:
             return np.asarray(plane, np.float64)
         around = np.delete(around, inliers, axis=0)
@@ -141,7 +141,7 @@ def _ground(frame: RgbdFrame, seed_cam: Float64, beside: Bool) -> Float64 | None
 
 
 def connected_surfaces(depth: np.ndarray, allowed: Bool) -> tuple[int, np.ndarray]:
-    """Connected surfaces of an image: their number, and the number (H, W) of each pixel's, 0 = none."""
+    """Connected surfaces of a depth image: number of labels, and label (H, W) of each pixel, 0 for none."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 

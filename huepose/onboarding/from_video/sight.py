@@ -9,7 +9,7 @@ from huepose.geometry.camera import FLOOR_M, NEAREST_M, STEREO_NOISE_PER_M
 from huepose.support.jit import jit
 
 SIGMAS = 3.0
-"""Readings within this many standard errors can be of one surface."""
+"""Readings within this many standard errors may belong to one surface."""
 
 THERE, THROUGH, OTHER, BEHIND, BENEATH = range(5)
 
@@ -50,29 +50,29 @@ def tally(
     outer: Bool,
     nearest: Float32,
     ground: Float64,
-    said: Int64,
+    counts: Int64,
 ) -> None:
-    """Add to `said` (N, 5) what a view says of points (N, 3): see `views.Votes`. ground (4,): zeros where the
-    view shows none."""
+    """Add the votes of a view on points (N, 3) to `counts` (N, 5): see `views.Votes`. ground (4,): zeros if
+    the view shows none."""
     height, width = depth.shape
     for i in range(len(points_obj)):
         x, y, z = _cam(points_obj[i], T_cam_obj)
         if ground[0] * x + ground[1] * y + ground[2] * z + ground[3] < 0:
-            said[i, BENEATH] += 1
+            counts[i, BENEATH] += 1
         row, column = _pixel(x, y, z, k, height, width)
         if row < 0:
             continue
         slack = _slack(z)
         if nearest[row, column] > z + slack:
-            said[i, THROUGH] += 1
-        seen = depth[row, column]
-        if seen <= 0:
+            counts[i, THROUGH] += 1
+        reading = depth[row, column]
+        if reading <= 0:
             continue
-        if abs(seen - z) <= slack:
-            said[i, THERE] += mask[row, column]
-            said[i, OTHER] += outer[row, column]
-        elif z > seen:
-            said[i, BEHIND] += mask[row, column]
+        if abs(reading - z) <= slack:
+            counts[i, THERE] += mask[row, column]
+            counts[i, OTHER] += outer[row, column]
+        elif z > reading:
+            counts[i, BEHIND] += mask[row, column]
 
 
 @jit
@@ -86,8 +86,8 @@ def seen_more_squarely(
     best: Float64,
     more: float,
 ) -> Int64:
-    """Rows and columns (N, 2) of points that a view sees by a cosine larger by `more` than `best` (N,), which
-    is set to it; -1 for the others."""
+    """Rows and columns (N, 2) of points whose cosine of the viewing angle in this view is larger than
+    `best` (N,) by `more`, and set `best` to it; -1 for the others."""
     height, width = depth.shape
     out = np.full((len(points_obj), 2), -1, np.int64)
     for i in range(len(points_obj)):

@@ -30,29 +30,30 @@ from huepose.support.jit import jit
 from huepose.support.kept import kept, once_for_each
 
 SIDE_PX, MOST_SIDE_PX, PIXEL_M = 160, 800, 0.002
-"""Least and greatest side of the rendered pictures that contours are taken from. Between them a pixel is no
-larger than the last, at the object: a contour errs by half a pixel, and is compared within millimetres."""
+"""Smallest and largest side of the rendered images that contours are taken from, pixels. Between these limits
+a pixel covers at most PIXEL_M of the object: a contour errs by half a pixel, and is compared within
+millimetres."""
 
 SHARE, NOMINAL_DISTANCE = 0.9, 5.0
-"""Of the picture's side that the object takes, and distance of the camera in object radii."""
+"""Share of the image's side that the object takes, and distance of the camera in object radii."""
 
 POINTS = 96
-"""Points of an outline, evenly taken."""
+"""About this many points per outline, evenly spaced."""
 
 BESIDE_M = np.array([0.004, 0.007, 0.010])
-"""Distances from the outline at which both sides are compared: more than calibration errs, less than things
-are thick."""
+"""Distances from the outline at which both sides are compared: larger than calibration errors, smaller than
+the thickness of objects."""
 
 STEP_M, STEP_SIGMAS = 0.006, 3.0
-"""A depth step is something else if it lies behind the continued surface by this much plus so many standard
-errors of a reading."""
+"""Beyond the outline, depth that lies behind the continued surface by more than STEP_M plus STEP_SIGMAS
+standard errors of a reading belongs to something else."""
 
 OTHER_COLOR = 12.0
-"""Difference of opponents from which a colour is another one: half a unit of the natural logarithm."""
+"""Two colours differ if their opponents differ by more than this: half a unit of the natural logarithm."""
 
 
-UNKNOWN, ENDED, GOES_ON = range(3)
-"""What a frame says of a point of an outline."""
+UNKNOWN, ENDED, CONTINUES = range(3)
+"""Results at a point of an outline: not known, the object ends there, surface and colour continue."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +89,11 @@ class Contours:
 
     @cached_property
     def lines(self) -> Lines:
-        """Contours of all views, computed or mapped from the cache at the first use: 0.2 s, of an
-        object of a metre 2 s."""
-        return kept(Lines, self.digest, self._drawn)
+        """Contours of all views. The first use computes them (0.2 s; 2 s for an object of a metre) or maps
+        them from the cache."""
+        return kept(Lines, self.digest, self._rendered)
 
-    def _drawn(self) -> Lines:
+    def _rendered(self) -> Lines:
         directions = self.surface.arrays.directions
         points, out = zip(*(_contour(self.mesh, self.surface, d) for d in directions), strict=True)
         starts = np.cumsum([0, *(len(p) for p in points)])
@@ -114,7 +115,7 @@ def _contour(mesh: Mesh, surface: PreparedSurface, direction: Float32) -> tuple[
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
     pixels = np.concatenate([c[:, 0] for c in found])
     pixels = pixels[:: max(1, len(pixels) // POINTS)]
-    # The contour of a hole runs outside of it, on the object, as that around the object does.
+    # The contour of a hole runs on the object, like the outer one.
     blurred = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), 3.0)
     u, v = pixels[:, 0], pixels[:, 1]
     slope = np.stack([blurred[v, u + 1] - blurred[v, u - 1], blurred[v + 1, u] - blurred[v - 1, u]], 1)
@@ -127,23 +128,24 @@ def _contour(mesh: Mesh, surface: PreparedSurface, direction: Float32) -> tuple[
 
 
 def _side_px(radius_m: float) -> int:
-    """Side of the picture that shows an object of that radius."""
+    """Side of the rendered image of an object of that radius, pixels."""
     return int(np.clip(np.ceil(2.0 * radius_m / (SHARE * PIXEL_M)), SIDE_PX, MOST_SIDE_PX))
 
 
 def continued(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> float:
     """Share 0..1 of the outline of a pose T_cam_obj (4, 4) beyond which surface and colour continue."""
-    says = _compared(contours, T_cam_obj, frame)[2]
-    return np.count_nonzero(says == GOES_ON) / max(len(says), 1)
+    results = _compared(contours, T_cam_obj, frame)[2]
+    return np.count_nonzero(results == CONTINUES) / max(len(results), 1)
 
 
 def held(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Float64:
-    """What the outline says of a pose (4, 4): the information (6, 6) about the object's centre, camera axes.
+    """Information (6, 6) that the outline gives about a pose (4, 4): about the object's centre, camera axes.
 
-    Where the object ends, it does so anywhere within the least of BESIDE_M. All of an outline errs alike, so
-    its points count as two readings together, one for each direction in the picture."""
-    p, o, says = _compared(contours, T_cam_obj, frame)
-    ended = says == ENDED
+    Where the object ends, its edge may lie anywhere within the smallest of BESIDE_M. The errors along one
+    outline are alike, so all its points together count as two readings, one for each direction in the
+    image."""
+    p, o, results = _compared(contours, T_cam_obj, frame)
+    ended = results == ENDED
     if not ended.any():
         return np.zeros((6, 6))
     arms = p[ended] - contours.surface.centre_cam(T_cam_obj)
@@ -152,20 +154,21 @@ def held(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> Float64:
 
 
 def _compared(contours: Contours, T_cam_obj: Float, frame: RgbdFrame) -> tuple[Float64, Float64, Int32]:
-    """Points and outward directions (K, 3) of the outline at a pose, camera axes, and what the frame says
-    there (K,): UNKNOWN, ENDED or GOES_ON."""
+    """Points and outward directions (K, 3) of the outline at a pose, camera axes, and the result at each
+    point (K,): UNKNOWN, ENDED or CONTINUES."""
     points, out = contours.at(T_cam_obj)
     p = points @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
     o = out @ T_cam_obj[:3, :3].T
-    says = np.zeros(len(p), np.int32)
+    results = np.zeros(len(p), np.int32)
     if not len(p):
-        return p, o, says
+        return p, o, results
     allowed = STEP_M + STEP_SIGMAS * depth_noise_m(float(p[:, 2].mean()))
-    # A picture that came over the bus cannot be written: told so always, the kernel is compiled once.
+    # Images from the bus are read-only. All images are passed as read-only, so the kernel is compiled only
+    # once.
     color = frame.color.view()
     color.flags.writeable = False
-    _compare(p, o, frame.camera.lens, frame.depth, color, allowed, says)
-    return p, o, says
+    _compare(p, o, frame.camera.lens, frame.depth, color, allowed, results)
+    return p, o, results
 
 
 @jit
@@ -176,10 +179,10 @@ def _compare(
     depth: Float32,
     color: UInt8,
     allowed: float,
-    says: Int32,
+    results: Int32,
 ) -> None:
-    """Fill in what is said of each outline point, UNKNOWN before. points, out (K, 3): camera axes; lens: fx,
-    fy, cx, cy."""
+    """Compare each outline point with the frame and fill in `results`, which are UNKNOWN at first. points,
+    out (K, 3): camera axes; lens: fx, fy, cx, cy."""
     z = np.empty((2, 3))
     logs = np.empty((2, 3), np.float32)
     for k in range(len(points)):
@@ -204,7 +207,7 @@ def _compare(
                     logs[side, channel] += LOGARITHMS[color[v, u, channel]] / np.float32(3.0)
         if not known:
             continue
-        # Continued by what was measured inside: level and slope, as far as three readings tell them.
+        # Continue the surface inside: level and slope of its three readings.
         there = True
         for n in range(3):
             there = there and abs(z[0, n] - points[k, 2]) < 2.0 * allowed
@@ -224,7 +227,7 @@ def _compare(
             for channel in range(3):
                 change += OPPONENTS[row, channel] * (logs[0, channel] - logs[1, channel])
             other = other or abs(change) > OTHER_COLOR
-        says[k] = ENDED if other else GOES_ON
+        results[k] = ENDED if other else CONTINUES
 
 
 SIDE = 20
@@ -234,16 +237,17 @@ INNER, OUTER = 1, 2
 """The rim: cells between these two distances outside the silhouette."""
 
 TOLERANCE_M = 0.012
-"""Depth this near to that of the silhouette is the same surface, beside what a cell adds."""
+"""Depth within this distance of the silhouette's depth is the same surface; the size of a cell adds to it."""
 
 
 def continuation_many(
     model: ModelArrays, depth: Float32, clear: Bool, camera: Camera, poses: Float64, samples: int
 ) -> Float64:
-    """Share (M,) of the rim of each pose (M, 4, 4) where the measured surface continues from the object's.
+    """Share (M,) of the rim of each pose (M, 4, 4) on which the measured surface continues that of the
+    object.
 
-    depth (h, w): metres, 0 = none; clear (h, w): pixels that can show an object at all; samples: most surface
-    samples that draw the silhouette.
+    depth (h, w): metres, 0 = none; clear (h, w): pixels that can show an object at all; samples: largest
+    number of surface samples for the silhouette.
     """
     out = np.zeros(len(poses))
     _continue(np.ascontiguousarray(poses), model, clear, depth, camera.lens, samples, out)
@@ -304,7 +308,8 @@ def _continue(
 
 @jit
 def _within(inside: Float64, y: int, x: int, reach: int) -> float:
-    """The first cell (n, n), row by row, that is over 0 and at most `reach` rows and columns away; else 0."""
+    """The value of the first cell of (n, n), row by row, that is over 0 and at most `reach` rows and columns
+    away; 0 if there is none."""
     n = inside.shape[0]
     for b in range(max(y - reach, 0), min(y + reach + 1, n)):
         for a in range(max(x - reach, 0), min(x + reach + 1, n)):

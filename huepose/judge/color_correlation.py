@@ -1,4 +1,4 @@
-"""Colour agreement of texture and picture, whatever the light: a weighted correlation from sums over
+"""Colour agreement of texture and image, independent of the light: a weighted correlation from sums over
 samples."""
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from huepose.judge.terms import ScoreWeights
 
 SHADING_RIDGE = 0.03
-"""Ridge regularisation of the fit of lightness to normals, in variance of a normal's component: keeps it
-small where normals hardly vary."""
+"""Ridge regularisation when lightness is fitted to normals, as a variance of a normal's component. It keeps
+the slopes small where normals hardly vary."""
 
 
 PLAIN = 4.0
-"""Contrast that counts as none, opponent units. It is added to the sum of the channels' weights; with that
-share of the weight the mean colour decides, where the light is known."""
+"""Contrast that counts as none, opponent units. It is added to the sum of the channels' weights. Where the
+light is known, the mean colour decides with this share of the weight."""
 
 LIGHT_SIGMA = (14.0, 7.0, 7.0)
 """Standard deviations of the mean colour of a known object in known light, per channel, opponent units:
@@ -34,16 +34,17 @@ def color_agreement(
 ) -> float:
     """Correlation of texture and image over channels and scales, each weighted by how much texture there is.
 
-    samples (20 or more, N): of the first `count` columns rows 4..6 the normal, 7 the weight (sum `weight`),
-    8..13 the texture's colours at both scales, 14..19 the image's.
+    samples (20 or more, N): the first `count` columns are used. Rows 4..6: normal; 7: weight (their sum is
+    `weight`); 8..13: colours of the texture at both scales; 14..19: of the image.
 
-    Lightness is compared after what the surface's normals explain of it is taken off both sides (shading by
-    distant lights is linear in the normal). PLAIN added to the sum of weights lowers the colour of objects
-    without texture; where the light is known, their mean colour makes up for it. seen (4,) gets the contrast
-    of the texture in view and the mean colour of the image less that of the texture: the light's.
+    Shading by distant lights is linear in the normal. So the part of lightness that the normals explain is
+    removed from both sides before they are compared. PLAIN in the sum of weights lowers the agreement of
+    objects without texture; where the light is known, their mean colour makes up for it. Writes to seen (4,)
+    the contrast of the visible texture, and the mean colour of the image minus that of the texture: the
+    effect of the light.
     """
     n0, n1, n2, a00, a11, a22, a01, a02, a12 = _spread_of_normals(samples, count, weight)
-    # Cholesky factor of the ridged spread, once for all four right sides.
+    # Cholesky factor of the regularised covariance, once for all four right-hand sides.
     l00 = np.sqrt(a00 + SHADING_RIDGE)
     l10, l20 = a01 / l00, a02 / l00
     l11 = np.sqrt(a11 + SHADING_RIDGE - l10 * l10)
@@ -81,7 +82,7 @@ def color_agreement(
                 i2 += gi * samples[6, k]
             m0, m1, m2 = m0 / weight - n0 * mean_m, m1 / weight - n1 * mean_m, m2 / weight - n2 * mean_m
             i0, i1, i2 = i0 / weight - n0 * mean_i, i1 / weight - n1 * mean_i, i2 / weight - n2 * mean_i
-            # Slopes of both lightnesses over the normal.
+            # Slopes of lightness over the normal, of texture and image.
             f0 = m0 / l00
             f1 = (m1 - l10 * f0) / l11
             x2 = (m2 - l20 * f0 - l21 * f1) / l22 / l22

@@ -1,11 +1,11 @@
-"""The light that a pose implies, and what it leaves of a texture's colours.
+"""The light that a pose implies, and the colours of the texture in that light.
 
-Opponents are of logarithms of light plus a floor (`colorpair.opponents.DARKEST`), since what is darker is
-noise. So light is an offset only where a colour is bright: in the shade a red brick is nearly black, its
-opponents are small, and a pose whose texture has a dark part there agrees better than the right one. Shading
-by distant lights is linear in the normal; fitted to what is seen, it says how bright the texture is at each
-sample, and so what the floor leaves of its colour. Only the strength of the light is fitted: its own colour
-is an offset, and lightness is compared without shading anyhow.
+Opponents are made of logarithms of linear values plus a floor (`colorpair.opponents.DARKEST`), because darker
+values are noise. So light is an offset only where a colour is bright. In shade, a red brick is nearly black
+and its opponents are small; a wrong pose whose texture has a dark part there agrees better than the right
+one. Shading by distant lights is linear in the normal. Fitted to the image, it gives the brightness of the
+texture at each sample, and so what the floor leaves of its colour. Only the strength of the light is fitted:
+its colour is an offset, and lightness is compared without shading anyway.
 """
 
 from __future__ import annotations
@@ -23,13 +23,14 @@ from huepose.judge.terms import score_arrays
 from huepose.support.jit import jit
 
 SAMPLES = 400
-"""Most surface samples to which the light is fitted, and by which colours are compared in it."""
+"""Largest number of surface samples to which the light is fitted, and with which colours are compared in
+it."""
 
 LEAST_SEEN = 30
-"""Fewer samples that are seen tell no light."""
+"""With fewer visible samples no light is fitted."""
 
 COARSER = 1
-"""Of the scales of colours, that at which the light is fitted: less noise."""
+"""Index of the colour scale at which the light is fitted: the coarser one has less noise."""
 
 _NO_LIGHT = 1e-5
 """Added to products of linear values before their logarithm."""
@@ -39,25 +40,24 @@ _OF_OPPONENTS = np.linalg.inv(OPPONENTS.astype(np.float64)).T.astype(np.float32)
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """How strongly distant lamps shine on a surface. slopes (4,): of the logarithm over 1 and the normal in
-    object axes."""
+    """Strength of distant lights on a surface. slopes (4,): coefficients of its logarithm, for the constant 1
+    and for the normal in object axes."""
 
     slopes: Float64
 
     def on(self, normals: Float) -> Float32:
-        """Factors (N,) of linear RGB where a surface has normals (N, 3), object axes."""
+        """Factors (N,) on the linear RGB of surfaces with normals (N, 3), object axes."""
         return np.asarray(np.exp(self.slopes[0] + normals @ self.slopes[1:]), np.float32)
 
     def falls_on(self, colors: Float32, normals: Float) -> Float32:
-        """Opponents (..., N, 3) of a texture with normals (N, 3) as they look in this light, but for their
-        lightness, which stays."""
+        """Opponents (..., N, 3) of a texture with normals (N, 3) in this light; lightness stays unchanged."""
         lit = opponents(_linear(colors) * self.on(normals)[:, None])
         lit[..., 0] = colors[..., 0]
         return lit
 
     def falls_on_picture(self, color: UInt8, normals_cam: Float32, R: Float64) -> UInt8:
-        """Bytes (h, w, 3) of a drawn texture as it looks in this light. normals_cam (h, w, 3): camera axes,
-        0 where nothing is; R (3, 3): rotation of the object."""
+        """Bytes (h, w, 3) of a rendered texture in this light. normals_cam (h, w, 3): camera axes, 0 where
+        nothing is rendered; R (3, 3): rotation of the object."""
         return _lit(color, normals_cam, np.ascontiguousarray(R.T, np.float32), self.slopes)
 
 
@@ -80,8 +80,8 @@ def _lit(color: UInt8, normals_cam: Float32, R_obj_cam: Float32, slopes: Float64
 
 
 def implied_lights(model: ModelArrays, region: RegionArrays, poses: Float64) -> list[Light | None]:
-    """The light in which the texture looks most as in the picture, at each of the poses T_cam_obj (K, 4, 4);
-    None where too few samples are seen."""
+    """For each of the poses T_cam_obj (K, 4, 4), the light in which the texture is most similar to the image;
+    None where too few samples are visible."""
     return [_implied_light(model, region, np.ascontiguousarray(T, np.float64)) for T in poses]
 
 
@@ -91,9 +91,9 @@ def _implied_light(model: ModelArrays, region: RegionArrays, T: Float64) -> Ligh
         return None
     picture = _linear(region.colors[COARSER][seen.row, seen.column])
     texture = _linear(model.colors[COARSER][seen.which])
-    # What is bright in the texture says how bright the light is; what is dark in it is haze in the picture.
-    known, shown_of_it = (texture * texture).sum(1), (picture * texture).sum(1)
-    brighter = np.log((shown_of_it + _NO_LIGHT) / (known + _NO_LIGHT))
+    # Bright texture shows how bright the light is; where the texture is dark, the image shows only haze.
+    texture_power, product = (texture * texture).sum(1), (picture * texture).sum(1)
+    brighter = np.log((product + _NO_LIGHT) / (texture_power + _NO_LIGHT))
     over_normals = np.column_stack([np.ones(len(seen.which)), model.normals[seen.which]])
     weighted = over_normals * seen.facing[:, None]
     ridge = SHADING_RIDGE * seen.facing.sum() * np.diag([0.0, 1.0, 1.0, 1.0])
@@ -103,8 +103,8 @@ def _implied_light(model: ModelArrays, region: RegionArrays, T: Float64) -> Ligh
 def shading_gains(
     model: ModelArrays, region: RegionArrays, poses: Float64, lights: Sequence[Light | None]
 ) -> Float64:
-    """By how much more (K,) the colours of poses T_cam_obj (K, 4, 4) agree where the texture is seen in its
-    light, in units of the total; 0 without a light."""
+    """By how much (K,) the colour agreement of poses T_cam_obj (K, 4, 4) rises if the texture is compared in
+    the light of each pose, in units of the total; 0 without a light."""
     poses = np.ascontiguousarray(poses, dtype=np.float64)
     gains = -score_arrays(model, region, poses, SAMPLES)[:, 4]
     for k, (T, light) in enumerate(zip(poses, lights, strict=True)):
@@ -114,7 +114,8 @@ def shading_gains(
 
 
 def _relit(model: ModelArrays, light: Light, T_cam_obj: Float64) -> ModelArrays:
-    """A model with the colours that the first SAMPLES samples that a pose (4, 4) shows have in a light."""
+    """The model in a light: the colours of the first SAMPLES samples that are visible at a pose (4, 4) are
+    changed."""
     first, last = shown_range(T_cam_obj, model, SAMPLES)
     shown = model.visible[first:last]
     colors = model.colors.copy()

@@ -1,7 +1,7 @@
 """The dense score of one pose, compiled: computes `judge.terms.Terms` in passes over the visible samples.
 
-They are projected, compared with depth, and where they fit their colours are compared with the picture's.
-Each pass is a plain loop over rows of a scratch array, with a weight in place of a branch, so that the
+The samples are projected and compared with depth. Where depth fits, their colours are compared with the
+image. Each pass is a plain loop over rows of a scratch array, with a weight in place of a branch, so that the
 compiler can vectorise it. A caller that only needs to know whether a pose is better than another passes
 `needed`, and the kernel stops as soon as the pose cannot reach it.
 """
@@ -26,31 +26,33 @@ TERMS = 17
 
 SCRATCH_ROWS = 23
 """Rows of the scratch array. For all samples: 0 facing, 1..2 pixel, 3 depth, 4..6 normal in camera axes, 7
-weight in colour, 8 reading, 9 belief, 10 whether the colour is known, 11 whether it is in the picture, then
-facing where it may show the object, 20 index of the pixel. For those with a weight, compacted: 4..6 normal, 7
-weight, 8..13 colours of the texture, 14..19 of the picture, 20 index of the sample, 21..22 pixel."""
+weight in colour, 8 reading, 9 belief, 10 whether the colour is known, 11 whether it is in the image, later
+its facing where it may show the object, 20 index of the pixel. For samples with a weight, compacted: 4..6
+normal, 7 weight, 8..13 colours of the texture, 14..19 of the image, 20 index of the sample, 21..22 pixel."""
 
 STICKING = 3.0
-"""A surface that lies less than this many tolerances behind the measured one is not hidden by it but
-penetrates it, which solid things do not: a pose must not hide by sinking into its support or its
+"""A surface less than this many tolerances behind the measured one counts as penetrating it, not as occluded.
+Solid objects do not penetrate each other: a pose must not pass as occluded by sinking into its support or its
 neighbour."""
 
 IMPLAUSIBLE = 0.5
-"""Weight of a sample that is hidden implausibly (sunk into something, or behind what is believed to be the
-object itself), where 1 is a sample that is seen through."""
+"""Weight of a sample that is implausibly occluded: it penetrates something, or lies behind what is believed
+to be the object itself. A free-space violation has weight 1."""
 
 MARGIN = 0.15
-"""Added to the visible share of the surface in ratios, so that a pose with little in view explains little."""
+"""Share of the surface that is added to the denominator of ratios, so that a pose with little in view
+explains little."""
 
 SEEN_IN_COLOR = 0.02
-"""Share of the surface that must be seen in colour for its colours to be compared."""
+"""Share of the surface whose colour must be visible for colours to be compared."""
 
 
 FAR = 1e9
-"""Tolerances: how far behind a sample it is where a plane was taken away."""
+"""Where a plane was removed, depth counts as this many tolerances behind a sample."""
 
 BLOCK = 64
-"""Mask points per block in the coverage; between blocks it stops if the result is already decided."""
+"""Mask points per block when coverage is computed; after each block it stops if the result is already
+decided."""
 
 
 @jit_dividing
@@ -108,8 +110,8 @@ def score_kernel(
 def _place(
     T: Float64, model: ModelArrays, region: RegionArrays, first: int, count: int, scratch: Float64
 ) -> None:
-    """Facing (0 behind the camera), pixel, depth and normal of the visible samples of a view; in plain loops
-    over few rows each, since the compiler gives up on more."""
+    """Compute facing (0 behind the camera), pixel, depth and normal of the visible samples of a view. Each
+    plain loop uses few rows, because the compiler cannot vectorise more."""
     # Flat and without a sign, so that the compiler need not think of indices counted from the end.
     points, normals, visible = model.points.flat, model.normals.flat, model.visible
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
@@ -144,8 +146,8 @@ def _place(
 
 @jit_dividing
 def _look_up(region: RegionArrays, count: int, scratch: Float64) -> None:
-    """What the picture has at the samples: depth, belief, and whether the colour is known; whether they are
-    in the picture at all."""
+    """Read at the samples: depth, belief, whether the colour is known, and whether they are in the image at
+    all."""
     height, width = region.depth.shape
     depth, belief, saturated = region.depth.flat, region.belief.flat, region.saturated.flat
     u, v, place, inside = scratch[1], scratch[2], scratch[20], scratch[11]
@@ -167,7 +169,7 @@ def _compare(
     region: RegionArrays, count: int, tolerance: float, least: float, scratch: Float64, out: Float64
 ) -> tuple[float, float]:
     """Compare the samples with depth: writes their weights in colour, and the terms that depth decides.
-    Returns the sums of all samples' facing and of these weights. least: weight where nothing is believed."""
+    Returns the sums of all samples' facing and of these weights. least: weight of depth without belief."""
     facings, u, v, depth = scratch[0], scratch[1], scratch[2], scratch[3]
     weight, observed, believed, clear, inside = scratch[7], scratch[8], scratch[9], scratch[10], scratch[11]
     each, of_blind = 1.0 / tolerance, region.blind
@@ -180,16 +182,17 @@ def _compare(
         outside += facing * (1.0 - inside[k])
         facing *= inside[k]
         z, reading, belief = depth[k], observed[k], believed[k]
-        # Of a plane that is taken away: a surface that lies in it is not seen through, nor seen.
+        # A removed plane has negative depth: a surface that lies in it is neither violated nor confirmed by
+        # it.
         in_plane = (reading < 0.0) & (abs(reading + z) * facing < tolerance)
         unread = reading == 0.0
-        # Distance along the ray, measured across the surface: slanted surfaces forgive more.
+        # Distance along the ray, projected onto the normal: slanted surfaces tolerate more.
         gap = (reading - z) * facing * each if reading >= 0.0 else FAR
         fits = facing if (abs(gap) < 1.0) & ~unread else 0.0
-        untold = facing if unread else 0.0
+        unknown = facing if unread else 0.0
         behind = facing if (gap >= 1.0) & ~in_plane else 0.0
-        # What is in front hides the object, unless it is believed to be the object itself, or the object
-        # would stick in it.
+        # A reading in front occludes the object, unless it is believed to be the object itself, or the object
+        # would penetrate it.
         front = facing if (gap <= -1.0) & ~unread else 0.0
         near += fits
         blind += facing if unread | in_plane else 0.0
@@ -199,12 +202,12 @@ def _compare(
         occluded += front * (1.0 - belief)
         trust = least + (1.0 - least) * belief
         fit += fits * trust * (1.0 - gap * gap)
-        in_color = clear[k] * (fits + of_blind * untold)
+        in_color = clear[k] * (fits + of_blind * unknown)
         colored += in_color
         weight[k] = trust * in_color
         color_weight += trust * in_color
-        inside[k] = fits + untold
-    # Apart: the compiler does not take a minimum of several numbers at once.
+        inside[k] = fits + unknown
+    # In a loop of its own: the compiler does not vectorise a minimum.
     for k in range(count):
         if inside[k] > 0.0:
             left, right = min(left, u[k]), max(right, u[k])
@@ -224,7 +227,7 @@ def _compare(
 
 @jit_dividing
 def _compacted(model: ModelArrays, first: int, count: int, scratch: Float64) -> int:
-    """Move what is needed of the samples with a weight in colour together; returns how many these are."""
+    """Move the rows of samples with a weight in colour to the front; returns the number of these samples."""
     fitting = 0
     for k in range(count):
         weight = scratch[7, k]
@@ -238,7 +241,8 @@ def _compacted(model: ModelArrays, first: int, count: int, scratch: Float64) -> 
 
 @jit_dividing
 def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: Float64) -> None:
-    """Colours of the texture, and of the picture between its pixels, of the samples that fit."""
+    """Read the colours of the samples that fit: of the texture, and of the image, interpolated between
+    pixels."""
     height, width = region.depth.shape
     # Flat and without a sign, so that the compiler need not think of indices counted from the end.
     fine, coarse = model.colors[region.finest].flat, model.colors[region.finest + 1].flat
@@ -268,8 +272,9 @@ def _read_colors(model: ModelArrays, region: RegionArrays, count: int, scratch: 
 
 @jit_dividing
 def _coverage(T: Float64, model: ModelArrays, region: RegionArrays, enough: float, scratch: Float64) -> float:
-    """Coverage: share of the mask points that lie on the camera's side of the surface. If it cannot exceed
-    `enough`, some value between is returned. scratch: 11 rows or more."""
+    """Coverage: share of the mask points that lie on the surface, where it faces the camera. If it cannot
+    exceed `enough`, some upper bound of it that is not over `enough` is returned. scratch: 11 rows or
+    more."""
     point_weights, tolerance = region.point_weights, region.tolerance
     # Flat and without a sign, so that the compiler need not think of indices counted from the end. (`ravel`
     # costs a call.)
@@ -282,7 +287,7 @@ def _coverage(T: Float64, model: ModelArrays, region: RegionArrays, enough: floa
     one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
     p0, p1, p2, place, given = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
     s0, s1, s2, m0, m1, m2 = scratch[5], scratch[6], scratch[7], scratch[8], scratch[9], scratch[10]
-    # The camera's place in object axes is -eye.
+    # The camera's position in object axes is -eye.
     eye0 = r00 * t0 + r10 * t1 + r20 * t2
     eye1 = r01 * t0 + r11 * t1 + r21 * t2
     eye2 = r02 * t0 + r12 * t1 + r22 * t2
@@ -290,7 +295,7 @@ def _coverage(T: Float64, model: ModelArrays, region: RegionArrays, enough: floa
     total = 1e-9
     for k in range(point_weights.shape[0]):
         total += point_weights[k]
-    # What the points may lose altogether before the answer cannot be over `enough`.
+    # If the points lose more than this in total, the coverage cannot exceed `enough`.
     spare = total * (1.0 - enough + 1e-9)
     lost = 0.0
     block = min(BLOCK, scratch.shape[1])

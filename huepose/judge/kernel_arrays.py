@@ -1,5 +1,5 @@
-"""The arrays of a model and of a region as compiled kernels read them, and what every kernel asks of them:
-where a sample falls, which samples a pose shows, how far depth may be off."""
+"""The arrays of a model and of a region as compiled kernels read them, and what every kernel needs: the pixel
+of a sample, the samples that are visible at a pose, the tolerance of depth."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ NO_LIGHT = np.zeros(3)
 
 class RegionArrays(NamedTuple):
     """The arrays of a region that kernels read. colors (S, h, w, 3) float32: opponents averaged at the
-    model's scales; finest: of the scales of colours, the first of the two that are compared; light (3,): what
-    the light adds to opponents, where that is known (`lit`); blind: weight of colours where there is no depth
-    to say whether the object is in front; sigmas: see `tolerance_at`."""
+    model's scales; finest: index of the first of the two colour scales that are compared; light (3,): offset
+    that the light adds to opponents, if it is known (`lit`); blind: weight of colours where no depth shows
+    whether the object is occluded; sigmas: see `tolerance_at`."""
 
     points_cam: Float64
     point_weights: Float64
@@ -122,14 +122,14 @@ def region_arrays(region: Region) -> RegionArrays:
 
 @jit_dividing
 def tolerance_at(tolerance_m: float, sigmas: float, depth_m: float) -> float:
-    """A tolerance, but no less than so many standard errors of a reading at that depth, metres."""
+    """A tolerance, metres, but at least `sigmas` standard errors of a reading at that depth."""
     return max(tolerance_m, sigmas * (FLOOR_M + STEREO_NOISE_PER_M * depth_m * depth_m))
 
 
 @jit_dividing
 def projected(T: Float64, points: Float32, i: int, lens: Float64) -> tuple[float, float, float]:
-    """Pixel and depth of point i of (N, 3) at pose T (4, 4); the pixel of a point behind the camera is none.
-    lens (4,): fx, fy, cx, cy."""
+    """Pixel and depth of point i of (N, 3) at pose T (4, 4); behind the camera the pixel has no meaning. lens
+    (4,): fx, fy, cx, cy."""
     p0, p1, p2 = points[i, 0], points[i, 1], points[i, 2]
     z = T[2, 0] * p0 + T[2, 1] * p1 + T[2, 2] * p2 + T[2, 3]
     u = (T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]) / z * lens[0] + lens[2]
@@ -138,8 +138,8 @@ def projected(T: Float64, points: Float32, i: int, lens: Float64) -> tuple[float
 
 
 FIRST_VIEWS = 42
-"""Directions of an icosphere that are looked at before one goes from neighbour to neighbour: those of its
-first levels."""
+"""Directions of an icosphere that are compared first: those of its first levels. From the best of them the
+search goes from neighbour to neighbour."""
 
 
 @jit
@@ -170,16 +170,16 @@ def nearest_view(T: Float64, model: ModelArrays) -> int:
 
 @jit
 def shown_range(T: Float64, model: ModelArrays, most: int) -> tuple[int, int]:
-    """Where in `model.visible` the samples begin and end that pose `T` shows, `most` of them at most."""
+    """Begin and end, in `model.visible`, of the samples that are visible at pose `T`, at most `most` of
+    them."""
     view = nearest_view(T, model)
     first = model.offsets[view]
     return first, min(model.offsets[view + 1], first + most)
 
 
 class SeenSamples(NamedTuple):
-    """The samples of a surface whose depth is seen at a pose: which (N,) they are; of each, facing (N,): the
-    cosine between its normal and the line of sight; u, v (N,): where it falls; row, column (N,): of that
-    pixel."""
+    """The samples of a surface that depth confirms at a pose. which (N,): their indices; facing (N,): cosine
+    between normal and line of sight; u, v (N,): position in the image; row, column (N,): nearest pixel."""
 
     which: Int32
     facing: Float64
@@ -190,7 +190,7 @@ class SeenSamples(NamedTuple):
 
 
 def seen_samples(model: ModelArrays, region: RegionArrays, T: Float64, most: int) -> SeenSamples:
-    """Those of the first `most` samples that pose `T` shows where depth agrees and the colour is known."""
+    """Those of the first `most` samples visible at pose `T` where depth agrees and the colour is known."""
     first, last = shown_range(T, model, most)
     index, R = model.visible[first:last], T[:3, :3]
     points, normals = model.points[index] @ R.T + T[:3, 3], model.normals[index] @ R.T

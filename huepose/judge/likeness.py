@@ -1,9 +1,9 @@
-"""How well each of some poses that compete explains the same pixels.
+"""How well each of several competing poses explains the same pixels.
 
-The score of a single pose reads the picture where that pose fits, under the light that suits it. Competing
-poses are compared more strictly: on the same pixels, where texture that is seen but missing in the view
-counts against it, and with the same texture gain for all. Fine detail is compared exactly; broader texture
-may be displaced by a pixel or two.
+The score of a single pose reads the image where that pose fits, under the light that suits it. Competing
+poses are compared more strictly: on the same pixels and with the same texture gain. Texture that the image
+shows and a pose lacks counts against that pose. Fine detail is compared exactly; broader texture may be
+displaced by a pixel or two.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ import numpy as np
 from huepose.geometry.arrays import Bool, Float32, Float64
 from huepose.geometry.camera import Camera
 from huepose.judge.implied_light import Light
-from huepose.judge.rendered_view import drawn_colors
+from huepose.judge.rendered_view import rendered_colors
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
 from huepose.support.jit import jit
 
 BROAD_PX = 5.0
-"""Sigma, pixels: broader texture is the band between the blunt smoothing and this one; shading is broader
-still."""
+"""Sigma, pixels: broader texture is the band between the blunt smoothing and this one; shading varies even
+more slowly."""
 
 MAX_SHIFT = 1
 """Largest displacement of a patch of texture, pixels at half resolution."""
@@ -33,11 +33,11 @@ PATCH = 5
 """Side of such a patch, pixels at half resolution."""
 
 NOISE = 1.0
-"""Noise of detail, opponent units: that of a picture without texture."""
+"""Noise of detail, opponent units: that of an image without texture."""
 
 MIN_GAIN, MAX_GAIN = 0.3, 1.2
-"""Limits of the gain of the seen texture over the mesh's: veiled by gloss and blur, or sharper than it was
-scanned."""
+"""Limits of the gain of the image's texture over the mesh's: low through gloss and blur, high if the image is
+sharper than the scan."""
 
 MIN_PIXELS = 20
 """Least number of pixels on which poses are compared."""
@@ -45,8 +45,8 @@ MIN_PIXELS = 20
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of a picture. camera: of the part; colors (2, h, w, 3): as `detail_colors` has them; depth
-    (h, w) metres; saturated (h, w); a pixel shows a pose when its depth is at most `tolerance_m` off, or
+    """A part of an image. camera: of the part; colors (2, h, w, 3): see `detail_colors`; depth (h, w) metres;
+    saturated (h, w); tolerance_m: a pixel shows a pose if its depth differs by less than this, or is
     unknown."""
 
     camera: Camera
@@ -67,8 +67,8 @@ class Likeness:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What a pose shows in the window: detail and blunt colours (2, h, w, 3), and where they may be
-    compared."""
+    """The rendered view of a pose in the window: detail and blunt colours (2, h, w, 3), and the pixels on
+    which they can be compared."""
 
     colors: Float32
     comparable: Bool
@@ -77,8 +77,8 @@ class _Seen:
 def likeness(
     model: ReferenceModel, part: Part, poses: Float64, lights: Sequence[Light | None]
 ) -> Likeness | None:
-    """How well each of the poses (K, 4, 4), in its light (K), explains the pixels where any of them lies;
-    None where these are too few."""
+    """How well each of the poses (K, 4, 4), in its light (K), explains the pixels that any of them shows;
+    None if these are too few."""
     seen = [_seen(model, part, T, light) for T, light in zip(poses, lights, strict=True)]
     shared = np.any([one.comparable for one in seen], axis=0)
     if int(shared.sum()) < MIN_PIXELS:
@@ -91,7 +91,7 @@ def _seen(model: ReferenceModel, part: Part, T_cam_obj: Float64, light: Light | 
     picture = render([(model.mesh, T)], part.camera)
     shown = picture.depth > 0
     fits = (part.depth == 0) | (np.abs(part.depth - picture.depth) < part.tolerance_m)
-    return _Seen(drawn_colors(picture, T, light), shown & fits & ~part.saturated)
+    return _Seen(rendered_colors(picture, T, light), shown & fits & ~part.saturated)
 
 
 def _detail(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
@@ -106,8 +106,8 @@ def _detail(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
 
 @jit
 def _products(picture: Float32, texture: Float32, mask: Bool) -> tuple[float, float, float]:
-    """Sums over a mask (h, w) and the channels: of the product of two pictures (h, w, 3), of the square of
-    the first and of the second."""
+    """Sums over a mask (h, w) and the channels: of the product of two images (h, w, 3), of the square of the
+    first and of the second."""
     product, of_picture, of_texture = 0.0, 0.0, 0.0
     for v in range(mask.shape[0]):
         for u in range(mask.shape[1]):
@@ -132,21 +132,25 @@ def _broad(colors: Float32, seen: Sequence[_Seen], shared: Bool) -> Float64:
     energy = np.einsum("ijk,ijk->k", picture, picture)
     spread = np.sqrt(energy / count) + NOISE
     gain = _shared_gain(picture, textures, count)
-    unexplained = _patch_means(_left(picture, np.zeros_like(picture), gain, spread, 0, 0))
+    unexplained = _patch_means(_residual(picture, np.zeros_like(picture), gain, spread, 0, 0))
     out = []
     for texture, weight in zip(textures, weights, strict=True):
-        left = np.full(weight.shape, np.inf, np.float32)
+        residual = np.full(weight.shape, np.inf, np.float32)
         for dx in range(-MAX_SHIFT, MAX_SHIFT + 1):
             for dy in range(-MAX_SHIFT, MAX_SHIFT + 1):
-                left = np.minimum(left, _patch_means(_left(picture, texture, gain, spread, dy, dx)))
-        out.append(float(((unexplained - left) * weight).sum()) / count)
+                residual = np.minimum(
+                    residual, _patch_means(_residual(picture, texture, gain, spread, dy, dx))
+                )
+        out.append(float(((unexplained - residual) * weight).sum()) / count)
     return np.array(out)
 
 
 @jit
-def _left(picture: Float32, texture: Float32, gain: Float32, spread: Float32, dy: int, dx: int) -> Float32:
-    """What a texture (h, w, 3) with a gain (3,), displaced by (dy, dx) pixels, leaves of a picture (h, w, 3):
-    in spreads (3,), saturating, summed over the channels (h, w)."""
+def _residual(
+    picture: Float32, texture: Float32, gain: Float32, spread: Float32, dy: int, dx: int
+) -> Float32:
+    """Squared residual (h, w) of an image (h, w, 3) after subtraction of a texture (h, w, 3) with a gain
+    (3,), displaced by (dy, dx) pixels: in units of the spreads (3,), saturating, summed over the channels."""
     height, width = picture.shape[:2]
     out = np.empty((height, width), np.float32)
     per_spread = np.float32(1.0) / spread
@@ -163,7 +167,8 @@ def _left(picture: Float32, texture: Float32, gain: Float32, spread: Float32, dy
 
 
 def _shared_gain(picture: Float32, textures: Sequence[Float32], count: float) -> Float32:
-    """Gain (3,) per channel of the picture's texture over that of the pose that fits best."""
+    """Gain (3,) per channel of the image's texture over the rendered one: the largest of all poses, within
+    the limits."""
     gains = [
         np.einsum("ijk,ijk->k", picture, texture)
         / (np.einsum("ijk,ijk->k", texture, texture) + NOISE * np.sqrt(count))

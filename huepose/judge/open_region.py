@@ -33,9 +33,9 @@ SCALES_M = (*COLOR_SCALES_M, 0.008)
 """Gaussian sigmas of the three averages on the object; the first two come with a model's surface."""
 
 AROUND_M = (0.008, 0.008, 0.016)
-"""Gaussian sigmas of the surroundings of a sample in which its texture is asked for its variation, at each of
-SCALES_M: what a refinement at that scale may have to reach. No less than samples lie apart, which is more on
-an object of half a metre: without neighbours nothing would vary."""
+"""Gaussian sigmas of the surroundings of a sample in which the variation of texture is measured, at each of
+SCALES_M: the distance that a refinement at that scale may have to bridge. At least the spacing of the samples
+is used, which is larger on an object of half a metre: without neighbours nothing would vary."""
 
 MIN_SIDE = 16
 """A window with a shorter side, in pixels, shows too little to be judged."""
@@ -44,7 +44,7 @@ REACH_SIGMAS = 2.0
 """Gaussians are cut off at this many sigmas: 4 % of the weight lies beyond."""
 
 BLIND = 0.3
-"""Weight of a sample's colour where there is no depth reading that shows whether the object is in front."""
+"""Weight of a sample's colour where no depth reading shows whether the object is occluded."""
 
 _NOWHERE = np.array([-2.0, -2.0, -1.0, -1.0])
 _NO_POINTS, _NO_WEIGHTS = np.zeros((0, 3)), np.zeros(0)
@@ -86,7 +86,7 @@ def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float
     depth = np.ascontiguousarray(frame.depth[y0 : y0 + h, x0 : x0 + w])
     px_per_m = (frame.camera.fx + frame.camera.fy) / 2.0 / max(distance_m, NEAR_M)
     camera = frame.camera.cropped(x0, y0, w, h)
-    # Whole numbers would have every kernel compiled once more.
+    # As floats: for integers every kernel would be compiled once more.
     fx, fy, cx, cy = (float(x) for x in (camera.fx, camera.fy, camera.cx, camera.cy))
     arrays = RegionArrays(
         _NO_POINTS,
@@ -108,8 +108,8 @@ def open_region(frame: RgbdFrame, box: Box, distance_m: float, diameter_m: float
 
 
 def tolerance_m(diameter_m: float, distance_m: float) -> float:
-    """Tolerance of depth, metres: a reading within it supports the surface. That of the object's size, and
-    two standard errors of the reading."""
+    """Tolerance of depth, metres: a reading within it supports the surface. It is the tolerance for the
+    object's size, plus twice the noise of a reading above its floor."""
     return least_tolerance_m(diameter_m) + 2.0 * (depth_noise_m(distance_m) - FLOOR_M)
 
 
@@ -138,8 +138,8 @@ SAMPLES = 400
 
 @dataclass(frozen=True, eq=False)
 class PreparedSurface:
-    """arrays: input of the kernels, colours as opponents at SCALES_M; steepest (3, N, 3) float32: by how much
-    the texture around each sample can change at each scale, opponents per metre; diameter_m: of the model;
+    """arrays: input of the kernels, colours as opponents at SCALES_M; steepest (3, N, 3) float32: steepest
+    slope of the texture around each sample at each scale, opponents per metre; diameter_m: of the model;
     thickness_m: extent along its thinnest axis; radius_m: of the sphere around the centre that holds all
     samples."""
 
@@ -174,7 +174,7 @@ class PreparedSurface:
 
     @cached_property
     def _centre(self) -> Float64:
-        """In object axes, homogeneous (4,): a pose takes it along in one product."""
+        """The centre in object axes, homogeneous (4,): one product with a pose transforms it."""
         return np.append(self.arrays.centre, 1.0)
 
     def view_of(self, T_cam_obj: Float) -> int:
@@ -188,8 +188,9 @@ class PreparedSurface:
         return a.visible[a.offsets[view] : a.offsets[view + 1]][:count]
 
     def box(self, T_cam_obj: Float, camera: Camera) -> Box | None:
-        """Bounds of the object in the image, from every fourth sample that is ahead of the camera; None where
-        less than half of them or not the object's centre are. Not clipped to the image."""
+        """Bounds of the object in the image, not clipped to it, from every fourth sample. Samples that are
+        not ahead of the camera are left out; None if these are more than half, or if the object's centre is
+        among them."""
         points = np.ascontiguousarray(self.arrays.points[::4])
         T = np.ascontiguousarray(T_cam_obj, dtype=np.float64)
         ahead, left, top, right, bottom = bounds_of(
@@ -217,8 +218,9 @@ def _colors(arrays: ModelArrays) -> _Colors:
 
 
 def steepest(points: Float32, normals: Float32, scales: Float32) -> Float32:
-    """By how much the texture around each of N samples can change at each of SCALES_M: (3, N, 3), in units of
-    `scales` (3, N, 3) a metre. What is averaged over a length changes over it by no more than it varies."""
+    """Steepest slopes (3, N, 3) of the texture around each of N samples at each of SCALES_M, in units of
+    `scales` (3, N, 3) per metre. Over its averaging length, texture changes by no more than its standard
+    deviation."""
     out = np.empty(scales.shape, np.float32)
     around = np.maximum(AROUND_M, _spacing(points))
     for slope, colors, scale_m, around_m in zip(
@@ -230,7 +232,7 @@ def steepest(points: Float32, normals: Float32, scales: Float32) -> Float32:
 
 
 def _spacing(points: Float32) -> float:
-    """How far points (N, 3) lie from their nearest neighbours, metres, in the median."""
+    """Median distance of points (N, 3) from their nearest neighbours, metres."""
     from scipy.spatial import cKDTree
 
     nearest, _ = cKDTree(points).query(points, k=2)
@@ -246,7 +248,7 @@ def _thickness(points: Float32) -> float:
 
 def _averaged_around(points: Float32, normals: Float32, values: Float, sigma_m: float) -> Float64:
     """Values (N, K) averaged by a Gaussian over neighbours that face the same way."""
-    from scipy.spatial import cKDTree  # a fifth of a second, which no tracker of known objects needs
+    from scipy.spatial import cKDTree  # 0.2 s, which a tracker of cached objects saves
 
     a, b = cKDTree(points).query_pairs(2.5 * sigma_m, output_type="ndarray").T
     d2 = ((points[a] - points[b]) ** 2).sum(1)

@@ -1,4 +1,4 @@
-"""Rim agreement: does the picture have an edge where the outline of a pose lies?
+"""Rim agreement: does the image have an edge where the outline of a pose lies?
 
 Thin and distant objects have hardly any relief that separates them from their surroundings, but their outline
 in colour is sharp. Only the direction of a gradient counts fully: noise and clutter have strong gradients,
@@ -19,16 +19,16 @@ from huepose.judge.kernel_arrays import RegionArrays, tolerance_at
 from huepose.support.jit import jit_dividing
 
 SMOOTHING_PX = 1.0
-"""Sigma by which the picture is smoothed before its gradient is taken."""
+"""Sigma by which the image is smoothed before its gradient is taken."""
 
 FAINT = 3.0
 """Gradient that counts half, opponent units per pixel: fainter ones are noise."""
 
 REACH_PX = 1
-"""How far across the outline the strongest edge is looked for, pixels."""
+"""Search range for the strongest edge across the outline, pixels."""
 
-HIDDEN = 1.5
-"""A rim point is hidden if depth lies in front of it by this many tolerances."""
+OCCLUDED = 1.5
+"""A rim point is occluded if depth lies in front of it by this many tolerances."""
 
 PRIOR, PRIOR_COUNT = 0.35, 10.0
 """Prior: agreement of a rim at a random place, and the number of points that this prior counts as."""
@@ -36,8 +36,8 @@ PRIOR, PRIOR_COUNT = 0.35, 10.0
 
 class Rim(NamedTuple):
     """An outline to compare. points (N, 3): object axes; inward (N, 3): from each point to one pixel further
-    inside, object axes; edges (h, w, 3): structure tensor of the picture, xx, xy, yy; weight: of the
-    agreement in a total, 0 without a rim."""
+    inside, object axes; edges (h, w, 3): structure tensor of the image, xx, xy, yy; weight: of the agreement
+    in a total, 0 without a rim."""
 
     points: Float64
     inward: Float64
@@ -49,7 +49,7 @@ NO_RIM = Rim(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((1, 1, 3), np.float32)
 
 
 def edge_tensor(color: UInt8) -> Float32:
-    """Structure tensor (h, w, 3), as xx, xy, yy, of a picture's opponents, summed over the channels."""
+    """Structure tensor (h, w, 3), as xx, xy, yy, of an image's opponents, summed over the channels."""
     smooth = cv2.GaussianBlur(opponents_of_bytes(color), (0, 0), SMOOTHING_PX)
     x = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3, scale=1 / 8)
     y = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3, scale=1 / 8)
@@ -59,8 +59,7 @@ def edge_tensor(color: UInt8) -> Float32:
 
 @jit_dividing
 def rim_agreement(T: Float64, rim: Rim, region: RegionArrays) -> float:
-    """Agreement 0..1 of the picture's gradients with the outline of pose T (4, 4); hidden points are left
-    out."""
+    """Agreement 0..1 of the image's gradients with the outline of pose T (4, 4), without occluded points."""
     height, width = region.depth.shape
     total, count = PRIOR * PRIOR_COUNT, PRIOR_COUNT
     for i in range(rim.points.shape[0]):
@@ -73,7 +72,7 @@ def rim_agreement(T: Float64, rim: Rim, region: RegionArrays) -> float:
         if u < 1.5 or v < 1.5 or u >= width - 2.5 or v >= height - 2.5:
             continue
         observed = region.depth[int(v + 0.5), int(u + 0.5)]
-        if observed > 0.0 and observed < z - HIDDEN * tolerance_at(region.tolerance, region.sigmas, z):
+        if observed > 0.0 and observed < z - OCCLUDED * tolerance_at(region.tolerance, region.sigmas, z):
             continue
         q0, q1, q2 = rim.inward[i, 0], rim.inward[i, 1], rim.inward[i, 2]
         x = T[0, 0] * q0 + T[0, 1] * q1 + T[0, 2] * q2

@@ -1,6 +1,6 @@
-"""Read a picture by colour pairs: the two colours of each pair of a model, where a pose projects them.
+"""Read an image at colour pairs: the two colours at each pair of a model, where a pose projects it.
 
-The model's pairs that are visible at the pose are projected, and the picture is read on both sides of each
+The model's pairs that are visible at the pose are projected, and the image is read on both sides of each
 edge, as opponents.
 """
 
@@ -45,7 +45,7 @@ class PairWeights(NamedTuple):
 PAIR_WEIGHTS = PairWeights()
 
 CLOSE_PAIRS = 1500
-"""Most colour pairs with which the last few poses are judged."""
+"""Largest number of colour pairs with which the last few poses are judged."""
 
 REACH_PX = 2.0
 """Distance from the edge at which the colours of a pair were sampled, pixels of the reference views: the
@@ -63,8 +63,8 @@ class PairArrays(NamedTuple):
 
 
 class PairPicture(NamedTuple):
-    """A crop's colours at the scale at which pairs are compared: colors (h, w, 3) float32 opponents; su,
-    sv: pixels of the crop for one of these, so that (u, v) of the crop is ((u + 0.5) / su - 0.5, ...)
+    """A crop's colours at the scale at which pairs are compared: colors (h, w, 3) float32 opponents; su, sv:
+    pixels of the crop per pixel of `colors`, so that (u, v) of the crop is ((u + 0.5) / su - 0.5, ...)
     here."""
 
     colors: Float32
@@ -73,8 +73,8 @@ class PairPicture(NamedTuple):
 
 
 class PairsRead(NamedTuple):
-    """What a picture shows of a model's pairs: which (N,) of them; facing (N,): cosine between surface normal
-    and line of sight; colors (N, 2, 3): opponents of both sides."""
+    """What an image shows of a model's pairs. which (N,): their indices; facing (N,): cosine between surface
+    normal and line of sight; colors (N, 2, 3): opponents of both sides."""
 
     which: Int64
     facing: Float64
@@ -83,7 +83,7 @@ class PairsRead(NamedTuple):
 
 @jit
 def room_for(pairs: PairArrays) -> PairsRead:
-    """To be filled by `read_pairs`."""
+    """Arrays that `read_pairs` fills."""
     count = pairs.points.shape[0]
     return PairsRead(np.empty(count, np.int64), np.empty(count), np.empty((count, 2, 3)))
 
@@ -92,9 +92,9 @@ def room_for(pairs: PairArrays) -> PairsRead:
 def read_pairs(
     T: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, found: PairsRead
 ) -> int:
-    """Read the picture on both sides of all pairs that are visible at a pose (4, 4), into the first rows of
-    `found`; returns how many these are. All in one call: handing on so many arrays for each pair costs more
-    than reading it."""
+    """Read the image on both sides of all pairs that are visible at a pose (4, 4), into the first rows of
+    `found`; returns their number. All pairs in one call: passing so many arrays for each pair costs more than
+    reading it."""
     points, normals, tangents = pairs.points, pairs.normals, pairs.tangents
     depth, shown = region.depth, picture.colors
     height, width = depth.shape
@@ -175,7 +175,7 @@ def pair_arrays(reference: PairReference, count: int) -> PairArrays:
         np.ascontiguousarray(reference.points[rows]),
         np.ascontiguousarray(reference.normals[rows]),
         np.ascontiguousarray(reference.tangents[rows]),
-        np.ascontiguousarray(_fine_opponents(reference)[::step]),  # of one type, however many there are
+        np.ascontiguousarray(_fine_opponents(reference)[::step]),  # contiguous for any step: one type
         REACH_PX / reference.parameters["fine_pixels_per_m"],
     )
 

@@ -1,4 +1,4 @@
-"""Which colour pairs of a model a picture shows at a pose, and which of them it contradicts: to look at."""
+"""Which colour pairs of a model an image shows at a pose, and which of them it contradicts: for display."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from huepose.judge.texture_evidence import contrasts
 from huepose.model.types import ReferenceModel
 
 PAIRS = 400
-"""Of a model: more of them cover the picture."""
+"""Pairs of a model that are compared: more of them would cover the image."""
 
 CLEAR = 0.4
 """Least clarity of a contrast that is shown, 0..1: fainter ones say nothing for or against a pose."""
 
 
 def pairs_seen(frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float) -> tuple[Float64, Bool]:
-    """Pixels (N, 2) of the model's pairs that are in view at a pose (4, 4) and whose contrast is clear on the
-    texture and in the picture; and whether the picture's points in another colour (N,), which speaks against
-    the pose as in `texture_evidence.contrast_disagreement`."""
+    """Pixels (N, 2) of the model's pairs that are visible at a pose (4, 4) and whose contrast is clear in
+    texture and image; and whether the image's contrast points to another colour (N,). That is evidence
+    against the pose, see `texture_evidence.contrast_disagreement`."""
     box = projected_box(model, frame, T_cam_obj)
     if box is None:
         return np.zeros((0, 2)), np.zeros(0, bool)
@@ -31,7 +31,7 @@ def pairs_seen(frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float) -> tup
     size, middle_m = crop.depth.shape, float(se3.apply(T_cam_obj, model.mesh.centre[None])[0, 2])
     colors = smoothed_opponents(crop.color, np.ones(size, np.float32), (1.0, 3.0))
     region = Region.whole(crop, np.zeros(size, bool), colors, model.diameter_m, middle_m)
-    voices, elsewhere = contrasts(model, region, pair_picture(model, crop, middle_m), T_cam_obj, PAIRS)
-    shown = voices > CLEAR
+    clarity, elsewhere = contrasts(model, region, pair_picture(model, crop, middle_m), T_cam_obj, PAIRS)
+    shown = clarity > CLEAR
     points = pair_arrays(model.pairs, PAIRS).points[shown]
     return frame.camera.project(se3.apply(T_cam_obj, points)), elsewhere[shown]

@@ -29,8 +29,9 @@ OUTSIDE_WEIGHT = 0.02
 """Weight of a pixel without belief when colours are smoothed."""
 
 NOISE_SIGMAS = 1.5
-"""A reading within so many standard errors of a surface supports it, however small the object. Chosen on
-drawn heaps 1.3 to 2.4 m away and on piles 0.5 to 1.6 m away; two let false ones be found there."""
+"""A reading within this many standard errors of a surface supports it, however small the object. Chosen on
+rendered heaps 1.3 to 2.4 m away and on piles 0.5 to 1.6 m away; two standard errors gave false positives
+there."""
 
 MASK_POINTS = 500
 """Most mask points of a region."""
@@ -39,8 +40,8 @@ MASK_POINTS = 500
 @dataclass(frozen=True, eq=False)
 class Crop:
     """A part of a frame. camera: of the crop; x0, y0: its top-left pixel in the frame; color (h, w, 3) uint8
-    RGB; depth (h, w) float32 metres, negative: of a plane that a surface in it need not be seen before;
-    saturated (h, w) bool."""
+    RGB; depth (h, w) float32 metres, negative for a removed plane, which says nothing about a surface that
+    lies in it; saturated (h, w) bool."""
 
     camera: Camera
     x0: int
@@ -63,8 +64,8 @@ class Region:
     trust: 0..1, how reliable the belief itself is.
     bounds (4,): left, top, right, bottom of the box in the crop.
     tolerance_m: largest difference of depth and surface that counts as agreement; median_depth_m: of the
-    mask; sigmas: standard errors of a reading that are within the tolerance at any depth (see
-    `kernel_arrays`).
+    mask; sigmas: the tolerance is at least this many standard errors of a reading (see
+    `kernel_arrays.tolerance_at`).
     """
 
     crop: Crop
@@ -81,8 +82,8 @@ class Region:
 
     @staticmethod
     def whole(crop: Crop, mask: Bool, colors: Float32, diameter_m: float, depth_m: float) -> Region:
-        """All of a crop, to score poses of an object of that diameter about so far away or farther, metres,
-        of which no outline is known."""
+        """A whole crop, where no outline is known, to score poses of an object of that diameter at about
+        `depth_m` or farther, metres."""
         nothing, nowhere = np.zeros(mask.shape, np.float32), np.array([-2.0, -2.0, -1.0, -1.0])
         tolerance, none = tolerance_m(diameter_m, depth_m), np.zeros((0, 3))
         return Region(
@@ -96,7 +97,7 @@ def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
     x0 = min(columns.start, frame.camera.width - 2)
     y0 = min(rows.start, frame.camera.height - 2)
     x1, y1 = max(columns.stop, x0 + 2), max(rows.stop, y0 + 2)
-    # Copies, also of a whole picture: kernels would be compiled anew for arrays that cannot be written.
+    # Copies, also of a whole image: for read-only arrays kernels would be compiled once more.
     color = frame.color[y0:y1, x0:x1].copy()
     return Crop(
         frame.camera.cropped(x0, y0, x1 - x0, y1 - y0),
@@ -109,15 +110,15 @@ def prepare_crop(frame: RgbdFrame, window: Box) -> Crop:
 
 
 def saturated(color: UInt8) -> Bool:
-    """Which pixels of a picture (h, w, 3) have a saturated channel (h, w)."""
+    """Which pixels (h, w) of an image (h, w, 3) have a saturated channel."""
     return np.asarray(cv2.inRange(color, (0, 0, 0), (SATURATED - 1,) * 3) == 0)
 
 
 def prepare_believed(
     crop: Crop, masks: Sequence[Bool], weights: Sequence[float], trust: float, box: Box, diameter_m: float
 ) -> Region | None:
-    """The region of several candidate masks (H, W) of the frame, each with its weight (sum over 0); None when
-    no pixel of any mask has depth in the crop."""
+    """The region of several candidate masks (H, W) of the frame, each with its weight (their sum is
+    positive); None if no pixel of any mask has depth in the crop."""
     h, w = crop.depth.shape
     belief = np.zeros((h, w), np.float32)
     for mask, weight in zip(masks, weights, strict=True):
@@ -158,14 +159,14 @@ def _masked_colors(crop: Crop, belief: Float32, depth_m: float) -> Float32:
     """Opponents (2, h, w, 3) smoothed at both scales, weighted by belief: inside the mask colours mix only
     with the mask's, outside it with the surroundings'."""
     weight = np.maximum(belief, np.float32(OUTSIDE_WEIGHT))
-    # Of what is too near to be anything no more is averaged than there is.
+    # At impossibly small depths, no more than the crop is averaged.
     widest = float(max(crop.depth.shape))
     sigmas = [min(max(0.5, sigma_m / depth_m * crop.camera.fx), widest) for sigma_m in COLOR_SCALES_M]
     return smoothed_opponents(crop.color, weight, sigmas)
 
 
 def smoothed_opponents(color: UInt8, weight: Float32, sigmas_px: Sequence[float]) -> Float32:
-    """Opponents (S, h, w, 3) at each sigma: linear colours of a picture (h, w, 3) averaged by a Gaussian,
+    """Opponents (S, h, w, 3) at each sigma: linear colours of an image (h, w, 3) averaged by a Gaussian,
     pixels weighted by weight (h, w) > 0, then converted."""
     weighted = _weighted(color, weight)
     out = np.empty((len(sigmas_px), *weight.shape, 3), np.float32)
@@ -178,10 +179,10 @@ def smoothed_opponents(color: UInt8, weight: Float32, sigmas_px: Sequence[float]
 
 
 def _smoothed_at_half(weighted: Float32, sigma: float, out: Float32) -> None:
-    """Opponents (h, w, 3) of weighted colours smoothed by `sigma` pixels, by way of half the resolution."""
+    """Opponents (h, w, 3) of weighted colours smoothed by `sigma` pixels, computed at half the resolution."""
     height, width = weighted.shape[:2]
     half = cv2.resize(weighted, ((width + 1) // 2, (height + 1) // 2), interpolation=cv2.INTER_AREA)
-    # Averaging pairs and reading between the means smooth as well, with about this variance together.
+    # Halving and interpolation smooth as well, together with about this variance.
     log = _smoothed(np.asarray(half, dtype=np.float32), 0.5 * float(np.sqrt(sigma * sigma - 0.75)))
     small = np.empty((*log.shape[1:], 3), np.float32)
     _opponents_of_logs(log, small)

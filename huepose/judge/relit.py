@@ -1,5 +1,5 @@
-"""Whether the colour of the light changed from one picture to the next. Poses are judged in a known light, so
-a part of one colour that suddenly has another one may as well be another thing."""
+"""Did the colour of the light change from one image to the next? Poses are judged in a known light, so a
+surface that suddenly has another colour could as well be another object."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from huepose.geometry.picture_faults import DARK
 from huepose.judge.region import SATURATED
 
 LEAST = 0.1
-"""Change of red or blue beside green, in logarithms: the day and a camera's own white balance take many
-pictures for it."""
+"""Smallest change of red or blue relative to green, in logarithms. Daylight and a camera's white balance take
+many images to change by as much."""
 
 _EVERY = 16
-"""Pixels between those that are compared, along each axis."""
+"""Distance between compared pixels along each axis."""
 
 
 def relit(before: UInt8, now: UInt8) -> bool:
-    """Whether it changed between two pictures (H, W, 3) of one camera that follow each other: most pixels
-    changed their colour by the same factors, whatever they show.
+    """Whether the light changed between two successive images (H, W, 3) of one camera: most pixels changed
+    their colour by the same factors, whatever they show.
 
     >>> before = np.random.default_rng(0).integers(40, 160, (480, 640, 3)).astype(np.uint8)
     >>> warmer = (before * np.array([1.1, 1.0, 0.7])).astype(np.uint8)

@@ -1,9 +1,9 @@
-"""Rendered views: the object at a pose, drawn at the resolution and sharpness of this camera, to compare
+"""Rendered views: the object at a pose, rendered at the resolution and sharpness of this camera, to compare
 similar poses.
 
 The samples of a surface (`model.types.Surface`) carry the texture at two fixed scales, whatever the camera
-resolves. A rendered view is drawn for one pose and one camera: its samples are pixels, their colours the
-texture as this camera would see it, in the same frequency bands as the picture, and it has an outline. It is
+resolves. A rendered view belongs to one pose and one camera: its samples are pixels, their colours the
+texture as this camera would see it, in the same frequency bands as the image, and it has an outline. It is
 valid for small steps from its pose.
 """
 
@@ -30,8 +30,8 @@ RIM_POINTS = 120
 """Most points of an outline."""
 
 MARGIN_PX, LARGEST_PX = 6, 640
-"""Room round the object in a rendered view, and most pixels of its longer side: an object that needs more is
-too near."""
+"""Margin around the object in a rendered view, and largest length of its longer side, pixels: an object that
+needs more is too near."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class RenderedView:
 
 
 def detail_colors(color: UInt8, weight: Float32) -> Float32:
-    """Detail and blunt colours (2, h, w, 3) of a picture (h, w, 3); pixels count by their weight (h, w), over
+    """Detail and blunt colours (2, h, w, 3) of an image (h, w, 3); pixels count by their weight (h, w), over
     0."""
     colors = smoothed_opponents(color, weight, (SHARP_PX, BLUNT_PX))
     colors[0] -= colors[1]
@@ -55,8 +55,8 @@ def detail_colors(color: UInt8, weight: Float32) -> Float32:
 def draw_rendered_view(
     model: ReferenceModel, T_cam_obj: Float, camera: Camera, samples: int, light: Light | None = None
 ) -> RenderedView | None:
-    """The rendered view of a pose (4, 4) with at most `samples` samples, in a light where it is given; None
-    where it shows too little of the object, or is too near for a picture of it."""
+    """The rendered view of a pose (4, 4) with at most `samples` samples, in a light if one is given; None if
+    it shows too little of the object, or if the object is too near to be rendered."""
     window = _window(model, T_cam_obj, camera)
     if window is None:
         return None
@@ -67,14 +67,14 @@ def draw_rendered_view(
     rim_rows, rim_columns, inward_px = _rim(shown)
     if len(rows) < 20 or not len(rim_rows):
         return None
-    picked = drawn_colors(seen, T, light)[:, rows, columns]
+    picked = rendered_colors(seen, T, light)[:, rows, columns]
     R = T[:3, :3]
     metres = seen.depth[rim_rows, rim_columns][:, None] / np.array([window.fx, window.fy])
     inward = np.zeros((len(rim_rows), 3))
     inward[:, :2] = inward_px * metres
     base = model_arrays(model)
     first, count = len(base.points), len(rows)
-    # Behind the samples of the surface, to which the distance grid refers.
+    # Appended to the samples of the surface, because the distance grid refers to these.
     arrays = base._replace(
         points=_joined(base.points, seen.points_at(rows, columns)),
         normals=_joined(base.normals, seen.normals_at(rows, columns) @ R),
@@ -89,7 +89,7 @@ def draw_rendered_view(
 
 
 def _window(model: ReferenceModel, T_cam_obj: Float, camera: Camera) -> Camera | None:
-    """The camera of the window round a pose, which may reach out of the picture."""
+    """The camera of the window around a pose, which may reach beyond the image; None where it is too near."""
     points = model.surface.points @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
     if points[:, 2].min() < NEAR_M:
         return None
@@ -126,9 +126,9 @@ def _joined(base: Float32, more: Float) -> Float32:
     return np.ascontiguousarray(np.concatenate([base, more]), dtype=np.float32)
 
 
-def drawn_colors(picture: Rendering, T_cam_obj: Float64, light: Light | None) -> Float32:
-    """Detail and blunt colours of a rendered pose (4, 4) in a light; lightness, which shading changes most,
-    is left as it is."""
+def rendered_colors(picture: Rendering, T_cam_obj: Float64, light: Light | None) -> Float32:
+    """Detail and blunt colours of a rendered pose (4, 4) in a light; the light does not change the lightness,
+    which shading changes most."""
     shown = picture.depth > 0
     weight = np.maximum(shown, np.float32(1e-6))
     colors = detail_colors(picture.color, weight)

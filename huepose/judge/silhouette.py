@@ -84,17 +84,18 @@ def visible_mask(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float, tole
 
 
 def _away_m(model: ReferenceModel, T_cam_obj: Float) -> float:
-    """Depth of the object's middle, which its origin may lie far from, metres."""
+    """Depth of the object's centre, metres. (The origin may lie far from it.)"""
     return float(se3.apply(T_cam_obj, model.mesh.centre[None])[0, 2])
 
 
 RIM_PX = 5
-"""Side of the square by which what instances take is grown: colour and depth mix along an outline."""
+"""Side of the square, pixels, by which the pixels of instances are dilated: along an outline, colour and
+depth mix with the background's."""
 
 
 def taken_by(model: ReferenceModel, frame: RgbdFrame, poses: Sequence[Float64]) -> Bool:
-    """Pixels (H, W) of a frame that instances of an object at poses T_cam_obj (4, 4) explain, grown by their
-    rim: nothing else is there."""
+    """Pixels (H, W) of a frame that instances of an object at poses T_cam_obj (4, 4) explain, dilated by
+    RIM_PX."""
     seen = np.zeros(frame.depth.shape, bool)
     for T in poses:
         seen |= visible_mask(model, frame, T, tolerance_m(model.diameter_m, _away_m(model, T)))
@@ -102,7 +103,7 @@ def taken_by(model: ReferenceModel, frame: RgbdFrame, poses: Sequence[Float64]) 
 
 
 COMPARED_PX = 96
-"""Side of the pictures on which silhouettes are compared, pixels: exact enough for a ratio of areas."""
+"""Largest side of the images on which silhouettes are compared, pixels: exact enough for a ratio of areas."""
 
 
 def silhouette_iou(

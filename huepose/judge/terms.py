@@ -1,9 +1,9 @@
 """The dense score of a pose: does the object at this pose explain depth and colours of a region?
 
-The visible surface samples are compared with the image (depth at the surface, nothing seen through it, the
-texture's colours), and the mask points with the surface (is the mask explained?). Colours are compared by
-correlation of opponents at two scales, so that the light's colour and strength do not matter; lightness is
-compared after shading is removed.
+The visible surface samples are compared with the image (depth at the surface, free space, the texture's
+colours), and the mask points with the surface (is the mask explained?). Colours are compared by correlation
+of opponents at two scales, so that the light's colour and strength do not matter; lightness is compared after
+shading is removed.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 
 CLOSE_SAMPLES = 800
-"""Most surface samples of a close look at a pose: 0.5 % of noise in a share of the surface."""
+"""Largest number of surface samples when poses are judged closely: 0.5 % of noise in a share of the
+surface."""
 
 
 class ScoreWeights(NamedTuple):
@@ -55,14 +56,14 @@ class Terms:
 
     total: weighted sum; about 0 for nonsense, 3 for a perfect view through a right mask, 1.9 without a mask
     (open regions).
-    depth_fit 0..1: agreement of the depth readings that are neither hidden nor missing.
+    depth_fit 0..1: agreement with depth, where the surface is not occluded and has a reading.
     coverage 0..1: share of the mask that the surface explains.
-    violation 0..1: share seen through (free space violated), plus half of what is sunk into something or
-    behind what is believed to be the object.
+    violation 0..1: share with a free-space violation, plus half of the share that penetrates something or
+    lies behind what is believed to be the object.
     color -1..1: correlation of texture and image without the light, lowered where there is little texture.
     occluded 0..1: something that is not believed to be the object is in front.
-    seen 0..1: agrees in depth. box_iou 0..1: of the pose's bounds and the given box.
-    through 0..1: the seen-through part of violation. hidden 0..1: anything is in front.
+    seen 0..1: depth agrees. box_iou 0..1: of the pose's bounds and the given box.
+    through 0..1: the free-space part of violation. hidden 0..1: anything is in front.
     blind 0..1: no depth reading. outside 0..1: outside the image.
     contrast: opponent units of texture in view.
     light_l, light_rg, light_yb: mean colour of the image minus that of the texture.

@@ -1,18 +1,18 @@
-"""Is it this object's texture that is seen, or a look-alike's? Evidence that the dense score cannot give.
+"""Does the image show this object's texture, or a look-alike's? Evidence that the dense score cannot give.
 
 `texture_evidence`: a look-alike (same shape, other texture) has a lower colour correlation than the object
-itself, but not lower than an object without much texture. So it measures what is missing: how much higher the
-agreement of the two chromatic opponents would be if the picture showed this texture, which is little where
-there is little texture. It also measures at what contrast details are seen, since sharp ones separate poses
-that blurred ones do not.
+itself, but not lower than an object with little texture. So the function measures what is missing: how much
+higher the agreement of the two chromatic opponents would be if the image showed this texture. With little
+texture, that is little. It also measures how well details are seen, because sharp details separate poses that
+blurred ones do not.
 
 Correlations are dominated by the largest disagreement: a third of a surface in other, stronger colours
-outweighs the rest. So colour pairs are counted as well, each with a bounded vote.
-`contrast_disagreement`: share of visible contrasts that point elsewhere. The contrast of a pair is a
-direction in opponent space; light, shadow and exposure change its length, noise turns short ones, and only
-another colour turns long ones. `agreement_many`: how much of the texture agrees when a part of it may be
-outdated or hidden, by contrasts (where light cancels) and by colours under the light on which most of them
-agree. A pair that disagrees counts as zero, not as negative.
+outweighs the rest. So colour pairs are counted as well, each with a bounded vote. `contrast_disagreement`:
+share of visible contrasts that point elsewhere. The contrast of a pair is a vector in opponent space. Light,
+shadow and exposure change its length; noise rotates short vectors, and only another colour rotates long ones.
+`agreement_many`: how much of the texture agrees, where a part of it may be outdated or occluded: by contrasts
+(where light cancels), and by colours under the light on which most of them agree. A pair that disagrees
+counts as zero, not as negative.
 """
 
 from __future__ import annotations
@@ -51,11 +51,11 @@ HUE_FLOOR = 40.0
 
 @dataclass(frozen=True)
 class TextureEvidence:
-    """missing: agreement of the chromatic opponents that the picture lacks, 0 (complete) to about 0.8.
-    foreign: standard deviation of the picture's opponents from the texture's, after one offset, opponent
+    """missing: agreement of the chromatic opponents that the image lacks, 0 (complete) to about 0.8.
+    foreign: standard deviation of the image's opponents from the texture's, after one offset, opponent
     units.
-    detail: correlation of structure below 3.5 mm, -1..1, low where it cannot be seen.
-    turned: rotation of the picture's hues as a whole against the texture's, 0..1."""
+    detail: correlation of structure below 3.5 mm, -1..1, low where the image does not show it.
+    turned: rotation of the image's hues as a whole against the texture's, 0..1."""
 
     missing: float
     foreign: float
@@ -64,8 +64,8 @@ class TextureEvidence:
 
 
 def texture_evidence(model: ReferenceModel, region: Region, T_cam_obj: Float) -> TextureEvidence:
-    """The evidence at a pose T_cam_obj (4, 4); neutral (nothing missing, nothing foreign, no detail) where
-    too little of the surface is seen."""
+    """The evidence at a pose T_cam_obj (4, 4); neutral (nothing missing, nothing foreign, no detail) if too
+    little of the surface is visible."""
     seen = _seen_texture(model, region, np.ascontiguousarray(T_cam_obj, dtype=np.float64))
     if seen is None:
         return TextureEvidence(0.0, 0.0, 0.0, 0.0)
@@ -88,9 +88,9 @@ def texture_evidence(model: ReferenceModel, region: Region, T_cam_obj: Float) ->
 
 
 def _turned(share: Float64, texture_colors: Float64, picture: Float64) -> float:
-    """Correlation of the picture's hues with the texture's turned by a right angle, of both scales (N, 4).
+    """Correlation of the image's hues with the texture's, rotated by a right angle, over both scales (N, 4).
 
-    Light and exposure move hues and make them fainter, all alike; they turn none towards its neighbour."""
+    Light and exposure shift all hues alike and make them fainter; they do not rotate them."""
     across, strength = 0.0, HUE_FLOOR
     for k in (0, 2):
         p, q = texture_colors[:, k : k + 2], picture[:, k : k + 2]
@@ -112,8 +112,8 @@ def _detail(share: Float64, texture_colors: Float64, picture: Float64) -> float:
 def _seen_texture(
     model: ReferenceModel, region: Region, T: Float64
 ) -> tuple[Float64, Float64, Float64] | None:
-    """The visible samples whose depth fits: weights (N,), opponents of the texture (N, 6) and of the picture
-    (N, 6). None where there are too few."""
+    """The visible samples whose depth fits: weights (N,), opponents of the texture (N, 6) and of the image
+    (N, 6). None if there are too few."""
     m, r = model_arrays(model), region_arrays(region)
     seen = seen_samples(m, r, T, CLOSE_SAMPLES)
     if len(seen.which) < FEWEST_SAMPLES:
@@ -126,26 +126,27 @@ def _seen_texture(
 
 
 CONTRAST_LIGHTNESS = 0.2
-"""Of lightness against the other two channels: light and dark agree by chance more often than hues do, and
-shading is lightness, too."""
+"""Weight of lightness against the other two channels: light and dark agree by chance more often than hues do,
+and shading changes lightness, too."""
 
 ASIDE = 0.75
-"""Tangent of the angle within which two contrasts point the same way: what coloured light turns them by."""
+"""Tangent of the angle within which two contrasts point the same way: coloured light rotates them by as
+much."""
 
 CONTRAST_NOISE = 3.0
-"""Noise of a contrast, opponent units; one of this length counts half, on the texture and in the picture."""
+"""Noise of a contrast, opponent units; one of this length counts half, in texture and image."""
 
 NEUTRAL = 3.0
-"""Prior: so many clear contrasts count as agreeing, so that without texture there is no evidence against the
-pose."""
+"""Prior: this many clear contrasts count as agreeing, so that without texture there is no evidence against
+the pose."""
 
 
 def contrast_disagreement(
     model: ReferenceModel, region: Region, picture: PairPicture, T_cam_obj: Float
 ) -> float:
     """Share in 0..1 of visible contrasts that point elsewhere at a pose (4, 4); 0 where none is visible."""
-    voices, elsewhere = contrasts(model, region, picture, T_cam_obj, CLOSE_PAIRS)
-    return float(voices[elsewhere].sum() / (NEUTRAL + voices.sum()))
+    clarity, elsewhere = contrasts(model, region, picture, T_cam_obj, CLOSE_PAIRS)
+    return float(clarity[elsewhere].sum() / (NEUTRAL + clarity.sum()))
 
 
 def contrasts(
@@ -155,21 +156,21 @@ def contrasts(
     visible; and whether it points elsewhere (N,)."""
     arrays = pair_arrays(model.pairs, pairs)
     count = len(arrays.points)
-    voices, strengths, elsewhere = np.zeros(count), np.zeros(count), np.zeros(count, np.bool_)
+    clarity, strengths, elsewhere = np.zeros(count), np.zeros(count), np.zeros(count, np.bool_)
     _compare_contrasts(
         np.ascontiguousarray(T_cam_obj, dtype=np.float64),
         region_arrays(region),
         arrays,
         picture,
-        voices,
+        clarity,
         strengths,
         elsewhere,
     )
-    seen = voices > 0.0
+    seen = clarity > 0.0
     if seen.any():
-        # None speaks louder than the usual one.
-        voices *= np.minimum(strengths / np.median(strengths[seen]), 1.0)
-    return voices, elsewhere
+        # No pair counts more than the median one.
+        clarity *= np.minimum(strengths / np.median(strengths[seen]), 1.0)
+    return clarity, elsewhere
 
 
 @jit
@@ -178,12 +179,12 @@ def _compare_contrasts(
     region: RegionArrays,
     pairs: PairArrays,
     picture: PairPicture,
-    voices: Float64,
+    clarity: Float64,
     strengths: Float64,
     elsewhere: Bool,
 ) -> None:
-    """Of each pair that is seen, how clear its contrast is on the texture and in the picture, how strong it
-    is on the texture, and whether the picture's points elsewhere."""
+    """For each visible pair: how clear its contrast is in texture and image, how strong it is in the texture,
+    and whether the image's contrast points elsewhere."""
     found = room_for(pairs)
     for k in range(read_pairs(T, region, pairs, picture, found)):
         i, facing, read = found.which[k], found.facing[k], found.colors[k]
@@ -198,19 +199,19 @@ def _compare_contrasts(
         of_texture, seen = np.sqrt(mm), np.sqrt(ss)
         along = dot / of_texture
         across = np.sqrt(max(ss - along * along, 0.0))
-        voices[i] = facing * of_texture / (of_texture + CONTRAST_NOISE) * seen / (seen + CONTRAST_NOISE)
+        clarity[i] = facing * of_texture / (of_texture + CONTRAST_NOISE) * seen / (seen + CONTRAST_NOISE)
         strengths[i] = of_texture
         elsewhere[i] = across > ASIDE * along + CONTRAST_NOISE
 
 
 PAIR_LIGHTNESS, PAIR_FLOOR, PAIR_FEW = PAIR_WEIGHTS.lightness, PAIR_WEIGHTS.floor, PAIR_WEIGHTS.few
-"""As the score of pairs has them."""
+"""The same values as in the score of pairs."""
 
 HALF_AGREED = 16.0
 """Deviation from the common light, opponent units, at which a colour counts half."""
 
 LIGHT_ROUNDS = 3
-"""Of reweighting, in which the common light is found."""
+"""Rounds of reweighting to find the common light."""
 
 FEWEST_PAIRS = 5
 """Least number of visible pairs: with fewer there is no evidence."""
@@ -247,8 +248,8 @@ def _agree_all(
 
 @jit
 def _agreed_contrasts(weights: Float64, model: Float64, seen: Float64) -> float:
-    """Share of the texture's contrasts that the picture shows, each between nothing and all of its own; none
-    speaks louder than the usual one."""
+    """Share of the texture's contrasts that the image shows. Each pair counts between 0 and its own contrast,
+    and none counts more than the median one."""
     n = weights.shape[0]
     along, ours, theirs = np.empty(n), np.empty(n), np.empty(n)
     for i in range(n):
@@ -264,9 +265,9 @@ def _agreed_contrasts(weights: Float64, model: Float64, seen: Float64) -> float:
     gain = min(max(np.median(theirs) / typical, 0.3), 3.0)
     total, agreed = 0.0, 0.0
     for i in range(n):
-        longer, voice = max(ours[i], theirs[i] / gain), weights[i] * min(ours[i], typical)
-        total += voice
-        agreed += voice * max(along[i] / gain / (longer * longer), 0.0)
+        longer, weight = max(ours[i], theirs[i] / gain), weights[i] * min(ours[i], typical)
+        total += weight
+        agreed += weight * max(along[i] / gain / (longer * longer), 0.0)
     return float(agreed / total)
 
 

@@ -26,11 +26,11 @@ SHIFT_PER_RADIAN = 0.4
 about as far."""
 
 RACE = 0.15
-"""Total a degree of the next step by which a pose that competes with others may lie behind the best of them:
-of 1000 starts on real, cluttered and piled frames none that was farther behind won in the end."""
+"""How far the total of a pose may lie behind the best of its competitors, per degree of the next step. Of
+1000 starts on real, cluttered and piled frames, none that was farther behind won in the end."""
 
 REPETITIONS, STRIDES = 2, 3
-"""Passes over all six directions with one step, and most steps in a row in a direction that pays."""
+"""Passes over all six directions with one step size, and most steps in a row in a direction that improves."""
 
 WORTH = 1e-4
 """Least gain in the total for which a step is taken."""
@@ -44,11 +44,11 @@ def search(
     samples: int,
     race: float = np.inf,
 ) -> tuple[Float64, Float64]:
-    """Improve poses (M, 4, 4) by turns about the object's centre and shifts, along the object's axes, with
-    steps of `steps_deg` one after the other; returns poses (M, 4, 4) and their totals (M,).
+    """Improve poses (M, 4, 4) by rotations about the object's centre and by shifts, along the object's axes,
+    with the step sizes `steps_deg` one after the other; returns poses (M, 4, 4) and their totals (M,).
 
-    Where the poses are rivals for one answer, `race` (RACE) leaves those as they are whose total lies behind
-    the best by more than that a degree of the next step.
+    race: for poses that compete with each other, RACE. A pose whose total lies behind the best by more than
+    this per degree of the next step is not improved further.
     """
     on = _judged(model_arrays(model), region_arrays(region), samples, DEFAULT_WEIGHTS, NO_RIM)
     return _searched(model, poses, steps_deg, on, race)
@@ -56,7 +56,7 @@ def search(
 
 def search_rendered_view(
     model: ReferenceModel,
-    drawn: ModelArrays,
+    rendered: ModelArrays,
     region: RegionArrays,
     rim: Rim,
     T_cam_obj: Float,
@@ -64,8 +64,8 @@ def search_rendered_view(
     samples: int,
     weights: ScoreWeights,
 ) -> Float64:
-    """The same for one pose (4, 4) with the arrays of its rendered view, its outline counting as well."""
-    on = _judged(drawn, region, samples, weights, rim)
+    """The same for one pose (4, 4) with the arrays of its rendered view; its outline counts as well."""
+    on = _judged(rendered, region, samples, weights, rim)
     return np.asarray(_searched(model, T_cam_obj[None], steps_deg, on, np.inf)[0][0])
 
 
@@ -86,49 +86,52 @@ def stepped(
     step: float,
     centre: Float64,
     shift_per_radian: float,
-    turn: Float64,
+    rotation: Float64,
     out: Float64,
 ) -> None:
-    """Pose `T` after a turn by `step` about object axis 0..2 through `centre`, or a shift along axis 3..5."""
+    """Write to `out` the pose `T` after a rotation by `step` about object axis 0..2 through `centre`, or a
+    shift along axis 3..5."""
     out[:] = T
     if axis >= 3:
         for r in range(3):
             out[r, 3] += T[r, axis - 3] * step * shift_per_radian
         return
     rotation_exp_into(
-        step if axis == 0 else 0.0, step if axis == 1 else 0.0, step if axis == 2 else 0.0, turn
+        step if axis == 0 else 0.0, step if axis == 1 else 0.0, step if axis == 2 else 0.0, rotation
     )
     for r in range(3):
         a, b, c = T[r, 0], T[r, 1], T[r, 2]
         for k in range(3):
-            out[r, k] = a * turn[0, k] + b * turn[1, k] + c * turn[2, k]
+            out[r, k] = a * rotation[0, k] + b * rotation[1, k] + c * rotation[2, k]
         for k in range(3):
             out[r, 3] += (T[r, k] - out[r, k]) * centre[k]
 
 
 Climb = Callable[[Float64, float, Any, float, Float64, float], float]
-"""Moves a pose (4, 4), of a known value, in place, by steps of one size along each axis in turn, judged on
-something, about a centre and with a shift a radian, while that makes the value larger; returns its value."""
+"""Moves a pose in place, by steps of one size along one axis after the other, while its value grows; returns
+the value. Arguments: the pose (4, 4), its value, what it is judged on, the step size, the centre of
+rotations, and the shift per radian."""
 
 
 def climber(objective: Callable[[Float64, Any, float], float]) -> Climb:
-    """The loop for a compiled objective of a pose, what it is judged on, and the value that is needed."""
+    """The search loop for a compiled objective: a function of a pose, what it is judged on, and the value
+    that it must exceed."""
 
     @jit
     def climb(
         T: Float64, best: float, on: Any, size: float, centre: Float64, shift_per_radian: float
     ) -> float:
-        turn, trial = np.empty((3, 3)), np.empty((4, 4))
-        failed = np.full((6, 2), -1)  # by axis and way: how many moves had been made then
+        rotation, trial = np.empty((3, 3)), np.empty((4, 4))
+        failed = np.full((6, 2), -1)  # by axis and sign: number of moves at the failure
         moves = 0
         for _ in range(REPETITIONS):
             before = moves
             for axis in range(6):
                 for way in range(2):
                     if failed[axis, way] == moves:
-                        continue  # Tried already from this very pose.
+                        continue  # Already tried from this pose.
                     for _stride in range(STRIDES):
-                        stepped(T, axis, size if way else -size, centre, shift_per_radian, turn, trial)
+                        stepped(T, axis, size if way else -size, centre, shift_per_radian, rotation, trial)
                         needed = best + WORTH
                         total = objective(trial, on, needed)
                         if total <= needed:
@@ -137,7 +140,7 @@ def climber(objective: Callable[[Float64, Any, float], float]) -> Climb:
                         best = total
                         T[:] = trial
                         moves += 1
-                        failed[axis, 1 - way] = moves  # It would only lead back.
+                        failed[axis, 1 - way] = moves  # It would lead back.
             if moves == before:
                 break
         return best
@@ -166,7 +169,8 @@ def _judged(
 
 @jit
 def _total(T: Float64, on: _Judged, needed: float) -> float:
-    """The total of a pose, or some number not over `needed` where that is not over it."""
+    """The total of a pose; if it does not exceed `needed`, possibly only an upper bound that does not
+    either."""
     edge = 0.0
     if on.rim.weight > 0.0:
         edge = on.rim.weight * rim_agreement(T, on.rim, on.region)

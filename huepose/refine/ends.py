@@ -2,8 +2,8 @@
 
 A plane face can slide along itself and still agree in depth and colour; only its outline fixes it. Beyond the
 outline depth jumps away from the camera. Each outline point is pulled to the nearest jump across the outline,
-while surface samples are held on their readings. Outline points without a jump beside them, as where the
-object stands on something, have no weight.
+while surface samples are held on their readings. Outline points without a jump, as where the object stands on
+something, have no weight.
 """
 
 from __future__ import annotations
@@ -21,23 +21,25 @@ REACH_M, ACROSS_M = 0.03, 0.0015
 """Search range on both sides of the outline, and its step, metres."""
 
 EDGE_M = 0.003
-"""RMS error of a jump's place: stereo cameras draw edges ragged, and by a pixel or two too far out."""
+"""RMS error of a jump's position: with stereo cameras, edges are ragged and lie a pixel or two too far
+out."""
 
 SAMPLES, GATE_M = 200, 0.015
 """Surface samples, and the largest distance of a reading from the plane of one, metres."""
 
 ROUNDS = 4
-"""Gauss-Newton steps, each with jumps that are looked for anew."""
+"""Gauss-Newton steps; each searches the jumps again."""
 
 DAMPING = 1e-3
-"""As a share of the mean information."""
+"""Damping, as a share of the mean information."""
 
 FEWEST = 0.3
 """Least share of the outline that must have a jump."""
 
 
 def moved_to_ends(contours: Contours, T_cam_obj: Float64, frame: RgbdFrame) -> Float64 | None:
-    """The pose (4, 4) moved so that the object ends where depth jumps; None where it hardly does."""
+    """The pose (4, 4) moved so that the object ends where depth jumps; None if too little of the outline has
+    a jump."""
     T, surface = T_cam_obj, contours.surface
     for _ in range(ROUNDS):
         points, out = contours.at(T)
@@ -61,33 +63,34 @@ def moved_to_ends(contours: Contours, T_cam_obj: Float64, frame: RgbdFrame) -> F
         A = (rows * weights[:, None]).T @ rows
         A += DAMPING * np.trace(A) / 6.0 * np.eye(6)
         step = np.linalg.solve(A, rows.T @ (weights * np.concatenate([off, gap])))
-        turn = se3.rotation_exp(step[3:] / surface.radius_m)
-        T = se3.compose(se3.make(turn, centre + step[:3] - turn @ centre), T)
+        rotation = se3.rotation_exp(step[3:] / surface.radius_m)
+        T = se3.compose(se3.make(rotation, centre + step[:3] - rotation @ centre), T)
     return T
 
 
 def _jumps(p: Float64, o: Float64, frame: RgbdFrame) -> tuple[Float64, Bool]:
-    """How far from each point (K, 3) of an outline, along o (K, 3), depth jumps away (K,), metres, and
-    whether it does; camera axes."""
+    """Distance (K,) of the nearest depth jump from each point p (K, 3) of an outline, along o (K, 3), metres,
+    and whether there is a jump (K,); camera axes."""
     steps = np.arange(-REACH_M, REACH_M + ACROSS_M, ACROSS_M)
     z = _readings(p[:, None] + steps[:, None] * o[:, None], frame)
     apart = STEP_M + STEP_SIGMAS * depth_noise_m(float(p[:, 2].mean()))
     inner, outer = z[:, :-2], z[:, 2:]
-    # What ends there has to be the object.
+    # What ends at the jump must be the object.
     jump = (inner > 0.0) & (outer - inner > apart) & (np.abs(inner - p[:, 2:]) < REACH_M)
     nearest = np.argmin(np.where(jump, np.abs(steps[1:-1]), np.inf), axis=1)
     return steps[1:-1][nearest], np.asarray(jump.any(axis=1))
 
 
 def _gaps(surface: PreparedSurface, T: Float64, frame: RgbdFrame) -> tuple[Float64, Float64, Float64]:
-    """Points (N, 3) and normals (N, 3) of the surface in view, camera axes, and how far outside of it its
-    readings are (N,), metres."""
+    """Points (N, 3) and normals (N, 3) of the visible surface, camera axes, and the distances (N,) of their
+    readings from it, metres, positive outside."""
     shown = surface.shown(T, SAMPLES)
     q, n = se3.apply(T, surface.arrays.points[shown]), surface.arrays.normals[shown] @ T[:3, :3].T
     z = _readings(q, frame)
     known = z > 0.0
     q, n, z = q[known], n[known], z[known]
-    # Along its own ray; half a pixel aside matters less than what the surface is off.
+    # The reading is taken on the sample's own ray: an error of half a pixel matters less than that of the
+    # surface.
     return q, n, ((z / q[:, 2] - 1.0)[:, None] * q * n).sum(1)
 
 

@@ -1,16 +1,16 @@
 """The final refinement: the winning pose is fitted to the depth of the pixels that show the object, then its
-texture is laid on the image's edges. How exact the pose is, and whether it is this size.
+texture to the image's edges. Also: how exact the pose is, and whether the object has the model's size.
 
-The search on the score leaves a pose a millimetre from the best fit of the surface, because texture pulls it
-along; where depth fixes a direction, depth is the better judge (`refine_on_depth`). It leaves open how a face
-lies along itself; edges of the texture are found to a fraction of a pixel (`refine_on_edges`). Two factors,
-edges and depth samples, enter one system, from a wide gate to a narrow one. Without enough edges that match
-the model's in place, direction and contrast, the pose stays as it is. How exact it is then follows from the
-fit to depth, widened by what else is known (`covariance`).
+The search on the score leaves a pose a millimetre from the best fit of the surface, because texture pulls it.
+Where depth fixes a direction, depth is more exact (`refine_on_depth`). Depth does not fix a slide of a face
+along itself; edges of the texture do, to a fraction of a pixel (`refine_on_edges`). Two factors, edges and
+depth samples, enter one system, from a wide gate to a narrow one. Without enough edges that match the model's
+in position, direction and contrast, the pose stays as it is. The covariance follows from the fit to depth,
+with what texture fixes and with errors of model and calibration (`covariance`).
 
-A pose of a model of the wrong size is a compromise: the depth would lie on the surface better if the object
-were larger or smaller. How much is found by a few steps of point to plane with size as the seventh unknown
-(`scale_residual`); where the points fix no size, as on a single face, nothing is said.
+If the model has the wrong size, its pose is a compromise: depth would fit the surface better if the object
+were larger or smaller. By how much is found by a few steps of point to plane with size as the seventh unknown
+(`scale_residual`). Where the points do not fix the size, as on a single face, the result is about 0.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ WORTH = 0.1
 def final_refinement(
     model: ReferenceModel, frame: RgbdFrame, region: Region, T_cam_obj: Float64
 ) -> tuple[Float64, Alignment, Bool]:
-    """The pose (4, 4) after `refine_on_depth` and then on the edges of its texture; how the fit to depth
-    went, and the mask (H, W) of the visible pixels."""
+    """The pose (4, 4) after `refine_on_depth` and then on the edges of its texture; the result of the fit to
+    depth, and the mask (H, W) of the visible pixels."""
     fit, mask = refine_on_depth(model, frame, region, T_cam_obj)
     return refine_on_edges(model, frame, mask, fit.T_cam_obj), fit, mask
 
@@ -76,8 +76,8 @@ def final_refinement(
 def refine_on_depth(
     model: ReferenceModel, frame: RgbdFrame, region: Region, T_cam_obj: Float64
 ) -> tuple[Alignment, Bool]:
-    """A last robust fit of the pose (4, 4) to the depth of its own visible pixels, and their mask (H, W). Of
-    no iterations when the texture objects."""
+    """A last robust fit of the pose (4, 4) to the depth of its own visible pixels, and their mask (H, W). If
+    the fit loses more than WORTH of the score, the pose stays, with no iterations."""
     tolerance = 1.5 * region.tolerance_m
     mask = visible_mask(model, frame, T_cam_obj, tolerance)
     points = _points(frame, mask)
@@ -99,15 +99,17 @@ def _points(frame: RgbdFrame, mask: Bool) -> Float64:
 
 
 TEXTURE_SIGMA = np.array([0.004, 0.004, 0.004, 0.05, 0.05, 0.05])
-"""What the texture still fixes where depth fixes nothing: metres and radians, camera axes. Chosen."""
+"""Standard deviations to which texture fixes a pose where depth fixes nothing: metres and radians, camera
+axes. Chosen."""
 
 FLOOR_SIGMA = np.array([0.0005, 0.0005, 0.0010, 0.006, 0.006, 0.006])
-"""Errors of model and calibration, which no number of points averages away; the same units. Chosen."""
+"""Standard deviations of errors of model and calibration, which no number of points averages away; the same
+units. Chosen."""
 
 
 def covariance(alignment: Alignment, centre_obj: Float64) -> Float64:
     """Covariance (6, 6) of a pose from the point-to-plane fit at it; order tx ty tz rx ry rz, camera axes,
-    about the origin. centre_obj (3,): of the object; the noise is about it."""
+    about the origin. centre_obj (3,): the object's centre; TEXTURE_SIGMA and FLOOR_SIGMA are about it."""
     variance = (alignment.rms_m**2 + FLOOR_M**2) * POINTS_PER_READING
     to_origin = carrying(-alignment.T_cam_obj[:3, :3] @ centre_obj)
     information = to_origin.T @ alignment.information @ to_origin / variance + np.diag(1.0 / TEXTURE_SIGMA**2)
@@ -115,21 +117,21 @@ def covariance(alignment: Alignment, centre_obj: Float64) -> Float64:
 
 
 PAIRS = 800
-"""Of the model, those that a view shows among them."""
+"""Largest number of colour pairs of the model; a view shows some of them."""
 
 
 GATES_PX = np.array([5.0, 4.0, 3.0, 2.5, 2.0, 2.0, 1.5, 1.5])
-"""How far across an edge its partner is looked for, one step each."""
+"""Search distance across an edge for its partner, pixels, one step each."""
 
 DEPTH_WEIGHT, EDGE_SAMPLES = 0.3, 300
-"""Beside the edges: weight of a depth residual against one of an edge, in metres, and surface samples."""
+"""With the edges: weight of a depth residual against one of an edge, both in metres, and surface samples."""
 
 FEWEST_EDGES = 15
-"""Edges that have to be matched for a pose to be moved."""
+"""Fewest matched edges for a pose to be moved."""
 
 
 class _Factors(NamedTuple):
-    """What pulls at a pose."""
+    """Input of the two factors."""
 
     model: ModelEdges
     edges: ImageEdges
@@ -146,7 +148,7 @@ class EdgeAlignment:
 
 
 def refine_on_edges(model: ReferenceModel, frame: RgbdFrame, mask: Bool, T_cam_obj: Float64) -> Float64:
-    """The pose (4, 4) after its texture was laid on the edges inside the mask (H, W)."""
+    """The pose (4, 4) after its texture is fitted to the edges inside the mask (H, W)."""
     textured = _edges_of(model.pairs)
     depths = frame.depth[mask]
     depths = depths[depths > 0]
@@ -190,7 +192,7 @@ def align_edges(
 
 @jit
 def _align(T: Float64, factors: _Factors, body: Body, gates_px: Float64) -> int:
-    """Move the pose, one step a gate; edges matched in the last one."""
+    """Move the pose in place, one step per gate; returns the edges matched in the last step."""
     image = factors.image
     cells = edge_cells(factors.edges, image.depth.shape[0], image.depth.shape[1])
     equations = normal_equations(6)
@@ -216,19 +218,19 @@ SIZE_STEPS = 3
 """Gauss-Newton steps in which the size is found."""
 
 SIZE_GATE = 0.06
-"""Points farther from the surface than this many diameters, and than the last fit's gate, count nothing."""
+"""Points farther from the surface than both this many diameters and GATE_M are ignored."""
 
 SYSTEMATIC, COMMON_M = 1.3, 0.00085
-"""Size is read off the difference of far parts, so it must bear errors that neighbouring readings share: a
-factor on the noise of depth, and metres of a scanned model and a calibration."""
+"""Size follows from differences of distant parts, so errors that neighbouring readings share count: a factor
+on the noise of depth, and metres for errors of a scanned model and a calibration."""
 
 SIZE_PRIOR_SIGMA = np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1, 0.05])
-"""How far pose (metres, radians) and size (natural logarithm) are believed to be off, before looking."""
+"""Prior standard deviations of pose (metres, radians) and size (natural logarithm)."""
 
 
 def scale_residual(model: ReferenceModel, region: Region, T_cam_obj: Float) -> float:
-    """By how much larger than the model the believed points would have the object at a pose (4, 4), as a
-    natural logarithm; negative where it should be smaller."""
+    """By how much larger than the model the object is according to the believed points at a pose (4, 4), as a
+    natural logarithm; negative if it is smaller."""
     gate = max(GATE_M, SIZE_GATE * model.diameter_m)
     weights = region.point_weights / (size_sigma_m(region.median_depth_m) ** 2 * POINTS_PER_READING)
     scene = ScenePoints(np.ascontiguousarray(region.points_cam), weights)
@@ -240,7 +242,7 @@ def scale_residual(model: ReferenceModel, region: Region, T_cam_obj: Float) -> f
 
 
 def size_sigma_m(distance_m: float) -> float:
-    """Deviation of a distance between depth and surface as far as size is concerned, metres."""
+    """Standard deviation of a distance between depth and surface when size is estimated, metres."""
     return SYSTEMATIC * depth_noise_m(distance_m) + COMMON_M
 
 
@@ -249,12 +251,12 @@ def _growth(
     T: Float64, scene: ScenePoints, surface: SurfaceArrays, body: Body, gate: float, prior: Float64
 ) -> float:
     """Logarithm by which the object should grow about its centre to lie on the points. T (4, 4) is moved;
-    prior (7,): information of pose and size before looking, in the unknowns' units."""
+    prior (7,): prior information of pose and size, in the unknowns' units."""
     equations, moved = normal_equations(7), np.zeros(7)
     scratch = np.empty((SCRATCH_ROWS, scene.points_cam.shape[0]))
     points, centre = np.empty_like(scene.points_cam), np.empty(3)
     for _ in range(SIZE_STEPS):
-        # The points as they are to an object of the model's size.
+        # The points, scaled to an object of the model's size.
         size = np.exp(moved[6] / body.radius)
         for r in range(3):
             centre[r] = T[r, 3]

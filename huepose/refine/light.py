@@ -22,7 +22,7 @@ SLOPE_PRIOR = 0.02
 weights."""
 
 GAIN_LIMITS = (0.3, 2.5)
-"""How much less, and how much more, contrast than the texture a picture is believed to have."""
+"""Limits of the image's contrast relative to the texture's."""
 
 TRUST_FLOOR = 1.5
 """Opponent units: no residual below this makes a sample doubtful."""
@@ -48,9 +48,8 @@ def fit_light(
     """Fit the light to `color` (n, 3) of samples whose texture is `reference` (N, 3), with weights (n,).
 
     Writes residual (n, 3) = image - predicted; trust (n,): Cauchy weights of the samples over all channels;
-    correlation (3,) of texture and image when offset and slope are taken out; rms (3,): robust, opponent
-    units."""
-    # Those that have a say lie side by side, so that the processor works on several at once.
+    correlation (3,) of texture and image without offset and slope; rms (3,): robust, opponent units."""
+    # Samples with a weight are packed side by side, so that loops over them can be vectorised.
     index, given, trusted, misfit = np.empty(n, np.int32), np.empty(n), np.ones(n), np.empty(n)
     facing, texture, image, left = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
     m = 0
@@ -161,7 +160,7 @@ def _residuals(
 
 @jit_dividing
 def _correlation(m: int, weight: Float64, texture: Float64, residual: Float64, gain: float) -> float:
-    """Of texture and image when offset and slope are taken out."""
+    """Correlation of texture and image without offset and slope."""
     total, sx, sy, sxx, syy, sxy = 1e-9, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(m):
         w, t = weight[k], texture[k]

@@ -23,8 +23,8 @@ from huepose.refine.light import fit_light
 from huepose.refine.samples import (
     AGREES,
     BEHIND,
-    HIDDEN,
     NO_DEPTH,
+    OCCLUDED,
     Samples,
     colors,
     empty_samples,
@@ -46,41 +46,41 @@ from huepose.support.jit import jit, jit_dividing
 
 COLOR_SHARE = 3.0
 """Weight of a colour residual against a depth residual, each in units of its own noise. Depth errors of real
-sensors agree with their neighbours', so each of them is worth less than it seems."""
+sensors are correlated with their neighbours', so each counts less than it seems."""
 
 COLOR_SIGMA_FLOOR = 2.5
-"""Opponent units."""
+"""Smallest noise of a colour residual, opponent units."""
 
 LIGHTNESS_WEIGHT = 0.5
-"""Of lightness against the other two channels: shading is lightness, too."""
+"""Weight of lightness against the other two channels: shading changes lightness, too."""
 
 NO_DEPTH_WEIGHT = 0.3
-"""Of colours where there is no depth to say whether the object is in front."""
+"""Weight of colours where no depth shows whether the object is occluded."""
 
 DISTRUST_FLOOR = 0.2
-"""Smallest factor of a depth residual whose colour does not fit: highlights are not the object's fault."""
+"""Smallest factor on a depth residual whose colour does not fit: the cause may be a highlight."""
 
 OUTLINE_FLOOR = 0.1
 """Weight of samples at the outline, where colours and depth are mixed with the background's."""
 
 INSIDE_SHARE, SCALE_SHARE = 0.25, 0.25
-"""Of the object's thickness: within the first of a sample its own surface goes on; a texture averaged over
-more than the second mixes its sides."""
+"""Shares of the object's thickness. Within the first share, the surface around a sample continues; a texture
+averaged over more than the second mixes the object's sides."""
 
 LIGHT_ROUNDS = 3
-"""Of reweighting, in which the light is found."""
+"""Rounds of reweighting to find the light."""
 
 DAMPING = 2e-3
-"""Of Levenberg and Marquardt, as a share of the information about the translation."""
+"""Damping of Levenberg and Marquardt, as a share of the information about the translation."""
 
 START_SIGMA_M = 0.01
-"""How far off a near start is at the object's rim."""
+"""Standard deviation of a near start, metres at the object's rim."""
 
 RESIDUALS_PER_READING = 12.0
-"""This many residuals are worth one independent one: those of neighbouring pixels err alike."""
+"""This many residuals are worth one independent one: errors of neighbouring pixels are correlated."""
 
 MIN_COLORS = 20
-"""With fewer samples that have a colour, depth alone is asked."""
+"""With fewer samples that have a colour, depth alone is used."""
 
 STILL_M = 2e-5
 """A step smaller than this (metres, and metres at the object's rim) ends a level."""
@@ -89,11 +89,11 @@ STILL_M = 2e-5
 @dataclass(frozen=True)
 class Schedule:
     """Iterations of a refinement: the texture level (0 fine, 2 coarse), the depth gate in metres and the
-    number of samples of each. What is averaged over more of the object is read at fewer places.
+    number of samples of each. Coarse levels need fewer samples.
 
-    near: the start is off by no more than START_SIGMA_M at the object's rim, so that what neither depth nor
-    texture tells stays as it was, and slopes that are no texture's are cut off; from farther away they do
-    no harm, and lead on."""
+    near: the start is off by about START_SIGMA_M at the object's rim. Directions that neither depth nor
+    texture fix then stay as they were, and image gradients steeper than the texture's are limited. From
+    farther away such gradients do no harm and help convergence."""
 
     levels: tuple[int, ...]
     gates_m: tuple[float, ...]
@@ -113,19 +113,19 @@ NEAR = replace(FULL, near=True)
 
 QUICK = Schedule((2, 2, 2), (0.04, 0.03, 0.025), (100,) * 3)
 COARSE = Schedule((2, 2, 2, 2, 2), (0.03, 0.025, 0.02, 0.02, 0.015), (200,) * 5)
-"""From far off, for hypotheses that are sorted afterwards: of many, and of those that are left."""
+"""From far off, for hypotheses that are ranked afterwards: QUICK for many, COARSE for those that are left."""
 
 FINE = Schedule(
     (1, 1, 1, 0, 0, 0, 0),
     (0.012, 0.012, 0.012, 0.01, 0.01, 0.008, 0.008),
     (400,) * 7,
 )
-"""What is left after COARSE."""
+"""For the hypotheses that are left after COARSE."""
 
 
 class _Settings(NamedTuple):
-    """A schedule at a distance. reaches_px: of each scale, how far away the neighbours are that tell whether
-    a sample lies inside the object; held: information of a near start, 0 of another."""
+    """A schedule at a distance. reaches_px: for each scale, the distance of the neighbours that show whether
+    a sample lies inside the object; held: prior information of a near start, 0 for others."""
 
     levels: Int32
     gates_m: Float64
@@ -138,8 +138,8 @@ class _Settings(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """T_cam_obj (4, 4) and information (6, 6) of it with respect to `se3.perturb`, as if the residuals'
-    errors were independent (`uncertainty` says what that is worth)."""
+    """T_cam_obj (4, 4) and its information (6, 6) with respect to `se3.perturb`, as if the residuals' errors
+    were independent (`tracking.uncertainty` corrects for that)."""
 
     T_cam_obj: Float64
     information: Float64
@@ -168,7 +168,7 @@ def refine_all(
 
 
 def _settings(schedule: Schedule, surface: PreparedSurface, distance_m: float, fx: float) -> _Settings:
-    """What a schedule means at a distance."""
+    """The settings of a schedule at a distance."""
     sigma = depth_noise_m(distance_m)
     gates = np.maximum(np.array(schedule.gates_m), 3.5 * sigma)
     px_per_m = fx / max(distance_m, NEAR_M)
@@ -229,13 +229,13 @@ def _refine(
         left = colors(n, samples, region, level, color, gradient, color_weight)
         if left >= MIN_COLORS:
             if settings.held > 0.0:
-                _bound(n, samples, steepest[level], region, gradient, color_weight)
+                _limit_gradients(n, samples, steepest[level], region, gradient, color_weight)
             fit_light(
                 n, samples, color_weight, surface.colors[level], color, LIGHT_ROUNDS, residual, trust,
                 correlation, rms,
             )  # fmt: skip
             for c in range(3):
-                # Where texture and image have nothing in common their difference says nothing.
+                # Where texture and image are not correlated, their difference says nothing.
                 share[c] = (
                     COLOR_SHARE * (0.1 + max(correlation[c], 0.0)) * (LIGHTNESS_WEIGHT if c == 0 else 1.0)
                 )
@@ -250,7 +250,7 @@ def _refine(
         variance = max(settings.depth_sigma_m**2, _depth_variance(n, samples, weight, gate))
         _add_depth(n, samples, surface, weight, gate, 1.0 / variance, body, equations)
         known[:] = A
-        # In proportion to what is known, so that colours alone move a pose as freely as depth does.
+        # In proportion to the information, so that colours alone move a pose as freely as depth does.
         damping = DAMPING * (A[0, 0] + A[1, 1] + A[2, 2])
         for i in range(6):
             equations.b[i] -= settings.held * moved[i]
@@ -264,15 +264,15 @@ def _refine(
 
 
 @jit_dividing
-def _bound(
+def _limit_gradients(
     n: int, samples: Samples, steepest: Float32, region: RegionArrays, gradient: Float64, weight: Float64
 ) -> None:
-    """Make slopes of the picture (n, 3, 2) no steeper than the texture (N, 3) can be there: what is left
-    over is shading, a shadow's edge or noise, which do not move with the object."""
+    """Limit gradients (n, 3, 2) of the image to the steepest slope of the texture there (N, 3). The rest is
+    shading, a shadow's edge or noise, which do not move with the object."""
     for k in range(n):
         if weight[k] <= 0.0:
             continue
-        # The picture is averaged over the same length, so no slant makes it steeper.
+        # The image is averaged over the same length, so a slanted surface is not steeper in it.
         m_per_px = samples.points[k, 2] / (0.5 * (region.fx + region.fy))
         for c in range(3):
             right, down = gradient[k, c, 0], gradient[k, c, 1]
@@ -289,7 +289,7 @@ def _depth_variance(n: int, samples: Samples, weight: Float64, gate: float) -> f
     for k in range(n):
         e = samples.offset[k]
         if samples.kind[k] == AGREES or (
-            (samples.kind[k] == BEHIND or samples.kind[k] == HIDDEN) and abs(e) < gate
+            (samples.kind[k] == BEHIND or samples.kind[k] == OCCLUDED) and abs(e) < gate
         ):
             w = weight[k] * tukey((e / gate) ** 2)
             total += w
@@ -335,7 +335,8 @@ def _add_color(
 ) -> None:
     """Add the photometric residuals: lit texture less image at the projected sample.
 
-    The rows of a sample's channels are all made of two, of a move of one pixel right and of one down."""
+    The rows of a sample's channels are combinations of two rows: for a move of one pixel right, and of one
+    down."""
     right, down, by_right, by_down = np.empty((6, n)), np.empty((6, n)), np.empty((6, n)), np.empty((6, n))
     pull_right, pull_down = np.empty(n), np.empty(n)
     m = 0

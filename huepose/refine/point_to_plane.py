@@ -1,9 +1,9 @@
 """Factor: scene points onto the model's surface, along its normals (Chen and Medioni 1992).
 
-Correspondences come from the model's distance grid (one look-up a point, no search tree). Weights are
-Tukey's on the distance to the nearest sample; points that would lie on the far side of the object are
-refused. `align` and `align_many` iterate this factor alone, with a gate that shrinks and a damping that
-leaves directions which the points do not fix where they are.
+Correspondences come from the model's distance grid (one look-up a point, no search tree). Weights are Tukey's
+on the distance to the nearest sample; points that would lie on the far side of the object are rejected.
+`align` and `align_many` iterate this factor alone, with a gate that shrinks, and a damping that keeps the
+pose in directions that the points do not fix.
 """
 
 from __future__ import annotations
@@ -58,20 +58,20 @@ class Gates(NamedTuple):
 
 
 class Reports(NamedTuple):
-    """What `align_kernel` says of M poses. summary (M, 4): iterations, inliers, weight, rms; A (M, 6, 6):
-    normal equations at the end (lower triangles). Of no rows (0) where only the poses are cared for."""
+    """Results of `align_kernel` for M poses. summary (M, 4): iterations, inliers, weight, rms; A (M, 6, 6):
+    normal equations at the end (lower triangles). Without rows if only the poses are needed."""
 
     summary: Float64
     A: Float64
 
 
 NO_REPORTS = Reports(np.zeros((0, 4)), np.zeros((0, 6, 6)))
-"""For whom only the poses matter."""
+"""For callers that need only the poses."""
 
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """How an alignment went.
+    """Result of an alignment.
 
     T_cam_obj (4, 4); iterations done; inliers: points within the final gate; weight: sum of their Tukey
     weights; rms_m: weighted root mean square distance to the surface along its normals; information (6, 6):
@@ -93,7 +93,7 @@ def surface_arrays(surface: Surface, grid: DistanceGrid) -> SurfaceArrays:
 
 
 def grid_body(grid: DistanceGrid) -> Body:
-    """The object as steps see it: its middle is the grid's, its radius a third of the grid's diagonal."""
+    """The object's body for steps: its centre is the grid's, its radius a third of the grid's diagonal."""
     reach = grid.step * (np.array(grid.nearest.shape) - 1) / 2.0
     return Body(grid.origin + reach, float(np.linalg.norm(reach)) / 1.5)
 
@@ -109,8 +109,9 @@ def align(
 ) -> Alignment:
     """Move the object so that the depth points (N, 3), camera axes, metres, lie on its surface.
 
-    The gate goes linearly from `gate_start_m` to `gate_end_m`; it ends early when a step at the final gate is
-    under 0.01 mm. With no points near the surface the pose comes back unchanged with zero inliers.
+    The gate goes linearly from `gate_start_m` to `gate_end_m`; the iteration ends early when a step at the
+    final gate is under 0.01 mm. With no points near the surface the pose comes back unchanged with zero
+    inliers.
     """
     poses, reports = np.array(T_cam_obj, np.float64)[None], Reports(np.zeros((1, 4)), np.zeros((1, 6, 6)))
     _align_all(surface, grid, points_cam, poses, Gates(gate_start_m, gate_end_m, iterations), reports)
@@ -172,7 +173,7 @@ def align_kernel(
                 reports.A[m] = equations.A
                 break
             if inliers == 0:
-                # The gate only shrinks from here on.
+                # The gate only shrinks after this.
                 if reported:
                     reports.summary[m, 0] = iteration
                 break
@@ -192,20 +193,20 @@ def add_point_to_plane(
     scratch: Float64,
     equations: NormalEquations,
 ) -> tuple[int, float, float]:
-    """Add the residuals of all points within `gate` metres of the surface; returns how many there are, their
-    weight, and their weighted squares. Where there are seven unknowns, the last is radius * the logarithm of
+    """Add the residuals of all points within `gate` metres of the surface; returns their number, the sum of
+    their weights, and the weighted sum of squares. With seven unknowns, the last is radius * the logarithm of
     the object's size, about its centre.
 
-    Plain passes over the rows of `scratch` (SCRATCH_ROWS, N), which the compiler does several points at a
-    time; a point that counts nothing has the weight 0. Rows 0..5: first the points and the nearest samples'
-    places, then the Jacobian; 6..8 normals, then 6 the Jacobian of size; 9 weight, 10 distance along the
-    normal, 11 a weighted column."""
+    Plain loops over the rows of `scratch` (SCRATCH_ROWS, N), which the compiler can vectorise; a rejected
+    point has the weight 0. Rows 0..5: first the positions of the points and of the nearest samples, then the
+    Jacobian; 6..8 normals, then 6 the Jacobian of size; 9 weight, 10 distance along the normal, 11 a weighted
+    column."""
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
     points_cam, point_weights = scene.points_cam, scene.weights
     count = points_cam.shape[0]
     _nearest_samples(T, points_cam, surface, scratch)
-    # The camera's place in object axes is -eye.
+    # The camera's position in object axes is -eye.
     eye0 = r00 * t0 + r10 * t1 + r20 * t2
     eye1 = r01 * t0 + r11 * t1 + r21 * t2
     eye2 = r02 * t0 + r12 * t1 + r22 * t2
@@ -256,8 +257,8 @@ def add_point_to_plane(
 
 @jit_dividing
 def _nearest_samples(T: Float64, points_cam: Float64, surface: SurfaceArrays, scratch: Float64) -> None:
-    """Of points (N, 3) seen from the pose: scratch rows 0..2 their places in object axes, 3..5 and 6..8 those
-    of the nearest samples and their normals."""
+    """For points (N, 3) at a pose: writes their positions in object axes to scratch rows 0..2, the positions
+    and normals of the nearest samples to rows 3..5 and 6..8."""
     r00, r01, r02, r10, r11, r12 = T[0, 0], T[0, 1], T[0, 2], T[1, 0], T[1, 1], T[1, 2]
     r20, r21, r22, t0, t1, t2 = T[2, 0], T[2, 1], T[2, 2], T[0, 3], T[1, 3], T[2, 3]
     # Flat and without a sign, so that the compiler need not think of indices counted from the end.
@@ -270,7 +271,7 @@ def _nearest_samples(T: Float64, points_cam: Float64, surface: SurfaceArrays, sc
         q1 = r01 * x + r11 * y + r21 * z
         q2 = r02 * x + r12 * y + r22 * z
         scratch[0, k], scratch[1, k], scratch[2, k] = q0, q1, q2
-        # Outside the grid the nearest border cell answers: far points are refused by the gate.
+        # Outside the grid, the nearest border cell is used; the gate rejects far points.
         a0 = int(min(max((q0 - o0) / step + 0.5, 0.0), d0 - 1.0))
         a1 = int(min(max((q1 - o1) / step + 0.5, 0.0), d1 - 1.0))
         a2 = int(min(max((q2 - o2) / step + 0.5, 0.0), d2 - 1.0))

@@ -5,9 +5,9 @@ A depth sample is compared, along its normal, with the reading of the pixel that
 1995). It needs no scene points and no search.
 
 Edges are the 2D cues that the paper's authors leave to later work (section V). The model's colour pairs are
-projected; each looks near its place for a colour pair of the image of like direction and like contrast, and
-the distance across the edge is its residual, in metres at its depth. Along the edge nothing is asked.
-Contrasts are differences of opponents (see `colorpair.opponents`), which coloured light leaves as they are.
+projected, and each is matched with a nearby colour pair of the image of similar direction and contrast. The
+residual is the distance across the edge, in metres at its depth; the distance along the edge does not count.
+Contrasts are differences of opponents (see `colorpair.opponents`), which coloured light does not change.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ def depth_image(depth: Float32, camera: Camera) -> DepthImage:
 
 
 def depth_samples(surface: Surface, T_cam_obj: Float64, count: int, weight: float) -> DepthSamples:
-    """At most `count` samples of a surface that a view from the camera's side shows."""
-    looked = -T_cam_obj[:3, :3].T @ (T_cam_obj[:3, :3] @ surface.centre + T_cam_obj[:3, 3])
-    view = int(np.argmax(surface.directions @ looked))
+    """At most `count` samples of a surface that are visible from the camera."""
+    to_camera = -T_cam_obj[:3, :3].T @ (T_cam_obj[:3, :3] @ surface.centre + T_cam_obj[:3, 3])
+    view = int(np.argmax(surface.directions @ to_camera))
     shown = surface.visible[surface.offsets[view] : surface.offsets[view + 1]][:count]
     return DepthSamples(
         np.ascontiguousarray(surface.points[shown]), np.ascontiguousarray(surface.normals[shown]), weight
@@ -97,14 +97,14 @@ def add_depth_samples(
 
 
 DEPTH_GATE_M = 0.006
-"""Largest distance of depth from an edge's place, metres."""
+"""Largest distance of depth from the position of an edge, metres."""
 
 CELL_PX = 8.0
 """Side of the cells by which the edges near a pixel are found."""
 
 ALONG_PX, ALONG_SHARE = 3.0, 0.3
-"""How far along an edge its partner is looked for, and what a distance along it counts in the choice, against
-one across it."""
+"""Search distance along an edge for its partner, pixels, and weight of a distance along it in the choice,
+against one across it."""
 
 MIN_COSINE, MIN_CONTRAST = 0.9, 0.8
 """Least cosine between the directions of an edge and its partner, and between their contrasts."""
@@ -119,7 +119,7 @@ class ImageEdges(NamedTuple):
 
 
 class ModelEdges(NamedTuple):
-    """Edges of a model's texture: places (N, 3), normals (N, 3) and tangents (N, 3) across them in the
+    """Edges of a model's texture: positions (N, 3), normals (N, 3) and tangents (N, 3) across them in the
     object's axes, contrasts (N, 3) as unit opponents."""
 
     points: Float32
@@ -136,13 +136,13 @@ class EdgeCells(NamedTuple):
 
 
 def image_edges(pairs: ColorPairs) -> ImageEdges:
-    """What of an image's colour pairs is compared."""
+    """The part of an image's colour pairs that is compared."""
     directions = np.stack([np.cos(pairs.directions), np.sin(pairs.directions)], 1)
     return ImageEdges(pairs.pixels.astype(np.float64), directions.astype(np.float64), contrasts(pairs.colors))
 
 
 def model_edges(pairs: SurfacePairs) -> ModelEdges:
-    """What of a model's colour pairs is compared: made once for a model, used for every pose of it."""
+    """The part of a model's colour pairs that is compared; made once per model."""
     return ModelEdges(
         np.ascontiguousarray(pairs.points, dtype=np.float32),
         np.ascontiguousarray(pairs.normals, dtype=np.float32),
@@ -183,8 +183,8 @@ def add_edges(
     gate_px: float,
     equations: NormalEquations,
 ) -> tuple[int, float]:
-    """Add the distances across the model's edges to their partners in the image; returns how many have one
-    within `gate_px`, and their weight."""
+    """Add the distances across the model's edges to their partners in the image; returns how many have a
+    partner within `gate_px`, and their weight."""
     depth, points, model_contrasts = image.depth, model.points, model.contrasts
     pixels, directions, scene_contrasts = edges.pixels, edges.directions, edges.contrasts
     head, follow = cells.head, cells.follow
@@ -238,7 +238,7 @@ def add_edges(
         )
         w, metres = facing * tukey(best), P[2] / fx
         jacobian = image_row(T, p0, p1, p2, a0, a1, image.camera, body)
-        add_residual(equations, w * metres * metres, across, jacobian)  # weighed as metres at its depth
+        add_residual(equations, w * metres * metres, across, jacobian)  # weighted as metres at its depth
         matched += 1
         total += w
     return matched, total

@@ -1,4 +1,4 @@
-"""Compiled loops over the surface samples that a pose shows: where they fall, what depth and colour are
+"""Compiled loops over the surface samples that are visible at a pose: their pixels, and the depth and colour
 there."""
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from huepose.support.jit import jit, jit_dividing
 MIN_COSINE = 0.12
 """Samples seen more obliquely than this are left out: their depth and colour are mostly their neighbours'."""
 
-AGREES, BEHIND, HIDDEN, NO_DEPTH, OUTSIDE = range(5)
-"""What the depth image says of a sample: there; the scene is seen through it; something is in front of it; no
-reading; not in the window."""
+AGREES, BEHIND, OCCLUDED, NO_DEPTH, OUTSIDE = range(5)
+"""Comparison of a sample with the depth image: it agrees; depth lies behind the sample (free-space
+violation); the sample is occluded; no reading; outside the window."""
 
 FAR_ALONG_RAY = 4.0
-"""An oblique sample may be far off along the ray and yet near its tangent plane: no further than this, in
-gates."""
+"""A reading may be far from an oblique sample along the ray and yet near its tangent plane: at most this far,
+in gates."""
 
 
 class Samples(NamedTuple):
@@ -87,7 +87,7 @@ def project(
     out: Samples,
 ) -> int:
     """Fill `out` with at most `limit` samples that the pose T shows; depth within `gate` metres of a sample's
-    plane agrees with it, and four pixels `reach` away tell whether it lies inside the object. Returns their
+    plane agrees with it, and four pixels `reach` away show whether it lies inside the object. Returns their
     number."""
     first, last = shown_range(T, surface, limit)
     depth = region.depth
@@ -134,7 +134,7 @@ def project(
             if worst < gate:
                 out.inside[n] = (1.0 - (worst / gate) ** 2) ** 2
         else:
-            out.kind[n] = BEHIND if seen > z else HIDDEN
+            out.kind[n] = BEHIND if seen > z else OCCLUDED
         n += 1
     return n
 
@@ -150,9 +150,10 @@ def colors(
     weight: Float64,
 ) -> int:
     """Bilinear colours (n, 3) at a scale and their slopes per pixel (n, 3, 2) at the samples that may be
-    seen.
+    visible.
 
-    Sets the weight of the others (outside, hidden, seen through, saturated) to 0. Returns how many are left.
+    Sets the weight of the others (outside the window, occluded, in free space, saturated) to 0. Returns how
+    many are left.
     """
     image = region.colors[level]
     h, w = image.shape[0], image.shape[1]

@@ -1,25 +1,25 @@
-"""The one Gauss-Newton solver: all that refines a pose adds residuals here and takes its step from here.
+"""The one Gauss-Newton solver: every refinement of a pose adds residuals here and takes its step from here.
 
 A step x (6,) is a small motion of the object, along the object's own axes, about its centre (`Body`):
 [translation, radius * rotation vector]. All six are metres, so one damping serves all. `move` applies it,
-the shift v = x[:3] first, then the turn w = x[3:6] / radius: T_cam_obj becomes
+the shift v = x[:3] first, then the rotation w = x[3:6] / radius: T_cam_obj becomes
 T_cam_obj o (p -> exp(w) (p + v - centre) + centre). A seventh unknown, where there is one, is the caller's
 (`refine.final.scale_residual`).
 
-A factor is what pulls at a pose: a kernel that gives, for each of its samples, a weight, a residual and the
-row (6,) of the Jacobian. The residual is wanted minus present, of whatever is compared (metres along a
-normal, metres across an edge, intensity); the row says how the present value changes with the step. So a
-step minimises sum(weight * (residual - row @ x)**2), and A = sum(weight * row row^T) is the information of
+A factor is a kernel that gives, for each of its samples, a weight, a residual and the row (6,) of the
+Jacobian. The residual is the wanted minus the present value of what is compared (metres along a normal,
+metres across an edge, intensity); the row is the derivative of the present value with respect to the step. So
+a step minimises sum(weight * (residual - row @ x)**2), and A = sum(weight * row row^T) is the information of
 the step, where weights are 1 / variance. The robust kernel (`tukey`, `cauchy`) is part of the weight:
 iteratively reweighted least squares (Holland and Welsch 1977), weights taken at the present pose.
 
-The rotations first: what `se3` does for arrays, for scalars in compiled loops, without allocation.
+The first functions do for scalars in compiled loops, without allocation, what `se3` does for arrays.
 
 An example, in plain Python instead of a compiled kernel: a factor of five lines that pulls the corners of a
-square to where they were seen.
+square to their measured positions.
 
->>> def add_corners(T, corners, seen, body, equations):
-...     for p, wanted in zip(corners, seen):
+>>> def add_corners(T, corners, measured, body, equations):
+...     for p, wanted in zip(corners, measured):
 ...         gap = T[:3, :3].T @ (wanted - T[:3, 3]) - p  # object axes
 ...         for axis, direction in enumerate(np.eye(3)):
 ...             add_residual(equations, 1.0, gap[axis], motion_row(*p, *direction, body))
@@ -89,7 +89,7 @@ def solve_symmetric(A: Float64, b: Float64, x: Float64) -> bool:
 
 @jit
 def tukey(square: float) -> float:
-    """Tukey's biweight: nothing beyond the gate, so outliers have no say. square: (residual / gate)**2.
+    """Tukey's biweight: 0 beyond the gate, so outliers have no influence. square: (residual / gate)**2.
 
     >>> [tukey(s) for s in (0.0, 0.25, 1.0, 9.0)]
     [1.0, 0.5625, 0.0, 0.0]
@@ -99,7 +99,7 @@ def tukey(square: float) -> float:
 
 @jit
 def cauchy(square: float) -> float:
-    """Cauchy's: a say for every residual, ever smaller. square: (residual / scale)**2.
+    """Cauchy's weight: every residual has an influence, large ones little. square: (residual / scale)**2.
 
     >>> [cauchy(s) for s in (0.0, 1.0, 9.0)]
     [1.0, 0.5, 0.1]
@@ -108,18 +108,18 @@ def cauchy(square: float) -> float:
 
 
 Row = tuple[float, float, float, float, float, float]
-"""How the present value of a residual changes with the six of a step."""
+"""Derivatives of the present value of a residual with respect to the six components of a step."""
 
 DAMPING = 1e-3
-"""Of the residuals' weight: it holds what they do not fix."""
+"""Share of the residuals' weight that is used as damping: it keeps the pose where they do not fix it."""
 
 FEWEST_FOR_A_STEP = 6
-"""Samples: as many as a step has unknowns."""
+"""Fewest samples for a step: as many as it has unknowns."""
 
 
 class Body(NamedTuple):
-    """centre (3,): metres, object axes, what a step turns about; radius: metres, by which a rotation in
-    radians becomes a length."""
+    """centre (3,): metres, object axes, about which a step rotates; radius: metres, converts a rotation in
+    radians to a length."""
 
     centre: Float64
     radius: float
@@ -142,7 +142,7 @@ def normal_equations(unknowns: int) -> NormalEquations:
 
 @jit
 def clear(equations: NormalEquations) -> None:
-    """Forget all residuals."""
+    """Remove all residuals."""
     equations.A[:] = 0.0
     equations.b[:] = 0.0
 
@@ -194,8 +194,8 @@ def add_residual(equations: NormalEquations, weight: float, residual: float, row
 def advance(T: Float64, equations: NormalEquations, body: Body, damping: float) -> float:
     """Solve, and move the pose T (4, 4) by the step; `A` is overwritten.
 
-    damping: added to the diagonal, so in the unit of `A`. Returns the largest of the step's six, metres; -1
-    where nothing could be solved and nothing was moved.
+    damping: added to the diagonal, so in the unit of `A`. Returns the largest of the first six components of
+    the step, absolute, metres; -1 if the system could not be solved, then the pose is not moved.
     """
     A, x = equations.A, equations.step
     for i in range(A.shape[0]):
@@ -224,13 +224,13 @@ def move(T: Float64, step: Float64, body: Body) -> None:
 
 
 def information(A: Float, T_cam_obj: Float, body: Body) -> Float64:
-    """What the normal equations (their lower triangle (6, 6), before `advance`) say of a pose (4, 4):
-    information (6, 6) about `se3.perturb`, so tx ty tz rx ry rz in metres and radians, camera axes, about the
-    object's origin. Its inverse is the covariance, where the weights were 1 / variance."""
+    """Information (6, 6) that the normal equations (their lower triangle (6, 6), before `advance`) give about
+    a pose (4, 4): with respect to `se3.perturb`, so tx ty tz rx ry rz in metres and radians, camera axes,
+    about the object's origin. Its inverse is the covariance, where the weights were 1 / variance."""
     R_t = np.asarray(T_cam_obj, np.float64)[:3, :3].T
     to_step = np.zeros((6, 6))
     to_step[:3, :3] = R_t
-    to_step[:3, 3:] = -se3.hat(body.centre) @ R_t  # a turn about the origin also carries the centre along
+    to_step[:3, 3:] = -se3.hat(body.centre) @ R_t  # a rotation about the origin also moves the centre
     to_step[3:, 3:] = body.radius * R_t
     return np.asarray(to_step.T @ np.where(_LOWER, A, A.T) @ to_step)
 

@@ -1,15 +1,15 @@
-"""One object, one answer: what is seen > propose > refine > judge > select > believe, in `answered`.
+"""The estimate of one object: evidence > propose > refine > judge > select > believe, in `answered`.
 
-The full method proposes views retrieved under all candidate masks, without trust in the masks, and refines
-them: ICP on the points of the mask that proposed each > near-symmetric rotations of the best > coordinate
-search on the dense score > ICP. The best are searched finely, near ties are looked at closely, and the first
-is laid on depth and edges.
+The full method retrieves views under all candidate masks, because no mask can be trusted, and refines them:
+ICP on the points of the mask that proposed each view > near-symmetric rotations of the best > coordinate
+search on the dense score > ICP. The best poses are searched finely, near ties are compared once more, and the
+first pose is fitted to depth and edges.
 
-A tracked pose that is plainly still right needs no search of all views, most of what live use costs
-(`confirm`). The refined prior is held against its own near-symmetric rotations on the same pixels. When it
-scores high and clearly better than they do, that is the answer; its margin counts no more than `margin` then,
-because nothing else was looked at. A share of the frames is looked at in full all the same, so that a wrong
-pose that looks right to itself is found out.
+If a tracked pose, given as a prior, is clearly still right, the search of all views is skipped (`confirm`);
+it is most of the cost of live use. The refined prior is compared with its own near-symmetric rotations on the
+same pixels. If its score is high and clearly better than theirs, it is the estimate. Its margin then counts
+at most CLEAR_MARGIN, because nothing else was searched. A share of the frames is searched in full all the
+same, so that a wrong pose that confirms itself is detected.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ from huepose.support.errors import InputError
 from huepose.support.pool import Steps
 from huepose.support.stages import stage
 
-# How much the full method tries: chosen, by `huepose eval estimate` on drawn heaps and piles, as little as
-# loses no recall there.
+# How much the full method tries. Chosen with `huepose eval estimate` on rendered heaps and piles: as little
+# as loses no recall there.
 
 KEPT, WITH_NEAR_SYMMETRIES, SEARCHED = 8, 5, 18
 """Poses that stay after registration; those of them whose near-symmetric rotations are tried; those of both
@@ -70,7 +70,7 @@ JUDGED, FINISHED, ALTERNATIVES = 40, 5, 6
 """Poses judged by all masks; those of them that are searched finely; different poses that are returned."""
 
 COARSE_SAMPLES, SAMPLES = 350, 220
-"""Of the surface, by which poses are ranked before the search, and in it."""
+"""Surface samples with which poses are ranked before the search, and in the search."""
 
 SEARCH_DEG, FINE_DEG, PRIOR_DEG = (8.0, 4.0, 2.0, 1.0), (3.0, 1.5, 0.7), (4.0, 2.0, 1.0)
 """Steps of the search, coarse to fine, in degrees: of proposed poses, of the best of them, and of a prior,
@@ -80,11 +80,12 @@ REGISTERED_WITHIN = 0.5
 """After the search, poses whose total is farther behind the best are not registered again."""
 
 PLAINLY_RIGHT, CLEAR_MARGIN = 1.9, 0.12
-"""A refined prior is confirmed, so that no views are sought, from this total, where its near-symmetric
-rotations are so much worse; its margin counts no more than that then. Chosen."""
+"""A refined prior is confirmed, so that views are not searched, if its total is at least PLAINLY_RIGHT and
+its near-symmetric rotations are worse by CLEAR_MARGIN. Its margin then counts at most CLEAR_MARGIN.
+Chosen."""
 
-CONFIRM_TURNS, CONFIRM_DEG = 3, (3.0, 1.0)
-"""Near-symmetric rotations of a prior that are searched, each a pose of its own, and the steps in degrees.
+CONFIRM_ROTATIONS, CONFIRM_DEG = 3, (3.0, 1.0)
+"""Number of near-symmetric rotations of a prior that are searched, all different, and the steps in degrees.
 Chosen."""
 
 
@@ -96,8 +97,8 @@ def answered(
     config: EstimatorConfig,
     method: PairMethod | None,
 ) -> Steps[tuple[PoseEstimate, Explanation]]:
-    """The answer to one query, as if there were no other, and what led to it, in two steps of about the same
-    time. method: what finds the poses, None for `full`."""
+    """The estimate for one query, independent of other queries, and its explanation, in two steps of about
+    the same time. method: finds the poses, None for `full`."""
     start = time.perf_counter()
     box, masks = _box_and_masks(frame, query, model, segmenter)
     with stage("evidence"):
@@ -139,7 +140,8 @@ def answered(
 def _box_and_masks(
     frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel, segmenter: Segmenter
 ) -> tuple[Box, list[Bool]]:
-    """Box and candidate masks of a query: what it gives, else what the segmenter or its prior says."""
+    """Box and candidate masks of a query: as given, else the box of the masks or the prior, and the
+    segmenter's masks."""
     box, masks = query.box, [np.asarray(m, dtype=bool) for m in query.masks]
     for mask in masks:
         if mask.shape != frame.depth.shape:
@@ -184,8 +186,8 @@ def _found_by(
 
 
 def refine(model: ReferenceModel, evidence: Evidence, proposed: Float64, sources: Int64) -> Float64:
-    """Proposed poses (N, 4, 4) brought home (M, 4, 4): each aligned with the source (N,) of the evidence that
-    proposed it; near-symmetric rotations; search on the score, ICP."""
+    """Refine proposed poses (N, 4, 4) to poses (M, 4, 4): align each with the source (N,) of the evidence
+    that proposed it; add near-symmetric rotations; search on the score; ICP."""
     with stage("icp"):
         aligned = [
             _icp(model, points, proposed[sources == k], 0.1 * model.diameter_m, 0.008, 12)
@@ -214,7 +216,7 @@ def refine(model: ReferenceModel, evidence: Evidence, proposed: Float64, sources
 
 
 def refine_prior(model: ReferenceModel, evidence: Evidence, T_cam_obj: Float) -> Ranked:
-    """A predicted pose (4, 4) brought onto the region: the best one of ICP and search from it."""
+    """A predicted pose (4, 4), refined: the best of the poses that ICP and search from it give."""
     region = evidence.region
     start = np.asarray(T_cam_obj, dtype=np.float64)[None]
     aligned = [_icp(model, p, start, 0.15 * model.diameter_m, 0.008, 20) for p in evidence.points_cam]
@@ -227,7 +229,7 @@ def refine_prior(model: ReferenceModel, evidence: Evidence, T_cam_obj: Float) ->
 
 def judge(model: ReferenceModel, region: Region, poses: Float64, prior: Ranked) -> Ranked:
     """Judge refined poses (N, 4, 4), search the best finely, and return different ones, best first. prior:
-    more of them, which were judged before."""
+    the refined prior, judged before, which competes as well."""
     if not len(poses) and not len(prior):
         return NONE
     with stage("judge"):
@@ -243,21 +245,21 @@ def judge(model: ReferenceModel, region: Region, poses: Float64, prior: Ranked) 
 
 
 def looks_in_full(frame_id: int, every: int) -> bool:
-    """Whether this is one of the frames, about one in `every`, that are searched whatever the prior says;
-    spread irregularly, so that no rhythm of requests evades them. Always for 0 and 1."""
+    """Whether this frame is searched in full, whatever its prior: about one frame in `every`, spread
+    irregularly, so that no rhythm of requests misses them. Always for 0 and 1."""
     return every <= 1 or (frame_id * 2654435761 >> 16) % every == 0
 
 
 def confirm(model: ReferenceModel, region: Region, prior: Ranked) -> Ranked:
-    """The refined prior first, then its best different near-symmetric rotations; none when the prior is not
-    plainly right. A search that leads back to the prior, or to a pose that looks the same, says nothing else,
-    be it a little better."""
+    """The refined prior first, then its best different near-symmetric rotations; NONE if the prior is not
+    clearly right. A search that leads back to the prior, or to an equivalent rotation of it, gives no other
+    pose, even if its score is a little better."""
     if prior.totals[0] < PLAINLY_RIGHT:
         return NONE
     alike = prior.poses[0] @ model.equivalents
     rotated = prior.poses[0] @ model.near_symmetries[1:]
     first = score_many(model, region, rotated, COARSE_SAMPLES)[:, 0]
-    best = _others(model, alike, rotated, first)[:CONFIRM_TURNS]
+    best = _others(model, alike, rotated, first)[:CONFIRM_ROTATIONS]
     searched, totals = search(model, region, rotated[best], CONFIRM_DEG, CLOSE_SAMPLES, race=RACE)
     others = _others(model, alike, searched, totals)
     found = np.concatenate([prior.poses, searched[others]]), np.append(prior.totals, totals[others])
@@ -287,7 +289,7 @@ def believe(
     look: Explanation,
     config: EstimatorConfig,
 ) -> PoseEstimate:
-    """How sure the best of the poses is, and where it is exactly: the answer to a query."""
+    """The estimate for a query: the best of the poses, refined, with its probability and covariance."""
     fit = quality_fits()[config.method]
     least = fit.found if config.found_level is None else config.found_level
     region, ranked, terms = None if look.evidence is None else look.evidence.region, look.ranked, None
@@ -295,14 +297,15 @@ def believe(
         ranked = ranked.these(different_answers(model, ranked.poses))
         terms = _terms(model, region, ranked, CLEAR_MARGIN if look.confirmed else None)
     present = 0.0 if terms is None else fit.present(terms)
-    answer = _of_none(query, look.prior)
+    answer = _not_found(query, look.prior)
     if region is None or terms is None or present < least:
         total = float(ranked.totals[0]) if len(ranked) else 0.0
         reason = why_absent(look, terms, present, least)
         return replace(answer, score=total, terms=terms, reason=reason)
     chances = fit.probabilities(terms)
     T, alignment, mask = final_refinement(model, frame, region, se3.orthonormalised(ranked.poses[0]))
-    # A prior that was only confirmed has a chance for a rival that nobody looked for: it has no pose.
+    # If a prior was only confirmed, one probability may belong to a rival that was not searched and has no
+    # pose.
     others = zip(ranked.poses[1:], chances[1:], strict=False)
     return replace(
         answer,
@@ -323,9 +326,9 @@ def believe(
 def bare_answer(
     frame: RgbdFrame, query: ObjectQuery, model: ReferenceModel, look: Explanation
 ) -> PoseEstimate:
-    """The answer of a method whose best pose stands as it is. Its score is given as quality, which is not a
-    probability, so it is never more than SUSPECT; there are no covariance and no terms."""
-    answer = _of_none(query)
+    """The estimate of a method whose best pose is used as it is. Its score is given as quality, which is no
+    probability, so its state is never more than SUSPECT. It has no covariance and no terms."""
+    answer = _not_found(query)
     if look.evidence is None or not len(look.ranked):
         return answer
     T, total = se3.orthonormalised(look.ranked.poses[0]), float(look.ranked.totals[0])
@@ -336,18 +339,18 @@ def bare_answer(
     )
 
 
-def _of_none(query: ObjectQuery, prior: Ranked = NONE) -> PoseEstimate:
-    """The answer to a query for which nothing was found."""
+def _not_found(query: ObjectQuery, prior: Ranked = NONE) -> PoseEstimate:
+    """The estimate for a query for which no pose was found."""
     T, total = (prior.poses[0], float(prior.totals[0])) if len(prior) else (None, None)
     return PoseEstimate(query.object, query.instance, box=query.box, prior_score=total, prior_T_cam_obj=T)
 
 
-def _terms(model: ReferenceModel, region: Region, ranked: Ranked, most_behind: float | None) -> QualityTerms:
-    """Of the first of different answers. most_behind: where a prior was only confirmed, little else was
-    looked at; then the best other answer is taken to be at most so much worse."""
+def _terms(model: ReferenceModel, region: Region, ranked: Ranked, largest_gap: float | None) -> QualityTerms:
+    """The terms of the first of different poses. largest_gap: if a prior was only confirmed, little else was
+    searched; the best other pose then counts as at most this much worse."""
     gaps, T_cam_obj = ranked.behind[1:], ranked.poses[0]
-    if most_behind is not None:
-        gaps = np.concatenate([[min([most_behind, *gaps[:1]])], gaps[1:]])
+    if largest_gap is not None:
+        gaps = np.concatenate([[min([largest_gap, *gaps[:1]])], gaps[1:]])
     dense, seen = score(model, region, T_cam_obj), texture_evidence(model, region, T_cam_obj)
     picture = pair_picture(model, region.crop, region.median_depth_m)
     return QualityTerms(

@@ -1,19 +1,19 @@
-"""Is an object as large in the picture as it has to be at its depth?
+"""Does an object have the size in the image that its depth implies?
 
-Depth says how far away a pose is; the camera matrix then says how large the object is in the picture. Where
-the picture shows it clearly larger or smaller, one of three is wrong by so much: the focal length, the unit
-of depth, or the size of the mesh. Poses fit all the same, because their depth is kept and their texture is
-matched as well as it goes, so no pose says so by itself.
+Depth gives the distance of a pose; with the camera matrix it gives the size of the object in the image. If
+the image shows the object clearly larger or smaller, one of three is wrong by this share: the focal length,
+the unit of depth, or the size of the mesh. Poses fit all the same, because they keep their depth and match
+texture as well as possible. So no pose reveals the error by itself.
 
-Two cues are asked how well they agree with each size: the picture's edges, where the outline would lie, and
-its colours, where the texture would. A single look may be misled, by a neighbour of the same colour or by
-what hides a part; looks of several objects and frames are added up. Of one object a size is clear only if it
-is without any quarter of it, too: what misleads lies on one side.
+Two cues are compared with each size: the image's edges, where the outline would lie, and its colours, where
+the texture would lie. A single look may be misled by a neighbour of the same colour or by an occluder, so
+looks at several objects and frames are added up. The size of a single object is clear only if it is also
+clear without any quarter of the object: what misleads lies on one side.
 
-Is it the camera then, or one object? A wrong camera matrix or unit of depth shows all objects larger, or all
-smaller, by the same share. Where others fit, an object that does not is not what its mesh says: the same
-product in another size, or a mesh that is too large or too small. Of an object alone nobody can tell; then
-the camera is doubted, and its sentence names the mesh as well.
+Is the camera wrong, or one object? With a wrong camera matrix or unit of depth, all objects look larger, or
+all smaller, by the same share. If other objects fit, an object that does not fit differs from its mesh: it is
+the same product in another size, or its mesh is too large or too small. With a single object, this cannot be
+decided; then the camera is doubted, and the message names the mesh as well.
 """
 
 from __future__ import annotations
@@ -42,31 +42,33 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import Rendering, render
 
 SCALES = np.arange(-0.3, 0.301, 0.01)
-"""By how much larger than expected (share) each entry of the support supposes the object to be."""
+"""Sizes that are compared: by how much larger than expected (share) the object is, for each entry of the
+support."""
 
 USUAL = 0.045
-"""Depth cameras and scanned models leave sizes wrong by so much (YCB-Video: 2 to 4 %): nothing to report."""
+"""Errors of size up to this share are usual for depth cameras and scanned models (YCB-Video: 2 to 4 %) and
+are not reported."""
 
 LEAST_OF_ONE = 0.06
-"""What one object alone says against the camera counts from here on, since its mesh may err, too. Of 49 right
-poses in recorded and path-traced frames two were clearly off by 5 %, none by more; with fx and fy wrong by 8
-or 10 % 85 of 174 are found out, instead of 93."""
+"""The size of a single object counts against the camera from this share on, because its mesh may be wrong,
+too. Of 49 right poses in recorded and path-traced frames, two were clearly off by 5 %, none by more. With fx
+and fy wrong by 8 or 10 %, 85 of 174 are detected, instead of 93."""
 
 CLEAR, CLEAR_OF_ONE = 10.0, 3.0
 """Least gain of the support, as a natural logarithm, over sizes that are usual: of all objects together, and
 of one, without any quarter of it (odds of 20)."""
 
 MOSTLY_SEEN = 0.7
-"""Least share of its pixels that a pose that is looked at explains: what hides a part has an outline, too."""
+"""A pose is compared if at least this share of its pixels is visible: an occluder has an outline, too."""
 
 SHIFT_PX = 2.0
-"""How far a pose may lie aside in the picture at each size."""
+"""Largest shift of a pose in the image that is tried at each size."""
 
 PATCH_PX = 5.0
 """Correlation length of colours, pixels: nearer ones are not independent."""
 
 QUARTERS = 4
-"""Parts of what is seen of an object; each is left out once, for a standard error (jackknife)."""
+"""Parts of the visible area of an object; each is left out once (jackknife)."""
 
 SAMPLES = 600
 """Most pixels whose colours are compared."""
@@ -76,15 +78,15 @@ _SHIFTS = np.stack(np.meshgrid(*[np.arange(-SHIFT_PX, SHIFT_PX + 0.5)] * 2), axi
 
 @dataclass(frozen=True)
 class ApparentSize:
-    """larger: share by which the picture shows objects larger than they would be at their depth, negative for
-    smaller; gain: how clearly that is more than cameras and models usually err, as a natural logarithm."""
+    """larger: share by which the image shows objects larger than their depth implies, negative for smaller;
+    gain: how clearly that exceeds the usual errors of cameras and models, as a natural logarithm."""
 
     larger: float
     gain: float
 
     @property
     def clear(self) -> bool:
-        """Whether it is more than cameras and models usually err, beyond doubt."""
+        """Whether the size clearly exceeds the usual errors of cameras and models."""
         return self.gain >= CLEAR
 
     def said(self, camera: Camera) -> str:
@@ -110,9 +112,9 @@ class ApparentSize:
 
 
 def apparent_size(supports: Sequence[Float64], others: float = 0.0) -> ApparentSize:
-    """The size that looks (P, S) of `support` speak for together; it gains as much as in the row that says
-    the least for it. others: what the camera shows other objects larger by (share); what is usual beside that
-    is usual, too. The best at an end of SCALES is no size, and gains nothing."""
+    """The size that all supports (P, S) of `support` favour together; its gain is the smallest of the rows P.
+    others: share by which other objects look larger; sizes near it count as usual, too. If the best size is
+    at an end of SCALES, the gain is 0."""
     total = np.sum(supports, axis=0) if len(supports) else np.zeros((1, len(SCALES)))
     best = int(np.argmax(total[0]))
     if best in (0, len(SCALES) - 1):
@@ -125,7 +127,7 @@ def apparent_size(supports: Sequence[Float64], others: float = 0.0) -> ApparentS
 def looks(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate]
 ) -> list[Float64]:
-    """The support by each answer of a frame that is mostly in view."""
+    """The support from each estimate of a frame whose object is mostly visible."""
     out = []
     for answer in answers:
         if answer.T_cam_obj is not None and answer.mask is not None:
@@ -134,9 +136,10 @@ def looks(
 
 
 def support(frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float64, mask: Bool) -> Float64 | None:
-    """How well each of SCALES (1 + QUARTERS, S) agrees with what is seen of a pose (4, 4) that was fitted to
-    depth, as a natural logarithm up to a constant: of all of it, and without each quarter, counted as if it
-    were all; None where too little is seen. mask (H, W): its visible pixels."""
+    """How well each of SCALES agrees with the image at a pose (4, 4) that was fitted to depth: (1 + QUARTERS,
+    S), natural logarithms up to a constant. First row: the whole visible area; the others: without one
+    quarter, counted as if it were the whole. None if too little is visible. mask (H, W): its visible
+    pixels."""
     box = projected_box(model, frame, T_cam_obj)
     if box is None:
         return None
@@ -204,7 +207,7 @@ def _parts(pixels: Float32 | Float64) -> Bool:
 
 
 def _correlation(seen: Float32, expected: Float32) -> float:
-    """The best correlation of pictures (M, N, 3) with the expected one (N, 3), without their mean colours."""
+    """The best correlation of colours (M, N, 3) with the expected ones (N, 3), without their means."""
     if not len(expected):
         return 0.0
     wanted = (expected - expected.mean(0)).ravel()
@@ -216,29 +219,30 @@ def _correlation(seen: Float32, expected: Float32) -> float:
 K = TypeVar("K", bound=Hashable)
 
 INDEPENDENT = 3
-"""Looks at one object count as so many at most: of a thing that stands still they repeat each other."""
+"""Looks at one object count as at most this many: those at a static object repeat each other."""
 
 OUTNUMBERED = 3
-"""So many objects must clearly speak against the camera for each that clearly has its usual size."""
+"""For each object that clearly has its usual size, this many must clearly contradict the camera."""
 
 LIKELY = 0.2
-"""Least quality of a pose that is asked though it is not sure: where nothing is, the background is often
-taken for an object of another size. As `ReinitConfig.least_quality`."""
+"""Least quality of a pose that is compared although it is not sure: with less, the background is often taken
+for an object of another size. As `ReinitConfig.least_quality`."""
 
 AGAINST = 3.0
-"""What all objects but the loudest may have against its share together, as a natural logarithm, before the
-camera is not doubted for it: odds of 20."""
+"""The camera is doubted only if all objects together, without the one that favours the wrong size most, are
+against that size by at most this, as a natural logarithm: odds of 20."""
 
 ALIKE = 0.02
-"""By such a share scanned models differ in what they say of one camera."""
+"""Scanned models differ by this share in the size that they give for one camera."""
 
 _IS_USUAL = np.abs(SCALES) <= USUAL
 _USUAL = SCALES[_IS_USUAL]
 
 
 def doubted_camera(seen: Mapping[K, Sequence[Float64]], fewest: int = 1) -> ApparentSize | None:
-    """The size that objects have in common where it speaks against the camera. seen: by name or instance, the
-    `support` (P, S) of each look at an object; fewest: so many, of all objects, are asked for."""
+    """The common size of all objects, if it shows that the camera is wrong; else None. seen: by name or
+    instance, the `support` (P, S) of each look at an object; fewest: number of looks, at all objects, that is
+    needed."""
     every = [one for mine in seen.values() for one in mine]
     together = apparent_size([one[:1] for one in every])
     if not together.clear or len(every) < fewest:
@@ -256,9 +260,9 @@ def doubted_camera(seen: Mapping[K, Sequence[Float64]], fewest: int = 1) -> Appa
 
 
 def doubted_objects(seen: Mapping[K, Sequence[Float64]], fewest: int = 1) -> dict[K, ApparentSize]:
-    """The size of each object that clearly differs from what is usual and from what the others have in
-    common, where the camera is not doubted. seen: as there; fewest: so many looks at an object are asked
-    for."""
+    """The size of each object that clearly differs from usual sizes and from the common size of the others,
+    when the camera is not doubted. seen: as for `doubted_camera`; fewest: number of looks at an object that
+    is needed."""
     totals = _totals(seen)
     out: dict[K, ApparentSize] = {}
     usual = {key: _USUAL[np.argmax(total[0, _IS_USUAL])] for key, total in totals.items()}
@@ -274,11 +278,12 @@ def doubted_objects(seen: Mapping[K, Sequence[Float64]], fewest: int = 1) -> dic
 def doubted_in(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate]
 ) -> tuple[ApparentSize | None, dict[int, ApparentSize]]:
-    """What one frame says against its camera; if nothing, against objects, by their place in its answers."""
+    """The evidence of one frame against its camera; if there is none, against objects, by the index of their
+    estimates."""
     sure = [k for k, answer in enumerate(answers) if answer.state == "TRACKING"]
     likely = [k for k, answer in enumerate(answers) if answer.found and answer.quality >= LIKELY]
     seen = {k: looks(frame, models, [answers[k]]) for k in sorted({*sure, *likely})}
-    # Of those that are not sure the camera is asked where none is.
+    # Unsure poses are used against the camera only if none is sure.
     camera = doubted_camera({k: seen[k] for k in sure or likely})
     return camera, {} if camera else doubted_objects(seen)
 
@@ -295,5 +300,5 @@ def _against(total: Float64, larger: float) -> float:
 
 
 def _alike(larger: float) -> Bool:
-    """Which of SCALES (S,) are that share, as far as models can tell."""
+    """Which of SCALES (S,) are that share, within ALIKE."""
     return np.asarray(np.abs(SCALES - larger) <= ALIKE + 1e-9)

@@ -1,4 +1,4 @@
-"""What can be chosen about the estimator; the defaults are those of a live pipeline."""
+"""Settings of the estimator; the defaults are those of a live pipeline."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Method = Literal["full", "colorpair", "paper"]
 
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """method: "full" (the best that there is), "colorpair" (colour pairs alone, with what was added to the
-    paper's path) or "paper" (the paper's path as it is); seed: of all random choices; threads: objects of a
-    frame that are estimated at the same time; found_level: the probability that the object is there under
-    which nothing is found, None for the calibrated one, which `paper` does not have; look_anew_every: one in
-    so many frames is searched in full even where a refined prior is plainly right, 1 for all (chosen);
-    colorpair, paper: what can be set about the method of that name, None for its defaults."""
+    """method: "full" (the best), "colorpair" (colour pairs alone: the paper's method with additions) or
+    "paper" (the paper's method as it is); seed: of all random choices; threads: objects of a frame that are
+    estimated at the same time; found_level: a pose is found from this probability that the object is there,
+    None for the calibrated one, which `paper` does not have; look_anew_every: one in this many frames is
+    searched in full even if a refined prior is clearly right, 1 for all (chosen); colorpair, paper: settings
+    of the method of that name, None for its defaults."""
 
     method: Method = "full"
     seed: int = 0

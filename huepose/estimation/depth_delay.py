@@ -1,9 +1,9 @@
-"""How much older depth is than colour, from objects that move.
+"""Estimate how much older depth is than colour, from moving objects.
 
-Colour shows a moving object where it is now, depth that is older where it was. So the edges of the colours
-lie beside the steps of depth, by the object's image velocity times the delay: more where it is faster, and
-the other way when it comes back, as no error of registration does. One lag is that distance along an
-outline; many lags, at several velocities, give the delay with its standard error.
+Colour shows a moving object where it is now; older depth shows it where it was. So colour edges are displaced
+from depth steps by the object's image velocity times the delay. This displacement grows with the speed and
+reverses with the motion; an error of registration does neither. One lag is the displacement along an outline.
+Many lags, at several velocities, give the delay with its standard error.
 """
 
 from __future__ import annotations
@@ -25,29 +25,29 @@ SLOWEST_PX_S = 40.0
 """Image speed under which a lag says too little: 33 ms are 1.3 pixels."""
 
 REACH_PX = 20
-"""How far the edges of the colours are looked for, pixels along the object's motion: 66 ms at 300 px/s."""
+"""Search distance for colour edges, pixels along the object's motion: 66 ms at 300 px/s."""
 
 FEWEST = 8
-"""Least number of places along an outline where depth has a step."""
+"""Least number of outline points at which depth has a step."""
 
 STEP_M, GAP_PX = 0.03, 3
-"""Least step of depth from a thing to what is behind it, metres, and most pixels that it may take."""
+"""Least depth step from an object to its background, metres, and the most pixels over which it may extend."""
 
 LEAST_LAGS, LEAST_BLOCKS = 8, 4
-"""Fewer lags, or lags in fewer blocks, say nothing."""
+"""Least numbers of lags, and of blocks with lags, for an estimate."""
 
 FITS_PX, USUAL_SHIFT_PX = 1.5, 3.0
-"""How far lags usually lie from the line that fits them, and registration shifts all of them."""
+"""Usual distance of lags from the line that fits them, and usual common shift of all lags by registration."""
 
 MAJORITY = 0.5
 """Least share of lags within two FITS_PX of that line."""
 
 CLEAR_SIGMAS, TOGETHER_SIGMAS = 4.0, 2.0
-"""A delay is said that is by so many standard errors more than TOLERATED_S; what was said is taken back where
-it is by so many less."""
+"""A delay is reported if it is CLEAR_SIGMAS standard errors more than TOLERATED_S; the report is withdrawn if
+it is TOGETHER_SIGMAS standard errors less."""
 
 TOLERATED_S = 0.008
-"""So far apart are the middles of two exposures of a camera that is as it should be, seconds."""
+"""Largest time between the middles of the two exposures of a correct camera, seconds."""
 
 _STARTS_S = np.array([0.0, -0.033, 0.033, -0.066, 0.066])
 _STEPS = 8
@@ -56,9 +56,9 @@ _PLACES = np.arange(-_WIDTH_PX, _WIDTH_PX + 1.0)
 _SHIFTS = np.arange(-REACH_PX, REACH_PX + 1.0)
 
 EdgeLag = tuple[float, float, float, float]
-"""Of one object in one frame: speed, px/s; right, down: the mean direction of its outline's motion, of length
-1 where all of it moves alike; and how far from the steps of depth, along the motion of each point, the edges
-of the colours lie, px."""
+"""The lag of one object in one frame: speed, px/s; right, down: mean direction of its outline's motion, of
+length 1 if all points move alike; displacement of the colour edges from the depth steps, along the motion of
+each point, px."""
 
 
 @dataclass(frozen=True)
@@ -72,12 +72,12 @@ class DepthDelay:
 
     @property
     def clear(self) -> bool:
-        """Whether they are apart, beyond doubt."""
+        """Whether depth is clearly older or newer than colour."""
         return self._sure and abs(self.seconds) > TOLERATED_S + CLEAR_SIGMAS * self.error_s
 
     @property
     def none(self) -> bool:
-        """Whether they are together."""
+        """Whether depth and colour are clearly of the same time."""
         return self._sure and abs(self.seconds) < TOLERATED_S - TOGETHER_SIGMAS * self.error_s
 
     @property
@@ -85,15 +85,14 @@ class DepthDelay:
         return self.share >= MAJORITY
 
     def said(self) -> str:
-        """What that means, in a sentence."""
+        """The delay and its consequence, in a sentence."""
         way, ms = "older" if self.seconds > 0 else "newer", 5 * round(abs(self.seconds) / 0.005)
         return f"Depth is about {ms} ms {way} than colour: what moves is not where its pose has it."
 
 
 def edge_lag(contours: Contours, T_cam_obj: Float64, velocity: Float64, frame: RgbdFrame) -> EdgeLag | None:
     """The lag of the edges of an object with a pose (4, 4) and a velocity (6,), a twist per second about its
-    origin in camera axes; None where it is too slow, or where too little of its outline is a step of
-    depth."""
+    origin in camera axes; None if it is too slow, or if depth has a step at too little of its outline."""
     points, out = (one[::2] for one in contours.at(T_cam_obj))
     p = points.astype(np.float64) @ T_cam_obj[:3, :3].T + T_cam_obj[:3, 3]
     if len(p) < FEWEST or p[:, 2].min() < NEAR_M:
@@ -124,8 +123,8 @@ def edge_lag(contours: Contours, T_cam_obj: Float64, velocity: Float64, frame: R
 
 
 def delay(lags: Sequence[EdgeLag], blocks: Sequence[str]) -> DepthDelay | None:
-    """The delay that lags agree on, with what registration shifts all of them by; blocks: those of one block
-    err alike. None where they are too few."""
+    """The delay on which lags agree; a common shift by registration is estimated with it. blocks: of each
+    lag; errors within a block are correlated. None if there are too few."""
     number = len(set(blocks))
     if len(lags) < LEAST_LAGS or number < LEAST_BLOCKS:
         return None
@@ -134,7 +133,7 @@ def delay(lags: Sequence[EdgeLag], blocks: Sequence[str]) -> DepthDelay | None:
     usual = np.diag([0.0, 1.0, 1.0]) * (FITS_PX / USUAL_SHIFT_PX) ** 2
     x = np.zeros((len(_STARTS_S), 3))
     x[:, 0] = _STARTS_S
-    # Cauchy's: of a lag that is far off nothing is believed, so the fit begins at several places.
+    # Cauchy weights: a lag that is far off counts little, so the fit starts from several values.
     for _ in range(_STEPS):
         weight = 1.0 / (1.0 + ((y - x @ A.T) / FITS_PX) ** 2)
         weighted = weight[:, :, None] * A
@@ -153,15 +152,15 @@ def delay(lags: Sequence[EdgeLag], blocks: Sequence[str]) -> DepthDelay | None:
     np.add.at(together, which, pull)
     inverse = np.linalg.inv(hessian)
     covariance = inverse @ (together.T @ together) @ inverse * number / (number - 3)
-    # What one side of an outline is off stays so for a while: a block is worth one lag.
+    # The error on one side of an outline persists for a while: a block is worth one lag.
     alone = np.linalg.inv((A * weight[best][:, None]).T @ A * (number / len(A)) + usual) * FITS_PX**2
     error_s = float(np.sqrt(max(covariance[0, 0], alone[0, 0])))
     return DepthDelay(float(x[best, 0]), error_s, float((np.abs(r) <= 2.0).mean()))
 
 
 def _steps_of_depth(depth: Float32, far: Float64) -> tuple[Float64, Bool]:
-    """Where along each line (N, K) from inside to outside the object at a distance (N,) ends before what is
-    behind it, px, the nearest to the pose's outline; and whether it does."""
+    """For lines (N, K) of depth that run from inside to outside, with the object at distance (N,): position
+    (N,) of the depth step nearest to the pose's outline, px, and whether there is one (N,)."""
     at, found = np.full(len(depth), np.inf), np.zeros(len(depth), bool)
     own = (depth > 0.0) & (np.abs(depth - far[:, None]) < STEP_M)
     for gap in range(1, GAP_PX + 1):
@@ -176,7 +175,7 @@ def _steps_of_depth(depth: Float32, far: Float64) -> tuple[Float64, Bool]:
 
 
 def _edges(frame: RgbdFrame, x: Float32, y: Float32) -> EdgesAcross:
-    """How strong the edges of the colours are at places (N, K) along lines."""
+    """Strength of the colour edges at positions (N, K) along lines."""
     left, top = int(x.min()) - 2, int(y.min()) - 2
     part = frame.color[top : int(y.max()) + 4, left : int(x.max()) + 4]
     smooth = cv2.GaussianBlur(part, (3, 3), 0.8)

@@ -1,9 +1,9 @@
 """Estimate the offset between depth and colour images from the outlines of known objects.
 
-Cameras register depth to colour by a calibration that ages, and by clocks that differ; two to four pixels are
-common, in published data as well. Poses follow depth, so their textures and outlines are then displaced in
-the image. A single object may have its label elsewhere; a displacement shared by the outlines of all objects
-of a frame is an offset of the camera.
+Cameras register depth to colour by a calibration, which ages, and their clocks differ; offsets of two to four
+pixels are common, in published data as well. Poses follow depth, so their textures and outlines are then
+displaced in the image. A single object may carry its label at another place than its mesh; a displacement
+shared by the outlines of all objects of a frame is an offset of the camera.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ CLEAR_SIGMAS, CLEAR_PX = 4.0, 1.0
 
 @dataclass(frozen=True)
 class DepthOffset:
-    """right_px, down_px: from where depth says that outlines are to where the image shows them; sigmas: by
-    how many standard errors the outlines agree better there than where depth has them; points: of them."""
+    """right_px, down_px: from the outlines in depth to the outlines in the image; sigmas: by how many
+    standard errors the outlines agree better with this offset than without; points: number of outline
+    points."""
 
     right_px: float
     down_px: float
@@ -38,12 +39,12 @@ class DepthOffset:
 
     @property
     def length_px(self) -> float:
-        """How far it is."""
+        """Length of the offset."""
         return float(np.hypot(self.right_px, self.down_px))
 
     @property
     def clear(self) -> bool:
-        """Whether there is one, beyond doubt."""
+        """Whether there is clearly an offset."""
         return self.length_px >= CLEAR_PX and self.sigmas >= CLEAR_SIGMAS
 
     def __str__(self) -> str:
@@ -51,14 +52,14 @@ class DepthOffset:
         return f"The image shows outlines {way} where depth has them"
 
     def said(self) -> str:
-        """What that means, in a sentence."""
+        """The offset and its consequence, in a sentence."""
         why = "poses follow depth; check how depth is registered to colour, and the camera matrix."
         return f"{self}: {why}"
 
 
 def depth_offset(frame: RgbdFrame, placed: Sequence[tuple[ReferenceModel, Float64]]) -> DepthOffset | None:
-    """How the image's colours lie to its depth, from objects with poses (4, 4) that were fitted to depth;
-    None where too little of their outlines is free."""
+    """The offset of a frame's colours from its depth, from objects with poses (4, 4) that were fitted to
+    depth; None if too little of their outlines is free."""
     found = [free_outline(model, frame, T) for model, T in placed]
     found = [one for one in found if len(one[0]) >= FEWEST]
     if not found:

@@ -1,12 +1,13 @@
-"""The estimator: where is each of these objects in this frame, how sure, and how exact?
+"""The estimator: where is each of these objects in this frame, how probable is the pose, and how exact?
 
-Every query is first answered alone (`answer.answered`); then the poses of the frame compete for its depth:
-one surface, one pose. They are taken in order of their quality. A sure one keeps the pixels that it explains;
-a later one that lives on such pixels, or is doubtful beside them, is looked for again in the frame without
-them. What was taken counts as "no reading": it speaks neither for a pose nor against it, as if hidden. So
-neighbours in a pile, which merge into one mask, are told apart by those that are recognised.
+Every object is first estimated alone (`answer.answered`). Then the poses of the frame compete for its depth:
+one surface, one pose. They are taken in order of their quality. A sure pose keeps the pixels that it
+explains. A later pose that lies on such pixels, or is doubtful beside them, is estimated again in the frame
+without them. The removed pixels count as "no reading": they are evidence neither for a pose nor against it,
+as if occluded. So neighbours in a pile, which merge into one mask, are separated by those that are
+recognised.
 
-The answers depend on the frame, the queries and the seed, not on the order of queries or on threads.
+The estimates depend on the frame, the queries and the seed, not on the order of queries or on threads.
 """
 
 from __future__ import annotations
@@ -43,16 +44,17 @@ from huepose.support.pool import Pool, Steps, finished
 from huepose.support.stages import stage
 
 SURE = 0.5
-"""Quality from which a pose keeps its pixels; from other instances of its object it always does. Chosen."""
+"""A pose keeps its pixels from this quality on; against other instances of its object it always does.
+Chosen."""
 
 CONTESTED = 0.25
-"""A pose is judged again when surer ones have this share of its visible pixels. Chosen."""
+"""A pose is estimated again if surer poses hold this share of its visible pixels. Chosen."""
 
 DOUBTFUL, TAKEN = 0.8, 0.05
-"""So is one under this quality when surer ones have this share of its box. Chosen."""
+"""So is a pose under the quality DOUBTFUL if surer poses hold the share TAKEN of its box. Chosen."""
 
 Answered = tuple[PoseEstimate, Explanation]
-"""An answer and what led to it."""
+"""An estimate and its explanation."""
 
 Answering = Callable[[RgbdFrame, ObjectQuery], Answered]
 
@@ -60,7 +62,7 @@ Answering = Callable[[RgbdFrame, ObjectQuery], Answered]
 class Estimator:
     """Poses of known objects in single frames.
 
-    models: by name; segmenter: outlines an object in a box (the embedded depth segmenter by default).
+    models: by name; segmenter: segments an object in a box (the embedded depth segmenter by default).
     Thread-safe; kernels are compiled at the first call, or by `warm_up`.
     """
 
@@ -87,32 +89,32 @@ class Estimator:
         return tuple(self._models[name].diameter_m for name in self.objects)
 
     def middle_obj(self, name: str) -> Float64:
-        """The middle (3,) of the bounds of a known object, in its own axes."""
+        """The centre (3,) of the bounds of a known object, in its own axes."""
         return self._models[name].mesh.centre
 
     def add_object(self, model: ReferenceModel) -> None:
-        """Know one more object; a known one of that name is replaced."""
+        """Add an object; a known one of that name is replaced."""
         self._models[model.name] = model
         if self._method is None:
             table_of(model)
 
     def remove_object(self, name: str) -> None:
-        """Forget an object; nothing happens when it is not known."""
+        """Remove an object; nothing happens if it is not known."""
         self._models.pop(name, None)
 
     def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
-        """One answer a query, in their order, no two of them on the same surface. Raises InputError for an
-        unknown object or an empty query."""
+        """One estimate per query, in the order of the queries, no two of them on the same surface. Raises
+        InputError for an unknown object or an empty query."""
         return [answer for answer, _ in self.explained(frame, queries)]
 
     def explained(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[Answered]:
-        """The same answers, each with what led to it: of a pose that was looked for again without the depth
-        of others, what was seen then."""
+        """The same estimates, each with its explanation. If a pose was estimated again without the depth of
+        others, the explanation is that of the second estimate."""
         require(frame, RgbdFrame, "frame", "an RgbdFrame")
         require(queries, Sequence, "queries", "a list of ObjectQuery")
         for query in queries:
             require(query, ObjectQuery, "query", "an ObjectQuery", "Make one: ObjectQuery(name, box).")
-            self._models[query.object]  # raises before anything is looked at
+            self._models[query.object]  # raises before any work is done
         picture = frame
         if self.config.method == "full":
             with stage("veil"):
@@ -125,11 +127,11 @@ class Estimator:
         def look(seen: RgbdFrame, query: ObjectQuery) -> Steps[Answered]:
             if query.others:
                 seen, query = _free_of(seen, query, taken_by(self._models[query.object], seen, query.others))
-            answer, led = yield from self._explain(seen, query)
+            answer, explanation = yield from self._explain(seen, query)
             if presence is not None and query.searched:
                 with stage("presence"):
-                    answer = presence.asked(answer)
-            return answer, led
+                    answer = presence.with_presence(answer)
+            return answer, explanation
 
         answers = self._pool.map_steps(lambda query: look(frame, query), queries)
 
@@ -142,10 +144,10 @@ class Estimator:
             return answers
         names = {query.object for query in queries}
         faults = {name: bad_picture(picture, self._models[name].diameter_m) for name in names}
-        return [(replace(a, reason=faults[a.object] or a.reason), led) for a, led in answers]
+        return [(replace(a, reason=faults[a.object] or a.reason), explanation) for a, explanation in answers]
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> Answered:
-        """The answer to one query, as if there were no other, and what led to it."""
+        """The estimate for one query, independent of other queries, and its explanation."""
         return finished(self._explain(frame, query))
 
     def _explain(self, frame: RgbdFrame, query: ObjectQuery) -> Steps[Answered]:
@@ -153,11 +155,11 @@ class Estimator:
         return answered(frame, query, model, self._segmenter, self.config, self._method)
 
     def sizes_seen(self, frame: RgbdFrame, answers: Sequence[PoseEstimate]) -> list[Float64]:
-        """What the sure ones of a frame's answers say of the camera matrix, for `apparent_size`."""
+        """The evidence of a frame's estimates about the camera matrix, for `apparent_size`."""
         return looks(frame, self._models, answers)
 
     def prepare(self, names: Sequence[str]) -> None:
-        """Derive from models what answers about them need, which the first of them does otherwise."""
+        """Prepare what estimates of these objects need; otherwise the first estimate does it."""
         for name in names:
             if self._method is None:
                 table_of(self._models[name])
@@ -165,7 +167,7 @@ class Estimator:
                 self._method.check(self._models[name])
 
     def warm_up(self, names: Sequence[str] | None = None) -> None:
-        """Prepare models (all by default) and compile the kernels on an artificial view of the one with most
+        """Prepare models (all by default) and compile the kernels on a rendered frame of the one with most
         texture."""
         names = self.objects if names is None else list(names)
         self.prepare(names)
@@ -187,10 +189,11 @@ def compete(
     answers: Sequence[Answered],
     look_again: Answering,
 ) -> list[Answered]:
-    """Answers, in the order of the queries, of which no two explain the same surface.
+    """Estimates, in the order of the queries, of which no two explain the same surface.
 
-    `look_again` estimates a query in a frame from whose depth that of surer poses was taken away. A pose that
-    lived on it gives way to what is found then; one that was only doubtful does so when that is surer.
+    `look_again` estimates a query in a frame without the depth of surer poses. A pose that lay on that depth
+    is replaced by the new estimate; one that was only doubtful is replaced if the new one has a higher
+    quality.
     """
     out = list(answers)
     before: list[PoseEstimate] = []
@@ -210,7 +213,7 @@ def _rank(answer: PoseEstimate) -> tuple[float, float, str, int]:
 def _without(
     frame: RgbdFrame, query: ObjectQuery, known: Answered, taken: Bool, look_again: Answering
 ) -> Answered:
-    """The answer, or what is found instead where it may not use the pixels that are taken."""
+    """The estimate, or a new one without the taken pixels that replaces it."""
     answer = known[0]
     contested = _share_of_mask(answer.mask, taken) > CONTESTED
     doubtful = answer.quality < DOUBTFUL and _share_of_box(query.box, taken) > TAKEN
@@ -241,8 +244,8 @@ def _share_of_box(box: Box | None, taken: Bool) -> float:
 
 
 def warm_up(explain: Answering, model: ReferenceModel, full: bool) -> None:
-    """Let an estimator look for an object that stands before a wall, and ask whether it is there; full: by
-    the method of that name, for which there may be a prior, and a near tie between poses."""
+    """Estimate an object in front of a wall, with the probability that it is there. full: the method is
+    `full`, so a prior and a near tie of poses are processed as well."""
     camera = Camera(320.0, 320.0, 159.5, 119.5, 320, 240)
     T = se3.make(np.eye(3), np.array([0.0, 0.0, 3.0 * model.diameter_m]) - model.mesh.centre)
     picture = render([(model.mesh, T)], camera)
@@ -251,15 +254,15 @@ def warm_up(explain: Answering, model: ReferenceModel, full: bool) -> None:
     box = projected_box(model, frame, T)
     if box is None:
         return
-    _, seen = explain(frame, ObjectQuery(model.name, box, searched=True))
-    if not full or seen.evidence is None:
+    _, explanation = explain(frame, ObjectQuery(model.name, box, searched=True))
+    if not full or explanation.evidence is None:
         return
-    region = seen.evidence.region
-    refined = refine_prior(model, seen.evidence, T)
+    region = explanation.evidence.region
+    refined = refine_prior(model, explanation.evidence, T)
     confirm(model, region, refined)
     pose = refined.poses[0]
-    turned = se3.perturb(pose, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
-    tie = Ranked.of(np.stack([pose, turned]), np.array([2.0, 1.95]))
+    rotated = se3.perturb(pose, np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1]))
+    tie = Ranked.of(np.stack([pose, rotated]), np.array([2.0, 1.95]))
     decided(model, region, tie)
     contest(model, region, tie, shaded=True)
     support(frame, model, pose, picture.depth > 0)

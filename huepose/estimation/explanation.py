@@ -1,4 +1,4 @@
-"""What led to an answer, for whoever wants to see why it is what it is."""
+"""What an estimate is based on, for those who want to know why it is as it is."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from huepose.select.near_ties import Contest
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """What led to an answer: the box, the candidate masks (H, W), what was looked at (None where there is no
-    depth), and the different poses, best first; prior: the refined prior, where there was one; confirmed: it
-    was plainly right, and no other views were sought; contest: between the best poses,
-    where they scored nearly alike."""
+    """What an estimate is based on. masks: candidate masks (H, W); evidence: None if there is no depth;
+    ranked: the different poses, best first; prior: the refined prior, if there was one; confirmed: the prior
+    was clearly right, and views were not searched; contest: comparison of the best poses, if they nearly
+    tied."""
 
     box: Box
     masks: tuple[Bool, ...]

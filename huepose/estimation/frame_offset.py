@@ -1,7 +1,7 @@
 """Estimate a large offset between depth and colour images from all of a frame, without any known object.
 
-Where a thing ends before its background, depth has a step and colours have an edge in the same direction.
-How well these lie on one another is asked for every shift of the one over the other.
+Where an object ends in front of its background, depth has a step and colour has an edge in the same
+direction. Steps and edges are correlated for every shift of one over the other.
 """
 
 from __future__ import annotations
@@ -18,33 +18,34 @@ from huepose.geometry.frame import RgbdFrame
 Complex = NDArray[np.complexfloating]
 
 WIDTH_PX = 640
-"""Pictures are made about so small first: a transform takes as long as there are pixels."""
+"""Images are first reduced to about this width: the time of a transform grows with the number of pixels."""
 
 REACH_PX = 64
-"""Largest shift either way, in such a picture: a depth camera 5 cm beside the colour camera is 40 px off at
-0.8 m."""
+"""Largest shift in each direction, in the reduced image: a depth camera 5 cm beside the colour camera is 40
+px off at 0.8 m."""
 
 FITS_PX = 8
-"""Smaller shifts are usual in published data, or are of what has steps at one side only."""
+"""Smaller shifts are not reported: they are usual in published data, or come from objects with steps at one
+side only."""
 
 CLEAR_SIGMAS = 3.0
-"""Least lead of the best shift over all that are usual, in standard deviations over all shifts. None of 87
-frames of twelve sets, real and drawn, has it as it is, and none of 150 of nine films."""
+"""Least lead of the best shift over all usual shifts, in standard deviations over all shifts. None of 87
+unchanged frames of twelve sets, real and rendered, has it, and none of 150 frames of nine sequences."""
 
 FEWEST = 60
-"""Least number of pixels at steps of depth."""
+"""Least number of pixels at depth steps."""
 
 STEP = 0.03
-"""Least step of depth from a thing to what is behind it, metres and share of the distance."""
+"""Least depth step from an object to its background: metres, and beyond 1 m a share of the distance."""
 
 _DISTINCT = 0.9
-"""Quantile of the edges of a picture over which they are all equally strong."""
+"""Image edges above this quantile of their strength all count alike."""
 
 
 def frame_offset(frame: RgbdFrame) -> DepthOffset | None:
-    """How the image's colours lie to its depth where they plainly lie elsewhere, by more than FITS_PX and at
-    most REACH_PX either way (of a picture WIDTH_PX wide); None where they do not, or where too little of the
-    frame says it."""
+    """The offset of a frame's colours from its depth if it is clearly more than FITS_PX, and at most REACH_PX
+    in each direction (in an image WIDTH_PX wide); None if it is not, or if the frame has too few depth
+    steps."""
     every = max(1, round(frame.camera.width / WIDTH_PX))
     at = steps_of_depth(np.ascontiguousarray(frame.depth[::every, ::every]))
     if np.count_nonzero(at) < FEWEST:
@@ -65,7 +66,7 @@ def frame_offset(frame: RgbdFrame) -> DepthOffset | None:
 
 
 def steps_of_depth(depth: Float32) -> Bool:
-    """The pixels (H, W) of things right beside what is plainly behind them."""
+    """The pixels (H, W) on objects next to something clearly behind them."""
     read = depth > 0.0
     near = cv2.erode(np.where(read, depth, np.float32(np.inf)), np.ones((5, 5)))
     far = cv2.dilate(np.where(read, depth, np.float32(0.0)), np.ones((5, 5)))
@@ -78,22 +79,22 @@ def steps_of_depth(depth: Float32) -> Bool:
 
 
 def _edges(picture: Float32) -> Complex:
-    """The directions across the edges of a picture (H, W, C), of length 1 where they are distinct."""
+    """The directions across the edges of an image (H, W, C), of length 1 where they are distinct."""
     across = _across(picture, blur_px=0.0)
     length = np.abs(across)
     return np.asarray(across / np.maximum(length, max(float(np.quantile(length, _DISTINCT)), 1e-9)))
 
 
 def _steps(at: Bool) -> Complex:
-    """The directions across the line that the steps of depth (H, W) form, of length 1 at these, else 0."""
+    """The directions across the line that the depth steps (H, W) form, of length 1 at these, else 0."""
     line = np.asarray(cv2.GaussianBlur(at.astype(np.float32), (0, 0), 2.0), np.float32)
     across = _across(line[..., None], blur_px=3.0)
     return np.where(at, across / np.maximum(np.abs(across), 1e-9), 0.0)
 
 
 def _across(picture: Float32, blur_px: float) -> Complex:
-    """The direction in which a picture (H, W, C) changes most, as complex numbers (H, W) of twice its angle:
-    light beside dark is as dark beside light."""
+    """The direction in which an image (H, W, C) changes most, as complex numbers (H, W) of twice its angle,
+    so that opposite directions are equal."""
     x, y = (cv2.Sobel(picture, cv2.CV_32F, *axes).reshape(picture.shape) for axes in ((1, 0), (0, 1)))
     xx, xy, yy = (x * x).sum(-1), (x * y).sum(-1), (y * y).sum(-1)
     if blur_px:
@@ -102,7 +103,8 @@ def _across(picture: Float32, blur_px: float) -> Complex:
 
 
 def _correlated(steps: Complex, edges: Complex) -> Float64:
-    """How well steps (H, W) fit edges (H, W) that lie (down, right) of them, (2 REACH_PX + 1,) each way."""
+    """How well steps (H, W) fit edges (H, W) that are shifted by (down, right): 2 REACH_PX + 1 shifts along
+    each axis."""
     size = [cv2.getOptimalDFTSize(side + REACH_PX) for side in steps.shape]
     product = np.conj(np.fft.fft2(steps, size)) * np.fft.fft2(edges, size)
     fit = np.roll(np.fft.ifft2(product).real, (REACH_PX, REACH_PX), axis=(0, 1))

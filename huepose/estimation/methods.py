@@ -1,6 +1,7 @@
-"""The methods beside `full`, each loaded when an estimator is made that uses it.
+"""The methods other than `full`; each is loaded when an estimator that uses it is made.
 
-So whoever estimates by `full` loads nothing of `paper`: not its modules, not what they compile.
+So a process that estimates with `full` loads nothing of `paper`: neither its modules nor their compiled
+kernels.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ class PairMethod(Protocol):
 
     @property
     def bare(self) -> bool:
-        """Whether its first pose is the answer as it is: without the final refinement, the belief and the
+        """Whether its first pose is the estimate as it is: without the final refinement, the belief and the
         competition of a frame's objects."""
         ...
 
@@ -30,11 +31,11 @@ class PairMethod(Protocol):
         ...
 
     def warm_up(self, models: Sequence[ReferenceModel]) -> None:
-        """Compile what a first picture may do without and a later one needs."""
+        """Compile kernels that the first frame may not need but a later one does."""
         ...
 
     def poses(self, model: ReferenceModel, evidence: Evidence, rng: np.random.Generator) -> Ranked:
-        """Poses by its own score, best first; none where nothing is found."""
+        """Poses ranked by its own score, best first; none if nothing is found."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""The outline that a pose has in the picture, and how strong the picture's edges are beside it."""
+"""The outline of a pose in the image, and the strength of the image's edges beside it."""
 
 from __future__ import annotations
 
@@ -20,24 +20,25 @@ RELATED_PX = 6.0
 """Correlation length along an outline, pixels: nearer points are not independent."""
 
 FAINT = 2.0
-"""Opponents: an edge of the image as strong as noise."""
+"""Strength of an image edge that is as strong as noise, opponent units."""
 
 _OCCLUDER_M = 0.01
-"""A reading this much in front of an outline point hides it, metres."""
+"""A reading this much in front of an outline point occludes it, metres."""
 
 _EDGE_PX = 2.0
-"""Across an edge, from one side to the other, pixels."""
+"""Distance across an edge, from one side to the other, pixels."""
 
 _STEP_PX = 0.5
 
 
 def smoothed(color: UInt8) -> Float32:
-    """The opponents of a picture (H, W, 3) without the noise of single pixels."""
+    """The opponents of an image (H, W, 3) without the noise of single pixels."""
     return np.asarray(cv2.GaussianBlur(opponents_of_bytes(color), (0, 0), 0.8), dtype=np.float32)
 
 
 def free_outline(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) -> tuple[Float64, Float64]:
-    """Free pixels (N, 2) of a pose's outline and their outward normals (N, 2)."""
+    """Free pixels (N, 2) of a pose's outline, neither occluded nor near the image border, and their outward
+    normals (N, 2)."""
     depth = render_depth(model.mesh, T_cam_obj, frame.camera)
     inside = (depth > 0).astype(np.uint8)
     outlines, _ = cv2.findContours(inside, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
@@ -53,25 +54,25 @@ def free_outline(model: ReferenceModel, frame: RgbdFrame, T_cam_obj: Float64) ->
     free = (length > 1e-3) & (pixels >= BORDER_PX).all(1) & (pixels <= last - BORDER_PX).all(1)
     pixels, outward = pixels[free], outward[free] / length[free, None]
     rim = depth[pixels[:, 1], pixels[:, 0]]
-    hidden = np.zeros(len(pixels), bool)
+    occluded = np.zeros(len(pixels), bool)
     for far in (-5.0, -3.0, 2.0, 4.0, 6.0):
         x, y = np.clip(np.rint(pixels + far * outward).astype(int), 0, last).T
         own = np.where(depth[y, x] > 0, depth[y, x], rim)
-        hidden |= (frame.depth[y, x] > 0) & (frame.depth[y, x] < own - _OCCLUDER_M)
-    return pixels[~hidden].astype(np.float64), outward[~hidden]
+        occluded |= (frame.depth[y, x] > 0) & (frame.depth[y, x] < own - _OCCLUDER_M)
+    return pixels[~occluded].astype(np.float64), outward[~occluded]
 
 
 @dataclass(frozen=True, eq=False)
 class EdgesAcross:
-    """strength (N, K): of a picture's edges across N outline points, at K places step_px apart from -reach_px
-    to reach_px along their normals, each point's by its own mean."""
+    """strength (N, K): of an image's edges across N outline points, at K positions step_px apart along their
+    normals, from -reach_px to reach_px; divided by the mean of each point."""
 
     strength: Float64
     reach_px: float
     step_px: float = _STEP_PX
 
     def at(self, places_px: Float64) -> Float64:
-        """Strengths (..., N) at places (..., N), pixels outwards from each point."""
+        """Strengths (..., N) at positions (..., N), pixels outwards from each point."""
         at = np.clip((places_px + self.reach_px) / self.step_px, 0.0, self.strength.shape[1] - 1.001)
         low = at.astype(int)
         part, row = at - low, np.arange(len(self.strength))
@@ -79,7 +80,7 @@ class EdgesAcross:
 
 
 def edges_across(picture: Float32, pixels: Float64, normals: Float64, reach_px: float) -> EdgesAcross:
-    """The edges of a smoothed picture (H, W, 3) across normals (N, 2) at pixels (N, 2)."""
+    """The edges of a smoothed image (H, W, 3) along normals (N, 2) at pixels (N, 2)."""
     half = 0.5 * _EDGE_PX
     places = np.arange(-reach_px - half, reach_px + half + 0.01, _STEP_PX)
     x = (pixels[:, 0, None] + places * normals[:, 0, None]).astype(np.float32)

@@ -1,6 +1,6 @@
-"""Small pictures of what a pose says of a frame, for those who want to see why an answer is what it is.
+"""Small pictures that compare poses with a frame, for those who want to see why an estimate is as it is.
 
-All panels of one page show the same window; dark pictures are brightened, so that one sees what there is.
+All panels of one page show the same window; dark images are brightened.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render
 
 SIDE = 240
-"""Pixels that the longer side of a panel has."""
+"""Longer side of a panel, pixels."""
 
 MAX_GAIN = 8.0
-"""How much a dark picture is brightened at most."""
+"""Largest factor by which a dark image is brightened."""
 
-AGREES, DIFFERS, SEEN_THROUGH, HIDDEN, UNKNOWN = (
+AGREES, DIFFERS, SEEN_THROUGH, OCCLUDED, UNKNOWN = (
     (40, 190, 90),
     (250, 215, 60),
     (225, 50, 45),
     (70, 120, 230),
     (120, 120, 120),
 )
-"""Pixels of a pose: depth fits and the texture agrees; depth fits, the texture differs; we see through it;
-something is in front; no depth."""
+"""Colours of a pose's pixels: depth fits and the texture agrees; depth fits, the texture differs; free-space
+violation; occluded; no depth."""
 
-LEGEND = "green: agrees, yellow: texture differs, red: seen through, blue: hidden, grey: no depth"
+LEGEND = "green: agrees, yellow: texture differs, red: seen through, blue: occluded, grey: no depth"
 
 BOX, MASK, TRUTH = (250, 250, 250), (80, 220, 120), (255, 120, 220)
 DIFFERENT = 16.0
@@ -45,8 +45,8 @@ DIFFERENT = 16.0
 
 @dataclass(frozen=True)
 class Panels:
-    """Draws a frame's window: rows and columns are slices of the frame; tolerance_m: how far depth and
-    surface may be apart."""
+    """Draws a window of a frame. rows, columns: slices of the frame; tolerance_m: largest difference of depth
+    and surface that fits."""
 
     frame: RgbdFrame
     rows: slice
@@ -55,7 +55,7 @@ class Panels:
 
     @staticmethod
     def around(frame: RgbdFrame, box: Box, masks: Sequence[Bool], tolerance_m: float) -> Panels:
-        """A window that holds a box and some masks (H, W), with room round them."""
+        """A window that holds a box and some masks (H, W), with a margin around them."""
         hull = Box.around(box, *(b for b in map(Box.of_mask, masks) if b is not None))
         camera = frame.camera
         rows, columns = hull.grown(0.12, 8.0).slices(camera.width, camera.height)
@@ -64,7 +64,7 @@ class Panels:
         return Panels(frame, rows, columns, tolerance_m)
 
     def photo(self, box: Box | None = None) -> UInt8:
-        """The window of the picture, with a box."""
+        """The window of the image, with a box."""
         picture = self._photo()
         if box is not None:
             scale = self._scale
@@ -74,7 +74,7 @@ class Panels:
         return picture
 
     def masks(self, mask: Bool | None, truth: Bool | None = None) -> UInt8:
-        """A mask (H, W) tinted, and the outline of the true one."""
+        """The window with a mask (H, W) tinted, and the outline of the true mask."""
         picture = self._photo()
         if mask is not None:
             picture = tint(picture, self._enlarged(mask), MASK)
@@ -88,7 +88,7 @@ class Panels:
         return self._grown(depth_to_color(depth))
 
     def worn(self, model: ReferenceModel, T_cam_obj: Float) -> UInt8:
-        """The object drawn at a pose over the dimmed picture."""
+        """The object rendered at a pose over the dimmed image."""
         color, depth = self._rendered(model, T_cam_obj)
         dim = self._brightened() // 3
         return self._grown(np.where((depth > 0)[..., None], color, dim).astype(np.uint8))
@@ -102,19 +102,19 @@ class Panels:
         picture = self._brightened() // 3
         picture[on & ~known] = UNKNOWN
         picture[on & known & ~fits & (seen > surface)] = SEEN_THROUGH
-        picture[on & known & ~fits & (seen < surface)] = HIDDEN
+        picture[on & known & ~fits & (seen < surface)] = OCCLUDED
         if fits.any():
             differs = self._difference(color, fits)[fits][:, None]
             picture[fits] = (1.0 - differs) * AGREES + differs * DIFFERS
         return self._grown(picture)
 
     def _difference(self, color: UInt8, fits: Bool) -> Float64:
-        """How much the texture differs (h, w), 0..1, up to the colour and strength of the light."""
-        seen, drawn = (
+        """How much the texture differs (h, w), 0..1, independent of the light's colour and strength."""
+        seen, rendered = (
             opponents_of_bytes(np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.7), dtype=np.uint8))
             for picture in (self.frame.color[self.rows, self.columns], color)
         )
-        gap = seen - drawn
+        gap = seen - rendered
         gap = (gap - np.median(gap[fits], axis=0)) * (0.5, 1.0, 1.0)
         return np.asarray(np.minimum(np.linalg.norm(gap, axis=-1) / DIFFERENT, 1.0))
 

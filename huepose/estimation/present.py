@@ -1,8 +1,8 @@
-"""Whether the object of an answer is there at all.
+"""Is the object of an estimate there at all?
 
-Quality says whether a *pose* is right if it is this object that is seen. At a place that a search proposes,
-it may be anything else. `perception.presence` says how likely it is the object, which even one without
-texture answers, and no pose of it is surer than that.
+Quality is the probability that a *pose* is right if the frame shows this object. At a place that a search
+proposes, anything else may be. `perception.presence` gives the probability that it is the object, even for an
+object without texture. The quality of a pose is never higher than that.
 """
 
 from __future__ import annotations
@@ -26,28 +26,29 @@ from huepose.perception.clear_view import ClearView, clear_view, thin, whole_vie
 from huepose.perception.presence import sights_of
 
 MOST_SURE = 0.99
-"""No pose speaks more for its object than one of this quality. Chosen."""
+"""A pose of higher quality is no stronger evidence for its object. Chosen."""
 
 OTHER_TEXTURE = 2.0
-"""Another texture must be so many times likelier than the own one before it speaks against it. Chosen."""
+"""Another texture is evidence against the object only if it is this many times likelier than the object's
+own. Chosen."""
 
 
 class PresenceIn:
-    """Presence in one frame. models: all known objects by name, of which the largest decides what is taken
-    for a plane; method: the one that answers."""
+    """Presence in one frame. models: all known objects by name, of which the largest decides what counts as a
+    plane; method: the one that made the estimates."""
 
     def __init__(self, frame: RgbdFrame, models: Mapping[str, ReferenceModel], method: Method) -> None:
         self._models, self._method = models, method
         self._largest_m = max((m.diameter_m for m in list(models.values())), default=0.0)
         self._frame, self._view = frame, clear_view(frame, self._largest_m)
 
-    def asked(self, answer: PoseEstimate) -> PoseEstimate:
-        """An answer that says how likely its object is there, 0 where no pose was found, and is no surer of
-        its poses than that, if its quality is a probability. Raises KeyError for an object that is not in
-        `models`."""
+    def with_presence(self, answer: PoseEstimate) -> PoseEstimate:
+        """The estimate with the probability that its object is there (`present`), 0 if no pose was found. If
+        its quality is a probability, its poses get no higher probability than that. Raises KeyError for an
+        object that is not in `models`."""
         if answer.T_cam_obj is None:
             return replace(answer, present=0.0)
-        logit, _ = self._looked([(answer.object, answer.T_cam_obj)], refined=True)[0]
+        logit, _ = self._judged([(answer.object, answer.T_cam_obj)], refined=True)[0]
         present = _chance(logit, answer, self._method)
         fit = quality_fits().get(self._method)
         if fit is None:
@@ -63,12 +64,12 @@ class PresenceIn:
         )
 
     def places(self, poses: Sequence[tuple[str, Float64]], refined: bool = True) -> list[tuple[float, str]]:
-        """Of named objects at poses T_cam_obj (4, 4), refined ones or rough: the probability that they are
-        there by what is seen alone, and what speaks most against it, in words."""
-        return [(probability(logit), doubt) for logit, doubt in self._looked(poses, refined)]
+        """For named objects at poses T_cam_obj (4, 4), refined or rough: the probability that each is there,
+        from the frame alone, and the strongest evidence against it, in words."""
+        return [(probability(logit), doubt) for logit, doubt in self._judged(poses, refined)]
 
-    def _looked(self, poses: Sequence[tuple[str, Float64]], refined: bool) -> list[tuple[float, str]]:
-        """The logit that each is there, and the greatest doubt."""
+    def _judged(self, poses: Sequence[tuple[str, Float64]], refined: bool) -> list[tuple[float, str]]:
+        """The logit that each object is there, and the strongest evidence against it."""
         out = []
         for name, T_cam_obj in poses:
             model, view = self._models[name], self._view
@@ -87,21 +88,21 @@ class PresenceIn:
 
 
 def _chance(logit: float, answer: PoseEstimate, method: Method) -> float:
-    """Probability that the object is there: what is seen, and what its pose says about it."""
+    """Probability that the object is there, from the frame and from its pose."""
     there = probability(logit + certainty(answer))
     return there * _own_texture(answer, method)
 
 
 def certainty(answer: PoseEstimate) -> float:
-    """How sure a pose is of itself, in log odds, 0 or more: one that is surely right speaks for its object;
-    one that is not, for want of texture to tell its turn by, does not speak against it."""
+    """How sure a pose is, in log odds, 0 or more. A pose that is surely right is evidence for its object. One
+    that is not, for lack of texture that fixes its rotation, is no evidence against it."""
     sure = min(max(answer.quality, 0.5), MOST_SURE)
     return float(np.log(sure / (1.0 - sure)))
 
 
 def _own_texture(answer: PoseEstimate, method: Method) -> float:
-    """1, or less where the same shape plainly wears another texture, and so is another thing, by what this
-    method knows of textures."""
+    """1, or less if the same shape clearly has another texture, so that it is another object, according to
+    the fit of this method."""
     if answer.terms is None:
         return 1.0
     own = quality_fits()[method].this_texture(features(answer.terms))

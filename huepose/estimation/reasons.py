@@ -1,4 +1,4 @@
-"""Explain answers in words, from measurements: why a pose is doubtful, and why none was found."""
+"""Explain estimates in words, from measurements: why a pose is doubtful, and why none was found."""
 
 from __future__ import annotations
 
@@ -16,32 +16,35 @@ from huepose.judge.terms import Terms, score
 from huepose.model.types import ReferenceModel
 
 CLOSE_MARGIN = 0.1
-"""Totals closer than this are a near tie: light and noise move them as far."""
+"""Totals closer than this are a near tie: light and noise change them by as much."""
 
-MUCH_SEEN_THROUGH, MUCH_HIDDEN, LITTLE_TEXTURE, LITTLE_BOX, LITTLE_MASK = 0.1, 0.4, 0.3, 0.5, 0.5
+MUCH_SEEN_THROUGH, MUCH_OCCLUDED, LITTLE_TEXTURE, LITTLE_BOX, LITTLE_MASK = 0.1, 0.4, 0.3, 0.5, 0.5
 MUCH_WITHOUT_DEPTH = 0.3
-"""Shares of a pose, correlation of its texture, and overlaps, beyond which they speak against it."""
+"""Limits of shares of a pose, of its texture's correlation, and of overlaps. Beyond them they are evidence
+against the pose."""
 
-OTHER_TURN_RAD = np.radians(15.0)
-"""A pose that is turned by less is not called turned another way."""
+OTHER_ORIENTATION_RAD = np.radians(15.0)
+"""A pose rotated by less does not count as another orientation."""
 
 NO_PROBABILITY = "This method does not say how probable it is that a pose is right."
 
 
 def turned_as_well(answer: PoseEstimate, method: Method) -> bool:
-    """Whether nothing but turned poses that fit as well keep a method's answer from being `TRACKING`: with
-    their probabilities added to its own it would be."""
+    """Whether only other orientations that fit as well keep an estimate from being `TRACKING`: with their
+    probabilities added to its own, it would be."""
     T = answer.T_cam_obj
     if T is None or not answer.alternatives:
         return False
-    turned = sum(
-        p for other, p in answer.alternatives if se3.rotation_angle(other[:3, :3], T[:3, :3]) > OTHER_TURN_RAD
+    rotated = sum(
+        p
+        for other, p in answer.alternatives
+        if se3.rotation_angle(other[:3, :3], T[:3, :3]) > OTHER_ORIENTATION_RAD
     )
-    return answer.quality + turned >= quality_fits()[method].level
+    return answer.quality + rotated >= quality_fits()[method].level
 
 
 def reasons(model: ReferenceModel, answer: PoseEstimate, explanation: Explanation) -> list[str]:
-    """What speaks against an answer, plainest first; empty where nothing does."""
+    """The evidence against an estimate, clearest first; empty if there is none."""
     evidence = explanation.evidence
     if evidence is None:
         return ["no depth in the box: nothing to look at"]
@@ -64,7 +67,7 @@ def _ties(model: ReferenceModel, explanation: Explanation) -> list[str]:
 
 
 def _of_masks(mask: Bool | None, masks: Sequence[Bool]) -> list[str]:
-    """How the candidate masks and the pose's own pixels lie to each other."""
+    """How badly the best candidate mask matches the pose's own pixels; empty if it matches well."""
     if mask is None or not masks or not mask.any():
         return []
     best = max(masks, key=lambda m: overlap(m, mask))
@@ -74,8 +77,8 @@ def _of_masks(mask: Bool | None, masks: Sequence[Bool]) -> list[str]:
 
 
 def why_absent(explanation: Explanation, terms: QualityTerms | None, chance: float, least: float) -> str:
-    """Why an answer says that nothing is there, in one sentence. terms: of the best pose, if there is one;
-    chance: probability that the object is there; least: that from which it is."""
+    """Why no pose was found, in one sentence. terms: of the best pose, if there is one; chance: probability
+    that the object is there; least: the probability that is needed."""
     box = explanation.box
     if explanation.evidence is None and min(box.w, box.h) <= 0.0:
         return f"The box is empty ({box.w:g} x {box.h:g} pixels), so there is nothing to look at."
@@ -104,7 +107,10 @@ def _of_terms(terms: Terms | QualityTerms) -> list[str]:
             terms.violation > MUCH_SEEN_THROUGH,
             f"depth shows what lies behind the object on {100 * terms.violation:.0f} % of the pose",
         ),
-        (terms.occluded > MUCH_HIDDEN, f"something is in front of {100 * terms.occluded:.0f} % of the pose"),
+        (
+            terms.occluded > MUCH_OCCLUDED,
+            f"something is in front of {100 * terms.occluded:.0f} % of the pose",
+        ),
         (
             unknown > MUCH_WITHOUT_DEPTH,
             f"{100 * unknown:.0f} % of the pose has no depth, or depth that does not fit",
@@ -116,8 +122,8 @@ def _of_terms(terms: Terms | QualityTerms) -> list[str]:
 
 
 def displacement(model: ReferenceModel, T_cam_obj: Float, T_reference: Float) -> str:
-    """How a pose lies to another, in words: its turn, the object's axis where it is one, and the shift of its
-    centre."""
+    """The difference of two poses, in words: the rotation, the object's axis if it is about one, and the
+    shift of the centre."""
     between = se3.compose(se3.inverse(np.asarray(T_reference)), np.asarray(T_cam_obj))
     angle = se3.rotation_angle(np.eye(3), between[:3, :3])
     shift = 1000 * float(np.linalg.norm(se3.apply(between, model.mesh.centre[None])[0] - model.mesh.centre))
@@ -128,7 +134,7 @@ def displacement(model: ReferenceModel, T_cam_obj: Float, T_reference: Float) ->
 
 
 def _about(R: Float64) -> str:
-    """The object's axis about which a rotation turns, where it is nearly one."""
+    """The object's axis that a rotation is about, in words; empty if it is none."""
     values, vectors = np.linalg.eig(R)
     axis = np.abs(np.real(vectors[:, int(np.argmin(np.abs(values - 1.0)))]))
     k = int(np.argmax(axis))

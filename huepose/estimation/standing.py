@@ -1,8 +1,8 @@
-"""Select the final poses of a frame among the answers at proposed places.
+"""Select the final poses of a frame among the estimates at proposed places.
 
 A detector may propose places for objects that are not there, several places for one object, and one place for
-several objects. A pose is kept if its object is present with sufficient probability, and if no likelier pose
-explains the same depth: one surface, one pose.
+several objects. A pose is kept if its object is present with sufficient probability, and if no more probable
+pose explains the same depth: one surface, one pose.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
 from huepose.select.distinct import pixels, standing
 
 PRESENT = 0.6
-"""Probability that the object is there from which a pose stands. A false one in ten frames of the drawn set
-`choose` of studies.presence (docs/detection_measured.md)."""
+"""A pose is kept from this probability that its object is there. It gives one false positive in ten frames of
+the rendered set `choose` of studies.presence (docs/detection_measured.md)."""
 
 
 def standing_answers(answers: Sequence[PoseEstimate]) -> list[PoseEstimate]:
-    """The answers that stand, likeliest first.
+    """The estimates that are kept, most probable first.
 
-    Answers that were not found are left out; one without a mask claims nothing and is not contested."""
+    Estimates without a pose are left out. One without a mask claims no pixels, so it conflicts with no
+    other."""
     likely = [
         answer
         for answer in answers
@@ -35,11 +36,11 @@ def standing_answers(answers: Sequence[PoseEstimate]) -> list[PoseEstimate]:
 def why_none_stands(
     name: str, answers: Sequence[PoseEstimate], doubts: Sequence[str] = (), advise: bool = True
 ) -> str:
-    """Why no pose of an object stands, in words: of the likeliest of its answers where it has any.
+    """Why no pose of an object is kept, in words: the reason of its most probable estimate, if it has any.
 
-    answers: as for `standing_answers`, of all objects of the frame; doubts: of each answer, what speaks most
-    against its object (`estimation.present`); advise: nothing else in the frame is sure, so what it says of
-    its camera may be wrong."""
+    answers: as for `standing_answers`, of all objects of the frame; doubts: for each estimate, the strongest
+    evidence against its object (`estimation.present`); advise: nothing else in the frame is sure, so the data
+    of its camera may be wrong."""
     doubts = doubts or [""] * len(answers)
     mine = [x for x in zip(answers, doubts, strict=True) if x[0].object == name]
     if not mine:

@@ -1,4 +1,4 @@
-"""What the estimator is asked and what it answers."""
+"""Input and output of the estimator."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from huepose.support.errors import InputError, require
 
 @dataclass(frozen=True, eq=False)
 class PosePrior:
-    """A tracked pose T_cam_obj (4, 4) of the object predicted to the frame's stamp: refined and scored like
-    any hypothesis."""
+    """A tracked pose T_cam_obj (4, 4) of the object, predicted to the frame's timestamp. It is refined and
+    scored like any hypothesis."""
 
     T_cam_obj: Float64
 
@@ -26,11 +26,11 @@ class PosePrior:
 class ObjectQuery:
     """One object to look for: in a box, or in given candidate masks (H, W), with an optional prior.
 
-    With neither box nor masks the prior's outline is used; with nothing at all InputError is raised, as
-    for a box of another type, a pose of another shape, or numbers that are not finite.
-    `instance` is handed through. searched: the place is a proposal, and the object may not be there: then the
-    answer says how likely it is there (`present`), and no pose of it is surer than that. others: poses
-    T_cam_obj (4, 4) of other instances of the object, where this one is not.
+    With neither box nor masks, the bounds of the prior's outline are the box; with nothing at all, InputError
+    is raised, as for a box of another type, a pose of another shape, or numbers that are not finite.
+    `instance` is copied to the estimate. searched: the place is a proposal, and the object may not be there;
+    the estimate then has the probability that it is there (`present`), and its quality is never higher.
+    others: poses T_cam_obj (4, 4) of other instances of the object; this one is not searched there.
     """
 
     object: str
@@ -56,20 +56,20 @@ class ObjectQuery:
 
 @dataclass(frozen=True, eq=False)
 class PoseEstimate:
-    """The answer for one query. The defaults are those of an object of which no pose was found.
+    """The estimate for one query. The defaults are those of an object of which no pose was found.
 
-    found is False when nothing was there to estimate; then T_cam_obj, covariance and mask are None.
-    T_cam_obj (4, 4) float64: object to camera, metres; covariance (6, 6): order tx ty tz rx ry rz, metres and
-    radians, about the object's origin, camera axes; mask (H, W) bool: pixels of the object; box: of the pose,
-    pixels. score: the dense score of the pose, comparable between poses on the same pixels; prior_score: that
-    of the refined prior, None without one; prior_T_cam_obj (4, 4): the refined prior. margin: score above the
-    best clearly different pose. quality: calibrated probability that the pose is right (method `paper`: its
-    fitness in 0..1, which is no probability). state: as of a track; TRACKING over the acquisition level,
-    else SUSPECT; LOST when not found. alternatives: other poses (4, 4) and their probabilities. seconds: wall
-    time of this answer. terms: what the quality was made of. reason: where not found, why, in one sentence
-    (where none is found, what is wrong with the frame comes first); where found, why it is not to be acted
-    on, if that is known; else empty. present: probability that the object is there at all, whatever its pose;
-    None unless asked for (`ObjectQuery.searched`).
+    found is False when nothing was there to estimate; then T_cam_obj, covariance and mask are None. T_cam_obj
+    (4, 4) float64: object to camera, metres; covariance (6, 6): order tx ty tz rx ry rz, metres and radians,
+    about the object's origin, camera axes; mask (H, W) bool: pixels of the object; box: of the pose, pixels.
+    score: the dense score of the pose, comparable between poses on the same pixels; prior_score: that of the
+    refined prior, None without one; prior_T_cam_obj (4, 4): the refined prior. margin: score above the best
+    clearly different pose. quality: calibrated probability that the pose is right (method `paper`: its
+    fitness in 0..1, which is no probability). state: as of a track; TRACKING over the acquisition level, else
+    SUSPECT; LOST when not found. alternatives: other poses (4, 4) and their probabilities. seconds: wall time
+    of this estimate. terms: from which the quality was computed. reason: if no pose was found, why, in one
+    sentence (if no object of the frame was found, a fault of the frame comes first); if one was found, why it
+    must not be acted on, if that is known; else empty. present: probability that the object is there at all,
+    whatever its pose; None unless asked for (`ObjectQuery.searched`).
     """
 
     object: str
@@ -93,5 +93,5 @@ class PoseEstimate:
 
     @property
     def chance(self) -> float:
-        """The probability that its object is there; where nobody asked, that its pose is right."""
+        """The probability that its object is there; if that was not asked for, that its pose is right."""
         return self.quality if self.present is None else self.present

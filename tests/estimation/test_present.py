@@ -24,7 +24,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, box_frame, stand
     other = beside.copy()
     claimed = replace(there, T_cam_obj=beside, alternatives=((other, 0.1),))
     presence = PresenceIn(box_frame, models, "full")
-    right, wrong, none = (presence.asked(a) for a in (there, claimed, PoseEstimate("tea_box")))
+    right, wrong, none = (presence.with_presence(a) for a in (there, claimed, PoseEstimate("tea_box")))
     assert there.present is None
     assert right.present > 0.9
     assert (right.quality, right.state) == (there.quality, "TRACKING")
@@ -42,7 +42,7 @@ def test_only_what_a_search_proposed_is_asked_whether_it_is_there(tea_box, box_f
     estimator = Estimator({"tea_box": tea_box})
     given, searched = (estimator.estimate(box_frame, [query])[0] for query in queries)
     assert given.present is None
-    asked = PresenceIn(box_frame, {"tea_box": tea_box}, "full").asked(given)
+    asked = PresenceIn(box_frame, {"tea_box": tea_box}, "full").with_presence(given)
     assert searched.present == pytest.approx(asked.present)
     assert np.array_equal(given.T_cam_obj, searched.T_cam_obj)
 
@@ -50,7 +50,7 @@ def test_only_what_a_search_proposed_is_asked_whether_it_is_there(tea_box, box_f
 def test_a_fitness_stays_what_it_is(tea_box, box_frame, standing) -> None:
     """The quality of the paper's method is no probability."""
     fit = PoseEstimate("tea_box", found=True, T_cam_obj=standing, quality=0.7, state="SUSPECT")
-    asked = PresenceIn(box_frame, {"tea_box": tea_box}, "paper").asked(fit)
+    asked = PresenceIn(box_frame, {"tea_box": tea_box}, "paper").with_presence(fit)
     assert asked.present > 0.9
     assert asked.quality == 0.7
 
@@ -61,7 +61,7 @@ def test_a_shape_in_another_texture_is_another_thing(tea_box, take_picture, stan
     frame = take_picture([(replace(tea_box.mesh, texture=texture), standing)])
     box = box_of(frame, tea_box, standing)
     (answer,) = Estimator(models).estimate(frame, [ObjectQuery("tea_box", box)])
-    there = PresenceIn(frame, models, "full").asked(replace(answer, T_cam_obj=standing))
+    there = PresenceIn(frame, models, "full").with_presence(replace(answer, T_cam_obj=standing))
     assert there.present < 0.5
 
 
@@ -74,7 +74,7 @@ def test_another_texture_is_judged_by_the_method_that_answered(tea_box, box_fram
     left = {}
     for method in ("full", "colorpair"):
         presence = PresenceIn(box_frame, models, method)
-        own, other = (presence.asked(a).present for a in (answer, lacking))
+        own, other = (presence.with_presence(a).present for a in (answer, lacking))
         chance = quality_fits()[method].this_texture(features(lacking.terms))
         left[method] = other / own
         assert left[method] == pytest.approx(min(1.0, OTHER_TEXTURE * chance / (1.0 - chance)), rel=1e-6)

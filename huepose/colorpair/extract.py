@@ -1,8 +1,8 @@
 """Colour pairs of an image, from pixels to two colours per edge point (paper, section III-B, all of it).
 
-First chroma noise is taken out and edges are kept: two passes of a small bilateral filter on the colours,
-then a joint bilateral filter on a and b that is guided by L, because real sensors are noisier in colour than
-in lightness, so lightness says where the edges are.
+First, chroma noise is removed and edges are kept: two passes of a small bilateral filter on the colours, then
+a joint bilateral filter on a and b that is guided by L. Real sensors are noisier in colour than in lightness,
+so lightness shows where the edges are.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from huepose.geometry.box import Box
 from huepose.support.jit import jit
 
 DENOISE_PX = 5
-"""Side of the filters."""
+"""Side of the filters, pixels."""
 
 SIGMA_SPACE_PX, SIGMA_COLOR, SIGMA_GUIDE = 1.5, (20.0, 14.0), 6.0
-"""Of weights: by distance; by colour in each pass of the bilateral filter, 8-bit steps; by the guide, units
-of L."""
+"""Sigmas of the filters' weights: of distance; of colour in each pass of the bilateral filter, 8-bit steps;
+of the guide, units of L."""
 
 MARGIN = 8
-"""Pixels round a mask that filters may look at."""
+"""Margin around a mask that filters may read, pixels."""
 
 MASK_SHARE = 200
-"""Of 255: a pixel of a smaller picture belongs to the mask when nearly all of its area does."""
+"""Of 255: a pixel of a reduced image belongs to the mask if more than this share of its area does."""
 
 LEAST_SIDE_PX = 8
-"""No pairs are looked for in a smaller picture."""
+"""In a smaller image no pairs are searched."""
 
 
 def to_lab(color: UInt8) -> Float32:
@@ -55,7 +55,7 @@ def denoise(color: UInt8) -> Float32:
 def joint_bilateral(lab: Float32) -> Float32:
     """Filter a and b of a CIELAB image (H, W, 3) with weights of distance and of the difference in L.
 
-    L is returned as it is. The window is round; at borders it is cut.
+    L is returned as it is. The window is round; borders cut it.
     """
     radius = DENOISE_PX // 2
     span = np.arange(-radius, radius + 1)
@@ -107,10 +107,10 @@ def extract(
 ) -> ColorPairs:
     """Colour pairs of an sRGB image (H, W, 3) uint8 RGB, strongest edges first.
 
-    With a mask (H, W) only its surroundings are looked at, and both sides of every pair lie inside it.
-    spacing: smallest distance of two ridge points in pixels, made larger until at most `max_pairs` remain.
-    With a `scale` under 1 the image is made smaller by that factor first, so that an object has edges of
-    the same kind near and far; positions and widths are given in pixels of `color` all the same.
+    With a mask (H, W) only its surroundings are read, and both sides of every pair lie inside it. spacing:
+    smallest distance of two ridge points in pixels, made larger until at most `max_pairs` remain. With a
+    `scale` under 1 the image is first reduced by that factor, so that an object has edges of the same kind
+    near and far; positions and widths are still in pixels of `color`.
     """
     box = Box(0, 0, color.shape[1], color.shape[0]) if mask is None else Box.of_mask(mask)
     if box is None:

@@ -1,9 +1,9 @@
-"""From colour pairs in an image to colour pairs on a surface: position, normal, and the way across the edge.
+"""From colour pairs in an image to colour pairs on a surface: position, normal, and the direction across the
+edge.
 
-Depth of single pixels is noisy, and worst at edges of colour, where stereo cameras disagree with
-themselves. So each pair stands on a plane fitted to the depth around it: a plane in space is linear in
-inverse depth over the image, which makes the fit a small linear system, and a gate keeps out what lies on
-another surface.
+Depth of single pixels is noisy, and worst at colour edges, where stereo matching is inconsistent. So each
+pair is placed on a plane that is fitted to the depth around it. A plane in space is linear in inverse depth
+over the image, which makes the fit a small linear system; a gate excludes readings on another surface.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from huepose.geometry.camera import Camera
 from huepose.support.jit import jit
 
 RADIUS_PX, GATE_M = 4, 0.012
-"""Of the plane at a pair: which readings it is fitted to, by pixels around it and by metres of depth."""
+"""The plane at a pair is fitted to readings within this many pixels and this many metres of depth."""
 
 MIN_FACING = 0.25
-"""Cosine between a surface's normal and the view, under which colour pairs and edges are not looked for."""
+"""Colour pairs and edges are used from this cosine between the surface's normal and the line of sight."""
 
 
 def lift(
@@ -32,11 +32,11 @@ def lift(
     gate_m: float = GATE_M,
     min_facing: float = MIN_FACING,
 ) -> SurfacePairs:
-    """Pairs of a camera image on the surface that it sees, camera axes.
+    """Colour pairs of an image, lifted to the surface, camera axes.
 
-    depth (H, W) float32 metres, 0 = nothing; only depth inside `mask` (H, W) is used. Dropped are pairs
-    without depth around them, and those seen at a cosine under `min_facing`. The tangent is the image
-    direction slid along the viewing ray into the plane.
+    depth (H, W) float32 metres, 0 = nothing; only depth inside `mask` (H, W) is used. Pairs without depth
+    around them, and those with a viewing cosine under `min_facing`, are dropped. The tangent is the image
+    direction, moved along the viewing ray into the plane.
     """
     z, normals, known = local_planes(depth, mask, camera, pairs.pixels, radius_px, gate_m)
     rays = camera.rays(pairs.pixels)
@@ -59,10 +59,10 @@ def lift(
 def local_planes(
     depth: Float32, mask: Bool, camera: Camera, pixels: Float, radius_px: int, gate_m: float
 ) -> tuple[Float64, Float64, Bool]:
-    """Depth (N,) and unit normal (N, 3), towards the camera, of the surface at pixels (N, 2); and where
-    known.
+    """Depth (N,) and unit normal (N, 3), towards the camera, of the surface at pixels (N, 2); and whether
+    they are known (N,).
 
-    Fitted to the depth inside `mask` within `radius_px` whose distance from the middle's depth is under
+    Fitted to the depth inside `mask` within `radius_px` that differs from the depth at the pixel by at most
     `gate_m`.
     """
     out = _planes(
@@ -136,7 +136,7 @@ def _planes(
                 syw += b * w
         if n < 10:
             continue
-        sxx += 0.5  # a narrow strip keeps the plane that faces the camera across it
+        sxx += 0.5  # across a narrow strip of readings the plane faces the camera
         syy += 0.5
         det = sxx * (syy * n - sy * sy) - sxy * (sxy * n - sy * sx) + sx * (sxy * sy - syy * sx)
         if abs(det) < 1e-9:

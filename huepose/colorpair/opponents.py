@@ -1,15 +1,15 @@
-"""Colours in which light is an offset: logarithms of linear RGB as lightness, red against green, yellow
-against blue.
+"""Opponents: colours in which light is an offset. They are logarithms of linear RGB as lightness, red against
+green, yellow against blue.
 
 A coloured light multiplies linear red, green and blue by three numbers (von Kries), which adds constants to
 their logarithms; shading multiplies all three by one, which changes the lightness alone. So correlations of
-the last two channels see neither light nor shading, and what shading does to the first can be taken out by
-the surface's normals.
+the last two channels depend on neither light nor shading, and the effect of shading on the first can be
+removed with the surface's normals.
 
-A veil of light (flare, a dirty lens, mist) is no such factor: it adds the same light to all of a picture, and
-in logarithms takes the contrast from what is dark, so that a thing and the shadow beside it have one colour
-and seem to be one surface. Nothing is darker than the veil, and there is hardly a picture in which nothing is
-dark (dark-object subtraction: Chavez, 1988; He et al., CVPR 2009). So it is measured, and taken off first.
+A veil of light (flare, a dirty lens, mist) is no such factor: it adds the same light everywhere in an image.
+In logarithms this removes the contrast of dark parts, so that an object and the shadow beside it have one
+colour and seem to be one surface. Nothing is darker than the veil, and nearly every image has dark parts
+(dark-object subtraction: Chavez, 1988; He et al., CVPR 2009). So the veil is measured and subtracted first.
 """
 
 from __future__ import annotations
@@ -26,10 +26,11 @@ DARKEST = 0.015
 """Added to linear values (0..1) before the logarithm: darker than this is noise."""
 
 SCALE = 25.0
-"""Units a natural logarithm, so that numbers are about as large as those of CIELAB."""
+"""Units per natural logarithm, so that numbers are about as large as those of CIELAB."""
 
 VEILED = 0.001
-"""Share of a picture that is at most as light as its veil: more than noise, and no more than a dark thing."""
+"""Share of an image that is at most as bright as its veil: more than noise, and no more than a dark
+object."""
 
 LINEAR = np.where(
     np.arange(256) <= 0.04045 * 255,
@@ -38,7 +39,7 @@ LINEAR = np.where(
 ).astype(np.float32)
 _BETWEEN = (LINEAR[1:] + LINEAR[:-1]) / 2.0
 BYTES = np.searchsorted(_BETWEEN, np.linspace(0.0, 1.0, 1024) ** 2).astype(np.uint8)
-"""The sRGB byte of a linear value, by its root in steps of 1/1023."""
+"""The sRGB byte of a linear value, indexed by its square root in steps of 1/1023."""
 
 LOGARITHMS = (np.log(LINEAR + np.float32(DARKEST)) * np.float32(SCALE)).astype(np.float32)
 OPPONENTS = np.array([[1 / 3, 1 / 3, 1 / 3], [1, -1, 0], [0.5, 0.5, -1]], np.float32)
@@ -67,7 +68,7 @@ def opponents_of_bytes(color: UInt8) -> Float32:
     >>> bool(np.allclose(opponents_of_bytes(color), opponents(LINEAR[color]), atol=1e-4))
     True
     """
-    if not color.size:  # OpenCV converts no empty pictures
+    if not color.size:  # OpenCV converts no empty images
         return np.zeros(color.shape, np.float32)
     flat = np.ascontiguousarray(color).reshape(-1, color.shape[-2] if color.ndim > 2 else 1, 3)
     return np.asarray(cv2.transform(cv2.LUT(flat, LOGARITHMS), OPPONENTS), np.float32).reshape(color.shape)
@@ -75,7 +76,7 @@ def opponents_of_bytes(color: UInt8) -> Float32:
 
 def opponents_of_lab(lab: Float) -> Float32:
     """The same (..., 3) of CIELAB colours (..., 3), L 0..100."""
-    if not lab.size:  # OpenCV converts no empty pictures
+    if not lab.size:  # OpenCV converts no empty images
         return np.zeros(lab.shape, np.float32)
     flat = np.ascontiguousarray(lab, dtype=np.float32).reshape(1, -1, 3)
     linear = np.asarray(cv2.cvtColor(flat, cv2.COLOR_Lab2LRGB), dtype=np.float32)
@@ -83,8 +84,8 @@ def opponents_of_lab(lab: Float) -> Float32:
 
 
 def unveiled(frame: RgbdFrame) -> RgbdFrame:
-    """The frame without the light that `veil` measures; itself where that is no more than colours take for
-    noise (`DARKEST`)."""
+    """The frame without the light that `veil` measures; the same frame if that is no more than DARKEST, which
+    counts as noise."""
     light = veil(frame.color)
     if light <= DARKEST or light >= 1.0:  # all white
         return frame
@@ -94,8 +95,8 @@ def unveiled(frame: RgbdFrame) -> RgbdFrame:
 
 
 def veil(color: UInt8) -> float:
-    """The light, 0..1 linear, that is added to all of a picture (h, w, 3): the weakest channel of its darkest
-    pixels. A picture with a black border, as rectification leaves it, has none.
+    """The light, 0..1 linear, that is added everywhere in an image (h, w, 3): the weakest channel of its
+    darkest pixels. An image with a black border, as rectification leaves it, has none.
 
     >>> picture = np.full((20, 30, 3), 150, np.uint8)
     >>> picture[4:8, 4:8] = 80, 60, 90

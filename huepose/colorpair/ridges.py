@@ -1,11 +1,11 @@
-"""Edges of a colour image: its one gradient, and the centrelines of edges with sub-pixel position and
+"""Edges of a colour image: its unified gradient, and the centrelines of edges with sub-pixel position and
 thickness (paper, section III-B, edge localisation).
 
 The gradient has the energy of all channels and the direction of the strongest. Non-maximum suppression along
 it leaves lines one pixel wide. Thickness is measured by association: every pixel of a gradient region points
-to its strongest neighbour, the pointers are followed until they end on a ridge, and the number of pixels that
-end on a ridge point is the local thickness. Only pixels with a fixed share of their ridge's strength count,
-so that thickness means sharpness, not contrast: a step blurred by a Gaussian of `s` pixels is about 3 s wide.
+to its strongest neighbour; the pointers are followed until they end on a ridge; the number of pixels that end
+on a ridge point is the local thickness. Only pixels with a fixed share of their ridge's strength count, so
+that thickness means sharpness, not contrast: a step blurred by a Gaussian of `s` pixels is about 3 s wide.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from huepose.geometry.arrays import Bool, Float32, Int32
 from huepose.support.jit import jit, jit_dividing
 
 THRESHOLD, NOISE_FACTOR, MAX_THRESHOLD = 2.0, 3.0, 8.0
-"""Smallest magnitude of a ridge, CIELAB units per pixel, on a clean image; on a noisy one it is so many times
-the magnitude that a fifth of the pixels stay under, up to the last."""
+"""Smallest magnitude of a ridge, CIELAB units per pixel: THRESHOLD on a clean image; on a noisy one
+NOISE_FACTOR times the magnitude that a fifth of the pixels do not exceed, at most MAX_THRESHOLD."""
 
 MIN_LENGTH = 5
 """Fewest connected ridge pixels: noise makes short lines."""
@@ -106,7 +106,7 @@ def find_ridges(gradient: Gradient, mask: Bool | None = None) -> Ridges:
     cells = np.stack([v, u], 1).astype(np.int32)
     directions = gradient.direction.reshape(-1, 2)[flat]
     pixels = np.stack([u, v], 1).astype(np.float32) + offsets.ravel()[flat][:, None] * directions
-    # a diagonal line has fewer ridge pixels to a length: each stands for more of the region
+    # a diagonal line has fewer ridge pixels per length: each counts for more of the region
     across = np.abs(directions)
     widths = _local_mean(counts, cells) * np.maximum(across[:, 0], across[:, 1])
     return Ridges(cells, pixels, directions, gradient.magnitude.ravel()[flat], widths)
@@ -114,7 +114,7 @@ def find_ridges(gradient: Gradient, mask: Bool | None = None) -> Ridges:
 
 def _noise_threshold(magnitudes: Float32) -> float:
     """The magnitude over which a ridge counts, from the magnitudes (N,) of the region: most pixels of a
-    region are not edges, so the lower fifth of them tells the noise."""
+    region are not edges, so the lowest fifth of them shows the noise."""
     if not len(magnitudes):
         return THRESHOLD
     k = len(magnitudes) // 5
@@ -167,15 +167,15 @@ def _suppress(magnitude: Float32, direction: Float32, allowed: Bool, threshold: 
 
 @jit_dividing
 def _strongest(magnitude: Float32, is_ridge: Bool) -> Int32:
-    """(H, W) int32: where the neighbour is that takes a pixel, in pixels of reading order from it; 0 where
-    none does and at the outermost pixels.
+    """(H, W) int32: offset, in reading order, from each pixel to the neighbour that it points to; 0 where it
+    points to none and at the outermost pixels.
 
-    A ridge beside it that is as strong as every other neighbour takes it, else the strongest does, if it is
-    stronger than the pixel itself.
+    A pixel points to an adjacent ridge pixel that is at least as strong as itself and all other neighbours;
+    else to its strongest neighbour, if that is stronger than the pixel itself.
     """
     height, width = magnitude.shape
     none = np.float32(-1.0)
-    # the ridges and the others, each without the rest: so nothing branches, and pixels are compared together
+    # ridge pixels and the others in planes of their own: the loops have no branches and can be vectorised
     planes = np.empty((2, height, width), np.float32)
     for v in range(height):
         for u in range(width):

@@ -4,7 +4,7 @@ sampling).
 On each side a profile of candidates is read at distances proportional to the thickness. Their common
 covariance whitens the local colour distribution; in the whitened space the axis between the two sides'
 medians is the transition, and candidates that lie too far along it from their own side, or too far off it,
-are rejected: they sit on the slope, on the next edge or on a speck. The median of the rest is the colour.
+are rejected: they lie on the slope, on the next edge or on a speck. The median of the rest is the colour.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int32
 from huepose.support.jit import jit_dividing
 
 DISTANCES = (0.6, 0.8, 1.0, 1.2, 1.4)
-"""Of the candidates from the edge, in units of its thickness."""
+"""Distances of the candidates from the edge, in units of its thickness."""
 
 MIN_WIDTH_PX, MAX_WIDTH_PX = 2.0, 7.0
 """Bounds of the thickness that is used."""
 
 GATE_ALONG, GATE_ACROSS = 0.35, 2.0
-"""A candidate may be off its side's median by this share of the distance between the two sides, and off the
-axis by so much in whitened units."""
+"""A candidate may be off its side's median by GATE_ALONG times the distance between the two sides, and off
+the axis by GATE_ACROSS whitened units."""
 
 FLOOR = 1.5
 """Standard deviation added to the covariance, CIELAB units."""
 
 MIN_CANDIDATES = 3
-"""Fewest of a side that have to lie inside the mask."""
+"""Fewest candidates of a side that must lie inside the mask."""
 
 MIN_CONTRAST = 6.0
 """Smallest CIELAB distance of the two colours of a pair."""
@@ -43,7 +43,7 @@ def sample_sides(
     limit: int | None = None,
 ) -> tuple[Float32, Bool]:
     """Colours (N, 2, 3) float32 of the sides against and along each ridge's direction, and which are valid
-    (N,): those of MIN_CONTRAST, none nearer than `spacing` pixels to a valid one before it.
+    (N,): those with MIN_CONTRAST or more, none nearer than `spacing` pixels to an earlier valid one.
 
     `lab` (H, W, 3) float32 CIELAB; candidates outside the image or `mask` (H, W) are not used. When more than
     `limit` are valid, the spacing is made larger by a quarter until they are not.
@@ -65,7 +65,7 @@ def _median(values: Float64, n: int) -> float:
     """Median of the first n values, sorted in place."""
     for i in range(1, n):
         x = values[i]
-        # without a branch: there is no telling where x belongs
+        # without a branch, which could not be predicted
         for j in range(i, 0, -1):
             values[j], x = max(x, values[j - 1]), min(x, values[j - 1])
         values[0] = x
@@ -121,7 +121,7 @@ def _sample(
     distances: Float32,
     spacing: float,
 ) -> tuple[Float32, Bool]:
-    """See `sample_sides`; the colours of an edge beside a valid one are not looked for."""
+    """See `sample_sides`; an edge too near to a valid one is skipped."""
     height, width = allowed.shape
     count, reach = pixels.shape[0], distances.shape[0]
     colors = np.zeros((count, 2, 3), np.float32)
@@ -190,7 +190,7 @@ def _sample(
             continue
         for side in range(2):
             for k in range(n[side]):
-                # relative to the side's own median: 0 along the axis means "as the side is"
+                # relative to the side's own median: 0 along the axis means equal to it
                 w0, w1, w2 = _whiten(
                     factor,
                     c[side, k, 0] - medians[side, 0],

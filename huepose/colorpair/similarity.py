@@ -1,4 +1,4 @@
-"""How alike two colour pairs are, whatever the light (paper, section III-A).
+"""Similarity of two colour pairs, independent of the light (paper, section III-A).
 
 A pair is a triangle in CIELAB whose third corner is the origin of light. Where the exposure changes by a gain
 in linear light, XYZ scales, and so do the cube roots of which CIELAB is made: L + 16, a and b grow by one
@@ -50,8 +50,9 @@ def paired_similarity(a: Float32, b: Float32) -> Float32:
 
 
 def shapes(pairs: Float32) -> Float32:
-    """What is compared, (N, 11) float32: unit directions of both sides, the contrast with its floor as a unit
-    vector in four dimensions, the logarithm of the lightness ratio. Swapping negates [6:9] and [10]."""
+    """The features that are compared, (N, 11) float32: unit directions of both sides, the contrast with its
+    floor as a unit vector in four dimensions, the logarithm of the lightness ratio. Swapping negates [6:9]
+    and [10]."""
     p = np.asarray(pairs, np.float32).reshape(-1, 2, 3) + np.array([L_ORIGIN, 0, 0], np.float32)
     p[..., 0] = np.maximum(p[..., 0], 1.0)
     ratio = np.log(p[:, 1, 0] / p[:, 0, 0])

@@ -1,6 +1,6 @@
-"""The paper's method, complete and apart: what only it needs, and nothing that it does not have.
+"""The paper's method: everything that it alone needs, and nothing that the paper does not have.
 
-`single_frame` and `tracking` are its two halves; `tables` makes what a model needs for the first. What was
-added to its path on single frames is in `extended`. No other room needs this one: `estimation.methods` loads
-it when one of its methods is chosen.
+`single_frame` estimates, `tracking` tracks; `tables` makes the tables that a model needs for `single_frame`.
+`extended` holds additions for single frames. No other package needs this one: `estimation.methods` loads it
+when one of its methods is chosen.
 """

@@ -1,22 +1,22 @@
 """Viewpoint-invariant features of matched points (paper, section III-E, second step).
 
-The features of a rotation should not depend on where in the image the object is, how far away or how large.
+The features of a rotation should not depend on the object's position in the image, its distance or its size.
 So each cloud is centred and rotated into a "look-at" frame, whose z axis is the line of sight to its
 centroid; both clouds are divided by one length.
 
-The paper has the centroid of all points; here it is without those farther off than three median distances
-(TRIM), as the networks were trained. With all points the paper's tracker has the same errors (`huepose eval
-ablation`, `colorpair/direct`: rotation 0.523 instead of 0.522 of the motion, translation 0.460 instead of
-0.455).
+The paper takes the centroid of all points. Here points farther away than three median distances (TRIM) are
+left out, as in the training of the networks. With all points the paper's tracker has the same errors
+(`huepose eval ablation`, `colorpair/direct`: rotation 0.523 instead of 0.522 of the motion, translation 0.460
+instead of 0.455).
 
 What the paper leaves open, and what is done here:
-- Frame 2 has its own centroid and look-at rotation, so that each cloud looks as if its object stood in the
-middle of the image. A motion R in camera axes is then `R2^T R R1` between the canonical frames.
+- Frame 2 has its own centroid and look-at rotation, so that each cloud looks as if its object were in the
+middle of the image. A rotation R in camera axes is then `R2^T R R1` between the canonical frames.
 - The paper's up vector [0, -1, 0] gives diag(-1, -1, 1) for an object on the optical axis: a proper rotation,
-kept as it is. Where the line of sight is parallel to it, x' is the limit from the image's middle.
+kept as it is. Where the line of sight is parallel to the up vector, x' is its limit from the image's middle.
 - The 15 numbers are p1 (3), p2 (3), uv1 (2), uv2 (2), p2 - p1 (3), uv2 - uv1 (2).
 - Projections are those of a camera that looks at the centroid, scaled by its distance d: x / (1 + z / d) for
-canonical x and z. Near parts still look larger, but an object twice as far and twice as large looks the same.
+canonical x and z. Near parts look larger, but an object twice as far and twice as large looks the same.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ UP = np.array([0.0, -1.0, 0.0])
 """The paper's up vector, in camera axes."""
 
 TRIM = 3.0
-"""Points farther from the centroid than this many median distances are left out of it, as wrong matches."""
+"""Points farther from the centroid than this many median distances count as wrong matches: it is computed
+without them."""
 
 
 def look_at(centroid_cam: Float) -> Float64:
@@ -67,10 +68,10 @@ def centroid(points: Float, weights: Float | None = None) -> Float64:
 
 @dataclass(frozen=True, eq=False)
 class Canonical:
-    """Two matched clouds without what does not matter.
+    """Two matched clouds without their position, distance and size.
 
-    features (N, 15) float32, see above; R_cam_canon_a, R_cam_canon_b (3, 3) turn canonical axes into the
-    camera's; size_m: the length that all was divided by.
+    features (N, 15) float32, see above; R_cam_canon_a, R_cam_canon_b (3, 3): from canonical to camera axes;
+    size_m: the length by which both clouds were divided.
     """
 
     features: Float32
@@ -79,17 +80,17 @@ class Canonical:
     size_m: float
 
     def rotation(self, R_canon: Float) -> Float64:
-        """The motion's rotation R_b_a (3, 3) in camera axes of one between the canonical frames."""
+        """The rotation R_b_a (3, 3) in camera axes, from the rotation between the canonical frames."""
         return np.asarray(self.R_cam_canon_b @ R_canon @ self.R_cam_canon_a.T)
 
     def canonical_rotation(self, R_b_a: Float) -> Float64:
-        """Inverse of `rotation`: the canonical rotation (3, 3) of a motion in camera axes; the regression
+        """Inverse of `rotation`: from a rotation in camera axes to the canonical one (3, 3), the regression
         target."""
         return np.asarray(self.R_cam_canon_b.T @ R_b_a @ self.R_cam_canon_a)
 
 
 def canonical(points_a: Float, points_b: Float, weights: Float | None = None) -> Canonical:
-    """Features of matched points (N, 3), camera axes, metres, at two moments; weights (N,) >= 0.
+    """Features of matched points (N, 3) of two frames, camera axes, metres; weights (N,) >= 0.
 
     Raises ValueError with fewer than three matches or with points that all coincide.
     """
@@ -108,5 +109,5 @@ def canonical(points_a: Float, points_b: Float, weights: Float | None = None) ->
 
 
 def _projected(points: Float64, distance_m: float) -> Float64:
-    """Projections (N, 2) of canonical points (N, 3), carried back to the centroid's distance; metres."""
+    """Projections (N, 2) of canonical points (N, 3), scaled to the centroid's distance; metres."""
     return np.asarray(points[:, :2] / np.maximum(1.0 + points[:, 2:] / distance_m, 0.1))

@@ -1,9 +1,9 @@
-"""Scene pairs become classified points: robust matching, then decoupling into two colours (paper, section
+"""From scene pairs to classified points: robust matching, then decoupling into two colours (paper, section
 III-C).
 
-Every scene pair votes, by its similarity to the pairs of the reference database, for a pair of classes (one a
-side). The winner counts as far as it beats the second; a confident match is taken apart into its two side
-points, each with its class and that confidence as its weight.
+Every scene pair votes, by its similarity to the model's pairs, for a pair of classes, one for each side. The
+confidence is the larger, the more votes the winner has than the second. A confident match becomes two points,
+one for each side, with the class of the side; the confidence is their weight.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from huepose.paper.cloud import ClassifiedCloud, decoupled
 from huepose.support.jit import jit
 
 MODEL_PAIRS = 600
-"""Most pairs of the model that are compared."""
+"""Largest number of the model's pairs that are compared."""
 
 SHARPNESS = 3.0
 """Exponent on the similarity of a vote."""
 
 LEAST_CONFIDENCE = 0.1
-"""Confidence under which a pair is not used."""
+"""A pair with less confidence is not used."""
 
 
 def classified(
@@ -31,7 +31,7 @@ def classified(
 ) -> ClassifiedCloud:
     """The classified cloud of a scene whose colours (N, 2, 3) are those under the model's light.
 
-    model pairs with side_classes (M, 2) in 0..classes-1; the side points lie `offset_m` off the edge.
+    side_classes (M, 2) of the model's pairs, 0..classes-1; the side points lie `offset_m` from the edge.
     """
     chosen, confidence = classify(scene.colors, model.colors, side_classes, classes)
     sure = confidence >= LEAST_CONFIDENCE
@@ -43,7 +43,7 @@ def classified(
 
 def classify(scene: Float32, model: Float32, side_classes: UInt8, classes: int) -> tuple[UInt8, Float32]:
     """Classes (N, 2) of the sides of scene pairs (N, 2, 3), and confidences (N,) in 0..1: the similarity of
-    the nearest model pair times how far the winning classes are ahead of the second."""
+    the nearest model pair times the lead of the winning classes over the second."""
     if not len(scene) or not len(model):
         return np.zeros((len(scene), 2), np.uint8), np.zeros(len(scene), np.float32)
     step = -(-len(model) // MODEL_PAIRS)
@@ -53,7 +53,7 @@ def classify(scene: Float32, model: Float32, side_classes: UInt8, classes: int) 
 
 @jit
 def exchange(x: Float32, out: Float32) -> None:
-    """The shape (11,) of a pair whose sides have changed places, for use in compiled loops."""
+    """Write into `out` the shape (11,) of a pair whose sides are exchanged."""
     for q in range(6):
         out[q] = x[(q + 3) % 6]
     for q in range(6, 9):
@@ -67,14 +67,14 @@ def _classify(x: Float32, y: Float32, side_classes: UInt8, classes: int) -> tupl
     chosen = np.zeros((x.shape[0], 2), np.uint8)
     confidence = np.zeros(x.shape[0], np.float32)
     votes = np.empty(classes * classes)
-    turned = np.empty(x.shape[1], np.float32)
+    exchanged = np.empty(x.shape[1], np.float32)
     for i in range(x.shape[0]):
-        exchange(x[i], turned)
+        exchange(x[i], exchanged)
         votes[:] = 0.0
         nearest = 1e9
         for j in range(y.shape[0]):
             straight = pair_cost(x[i], y[j])
-            crossed = pair_cost(turned, y[j])
+            crossed = pair_cost(exchanged, y[j])
             a, b = int(side_classes[j, 0]), int(side_classes[j, 1])
             votes[a * classes + b] += np.exp(-SHARPNESS * straight)
             votes[b * classes + a] += np.exp(-SHARPNESS * crossed)

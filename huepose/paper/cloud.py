@@ -1,8 +1,8 @@
 """The classified cloud: both sides of every colour pair as surface points with a soft colour class.
 
 The paper decouples pairs into their two colours, which give scene points a class and a weight (section
-III-C). The same is done with the model's pairs, so both clouds carry points of the same kind: a little off
-the edge, on the side whose colour they name.
+III-C). The same is done with the model's pairs, so both clouds have the same kind of points: each lies beside
+the edge, on the side that has its colour.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from huepose.geometry.arrays import Bool, Float, Float32, Int, UInt8
 from huepose.support.jit import jit
 
 LIGHTNESS = 0.5
-"""Weight of L against a and b where colours are compared to classes: light changes it most."""
+"""Weight of L against a and b when colours are compared with classes: light changes L most."""
 
 ROUNDS = 25
-"""Of k-means."""
+"""Iterations of k-means."""
 
 MAX_CLASSES, MAX_BINS = 16, 64
-"""Most classes, and steps of a length, that a key of a triangle or of a point pair can tell apart."""
+"""Numbers of classes, and of bins of a length, that a key of a triangle or of a point pair has room for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,8 @@ class ClassifiedCloud:
 def color_classes(colors: Float32, count: int) -> Float32:
     """Prototypes (K, 3) of CIELAB colours (N, 3), K <= count: k-means, deterministic, darkest first.
 
-    Starts from the colours farthest from those already chosen, so that rare but distinct colours get a class.
+    It starts from the colours farthest from those already chosen, so that rare but distinct colours get a
+    class.
     """
     scale = np.array([LIGHTNESS, 1.0, 1.0], np.float32)
     x = np.asarray(colors, np.float32) * scale
@@ -53,7 +54,7 @@ def color_classes(colors: Float32, count: int) -> Float32:
     distance = np.full(len(x), np.inf, np.float32)
     for _ in range(count):
         distance = np.minimum(distance, ((x - centers[-1]) ** 2).sum(1))
-        # the far end of the bulk, not a single outlier
+        # the 98th percentile, not a single outlier
         k = np.argsort(distance)[int(0.98 * (len(x) - 1))]
         if distance[k] < 9.0:
             break
@@ -88,7 +89,8 @@ def decoupled(
 
 
 def sparse(cloud: ClassifiedCloud, spacing_m: float) -> Int:
-    """Rows (S,), heaviest first, such that no two of one class and one facing are nearer than the spacing."""
+    """Rows (S,), heaviest first: no two points of one class with similar normals are nearer than the
+    spacing."""
     order = np.argsort(-cloud.weights, kind="stable")
     if not len(order):
         return order

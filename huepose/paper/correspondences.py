@@ -2,7 +2,7 @@
 
 Candidates are the ridge points of the object's colour pairs, where flow is best determined, and a sparse grid
 that also covers faces without edges. A correspondence is kept if the flow is consistent forward and backward,
-if it ends on the mask that flow carried along, and if the colours on both sides of it stay similar.
+if it ends on the mask that flow moved to the second frame, and if the colours on both sides stay similar.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from huepose.geometry.arrays import Bool, Float32, Float64, UInt8
 from huepose.propose.flow import Flow, sampled
 
 GRID_STEP_PX, GRID_WEIGHT = 12, 0.3
-"""Spacing of the points of a grid, and the weight of one; a colour pair has 1."""
+"""Spacing of the grid points, and the weight of each; a colour pair has weight 1."""
 MAX_PAIRS = 300
-"""Most colour pairs of a frame that are followed."""
+"""Largest number of colour pairs of a frame that are followed."""
 MIN_SIMILARITY = 0.35
 """Least colour-pair similarity (0..1) of a kept correspondence."""
 SIDE_PX = 3.0
@@ -58,10 +58,10 @@ def match(
     pairs: ColorPairs | None = None,
     grid_step_px: int = GRID_STEP_PX,
 ) -> Correspondences:
-    """Correspondences of the object that `mask_a` (H, W) outlines in the first of two colour images.
+    """Correspondences of the object that `mask_a` (H, W) covers in the first of two colour images.
 
-    Only the flow's window is looked at. `pairs`: the first frame's colour pairs on the object where they are
-    known already. With use_pairs False colour pairs neither give candidates nor filter (for comparison).
+    Only the flow's window is used. `pairs`: the first frame's colour pairs on the object, if they are already
+    known. With use_pairs False colour pairs neither give candidates nor filter (for comparison).
     """
     h, w = flow.consistent.shape
     window = np.s_[flow.y0 : flow.y0 + h, flow.x0 : flow.x0 + w]
@@ -104,13 +104,13 @@ def match(
 
 
 def pairs_to_follow(color: UInt8, mask: Bool) -> ColorPairs:
-    """The colour pairs of an object's pixels (H, W) that are followed from a picture (H, W, 3)."""
+    """The colour pairs in an object's mask (H, W) that are followed from an image (H, W, 3)."""
     return extract(color, mask, spacing=3.0, max_pairs=MAX_PAIRS)
 
 
 def side_color_similarity(color_a: UInt8, color_b: UInt8, pixels: Float64, flow: Flow) -> Float64:
-    """Similarity (N,) in 0..1 of the colours on both sides of pixels (N, 2) of the first image and of their
-    ends in the second: the test that `match` applies to its grid."""
+    """Similarity (N,) in 0..1 of the colours on both sides of pixels (N, 2) of the first image and of the
+    ends of their flow in the second: the test that `match` applies to its grid."""
     h, w = flow.consistent.shape
     window = np.s_[flow.y0 : flow.y0 + h, flow.x0 : flow.x0 + w]
     local = (pixels - np.array([flow.x0, flow.y0])).astype(np.float32)

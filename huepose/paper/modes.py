@@ -12,7 +12,7 @@ from huepose.geometry.arrays import Float32, Float64, Int32, Int64
 from huepose.support.jit import jit
 
 ROUNDS = 60
-"""Most steps of the power method; supporters lie close together, so a few are enough."""
+"""Largest number of steps of the power method; supporters lie close together, so a few are enough."""
 
 
 def modes_of(
@@ -27,11 +27,11 @@ def modes_of(
 ) -> tuple[Float64, Float64, Float64]:
     """Scores (M,), unit quaternions xyzw (M, 4) and centres (M, 3) of at most `limit` modes, best first.
 
-    q (E, N, 4): of all equal poses of each vote, the vote itself first; centres (N, 3), weights (N,);
-    features (N,) in ascending order. Supporters lie within `radius_m` and `angle_rad` of one of the `seeds`
-    votes that are tried.
+    q (E, N, 4): quaternions of all equivalent poses of each vote, the vote itself first; centres (N, 3),
+    weights (N,); features (N,) in ascending order. A mode's supporters lie within `radius_m` and `angle_rad`
+    of its seed; `seeds` votes are tried as seeds.
     """
-    # even steps over the votes in order of weight: strong ones and weak ones
+    # equal steps over the votes in order of weight: strong and weak votes
     order = np.argsort(-weights, kind="stable")
     tried = np.ascontiguousarray(order[:: max(1, len(order) // seeds)][:seeds])
     cosine = float(np.cos(angle_rad / 2))
@@ -41,7 +41,7 @@ def modes_of(
 
 def distinct_modes(equals: Float64, centres: Float64, angle_rad: float, radius_m: float, limit: int) -> Int64:
     """Indices of at most `limit` modes, best first, that differ from all better ones by the angle or the
-    radius; equals (M, E, 4): quaternions of all equal poses of each, itself first."""
+    radius; equals (M, E, 4): quaternions of all equivalent poses of each mode, itself first."""
     return _distinct(equals, centres, float(np.cos(angle_rad / 2)), radius_m, limit)
 
 
@@ -104,7 +104,8 @@ def _means(
 
 @jit
 def _nearest_equal(q: Float32, i: int, k: int) -> tuple[int, float]:
-    """Which equal pose of vote i is nearest to vote k, and the cosine of half the angle between them."""
+    """Index of the equivalent pose of vote i that is nearest to vote k, and the cosine of half the angle
+    between them."""
     best, at = -1.0, 0
     for e in range(q.shape[0]):
         dot = 0.0
@@ -117,7 +118,8 @@ def _nearest_equal(q: Float32, i: int, k: int) -> tuple[int, float]:
 
 @jit
 def _power(A: Float64, v: Float64, u: Float64) -> None:
-    """Turn the unit vector `v` (4,) to the eigenvector of the largest eigenvalue of A; `u` is scratch."""
+    """Power method: iterate the unit vector `v` (4,), in place, to the eigenvector of the largest eigenvalue
+    of A; `u` is scratch."""
     for _ in range(ROUNDS):
         length = 0.0
         for a in range(4):
@@ -172,8 +174,8 @@ def _support(
     cosine: float,
     radius: float,
 ) -> Float32:
-    """Support of each seed: the strongest vote of each feature near it or near an equal pose, smaller towards
-    the rim."""
+    """Support of each seed: sum over features of the strongest vote near it or near an equivalent pose, with
+    weights that fall to zero at the radius and the angle."""
     out = np.zeros(seeds.shape[0], np.float32)
     r2 = np.float32(radius * radius)
     for s in range(seeds.shape[0]):

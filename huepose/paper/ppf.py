@@ -1,11 +1,11 @@
 """Point pair features with classes: the fallback where fewer than three classes are visible (paper, III-C).
 
 Drost et al. 2010 (doi 10.1109/CVPR.2010.5540108): two oriented points have a distance and three angles that
-no rigid motion changes; together with a scene point pair, an entry of the table leaves only the turn `alpha`
-about the normal open, which is voted for per model point. Here both points also carry their colour class, so
-flat objects, whose pairs all have the same angles, still tell something; pairs that lie in one plane *and*
-have one class are left out. The method is covered by EP 2385483 and US 8830229 in some countries:
-wherever poses are asked for, it can be switched off.
+no rigid motion changes. If a scene pair matches a pair in the table, only the rotation `alpha` about the
+normal is unknown; the pairs vote for it, and for the model point. Here both points also have their colour
+class: so pairs of flat objects differ although all have the same angles. Pairs that lie in one plane *and*
+have one class are left out. The method is covered by EP 2385483 and US 8830229 in some countries: it can be
+switched off wherever poses are estimated.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from huepose.paper.votes import Votes
 from huepose.support.jit import jit
 
 BIN, ANGLES = 0.05, 12
-"""Of the distance, in diameters; bins of half a turn."""
+"""Width of a bin of the distance, in diameters; number of bins in 180 degrees."""
 
 MIN_DISTANCE = 0.15
-"""Of the points of a pair, in diameters."""
+"""Smallest distance between the points of a pair, in diameters."""
 
 MODEL_POINTS, ROWS = 700, 150_000
-"""Most points of the model that make pairs, and most rows of the table."""
+"""Largest number of model points that make pairs, and of rows of the table."""
 
 REFERENCES, PARTNERS = 40, 100
 """Reference points of a scene, and points paired with each."""
 
 PEAKS = 0.9
-"""Share of the highest vote that another needs to count."""
+"""A peak counts if it has this share of the votes of the highest one."""
 
 
 def build_ppf(cloud: ClassifiedCloud, diameter_m: float) -> tuple[Int64, Int32, Float32]:
     """Keys (Q,) int64, sorted; pairs (Q, 2) int32 into the cloud; alpha (Q,) float32 radians.
 
-    A pair is made of points that one camera can see together; when there are more than `ROWS`, an even
-    random share of them is kept.
+    A pair is made of points that one camera can see together; if there are more than `ROWS`, a uniform random
+    sample of them is kept.
     """
     rng = np.random.default_rng(0)
     spacing = 0.03
@@ -66,7 +66,7 @@ def ppf_votes(
     scene: ClassifiedCloud, tables: PaperTables, diameter_m: float, rng: np.random.Generator
 ) -> Votes:
     """Poses from the peaks of the votes of some reference points of the scene's classified cloud (camera
-    axes) for a model of that diameter."""
+    axes); diameter_m: the model's."""
     if not len(tables.ppf_keys) or len(scene) < 2:
         return Votes.empty()
     p = np.maximum(scene.weights.astype(np.float64), 1e-6)
@@ -94,7 +94,7 @@ def ppf_votes(
 
 @jit
 def onto_x(x: float, y: float, z: float, R: Float64) -> None:
-    """Into R (3, 3): a rotation that takes the unit normal (x, y, z) onto the x axis."""
+    """Write into R (3, 3) a rotation that takes the unit normal (x, y, z) onto the x axis."""
     if x < -0.999999:
         R[:] = 0.0
         R[0, 0], R[1, 1], R[2, 2] = -1.0, -1.0, 1.0
@@ -115,7 +115,8 @@ def _angle(a: Float, b: Float) -> float:
 def _feature(
     points: Float32, normals: Float32, i: int, j: int, R: Float64, d: Float64, out: Float64
 ) -> float:
-    """Distance and three angles of a pair into `out` (4,); returns alpha. R (3, 3), d (3,) are scratch."""
+    """Write distance and three angles of a pair into `out` (4,); return alpha. R (3, 3) and d (3,) are
+    scratch."""
     for a in range(3):
         d[a] = points[j, a] - points[i, a]
     length = np.sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2])
@@ -202,7 +203,7 @@ def _vote(
                 x = f[0] / bin_m if a == 0 else f[a] / np.pi * ANGLES
                 last = MAX_BINS - 1 if a == 0 else ANGLES - 1
                 bins[a] = min(int(x), last)
-                # the neighbouring bin that is nearer, so that a value at a border meets both
+                # the nearer neighbouring bin: a value near a border is looked up in both
                 other[a] = min(max(bins[a] + (1 if x - int(x) > 0.5 else -1), 0), last)
             head = np.int64(classes[i]) * MAX_CLASSES + classes[j]
             for combination in range(16):

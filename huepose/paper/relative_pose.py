@@ -18,7 +18,7 @@ from huepose.paper.correspondences import Correspondences
 
 @dataclass(frozen=True, eq=False)
 class LiftedMatches:
-    """points_a, points_b (N, 3): the same surface points in camera axes at two moments; weights (N,)."""
+    """points_a, points_b (N, 3): the same surface points in two frames, camera axes; weights (N,)."""
 
     points_a: Float64
     points_b: Float64
@@ -29,7 +29,7 @@ class LiftedMatches:
 
 
 RelativePose = Callable[[LiftedMatches], Float64 | None]
-"""The motion T_b_a (4, 4), which moves points of the first moment to the second, both in camera axes; None
+"""The motion T_b_a (4, 4), which moves points of the first frame to the second, both in camera axes; None
 when the matches do not determine one."""
 
 
@@ -40,7 +40,7 @@ def robust_kabsch(matches: LiftedMatches) -> Float64 | None:
 
 
 def lift_matches(frame_a: RgbdFrame, frame_b: RgbdFrame, matches: Correspondences) -> LiftedMatches:
-    """Both ends of the matches in 3D; those without depth at either end are dropped."""
+    """The matches in 3D; a match without depth at one of its ends is dropped."""
     a, known_a = lift(frame_a.depth, frame_a.camera, matches.pixels_a)
     b, known_b = lift(frame_b.depth, frame_b.camera, matches.pixels_b)
     k = known_a & known_b

@@ -1,8 +1,8 @@
 """Online: the classified point cloud of a scene (paper, section III-C).
 
 Colour pairs of the object's region are extracted, lifted onto their surface and classified by the model's
-database. The paper leaves open at which resolution pairs are compared: here the picture is brought to the
-scale of the model's views, so that both show the same texture.
+pairs. The paper leaves open at which resolution pairs are compared: here the image is scaled to the
+resolution of the model's views, so that both show the same texture.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from huepose.paper.ppf import ppf_votes
 from huepose.paper.tables import reference_cloud, tables_of
 
 NEEDED_CLASSES, NEEDED_POINTS = 3, 30
-"""Triangles need three classes, each with so many points in sight; where fewer are, point pairs are asked."""
+"""Number of classes, and of visible points of each, that triangles need; with fewer, point pairs vote."""
 
 
 def extract_at_model_scale(pairs: PairReference, frame: RgbdFrame, mask: Bool) -> ColorPairs:
-    """Colour pairs of a mask (H, W), extracted at the scale at which the model's were.
+    """Colour pairs of a mask (H, W), extracted at the same scale as the model's.
 
     Empty when no pixel of the mask has depth.
     """
@@ -38,8 +38,8 @@ def extract_at_model_scale(pairs: PairReference, frame: RgbdFrame, mask: Bool) -
 
 
 def classified_scene(model: ReferenceModel, scene: SurfacePairs) -> ClassifiedCloud:
-    """The classified cloud of a scene's pairs on their surface, camera axes. Raises InputError for a model
-    without the tables of the paper's method."""
+    """The classified cloud of a scene's lifted pairs, camera axes. Raises InputError for a model without the
+    tables of the paper's method."""
     tables, reference = tables_of(model), reference_pairs(model.pairs)
     return classified(
         scene, reference, tables.side_classes, len(tables.centers), tables.parameters["side_offset_m"]
@@ -47,12 +47,12 @@ def classified_scene(model: ReferenceModel, scene: SurfacePairs) -> ClassifiedCl
 
 
 def classes_in_sight(cloud: ClassifiedCloud) -> int:
-    """How many classes have enough points for triangles."""
+    """Number of classes with enough points for triangles."""
     return int((np.bincount(cloud.classes, minlength=1) >= NEEDED_POINTS).sum())
 
 
 def warm_up_point_pairs(models: Sequence[ReferenceModel]) -> None:
-    """Compile the fallback, which most pictures do without, on the cloud of the first model that has a table
+    """Compile the fallback, which most images do not need, on the cloud of the first model that has a table
     for it."""
     model = next((m for m in models if len(tables_of(m).ppf_keys)), None)
     if model is not None:

@@ -2,11 +2,11 @@
 III-D).
 
 In each iteration every scene point gets two correspondences: its nearest model point of the same class, which
-keeps parts of the texture where they belong, and its nearest model point of any class, which holds the whole
-together where a class has few points. Both enter one weighted system for one pose increment. Residuals are
-point-to-plane; same-class correspondences also have a small tangential part, because a plane does not fix
-where on a face its colours are. The levels go from few points and a wide gate to all points and a narrow one,
-with Tukey weights within the gate and a damped step.
+aligns the texture, and its nearest model point of any class, which helps where a class has few points. Both
+enter one weighted system for one pose increment. Residuals are point-to-plane; same-class correspondences
+also have a small tangential part, because a plane does not fix where on a face its colours are. The levels go
+from few points and a wide gate to all points and a narrow one, with Tukey weights within the gate and a
+damped step.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ from huepose.refine.solver import (
 )
 from huepose.support.jit import jit
 
-STEP_TOLERANCE_M = 2e-6  # a step that moves no point by more has converged
+STEP_TOLERANCE_M = 2e-6  # converged if a step moves no point by more
 
 
 SEMANTIC, AGGREGATE = 1.0, 0.5
 """Weights of the correspondences within a class and over all classes."""
 
 SLIDING = 0.1
-"""Weight of the residual along the surface against that across it, for points of one class."""
+"""Weight of the residual along the surface against that across it, for correspondences of one class."""
 
 
 class _Level(NamedTuple):
-    """gate: in diameters of the model's cloud; stride, model_stride: every how many-th scene and model point
-    is used."""
+    """gate: in diameters of the model's cloud; stride, model_stride: every stride-th scene point and every
+    model_stride-th model point is used."""
 
     gate: float
     stride: int
@@ -57,7 +57,7 @@ LEVELS = (_Level(0.35, 4, 8, 10), _Level(0.15, 3, 4, 8), _Level(0.06, 2, 2, 6), 
 
 
 class _Scene(NamedTuple):
-    """The scene's points of one level as kernels read them."""
+    """The scene's points of one level, for the kernels."""
 
     points: Float64
     classes: UInt8
@@ -65,9 +65,9 @@ class _Scene(NamedTuple):
 
 
 class _Cloud(NamedTuple):
-    """The model's points of one level, and a grid of cells over them: shape (3,); for each cell where it
-    stands among those that have points, or -1; the points in order of their cells, and where each cell's
-    start; the lowest corner; the side of a cell, which is the gate of the level."""
+    """The model's points of one level, and a grid of cells over them. shape (3,): of the grid; table: each
+    cell's number among the cells with points, or -1; order: the points in order of their cells; starts: where
+    each cell begins in `order`; low: the lowest corner; gate: of the level, and the side of a cell."""
 
     points: Float64
     normals: Float64
@@ -81,8 +81,7 @@ class _Cloud(NamedTuple):
 
 
 def semantic_icp_many(reference: PaperTables, scene: ClassifiedCloud, poses: Float) -> Float64:
-    """Each of the poses T_cam_obj (M, 4, 4) refined on what a camera saw of a cloud, in its axes; what does
-    not depend on the pose is made once."""
+    """Poses T_cam_obj (M, 4, 4), each refined on a scene's classified cloud in camera axes."""
     model = np.ascontiguousarray(reference.cloud_points, np.float64)
     T = np.array(poses, dtype=np.float64)
     points = np.ascontiguousarray(scene.points, np.float64)
@@ -93,20 +92,20 @@ def semantic_icp_many(reference: PaperTables, scene: ClassifiedCloud, poses: Flo
     radius = float(np.linalg.norm(model - centre, axis=1).max())
     body = Body(centre, radius)
     for level in LEVELS:
-        seen = _Scene(
+        observed = _Scene(
             np.ascontiguousarray(points[:: level.stride]),
             np.ascontiguousarray(scene.classes[:: level.stride]),
             np.ascontiguousarray(scene.weights[:: level.stride], np.float64),
         )
         cloud = _cloud(reference, level.model_stride, 2.0 * radius * level.gate)
-        _align_all(T, seen, cloud, body, level.iterations)
+        _align_all(T, observed, cloud, body, level.iterations)
     return np.stack([se3.orthonormalised(pose) for pose in T])
 
 
-def _cloud(reference: PaperTables, thinner: int, gate: float) -> _Cloud:
-    """Every `thinner`-th point of the model's classified cloud, in cells as large as the gate."""
+def _cloud(reference: PaperTables, stride: int, gate: float) -> _Cloud:
+    """Every `stride`-th point of the model's classified cloud, in cells as large as the gate."""
     low = np.ascontiguousarray(reference.cloud_points, np.float64).min(0)
-    points = np.ascontiguousarray(reference.cloud_points[::thinner], np.float64)
+    points = np.ascontiguousarray(reference.cloud_points[::stride], np.float64)
     cell = np.floor((points - low) / gate).astype(np.int64)
     shape = cell.max(0) + 1
     flat = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
@@ -116,8 +115,8 @@ def _cloud(reference: PaperTables, thinner: int, gate: float) -> _Cloud:
     table[numbers] = np.arange(len(numbers))
     return _Cloud(
         points,
-        np.ascontiguousarray(reference.cloud_normals[::thinner], np.float64),
-        np.ascontiguousarray(reference.cloud_classes[::thinner]),
+        np.ascontiguousarray(reference.cloud_normals[::stride], np.float64),
+        np.ascontiguousarray(reference.cloud_classes[::stride]),
         shape,
         table,
         order,
@@ -129,8 +128,8 @@ def _cloud(reference: PaperTables, thinner: int, gate: float) -> _Cloud:
 
 @jit
 def _nearest(q0: float, q1: float, q2: float, kind: int, cloud: _Cloud) -> int:
-    """Index of the model point nearest to q within one cell's size, of one class (or any, for -1); -1 for
-    none."""
+    """Index of the model point nearest to q within one cell's size, of class `kind` (-1: any class); -1 if
+    there is none."""
     model, classes, low, size = cloud.points, cloud.classes, cloud.low, cloud.gate
     shape, table, order, starts = cloud.shape, cloud.table, cloud.order, cloud.starts
     c0 = int(np.floor((q0 - low[0]) / size))
@@ -156,7 +155,7 @@ def _nearest(q0: float, q1: float, q2: float, kind: int, cloud: _Cloud) -> int:
 
 @jit
 def _align_all(poses: Float64, scene: _Scene, cloud: _Cloud, body: Body, rounds: int) -> None:
-    """Move the poses on one level."""
+    """Refine the poses on one level, in place."""
     equations = normal_equations(6)
     for m in range(poses.shape[0]):
         for _ in range(rounds):
@@ -164,7 +163,7 @@ def _align_all(poses: Float64, scene: _Scene, cloud: _Cloud, body: Body, rounds:
             matched, weight = _add_semantic(poses[m], scene, cloud, body, equations)
             if matched < FEWEST_FOR_A_STEP:
                 break
-            # Negative where the system has no solution.
+            # `advance` is negative if the system has no solution.
             if advance(poses[m], equations, body, DAMPING * weight) < STEP_TOLERANCE_M:
                 break
 
@@ -173,8 +172,7 @@ def _align_all(poses: Float64, scene: _Scene, cloud: _Cloud, body: Body, rounds:
 def _add_semantic(
     T: Float64, scene: _Scene, cloud: _Cloud, body: Body, equations: NormalEquations
 ) -> tuple[int, float]:
-    """Factor: add the residuals of both kinds of correspondences; returns how many there are and their
-    weight."""
+    """Factor: add the residuals of both kinds of correspondences; return their number and total weight."""
     points, model, normals = scene.points, cloud.points, cloud.normals
     matched, total = 0, 0.0
     for i in range(points.shape[0]):

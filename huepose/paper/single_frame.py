@@ -1,33 +1,32 @@
 """The paper's method on a single frame (section III, A to D).
 
-One mask > colour pairs > classified cloud > semantic triangles, or point pair features where fewer than three
-classes are in sight > two-stage Hough voting > semantic ICP > the best fit of the refined poses.
+One mask > colour pairs > classified cloud > semantic triangles, or point pair features if fewer than three
+classes are visible > two-stage Hough voting > semantic ICP > the refined pose with the best fit.
 
-Not here, because the paper does not have it: a light that is read from the scene, votes of single pairs, a
-test of votes against depth or of triangles by normals, turns of near-symmetric objects, a search on a score,
-dense colour, and the other objects of the frame. Two things of the similarity (`colorpair.similarity`), which
-the method `colorpair` and the tracker share, the paper does not have (figures: docs/colour-pairs.md, "What
-differs from the paper"):
+Not here, because the paper does not have it: an estimate of the light, votes of single pairs, a test of votes
+against depth or of triangles by normals, near-symmetric rotations, a search on a score, dense colour, and
+competition with other objects of the frame. The similarity (`colorpair.similarity`), which the method
+`colorpair` and the paper's tracker share, differs from the paper in two points (figures:
+docs/colour-pairs.md, "What differs from the paper"):
 
 - III-A: the third corner of a pair's triangle is not black but L = -16. With black ADD falls by 1.0 and AUC
   by 2.9 points.
-- III-A: a contrast under a floor has no direction. Without the floor nothing changes that can be told from
-  chance.
+- III-A: a contrast below a floor has no direction. Without the floor the difference cannot be distinguished
+  from chance.
 
 What the paper leaves open, and what is done here:
 
-- III, first paragraph: the mask is that of a segmenter in the detector's box. Where a segmenter gives
-  several, its first one counts.
-- III-C, "high-confidence matches": a scene pair whose best pair of classes is ahead of the second by enough
+- III, first paragraph: the mask is a segmenter's in the detector's box. Of several masks the first is used.
+- III-C, "high-confidence matches": scene pairs whose best pair of classes has enough lead over the second
   (`paper.classes`).
 - III-C, "a small, consistent set of initial alignments": the 30 strongest modes of the vote.
 - III-D: correspondences are those of the classified clouds alone, as the aggregated cloud "combines all
   individual classes": depth between the edges is not used.
-- III-D says how one pose is refined, not which of the refined ones is the answer: here the one with the
-  largest weight of correspondences (`fitness_of`), which is what the ICP makes larger.
-- The paper has no confidence. The fitness in 0..1 is handed on in its place: it is not a probability, so a
-  pose of this method is never more than `SUSPECT`.
-- Symmetric objects are not treated apart.
+- III-D says how one pose is refined, not which refined pose is the answer: here the one with the largest
+  weight of correspondences (`fitness_of`), which the ICP increases.
+- The paper has no confidence. The fitness in 0..1 takes its place: it is not a probability, so a pose of this
+  method is at most `SUSPECT`.
+- Symmetric objects are treated like all others.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ from huepose.support.stages import stage
 
 GATE = 0.06
 """Distance from which two points are no correspondence, in diameters of the model's cloud: the third of the
-ICP's four gates, which bears the noise of depth. Not fitted."""
+ICP's four gates, which tolerates the noise of depth. Not fitted."""
 
 
 REFINED = 30
@@ -71,8 +70,8 @@ REFINED = 30
 
 @dataclass(frozen=True)
 class PaperConfig:
-    """triangles, ppf: which sources of votes there are (see `paper.ppf` for why one may not want point pair
-    features, which are always asked where triangles are not)."""
+    """triangles, ppf: the sources of votes. Without triangles point pair features always vote. Why one may
+    switch them off: see `paper.ppf`."""
 
     triangles: bool = True
     ppf: bool = True
@@ -82,7 +81,7 @@ class PaperMethod:
     """The method `paper` as the estimator runs it."""
 
     bare = True
-    """Its best pose is the answer as it is."""
+    """Its best pose is the answer, unchanged."""
 
     def __init__(self, config: PaperConfig | None = None) -> None:
         self.config = config or PaperConfig()
@@ -92,7 +91,7 @@ class PaperMethod:
         tables_of(model)
 
     def warm_up(self, models: Sequence[ReferenceModel]) -> None:
-        """Compile what the first picture may do without and a later one needs."""
+        """Compile what the first image may not need, but a later one does."""
         if self.config.ppf:
             warm_up_point_pairs(models)
 
@@ -105,16 +104,16 @@ class PaperMethod:
     def in_mask(
         self, model: ReferenceModel, frame: RgbdFrame, mask: Bool, rng: np.random.Generator
     ) -> tuple[Float64, Float64]:
-        """The same for a frame and the object's mask (H, W) in it. Raises InputError for a model without
-        tables."""
+        """Poses (K, 4, 4) and their fitness (K,), best first, from a frame and the object's mask (H, W).
+        Raises InputError for a model without tables."""
         tables = tables_of(model)
         with stage("extract"):
             pairs = extract_at_model_scale(model.pairs, frame, mask)
-            seen = lift(pairs, frame.depth, mask, frame.camera)
-        if not len(seen):
+            scene = lift(pairs, frame.depth, mask, frame.camera)
+        if not len(scene):
             return NO_POSES
         with stage("classes"):
-            cloud = classified_scene(model, seen)
+            cloud = classified_scene(model, scene)
         with stage("votes"):
             votes = self._votes(model, cloud, rng)
             found, _ = cluster(votes, model.mesh.centre, model.diameter_m)
@@ -128,7 +127,7 @@ class PaperMethod:
         return poses[order], fitness[order]
 
     def _votes(self, model: ReferenceModel, cloud: ClassifiedCloud, rng: np.random.Generator) -> Votes:
-        """Of triangles; of point pairs where too few classes are in sight for them."""
+        """Votes of triangles, or of point pairs if too few classes are visible for triangles."""
         config = self.config
         if config.triangles and (not config.ppf or classes_in_sight(cloud) >= NEEDED_CLASSES):
             return triangle_votes(cloud, tables_of(model), ANY_FACING, rng)
@@ -136,11 +135,11 @@ class PaperMethod:
 
 
 def fitness_of(tables: PaperTables, scene: ClassifiedCloud, poses: Float64) -> Float64:
-    """How well a classified scene lies on a model's classified cloud: what semantic ICP makes better.
+    """How well a classified scene fits a model's classified cloud: what semantic ICP improves.
 
-    Share (M,) of the scene's weight that has a partner at poses T_cam_obj (M, 4, 4), each point by Tukey's
-    biweight of its distance: to the nearest model point of its class and to the nearest of any, weighed as in
-    the ICP. 0 without points."""
+    Share (M,) of the scene's weight that has a correspondence at poses T_cam_obj (M, 4, 4). Each point counts
+    by Tukey's biweight of its distance to the nearest model point of its class and to the nearest of any
+    class, weighted as in the ICP. 0 without points."""
     model = np.asarray(tables.cloud_points, np.float64)
     weights = np.asarray(scene.weights, np.float64)
     if not len(model) or weights.sum() <= 0.0:

@@ -1,9 +1,9 @@
 """Offline: the tables of the paper's method, from the colour pairs of a model (paper, section III-C).
 
 Side colours are clustered into semantic classes; each side's point enters the classified cloud, from which
-the tables of triangles and of point pairs are built. The paper leaves open how many classes there are and
-how they are found (here at most eight, k-means in CIELAB), how dense the cloud is (a fiftieth of the
-diameter), and what a point weighs (how many views saw its pair, and how strong its contrast is).
+the tables of triangles and of point pairs are built. The paper leaves open the number of classes and how to
+find them (here at most eight, k-means in CIELAB), the spacing of the cloud (a fiftieth of the diameter), and
+the weight of a point (from the number of views that show its pair, and its contrast).
 """
 
 from __future__ import annotations
@@ -18,21 +18,22 @@ from huepose.paper.cloud import ClassifiedCloud, color_classes, decoupled, neare
 from huepose.support.errors import InputError
 
 SURE_VIEWS, SURE_CONTRAST = 3.0, 25.0
-"""A pair that so many views saw, with a contrast of so many CIELAB units, has the full weight of 1."""
+"""Number of views that show a pair, and its contrast in CIELAB units, from which on its weight is 1."""
 
 
 CLASSES = 8
-"""Most semantic classes."""
+"""Largest number of semantic classes."""
 
 SIDE_OFFSET, CLOUD_SPACING = 0.012, 0.02
-"""Of the classified points from the edge, and of points of one class from each other, in diameters."""
+"""Distance of the classified points from the edge, and smallest distance between points of one class, in
+diameters."""
 
 
 def build_tables(pairs: SurfacePairs, seen: Int32, diameter_m: float) -> PaperTables:
     """Classes, classified cloud, triangles and point pairs of a model.
 
-    pairs: its coarse colour pairs (N), in the object's frame; seen (N,): how many views saw each. Without
-    pairs all tables are empty. Deterministic.
+    pairs: its coarse colour pairs (N), in the object's frame; seen (N,): number of views that show each.
+    Without pairs all tables are empty. Deterministic.
     """
     if len(pairs):
         centers = color_classes(pairs.colors.reshape(-1, 3), CLASSES)

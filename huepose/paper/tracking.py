@@ -1,24 +1,24 @@
 """One step of the paper's tracker (section III-E, "Pose Tracking").
 
-Optical flow on the object's region > matches that the carried mask and their colour pairs confirm > lifted to
-3D > canonical features > the network's rotation > the translation that the matches agree on > a fixed small
-number of point-to-plane iterations. There is no velocity, no search, no colour in the refinement, no belief.
+Optical flow on the object's region > matches confirmed by the carried mask and by colour pairs > lifting to
+3D > canonical features > the network's rotation > the translation from the matches > a fixed small number of
+point-to-plane iterations. There is no velocity, no search, no colour in the refinement and no probability.
 
-Two things the paper does not have. Matches are also filtered by flow from the second frame back to the first
-(`propose.flow`): it takes the error of the network's rotation five frames on from 0.62 to 0.56 of the motion
-(`huepose eval ablation`: `flow filtered` and `consistent filtered`, `direct`). And the centroid is trimmed
-(`paper.canonical`).
+Two things are not in the paper. Matches are also filtered by flow from the second frame back to the first
+(`propose.flow`): with frames five apart this reduces the error of the network's rotation from 0.62 to 0.56 of
+the motion (`huepose eval ablation`: `flow filtered` and `consistent filtered`, `direct`). And the centroid is
+trimmed (`paper.canonical`).
 
 What the paper leaves open, and what is done here:
 
-- A mask that comes late, as a segmenter's at 5 Hz, is carried by flow to now and used in the next step. In
-  the others it is the object's outline at its last pose, where depth agrees with it. Flow carries it to the
-  new frame; there it filters matches and cuts out the depth.
-- The region of the flow: the outline's box and as much again on each side, so that a step may be as long as
-  the object is large in the picture.
-- The network regresses the whole rotation, as the paper's does (`rotation_network`, kind "direct"). Instead
-  of it, one that corrects a closed form may be given, or the closed form alone.
-- Where the matches give no motion the last pose goes on, and the refinement has to find the object.
+- A late mask, such as a segmenter's at 5 Hz, is carried by flow to the newest frame and used in the next
+  step. Other steps use the object's outline at its last pose, where depth agrees with it. Flow carries the
+  mask to the new frame, where it filters matches and selects the depth.
+- The region of the flow: the outline's box and one box size more on each side, so that the object may move by
+  its own size in the image.
+- The network regresses the whole rotation, as the paper's does (`rotation_network`, kind "direct"). A network
+  that corrects a closed form, or the closed form alone, can be used instead.
+- If the matches give no motion, the refinement starts from the last pose.
 - ICP: ten iterations, a gate from 20 to 8 mm, a thousand points.
 """
 
@@ -45,21 +45,21 @@ from huepose.refine.point_to_plane import align
 Rotation = Literal["direct", "residual", "kabsch"]
 
 GROWTH = 1.0
-"""Of the region of the flow on each side, in sizes of the object's box."""
+"""Growth of the region of the flow on each side, in sizes of the object's box."""
 
 VISIBLE_M = 0.015
-"""Depth may lie this far from the model's surface and still be the object's."""
+"""Depth up to this distance from the model's surface belongs to the object."""
 
 GATE_START_M, GATE_END_M, ITERATIONS, POINTS = 0.02, 0.008, 10, 1000
-"""Of the alignment to depth: how far points may be apart in the first and in the last of its iterations, and
-about how many of the mask's points are aligned."""
+"""ICP: gate in the first and in the last iteration, number of iterations, and approximate number of the
+mask's points."""
 
 
 @dataclass(frozen=True)
 class PaperStep:
     """From an object's pose in one frame to its pose in the next.
 
-    relative_pose: from matches to a motion; flow: where optical flow comes from.
+    relative_pose: from matches to a motion; flow: computes the optical flow.
     """
 
     relative_pose: RelativePose
@@ -71,8 +71,8 @@ class PaperStep:
         model: Path | None = None,
         flow: optical_flow.FlowSource = optical_flow.compute,
     ) -> PaperStep:
-        """With a network for the rotation (the one of a file, else the one that comes with the library), or
-        with the closed form alone. Raises InputError for a file that is no such network."""
+        """With a network for the rotation (from the file `model`, else the one in the package), or with the
+        closed form alone. Raises InputError for a file that is no such network."""
         return PaperStep(robust_kabsch if rotation == "kabsch" else learned(rotation, model), flow)
 
     def __call__(
@@ -84,8 +84,7 @@ class PaperStep:
         mask: Bool | None = None,
     ) -> Float64:
         """T_cam_obj (4, 4) in the frame `after`, from that in `before`. mask (H, W): the object's pixels in
-        `before`, where a segmenter gave them. The pose comes back as it is where the object is out of sight.
-        """
+        `before`, if a segmenter gave them. If the object is out of view, the pose is returned unchanged."""
         box = projected_box(model, before, T_cam_obj)
         flow = None if box is None else self.flow(before.color, after.color, box.grown(GROWTH))
         if flow is None:
@@ -102,7 +101,7 @@ class PaperStep:
         self, model: ReferenceModel, mask: Bool, T_cam_obj: Sequence[Float64], frames: Sequence[RgbdFrame]
     ) -> Bool | None:
         """A mask (H, W) in the first of some frames, carried by flow to the last; T_cam_obj: the poses (4, 4)
-        in all but the last, which say where to look. None where nothing of it arrives."""
+        in all but the last, which give the region of the flow. None if nothing of the mask is left."""
         for T, before, after in zip(T_cam_obj, frames, frames[1:], strict=False):
             box = projected_box(model, before, T)
             flow = None if box is None else self.flow(before.color, after.color, box.grown(GROWTH))

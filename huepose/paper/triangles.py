@@ -1,12 +1,12 @@
-"""Semantic triangles: three points of three different classes name a pose (paper, section III-C).
+"""Semantic triangles: three points of three different classes determine a pose (paper, section III-C).
 
 Offline, triangles that are large and whose centroid lies far from the object's centre are hashed under a
 seven-dimensional key that no rigid motion changes: three class ids in ascending order (which also orders the
 corners), three quantised sides, and the chirality, which is the sign of the triangle's normal against the
-mean normal of the surface at its corners: it tells a triangle from its mirror image. Online, scene
-triangles are looked up with their neighbouring bins; of many entries under one key a few are taken at equal
-steps of the distance between centroid and object centre. Each match gives a pose by Kabsch's fit of three
-points.
+mean normal of the surface at its corners: it distinguishes a triangle from its mirror image. Online, scene
+triangles are looked up in their bins and the neighbouring ones. Of many entries under one key a few are taken
+at equal steps through the list, which is ordered by the distance between centroid and object centre. Each
+match gives a pose by Kabsch's fit of three points.
 """
 
 from __future__ import annotations
@@ -20,28 +20,28 @@ from huepose.paper.votes import Votes
 from huepose.support.jit import jit
 
 BIN = 0.035
-"""Of the sides, in diameters."""
+"""Width of a bin of the sides, in diameters."""
 
 MIN_HEIGHT = 3.0
 """Smallest height of a triangle, in bins."""
 
 ECCENTRICITY = 0.05
-"""Weight of the distance of a triangle's centroid against that of its area, which is 1."""
+"""Weight of the distance of a triangle's centroid from the object's centre; the weight of its area is 1."""
 
 CANDIDATES, ROWS = 600_000, 15_000
-"""Triangles that are drawn offline, and those of them that are kept."""
+"""Triangles that are sampled offline, and how many of them are kept at most."""
 
 SCENE_TRIANGLES = 1800
-"""Triangles of a scene."""
+"""Largest number of triangles of a scene."""
 
 PER_KEY = 3
-"""Entries taken from one key."""
+"""Largest number of entries taken from one key."""
 
 TOLERANCE = 1.0
-"""On the sides, in bins."""
+"""Largest difference of matched sides, in bins."""
 
 ANY_FACING = -1.0
-"""Matched normals need not agree, as in the paper."""
+"""`facing` of `triangle_votes` with which matched normals need not agree, as in the paper."""
 
 
 def build_triangles(cloud: ClassifiedCloud, diameter_m: float) -> tuple[Int64, Int32]:
@@ -58,7 +58,7 @@ def build_triangles(cloud: ClassifiedCloud, diameter_m: float) -> tuple[Int64, I
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-9)
     bin_m = BIN * diameter_m
     height = 2 * area / np.maximum(sides.max(1), 1e-12)
-    together = ((n * mean[:, None]).sum(2) > 0.25).all(1)  # some camera sees all three corners
+    together = ((n * mean[:, None]).sum(2) > 0.25).all(1)  # one camera can see all three corners
     usable = together & (height > MIN_HEIGHT * bin_m) & (sides.max(1) < (MAX_BINS - 2) * bin_m)
     centre = 0.5 * (cloud.points.min(0) + cloud.points.max(0)) if len(cloud) else np.zeros(3)
     distance = np.linalg.norm(p.mean(1) - centre, axis=1)
@@ -75,7 +75,7 @@ def build_triangles(cloud: ClassifiedCloud, diameter_m: float) -> tuple[Int64, I
 def draw_triples(cloud: ClassifiedCloud, count: int, rng: np.random.Generator) -> Int32:
     """At most `count` triples (T, 3) int32 of points of three different classes, corners in class order.
 
-    Points are drawn by weight, those of rare classes more often.
+    Points are sampled by weight, those of rare classes more often.
     """
     if len(cloud) < 3:
         return np.zeros((0, 3), np.int32)
@@ -98,11 +98,11 @@ def pack(classes: Int64, bins: Int64, chirality: np.ndarray) -> Int64:
 def triangle_votes(
     scene: ClassifiedCloud, tables: PaperTables, facing: float, rng: np.random.Generator
 ) -> Votes:
-    """Poses from matching triangles of the scene's classified cloud (camera axes) with those of a model;
-    facing: smallest mean cosine between matched normals."""
+    """Poses from matches between triangles of the scene's classified cloud (camera axes) and those of a
+    model; facing: smallest mean cosine between matched normals."""
     if not len(tables.triangle_keys) or len(scene) < 3:
         return Votes.empty()
-    # about two in three draws have three different classes and a useful shape
+    # about two in three samples have three different classes and a useful shape
     triples = draw_triples(scene, 3 * SCENE_TRIANGLES, rng)
     R, t, w, f = _look_up(
         scene.points,
@@ -123,7 +123,7 @@ def triangle_votes(
 @jit
 def _fit(p: Float64, q: Float64, R: Float64, t: Float64) -> None:
     """Kabsch's rotation and translation from triangle p (3, 3 by rows) to q, in closed form: both are planar,
-    so the best rotation lays plane on plane and turns within it."""
+    so the best rotation aligns the planes and then rotates within the plane."""
     pc = np.zeros(3)
     qc = np.zeros(3)
     for a in range(3):
@@ -216,7 +216,7 @@ def _look_up(
             continue
         for a in range(3):
             mean[a] = normals[triples[i, 0], a] + normals[triples[i, 1], a] + normals[triples[i, 2], a]
-        turn = 1 if n0 * mean[0] + n1 * mean[1] + n2 * mean[2] > 0 else 0
+        chirality = 1 if n0 * mean[0] + n1 * mean[1] + n2 * mean[2] > 0 else 0
         head = np.int64(classes[triples[i, 0]])
         head = (head * MAX_CLASSES + classes[triples[i, 1]]) * MAX_CLASSES + classes[triples[i, 2]]
         first = count
@@ -234,7 +234,7 @@ def _look_up(
                 key = key * MAX_BINS + b
             if not inside:
                 continue
-            key = key * 2 + turn
+            key = key * 2 + chirality
             low = np.searchsorted(keys, key)
             high = low
             while high < keys.shape[0] and keys[high] == key:
@@ -242,7 +242,7 @@ def _look_up(
             entries = high - low
             taken = min(entries, PER_KEY)
             for e in range(taken):
-                # equal steps over the list, which is in order of the distance from the object's centre
+                # equal steps through the list, which is ordered by the distance from the object's centre
                 row = low + int((e + 0.5) * entries / taken)
                 sides_match = True
                 for k in range(3):
@@ -261,10 +261,10 @@ def _look_up(
                 agreement = 0.0
                 for k in range(3):
                     for a in range(3):
-                        turned = 0.0
+                        rotated = 0.0
                         for b in range(3):
-                            turned += R[a, b] * model_normals[triangles[row, k], b]
-                        agreement += turned * normals[triples[i, k], a] / 3.0
+                            rotated += R[a, b] * model_normals[triangles[row, k], b]
+                        agreement += rotated * normals[triples[i, k], a] / 3.0
                 if agreement < facing:
                     continue
                 out_R[count] = R

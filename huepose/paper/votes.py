@@ -14,7 +14,7 @@ class Votes:
     """Many weak estimates of a pose, to be clustered.
 
     rotations (V, 3, 3) and translations (V, 3) float32 of T_cam_obj; weights (V,) float32; features (V,)
-    int32: the scene feature that each came from, in ascending order, so that no feature counts twice.
+    int32: the scene feature of each vote, in ascending order, so that no feature counts twice.
     """
 
     rotations: Float32
@@ -34,7 +34,7 @@ class Votes:
 
     @staticmethod
     def joined(parts: list[Votes]) -> Votes:
-        """Votes of several sources; their features are kept apart."""
+        """The votes of several sources; each source keeps features of its own."""
         parts = [p for p in parts if len(p)]
         if not parts:
             return Votes.empty()

@@ -1,15 +1,15 @@
 """Cluster thousands of weak pose votes to a few hypotheses: two-stage Hough voting, coarse to fine (paper,
 III-C).
 
-First the position: cells of a tenth of the diameter collect votes for the object's centre, neighbours
-included. Then, inside the best cells, the rotation: votes within a geodesic radius and a distance of each
-other support one another. In both stages a scene feature counts once, with its strongest vote, so that an
-ambiguous feature cannot fill a cell alone. Modes are weighted means of their supporters (chordal mean,
-independent of quaternion signs); non-maximum suppression removes modes near better ones.
+First the position: cells of a tenth of the diameter collect votes for the object's centre, with their
+neighbours. Then, inside the best cells, the rotation: votes within an angle and a distance of each other
+support one another. In both stages a scene feature counts once, with its strongest vote, so that an ambiguous
+feature cannot fill a cell alone. Modes are weighted means of their supporters (chordal mean, independent of
+quaternion signs); non-maximum suppression removes modes near better ones.
 
-A pose of a symmetric object has equivalent poses. Votes for equivalents support each other, and each is
-replaced by the equivalent nearest to the mode before means are taken: the mean of a pose and its half turn
-would be neither.
+A pose of a symmetric object has equivalent poses. Votes for equivalent poses support each other, and each is
+replaced by the equivalent pose nearest to the mode before means are taken: the mean of a pose and the same
+pose rotated by 180 degrees would be neither of the two.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from huepose.paper.votes import Votes
 from huepose.support.jit import jit
 
 CELL, ANGLE_DEG = 0.1, 20.0
-"""Radii of a mode's support, in diameters and degrees; the first is also a cell of the centre's position."""
+"""Radii of a mode's support, in diameters and degrees; the first is also the side of a cell of positions."""
 
 CELLS, MEMBERS = 8, 2500
-"""Cells that are searched, and votes that are looked at in one."""
+"""Largest numbers of cells that are searched, and of votes that are used in each."""
 
 SEEDS, MODES = 120, 10
-"""Seeds that are tried in one cell, and modes that it can have."""
+"""Largest numbers of seeds that are tried in one cell, and of its modes."""
 
 DISTINCT, DISTINCT_DEG = 0.07, 15.0
 """Hypotheses nearer than both (diameters, degrees) are one."""
 
 HYPOTHESES = 60
-"""Most that are returned."""
+"""Largest number of hypotheses that are returned."""
 
 NO_POSES = np.zeros((0, 4, 4)), np.zeros(0)
 
@@ -50,15 +50,15 @@ def cluster(
 
     centre_obj (3,): the point whose position is voted for; equivalents (E, 4, 4), identity first: rotations
     after which shape and texture look the same. The score is the summed weight of a mode's supporters, each
-    scene feature counted once. Of equal poses one is returned.
+    scene feature counted once. Of equivalent poses one is returned.
     """
     if not len(votes):
         return NO_POSES
-    turns = np.eye(4)[None] if equivalents is None else np.asarray(equivalents, np.float64)
-    # the one point that no equal pose moves
-    c = np.asarray(turns[:, :3, :3] @ np.asarray(centre_obj, np.float64) + turns[:, :3, 3]).mean(0)
+    symmetries = np.eye(4)[None] if equivalents is None else np.asarray(equivalents, np.float64)
+    # the mean of the centre over the equivalent rotations: none of them moves it
+    c = np.asarray(symmetries[:, :3, :3] @ np.asarray(centre_obj, np.float64) + symmetries[:, :3, 3]).mean(0)
     centres = votes.rotations @ c.astype(np.float32) + votes.translations
-    quaternions = np.stack([_quaternions(votes.rotations @ t[:3, :3].astype(np.float32)) for t in turns])
+    quaternions = np.stack([_quaternions(votes.rotations @ t[:3, :3].astype(np.float32)) for t in symmetries])
     cell_m, angle = CELL * diameter_m, float(np.radians(ANGLE_DEG))
     found = []
     for members in dense_cells(centres, votes.weights, votes.features, cell_m, CELLS):
@@ -81,9 +81,9 @@ def cluster(
     scores, rotations, places = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.argsort(-scores, kind="stable")
     scores, rotations, places = scores[order], rotations[order], places[order]
-    by_turns = np.stack([se3.quaternion_from_rotation(t[:3, :3]) for t in turns])
+    by_symmetry = np.stack([se3.quaternion_from_rotation(t[:3, :3]) for t in symmetries])
     kept = distinct_modes(
-        _products(rotations, by_turns),
+        _products(rotations, by_symmetry),
         places,
         float(np.radians(DISTINCT_DEG)),
         DISTINCT * diameter_m,
@@ -97,7 +97,7 @@ def cluster(
 
 
 def _products(a: Float64, b: Float64) -> Float64:
-    """Quaternions xyzw (N, M, 4) of the turns a (N, 4) after the turns b (M, 4)."""
+    """Quaternions xyzw (N, M, 4) of rotations b (M, 4) followed by rotations a (N, 4)."""
     x, w = a[:, None, :3], a[:, None, 3:]
     y, v = b[None, :, :3], b[None, :, 3:]
     axis = w * y + v * x + np.cross(x, y)
@@ -107,8 +107,8 @@ def _products(a: Float64, b: Float64) -> Float64:
 def dense_cells(
     centres: Float32, weights: Float32, features: Int32, cell_m: float, count: int
 ) -> list[Int64]:
-    """The votes (indices) in and around the cells with most votes, best cell first; no two chosen cells
-    touch."""
+    """The votes (indices) in and around the cells with most votes, best cell first; no two chosen cells are
+    neighbours."""
     low = np.percentile(centres, 1, axis=0).astype(np.float32) - 2 * cell_m
     high = np.percentile(centres, 99, axis=0).astype(np.float32) + 2 * cell_m
     size = np.minimum(np.ceil((high - low) / cell_m).astype(np.int64) + 1, 64)
@@ -153,7 +153,7 @@ def _quaternions(R: Float32) -> Float32:
 
 @jit
 def _cell_votes(cells: Int64, weights: Float32, features: Int32, count: int) -> Float32:
-    """Sum over features of the strongest vote of each feature in each cell; features come in order."""
+    """Sum over features of the strongest vote of each feature in each cell; features in ascending order."""
     total = np.zeros(count, np.float32)
     owner = np.full(count, -1, np.int32)
     counted = np.zeros(count, np.float32)

@@ -1,6 +1,6 @@
-"""The method `colorpair`: the paper's path on single frames with what was added to it.
+"""The method `colorpair`: the paper's method for single frames, with additions.
 
-Added are: the light of the scene (`light`), votes of single pairs as whole frames (`frames`), a test of
-votes against depth (`plausible`), starts from shape (`shape`), and a search on the colours of pairs
+They are: an estimate of the light (`light`), votes of single pairs as coordinate frames (`frames`), a test of
+votes against depth (`plausible`), start poses from shape (`shape`), and a search on the colours of pairs
 (`pair_search`).
 """

@@ -1,9 +1,8 @@
-"""The method `colorpair`: colour pairs alone, without templates and without dense colour, and with what was
-added to the paper's path.
+"""The method `colorpair`: the paper's method with additions; no templates and no dense colour.
 
-Per source mask: pairs > hypotheses (`paper.extended.hypotheses`), with starts from shape where they are few >
-registration on depth. Then together: near-symmetric rotations of the best > coordinate search by pairs >
-settling on depth > the best searched finely, and all judged by pairs.
+Per source mask: pairs > hypotheses (`paper.extended.hypotheses`), and start poses from shape if there are
+few > registration on depth. Then for all masks together: near-symmetric rotations of the best poses >
+coordinate search by pairs > registration on depth > fine search of the best ones. Pairs judge all poses.
 """
 
 from __future__ import annotations
@@ -33,35 +32,36 @@ from huepose.select.distinct import FINAL_SHIFT, FINAL_TURN_RAD, NONE, Ranked, d
 from huepose.support.stages import stage
 
 RIM_PX = 3
-"""Side of the erosion kernel of masks, pixels: pairs at the rim of a mask also contain the background."""
+"""Side of the erosion kernel of masks, pixels: pairs at the rim of a mask also have colours of the
+background."""
 
 COARSE_PAIRS, COARSE_SAMPLES = 300, 200
 SEARCH_PAIRS, SEARCH_SAMPLES = 600, 300
-"""Pairs and surface samples by which poses are judged; the last few are judged more closely."""
+"""Largest numbers of pairs and surface samples that judge a pose; the last few poses are judged with more."""
 
 CORRELATED, AGREED = 0.5, 0.5
-"""What the score's correlations count in the end, and the agreement in which a pair that disagrees wholly
-counts as nothing (`judge.texture_evidence.agreement_many`): chosen on drawn heaps."""
+"""Weights, in the final order, of the score's correlations and of the agreement, in which a pair that
+disagrees counts as zero (`judge.texture_evidence.agreement_many`): chosen on rendered heaps."""
 
 
 REFINED, SHAPES = 30, 20
-"""Hypotheses of a mask that are registered, and how many of them may be starts from shape alone, where
-colours propose too few."""
+"""Largest numbers of hypotheses of a mask that are registered, and of those among them that come from shape
+alone, if colours propose too few."""
 
 KEPT, WITH_NEAR_SYMMETRIES = 8, 5
-"""Different ones after that, and how many of them have their near-symmetric rotations tried."""
+"""Largest numbers of different poses after that, and of those whose near-symmetric rotations are tried."""
 
 SEARCHED, FINISHED = 8, 3
-"""Poses of a mask that are searched, and those that are searched finely in the end."""
+"""Largest numbers of poses that are searched, and of those that are searched finely in the end."""
 
 ALTERNATIVES = 6
-"""Different poses that are returned."""
+"""Largest number of different poses that are returned."""
 
 
 @dataclass(frozen=True)
 class ColorpairPathConfig:
-    """shapes: whether shape alone may give starts; semantic: whether semantic ICP adds a pose to each of the
-    best different ones; hypotheses: what votes, and under which lights."""
+    """shapes: whether shape alone may propose start poses; semantic: whether semantic ICP adds a pose to each
+    of the best different ones; hypotheses: which sources vote, and whether the light is estimated."""
 
     shapes: bool = True
     semantic: bool = True
@@ -81,7 +81,7 @@ class ColorpairMethod:
         tables_of(model)
 
     def warm_up(self, models: Sequence[ReferenceModel]) -> None:
-        """Compile what the first picture may do without and a later one needs."""
+        """Compile what the first image may not need, but a later one does."""
         if self.config.hypotheses.ppf:
             warm_up_point_pairs(models)
 
@@ -95,8 +95,8 @@ def estimate_by_pairs(
 ) -> Ranked:
     """Poses of one object, best first.
 
-    Every source mask proposes poses; the score is that of `pair_score` on the evidence's region.
-    Empty when nothing is to be seen: no depth, no pairs and no plausible start from shape.
+    Every source mask proposes poses; `pair_score` on the evidence's region scores them. Empty without any
+    proposal: no depth, or neither pairs nor a plausible start pose from shape.
     """
     region = evidence.region
     with stage("picture"):
@@ -134,7 +134,7 @@ def proposed_by_pairs(
     config: ColorpairPathConfig,
     rng: np.random.Generator,
 ) -> Float64:
-    """The best different poses (N, 4, 4) that the sources of the evidence propose, laid on their points."""
+    """The best different poses (N, 4, 4) that the source masks propose, registered on the masks' points."""
     crop = evidence.region.crop
     part = RgbdFrame(np.ascontiguousarray(crop.color), np.ascontiguousarray(crop.depth), crop.camera)
     sources = zip(evidence.sources, evidence.points_cam, strict=True)
@@ -152,7 +152,7 @@ def _proposed(
     rng: np.random.Generator,
     config: ColorpairPathConfig,
 ) -> Float64:
-    """The best different poses (N, 4, 4) that one source mask (h, w) proposes; `part`: the crop's pixels."""
+    """The best different poses (N, 4, 4) that one source mask (h, w) proposes; `part`: the crop's frame."""
     mask = cv2.erode(source.astype(np.uint8), np.ones((RIM_PX, RIM_PX), np.uint8)) > 0
     with stage("extract"):
         pairs = extract_at_model_scale(model.pairs, part, mask)
@@ -179,7 +179,7 @@ def _proposed(
 def _with_near_symmetries(
     model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64
 ) -> Float64:
-    """The best different ones among poses (N, 4, 4) and the near-symmetric rotations of the best of them."""
+    """The best different poses among poses (N, 4, 4) and the near-symmetric rotations of the best ones."""
     totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
     best = different_poses(model, poses, totals, KEPT)
     poses, totals = poses[best], totals[best]
@@ -193,8 +193,7 @@ def _with_near_symmetries(
 def _decided(
     model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64, terms: Float64
 ) -> Ranked:
-    """Different poses (K, 4, 4), judged already (K, 5), put in order by what agrees as well as by how it
-    correlates."""
+    """Different poses (K, 4, 4) with their terms (K, 5), ordered by correlation and by agreement."""
     totals, geometry = terms[:, 0], terms[:, 1]
     agreed = agreement_many(model, region, picture, poses)
     weighed = geometry + CORRELATED * (totals - geometry) + AGREED * agreed
@@ -202,5 +201,5 @@ def _decided(
 
 
 def _judge(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64) -> Float64:
-    """Terms (M, 5) of `pair_score_many` of poses (M, 4, 4), looked at closely."""
+    """Terms (M, 5) of `pair_score_many` of poses (M, 4, 4), with more pairs and samples."""
     return pair_score_many(model, region, picture, poses, CLOSE_PAIRS, CLOSE_PAIR_SAMPLES)

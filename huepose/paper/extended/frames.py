@@ -1,10 +1,9 @@
-"""A colour pair on a surface is a whole coordinate frame: one good match names a pose.
+"""A colour pair on a surface is a whole coordinate frame: one match determines a pose.
 
-A ridge point has a position, a surface normal and the direction across the edge; which side is which is known
-from the colours. So a single match of a scene pair with a model pair determines all six degrees of freedom,
-roughly, where a triangle needs three points of three classes. This makes use of all that the paper's features
-carry, costs little, and works with two colours; the votes go the same way as those of triangles and point
-pairs.
+A ridge point has a position, a surface normal and the direction across the edge; the colours distinguish the
+two sides. So a single match of a scene pair with a model pair roughly determines all six degrees of freedom,
+while a triangle needs three points of three classes. This uses all information of the paper's features, costs
+little, and works with two colours. The votes are clustered with those of triangles and point pairs.
 """
 
 from __future__ import annotations
@@ -19,13 +18,13 @@ from huepose.paper.votes import Votes
 from huepose.support.jit import jit
 
 MODEL_PAIRS = 2500
-"""Most pairs of the model that are compared."""
+"""Largest number of the model's pairs that are compared."""
 
 MATCHES = 80
-"""Most matches of one scene pair."""
+"""Largest number of matches of one scene pair."""
 
 LEAST_SIMILARITY = 0.3
-"""Similarity under which a match is not counted."""
+"""A match with less similarity does not vote."""
 
 SHARPNESS = 3.0
 """Exponent on the similarity where matches share a pair's vote."""
@@ -75,15 +74,15 @@ def _vote(
     farthest = -np.log(LEAST_SIMILARITY)
     found = np.empty(2 * m, np.int32)
     cost = np.empty(2 * m, np.float32)
-    turned = np.empty(x.shape[1], np.float32)
+    exchanged = np.empty(x.shape[1], np.float32)
     for i in range(points.shape[0]):
-        # the pair as it is, and with its sides exchanged: the frame is then turned about the normal
-        exchange(x[i], turned)
+        # the pair as it is, and with its sides exchanged: its frame is then rotated about the normal
+        exchange(x[i], exchanged)
         near = 0
         total = 0.0
         for j in range(m):
             for way in range(2):
-                z = turned if way else x[i]
+                z = exchanged if way else x[i]
                 c = pair_cost(z, y[j])
                 if c < farthest:
                     found[near] = j + way * m

@@ -1,9 +1,9 @@
 """Poses from colour pairs: light, classes, votes of three kinds, plausibility, clusters (paper, section
 III-C).
 
-Votes come from single pairs as frames and from triangles of three classes; where fewer than three classes
-are in sight, from point pairs with classes too. All are asked under each of the few lights that could
-explain the scene's colours, weighed by whether depth allows them, and clustered together.
+Votes come from single pairs as frames and from triangles of three classes; if fewer than three classes are
+visible, also from point pairs with classes. All sources vote under each of the few lights that could explain
+the scene's colours. Votes are weighted by their plausibility in depth and clustered together.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from huepose.paper.votes import Votes
 from huepose.paper.voting import NO_POSES, cluster
 
 SCENE_PAIRS = 220
-"""Most pairs of a scene that are used."""
+"""Largest number of a scene's pairs that are used."""
 
 FACING = 0.8
-"""Smallest mean cosine between the normals of matched triangles; the paper's need not agree."""
+"""Smallest mean cosine between the normals of matched triangles; in the paper they need not agree."""
 
 
 @dataclass(frozen=True)
 class HypothesesConfig:
-    """light: False to take the scene's colours as they are; each source of votes can be switched off (`ppf`,
-    the fallback, for legal reasons: see its module)."""
+    """light: False uses the scene's colours as they are. Each source of votes can be switched off (`ppf`, the
+    fallback, for legal reasons: see `paper.ppf`)."""
 
     light: bool = True
     frames: bool = True
@@ -49,7 +49,7 @@ class HypothesesConfig:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """The scene's pairs read under one light. pairs: on the surface, camera axes, colours as under the
+    """The scene's pairs, corrected for one light. pairs: on the surface, camera axes, colours as under the
     model's light; cloud: their two sides, classified."""
 
     pairs: SurfacePairs
@@ -64,9 +64,9 @@ def hypotheses_of(
     config: HypothesesConfig,
     rng: np.random.Generator,
 ) -> Float64:
-    """Likely poses (K, 4, 4) of a model from the readings of a mask (H, W), best first, not yet refined.
+    """Poses (K, 4, 4) of a model from the readings of a mask (H, W), best first, not yet refined.
 
-    Empty without readings: `paper.extended.shape` has starts for that case.
+    Empty without readings: then `paper.extended.shape` can propose start poses.
     """
     if not readings:
         return NO_POSES[0]
@@ -89,9 +89,9 @@ def read_scene(
     config: HypothesesConfig,
     rng: np.random.Generator,
 ) -> list[Reading]:
-    """The pairs of a mask (H, W) on their surface, under each light that could be, best first.
+    """The pairs of a mask (H, W) on their surface, under each possible light, best first.
 
-    Empty when there is no depth under the pairs, or when the model has none.
+    Empty if there is no depth at the pairs, or if the model has no pairs.
     """
     scene = lift(pairs, frame.depth, mask, frame.camera)
     reference = reference_pairs(model.pairs)

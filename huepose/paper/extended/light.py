@@ -1,15 +1,13 @@
-"""Under which light would the scene's colour pairs be pairs of the model?
+"""Under which light do the scene's colour pairs look like pairs of the model?
 
-Without a pose nobody knows which scene pair is which model pair, but the whole set of scene pairs must look
-like some of the model's. So the gains of the light are searched on a coarse grid
-and refined by iterated matching, for the largest share of scene pairs that have a like model pair. More
-than one light can explain a set: the best few different ones are returned, and poses found under them are
-judged later.
+Without a pose it is unknown which scene pair is which model pair, but the whole set of scene pairs must look
+like some of the model's. So the gains of the light are searched on a coarse grid and refined by iterated
+matching: they maximise the share of scene pairs that have a similar model pair. More than one light can
+explain a set: the best few different ones are returned, and the poses found under them are judged later.
 
 Light is three gains. Exposure and the colour of the light multiply XYZ, each channel by its own factor, in
-good approximation. CIELAB is linear in the cube roots of XYZ (but for the darkest colours), so light
-multiplies those cube roots too, by the cube roots of the factors: the `gain` here. It is estimated on cube
-roots and applied to them.
+good approximation. CIELAB is linear in the cube roots of XYZ (except for the darkest colours), so light
+multiplies the cube roots, too, by the cube roots of the factors. These are the `gain` here.
 """
 
 from __future__ import annotations
@@ -44,25 +42,25 @@ def relit(lab: Float, gain: Float) -> Float32:
 
 EXPOSURES = (0.6, 0.7, 0.82, 0.95, 1.1, 1.28, 1.5)
 REDS, BLUES = (0.97, 1.03), (0.88, 1.0, 1.12)
-"""The grid, as gains of all, of X and of Z."""
+"""The grid: gains of X, Y and Z together, and factors of X and of Z."""
 
 SCENE_PAIRS, MODEL_PAIRS = 120, 200
-"""Most that are compared."""
+"""Largest numbers of pairs that are compared."""
 
 SIGMA, LIGHTNESS = 8.0, 0.6
-"""Distance of alike pairs, CIELAB units, and the weight of L in it."""
+"""Standard deviation of the distance of matching pairs, CIELAB units, and the weight of L in it."""
 
 STARTS, ROUNDS = 6, 6
-"""Points of the grid that are refined, and how often."""
+"""Points of the grid that are refined, and iterations of each."""
 
 PRIOR = 0.02
-"""Pull towards the start, per pair."""
+"""Weight of the start, per scene pair."""
 
 DISTINCT = 0.12
-"""Difference of two lights in any log gain."""
+"""Two lights are different if they differ by more than this in any log gain."""
 
 LIGHTS = 2
-"""Most that are returned."""
+"""Largest number of lights that are returned."""
 
 
 def lights_of(scene: Float32, model: Float32, rng: np.random.Generator) -> list[tuple[Float64, float]]:
@@ -110,11 +108,12 @@ def _fit(
     rounds: int,
     prior: float,
 ) -> tuple[float, Float64]:
-    """Share of scene pairs (N, 2, 3 cube roots) that a light explains, and the light after some rounds."""
+    """Share of scene pairs (N, 2, 3 cube roots) that a light explains, and the light (3,), after `rounds`
+    iterations."""
     gain = start.copy()
     x = np.empty(6)
     share = 0.0
-    for turn in range(rounds + 1):
+    for iteration in range(rounds + 1):
         num = np.zeros(3)
         den = np.zeros(3)
         share = 0.0
@@ -160,7 +159,7 @@ def _fit(
                 den[1] += k * fy * fy
                 num[2] += k * scene[i, side, 2] * fz
                 den[2] += k * fz * fz
-        if turn < rounds:
+        if iteration < rounds:
             pull = prior * scene.shape[0]
             for c in range(3):
                 gain[c] = (num[c] + pull * start[c]) / (den[c] + pull)

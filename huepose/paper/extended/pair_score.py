@@ -1,9 +1,10 @@
-"""Judge a pose by colour pairs: do the model's pairs find their two colours where the pose projects them?
+"""Judge a pose by colour pairs: does the image have the two colours of the model's pairs where the pose
+projects them?
 
-Light is fitted at the pose itself, as the offset and gain per channel that fit all read colours best; so the
-first term is a correlation of colours. The second term is a correlation of the differences between the two
-sides, in which light and slow shading cancel. Depth, free space and coverage of the mask are judged by the
-dense score (`judge.terms`) with its colour term switched off.
+Light is fitted at each pose, as the offset and gain per channel that fit all colours best; so the first term
+is a correlation of colours. The second term is a correlation of the differences between the two sides, in
+which light and slow shading cancel. The dense score (`judge.terms`), with its colour term switched off,
+judges depth, free space and coverage of the mask.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ from huepose.model.types import ReferenceModel
 from huepose.support.jit import jit
 
 PAIR_TERMS = 5
-"""Of a pose: total, geometry, color, contrast, and how many pairs are visible."""
+"""Number of terms of a pose: total, geometry, color, contrast, and number of visible pairs."""
 
 GEOMETRY = DEFAULT_WEIGHTS._replace(color=0.0, box=0.2)
-"""Weights of the dense score without colour, chosen for pairs."""
+"""Weights of the dense score without colour, chosen for this method."""
 
 CLOSE_PAIR_SAMPLES = 600
-"""Most surface samples with which the last few poses are judged."""
+"""Largest number of surface samples that judge each of the last few poses."""
 
 
 class Judged(NamedTuple):
-    """All inputs of the pair kernel. samples: most surface samples that are used; geometry, weights: of the
-    dense score's terms and of the pair terms."""
+    """All inputs of the pair kernel. samples: largest number of surface samples used; geometry, weights:
+    weights of the dense score's terms and of the pair terms."""
 
     model: ModelArrays
     region: RegionArrays
@@ -82,7 +83,7 @@ def pair_kernel(T: Float64, on: Judged, work: PairScratch, needed: float) -> flo
     color = few * _correlation(moments, 0, weights)
     contrast = few * _correlation(moments, 3, weights)
     colors = weights.color * color + weights.contrast * contrast
-    # What geometry has to give; the slack is more than rounding.
+    # What geometry has to reach; 1e-9 is more than the rounding error.
     enough = needed - colors - 1e-9
     geometry = score_kernel(T, on.model, on.region, on.samples, on.geometry, work.rows, work.terms, enough)
     out[0] = geometry + colors
@@ -97,9 +98,9 @@ def pair_kernel(T: Float64, on: Judged, work: PairScratch, needed: float) -> flo
 def _read_pairs(
     T: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, moments: Float64
 ) -> int:
-    """Sums over the visible pairs into `moments` (6, 5): rows 0..2 of both sides' channels (weight, model,
-    image and so on as below), rows 3..5 of the differences between the sides. Returns how many were
-    visible."""
+    """Add sums over the visible pairs to `moments` (6, 5): rows 0..2 for the channels of both sides (weight,
+    model, image and so on as below), rows 3..5 for the differences between the sides. Returns the number of
+    visible pairs."""
     colors, found = pairs.colors, room_for(pairs)
     visible = read_pairs(T, region, pairs, picture, found)
     for k in range(visible):
@@ -113,7 +114,7 @@ def _read_pairs(
                 moments[c, 3] += facing * s * s
                 moments[c, 4] += facing * m * s
             m, s = colors[i, 1, c] - colors[i, 0, c], read[1, c] - read[0, c]
-            moments[3 + c, 0] += facing  # the sum of weights: differences have no mean to take off
+            moments[3 + c, 0] += facing  # the sum of weights; no mean is subtracted from differences
             moments[3 + c, 2] += facing * m * m
             moments[3 + c, 3] += facing * s * s
             moments[3 + c, 4] += facing * m * s
@@ -122,8 +123,8 @@ def _read_pairs(
 
 @jit
 def _correlation(moments: Float64, first: int, weights: PairWeights) -> float:
-    """Correlation over the three channels from row `first` on, each weighted by the variation of the model in
-    it."""
+    """Mean correlation of the three channels from row `first` on, each weighted by the model's standard
+    deviation in it."""
     count = moments[3, 0]
     if count <= 0.0:
         return 0.0
@@ -154,8 +155,8 @@ def pair_score_many(
     """Judge poses (M, 4, 4) by at most `pairs` of the model's pairs and `samples` of its surface.
 
     Returns (M, 5): total, comparable between poses on the same pixels; geometry, the dense score without
-    colour; color and contrast, correlations in -1..1, lowered where there is little evidence; number of pairs
-    compared.
+    colour; color and contrast, correlations in -1..1, lowered if few pairs are visible; number of visible
+    pairs.
     """
     out = np.zeros((len(poses), PAIR_TERMS))
     on = judged_on(model, region, picture, pairs, samples)
@@ -170,7 +171,7 @@ def judged_on(
     pairs: int,
     samples: int,
 ) -> Judged:
-    """Bundle at most `pairs` of the model's pairs, its surface and the picture for the kernel."""
+    """Bundle at most `pairs` of the model's pairs, its surface and the image for the kernel."""
     return Judged(
         model_arrays(model),
         region_arrays(region),

@@ -1,4 +1,4 @@
-"""Coordinate search on the pair score: the texture decides what depth leaves open, by pairs alone."""
+"""Coordinate search on the pair score: pairs determine what depth leaves open."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def search_pairs(
     pairs: int = 300,
     samples: int = 150,
 ) -> tuple[Float64, Float64]:
-    """Improve poses (M, 4, 4) by turns about the object's centre and shifts, along the object's axes, with
-    steps of `steps_deg` one after the other; returns poses (M, 4, 4) and their totals (M,)."""
+    """Improve poses (M, 4, 4) by rotations about the object's centre and by shifts, along the object's axes,
+    with steps of `steps_deg` one after the other; returns poses (M, 4, 4) and their totals (M,)."""
     out = np.array(poses, dtype=np.float64)
     totals = np.zeros(len(out))
     _search_all(

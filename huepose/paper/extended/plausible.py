@@ -1,7 +1,7 @@
-"""Is there depth where this pose would put the object's surface? A cheap test for thousands of votes.
+"""Is there depth where a pose puts the object's surface? A cheap test for thousands of votes.
 
-Colours propose many poses that depth forbids: the surface would float in front of what is seen, or lie
-outside the mask. Forty surface samples tell, in about half a microsecond a vote.
+Colours propose many poses that contradict depth: the surface would be in front of the measured depth, or
+outside the mask. Forty surface samples are enough; the test takes about half a microsecond for each vote.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ SAMPLES = 40
 """Surface samples of a pose."""
 
 GLANCE = 14
-"""Samples after which a vote with clearly more against it than for it is given up: most votes are."""
+"""Number of samples after which a vote with clearly more against it than for it is rejected: most are."""
 
 TOLERANCE = 0.06
-"""Distance of depth and surface that counts as the same, in diameters: votes are coarse."""
+"""Depth and surface agree up to this distance, in diameters: votes are coarse."""
 
 LEAST_FACING = 0.15
-"""Cosine between a sample's normal and the line of sight under which it is not asked."""
+"""A sample is used if the cosine between its normal and the line of sight is at least this."""
 
 OUTSIDE = 0.3
-"""What a sample counts against a pose whose depth fits but whose pixel is not in the mask."""
+"""Weight against the pose of a sample whose depth fits but whose pixel is not in the mask."""
 
 HIDDEN = 0.5
-"""What a sample counts against a pose that puts it behind the mask's own surface."""
+"""Weight against the pose of a sample that lies behind the depth in the mask."""
 
 LEAST = 0.1
-"""Least share of them that must have depth where the pose puts them."""
+"""A vote needs a share above this."""
 
 
 def plausible(
     votes: Votes, surface: Surface, depth: Float32, mask: Bool, camera: Camera, diameter_m: float
 ) -> Votes:
-    """The votes that depth allows, their weights multiplied by how well it does (0..1).
+    """The votes that agree with depth, their weights multiplied by the share (0..1) of samples that agree.
 
-    depth, mask (H, W) of the camera; the share is that of the visible samples on the depth inside the mask,
-    less those seen through, outside, or hidden behind the object itself.
+    depth, mask (H, W) of the camera. The share is that of the samples facing the camera that lie on the depth
+    inside the mask, less those with a free-space violation, outside the mask, or behind the depth in it.
     """
     if not len(votes):
         return votes

@@ -1,9 +1,8 @@
-"""Starts from shape alone, for where colours say too little: few pairs, one colour, a blurred or distant
+"""Start poses from shape alone, for when colours are not enough: few pairs, one colour, a blurred or distant
 object.
 
-Rotations spread evenly over all turns are placed so that the part of the surface which each of them shows
-lies where the mask's depth is; those that depth finds most plausible are starts for registration like any
-other.
+Evenly spaced rotations are placed so that the part of the surface that each shows lies at the mask's depth.
+Those that agree best with depth are start poses for the registration.
 """
 
 from __future__ import annotations
@@ -21,17 +20,18 @@ from huepose.paper.extended.plausible import plausible
 from huepose.paper.votes import Votes
 
 LEVEL, ROLLS = 1, 16
-"""Views of the icosphere and rolls about the viewing ray: a rotation is at most about 20 degrees from one."""
+"""Level of the icosphere of views, and number of rolls about the viewing ray: any rotation is at most about
+20 degrees from one of them."""
 
 DISTINCT_DEG = 20.0
-"""Rotations that differ by less are one."""
+"""Of rotations that differ by less, one is kept."""
 
 POINTS = 400
-"""Most pixels of a mask whose depth says where the object is."""
+"""Largest number of a mask's pixels whose depth gives the object's position."""
 
 
 def shape_hypotheses(model: ReferenceModel, frame: RgbdFrame, mask: Bool, count: int) -> Float64:
-    """The `count` most plausible different starts (K, 4, 4) under a mask (H, W), best first; none without
+    """The `count` most plausible different start poses (K, 4, 4) in a mask (H, W), best first; none without
     depth."""
     v, u = np.nonzero(mask & (frame.depth > 0))
     if not len(v):
@@ -41,7 +41,7 @@ def shape_hypotheses(model: ReferenceModel, frame: RgbdFrame, mask: Bool, count:
     depths = frame.depth[chosen[:, 1], chosen[:, 0]]
     middle = np.median(frame.camera.backproject(chosen.astype(np.float64), depths), axis=0)
     rotations, views = _rotations()
-    shown = _shown_middles(model.surface, icosphere.directions(LEVEL))[views]
+    shown = _visible_middles(model.surface, icosphere.directions(LEVEL))[views]
     translations = middle - np.einsum("nij,nj->ni", rotations, shown)
     votes = Votes(
         rotations.astype(np.float32),
@@ -63,20 +63,20 @@ def shape_hypotheses(model: ReferenceModel, frame: RgbdFrame, mask: Bool, count:
 
 @lru_cache(maxsize=1)
 def _rotations() -> tuple[Float64, np.ndarray]:
-    """Rotations R_cam_obj (N, 3, 3) evenly over all turns, and the index (N,) of the view of each."""
+    """Evenly spaced rotations R_cam_obj (N, 3, 3), and the index (N,) of the view of each."""
     out, views = [], []
     for index, direction in enumerate(icosphere.directions(LEVEL)):
         for roll in range(ROLLS):
-            turn = se3.rotation_exp(np.array([0.0, 0.0, 2 * np.pi * roll / ROLLS]))
-            out.append(turn @ icosphere.look_at(direction))
+            about_ray = se3.rotation_exp(np.array([0.0, 0.0, 2 * np.pi * roll / ROLLS]))
+            out.append(about_ray @ icosphere.look_at(direction))
             views.append(index)
     return np.stack(out), np.array(views)
 
 
-def _shown_middles(surface: Surface, directions: Float64) -> Float32:
-    """Middle (V, 3) of the surface samples that are seen from each direction (V, 3)."""
+def _visible_middles(surface: Surface, directions: Float64) -> Float32:
+    """Median (V, 3) of the surface samples that are visible from each direction (V, 3)."""
     out = np.empty((len(directions), 3), np.float32)
     for i, k in enumerate((directions @ surface.directions.T).argmax(1)):
-        seen = surface.visible[surface.offsets[k] : surface.offsets[k + 1]][:150]
-        out[i] = np.median(surface.points[seen], axis=0) if len(seen) else 0.0
+        visible = surface.visible[surface.offsets[k] : surface.offsets[k + 1]][:150]
+        out[i] = np.median(surface.points[visible], axis=0) if len(visible) else 0.0
     return out

@@ -1,6 +1,6 @@
 """The learned rotation between two frames (paper, section III-E): a network over points, run by ONNX Runtime.
 
-The rotation comes first, from canonical features alone. Given it, every match votes for a translation, and
+The rotation comes first, from canonical features alone. With it every match votes for a translation, and
 the robust mean is taken. The network regresses either the whole rotation ("direct") or the residual of the
 closed form ("residual"). Training prepares its inputs with the functions of this module.
 """
@@ -23,18 +23,19 @@ from huepose.paper.relative_pose import LiftedMatches, RelativePose, robust_kabs
 from huepose.support.errors import InputError
 
 ROUNDS = 8
-"""Of the weighted mean, each of which sets the weights of the next."""
+"""Iterations of the weighted mean; each sets the weights of the next."""
 
 Regressor = Callable[[Float32, Float64], Float64]
-"""Rotation (3, 3) from the first canonical frame to the second, of features (N, 15) and weights (N,)."""
+"""From features (N, 15) and weights (N,) to the rotation (3, 3) from the first canonical frame to the
+second."""
 
 
 def translation_given(
     R_b_a: Float, points_a: Float, points_b: Float, weights: Float, inlier_m: float
 ) -> Float64:
-    """Translation (3,) of a motion with a known rotation, from matched points (N, 3) with weights (N,): the
-    component-wise median first, then a mean with Tukey's biweight, which forgets matches that are off by more
-    than `inlier_m` metres. With no weight at all the plain median."""
+    """Translation (3,) of a motion with a known rotation, from matched points (N, 3) with weights (N,): first
+    the component-wise median, then a mean with Tukey's biweight, which ignores matches with an error over
+    `inlier_m` metres. The median if all weights are zero."""
     votes = np.asarray(points_b, np.float64) - np.asarray(points_a, np.float64) @ np.asarray(R_b_a).T
     t = np.median(votes, axis=0)
     for _ in range(ROUNDS):
@@ -47,7 +48,7 @@ def translation_given(
 
 
 def motion_given(R_b_a: Float, matches: LiftedMatches) -> Float64 | None:
-    """The motion (4, 4) with a known rotation (3, 3); None when too few matches agree with it."""
+    """The motion (4, 4) with a known rotation (3, 3); None if too few matches agree with it."""
     t = translation_given(R_b_a, matches.points_a, matches.points_b, matches.weights, INLIER_M)
     T = se3.orthonormalised(se3.make(R_b_a, t))
     miss = np.linalg.norm(se3.apply(T, matches.points_a) - matches.points_b, axis=1)
@@ -58,17 +59,17 @@ def rotation_first(regress: Regressor, matches: LiftedMatches) -> Float64 | None
     """A RelativePose by a regressor of the whole rotation."""
     if len(matches) < MIN_INLIERS:
         return None
-    seen = canonical(matches.points_a, matches.points_b, matches.weights)
-    return motion_given(seen.rotation(regress(seen.features, matches.weights)), matches)
+    clouds = canonical(matches.points_a, matches.points_b, matches.weights)
+    return motion_given(clouds.rotation(regress(clouds.features, matches.weights)), matches)
 
 
 def residual_rotation(regress: Regressor, matches: LiftedMatches) -> Float64 | None:
     """A RelativePose: closed form, then the residual rotation by a regressor, then the translation."""
-    question = posed(matches, "residual")
-    if question is None:
+    given = canonical_input(matches, "residual")
+    if given is None:
         return None
-    left = question.seen.rotation(regress(question.seen.features, matches.weights))
-    return motion_given(left @ question.R_first, matches)
+    residual = given.clouds.rotation(regress(given.clouds.features, matches.weights))
+    return motion_given(residual @ given.R_first, matches)
 
 
 Kind = Literal["residual", "direct"]
@@ -76,39 +77,39 @@ POINTS = 128
 """Matches that the network takes as input."""
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""KIND.onnx for each kind; rotation.json beside them says how they were made."""
+"""Folder of KIND.onnx for each kind; its rotation.json says how they were trained."""
 
 
 def learned(kind: Kind, file: Path | None = None) -> RelativePose:
-    """A RelativePose with a network of a kind: from a file, else the one that is shipped. Raises InputError
+    """A RelativePose with a network of a kind: from a file, else the one in the package. Raises InputError
     for a file that is missing or not such a network."""
     regress = OnnxRotation(WEIGHTS / f"{kind}.onnx" if file is None else file)
     return partial(residual_rotation if kind == "residual" else rotation_first, regress)
 
 
 @dataclass(frozen=True, eq=False)
-class Posed:
-    """Input of the network: features of matches (`seen`), after the first cloud was rotated by R_first (3,
-    3)."""
+class CanonicalInput:
+    """The canonical clouds of the matches, after the first cloud was rotated by R_first (3, 3)."""
 
-    seen: Canonical
+    clouds: Canonical
     R_first: Float64
 
 
-def posed(matches: LiftedMatches, kind: Kind) -> Posed | None:
-    """The matches as the network sees them. For "residual" the closed form moves the first cloud onto the
-    second before; None where it finds no motion."""
+def canonical_input(matches: LiftedMatches, kind: Kind) -> CanonicalInput | None:
+    """The matches as input of the network. For "residual" the closed form first moves the first cloud onto
+    the second; None if it finds no motion."""
     if kind == "direct":
-        return Posed(canonical(matches.points_a, matches.points_b, matches.weights), np.eye(3))
+        return CanonicalInput(canonical(matches.points_a, matches.points_b, matches.weights), np.eye(3))
     T_b_a = robust_kabsch(matches)
     if T_b_a is None:
         return None
     moved = se3.apply(T_b_a, matches.points_a)
-    return Posed(canonical(moved, matches.points_b, matches.weights), T_b_a[:3, :3])
+    return CanonicalInput(canonical(moved, matches.points_b, matches.weights), T_b_a[:3, :3])
 
 
 def fixed_count(features: Float32, weights: Float) -> tuple[Float32, Float32]:
-    """Exactly POINTS rows of features (N, 15) and weights (N,), heaviest first; few are repeated."""
+    """Exactly POINTS rows of features (N, 15) and weights (N,), heaviest first; if N is smaller, rows are
+    repeated."""
     order = np.argsort(-np.asarray(weights), kind="stable")
     rows = order[np.arange(POINTS) % len(order)]
     return features[rows].astype(np.float32), np.asarray(weights)[rows].astype(np.float32)
@@ -118,7 +119,7 @@ class OnnxRotation:
     """A Regressor from a file that `huepose train rotation` made; one thread.
 
     The file takes `features` (1, 128, 15) and `weights` (1, 128) and gives `rotation` (1, 3, 3), all float32.
-    Raises InputError for a file that is not there or is something else.
+    Raises InputError for a file that is missing or not such a network.
     """
 
     def __init__(self, file: Path) -> None:

@@ -1,4 +1,4 @@
-"""Learning from shapes made by code: no data set, no object of the user.
+"""Training of the networks on procedurally generated, rendered objects: it needs no data set.
 
-What needs torch imports it when it runs: `pip install '.[train]'`.
+Modules that train need torch: `pip install '.[train]'`.
 """

@@ -1,7 +1,7 @@
 """Lets the network of view codes read the bytes of `propose.view_pictures.network_input`.
 
-A quantised network makes bytes of the numbers that it reads, and puts the channels of each pixel beside each
-other, which takes an eighth of its time. Who fills its input can write it so.
+A quantised network converts its input to bytes with the channels last, which takes an eighth of its time. The
+caller can write the input in this form at once.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from huepose.propose.view_pictures import CHANNELS, PLACES, SIDE, STEP, ZERO
 
 
 def read_bytes(file: Path) -> None:
-    """Let a quantised network (QDQ format) in a file read bytes (N, 64, 64, 8) where it read numbers (N, 6,
-    64, 64): `window`, the input of a convolution. Its answers stay the same where its own bytes had the same
-    step and zero."""
+    """Change a quantised network (QDQ format) in a file so that its input `window`, which a convolution
+    reads, has bytes (N, 64, 64, 8) instead of numbers (N, 6, 64, 64). Its outputs stay the same if its own
+    quantisation had the same step and zero."""
     import onnx
     from onnx import helper, numpy_helper
 

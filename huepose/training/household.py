@@ -1,7 +1,8 @@
 """Random household objects for training: bowls, mugs, tools made of bars, fruit; painted, some with a print.
 
-Packages and superquadrics are textured and mostly convex. Real tables also hold what is hollow or thin, and
-what has one colour, or is black or white. Prints and colours are those of all random objects.
+The packages and superquadrics of `shapes` are textured and mostly convex. On real tables there are also
+hollow and thin objects, and objects of one colour, black or white. All random objects share prints and
+colours.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ def household_object(rng: Rng, diameter_m: float) -> Mesh:
 
 
 def _art(rng: Rng, base: Palette, other: bool) -> Art:
-    """Paint, now and then in another colour, or a print."""
+    """A print if `other`, else paint, sometimes in another colour."""
     own = random_palette(rng) if other or rng.random() < 0.25 else base
     art = random_art(rng) if other else textures.painted
     return lambda rng, height, width, _: art(rng, height, width, own)
@@ -78,7 +79,7 @@ def _bowl(rng: Rng) -> list[Chart]:
 
 
 def _hollow(outer: list[tuple[float, float]], inner: list[tuple[float, float]], wall: float) -> list[Chart]:
-    """What stands open at the top: its outside, its rim and its inside, of profiles (radius, height)."""
+    """Outside, rim and inside of an object that is open at the top, from profiles (radius, height)."""
     rim = [outer[-1], inner[0]]
     return revolved([[(0.0, 0.0), outer[0]], outer, rim, inner, [inner[-1], (0.0, wall)]], 32)
 
@@ -115,7 +116,7 @@ def _arc(at: Float64, reach: float, half_height: float, thick: float, flatness: 
 
 
 def _bar(size: Float64, turn_z: float, at: Float64) -> list[Chart]:
-    """The charts of a bar of a size (3,), turned about z."""
+    """The charts of a bar of a size (3,), rotated about z."""
     x, y, z = size / 2
     c, s = np.cos(turn_z), np.sin(turn_z)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -124,7 +125,7 @@ def _bar(size: Float64, turn_z: float, at: Float64) -> list[Chart]:
 
 
 def _bars(rng: Rng) -> list[Chart]:
-    """A tool of two to four bars that cross or join: clamps, drills, pliers."""
+    """A tool of two to four bars that cross or touch: clamps, drills, pliers."""
     charts: list[Chart] = []
     at, turn = np.zeros(3), 0.0
     for _ in range(int(rng.integers(2, 5))):

@@ -1,6 +1,6 @@
-"""The networks that are trained: one for rotations, and one for the codes of views with its loss.
+"""The networks that are trained: for rotations, for view codes with their loss, and for verification.
 
-Rotations: Attention-DGCNN, edge convolutions on moving neighbourhoods, then attention in place of a global
+Rotations: Attention-DGCNN, edge convolutions on dynamic neighbourhoods, then attention in place of a global
 maximum. Paper, section III-E; edge convolution after Wang et al., Dynamic Graph CNN for Learning on Point
 Clouds (2019); the six numbers of a rotation after Zhou et al. (2019).
 
@@ -23,24 +23,24 @@ from huepose.propose.view_codes import CELLS, NUMBERS
 from huepose.propose.view_pictures import CHANNELS, SIDE
 
 NEIGHBOURS = 12
-"""Points, itself included, with which each has an edge."""
+"""Number of points, itself included, with which each point has an edge."""
 
 EDGE_WIDTHS = (48, 64, 96)
 EMBEDDING = 128
-"""Numbers of each point after each edge convolution, and after all of them."""
+"""Channels of each point after each edge convolution, and after all of them."""
 
 HEADS = 4
-"""Of the attention between the points, and of that by which they are pooled."""
+"""Heads of the attention between the points, and of the attention that pools them."""
 
 NEGATIVE_SLOPE = 0.2
 """Of the leaky rectifiers, as in the published DGCNN."""
 
 
 class EdgeConvolution(nn.Module):
-    """Of each point and its nearest neighbours in feature space: the largest response to (x_j - x_i, x_i).
+    """For each point the largest response, over its nearest neighbours in feature space, to (x_j - x_i, x_i).
 
-    The linear map of an edge is the sum of one of each end, so it is taken per point before neighbours are
-    gathered: the same numbers, a twelfth of the work.
+    The linear map of an edge is the sum of a map of each end, so it is computed per point before neighbours
+    are gathered: the same numbers, a twelfth of the work.
     """
 
     def __init__(self, inputs: int, outputs: int) -> None:
@@ -54,7 +54,7 @@ class EdgeConvolution(nn.Module):
         b, n, k = near.shape
         other = self.other(x)
         gathered = torch.gather(other, 1, near.reshape(b, n * k, 1).expand(-1, -1, other.shape[2]))
-        # The own terms are the same for all neighbours of a point: they come after the maximum.
+        # The point's own terms are the same for all its neighbours: they are added after the maximum.
         largest = gathered.reshape(b, n, k, -1).amax(2) - other + self.own(x)
         normal = self.normal(largest.transpose(1, 2)).transpose(1, 2)
         return functional.leaky_relu(normal, NEGATIVE_SLOPE)
@@ -68,8 +68,8 @@ def neighbours(x: Tensor, count: int = NEIGHBOURS) -> Tensor:
 
 
 class AttentionDgcnn(nn.Module):
-    """features (B, 128, 15), weights (B, 128) -> rotation (B, 3, 3). `reach`: how far from no turn at all an
-    untrained network answers; small for a network that corrects."""
+    """features (B, 128, 15), weights (B, 128) -> rotation (B, 3, 3). `reach`: scale of the rotations that an
+    untrained network gives; small for a network that corrects."""
 
     def __init__(self, inputs: int = 15, reach: float = 1.0) -> None:
         super().__init__()
@@ -94,14 +94,14 @@ class AttentionDgcnn(nn.Module):
             seen.append(edge(seen[-1], near))
         points = functional.leaky_relu(self.embed(torch.cat(seen, -1)), NEGATIVE_SLOPE)
         points = self.after(points + self.attention(points, points, points, need_weights=False)[0])
-        # Each head pools the points by an attention of its own; a match's weight is a prior of it.
+        # Each head pools the points by its own attention; the weights of the matches are its prior.
         share = torch.softmax(self.look(points) + torch.log(weights + 1e-3)[..., None], dim=1)
         pooled = (share.transpose(1, 2) @ points).flatten(1)
         return rotation_of_six(self.reach * self.head(pooled))
 
 
 def rotation_of_six(six: Tensor) -> Tensor:
-    """Rotations (B, 3, 3) of numbers (B, 6), by Gram-Schmidt; zeros are no turn."""
+    """Rotations (B, 3, 3) of numbers (B, 6), by Gram-Schmidt; zeros give the identity."""
     x = functional.normalize(six[:, :3] + six.new_tensor([1.0, 0.0, 0.0]), dim=1)
     y = six[:, 3:] + six.new_tensor([0.0, 1.0, 0.0])
     y = functional.normalize(y - (x * y).sum(1, keepdim=True) * x, dim=1)
@@ -115,17 +115,17 @@ def geodesic(R: Tensor, R_true: Tensor) -> Tensor:
 
 
 WIDTHS, DEPTHS = (32, 64, 128), (4, 5)
-"""Channels at 1/2, 1/4 and 1/8 of the picture's side; number of blocks at 1/4 and at 1/8."""
+"""Channels at 1/2, 1/4 and 1/8 of the image's side; number of blocks at 1/4 and at 1/8."""
 
 SAME_DEG, NOT_SAME_DEG = 22.0, 60.0
 """A view matches a window when the object's rotation differs by less than the first, and does not match when
 it differs by more than the second. Views between the two are left out of the loss."""
 
 SHARP, LARGEST_SHARPNESS = 14.0, 100.0
-"""Inverse temperature of the loss: where it starts, and its upper bound. It is learned."""
+"""Inverse temperature of the loss, which is learned: its start and its upper bound."""
 
 EXCLUDED = -1e4
-"""The logit of what is left out of a softmax."""
+"""The logit of entries that are left out of a softmax."""
 
 
 class Block(nn.Module):
@@ -144,22 +144,22 @@ class Block(nn.Module):
 
 
 class ViewCodeNetwork(nn.Module):
-    """Encodes pictures (N, 6, 64, 64) of `propose.view_pictures` as codes (N, 16, 8, 8)."""
+    """Encodes images (N, 6, 64, 64) of `propose.view_pictures` as codes (N, 16, 8, 8)."""
 
     def __init__(self) -> None:
         super().__init__()
         self.body = nn.Sequential(*_body(CHANNELS), nn.Conv2d(WIDTHS[-1], NUMBERS, 1))
         self.log_sharpness = nn.Parameter(torch.tensor(math.log(SHARP)))
 
-    def forward(self, pictures: Tensor) -> Tensor:
-        """pictures (N, 6, 64, 64) -> codes (N, 16, 8, 8)."""
-        return self.body(pictures)
+    def forward(self, images: Tensor) -> Tensor:
+        """images (N, 6, 64, 64) -> codes (N, 16, 8, 8)."""
+        return self.body(images)
 
 
 class VerificationNetwork(nn.Module):
-    """Says whether a window shows an object in a pose: pictures (N, 12, 64, 64), those of the window and then
-    those of the object's clean view in this pose, to the log-odds (N,) that it does, and those (N, 8, 8) that
-    its cells show it."""
+    """Says whether a window shows an object in a pose. Input: images (N, 12, 64, 64), the channels of the
+    window and then those of the object's clean view in this pose. Output: the log-odds (N,) that the window
+    shows the object in it, and for each cell (N, 8, 8) that the cell shows it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -167,11 +167,11 @@ class VerificationNetwork(nn.Module):
         self.cell = nn.Conv2d(WIDTHS[-1], 1, 1)
         self.head = nn.Sequential(nn.Linear(2 * WIDTHS[-1] + 2, 128), nn.ReLU(), nn.Linear(128, 1))
 
-    def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """See the class."""
-        features = self.body(pictures)
+        features = self.body(images)
         cells = self.cell(features)
-        covered = functional.avg_pool2d(pictures[:, CHANNELS + 4 : CHANNELS + 5], SIDE // CELLS)
+        covered = functional.avg_pool2d(images[:, CHANNELS + 4 : CHANNELS + 5], SIDE // CELLS)
         area = covered.mean((2, 3))
         of_object = (features * covered).mean((2, 3)) / area.clamp(min=1e-3)
         seen = (torch.sigmoid(cells) * covered).mean((2, 3)) / area.clamp(min=1e-3)
@@ -180,7 +180,7 @@ class VerificationNetwork(nn.Module):
 
 
 def _body(channels: int) -> list[nn.Module]:
-    """From pictures (N, channels, 64, 64) to (N, 128, 8, 8)."""
+    """From images (N, channels, 64, 64) to features (N, 128, 8, 8)."""
     first, second, third = WIDTHS
     return [
         *_downsampling(channels, first),
@@ -198,15 +198,15 @@ def _downsampling(channels_in: int, channels_out: int) -> tuple[nn.Module, nn.Mo
 
 
 def view_codes(codes: Tensor, known: Tensor) -> Tensor:
-    """Unit vectors (N, D) of clean views, of the network's codes (N, 16, 8, 8). known (N, 64, 64): the pixels
-    that show the object; cells without it become zero."""
+    """Unit vectors (N, D) of clean views, from the network's codes (N, 16, 8, 8). known (N, 64, 64): the
+    pixels that show the object; cells without it become zero."""
     covered = functional.avg_pool2d(known[:, None].float(), SIDE // CELLS)
     flat = (codes * covered).flatten(1)
     return flat / flat.norm(dim=1, keepdim=True).clamp(min=1e-6)
 
 
 def window_codes(codes: Tensor) -> Tensor:
-    """Unit vectors (N, D) of windows, of the network's codes (N, 16, 8, 8); all cells weigh the same."""
+    """Unit vectors (N, D) of windows, from the network's codes (N, 16, 8, 8); all cells have equal weight."""
     return (functional.normalize(codes, dim=1, eps=1e-4) / CELLS).flatten(1)
 
 
@@ -215,8 +215,8 @@ def info_nce(logits: Tensor, angles_deg: Tensor, targets: Tensor, valid: Tensor)
 
     logits (Q, T): cosines of their codes, times the inverse temperature. angles_deg (Q, T): the rotation
     between each view and the object in the window; inf for views of other objects, and for windows beside the
-    object. targets (Q, T): the distribution of the right answer over the views, rows of sum 1; zeros for
-    windows beside the object. valid (T,): False for views that were drawn twice."""
+    object. targets (Q, T): the target distribution over the views, rows of sum 1; zeros for windows beside
+    the object. valid (T,): False for views that are in the batch twice."""
     logits = logits.masked_fill(~valid, EXCLUDED)
     positive = targets.sum(1) > 0
     by_window = -(targets * functional.log_softmax(logits, 1)).sum(1)[positive].mean()

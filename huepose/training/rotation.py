@@ -1,9 +1,8 @@
 """Training of the rotation network: endless samples, checkpoints, a validation curve, an ONNX file.
 
-Networks of several kinds may learn side by side, from the same turns. The newest turns are kept to be asked
-again: drawing one costs more than learning from it. Each time it comes out another way round: turned about
-the line of sight, mirrored, or with the two moments exchanged. Every one of these is a question that the
-tracker might ask, and its answer follows.
+Networks of several kinds can be trained together on the same motions. The newest samples are kept and reused:
+rendering one costs more than a training step on it. Each use is augmented: rotated about the line of sight,
+mirrored, or with the two frames exchanged. The tracker could meet each of these, and the true output follows.
 """
 
 from __future__ import annotations
@@ -39,21 +38,21 @@ from huepose.training.runs import (
 from huepose.training.turns import RotationSample, endless
 
 CHUNK = 32
-"""Samples that come from a process at a time."""
+"""Samples that a process sends at a time."""
 
 REACH = {"residual": 0.1, "direct": 1.0}
-"""How far from no turn each kind of network begins: see `AttentionDgcnn`."""
+"""`reach` of each kind of network: see `AttentionDgcnn`."""
 
 FIRST, SECOND, FIRST_UV, SECOND_UV = slice(0, 3), slice(3, 6), slice(6, 8), slice(8, 10)
 MOVED, MOVED_UV = slice(10, 13), slice(13, 15)
-"""What the columns of the features are."""
+"""Columns of the features."""
 
 Samples = tuple[Tensor, Tensor, Tensor]
-"""Features (B, K, 128, 15), weights (B, 128) and answers (B, K, 3, 3) for each of K kinds of question."""
+"""Features (B, K, 128, 15), weights (B, 128) and true rotations (B, K, 3, 3) for K kinds of network."""
 
 
 class Bank:
-    """At most `room` samples on a device, the oldest overwritten. drawn: how many came in so far."""
+    """At most `room` samples on a device; new ones overwrite the oldest. drawn: number added so far."""
 
     def __init__(self, room: int, kinds: int, device: str) -> None:
         self.features = torch.empty(room, kinds, POINTS, FEATURES, dtype=torch.float16, device=device)
@@ -62,7 +61,7 @@ class Bank:
         self.drawn = 0
 
     def add(self, samples: Samples) -> None:
-        """Keep new ones."""
+        """Add samples."""
         room, count = len(self.weights), len(samples[1])
         at = (torch.arange(count, device=self.weights.device) + self.drawn) % room
         for kept, new in zip((self.features, self.weights, self.answers), samples, strict=True):
@@ -70,7 +69,7 @@ class Bank:
         self.drawn += count
 
     def batch(self, count: int) -> Samples:
-        """So many of those that are here, any one perhaps twice, each another way round."""
+        """`count` random samples, with replacement, each augmented."""
         device = self.weights.device
         chosen = torch.randint(min(self.drawn, len(self.weights)), (count,), device=device)
         features, answers = varied(self.features[chosen].float(), self.answers[chosen])
@@ -78,8 +77,8 @@ class Bank:
 
 
 def varied(features: Tensor, answers: Tensor) -> tuple[Tensor, Tensor]:
-    """The questions (B, K, N, 15) and answers (B, K, 3, 3), each turned about the line of sight by any angle,
-    and by chance mirrored and with its two moments exchanged."""
+    """Features (B, K, N, 15) and true rotations (B, K, 3, 3), each rotated about the line of sight by a
+    random angle, and at random mirrored and with its two frames exchanged."""
     count, device = len(features), features.device
     angle = 2.0 * math.pi * torch.rand(count, device=device)
     side = 1.0 - 2.0 * torch.randint(2, (count,), device=device)
@@ -93,7 +92,7 @@ def varied(features: Tensor, answers: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def exchanged(features: Tensor) -> Tensor:
-    """The features (..., 15) of the motion backwards."""
+    """The features (..., 15) of the inverse motion."""
     parts = (SECOND, FIRST, SECOND_UV, FIRST_UV)
     return torch.cat(
         [*(features[..., p] for p in parts), -features[..., MOVED], -features[..., MOVED_UV]], -1
@@ -101,7 +100,8 @@ def exchanged(features: Tensor) -> Tensor:
 
 
 def _of_all_columns(M: Tensor) -> Tensor:
-    """What rows of features are multiplied by when canonical space is turned by M (B, 1, 3, 3)."""
+    """Matrices (B, 1, 15, 15) that multiply rows of features when M (B, 1, 3, 3) transforms canonical
+    space."""
     out = M.new_zeros(len(M), 1, FEATURES, FEATURES)
     for part in (FIRST, SECOND, MOVED):
         out[:, :, part, part] = M.transpose(2, 3)
@@ -112,8 +112,7 @@ def _of_all_columns(M: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class RotationTraining(Settings):
-    """How to train. reuse: how often a sample is learned from in the mean, if the machine can; room: samples
-    that are kept."""
+    """Settings of a training. reuse: largest mean number of uses of a sample; room: samples that are kept."""
 
     kinds: tuple[Kind, ...] = ("residual",)
     batch: int = 64
@@ -122,27 +121,27 @@ class RotationTraining(Settings):
 
 
 def chunks(kinds: tuple[Kind, ...], seed: int, stream: int) -> Iterator[Samples]:
-    """Samples without end, a chunk at a time."""
+    """Samples without end, in chunks."""
     samples = endless(seed, stream, kinds)
     while True:
         yield stack(list(islice(samples, CHUNK)))
 
 
 def stack(samples: list[list[RotationSample]]) -> Samples:
-    """Features (B, K, 128, 15), weights (B, 128) and answers (B, K, 3, 3) of turns in K kinds."""
+    """Stack the samples of B motions, each of K kinds."""
     return (
-        torch.from_numpy(np.array([[s.features for s in turn] for turn in samples])),
-        torch.from_numpy(np.array([turn[0].weights for turn in samples])),
-        torch.from_numpy(np.array([[s.R_canon for s in turn] for turn in samples])),
+        torch.from_numpy(np.array([[s.features for s in motion] for motion in samples])),
+        torch.from_numpy(np.array([motion[0].weights for motion in samples])),
+        torch.from_numpy(np.array([[s.R_canon for s in motion] for motion in samples])),
     )
 
 
 def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[Kind, dict[str, Any]]:
-    """Train until `config.hours` are over, or until interrupted; leave `KIND.onnx`, `KIND.json` and
-    `KIND.png`, its curve, in `out`, and `checkpoint.pt`. Returns what each KIND.json says.
+    """Train until `config.hours` are over, or until interrupted; write `KIND.onnx`, `KIND.json`, `KIND.png`
+    (its curve) and `checkpoint.pt` into `out`. Returns the content of each KIND.json.
 
-    Raises InputError where `resume` finds no checkpoint, or one of other kinds, and where torch does not know
-    the device.
+    Raises InputError if `resume` finds no checkpoint, or one of other kinds, if without it there is a
+    checkpoint, and if torch cannot use the device.
     """
     check_device(config.device)
     kinds = "+".join(config.kinds)
@@ -162,8 +161,8 @@ def train(config: RotationTraining, out: Path, resume: bool = False) -> dict[Kin
         _batches(fresh, config), partial(_step, nets, optimiser), partial(_validated, nets, held_out)
     )
     errors = _errors(nets, held_out)
-    unturned = torch.eye(3).expand(held_out[2].shape)
-    without = np.degrees(geodesic(unturned.flatten(0, 1), held_out[2].flatten(0, 1)).numpy())
+    identity = torch.eye(3).expand(held_out[2].shape)
+    without = np.degrees(geodesic(identity.flatten(0, 1), held_out[2].flatten(0, 1)).numpy())
     without = without.reshape(-1, len(nets))
     reports = {}
     for k, kind in enumerate(config.kinds):
@@ -180,14 +179,14 @@ def _figures(errors: Float) -> dict[str, float]:
 
 
 def _held_out(drawn: Iterable[Samples], count: int) -> Samples:
-    """So many turns of objects that are not trained on."""
+    """`count` samples of objects that are not trained on."""
     parts = zip(*islice(drawn, -(-count // CHUNK)), strict=True)
     features, weights, answers = (torch.cat(part)[:count] for part in parts)
     return features, weights, answers
 
 
 def _batches(fresh: Iterable[Samples], config: RotationTraining) -> Iterator[Samples]:
-    """What is learned from: of all samples so far, as often as `reuse` allows."""
+    """Batches for training, from all samples so far, as many as `reuse` allows."""
     bank, lent = Bank(config.room, len(config.kinds), config.device), 0
     for samples in fresh:
         bank.add(samples)
@@ -207,7 +206,7 @@ def _step(nets: list[AttentionDgcnn], optimiser: torch.optim.Optimizer, batch: S
 
 
 def _validated(nets: list[AttentionDgcnn], held_out: Samples, course: Course) -> None:
-    """Note on the curve: hours, steps, then median and mean of each kind's errors in degrees."""
+    """Append to the curve: hours, steps, then median and mean of each kind's errors in degrees."""
     errors = _errors(nets, held_out)
     figures = np.stack([np.median(errors, 0), errors.mean(0)], 1).ravel()
     course.curve.append([course.hours, course.steps, *figures.tolist()])
@@ -221,7 +220,7 @@ def _errors(nets: list[AttentionDgcnn], held_out: Samples) -> Float:
 
 
 def validate(net: AttentionDgcnn, samples: tuple[Tensor, Tensor, Tensor]) -> Float:
-    """Angles (N,) in degrees between answers and truth; features (N, 128, 15), weights (N, 128)."""
+    """Errors (N,) in degrees. samples: features (N, 128, 15), weights (N, 128), true rotations (N, 3, 3)."""
     net.eval()
     device = next(net.parameters()).device
     features, weights, answer = samples
@@ -234,7 +233,7 @@ def validate(net: AttentionDgcnn, samples: tuple[Tensor, Tensor, Tensor]) -> Flo
 
 
 def export(net: AttentionDgcnn, file: Path) -> None:
-    """Write the network as ONNX, one set of matches at a time."""
+    """Write the network as ONNX, with batch size 1."""
     examples = {"features": torch.zeros(1, POINTS, FEATURES), "weights": torch.ones(1, POINTS)}
     export_onnx(net, file, examples, "rotation")
 
@@ -249,7 +248,7 @@ def _draw(file: Path, course: Course, kind: int, without: Float) -> None:
             "without, median": (steps, np.full(len(steps), np.median(without))),
             "without, mean": (steps, np.full(len(steps), without.mean())),
         },
-        f"{file.stem}: turns that it was not trained on",
+        f"{file.stem}: motions that it was not trained on",
         "steps",
         "rotation error, degrees",
         y_range=(0.0, 1.2 * float(max(without.mean(), mean.min()))),

@@ -1,4 +1,4 @@
-"""The frame of a training: endless samples, learning rate, validations, checkpoints, reports, the export."""
+"""What all trainings share: samples, learning rate, validations, checkpoints, reports, ONNX export."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from huepose.support.progress import progress
 CHECKPOINT = "checkpoint.pt"
 
 VALIDATION_ROUND = 10_000
-"""Its streams of samples are none of a training's."""
+"""Round number of validation samples: no training uses the same streams."""
 
 Batch = TypeVar("Batch")
 Sample = TypeVar("Sample")
@@ -33,7 +33,7 @@ Sample = TypeVar("Sample")
 
 @dataclass
 class Course:
-    """How far a training has come; `rounds` counts how often it was started, `curve` holds validations."""
+    """Progress of a training. rounds: number of starts; curve: the validations."""
 
     steps: int = 0
     hours: float = 0.0
@@ -43,9 +43,9 @@ class Course:
 
 @dataclass(frozen=True)
 class Settings:
-    """How to train. hours: of wall time, the learning rate falls from `rate` to zero over them; steps: end
-    after so many, for a trial; every: steps between two validations; validation: samples that are held out;
-    workers: processes that draw, 0: this one."""
+    """Settings of a training. hours: wall time, over which the learning rate falls from `rate` to zero;
+    steps: largest number, for a trial; every: steps between two validations; validation: held-out samples;
+    workers: processes that render, 0: this one."""
 
     hours: float = 1.0
     steps: int | None = None
@@ -58,13 +58,13 @@ class Settings:
 
 
 def rate_factor(share: float, step: int) -> float:
-    """Factor of the learning rate: a short rise, then a cosine to zero at the end of the time."""
+    """Factor of the learning rate: a short linear rise, then a cosine to zero. share: of the time."""
     return min(1.0, (step + 1) / 200.0) * 0.5 * (1.0 + math.cos(math.pi * min(share, 1.0)))
 
 
 @dataclass(frozen=True)
 class Training:
-    """One training. kind: what is trained, in a word; optimiser and nets: what a checkpoint holds."""
+    """One training. kind: a word for what is trained; optimiser and nets: contents of a checkpoint."""
 
     out: Path
     kind: str
@@ -82,7 +82,8 @@ class Training:
         nets: Mapping[str, nn.Module],
         saved: Mapping[str, Any] | None,
     ) -> Training:
-        """Anew, or from what `checkpoint` read. Raises InputError where that is of other networks."""
+        """A new training, or one resumed from `saved`, which `checkpoint` read. Raises InputError if that is
+        of other networks."""
         parts = {"optimiser": optimiser, **nets}
         course = Course() if saved is None else restored(saved, out, parts)
         return Training(out, kind, settings, optimiser, nets, course)
@@ -90,9 +91,9 @@ class Training:
     def run(
         self, batches: Iterable[Batch], step: Callable[[Batch], None], validate: Callable[[Course], None]
     ) -> None:
-        """Learn from batches until the time is over, or until interrupted. validate: notes what is reached on
-        the course's curve; at times, and at the end. Raises InputError, and writes nothing, where it ends
-        before its first step."""
+        """Train on batches until the time is over, or until interrupted. validate: appends a validation to
+        the course's curve; called every `every` steps and at the end. Raises InputError, and writes nothing,
+        if the training ends before its first step."""
         course, settings = self.course, self.settings
         course.rounds += 1
         before_h, begun = course.hours, time.monotonic()
@@ -123,13 +124,13 @@ class Training:
         save_checkpoint(self.out, self.kind, self.course, {"optimiser": self.optimiser, **self.nets})
 
     def report(self, name: str, **figures: Any) -> dict[str, Any]:
-        """What came of it, also written as NAME.json."""
+        """The result of the training, also written as NAME.json."""
         settings = self.settings
         record = {
             "training": asdict(settings),
             "hours": round(self.course.hours, 3),
             "steps": self.course.steps,
-            "machine": f"{platform.machine()}, {settings.workers} processes that draw, {settings.device}",
+            "machine": f"{platform.machine()}, {settings.workers} processes that render, {settings.device}",
             "torch": torch.__version__,
             **figures,
         }
@@ -152,10 +153,10 @@ class _Endless(IterableDataset[Sample]):
 def endless_loader(
     draw: Callable[[int, int], Iterator[Sample]], settings: Settings, round_number: int
 ) -> DataLoader[Sample]:
-    """Samples without end in this round of a training, from so many processes, or from this one. They are
-    started afresh: a copy of this process would hold locks of threads that it has not copied.
+    """Samples without end in this round of a training, from `settings.workers` processes, or from this one.
+    Processes are spawned, not forked: a fork would copy locks but not the threads that hold them.
 
-    draw: (seed, stream) to samples, the same of the same; can be pickled."""
+    draw: (seed, stream) to samples, deterministic; must be picklable."""
     return DataLoader(
         _Endless(draw, settings.seed, round_number),
         batch_size=None,
@@ -165,8 +166,8 @@ def endless_loader(
 
 
 def _stream_number(round_number: int) -> int:
-    """Which stream of samples the process that asks has to draw in this round of a training. A worker that
-    asks also leaves Ctrl-C to the process that trains."""
+    """The stream of samples of the calling process in this round of a training. In a worker process it also
+    ignores Ctrl-C, which the training process handles."""
     worker = get_worker_info()
     if worker is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -174,24 +175,24 @@ def _stream_number(round_number: int) -> int:
 
 
 def save_checkpoint(out: Path, kind: str, course: Course, parts: Mapping[str, Any]) -> None:
-    """Write a checkpoint, whole or not at all. parts: things with a `state_dict`, by name; kind: what is
-    trained, in a word: a checkpoint of another kind does not fit."""
+    """Write a checkpoint atomically. parts: objects with a `state_dict`, by name; kind: a word for what is
+    trained: a checkpoint of another kind does not fit."""
     states = {name: part.state_dict() for name, part in parts.items()}
     with whole(out / CHECKPOINT) as file:
         torch.save({"kind": kind, "course": asdict(course), **states}, file)
 
 
 def checkpoint(out: Path, kind: str, resume: bool) -> dict[str, Any] | None:
-    """What a training of this kind goes on from, on the processor; None where it starts anew. Raises
-    InputError where there is no such checkpoint, or it cannot be read; and anew where there is one, which
-    would be replaced."""
+    """The checkpoint from which a training of this kind resumes, loaded to the CPU; None for a new training.
+    Raises InputError if `resume` finds no such checkpoint or cannot read it, and if a new training would
+    replace one."""
     file = out / CHECKPOINT
     if not resume:
         if file.exists():
             raise InputError(
                 f"checkpoint {file}",
                 found="one of an earlier training",
-                expected="none, where a training starts",
+                expected="none for a new training",
                 fix="Go on from it with --resume, name another folder with --out, or delete it.",
             )
         return None
@@ -200,7 +201,7 @@ def checkpoint(out: Path, kind: str, resume: bool) -> dict[str, Any] | None:
     try:
         saved: dict[str, Any] = torch.load(file, map_location="cpu", weights_only=True)
         found = saved["kind"]
-    except Exception as error:  # whatever its parsers trip over
+    except Exception as error:  # any error of its parsers
         why = error.strerror if isinstance(error, OSError) else None
         raise _unfit(file, why or "a damaged file") from error
     if found != kind:
@@ -209,7 +210,7 @@ def checkpoint(out: Path, kind: str, resume: bool) -> dict[str, Any] | None:
 
 
 def restored(saved: Mapping[str, Any], out: Path, parts: Mapping[str, Any]) -> Course:
-    """Give a checkpoint's states to the parts they are of, wherever these are. Raises InputError where they
+    """Load a checkpoint's states into the parts of the same names, on any device. Raises InputError if they
     do not fit."""
     try:
         for name, part in parts.items():
@@ -223,30 +224,30 @@ def _unfit(file: Path, found: str) -> InputError:
     return InputError(
         f"checkpoint {file}",
         found=found,
-        expected="a whole one, written by this version",
+        expected="a complete one, written by this version",
         fix="Copy it again, or delete it and train without --resume.",
     )
 
 
 def check_device(name: str) -> None:
-    """Raises InputError where torch cannot compute there: asked before the work."""
+    """Raises InputError if torch cannot compute on this device: checked before the work."""
     try:
         torch.zeros(1, device=name).cpu()
-    except (RuntimeError, AssertionError, NotImplementedError) as error:  # as torch was built
+    except (RuntimeError, AssertionError, NotImplementedError) as error:  # depends on the build of torch
         reason = shorten(str(error).partition(". ")[0], 80, placeholder=" ...")
         raise InputError(
             f"device {name}",
             found=f"none that torch can use here ({reason})",
-            expected="cpu, or cuda where there is a GPU and its driver",
-            fix="Leave --device out to train on the processor.",
+            expected="cpu, or cuda if there is a GPU with its driver",
+            fix="Leave --device out to train on the CPU.",
         ) from error
 
 
 def export_onnx(
     network: nn.Module, file: Path, examples: Mapping[str, Tensor], output: str, *, any_count: bool = False
 ) -> None:
-    """Write a network as ONNX: its inputs by name, each with an example, and its one output, without what the
-    exporter notes there about the source files and their folders. any_count: the first size is free."""
+    """Write a network as ONNX, without the exporter's notes about source files and their folders. examples:
+    its inputs by name; output: name of its one output; any_count: the batch size is free."""
     import onnx
 
     torch.onnx.export(
@@ -267,7 +268,7 @@ def export_onnx(
 
 
 def without_notes(graph: Any) -> None:
-    """Take the exporter's notes (an `onnx.GraphProto`'s metadata) away, in place."""
+    """Remove the exporter's notes (metadata of an `onnx.GraphProto`), in place."""
     parts = (graph.node, graph.value_info, graph.input, graph.output, graph.initializer)
     for part in (graph, *(entry for entries in parts for entry in entries)):
         del part.metadata_props[:]

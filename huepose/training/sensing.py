@@ -1,8 +1,8 @@
-"""Pictures as other cameras would take them, and as scanned models show them: colours, sheen, noise, depth.
+"""Augmentation: rendered images as other cameras and scanned models show them: colours, sheen, noise, depth.
 
-Drawn scenes have the very colours of their models. Between a user's camera and the scanner of a model lie
-other filters, another white balance and tone curve, glare, today's print; depth has holes, is wider than what
-it belongs to, or lies beside it.
+Rendered scenes have exactly the colours of their models. A user's camera and the scanner of a model differ in
+colour filters, white balance, tone curve and glare, and the print may be newer; depth has holes, is wider
+than the object, or is shifted.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from torch.nn import functional
 from huepose.propose.view_pictures import NEAR, SIDE
 
 MOST_VEILED = 0.45
-"""Largest share of one colour that lies over a whole window: cameras show black as grey and red as pink."""
+"""Largest share of one colour that is blended over a whole window: cameras show black as grey and red as
+pink."""
 
 CROSSTALK = 0.12
-"""Standard deviation of what a colour channel takes of each other one in another camera."""
+"""Standard deviation of the share that a colour channel takes from each other one in another camera."""
 
 SHINY, REPRINTED = 0.3, 0.15
-"""Shares of the pictures with patches of sheen, which scanned models have in their textures, too; and of the
+"""Share of the images with patches of sheen, which scanned models have in their textures, too; share of the
 views with a part in other colours."""
 
 
@@ -40,8 +41,8 @@ def recolored(rgb: Tensor, strength: float) -> Tensor:
 
 
 def sensed(rgb: Tensor, relief: Tensor) -> tuple[Tensor, Tensor]:
-    """Windows as other sensors would give them: other colours, sheen, a veil, sharpened or soft, noisy; depth
-    with holes, wider than what it belongs to, or beside it."""
+    """Windows as other sensors would measure them: other colours, sheen, a veil, sharpened or soft, noisy;
+    depth with holes, wider than the object, or shifted."""
     count, device = len(rgb), rgb.device
 
     def share() -> Tensor:
@@ -60,21 +61,21 @@ def sensed(rgb: Tensor, relief: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _blobs(count: int, device: torch.device) -> Tensor:
-    """Smooth noise (N, 64, 64) of deviation about 0.8."""
+    """Smooth noise (N, 64, 64), standard deviation about 0.8."""
     coarse = torch.randn(count, 1, 9, 9, device=device)
     return functional.interpolate(coarse, (SIDE, SIDE), mode="bicubic")[:, 0]
 
 
 def mixed(rgb: Tensor) -> Tensor:
-    """Colours as a sensor with other filters sees them: each channel with a part of the others, greys as they
-    are."""
+    """Colours as a sensor with other filters measures them: each channel has a part of the others; greys do
+    not change."""
     matrix = torch.eye(3, device=rgb.device) + CROSSTALK * torch.randn(len(rgb), 3, 3, device=rgb.device)
     matrix = matrix / matrix.sum(2, keepdim=True)
     return torch.einsum("nij,njhw->nihw", matrix, rgb).clamp(0.0, 1.0)
 
 
 def shone_on(rgb: Tensor, share: float) -> Tensor:
-    """Colours with patches of sheen in a share of the pictures."""
+    """Colours with patches of sheen in a share of the images."""
     strength = torch.rand(len(rgb), 1, 1, device=rgb.device)
     some = torch.rand(len(rgb), 1, 1, device=rgb.device) < share
     patch = ((_blobs(len(rgb), rgb.device) - 0.7) * 2.0).clamp(0.0, 1.0) * strength * some
@@ -82,7 +83,7 @@ def shone_on(rgb: Tensor, share: float) -> Tensor:
 
 
 def reprinted(rgb: Tensor, share: float) -> Tensor:
-    """Colours with a part in other ones, in a share of the pictures: another lid, another edition's print."""
+    """Colours with a part in other colours, in a share of the images: another lid, a newer print."""
     some = torch.rand(len(rgb), 1, 1, device=rgb.device) < share
     part = (_blobs(len(rgb), rgb.device) > 0.6) & some
     other = recolored(rgb.flip(1), 2.0) * 0.5 + 0.5 * torch.rand(len(rgb), 3, 1, 1, device=rgb.device)
@@ -90,7 +91,7 @@ def reprinted(rgb: Tensor, share: float) -> Tensor:
 
 
 def _widened(relief: Tensor) -> Tensor:
-    """Relief (N, 64, 64) in which what is near is wider than it is, or all lies aside, in some."""
+    """Relief (N, 64, 64): in some, near surfaces are widened, others are shifted."""
     count, device = len(relief), relief.device
     kind = torch.rand(count, 1, 1, device=device)
     near = -functional.max_pool2d(torch.where(torch.isfinite(relief), -relief, -99.0)[:, None], 3, 1, 1)[:, 0]
@@ -101,7 +102,7 @@ def _widened(relief: Tensor) -> Tensor:
 
 
 def network_input(rgb: Tensor, relief: Tensor, *, clean: bool) -> Tensor:
-    """As `view_pictures.network_input`, of colours from 0 to 1, but plain numbers (N, 6, 64, 64)."""
+    """As `view_pictures.network_input`, but from colours 0 to 1 and as floats (N, 6, 64, 64)."""
     known = torch.isfinite(relief)
     level = torch.where(known, relief, 0.0)
     colors = (2.0 * rgb - 1.0) * (known[:, None] if clean else 1.0)

@@ -1,8 +1,8 @@
 """Random textured objects for training: packages, cans, bottles, and unions of deformed superquadrics.
 
-Superquadrics range from boxes over cylinders and balls to octahedra. Taper, bend, twist and smooth dents make
-each one different, so that a network cannot memorise shapes (paper, section III-E). Surfaces carry pictures,
-text and stripes, because flow needs texture; some sides are plain.
+Superquadrics include boxes, cylinders, balls and octahedra. Taper, bend, twist and smooth dents make each one
+different, so that a network cannot memorise shapes (paper, section III-E). Surfaces have pictures, text and
+stripes, because flow needs texture; some sides are plain.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from huepose.scenes.shapes import printed
 from huepose.training.household import household_object, random_art, random_palette, sized
 
 RINGS, SPOKES = 18, 30
-"""Vertices of a shape from pole to pole, and round it."""
+"""Vertices of a shape from pole to pole, and around it."""
 
 MAX_PARTS = 4
 PART_PX = 512
 """Side of the texture of one part of a shape."""
 
 HOUSEHOLD, ANY_COLORS = 0.4, 0.4
-"""Share of household objects; share of the packages and cans whose colours do not go together."""
+"""Share of household objects; share of the packages and cans with unrelated colours."""
 
 
 def random_object(rng: np.random.Generator, diameter_m: float) -> Mesh:
     """A closed, textured mesh about the origin whose bounding box has a diagonal of `diameter_m` metres: a
-    household object, or else as often a package, can or bottle as a union of superquadrics."""
+    household object, or else, with equal chance, a package, can or bottle, or a union of superquadrics."""
     if rng.random() < HOUSEHOLD:
         return household_object(rng, diameter_m)
     if rng.random() < 0.5:
@@ -51,7 +51,7 @@ def _package(rng: np.random.Generator) -> list[Chart]:
 
 
 def _can(rng: np.random.Generator) -> list[Chart]:
-    """A surface of revolution with a lid and a bottom: straight as a can or waisted as a bottle."""
+    """A surface of revolution with a lid and a bottom: straight like a can or waisted like a bottle."""
     height, knots = rng.uniform(0.15, 1.5), int(rng.integers(2, 7))
     radii = rng.uniform(0.15, 0.5) * np.ones(12)
     if rng.random() < 0.6:
@@ -70,11 +70,11 @@ def random_shape(rng: np.random.Generator, diameter_m: float) -> Mesh:
     texture = np.zeros((2 * PART_PX, 2 * PART_PX, 3), np.uint8)
     uv = []
     for k, (points, triangles) in enumerate(parts):
-        # Later parts sit on the surface of the first, so that the whole hangs together.
+        # Later parts are centred on the surface of the first, so that all are connected.
         at = parts[0][0][rng.integers(len(parts[0][0]))] if k else np.zeros(3)
         size = 1.0 if k == 0 else rng.uniform(0.25, 0.8)
-        turn = random_rotation(rng)
-        vertices.append(size * points @ turn.T + at)
+        R = random_rotation(rng)
+        vertices.append(size * points @ R.T + at)
         faces.append(triangles + first)
         first += len(points)
         column, row = k % 2, k // 2
@@ -88,7 +88,7 @@ def random_shape(rng: np.random.Generator, diameter_m: float) -> Mesh:
 
 
 def random_rotation(rng: np.random.Generator) -> Float64:
-    """A rotation (3, 3), all equally likely."""
+    """A uniformly distributed rotation (3, 3)."""
     q = rng.normal(size=4)
     return se3.rotation_from_quaternion(q / np.linalg.norm(q))
 
@@ -140,7 +140,7 @@ def _faces() -> Int32:
 
 
 def _around() -> Float64:
-    """Where the corners of `_faces` (F, 3, 2) lie on a part's texture, 0..1, its rim left free."""
+    """Texture coordinates (F, 3, 2), 0..1, of the corners of `_faces`; the rim of the texture is not used."""
     ring, spoke = np.meshgrid(np.arange(RINGS - 1), np.arange(SPOKES), indexing="ij")
     left, right = spoke / SPOKES, (spoke + 1) / SPOKES
     low, high = 1 - ring / (RINGS - 1), 1 - (ring + 1) / (RINGS - 1)

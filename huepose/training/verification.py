@@ -1,8 +1,9 @@
 """Pairs of a window and a clean view in a pose, for the network that verifies poses.
 
-A true pair shows the object in its pose, a little moved and turned, as a refined pose is, or the nearest of
-its views. A wrong pair shows the object of another window: of all views in the batch those whose codes are
-most like the window's, brought to the depth that is measured there, as a wrong pose is.
+A true pair shows the object in its pose, slightly shifted and rotated, like a refined pose, or the nearest of
+its views. A wrong pair has a view of another object, or any view with a window beside its object: of all
+views in the batch those whose codes have the largest likeness to the window's. Its depth is aligned with the
+measured depth, like that of a wrong pose.
 """
 
 from __future__ import annotations
@@ -20,28 +21,29 @@ from huepose.training.object_buffer import ObjectBuffer
 from huepose.training.sensing import REPRINTED, SHINY, network_input, recolored, reprinted, sensed, shone_on
 
 OFF, STRETCHED, DEEPER = 0.02, 0.02, 0.015
-"""Standard deviations of a refined pose's offset in the picture and along the ray (diameters), and of the
-logarithm of its size."""
+"""Standard deviations of a refined pose: offset in the image (diameters), logarithm of the size, and offset
+along the ray (diameters)."""
 
 WRONG = 2
 """Wrong views of each window."""
 
 EXACT, FARTHEST = 0.7, 0.4
-"""Share of the true pairs whose depth is that of the pose; all others are moved onto the surface that is seen
+"""Share of the true pairs whose depth is that of the pose; all others are aligned with the measured surface
 within FARTHEST diameters."""
 
 REPAINTED = 0.15
 """Share of the wrong pairs that show the right shape in other colours."""
 
 CELL_WEIGHT = 0.5
-"""Of the cells' loss beside that of the pose."""
+"""Weight of the loss of the cells; the loss of the pose has weight 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What windows and views of a batch show. whose, which (Q,): object and number of each window; the first
-    `on` lie on the object; shift (Q, 2): offset of the others from it, in diameters; nearest (on,): number of
-    the view that is nearest in rotation; view_objects, view_numbers (T,): object and number of each view."""
+    """Contents of the windows and views of a batch. whose, which (Q,): object and number of each window; the
+    first `on` windows show the object, the others lie beside it; shift (Q, 2): offset from the object, in
+    diameters; nearest (on,): number of the view nearest in rotation; view_objects, view_numbers (T,): object
+    and number of each view."""
 
     whose: Tensor
     which: Tensor
@@ -53,13 +55,13 @@ class Shown:
 
 
 def pairs(buffer: ObjectBuffer, shown: Shown, similar: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Pictures (N, 12, 64, 64), whether the object is there (N,), and the share (N, 8, 8) of each cell that
-    shows it. similar (Q, T): cosines of the codes of windows and views."""
+    """Inputs (N, 12, 64, 64), whether the pair is true (N,), and the share (N, 8, 8) of each cell that shows
+    the object. similar (Q, T): cosines of the codes of windows and views."""
     device, rows = similar.device, torch.arange(len(similar), device=similar.device)
     on = rows < shown.on
     own = shown.view_objects[None] == shown.whose[:, None]
     wrong = similar.masked_fill(own & on[:, None], -2.0)
-    # Not always the likest of all.
+    # Noise, so that the view with the largest likeness is not always the one.
     wrong = (wrong + 0.05 * torch.randn_like(wrong)).topk(WRONG, dim=1).indices.flatten()
 
     true = rows[on]
@@ -93,14 +95,16 @@ def pairs(buffer: ObjectBuffer, shown: Shown, similar: Tensor) -> tuple[Tensor, 
 
 
 def _onto_surface(seen: Tensor, drawn: Tensor) -> Tensor:
-    """How far (N,), in diameters, what is seen (N, 64, 64) lies behind what is drawn, where it may be it."""
+    """Median distance (N,), in diameters, of the measured relief (N, 64, 64) behind the rendered one, over
+    the pixels within FARTHEST; 0 without such pixels."""
     apart = seen - drawn
     middle = torch.where(apart.abs() < FARTHEST, apart, torch.nan).flatten(1).nanmedian(dim=1).values
     return torch.nan_to_num(middle)
 
 
 def _repainted(rgb: Tensor, relief: Tensor) -> tuple[Tensor, Tensor]:
-    """Colours (N, 3, 64, 64) exchanged, light for dark, in another tint; and whether they differ plainly."""
+    """Colours (N, 3, 64, 64) with channels exchanged, some inverted, in another tint; and whether they differ
+    clearly from the original."""
     count, device = len(rgb), rgb.device
     order = torch.rand(count, 3, device=device).argsort(1)
     changed = rgb.gather(1, order[:, :, None, None].expand_as(rgb))
@@ -112,14 +116,14 @@ def _repainted(rgb: Tensor, relief: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def verification_loss(
-    net: VerificationNetwork, pictures: Tensor, there: Tensor, cells: Tensor
+    net: VerificationNetwork, inputs: Tensor, there: Tensor, cells: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """The loss, a scalar, and the log-odds (N,), of what `pairs` gives."""
-    log_odds, of_cells = (part.float() for part in net(pictures))
-    covered = functional.avg_pool2d(pictures[:, CHANNELS + 4 : CHANNELS + 5], SIDE // CELLS)[:, 0] > 0.1
+    """The loss, a scalar, and the log-odds (N,), of the output of `pairs`."""
+    log_odds, of_cells = (part.float() for part in net(inputs))
+    covered = functional.avg_pool2d(inputs[:, CHANNELS + 4 : CHANNELS + 5], SIDE // CELLS)[:, 0] > 0.1
     each = functional.binary_cross_entropy_with_logits(of_cells, cells, reduction="none")
     of_cells_loss = (each * covered).sum() / covered.sum().clamp(min=1)
-    # Some labels are wrong: what is drawn may happen to look alike.
+    # Some labels are wrong: a wrong view can look like the window by chance.
     target = 0.01 + 0.98 * there
     return functional.binary_cross_entropy_with_logits(
         log_odds, target

@@ -1,9 +1,9 @@
-"""Trains the networks of view codes and of verification on drawn objects and writes them as ONNX.
+"""Trains the networks of view codes and of verification on rendered objects and writes them as ONNX.
 
-Processes draw new objects (`training.windows`) while the networks learn from a buffer of the newest ones.
-Each step takes windows and views of some of them at random, moves and recolours them, and takes `info_nce` of
-their codes (`propose.view_codes`). What they take for each other, the network of `perception.verification`
-learns to tell apart.
+Processes render new objects (`training.windows`) while the networks are trained on a buffer of the newest
+ones. Each step takes random windows and views of some of them, moves and recolours them, and minimises
+`info_nce` of their codes (`propose.view_codes`). The network of `perception.verification` learns to
+distinguish those windows and views whose codes are similar.
 """
 
 from __future__ import annotations
@@ -55,7 +55,8 @@ SHIFT, LARGEST_SHIFT = 0.06, 0.13
 windows are a quarter of a diameter apart."""
 
 STRETCH, DEEPER, DEEPEST = 0.06, 0.1, 0.25
-"""Standard deviations of a window's logarithmic size and of its depth (diameters); largest depth offset."""
+"""Standard deviations of a window's logarithmic size and of its depth offset (diameters), and the largest
+depth offset."""
 
 BESIDE = (0.3, 0.52)
 """Offset, in diameters, of windows that count as beside the object (negatives)."""
@@ -68,22 +69,23 @@ CALIBRATED = 3
 """Batches on which activations are calibrated before a network is quantised."""
 
 RIGHT_DEG = 25.0
-"""In validation, a view rotated by less than this is right."""
+"""In validation, a view is right if its rotation error is less than this."""
 
 NAME, VERIFICATION = "views", "verification"
-"""The two networks."""
+"""File names of the two networks."""
 
 FIGURES = ("first_right", "one_of_five_right", "median_rank", "pairs_right")
-"""On held-out windows, among all views of the object: share whose most similar view is right, share with a
-right view among the five most similar, median rank of the first right view; and the share of true and wrong
-pairs that verification tells right."""
+"""On held-out windows, among all views of the object: share of windows whose most similar view is right,
+share with a right view among the five most similar, median rank of the first right view; and the share of
+pairs that verification classifies right."""
 
 
 @dataclass(frozen=True)
 class ViewCodeTraining(Settings):
     """Settings of a training. validation: held-out objects. A step takes `objects`, and of each `windows`
     that show it, windows `beside` it (negatives) and `views`. room: objects in the buffer, after which the
-    oldest is replaced; first: objects drawn before the first step; reuse: most steps an object."""
+    oldest is replaced; first: objects rendered before the first step; reuse: largest number of steps per
+    rendered object."""
 
     every: int = 1000
     validation: int = 48
@@ -97,7 +99,7 @@ class ViewCodeTraining(Settings):
 
 
 class Networks(nn.Module):
-    """Those that are trained together."""
+    """The two networks, which are trained together."""
 
     def __init__(self, coding: ViewCodeNetwork, verifying: VerificationNetwork) -> None:
         super().__init__()
@@ -106,9 +108,9 @@ class Networks(nn.Module):
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Pictures of `windows` (Q, 6, 64, 64) and of `views` (T, 6, 64, 64); known (T, 64, 64): which pixels of
-    the views show the object; angles_deg (Q, T), targets (Q, T) and valid (T,): for `info_nce`; shown: what
-    windows and views show."""
+    """Network inputs: `windows` (Q, 6, 64, 64) and `views` (T, 6, 64, 64). known (T, 64, 64): pixels of the
+    views that show the object; angles_deg (Q, T), targets (Q, T) and valid (T,): for `info_nce`; shown: the
+    contents of windows and views."""
 
     windows: Tensor
     views: Tensor
@@ -120,11 +122,11 @@ class Batch:
 
 
 def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str, Any]:
-    """Train until `config.hours` are over, or until interrupted; leave `views.onnx`, `verification.onnx`,
-    `views.json`, `views.png`, its curve, and `checkpoint.pt` in `out`. Returns what views.json says.
+    """Train until `config.hours` are over, or until interrupted; write `views.onnx`, `verification.onnx`,
+    `views.json`, `views.png` (the curve) and `checkpoint.pt` into `out`. Returns the content of views.json.
 
-    Raises InputError, before anything is drawn, where `resume` finds no checkpoint, or one of another kind,
-    and where torch does not know the device."""
+    Raises InputError, before anything is rendered, if `resume` finds no checkpoint, or one of another kind,
+    if without it there is a checkpoint, and if torch cannot use the device."""
     check_device(config.device)
     saved = checkpoint(out, NAME, resume)
     out.mkdir(parents=True, exist_ok=True)
@@ -151,7 +153,7 @@ def train(config: ViewCodeTraining, out: Path, resume: bool = False) -> dict[str
 
 
 def _buffers(fresh: DataLoader[Any], config: ViewCodeTraining) -> Iterator[ObjectBuffer]:
-    """The buffer once for each step, with the objects that were drawn meanwhile."""
+    """The buffer, once for each step, with the objects that were rendered meanwhile."""
     buffer, steps = ObjectBuffer(config.room, config.device), 0
     for one in fresh:
         buffer.add(one)
@@ -161,7 +163,7 @@ def _buffers(fresh: DataLoader[Any], config: ViewCodeTraining) -> Iterator[Objec
 
 
 class _LogOdds(nn.Module):
-    """Of verification, without what it says of cells."""
+    """The verification network without its output for the cells."""
 
     def __init__(self, verifying: VerificationNetwork) -> None:
         super().__init__()
@@ -180,9 +182,9 @@ def _step(
         drawn = batch(buffer, config)
     of_codes, similarity = _code_loss(nets.coding, drawn)
     with torch.no_grad():
-        pictures, there, cells = pairs(buffer, drawn.shown, similarity.detach())
-    with _half(pictures):
-        of_pairs, _ = verification_loss(nets.verifying, pictures, there, cells)
+        inputs, there, cells = pairs(buffer, drawn.shown, similarity.detach())
+    with _half(inputs):
+        of_pairs, _ = verification_loss(nets.verifying, inputs, there, cells)
     optimiser.zero_grad()
     (of_codes + of_pairs).backward()
     for net in (nets.coding, nets.verifying):
@@ -190,9 +192,9 @@ def _step(
     optimiser.step()
 
 
-def _half(pictures: Tensor) -> torch.autocast:
-    """Half precision where an accelerator holds the pictures."""
-    device = pictures.device.type
+def _half(inputs: Tensor) -> torch.autocast:
+    """Half precision if the inputs are on an accelerator."""
+    device = inputs.device.type
     return torch.autocast(device, dtype=torch.bfloat16, enabled=device != "cpu")
 
 
@@ -207,7 +209,7 @@ def _code_loss(net: ViewCodeNetwork, drawn: Batch) -> tuple[Tensor, Tensor]:
 
 
 def batch(buffer: ObjectBuffer, config: ViewCodeTraining) -> Batch:
-    """A random batch."""
+    """A random batch from the buffer."""
     device = buffer.rotations.device
     count, each = config.objects, config.windows
     objects = torch.randint(len(buffer), (count,), device=device)
@@ -254,13 +256,13 @@ def batch(buffer: ObjectBuffer, config: ViewCodeTraining) -> Batch:
 
 def _angles(rotations: Tensor) -> Tensor:
     """Angles (..., N) in degrees between rotations (..., 3, 3) and those of all views."""
-    turns = torch.from_numpy(view_rotations(icosphere.directions(VIEW_LEVEL), ROLLS)).to(rotations)
-    cosines = (torch.einsum("...ij,nij->...n", rotations, turns) - 1.0) / 2.0
+    of_views = torch.from_numpy(view_rotations(icosphere.directions(VIEW_LEVEL), ROLLS)).to(rotations)
+    cosines = (torch.einsum("...ij,nij->...n", rotations, of_views) - 1.0) / 2.0
     return torch.rad2deg(torch.acos(cosines.clamp(-1.0, 1.0)))
 
 
 def _repeated(numbers: Tensor) -> Tensor:
-    """Whether each of numbers (N, K) stands further left in its row, too."""
+    """Whether each of numbers (N, K) also occurs further left in its row."""
     ordered = numbers.sort(dim=1, stable=True)
     again = torch.zeros_like(numbers, dtype=torch.bool)
     again[:, 1:] = ordered.values[:, 1:] == ordered.values[:, :-1]
@@ -275,10 +277,10 @@ def _validated(nets: Networks, held_out: ObjectBuffer, config: ViewCodeTraining,
     with torch.no_grad():
         rank = torch.cat([_ranks(nets.coding, held_out, k) for k in range(len(held_out))]).float()
         drawn = batch(held_out, config)
-        told = pairs(held_out, drawn.shown, _code_loss(nets.coding, drawn)[1])
-        log_odds = verification_loss(nets.verifying, *told)[1]
+        checked = pairs(held_out, drawn.shown, _code_loss(nets.coding, drawn)[1])
+        log_odds = verification_loss(nets.verifying, *checked)[1]
     torch.random.set_rng_state(state)
-    right = ((log_odds > 0) == (told[1] > 0)).float().mean()
+    right = ((log_odds > 0) == (checked[1] > 0)).float().mean()
     figures = ((rank < 1).float().mean(), (rank < 5).float().mean(), rank.median(), right)
     course.curve.append([course.hours, course.steps, *map(float, figures)])
 
@@ -290,36 +292,37 @@ def _ranks(net: ViewCodeNetwork, buffer: ObjectBuffer, k: int) -> Tensor:
     every = torch.arange(apart.shape[1], device=device)
     rgb, relief = buffer.views_of(torch.full_like(every, k), every)
     codes = view_codes(net(network_input(rgb, relief, clean=True)), torch.isfinite(relief))
-    n, still = torch.arange(WINDOWS, device=device), torch.zeros(WINDOWS, device=device)
-    seen = buffer.windows_of(torch.full_like(n, k), n, still[:, None].expand(-1, 2), still + 1.0, still)
-    similarity = window_codes(net(network_input(*sensed(*seen), clean=False))) @ codes.T
+    n, zero = torch.arange(WINDOWS, device=device), torch.zeros(WINDOWS, device=device)
+    windows = buffer.windows_of(torch.full_like(n, k), n, zero[:, None].expand(-1, 2), zero + 1.0, zero)
+    similarity = window_codes(net(network_input(*sensed(*windows), clean=False))) @ codes.T
     best = torch.where(apart < RIGHT_DEG, similarity, -math.inf).amax(1)
     return (similarity > best[:, None]).sum(1)
 
 
 def export(nets: Networks, buffer: ObjectBuffer, config: ViewCodeTraining, out: Path) -> None:
-    """Write both networks as ONNX with a free batch size, quantised to 8 bits: half the CPU time, and the
-    cosine of codes with the exact ones is 0.999. Activations are calibrated on objects of the buffer. The
+    """Write both networks as ONNX with a free batch size, quantised to 8 bits: half the CPU time; the cosine
+    between quantised and exact codes is 0.999. Activations are calibrated on objects of the buffer. The
     network of codes reads the bytes of `view_pictures.network_input`."""
     with torch.no_grad():
         batches = [batch(buffer, config) for _ in range(CALIBRATED)]
         similar = [_code_loss(nets.coding.eval(), drawn)[1] for drawn in batches]
-    told = [pairs(buffer, drawn.shown, s)[0] for drawn, s in zip(batches, similar, strict=True)]
-    pictures = [part for drawn in batches for part in (drawn.windows, drawn.views)]
-    _quantised(nets.coding, out / f"{NAME}.onnx", "window", "code", pictures)
+    in_pairs = [pairs(buffer, drawn.shown, s)[0] for drawn, s in zip(batches, similar, strict=True)]
+    single = [part for drawn in batches for part in (drawn.windows, drawn.views)]
+    _quantised(nets.coding, out / f"{NAME}.onnx", "window", "code", single)
     read_bytes(out / f"{NAME}.onnx")
-    _quantised(_LogOdds(nets.verifying), out / f"{VERIFICATION}.onnx", "pair", "log_odds", told)
+    _quantised(_LogOdds(nets.verifying), out / f"{VERIFICATION}.onnx", "pair", "log_odds", in_pairs)
 
 
-def _quantised(net: nn.Module, file: Path, read: str, told: str, pictures: list[Tensor]) -> None:
+def _quantised(net: nn.Module, file: Path, name: str, output: str, inputs: list[Tensor]) -> None:
+    """Write a network as ONNX, quantised; name: of its input; inputs: batches for the calibration."""
     from onnxruntime.quantization import QuantFormat, QuantType, quantize_static
 
     exact = file.with_suffix(".exact.onnx")
-    export_onnx(net, exact, {read: torch.zeros(2, *pictures[0].shape[1:])}, told, any_count=True)
+    export_onnx(net, exact, {name: torch.zeros(2, *inputs[0].shape[1:])}, output, any_count=True)
     quantize_static(
         str(exact),
         str(file),
-        _Pictures(read, pictures),
+        _Batches(name, inputs),
         quant_format=QuantFormat.QDQ,
         per_channel=True,
         weight_type=QuantType.QInt8,
@@ -330,11 +333,11 @@ def _quantised(net: nn.Module, file: Path, read: str, told: str, pictures: list[
     exact.unlink()
 
 
-class _Pictures:
-    """Batches of pictures, as the quantiser's calibration reads them."""
+class _Batches:
+    """Batches of inputs, as the quantiser's calibration reads them."""
 
-    def __init__(self, name: str, pictures: list[Tensor]) -> None:
-        self.batches = iter([{name: part.cpu().numpy()} for part in pictures])
+    def __init__(self, name: str, inputs: list[Tensor]) -> None:
+        self.batches = iter([{name: part.cpu().numpy()} for part in inputs])
 
     def get_next(self) -> dict[str, np.ndarray] | None:
         """The next batch, or None."""
@@ -343,7 +346,7 @@ class _Pictures:
 
 def _draw(file: Path, course: Course) -> None:
     table = np.array(course.curve)
-    curves = {"likest": (table[:, 1], table[:, 2]), "one of five": (table[:, 1], table[:, 3])}
+    curves = {"most similar": (table[:, 1], table[:, 2]), "one of five": (table[:, 1], table[:, 3])}
     title = "windows of objects that it was not trained on"
     picture = line_plot(curves, title, "steps", "share with a right view", y_range=(0.0, 1.0))
     write_picture(file, picture)

@@ -1,8 +1,8 @@
-"""A textured object that nobody has, carried through six frames of a camera at 30 Hz, with exact truth.
+"""Renders a random textured object that moves through six frames of a camera at 30 Hz, with exact poses.
 
-What the tracker meets is drawn: a ground with other things on it, something in front, light of any strength
-that may change from frame to frame, motion blur and noise of the sensor, depth exact or as an active stereo
-camera gives it. Only the window that the tracker looks at is rendered.
+The scene has what the tracker meets: a ground with other things on it, an occluder, light of any strength
+that may change from frame to frame, motion blur and sensor noise, and depth that is exact or as an active
+stereo camera measures it. Only the window that the tracker uses is rendered.
 """
 
 from __future__ import annotations
@@ -26,32 +26,31 @@ from huepose.training.shapes import random_object, random_rotation
 
 FRAMES = 6
 OTHERS = 3
-"""Things on the ground."""
+"""Number of things on the ground."""
 
 MARGIN_PX = 12
-"""Round the object's box, for what moves while the shutter is open."""
+"""Margin around the object's box, for motion while the shutter is open."""
 
 NO_SHADOW = np.zeros((4, 4), np.float32), np.eye(4)
 
 
 @dataclass(frozen=True)
 class ViewRange:
-    """What is drawn. Sizes and distances in metres; fastest turns and ways as in the protocol that the paper
-    uses, and some beyond it; shares of the sequences with something in front, with changing light, with
-    depth of a stereo camera."""
+    """Ranges of sizes, distances and speeds; the speeds reach those of the protocol that the paper uses, and
+    beyond. Shares of the sequences: with an occluder, with changing light, with depth of a stereo camera."""
 
     diameter_m: tuple[float, float] = (0.1, 0.3)
     distance_m: tuple[float, float] = (0.4, 0.9)
     turn_rad_s: tuple[float, float] = (0.0, 7.0)
     speed_m_s: tuple[float, float] = (0.0, 0.8)
-    hidden: float = 0.35
+    occluded: float = 0.35
     flicker: float = 0.25
     stereo: float = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """frames: windows of a camera's frames; masks (F, H, W): where the object is seen; boxes: of its whole
+    """frames: windows of a camera's frames; masks (F, H, W): where the object is visible; boxes: of its whole
     outline, in pixels of the window; T_cam_obj (F, 4, 4)."""
 
     frames: list[RgbdFrame]
@@ -62,7 +61,7 @@ class Views:
 
 @dataclass(eq=False)
 class Props:
-    """Grounds and things that are drawn once and used often; each is replaced now and then."""
+    """Meshes of grounds and things that are made once and used often; each is sometimes replaced."""
 
     rng: Rng
     grounds: list[Mesh] = field(default_factory=list)
@@ -73,7 +72,7 @@ class Props:
         return self._one(self.grounds, 8, self._new_ground)
 
     def thing(self) -> Mesh:
-        """Clutter, or an object like those that are followed."""
+        """Clutter, or an object like the tracked ones."""
         return self._one(self.things, 24, self._new_thing)
 
     def _one(self, kept: list[Mesh], most: int, new: Callable[[], Mesh]) -> Mesh:
@@ -99,7 +98,7 @@ class Props:
 
 
 def draw_views(rng: Rng, mesh: Mesh, props: Props, growth: float, ranges: ViewRange) -> Views:
-    """The object on its way. growth: of the window on each side of the object's box, in sizes of the box."""
+    """Render the moving object. growth: of the window on each side of the object's box, in box sizes."""
     focal = rng.uniform(450.0, 700.0)
     camera = Camera(focal, focal, 319.5, 239.5, 640, 480)
     at = _carried(rng, camera, ranges)
@@ -107,28 +106,28 @@ def draw_views(rng: Rng, mesh: Mesh, props: Props, growth: float, ranges: ViewRa
     boxes = [Box.of_pixels(camera.project(se3.apply(T, mesh.vertices))) for T in T_cam_obj]
     rows, columns = Box.around(*(box.grown(growth) for box in boxes)).slices(camera.width, camera.height)
     window = camera.cropped(columns.start, rows.start, columns.stop - columns.start, rows.stop - rows.start)
-    standing = _standing(rng, props, camera, T_cam_obj[FRAMES // 2][:3, 3], ranges)
-    still = _Still.seen(standing, window, random_strong_light(rng))
+    surroundings = _surroundings(rng, props, camera, T_cam_obj[FRAMES // 2][:3, 3], ranges)
+    static = _Static.rendered(surroundings, window, random_strong_light(rng))
     gains = np.exp(rng.normal(0.0, 0.05, FRAMES)) if rng.random() < ranges.flicker else np.ones(FRAMES)
     stereo = rng.random() < ranges.stereo
-    # In half of the sequences the shutter is open for no time at all.
+    # Half of the sequences have no motion blur.
     instants = (-SHUTTER / 4, SHUTTER / 4) if rng.random() < 0.5 else (0.0,)
-    here = [box._replace(x=box.x - columns.start, y=box.y - rows.start) for box in boxes]
+    in_window = [box._replace(x=box.x - columns.start, y=box.y - rows.start) for box in boxes]
     frames, masks = [], []
-    for i, (T, box) in enumerate(zip(T_cam_obj, here, strict=True)):
-        lit = np.mean([still.lit_with(mesh, at(i + part), box) for part in instants], 0)
+    for i, (T, box) in enumerate(zip(T_cam_obj, in_window, strict=True)):
+        lit = np.mean([static.light_with(mesh, at(i + part), box) for part in instants], 0)
         color = expose(np.float32(gains[i]) * lit, COLOR, rng)
-        depth, normals, mask = still.with_one_more(mesh, T, box)
+        depth, normals, mask = static.depth_with(mesh, T, box)
         if stereo:
             depth = stereo_depth(depth, normals, window, STEREO, rng)
         frames.append(RgbdFrame(color, depth, window, i, round(i * 1e9 / RATE_HZ)))
         masks.append(mask)
-    return Views(frames, masks, here, T_cam_obj)
+    return Views(frames, masks, in_window, T_cam_obj)
 
 
 @dataclass(frozen=True, eq=False)
-class _Still:
-    """All that stands still, rendered once: linear light (H, W, 3), depth (H, W) and normals (H, W, 3)."""
+class _Static:
+    """The static scene, rendered once: linear light (H, W, 3), depth (H, W) and normals (H, W, 3)."""
 
     camera: Camera
     light: Light
@@ -137,26 +136,26 @@ class _Still:
     normals: Float32
 
     @staticmethod
-    def seen(standing: list[tuple[Mesh, Float64]], camera: Camera, light: Light) -> _Still:
-        """What a camera sees of it."""
-        seen = render(standing, camera)
-        return _Still(camera, light, shone(seen, camera, light, 0), seen.depth, seen.normals_cam)
+    def rendered(meshes: list[tuple[Mesh, Float64]], camera: Camera, light: Light) -> _Static:
+        """Render meshes at their poses T_cam_obj (4, 4)."""
+        scene = render(meshes, camera)
+        return _Static(camera, light, shone(scene, camera, light, 0), scene.depth, scene.normals_cam)
 
-    def lit_with(self, mesh: Mesh, T_cam_obj: Float64, box: Box) -> Float32:
-        """The light (H, W, 3) that comes in where the object stands too, without cast shadows."""
-        window, part, seen = self._alone(mesh, T_cam_obj, box, color=True)
+    def light_with(self, mesh: Mesh, T_cam_obj: Float64, box: Box) -> Float32:
+        """The linear light (H, W, 3) of the scene with the object, without cast shadows."""
+        window, part, alone = self._alone(mesh, T_cam_obj, box, color=True)
         out = self.shone.copy()
-        ahead = _ahead(seen.depth, self.depth[window])
-        out[window][ahead] = shone(seen, part, self.light, 1)[ahead]
+        visible = _nearer(alone.depth, self.depth[window])
+        out[window][visible] = shone(alone, part, self.light, 1)[visible]
         return out
 
-    def with_one_more(self, mesh: Mesh, T_cam_obj: Float64, box: Box) -> tuple[Float32, Float32, Bool]:
-        """Depth and normals where the object stands too, and its pixels (H, W)."""
-        window, _, seen = self._alone(mesh, T_cam_obj, box, color=False)
+    def depth_with(self, mesh: Mesh, T_cam_obj: Float64, box: Box) -> tuple[Float32, Float32, Bool]:
+        """Depth and normals of the scene with the object, and the object's visible pixels (H, W)."""
+        window, _, alone = self._alone(mesh, T_cam_obj, box, color=False)
         depth, normals, mask = self.depth.copy(), self.normals.copy(), np.zeros(self.depth.shape, bool)
-        ahead = _ahead(seen.depth, depth[window])
-        depth[window][ahead], normals[window][ahead] = seen.depth[ahead], seen.normals_cam[ahead]
-        mask[window] = ahead
+        visible = _nearer(alone.depth, depth[window])
+        depth[window][visible], normals[window][visible] = alone.depth[visible], alone.normals_cam[visible]
+        mask[window] = visible
         return depth, normals, mask
 
     def _alone(
@@ -168,12 +167,12 @@ class _Still:
         return (rows, columns), part, render([(mesh, T_cam_obj)], part, color=color)
 
 
-def _ahead(depth: Float32, other: Float32) -> Bool:
+def _nearer(depth: Float32, other: Float32) -> Bool:
     return np.asarray((depth > 0) & ((other == 0) | (depth < other)))
 
 
 def shone(seen: Rendering, camera: Camera, light: Light, glossy: int) -> Float32:
-    """The light (H, W, 3) from what is seen, without cast shadows; glossy: 1 where it shines."""
+    """The linear light (H, W, 3) of a rendering, without cast shadows; glossy: 1 for glossy surfaces."""
     total: Float32 = np.zeros((camera.height, camera.width, 3), np.float32)
     gloss = np.full(seen.depth.shape, glossy, np.uint8)
     args = (seen.color, seen.normals_cam, seen.depth, gloss, camera, np.eye(4), light, NO_SHADOW)
@@ -182,40 +181,41 @@ def shone(seen: Rendering, camera: Camera, light: Light, glossy: int) -> Float32
 
 
 def _carried(rng: Rng, camera: Camera, ranges: ViewRange) -> Callable[[float], Float64]:
-    """The pose T_cam_obj (4, 4) at any time in frames: a hand's way, its speeds changing slowly."""
-    place = camera.backproject(
+    """The pose T_cam_obj (4, 4) at any time in frames: as moved by a hand, with slowly changing velocity."""
+    position = camera.backproject(
         rng.uniform([90.0, 90.0], [camera.width - 90.0, camera.height - 90.0])[None],
         np.array([rng.uniform(*ranges.distance_m)]),
     )[0]
     R = random_rotation(rng)
     turn = rng.uniform(*ranges.turn_rad_s) * random_unit(rng) / RATE_HZ
-    way = rng.uniform(*ranges.speed_m_s) * random_unit(rng) / RATE_HZ
-    bend, bow = (0.5 * rng.normal(0.0, 0.1, 3) * np.linalg.norm(x) for x in (turn, way))
+    shift = rng.uniform(*ranges.speed_m_s) * random_unit(rng) / RATE_HZ
+    turn_change, shift_change = (0.5 * rng.normal(0.0, 0.1, 3) * np.linalg.norm(x) for x in (turn, shift))
     middle = (FRAMES - 1) / 2
 
     def at(when: float) -> Float64:
         t = when - middle
-        return se3.make(se3.rotation_exp(turn * t + bend * t**2) @ R, place + way * t + bow * t**2)
+        R_at = se3.rotation_exp(turn * t + turn_change * t**2) @ R
+        return se3.make(R_at, position + shift * t + shift_change * t**2)
 
     return at
 
 
 def random_unit(rng: Rng) -> Float64:
-    """A direction (3,), any as often as any other."""
+    """A uniformly distributed direction (3,)."""
     v = rng.normal(size=3)
     return np.asarray(v / np.linalg.norm(v))
 
 
-def _standing(
+def _surroundings(
     rng: Rng, props: Props, camera: Camera, centre: Float64, ranges: ViewRange
 ) -> list[tuple[Mesh, Float64]]:
-    """The ground behind the object at `centre` (3,), what lies on it, and what may hang in front."""
+    """Meshes and poses: the ground behind the object at `centre` (3,), things on it, perhaps an occluder."""
     ground_m = float(centre[2]) + rng.uniform(0.15, 0.6)
     tilt = np.array([np.pi + rng.uniform(-0.5, 0.5), rng.uniform(-0.4, 0.4), 0.0])
     out = [(props.ground(), se3.make(se3.rotation_exp(tilt), np.array([0.0, 0.0, ground_m])))]
     pixel = camera.project(centre)
     depths_m = OTHERS * [ground_m - 0.05]
-    if rng.random() < ranges.hidden:
+    if rng.random() < ranges.occluded:
         depths_m.append(rng.uniform(0.65, 0.85) * float(centre[2]))
     return out + [(props.thing(), _somewhere(rng, camera, pixel, z)) for z in depths_m]
 

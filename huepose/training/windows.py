@@ -1,8 +1,8 @@
-"""Draws training samples for the view codes: random objects in windows of drawn scenes, and clean views.
+"""Renders training samples for the view codes: random objects in windows of scenes, and clean views.
 
-A scene is what the detector meets: an object on a ground among other things, partly covered, in any light,
+A scene has what the detector meets: an object on a ground among other things, partly occluded, in any light,
 with blur and sensor noise, and depth of a stereo camera, of a time-of-flight camera, or exact. A window is
-drawn twice as wide as the network sees it, so that training can shift and enlarge it.
+rendered twice as wide as the network's input, so that training can shift and enlarge it.
 """
 
 from __future__ import annotations
@@ -27,43 +27,44 @@ from huepose.training.shapes import random_object, random_rotation
 from huepose.training.views import Props, random_unit, shone
 
 WIDE = 2
-"""Width of a drawn window, in widths of the network's input."""
+"""Width of a rendered window, in widths of the network's input."""
 
 WINDOWS = 10
 """Windows of each object."""
 
 TRIES = 3
-"""Most windows drawn for each one that is kept; one that shows too little of the object is not."""
+"""Largest number of windows rendered for each one that is kept; windows that show too little of the object
+are rejected."""
 
 WIDTH, HEIGHT = 640, 480
-"""Pixels of the camera's whole picture."""
+"""Size of the camera's whole image, pixels."""
 
 DIAMETER_M, DISTANCE_M, FOCAL_PX = (0.06, 0.35), (0.4, 1.0), (450.0, 950.0)
-"""Bounds of what is drawn."""
+"""Bounds of the objects' diameters and distances, and of the focal length."""
 
 FAR, FAR_M = 0.4, (0.7, 1.9)
-"""Share of the windows that are farther away, and bounds of their distance."""
+"""Share of the windows with other bounds of the distance, and these."""
 
 ON_GROUND, WALL, IN_FRONT, PILED, BLURRED = 0.8, 0.4, 0.35, 0.4, 0.3
-"""Shares of the windows: on a ground, with a wall, with something in front, with things all round the object
-as in a pile, blurred by motion."""
+"""Shares of the windows: with a ground, with a wall, with an occluder, with things all around the object as
+in a pile, with motion blur."""
 
 STEREO_SHARE, FLIGHT_SHARE = 0.65, 0.2
-"""Shares of the windows with depth of a stereo and of a time-of-flight camera; the others' is exact."""
+"""Shares of the windows with depth of a stereo and of a time-of-flight camera; the others' depth is exact."""
 
 SHOWN = 0.25
 """Least visible share of the object."""
 
 TURNED_DEG = 5.0
-"""Standard deviation of the rotation of a pose that is nearly right, about each axis."""
+"""Standard deviation of the rotation error, about each axis, of a pose that is nearly right."""
 
 
 class Drawn(NamedTuple):
     """One object. view_colors (V, 92, 92, 3) uint8 and view_reliefs (V, 92, 92) float16: its clean views
-    without a roll; colors (Q, 128, 128, 3) uint8 and reliefs (Q, 128, 128) float16: windows about it, twice
-    as wide as the network sees; rotations (Q, 3, 3) float32: its turn there, seen along the window's ray;
-    shown (Q, 128, 128): where it is visible; pose_colors (Q, 64, 64, 3) uint8 and pose_reliefs (Q, 64, 64)
-    float16: its clean views in nearly this turn."""
+    without a roll; colors (Q, 128, 128, 3) uint8 and reliefs (Q, 128, 128) float16: windows around it, twice
+    as wide as the network's input; rotations (Q, 3, 3) float32: its rotations in them, relative to the
+    window's ray; shown (Q, 128, 128): where it is visible; pose_colors (Q, 64, 64, 3) uint8 and pose_reliefs
+    (Q, 64, 64) float16: its clean views in nearly these rotations."""
 
     view_colors: UInt8
     view_reliefs: np.ndarray
@@ -86,7 +87,7 @@ def endless(seed: int, stream: int) -> Iterator[Drawn]:
 
 
 def draw_object(rng: Rng, props: Props) -> Drawn | None:
-    """One random object with its windows and views; None where too few windows show it."""
+    """One random object with its windows and views; None if too few windows show it."""
     low, high = np.log(DIAMETER_M)
     mesh = random_object(rng, float(np.exp(rng.uniform(low, high))))
     some = mesh.vertices[rng.integers(len(mesh.vertices), size=300)]
@@ -107,7 +108,7 @@ def draw_object(rng: Rng, props: Props) -> Drawn | None:
 def _window(
     rng: Rng, mesh: Mesh, diameter_m: float, props: Props
 ) -> tuple[UInt8, np.ndarray, Float32, Bool, UInt8, np.ndarray] | None:
-    """What `Drawn` holds of one window; None where too little of the object is visible."""
+    """The parts of `Drawn` for one window; None if too little of the object is visible."""
     focal = rng.uniform(*FOCAL_PX)
     whole = Camera(focal, focal, (WIDTH - 1) / 2, (HEIGHT - 1) / 2, WIDTH, HEIGHT)
     z = rng.uniform(*(FAR_M if rng.random() < FAR else DISTANCE_M))
@@ -135,12 +136,12 @@ def _window(
     picture = Pyramid(shown)
     colors, reliefs = window_pictures(picture, depth, *place, diameter_m, wide=WIDE)
     _, owns = window_pictures(picture, np.where(own, alone, np.float32(0.0)), *place, diameter_m, wide=WIDE)
-    turn = onto_rays(camera.rays(middle[None]))[0]
-    seen_along = turn.T @ R
-    near = cv2.Rodrigues(np.radians(TURNED_DEG) * rng.normal(size=3))[0] @ seen_along
+    R_ray = onto_rays(camera.rays(middle[None]))[0]
+    along_ray = R_ray.T @ R
+    near = cv2.Rodrigues(np.radians(TURNED_DEG) * rng.normal(size=3))[0] @ along_ray
     posed = clean_view(mesh, diameter_m, near)
     return (
-        *(colors[0], _half(reliefs[0]), seen_along.astype(np.float32), np.isfinite(owns[0])),
+        *(colors[0], _half(reliefs[0]), along_ray.astype(np.float32), np.isfinite(owns[0])),
         *(posed.color, posed.relief.astype(np.float16)),
     )
 
@@ -152,7 +153,7 @@ def _half(relief: Float32) -> np.ndarray:
 def _surroundings(
     rng: Rng, mesh: Mesh, T: Float64, centre: Float64, diameter_m: float, props: Props
 ) -> list[tuple[Mesh, Float64]]:
-    """Meshes and poses around the object: the ground that it stands on, a wall, other things, an occluder."""
+    """Meshes and poses around the object: the ground below it, a wall, other things, an occluder."""
     out: list[tuple[Mesh, Float64]] = []
     towards = -centre / np.linalg.norm(centre)
     up, foot = None, centre
@@ -188,7 +189,7 @@ def _surroundings(
 
 
 def _color(rng: Rng, seen: Rendering, camera: Camera) -> UInt8:
-    """The camera's picture (H, W, 3) of a rendering, in a random light, exposure and motion blur."""
+    """The camera's image (H, W, 3) of a rendering, in a random light, exposure and motion blur."""
     light = random_strong_light(rng)
     linear = shone(seen, camera, light, int(rng.random() < 0.6))
     if rng.random() < BLURRED:
@@ -235,4 +236,4 @@ def _lying(rng: Rng, up: Float64, at: Float64) -> Float64:
 
 
 PIXELS = WIDE * SIDE
-"""Side of a drawn window, pixels."""
+"""Side of a rendered window, pixels."""

@@ -161,7 +161,7 @@ def test_a_training_that_cannot_begin_says_so_before_anything_is_drawn(training,
     with pytest.raises(InputError, match=r"no such file\. Train without --resume first"):
         training(settings(), out, resume=True)
     with pytest.raises(
-        InputError, match=r"device gpu: found none .*; expected cpu, or cuda where there is a GPU"
+        InputError, match=r"device gpu: found none .*; expected cpu, or cuda if there is a GPU"
     ):
         training(settings(device="gpu"), out)
     assert not out.exists()

@@ -3,20 +3,20 @@ import pytest
 
 from huepose.geometry import Camera, se3
 from huepose.paper.relative_pose import robust_kabsch
-from huepose.paper.rotation_network import fixed_count, posed
+from huepose.paper.rotation_network import canonical_input, fixed_count
 from huepose.rendering.render import is_closed, render_depth
 from huepose.training.shapes import random_object, random_shape
-from huepose.training.turns import draw_turns, endless, sample_of
+from huepose.training.turns import endless, render_motions, sample_of
 from huepose.training.views import Props, ViewRange, draw_views
 
-CLEAN = ViewRange(hidden=0.0, flicker=0.0, stereo=0.0, turn_rad_s=(0.0, 2.0), speed_m_s=(0.0, 0.3))
+CLEAN = ViewRange(occluded=0.0, flicker=0.0, stereo=0.0, turn_rad_s=(0.0, 2.0), speed_m_s=(0.0, 0.3))
 
 
 @pytest.fixture(scope="module")
 def turns():
     rng = np.random.default_rng(3)
     props = Props(rng)
-    return [turn for _ in range(2) for turn in draw_turns(rng, props, CLEAN)]
+    return [turn for _ in range(2) for turn in render_motions(rng, props, CLEAN)]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -79,12 +79,12 @@ def test_the_answer_turns_what_the_closed_form_left(turns):
     """Asked and answered in the canonical frame, and taken back, it is the true motion."""
     turn = max(turns, key=lambda t: len(t.matches))
     first = robust_kabsch(turn.matches)[:3, :3]
-    question = posed(turn.matches, "residual")
+    question = canonical_input(turn.matches, "residual")
     answer = sample_of(turn, "residual").R_canon.astype(np.float64)
-    assert question.seen.rotation(answer) @ first == pytest.approx(turn.T_b_a[:3, :3], abs=1e-6)
-    direct = posed(turn.matches, "direct")
+    assert question.clouds.rotation(answer) @ first == pytest.approx(turn.T_b_a[:3, :3], abs=1e-6)
+    direct = canonical_input(turn.matches, "direct")
     whole = sample_of(turn, "direct").R_canon.astype(np.float64)
-    assert direct.seen.rotation(whole) == pytest.approx(turn.T_b_a[:3, :3], abs=1e-6)
+    assert direct.clouds.rotation(whole) == pytest.approx(turn.T_b_a[:3, :3], abs=1e-6)
 
 
 def test_the_stream_repeats_itself_with_its_seed_only():

@@ -1,9 +1,9 @@
-"""Is it said that an object is not there? Each is asked for alone, in boxes of others and of nothing.
+"""Is an absent object reported as absent? It is estimated alone, in the box of another object or anywhere.
 
     .venv/bin/python -m studies.absent --bop SCENE... --bundles DIR --json OUT.json
 
-Only objects that do not stand in the picture are asked for. Quality is fitted to such rows, too
-(`studies.quality`): there all that was looked at counts, found or not.
+Only objects that are not in the image are asked for. Quality is fitted to such rows, too (`studies.quality`):
+there all rows count, found or not.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ NOTHING = "nothing"
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """An object that is not in the image, and the box in which it is asked for; shown: the object whose box
-    it is, or NOTHING where the box was put anywhere."""
+    """An object that is not in the image, and the box in which it is asked for; shown: the object that the
+    box belongs to, or NOTHING for a random box."""
 
     scene: Scene
     image: int
@@ -45,7 +45,8 @@ class Question:
 
 
 def questions(scenes: Sequence[Scene], targets: Targets, per_frame: int, seed: int = 0) -> Iterator[Question]:
-    """`per_frame` a frame, the last of them in a box put anywhere; of objects that have no label in it."""
+    """`per_frame` questions for each frame, about objects without a label in it; the last has a random
+    box."""
     rng = np.random.default_rng([seed, 41])
     for scene in scenes:
         for image in scene.image_ids:
@@ -65,7 +66,7 @@ def questions(scenes: Sequence[Scene], targets: Targets, per_frame: int, seed: i
 
 
 def answers_where_absent(estimator: Estimator, asked: Sequence[Question]) -> list[dict[str, Any]]:
-    """Rows as those of `huepose eval estimate`, none of them right, of questions that are asked alone."""
+    """Rows as of `huepose eval estimate`, none of them right; each question is asked alone."""
     rows = []
     for q in progress(asked, "absent"):
         answer, _ = estimator.explain(q.scene.frame(q.image), ObjectQuery(q.model.name, q.box))
@@ -81,7 +82,7 @@ def answers_where_absent(estimator: Estimator, asked: Sequence[Question]) -> lis
 def _places(
     scene: Scene, image: int, truths: Sequence[GroundTruth], targets: Targets
 ) -> list[tuple[Box, str]]:
-    """Disturbed boxes of what is seen, with its name."""
+    """Disturbed boxes of the visible objects, with their names."""
     camera = scene.frame(image).camera
     places = []
     for truth in truths:
@@ -98,20 +99,20 @@ def _places(
 
 
 def read_absent(path: Path | str) -> Judged:
-    """All that was looked at where the object is not, found or not: none is right. Raises InputError."""
+    """All rows of absent objects, found or not: none is right. Raises InputError."""
     rows, false = read_rows(path)
     return judged([], [row for row in [*rows, *false] if row.get("terms") is not None], path)
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Ask, print how often something is found and how often it is acquired."""
-    parser = argparse.ArgumentParser(description="How often something is found where the object is not.")
+    """Ask all questions; print how often a pose is found and how often it is acquired."""
+    parser = argparse.ArgumentParser(description="How often an absent object is found.")
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
     parser.add_argument("--json", type=Path, required=True, metavar="FILE")
     parser.add_argument("--objects", nargs="+", default=None, metavar="ID")
     parser.add_argument("--method", choices=("full", "colorpair"), default="full")
-    parser.add_argument("--per-frame", type=int, default=3, metavar="N", help="questions a frame (3)")
+    parser.add_argument("--per-frame", type=int, default=3, metavar="N", help="questions for each frame (3)")
     arguments = parser.parse_args(words)
     models = load_models(arguments.bundles)
     targets = Targets(models, arguments.objects)
@@ -121,15 +122,15 @@ def main(words: Sequence[str] | None = None) -> None:
     rows = answers_where_absent(estimator, asked)
     lines = []
     for name, chosen in (
-        ("boxes of others", [row for row in rows if row["shown"] != NOTHING]),
-        ("boxes of nothing", [row for row in rows if row["shown"] == NOTHING]),
+        ("box of another object", [row for row in rows if row["shown"] != NOTHING]),
+        ("random box", [row for row in rows if row["shown"] == NOTHING]),
         ("all", rows),
     ):
         found = [row["found"] for row in chosen]
         acquired = [row["state"] == "TRACKING" for row in chosen]
         lines.append([name, len(chosen), 100.0 * np.mean(found), 100.0 * np.mean(acquired)])
     write_json(arguments.json, {"rows": rows})
-    print(table(["asked where it is not", "n", "found %", "acquired %"], lines))
+    print(table(["absent object asked for in", "n", "found %", "acquired %"], lines))
 
 
 if __name__ == "__main__":

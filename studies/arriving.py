@@ -1,9 +1,10 @@
-"""Many objects are known, and one of them is put before a camera that stands still: how soon is it TRACKING?
+"""Many objects are known, and one of them is put before a fixed camera: how soon is it TRACKING?
 
     .venv/bin/python -m studies.arriving --bop SCENE... --bundles DIR --json OUT.json
 
-All kinds of the bundles are looked for, as in a live pipeline. Each object that stands alone of its kind in a
-frame, and is seen nearly whole, is put there after six seconds; until then there is what lies beside it.
+All objects of the bundles are searched for, as in a live pipeline. Each object that has one instance in a
+frame and is nearly completely visible appears after six seconds; until then its place shows the part of the
+image beside it.
 """
 
 from __future__ import annotations
@@ -31,14 +32,13 @@ from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
 
 NEARLY_WHOLE, SECONDS_BEFORE = 0.7, 6
-"""Visible share of what is put there, and how long the scene is seen without it."""
+"""Least visible share of the object, and for how long the scene is shown without it."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Of one object. found_s: when it was TRACKING and right, from when it was put there; None where it was
-    not in time. absent: frames in which a kind that is not there was TRACKING; frames: of the film, as far
-    as it was watched."""
+    """Result of one object. found_s: time from its appearance until it was TRACKING and right; None if it was
+    not found in the film. absent: frames in which an absent object was TRACKING; frames: played frames."""
 
     scene: str
     image: int
@@ -49,22 +49,22 @@ class Row:
 
 
 def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, seconds: int, rng: Rng) -> list[Seen]:
-    """An object is put there; empty where nothing of its size is beside it."""
+    """A film in which an object appears; empty if there is no part of its size beside it."""
     parts = part_and_beside(frame, label, model, rng)
     if parts is None:
         return []
     (hole, beside), color, depth = parts, frame.color.copy(), frame.depth.copy()
     color[hole], depth[hole] = frame.color[beside], frame.depth[beside]
     without, count = replace(frame, color=color, depth=depth), HZ * SECONDS_BEFORE
-    pictures = [without] * count + [frame] * (HZ * seconds)
-    return [Seen(shown(one, number, rng), NOWHERE, 1.0) for number, one in enumerate(pictures)]
+    frames = [without] * count + [frame] * (HZ * seconds)
+    return [Seen(shown(one, number, rng), NOWHERE, 1.0) for number, one in enumerate(frames)]
 
 
 def watched(
     frames: Sequence[Seen], models: Mapping[str, ReferenceModel], there: Mapping[str, Float64], name: str
 ) -> tuple[float | None, int, int]:
-    """What is seen of a film until the object is TRACKING and right, as the last fields of a row. there: the
-    true poses (4, 4) of the kinds that the scene shows, or a pose of each."""
+    """Play a film until the object is TRACKING and right; returns the last fields of a row. there: the true
+    pose (4, 4) of each object in the scene, of the first instance if there are several."""
     tracker = Tracker(models, profile("live").tracker)
     loop = ReinitLoop(objects=[ObjectSlot.of(model) for model in models.values()])
     absent = number = 0
@@ -78,7 +78,7 @@ def watched(
 
 
 def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.Namespace) -> Iterator[Row]:
-    """All objects that can be put there, of at most so many frames of a scene as are given."""
+    """The rows of all suitable objects in at most `given.images` frames of a scene."""
     for image, frame, label, model, kinds, rng in alone_in(scene, Targets(models), given, NEARLY_WHOLE):
         frames = film(frame, label, model, given.seconds, rng)
         if frames:
@@ -88,21 +88,21 @@ def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.
 
 
 def report(done: Sequence[Row]) -> str:
-    """How soon they were found, and how often what is not there was TRACKING."""
+    """How soon the objects were found, and how often an absent one was TRACKING, as text."""
     times = [row.found_s for row in done if row.found_s is not None]
     at = "{:.1f} s, {:.1f} s".format(*np.percentile(times, (50, 90))) if times else "-"
     soon = ", ".join(str(sum(t <= limit for t in times)) for limit in (1.0, 2.0))
     absent, frames = sum(row.absent for row in done), sum(row.frames for row in done)
     return (
         f"{len(times)} of {len(done)} TRACKING and right, within 1 s, 2 s: {soon}; median, 90 %: {at}; "
-        f"what is not there is TRACKING in {absent} of {frames} frames"
+        f"an absent object is TRACKING in {absent} of {frames} frames"
     )
 
 
 def main() -> None:
-    """Put all objects of the scenes there, one by one."""
+    """Play the films of all scenes, one by one, and print the results."""
     parser = parser_of(__doc__)
-    parser.add_argument("--seconds", type=int, default=6, help="to find it in (6)")
+    parser.add_argument("--seconds", type=int, default=6, help="time to find the object (6)")
     given = parser.parse_args()
     models = load_models(given.bundles)
     done = filmed(given, lambda scene: rows(scene, models, given))

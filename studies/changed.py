@@ -1,10 +1,10 @@
-"""The same scenes as another camera, or another light, would have recorded them: does the answer stay?
+"""The same scenes as another camera, or another light, would have recorded them: are the results the same?
 
     .venv/bin/python -m studies.changed --bop SCENE... --out DIR
     huepose eval perception --bop DIR/warm/* --bundles bundles --json warm.json
 
-Writes a copy of each scene in BOP's layout under DIR/FORM/SCENE. Poses, labels and boxes stay; the picture or
-its depth is changed. Nothing is fitted on such frames: they are for measuring alone.
+Writes copies of each scene in BOP's layout to DIR/FORM/SCENE. Poses, labels and boxes stay; colour or depth
+is changed. Nothing is fitted on such frames: they are only for measurements.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from huepose.geometry.arrays import Float32, UInt8
 from huepose.support.progress import progress
 
 FARTHEST_M = np.float32(1000.0)
-"""Farther than any reading."""
+"""Farther than any depth reading."""
 
 GAMMA = 2.2
-"""Of the pictures: light is color ** GAMMA."""
+"""Gamma of the images: light is color ** GAMMA."""
 
 
 def _in_light(change: Callable[[Float32], Float32]) -> Callable[[UInt8], UInt8]:
-    """A change of linear light (H, W, 3), 0..1, as a change of a picture."""
+    """From a change of linear light (H, W, 3), 0..1, to a change of an image."""
 
     def changed(color: UInt8) -> UInt8:
         light = change((color.astype(np.float32) / 255.0) ** GAMMA)
@@ -83,11 +83,11 @@ COLORS: dict[str, Callable[[UInt8], UInt8]] = {
     "noisy": _noisy,
     "compressed": _compressed,
 }
-"""Changes of a picture (H, W, 3) RGB."""
+"""Changes of an image (H, W, 3) RGB."""
 
 
 def _patches(depth: Float32, per_px: int, seed: int) -> Float32:
-    """A smooth random field (H, W) of unit deviation at its nodes, one for so many pixels."""
+    """A smooth random field (H, W): standard deviation 1 at its nodes, which are `per_px` pixels apart."""
     height, width = depth.shape
     nodes = np.random.default_rng(seed).normal(size=(height // per_px, width // per_px)).astype(np.float32)
     return np.asarray(cv2.resize(nodes, (width, height), interpolation=cv2.INTER_CUBIC), np.float32)
@@ -108,14 +108,14 @@ DEPTHS: dict[str, Callable[[Float32], Float32]] = {
     "holes": lambda depth: np.where(_patches(depth, 16, 8) > 1.0, np.float32(0.0), depth),
     "beside": lambda depth: np.roll(depth, 3, axis=1),
 }
-"""Changes of depth (H, W), metres: blotchy noise that grows with its square; near surfaces that reach four
-pixels over what is behind; holes; three pixels beside the colours."""
+"""Changes of depth (H, W), metres: smooth noise that grows with the square of the depth; near surfaces that
+are four pixels wider; holes; a shift of three pixels against the colours."""
 
 FORMS = (*COLORS, *DEPTHS)
 
 
 def write_changed(scene: BopScene, form: str, out: Path) -> None:
-    """Write the copy of a scene in that form of FORMS to a folder, anew."""
+    """Write the copy of a scene in a form (one of FORMS) to a folder, which is replaced."""
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(scene.path, out, ignore=shutil.ignore_patterns("rgb", "depth", "scene_camera.json"))
     cameras = json.loads((scene.path / "scene_camera.json").read_text())

@@ -1,15 +1,15 @@
-"""Fit how sure a pose in a frame is (`believe.frame`): poses that tracking reaches, right and wrong, on the
-films of `studies.stress`.
+"""Fit the probability that a tracked pose is right in one frame (`believe.frame`), from right and wrong poses
+that tracking reaches on the films of `studies.stress`.
 
     python -m studies.frame_belief --bundles BUNDLES --json out.json --processes 2
 
-Fitted on the split `fit`, looked at on `choose`: of each so many films of hard objects, of random household
-objects (bowls, mugs, tools, fruit, packages; most of them of few colours) and of the reference models in
-BUNDLES. Every few frames a pose is reached from 1 to 15 frames before, from wrong places and turns, and from
-elsewhere in the picture, also where the object is gone or its look-alike has taken its place. Each pose that
-comes out counts as right or wrong by where it is, whatever led there. Left out are poses that are right but
-for a near-symmetric rotation: no single frame has to tell those, `tracking.orientation` does. `--write` puts
-the fit in the package."""
+The fit is made on the split `fit` and checked on `choose`. Each has films of hard objects, of random
+household objects (bowls, mugs, tools, fruit, packages; most of them with few colours) and of the reference
+models in BUNDLES. In every eighth frame poses are tracked from 1 to 15 frames before, and refined from wrong
+positions and rotations and from other places in the image, also if the object is gone or swapped for its
+look-alike. Each result is right or wrong by its error, whatever its start. Poses that are right except for a
+near-symmetric rotation are left out: `tracking.orientation` decides those, not a single frame. `--write`
+writes the fit into the package."""
 
 from __future__ import annotations
 
@@ -45,19 +45,19 @@ from studies.stress.playing import Job, film_of
 
 EVERY = 8
 NEAR, FAR = (3, 5, 7), (10, 15)
-"""Frames apart, beside neighbours."""
+"""Steps in frames, besides one."""
 
 KNOWN = 0.8
-"""Share of the questions in which baseline and light are known."""
+"""Share of the poses for which the usual total and the light are known."""
 
 FAR_OFF = 99.0
-"""Diameters: stands for any error beyond it, and for that of an object that is not there."""
+"""Largest error, in diameters, and the error of an object that is not there."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """What is seen at a pose that was reached, how (`kind`), its error in diameters, and that up to a
-    near-symmetric rotation."""
+    """A pose that was reached: from what start (`kind`), its features, its error in diameters, and the error
+    up to a near-symmetric rotation."""
 
     sequence: str
     frame: int
@@ -69,12 +69,12 @@ class Row:
 
     @property
     def right(self) -> bool:
-        """Within a tenth of the diameter."""
+        """Error under a tenth of the diameter."""
         return self.error < metrics.RECALL_FRACTION
 
     @property
     def group(self) -> str:
-        """Right, or one of three ways to be wrong, which weigh alike in the fit."""
+        """Right, or one of three ways to be wrong, which have equal weight in the fit."""
         if self.right:
             return "right"
         if not self.kind.startswith("step"):
@@ -83,18 +83,18 @@ class Row:
 
     @property
     def counts(self) -> bool:
-        """Whether one frame can tell it from the truth."""
+        """Whether the row enters the fit: not if only the near-symmetric rotation is wrong."""
         return self.right or self.turned_error >= metrics.RECALL_FRACTION
 
 
 def main() -> None:
-    """Collect, fit, report on what the fit has not seen."""
+    """Collect, fit, report on both splits."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--bundles", type=Path, required=True)
     parser.add_argument(
-        "--films", type=int, nargs=3, default=(15, 24, 8), help="of hard and household objects, of BUNDLES"
+        "--films", type=int, nargs=3, default=(15, 24, 8), help="of hard, of household objects, of BUNDLES"
     )
     parser.add_argument("--only", nargs="+", default=[], help="features to fit; the others stay as they are")
     parser.add_argument("--json", type=Path, required=True)
@@ -120,7 +120,7 @@ def main() -> None:
 
 
 def collect(job: Job) -> list[Row]:
-    """Poses that are reached in every few frames of a film."""
+    """The rows of every EVERY-th frame of a film."""
     film, models = film_of(job)
     if film is None:
         return []
@@ -137,14 +137,14 @@ def collect(job: Job) -> list[Row]:
             if error_of(model, before.T_cam_obj, truth[i - 1]) < metrics.RECALL_FRACTION:
                 known = known.after(before.terms)
         shown = max((k for k in range(i) if visible[k] >= 0.1), default=0)
-        # What is gone was followed until it went: then its look-alike, or anything that hides it, is there.
+        # An object that is gone was tracked until it left: its look-alike or an occluder is there now.
         steps = (i - shown,) if gone else (1, int(rng.choice(NEAR)), int(rng.choice(FAR)))
         for step in steps:
             if step > max(FAR) or i - step < 1 or visible[i - step] < 0.1:
                 continue
             usual = Usual()
             if rng.random() < KNOWN:
-                # The baseline is a mean over some frames before: about the total just before the step.
+                # The usual total is a mean over frames before: about the total just before the step.
                 start = best_of(subject.surface, frames[i - step], [(truth[i - step], "still")], known.light)
                 usual = Usual(start.terms.total, known.light)
             velocity = increment_velocity(subject.surface, truth[i - step - 1], truth[i - step], 1 / 30)
@@ -152,40 +152,40 @@ def collect(job: Job) -> list[Row]:
             anchor = Anchor((start,), frames[i - step], usual)
             reached = advance(subject, anchor, frames[i], TrackerConfig())
             found += [(f"step {step}", usual, h) for h in (*reached.followed, *reached.proposed)]
-        # Where the object is gone, poses that are wrong in any case: about where it was.
+        # If the object is gone, all poses are wrong: they start around its first pose.
         at = truth[i] if not gone else truth[0]
         for kind, T in wrong_starts(model, at, frames[i], rng):
             usual = known if rng.random() < KNOWN else Usual()
             found.append((kind, usual, best_of(subject.surface, frames[i], [(T, "still")], usual.light)))
         for kind, usual, h in found:
-            error = turned = FAR_OFF
+            error = turned_error = FAR_OFF
             if not gone:
-                error, turned = (
-                    min(error_of(model, h.T_cam_obj, truth[i], turns), FAR_OFF)
-                    for turns in (model.equivalents, model.near_symmetries)
+                error, turned_error = (
+                    min(error_of(model, h.T_cam_obj, truth[i], rotations), FAR_OFF)
+                    for rotations in (model.equivalents, model.near_symmetries)
                 )
             goes_on = continued(subject.contours, h.T_cam_obj, frames[i])
-            seen = features(h.terms, usual.baseline, goes_on, usual.light)
-            rows.append(Row(film.name, i, kind, h.source, seen, error, turned))
+            named = features(h.terms, usual.baseline, goes_on, usual.light)
+            rows.append(Row(film.name, i, kind, h.source, named, error, turned_error))
     return rows
 
 
 def wrong_starts(
     model: ReferenceModel, T_cam_obj: Float64, frame: RgbdFrame, rng: np.random.Generator
 ) -> list[tuple[str, Float64]]:
-    """Poses that are shifted and turned, turned over so that the shape nearly fits, and elsewhere in the
-    picture."""
+    """Poses that are shifted and rotated, near-symmetrically rotated, and elsewhere in the image."""
     centre = T_cam_obj[:3, :3] @ model.mesh.centre + T_cam_obj[:3, 3]
 
-    def at(turn: Float64, place: Float64) -> Float64:
-        R = se3.rotation_exp(turn) @ T_cam_obj[:3, :3]
-        return se3.make(R, place - R @ model.mesh.centre)
+    def at(rotation: Float64, position: Float64) -> Float64:
+        R = se3.rotation_exp(rotation) @ T_cam_obj[:3, :3]
+        return se3.make(R, position - R @ model.mesh.centre)
 
     out = []
     for _ in range(2):
         axis = rng.normal(size=3)
-        turn = axis / np.linalg.norm(axis) * rng.uniform(0.3, np.pi)
-        out.append(("shifted", at(turn, centre + rng.normal(0, 0.5 * model.diameter_m, 3) * (1, 1, 0.5))))
+        rotation = axis / np.linalg.norm(axis) * rng.uniform(0.3, np.pi)
+        shift = rng.normal(0, 0.5 * model.diameter_m, 3) * (1, 1, 0.5)
+        out.append(("shifted", at(rotation, centre + shift)))
     if len(model.near_symmetries) > 1:
         out.append(
             (
@@ -194,8 +194,8 @@ def wrong_starts(
             )
         )
     if (frame.depth > 0.3).any():
-        place = on_a_surface(frame, rng)
-        out.append(("elsewhere", at(rng.normal(0, 1.5, 3), place)))
+        position = on_a_surface(frame, rng)
+        out.append(("elsewhere", at(rng.normal(0, 1.5, 3), position)))
     return out
 
 
@@ -206,9 +206,9 @@ def _table(rows: Sequence[Row]) -> tuple[list[str], Float64, Bool]:
 
 
 def fitted(rows: Sequence[Row], only: Sequence[str] = ()) -> Logistic:
-    """The fit of the largest likelihood; right and wrong weigh alike, and so do the kinds of wrong. only:
-    features whose factors are fitted beside the others that the package has; the constant may then only
-    fall."""
+    """The maximum-likelihood fit; right and wrong poses have equal total weight, and so have the three groups
+    of wrong ones. only: features whose factors are fitted, while the package's other factors stay; the
+    constant may then only decrease."""
     names, X, right = _table(rows)
     groups = [row.group for row in rows]
     share = {name: (3.0 if name == "right" else 1.0) / 6.0 / groups.count(name) for name in set(groups)}
@@ -223,8 +223,8 @@ def fitted(rows: Sequence[Row], only: Sequence[str] = ()) -> Logistic:
 
 
 def worth(rows: Sequence[Row], fit: Logistic) -> dict[str, float]:
-    """What a fit is worth on rows: mean log likelihood, calibration error over ten bins of equal count, share
-    of the right under and of the wrong over the level of TRACKING, percent."""
+    """Quality of a fit on rows: mean log likelihood, calibration error over ten bins of equal count, share of
+    the right poses under and of the wrong ones over the level of TRACKING, percent."""
     right = np.array([row.right for row in rows])
     p = np.array([fit(row.features) for row in rows])
     bins = np.array_split(np.argsort(p), 10)

@@ -1,11 +1,11 @@
-"""An object is taken away before a camera that stands still: what is TRACKING then, and when it is back?
+"""An object is taken away before a fixed camera: what is TRACKING then, and when it is back?
 
     .venv/bin/python -m studies.gone --bop SCENE... --bundles DIR --json OUT.json
 
-Each object that stands alone of its kind and is seen nearly whole is tracked for a second, covered for one,
-gone for five (there is then what lies beside it), and back for three. Perception is that of a live pipeline,
-and knows this one object. It and the tracker look for it all the time, so whatever looks like it will be
-found.
+Each object that has one instance in a frame and is nearly completely visible is tracked for a second, covered
+for one, gone for five (its place then shows the part of the image beside it), and back for three. Perception
+is that of a live pipeline, and knows only this object. Perception and the tracker search for it all the time,
+so that look-alikes are found.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from studies.stress.films import Seen
 from studies.stress.play import play
 
 NEARLY_WHOLE = 0.8
-"""Least share of an object that is seen, for it to be taken away."""
+"""Least visible share of an object that is taken away."""
 
 PARTS_S = tuple(accumulate((1, 1, 5, 3)))
-"""When each part of a film ends: seen, covered, gone, back."""
+"""When each part of a film ends: visible, covered, gone, back."""
 
 NEARER_M, GRAY = 0.3, 128
-"""What covers it is flat and gray, so much nearer than the scene is at the median."""
+"""The cover is flat and grey, and nearer than the median depth of the scene by this distance."""
 
-TOLD_IN = 5
-"""So many frames after it is covered its pose may still be TRACKING."""
+ALLOWED = 5
+"""Number of frames after an object is covered in which its pose may still be TRACKING."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Of one object of one frame. frames, false: while it is not there, those that are counted, and those in
-    which something is TRACKING; back, right, wrong: the same of it being back, TRACKING and right, TRACKING
-    and not."""
+    """Result of one object in one frame. frames, false: while it is covered or gone, the frames that are
+    counted, and those with a pose that is TRACKING; back, right, wrong: the frames after it is back, and
+    those with a pose that is TRACKING and right, or wrong."""
 
     scene: str
     image: int
@@ -60,8 +60,8 @@ class Row:
 
 
 def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) -> list[Seen]:
-    """An object of a frame that is seen, covered, gone, and back; empty where nothing of its size is beside
-    it."""
+    """A film of an object that is visible, covered, gone, and back; empty if there is no part of its size
+    beside it."""
     parts, T_cam_obj = part_and_beside(frame, label, model, rng), label.T_cam_obj
     if parts is None or T_cam_obj is None:
         return []
@@ -80,23 +80,23 @@ def film(frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng) 
 
 
 def rows(scene: BopScene, targets: Targets, given: argparse.Namespace) -> Iterator[Row]:
-    """All objects that can be taken away, of at most so many frames of a scene as are given."""
+    """The rows of all suitable objects in at most `given.images` frames of a scene."""
     for image, frame, label, model, _, rng in alone_in(scene, targets, given, NEARLY_WHOLE):
         frames = film(frame, label, model, rng)
         if not frames:
             continue
         tracker = Tracker({model.name: model}, profile("live").tracker)
-        told = play(frames, model, tracker, frames[0].T_cam_obj, perception=Sight(model))
+        moments = play(frames, model, tracker, frames[0].T_cam_obj, perception=Sight(model))
         covered, _, back, _ = (HZ * seconds for seconds in PARTS_S)
-        away, again = told[covered + TOLD_IN : back], told[back:]
-        right = [t.right for t in again if t.state == State.TRACKING.value]
-        false = sum(t.state == State.TRACKING.value for t in away)
+        away, again = moments[covered + ALLOWED : back], moments[back:]
+        right = [m.right for m in again if m.state == State.TRACKING.value]
+        false = sum(m.state == State.TRACKING.value for m in away)
         counts = len(away), false, len(again), sum(right), len(right) - sum(right)
         yield Row(scene.name, image, model.name, *counts)
 
 
 def main() -> None:
-    """Take away all objects of the scenes, one by one."""
+    """Play the films of all scenes, one by one, and print the results."""
     arguments = parser_of(__doc__).parse_args()
     targets = Targets(load_models(arguments.bundles))
     done = filmed(arguments, lambda scene: rows(scene, targets, arguments))
@@ -109,7 +109,7 @@ def main() -> None:
         sum(getattr(row, name) for row in done) for name in ("frames", "false", "back", "right", "wrong")
     )
     films = sum(row.false > 0 for row in done)
-    print(f"not there: false TRACKING in {false} of {frames} frames, in {films} of {len(done)} films")
+    print(f"covered or gone: false TRACKING in {false} of {frames} frames, in {films} of {len(done)} films")
     print(f"back: TRACKING and right in {right} of {back} frames, wrong in {wrong}")
 
 

@@ -1,4 +1,4 @@
-"""The fits of largest likelihood that quality is made of: a logistic, and a choice among scored answers."""
+"""Maximum-likelihood fits for quality: a logistic function, and a choice among scored answers."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from huepose.believe.quality import behind
 from huepose.geometry.arrays import Bool, Float64, Int64
 
 RIDGE = 2.0
-"""Of the squared factors, each in units of its feature's spread, against the sum of log likelihoods."""
+"""Weight of the ridge penalty on the factors, for features divided by their standard deviations."""
 
 MOST_SHARPNESS, MOST_HANDICAP = 300.0, 3.0
-"""Upper bounds of what is fitted beside the factors."""
+"""Upper bounds of sharpness and handicap."""
 
 
 def logistic(
     x: Float64, right: Bool, weights: Float64, names: Sequence[str], known: Float64 | float = 0.0
 ) -> Logistic:
-    """Of features (N, K) by name, with no negative factor; right, weights (N,); known (N,): a part of the
-    logit that is added as it is."""
+    """A logistic function of features (N, K) by name, without negative factors; right, weights (N,); known
+    (N,): a known part of the logit."""
     centre, spread, z = _standard(x)
     sign = np.where(right, 1.0, -1.0)
 
@@ -46,12 +46,13 @@ def choice(
     names: Sequence[str],
     times: Float64 | None = None,
 ) -> tuple[Logistic, Float64, float]:
-    """That one of the answers is right, how sharply they share it, and the handicap of those behind.
+    """Three fits: the probability that one of the answers is right, the sharpness with which the answers
+    share it, and the handicap of those behind the first.
 
     x (N, K): features by name; gaps (N, A): by how much each answer scores less than the first, which is in
-    column 0 with 0, and inf where there is none; sharpeners (N, S): what sharpness is linear in; which (N,):
-    the right answer's column, -1 where none is right; times (N,): what the probability is multiplied by
-    afterwards, which the fit makes good as far as it can. Nothing but the constant may be negative."""
+    column 0 with 0; inf for no answer; sharpeners (N, S): sharpness is linear in them; which (N,): the right
+    answer's column, -1 if none is right; times (N,): factor on the probability, which the fit compensates as
+    far as it can. Nothing but the constant may be negative."""
     centre, spread, z = _standard(x)
     count, sharp = x.shape[1], sharpeners.shape[1]
     there = np.isfinite(gaps)
@@ -84,11 +85,11 @@ def choice(
 
 
 def _standard(x: Float64) -> tuple[Float64, Float64, Float64]:
-    """Mean, spread, and the features less the one, in units of the other."""
+    """Means, standard deviations, and the standardised features."""
     centre, spread = x.mean(0), np.maximum(x.std(0), 1e-6)
     return centre, spread, (x - centre) / spread
 
 
 def _named(constant: float, factors: Float64, centre: Float64, names: Sequence[str]) -> Logistic:
-    """In units of the features themselves."""
+    """The logistic function of the features themselves, from a fit on centred ones."""
     return Logistic(float(constant - factors @ centre), dict(zip(names, factors.tolist(), strict=True)))

@@ -1,5 +1,5 @@
-"""What studies of a live pipeline share: its perception, the films of a recorded frame that a camera which
-stands still would take, the objects in it, and the command line."""
+"""What studies of a live pipeline share: its perception, films of a fixed camera made from one recorded
+frame, the objects in the frame, and the command line."""
 
 from __future__ import annotations
 
@@ -31,20 +31,21 @@ from studies.stress.films import Seen
 R = TypeVar("R")
 
 HZ = 15
-"""Frames in a second of a film."""
+"""Frame rate of a film."""
 
 NOWHERE = np.full((4, 4), np.inf)
-"""The true pose in a film, which only an oracle reads."""
+"""Stands for the true pose in a film: only the oracle of `studies.stress` reads it."""
 
 AROUND, BESIDE = 0.08, 5
-"""What is taken away is its box, grown by that share; what is put there is as far beside it, pixels."""
+"""An object's box, grown by this share, is replaced by a part of the image this many pixels beside it."""
 
 COLOR_NOISE, DEPTH_NOISE_PER_M = 2.5, 0.0012
-"""Of each frame: grey levels, and metres at one metre, growing with its square."""
+"""Standard deviations of the noise of each frame: grey levels; metres at one metre, growing with the square
+of the depth."""
 
 
 class Sight:
-    """Perception of a live pipeline before a camera that stands still, which knows these objects."""
+    """Perception of a live pipeline with a fixed camera, which knows these objects."""
 
     def __init__(self, *models: ReferenceModel) -> None:
         live, known = profile("live"), {model.name: model for model in models}
@@ -54,7 +55,7 @@ class Sight:
         self._estimator = Estimator(known, live.estimator)
 
     def answer(self, request: Request, seen: Seen) -> list[PoseEstimate]:
-        """Estimates of what was asked for, where a detector worker would look."""
+        """Estimates of the requested objects, where a detector worker would search."""
         frame = seen.frame
         places = self._looks.places(frame, request.objects, request.waiting)
         return self._estimator.estimate(
@@ -68,7 +69,7 @@ class Sight:
 
 
 def shown(frame: RgbdFrame, number: int, rng: Rng) -> RgbdFrame:
-    """A frame as a camera shows it again: that number of a film, with noise of its own."""
+    """The frame `number` of a film: the given frame with new noise."""
     color = frame.color + rng.standard_normal(frame.color.shape, np.float32) * COLOR_NOISE
     depth = (
         frame.depth + rng.standard_normal(frame.depth.shape, np.float32) * DEPTH_NOISE_PER_M * frame.depth**2
@@ -78,13 +79,13 @@ def shown(frame: RgbdFrame, number: int, rng: Rng) -> RgbdFrame:
 
 
 Part = tuple[slice, slice]
-"""Rows and columns of a picture."""
+"""Rows and columns of an image."""
 
 
 def part_and_beside(
     frame: RgbdFrame, label: GroundTruth, model: ReferenceModel, rng: Rng
 ) -> tuple[Part, Part] | None:
-    """The part of a frame with an object, and as large a part beside it; None where there is none."""
+    """The part of a frame with an object, and a part of the same size beside it; None if there is none."""
     box = truth_box(label, model.mesh, frame.camera)
     if box is None:
         return None
@@ -100,11 +101,11 @@ def part_and_beside(
 
 
 Instance = tuple[Float64, bool]
-"""Its pose T_cam_obj (4, 4), and whether it is visible."""
+"""Pose T_cam_obj (4, 4), and whether the instance is visible."""
 
 
 def kinds_of(labels: Sequence[GroundTruth], targets: Targets) -> dict[str, list[Instance]]:
-    """The instances of the kinds that are known, by name."""
+    """The instances of the known objects, by name."""
     kinds: dict[str, list[Instance]] = {}
     for label in labels:
         model = targets.model_of(label)
@@ -114,12 +115,12 @@ def kinds_of(labels: Sequence[GroundTruth], targets: Targets) -> dict[str, list[
 
 
 def images_of(scene: BopScene, most: int) -> list[int]:
-    """At most so many frames of a scene, spread evenly."""
+    """At most `most` frames of a scene, spread evenly."""
     return list(scene.image_ids[:: -(-len(scene.image_ids) // most)])
 
 
 class Alone(NamedTuple):
-    """An object that stands alone of its kind in a frame; kinds: all instances there; rng: its own dice."""
+    """An object with one instance in a frame; kinds: all instances in the frame; rng: for this object."""
 
     image: int
     frame: RgbdFrame
@@ -132,7 +133,8 @@ class Alone(NamedTuple):
 def alone_in(
     scene: BopScene, targets: Targets, given: argparse.Namespace, least_visible: float
 ) -> Iterator[Alone]:
-    """Those of which that share is seen at least, in at most so many frames of a scene as are `given`."""
+    """The objects with one instance whose visible share is at least `least_visible`, in at most
+    `given.images` frames of a scene."""
     for image in images_of(scene, given.images):
         frame, labels = scene.frame(image), scene.truths(image)
         kinds = kinds_of(labels, targets)
@@ -145,12 +147,12 @@ def alone_in(
 
 
 def parser_of(what: str | None) -> argparse.ArgumentParser:
-    """The command line of a study that plays films of the frames of scenes."""
+    """The command line of a study that plays films made from the frames of scenes."""
     parser = argparse.ArgumentParser(description=what, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bop", type=Path, nargs="+", required=True)
     parser.add_argument("--bundles", type=Path, required=True)
     parser.add_argument("--json", type=Path, required=True)
-    parser.add_argument("--images", type=int, default=6, help="of each scene (6)")
+    parser.add_argument("--images", type=int, default=6, help="frames of each scene (6)")
     parser.add_argument("--seed", type=int, default=0)
     return parser
 

@@ -1,15 +1,16 @@
-"""A camera on a hand moves fast over a heap of objects that stand still: what does the tracker gain where it
-is told where the camera is?
+"""A camera on a hand moves fast over a heap of static objects: what does the tracker gain if the camera pose
+is given?
 
     .venv/bin/python -m studies.on_hand --bundles DIR --json OUT.json [--search]
 
-Each film is drawn once and kept: 2 s at 30 Hz, up to 0.8 m/s and 90 degrees a second. All objects start at
-their true poses; then the tracker is alone, as it runs live. `told`: not at all, nor measured; not told, but
-measured by odometry; exactly; with noise (0.5 mm and 0.09 degrees an axis); 15 ms late; of a camera that is
-fixed 2.7 cm and 5.4 degrees from where it is said to be; all wrong (the inverse of the pose).
+Each film is rendered once and kept: 2 s at 30 Hz, up to 0.8 m/s and 90 degrees a second. All objects start at
+their true poses; then the tracker is alone, with the profile `live`. The camera pose (`--told`) is: `not`
+given and not measured; not given, but `measured` by odometry; given `exactly`; `noisy` (0.5 mm and 0.09
+degrees per axis); `late` by 15 ms; `misfixed` (the camera is 2.7 cm and 5.4 degrees away from the given
+pose); completely wrong (the `inverse` of the pose).
 
-With `--search` nothing is known at first: live perception looks for all objects of the bundles, and its
-answers come a chain time late. Each film is played to and fro, 4 s, all frames.
+With `--search` there is no first pose: live perception searches for all objects of the bundles, and its
+answers come with the latency of perception. Each film is played forwards and backwards, 4 s, all frames.
 """
 
 from __future__ import annotations
@@ -45,24 +46,25 @@ from studies.live import NOWHERE, Sight
 from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
 
-VERSION = 1  # raise it when any pixel changes
+VERSION = 1  # increase it if any pixel changes
 FRAMES, HZ = 60, 30
 LATE_S = 0.015
-"""How old a late pose of the camera is."""
+"""Age of a late camera pose."""
 
 NOISE = np.repeat([0.0005, 0.0015], 3)
-"""Of a pose of the camera that is told: metres and radians along and about each axis."""
+"""Standard deviations of a given noisy camera pose: metres and radians along and about each axis."""
 
 MISFIXED = se3.make(se3.rotation_exp(np.radians([3.0, -4.0, 2.0])), np.array([0.02, -0.01, 0.015]))
-"""From where the camera is said to be to where it is: 5.4 degrees and 2.7 cm."""
+"""Constant error of the given camera pose: 5.4 degrees and 2.7 cm."""
 
 TOLD = ("not", "exactly", "noisy", "late", "misfixed", "inverse", "measured")
+"""How the camera pose is given: see above."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Of one film at every so-manieth frame, told so: frames in which an object is visible by 30 %, those of
-    them in which its pose is TRACKING and right, and those in which what is TRACKING is not right."""
+    """Result of one film at every `every`-th frame, with the camera pose given as `told`. Counts over frames
+    and objects: visible by 30 %; of these TRACKING and right; TRACKING and wrong."""
 
     film: int
     every: int
@@ -74,8 +76,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Found:
-    """Of an object of one film that is visible by 30 % for a second or more. after_s: for how long it was
-    visible until it was TRACKING and right, None where it never was; visible, right, wrong: as of a `Row`."""
+    """Result of an object that is visible by 30 % for a second or more of a film. after_s: for how long it
+    was visible until it was TRACKING and right, None if it never was; visible, right, wrong: as in `Row`."""
 
     film: int
     told: str
@@ -87,19 +89,19 @@ class Found:
 
 
 Film = tuple[tuple[str, ...], Stage, Loop, list[dict[str, list[float]]]]
-"""The names of its objects, the stage, its pictures and the truth."""
+"""The names of the objects, the stage, the images and the truth."""
 
 
-def drawn(models: Mapping[str, ReferenceModel], seed: int, number: int) -> Film:
-    """Film `number` of a seed, from disk where it was drawn before."""
-    still, names, rng, _ = heaped_stage({n: m.mesh for n, m in models.items()}, seed, number, SceneRanges())
+def rendered(models: Mapping[str, ReferenceModel], seed: int, number: int) -> Film:
+    """Film `number` of a seed, from disk if it was rendered before."""
+    heap, names, rng, _ = heaped_stage({n: m.mesh for n, m in models.items()}, seed, number, SceneRanges())
     stage = Stage(
-        still.meshes,
-        still.labelled,
-        np.repeat(still.T_room_mesh[:, 1:2], FRAMES, axis=1),
-        hand(rng) @ still.T_cam_room[1],
-        still.lights[:1] * FRAMES,
-        still.camera,
+        heap.meshes,
+        heap.labelled,
+        np.repeat(heap.T_room_mesh[:, 1:2], FRAMES, axis=1),
+        hand(rng) @ heap.T_cam_room[1],
+        heap.lights[:1] * FRAMES,
+        heap.camera,
     )
 
     def kept(shot: Shot) -> tuple[UInt8, Float32, dict[str, list[float]]]:
@@ -114,17 +116,17 @@ def drawn(models: Mapping[str, ReferenceModel], seed: int, number: int) -> Film:
 
 
 def hand(rng: Rng) -> Float64:
-    """Poses (FRAMES, 4, 4) of a hand's way to and fro, in the axes of where it began."""
+    """Poses (FRAMES, 4, 4) of a hand that moves to and fro, relative to its mean pose."""
     phase = np.linspace(0.0, 1.0, FRAMES, endpoint=False)
-    places, turns = (positions(rng.normal(0.0, 1.0, (5, 3)), phase) for _ in range(2))
-    for way, fastest in ((places, rng.uniform(0.4, 0.8)), (turns, np.radians(rng.uniform(40.0, 90.0)))):
-        way -= way.mean(0)
-        way *= fastest / (HZ * np.linalg.norm(np.diff(way, axis=0), axis=1).max())
-    return np.array([se3.make(se3.rotation_exp(w), p) for w, p in zip(turns, places, strict=True)])
+    shifts, rotations = (positions(rng.normal(0.0, 1.0, (5, 3)), phase) for _ in range(2))
+    for path, fastest in ((shifts, rng.uniform(0.4, 0.8)), (rotations, np.radians(rng.uniform(40.0, 90.0)))):
+        path -= path.mean(0)
+        path *= fastest / (HZ * np.linalg.norm(np.diff(path, axis=0), axis=1).max())
+    return np.array([se3.make(se3.rotation_exp(w), p) for w, p in zip(rotations, shifts, strict=True)])
 
 
-def said(told: str, stage: Stage, i: int, rng: Rng) -> Float64 | None:
-    """Where the camera of frame i is said to be."""
+def given_pose(told: str, stage: Stage, i: int, rng: Rng) -> Float64 | None:
+    """The camera pose that is given with frame i, T_room_cam (4, 4); None if none is given."""
     T = se3.inverse(stage.T_cam_room[i])
     match told:
         case "exactly":
@@ -148,23 +150,23 @@ def _config(told: str) -> TrackerConfig:
 def played(
     models: Mapping[str, ReferenceModel], film: Film, number: int, every: int, told: str, rng: Rng
 ) -> Row:
-    """One film, tracked from the true poses of its first frame."""
+    """The result of one film that is tracked from the true poses of its first frame."""
     names, stage, loop, truth = film
     tracker = Tracker({name: models[name] for name in names}, _config(told))
     visible = right = wrong = 0
     for i in range(0, FRAMES, every):
-        T_parent_cam, stamp_ns = said(told, stage, i, rng), round(i * 1e9 / HZ)
+        T_parent_cam, stamp_ns = given_pose(told, stage, i, rng), round(i * 1e9 / HZ)
         frame = RgbdFrame(loop.color(i), loop.depth(i), stage.camera, i, stamp_ns, 1, T_parent_cam)
         poses = dict(zip(names, np.array(truth[i]["T"]), strict=True))
-        seen = dict(zip(names, truth[i]["seen"], strict=True))
+        share = dict(zip(names, truth[i]["seen"], strict=True))
         for name in names if i == 0 else ():
-            if seen[name] >= VISIBLE:
+            if share[name] >= VISIBLE:
                 tracker.correct(Correction.first(name, poses[name], frame, 1.0))
         for pose in tracker.step(frame):
             error = error_of(models[pose.object], pose.T_cam_obj, poses[pose.object])
             fits, known = error < metrics.RECALL_FRACTION, pose.state is State.TRACKING
-            visible += i > 0 and seen[pose.object] >= VISIBLE
-            right += i > 0 and seen[pose.object] >= VISIBLE and known and fits
+            visible += i > 0 and share[pose.object] >= VISIBLE
+            right += i > 0 and share[pose.object] >= VISIBLE and known and fits
             wrong += i > 0 and known and not fits
     return Row(number, every, told, visible, right, wrong)
 
@@ -172,27 +174,33 @@ def played(
 def searched(
     models: Mapping[str, ReferenceModel], film: Film, number: int, told: str, rng: Rng
 ) -> Iterator[Found]:
-    """The objects of one film, tracked from nothing: all of the models are searched for."""
+    """The results of the objects of one film without first poses: all models are searched for."""
     names, stage, loop, truth = film
     order = [*range(FRAMES), *reversed(range(FRAMES))]
     frames = (
         RgbdFrame(
-            loop.color(i), loop.depth(i), stage.camera, k, round(k * 1e9 / HZ), 1, said(told, stage, i, rng)
+            loop.color(i),
+            loop.depth(i),
+            stage.camera,
+            k,
+            round(k * 1e9 / HZ),
+            1,
+            given_pose(told, stage, i, rng),
         )
         for k, i in enumerate(order)
     )
     tracker = Tracker(models, _config(told))
-    asked = ReinitLoop(objects=[ObjectSlot.of(model) for model in models.values()])
+    reinit = ReinitLoop(objects=[ObjectSlot.of(model) for model in models.values()])
     films = (Seen(frame, NOWHERE, 1.0) for frame in frames)
     states: dict[str, list[tuple[bool, bool, bool]]] = {name: [] for name in names}
-    for i, (_, poses) in zip(order, followed(films, tracker, asked, Sight(*models.values())), strict=True):
+    for i, (_, poses) in zip(order, followed(films, tracker, reinit, Sight(*models.values())), strict=True):
         of = {pose.object: pose for pose in poses if pose.state is State.TRACKING}
-        for name, T, seen in zip(names, np.array(truth[i]["T"]), truth[i]["seen"], strict=True):
+        for name, T, share in zip(names, np.array(truth[i]["T"]), truth[i]["seen"], strict=True):
             error = error_of(models[name], of[name].T_cam_obj, T) if name in of else np.inf
             right = error < metrics.RECALL_FRACTION
-            states[name].append((seen >= VISIBLE, right, name in of and not right))
-    for name, told_of in states.items():
-        visible, right, wrong = np.array(told_of).T
+            states[name].append((share >= VISIBLE, right, name in of and not right))
+    for name, of_frames in states.items():
+        visible, right, wrong = np.array(of_frames).T
         if visible.sum() >= HZ:
             good = np.flatnonzero(right[visible])
             after_s = float(good[0] + 1) / HZ if len(good) else None
@@ -201,10 +209,10 @@ def searched(
 
 
 def rows(given: argparse.Namespace) -> Iterator[Row | Found]:
-    """All films, at each rate, told in each way."""
+    """The results of all films, at each rate, with the camera pose given in each way."""
     models = load_models(given.bundles)
     for number in progress(range(given.films), "films"):
-        film = drawn(models, given.seed, number)
+        film = rendered(models, given.seed, number)
         for every, told in product([1] if given.search else given.every, given.told):
             rng = np.random.default_rng([given.seed, number])
             if given.search:
@@ -213,8 +221,8 @@ def rows(given: argparse.Namespace) -> Iterator[Row | Found]:
                 yield played(models, film, number, every, told, rng)
 
 
-def _found_so(told: str, some: list[Found]) -> str:
-    """What became of the objects of films that were told so."""
+def _found_line(told: str, some: list[Found]) -> str:
+    """The results of all objects with the camera pose given as `told`, as one line."""
     times = [one.after_s for one in some if one.after_s is not None]
     soon = ", ".join(f"{sum(t <= s for t in times)} in {s} s" for s in (1, 2, 4))
     sums = [sum(getattr(one, name) for one in some) for name in ("right", "visible", "wrong")]
@@ -222,7 +230,7 @@ def _found_so(told: str, some: list[Found]) -> str:
 
 
 def main() -> None:
-    """Play the films, and print what was TRACKING."""
+    """Play the films, and print the results."""
     what = __doc__
     parser = argparse.ArgumentParser(description=what, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bundles", type=Path, required=True)
@@ -231,7 +239,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=901)
     parser.add_argument("--every", type=int, nargs="+", default=[1, 3, 5, 10])
     parser.add_argument("--told", nargs="+", choices=TOLD, default=TOLD)
-    parser.add_argument("--search", action="store_true", help="from nothing, by live perception")
+    parser.add_argument("--search", action="store_true", help="without first poses, by live perception")
     given = parser.parse_args()
     done: list[Row] = []
     found: list[Found] = []
@@ -242,10 +250,10 @@ def main() -> None:
             done.append(row)
         write_json(given.json, {"rows": [vars(one) for one in done or found]})
     for told in given.told if found else ():
-        print(_found_so(told, [one for one in found if one.told == told]))
+        print(_found_line(told, [one for one in found if one.told == told]))
     if found:
         return
-    print("every told      visible right wrong")
+    print("every camera    visible right wrong")
     for every in given.every:
         for told in given.told:
             some = [row for row in done if (row.every, row.told) == (every, told)]

@@ -1,16 +1,15 @@
-"""A camera that stands still, and one kind of object that is known, or many at once: is it found, and is
-anything else taken for it?
+"""A fixed camera and one known object, or many at once: is it found, and are there false positives?
 
     .venv/bin/python -m studies.still --bop SCENE... --bundles DIR --json OUT.json [--strangers]
     .venv/bin/python -m studies.still --bop SCENE... --bundles DIR --json OUT.json --several [--more 2]
     .venv/bin/python -m studies.still --bop SCENE... --bundles DIR --json OUT.json --together --seconds 8
 
-Each object that stands alone of its kind in a frame is looked for, and some that are not there. With
-`--several` instead each kind of which a frame shows two or more, as many as it shows and `--more`; with
-`--draw` scenes that are not there are drawn first: heaps of two kinds of the bundles, four of each.
-Perception is that of a live pipeline, and knows this one kind. What is not there and not found by a first
-look, with a quality of 0.1, is watched no further. With `--together` one film shows all: every kind of the
-bundles is known and looked for at once.
+Each object with one visible instance in a frame is searched for, and some absent objects. With `--several`
+instead each object with two or more visible instances: as many as there are, plus `--more`. With `--draw`
+missing scenes are rendered first: heaps of two objects of the bundles, four instances of each. Perception is
+that of a live pipeline, and knows only this object. An absent object is not followed further if the first
+detection does not find it with a quality of 0.1. With `--together` all objects of the bundles are known and
+searched for at once, in one film.
 """
 
 from __future__ import annotations
@@ -40,17 +39,18 @@ from studies.stress.films import Seen
 from studies.stress.play import error_of, followed
 
 LEAST, SOON_S = 0.1, 2.0
-"""Quality from which on a first look finds an object; what counts as found soon."""
+"""Least quality with which a first detection finds an object; an object is found soon within this time."""
 
 KINDS, EACH = 2, 4
-"""What is drawn: kinds in a scene, and instances of each."""
+"""Rendered scenes: number of objects, and instances of each."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Of one kind of one frame. there: instances that are visible; frames: of the film; found_s: when each of
-    those that were TRACKING and right was so first; right, wrong: poses that are TRACKING and right, or not,
-    in all frames; twice: right ones on an instance that another one is on; posed: poses of any state."""
+    """Result of one object in one frame. there: visible instances; frames: of the film; found_s: for each
+    visible instance that was found, when a pose of it was first TRACKING and right; right, wrong: number of
+    poses in all frames that are TRACKING and right, or wrong; twice: of the right ones, those on an instance
+    that has another; posed: poses of any state."""
 
     scene: str
     image: int
@@ -64,8 +64,8 @@ class Row:
     posed: int
 
 
-Told = tuple[tuple[float, ...], int, int, int, int]
-"""Of a kind: `found_s` and what follows it in a row."""
+Outcome = tuple[tuple[float, ...], int, int, int, int]
+"""Of an object: `found_s` and the fields after it in a `Row`."""
 
 
 def watched(
@@ -75,9 +75,9 @@ def watched(
     wanted: int,
     count: int,
     rng: Rng,
-) -> dict[str, Told]:
-    """What is seen of the instances of each known kind in a film of so many frames of this one. wanted: so
-    many of each are looked for."""
+) -> dict[str, Outcome]:
+    """The outcome for each known object in a film of `count` frames made from this one. wanted: number of
+    instances of each that are searched for."""
     film = [Seen(shown(frame, n, rng), NOWHERE, 1.0) for n in range(count)]
     tracker = Tracker(models, profile("live").tracker)
     loop = ReinitLoop(objects=[ObjectSlot.of(model, wanted) for model in models.values()])
@@ -100,29 +100,29 @@ def watched(
             counted["twice"] += (name, k) in taken
             taken.add((name, k))
             first[name].setdefault(k, number / HZ)
-    told: dict[str, Told] = {}
+    outcomes: dict[str, Outcome] = {}
     for name, n in counts.items():
         found_s = tuple(sorted(s for k, s in first[name].items() if kinds[name][k][1]))
-        told[name] = found_s, n["right"], n["wrong"], n["twice"], n["posed"]
-    return told
+        outcomes[name] = found_s, n["right"], n["wrong"], n["twice"], n["posed"]
+    return outcomes
 
 
 def likely(frame: RgbdFrame, model: ReferenceModel) -> bool:
-    """Whether a first look finds an object, be it there or not."""
+    """Whether a first detection finds an object, whether it is there or not."""
     seen = Seen(frame, NOWHERE, 0.0)
     request = Request(1, None, 0, (RequestedObject(model.name, None),))
     return any(answer.found and answer.quality >= LEAST for answer in Sight(model).answer(request, seen))
 
 
 def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.Namespace) -> Iterator[Row]:
-    """Of at most so many frames of a scene as are `given`, spread evenly."""
+    """The rows of at most `given.images` frames of a scene, spread evenly."""
     targets = Targets(models)
     for image in images_of(scene, given.images):
         frame, labels = scene.frame(image), [] if given.strangers else scene.truths(image)
         kinds = kinds_of(labels, targets)
         rng = np.random.default_rng([given.seed, image])
         count = HZ * given.seconds
-        told = watched(frame, models, kinds, 1, count, rng) if given.together else {}
+        outcomes = watched(frame, models, kinds, 1, count, rng) if given.together else {}
         away = sorted(set(models) - set(kinds))
         if not given.together:
             away = [str(name) for name in rng.permutation(away)[: 0 if given.several else given.absent]]
@@ -133,12 +133,12 @@ def rows(scene: BopScene, models: Mapping[str, ReferenceModel], given: argparse.
                 continue
             if not given.together and (own or likely(frame, models[name])):
                 wanted = there + given.more if given.several else 1
-                told = watched(frame, {name: models[name]}, kinds, wanted, count, rng)
-            yield Row(scene.name, image, name, there, count, *told.get(name, ((), 0, 0, 0, 0)))
+                outcomes = watched(frame, {name: models[name]}, kinds, wanted, count, rng)
+            yield Row(scene.name, image, name, there, count, *outcomes.get(name, ((), 0, 0, 0, 0)))
 
 
 def heaps(folder: Path, models: Mapping[str, ReferenceModel], rng: Rng, frames: int) -> None:
-    """Draw so many frames with EACH of KINDS kinds, chosen at random."""
+    """Render `frames` frames with EACH instances of KINDS objects, chosen at random."""
     ids = {name: m.object_id for name, m in sorted(models.items()) if m.object_id is not None}
     kinds = [str(name) for name in rng.choice(list(ids), KINDS, replace=False)]
     meshes = {f"{name}_{k}": models[name].mesh for name in kinds for k in range(EACH)}
@@ -147,7 +147,7 @@ def heaps(folder: Path, models: Mapping[str, ReferenceModel], rng: Rng, frames: 
 
 
 def report(done: Sequence[Row]) -> str:
-    """What became of those that are there, and of those that are not."""
+    """The results of the objects that are there, and of the absent ones, as text."""
     there, away = [r for r in done if r.there], [r for r in done if not r.there]
     right, wrong, twice = (sum(getattr(r, name) for r in there) for name in ("right", "wrong", "twice"))
     times = [s for r in there for s in r.found_s]
@@ -157,23 +157,23 @@ def report(done: Sequence[Row]) -> str:
         f"there: {len(times)} of {sum(r.there for r in there)} instances TRACKING and right, "
         f"{sum(s <= SOON_S for s in times)} within {SOON_S:g} s, (median, 90 %) {found}; "
         f"right in {right} of {sum(r.frames * r.there for r in there)} frames, "
-        f"wrong in {wrong}, {twice} on one that has a pose\n"
-        f"not there: false TRACKING in {false} of {gone} frames, "
-        f"of {sum(r.wrong > 0 for r in away)} of {len(away)} kinds; a pose of any state in "
-        f"{sum(r.posed for r in away)} frames, of {sum(r.posed > 0 for r in away)} kinds"
+        f"wrong in {wrong}, {twice} on an instance with another pose\n"
+        f"absent: false TRACKING in {false} of {gone} frames, "
+        f"of {sum(r.wrong > 0 for r in away)} of {len(away)} objects; a pose of any state in "
+        f"{sum(r.posed for r in away)} frames, of {sum(r.posed > 0 for r in away)} objects"
     )
 
 
 def main() -> None:
-    """Watch all kinds of the scenes, one by one."""
+    """Play the films of all scenes, one by one, and print the results."""
     parser = parser_of(__doc__)
-    parser.add_argument("--seconds", type=int, default=6, help="of each film (6)")
+    parser.add_argument("--seconds", type=int, default=6, help="length of each film (6)")
     parser.add_argument("--strangers", action="store_true", help="none of the objects is in the scenes")
-    parser.add_argument("--absent", type=int, default=3, help="objects that are not there, of each frame (3)")
-    parser.add_argument("--several", action="store_true", help="kinds of which there are two or more")
-    parser.add_argument("--more", type=int, default=0, help="so many more of these than there are (0)")
-    parser.add_argument("--together", action="store_true", help="all kinds are known at once")
-    parser.add_argument("--draw", action="store_true", help="scenes that are not there")
+    parser.add_argument("--absent", type=int, default=3, help="absent objects searched for in a frame (3)")
+    parser.add_argument("--several", action="store_true", help="objects with two or more instances")
+    parser.add_argument("--more", type=int, default=0, help="instances searched for beyond those there (0)")
+    parser.add_argument("--together", action="store_true", help="all objects are known at once")
+    parser.add_argument("--draw", action="store_true", help="render missing scenes")
     given = parser.parse_args()
     models = load_models(given.bundles)
     for number, folder in enumerate(given.bop):

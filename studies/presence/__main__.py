@@ -1,10 +1,10 @@
-"""Fit presence anew: draw scenes, ask the detector and the estimator for everything, fit, write the weights.
+"""Fit presence: render scenes, detect and estimate all objects in them, fit, write the weights.
 
     .venv/bin/python -m studies.presence --models MODELS_DIR --bundles DIR --work build/presence
 
-Three sets are drawn (`studies.presence.fit`): the weights are fitted on the first, features and level were
-chosen on the second, and the third is reported. What is drawn and seen is kept in the folder. Quality should
-be fitted first, because a pose that is surely right speaks for its object.
+Three sets are rendered (`studies.presence.fit`): the weights are fitted on the first, features and level were
+chosen on the second, and the third is reported. Scenes and results are kept in the work folder. Fit quality
+first, because the quality of a pose enters the presence of its object.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from studies.presence.fit import FRAMES, chances, draw, fit_presence, seen_in
 from studies.quality.__main__ import bundles_of
 
 LEVELS = (0.3, 0.4, 0.5, 0.6, 0.7)
-"""Of presence from which on an object is found, in the table that is printed."""
+"""Levels of presence from which on an object is found, in the printed table."""
 
 
 def main() -> None:
-    """Draw, look in a few processes, fit, write, print."""
+    """Render, estimate in processes, fit, write, print."""
     arguments = _arguments()
     bundles = bundles_of(arguments.models, arguments.bundles, arguments.work)
     folders = {name: draw(name, arguments.models, arguments.work) for name in FRAMES}
@@ -35,7 +35,7 @@ def main() -> None:
         looks = dict(zip(asked, pool.map(seen_in, asked, [bundles] * len(asked)), strict=True))
     seen = {name: [frame for folder in each for frame in looks[folder]] for name, each in folders.items()}
     before, found = belief("presence"), fit_presence(seen["fit"], belief("presence"))
-    # Every second time a frame is seen as another camera sees it: rough poses are fitted as it is.
+    # Every second entry has the colours of another camera; rough poses are fitted on the others.
     of_rough = fit_presence([frame.rough() for frame in seen["fit"][::2]], belief("place"))
     fits: tuple[tuple[Question, Logistic], ...] = (("presence", found), ("place", of_rough))
     for question, fit in fits:
@@ -51,11 +51,11 @@ def main() -> None:
                 over = stated >= level
                 rows.append([name, weights, level, len(there), int(there.sum()), 100.0 * over[there].mean(),
                              over[~there].sum() / len(frames)])  # fmt: skip
-    print(table(["set", "weights", "level", "poses", "there", "of them over it %", "others a frame"], rows))
+    print(table(["set", "weights", "level", "poses", "there", "over level %", "others per frame"], rows))
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="Fit presence anew.")
+    parser = argparse.ArgumentParser(description="Fit presence.")
     parser.add_argument("--models", type=Path, required=True, metavar="DIR", help="BOP models folder")
     parser.add_argument("--bundles", type=Path, default=None, metavar="DIR", help="their reference models")
     parser.add_argument("--work", type=Path, default=Path("build/presence"), metavar="DIR")

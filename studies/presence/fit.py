@@ -1,12 +1,12 @@
-"""Fitting presence: from answers at a detector's places, of which it is known whether the object is there, to
-the weights of `perception.presence`.
+"""Fitting presence: from estimates at the detector's places, with known truth, to the weights of
+`perception.presence`.
 
-Frames are drawn: three sets of other seeds, to fit to, to choose on and to report on, each of objects that
-stand apart, of heaps and of piles. Some frames are made smaller, so that there is little to see of an object,
-and in some there are specks of wrong depth, as cameras give where they mistake a pattern. Each is looked at a
-second time in the colours of another camera, since the textures of the models are those of the scenes, and no
-user's camera sees as theirs did. A pose's own certainty enters as it does in the verdict
-(`estimation.present`), so that the sum of all is a probability.
+Frames are rendered: three sets with different seeds, to fit, to choose and to report, each with objects that
+are apart, heaps and piles. Some frames are reduced in size, so that objects have few pixels, and some have
+specks of wrong depth, as from cameras that match a pattern wrongly. Each frame is used a second time in the
+colours of another camera, since scenes and models share their textures, and a user's camera has other
+colours. The pose's own certainty is added as in `estimation.present`, so that the sum of all is the log odds
+of a probability.
 """
 
 from __future__ import annotations
@@ -60,24 +60,24 @@ APART = SceneRanges(
 )
 
 KINDS = {"apart": (APART, 7003), "heaps": (SceneRanges(), 7001), "piles": (PILES, 7002)}
-"""From what ranges, and the seed of the first set."""
+"""Ranges of the scenes, and seed of the first set."""
 
 FRAMES: dict[SetName, tuple[int, ...]] = {"fit": (70, 50, 40), "choose": (40, 30, 24), "report": (32, 16, 12)}
 """Frames of each of `KINDS` in each set."""
 
 SEEDS_APART = 1000
-"""Between the seeds of two sets of a kind."""
+"""Difference between the seeds of two sets of a kind."""
 
 SMALLER = (1.0, 0.5, 1.0, 0.35)
 SPECKED = (False, False, True, True)
-"""Of every four frames."""
+"""Scale of the image, and whether it has specks, for every four frames."""
 
 SPECKS, SPECK_PX, SPECK_M, EMPTY_PX = (5, 20), (3, 10), (0.4, 6.0), 3
-"""How many, how large, how far away, and what is without depth round each."""
+"""Number, size and distance of the specks, and width of the border without depth around each."""
 
 
 def draw(name: SetName, models: Path, work: Path) -> list[Path]:
-    """The scene folders of a set; what is there already is kept."""
+    """Render the scene folders of a set; existing frames are kept."""
     offset = SEEDS_APART * list(FRAMES).index(name)
     folders = [work / name / kind for kind in KINDS]
     known = bop_models(models, None)
@@ -89,7 +89,7 @@ def draw(name: SetName, models: Path, work: Path) -> list[Path]:
 
 
 def samples(folder: Path) -> Iterator[tuple[Sample, float]]:
-    """The frames of a folder as they are used, and how much smaller each is than its labels."""
+    """The frames of a folder as they are used, each with its scale against the labels."""
     scene = BopScene(folder)
     for k, image in enumerate(scene.image_ids):
         frame, smaller = scene.frame(image), SMALLER[k % len(SMALLER)]
@@ -100,12 +100,12 @@ def samples(folder: Path) -> Iterator[tuple[Sample, float]]:
 
 
 def scaled(box: Box, scale: float) -> Box:
-    """A box in the picture that is so much smaller."""
+    """The box in the image scaled by `scale`."""
     return Box(scale * box.x, scale * box.y, scale * box.w, scale * box.h)
 
 
 def smaller_frame(frame: RgbdFrame, scale: float) -> RgbdFrame:
-    """The frame in a picture that is so much smaller."""
+    """The frame scaled by `scale`."""
     if scale == 1.0:
         return frame
     camera = frame.camera.scaled(scale)
@@ -116,7 +116,7 @@ def smaller_frame(frame: RgbdFrame, scale: float) -> RgbdFrame:
 
 
 def specked(depth: Float32, rng: np.random.Generator) -> Float32:
-    """Depth (H, W) with specks of wrong readings, each with nothing round it."""
+    """Depth (H, W) with specks of wrong readings, each with a border without depth."""
     depth = depth.copy()
     height, width = depth.shape
     for _ in range(int(rng.integers(*SPECKS))):
@@ -128,17 +128,17 @@ def specked(depth: Float32, rng: np.random.Generator) -> Float32:
 
 
 PLACES = 2
-"""Of each object, the best that are looked at."""
+"""Number of best places of each object that are used."""
 
 PLAUSIBLE = 0.01
-"""Poses that are the object's with less than this probability say where nothing is; they are so many, and so
-easily told, that the weights would be made for them and not for what is doubtful."""
+"""Poses with less presence than this are not fitted: they are many and easy, and would determine the weights
+instead of the doubtful poses."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenPlaces:
-    """The poses of a frame: names of their objects, what is seen there, how sure each pose is of itself
-    (N,), in log odds, and whether its object is there (N,)."""
+    """The poses of a frame: names of their objects, the evidence at each, each pose's own certainty (N,) in
+    log odds, and whether its object is there (N,)."""
 
     names: tuple[str, ...]
     sights: tuple[Sight, ...]
@@ -146,12 +146,12 @@ class SeenPlaces:
     there: Bool
 
     def rough(self) -> SeenPlaces:
-        """The same, as of rough poses: not verified."""
+        """The same, as if the poses were rough: without verification."""
         return replace(self, sights=tuple(replace(s, verified=None) for s in self.sights))
 
 
 def seen_in(folder: Path, bundles: Path) -> Sequence[SeenPlaces]:
-    """What is seen in the frames of a folder, everything asked for."""
+    """The poses of all objects in the frames of a folder, from disk if they are there."""
     kept = folder / "seen.pkl"
     if kept.exists():
         return list(pickle.loads(kept.read_bytes()))
@@ -174,9 +174,9 @@ def look(
     estimator: PoseEstimator,
     rng: np.random.Generator,
 ) -> list[SeenPlaces]:
-    """All objects of `targets` are asked for in a frame, which is so much smaller than its labels: what is
-    seen at their poses, there and in the colours of another camera. An object is there where the box of what
-    its pose explains overlaps the box of one of its labels by IoU 0.5."""
+    """Detect and estimate all objects of `targets` in a frame; smaller: its scale against the labels. Returns
+    the evidence at their poses in this frame, and in the same frame with the colours of another camera. An
+    object is there if the box of its pose's mask overlaps the box of one of its labels by IoU 0.5."""
     models = targets.models_by_name
     places = first_of_each(detector.detect(sample.frame, list(models)), PLACES)
     queries = [ObjectQuery(d.object, box=d.box, instance=i) for i, d in enumerate(places)]
@@ -212,8 +212,8 @@ def _sights(frame: RgbdFrame, poses: Sequence[tuple[str, Float64]], targets: Tar
 
 
 def of_another_camera(color: UInt8, rng: np.random.Generator) -> UInt8:
-    """A picture (H, W, 3) as a camera of other filters, white balance, exposure, saturation, tone curve and
-    veil takes it."""
+    """An image (H, W, 3) as a camera with other filters, white balance, exposure, saturation, tone curve and
+    veil would take it."""
     linear = (color / 255.0) ** 2.2 * np.exp(0.15 * rng.normal(size=3)) * np.exp(0.2 * rng.normal())
     filters = np.eye(3) + 0.12 * rng.normal(size=(3, 3))
     linear = np.clip(linear @ (filters / filters.sum(1, keepdims=True)).T, 0.0, None)
@@ -226,8 +226,8 @@ def of_another_camera(color: UInt8, rng: np.random.Generator) -> UInt8:
 
 
 def fit_presence(frames: Sequence[SeenPlaces], start: Logistic) -> Logistic:
-    """The weights of largest likelihood on the plausible poses of these frames; `start` says which those
-    are."""
+    """The maximum-likelihood weights on the plausible poses of these frames; `start` gives the presence that
+    decides which are plausible."""
     frames = [frame for frame in frames if frame.names]
     plausible = np.concatenate([chances(frame, start) for frame in frames]) >= PLAUSIBLE
     there = np.concatenate([frame.there for frame in frames])[plausible]

@@ -1,10 +1,10 @@
-"""Fit quality anew, whole, in one go: draw scenes, estimate in them, fit both methods, write the fits.
+"""Fit quality completely, in one run: render scenes, estimate in them, fit both methods, write the fits.
 
     .venv/bin/python -m studies.quality --models MODELS_DIR --work build/quality
 
-What is drawn and onboarded under `--work` is kept for the next time; estimates are made anew each time. Heaps
-and piles are both fitted to, because in piles, where light is dim and much is hidden, the same evidence says
-less.
+Scenes and reference models under `--work` are kept for the next run; estimates are made again in each run.
+The data have heaps and piles, because in piles, with dim light and much occlusion, the same evidence is
+weaker.
 """
 
 from __future__ import annotations
@@ -40,15 +40,14 @@ OWN = "cal_own"
 """The scene of the built-in objects, whose numbers are not those of the others."""
 
 ALIKE = {"cal_alike": (1, 25, 103), "cal_alike_9": (9, 10, 409), "cal_alike_11": (11, 10, 411)}
-"""Scenes of the built-in shapes in other textures: which textures, how many frames, drawn from which seed.
-Their hues are turned by 291, 77 and 29 degrees against those that were learned."""
+"""Scenes of the built-in shapes in other textures: number of the textures, number of frames, seed. Their hues
+are rotated by 291, 77 and 29 degrees against those of the reference models."""
 
 MIRRORED = "cal_alike_mirrored"
-"""The scene of the built-in objects with their textures mirrored: the same hues, another layout
-everywhere."""
+"""The scene of the built-in objects with mirrored textures: the same hues, another layout everywhere."""
 
 SHARE = {"full": 1, "colorpair": 3}
-"""One in so many frames is used, because the second method takes longer."""
+"""Every SHARE-th frame is used, because the second method takes longer."""
 
 HEADING = ["held out", "n", "right", "error", "by chance", "found %", "over the level %", "right of them %"]
 
@@ -58,12 +57,12 @@ def main() -> None:
     arguments = _arguments()
     work: Path = arguments.work
     own, builtin = work / "builtin", work / OWN
-    ycb = drawn(work / "cal_ycb", str(arguments.models), 100, 101)
-    piles = drawn(work / "cal_piles", str(arguments.models), 80, 106, "--kind", "piles")
+    ycb = rendered_scene(work / "cal_ycb", str(arguments.models), 100, 101)
+    piles = rendered_scene(work / "cal_piles", str(arguments.models), 80, 106, "--kind", "piles")
     bundles = bundles_of(arguments.models, arguments.bundles, work)
-    drawn(builtin, "builtin", 30, 102)
+    rendered_scene(builtin, "builtin", 30, 102)
     alike = [
-        drawn(work / name, "builtin", frames, seed, "--textures", str(textures))
+        rendered_scene(work / name, "builtin", frames, seed, "--textures", str(textures))
         for name, (textures, frames, seed) in ALIKE.items()
     ]
     alike.append(_altered(work / MIRRORED, _mirrored, 421))
@@ -135,7 +134,7 @@ def worth_row(name: str, worth: Worth) -> list[Any]:
 
 
 def by_object(labels: Judged, paths: Sequence[Path]) -> Judged:
-    """The same poses as if each object were one frame: folds then leave whole objects out."""
+    """The same poses as if each object were one frame: then folds hold out whole objects."""
     objects = {
         (str(path), row["scene"], int(row["image"]), row["instance"]): (row["scene"] == OWN, row["object"])
         for path in paths
@@ -152,7 +151,7 @@ def _by_scene(judged: Judged, kind: str = "labels") -> dict[str, Bool]:
 
 
 def _near_ties(fitted: Fitted, labels: Judged) -> str:
-    """How often the first pose and its best alternative are right, by what is said of the alternative."""
+    """How often the first pose and its best alternative are right, by the probability of the alternative."""
     stated = [fitted.fit.probabilities(terms) for terms in labels.terms]
     second = np.array([p[1] if len(p) > 1 else 0.0 for p in stated])
     first = np.array([p[0] for p in stated])
@@ -164,7 +163,7 @@ def _near_ties(fitted: Fitted, labels: Judged) -> str:
             rows.append([f"{low} to {high}", int(tied.sum()), 100.0 * first[tied].mean(),
                          100.0 * (right == 0).mean(), 100.0 * second[tied].mean(),
                          100.0 * (right == 1).mean()])  # fmt: skip
-    heading = ["first alternative", "n", "first stated %", "first right %", "it stated %", "it right %"]
+    heading = ["alternative stated", "n", "first stated %", "first right %", "it stated %", "it right %"]
     return table(heading, rows)
 
 
@@ -173,7 +172,7 @@ def _all(parts: Sequence[Judged]) -> Judged:
 
 
 def _altered(scene: Path, change: Callable[[Mesh], Mesh], seed: int) -> Path:
-    """The built-in objects, each changed."""
+    """A scene of the built-in objects, each changed."""
     if not (scene / "scene_gt.json").exists():
         meshes = {name: change(mesh) for name, mesh in demo_objects().items()}
         write_rendered_set(scene, meshes, {name: k for k, name in enumerate(meshes, 1)}, 12, seed)
@@ -189,8 +188,8 @@ def _mirrored(mesh: Mesh) -> Mesh:
     return replace(mesh, texture=np.ascontiguousarray(mesh.texture[::-1]))
 
 
-def drawn(scene: Path, models: str, frames: int, seed: int, *more: str) -> Path:
-    """A scene of `huepose render-scenes`, drawn where it is missing or not whole."""
+def rendered_scene(scene: Path, models: str, frames: int, seed: int, *more: str) -> Path:
+    """A scene of `huepose render-scenes`, rendered if it is missing or incomplete."""
     there = len(BopScene(scene).image_ids) if (scene / "scene_gt.json").exists() else 0
     if there < frames:
         run_huepose(["render-scenes", "--models", models, "--out", str(scene),
@@ -199,7 +198,7 @@ def drawn(scene: Path, models: str, frames: int, seed: int, *more: str) -> Path:
 
 
 def bundles_of(models: Path, bundles: Path | None, work: Path) -> Path:
-    """The reference models of a BOP models folder; they are learned under `work` where none are given."""
+    """The reference models of a BOP models folder; if none are given, they are onboarded under `work`."""
     if bundles is not None:
         return bundles
     here = work / "bundles"
@@ -209,10 +208,10 @@ def bundles_of(models: Path, bundles: Path | None, work: Path) -> Path:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="Fit quality anew, whole, in one go.")
+    parser = argparse.ArgumentParser(description="Fit quality completely, in one run.")
     parser.add_argument("--models", type=Path, required=True, metavar="DIR", help="BOP models folder")
     parser.add_argument("--bundles", type=Path, default=None, metavar="DIR",
-                        help="their reference models (learned under --work)")  # fmt: skip
+                        help="their reference models (onboarded under --work)")  # fmt: skip
     parser.add_argument("--work", type=Path, default=Path("build/quality"), metavar="DIR")
     parser.add_argument("--methods", nargs="+", choices=tuple(FEATURES), default=list(FEATURES))
     parser.add_argument("--processes", type=int, default=2, metavar="N")

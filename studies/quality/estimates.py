@@ -1,5 +1,5 @@
-"""The estimates that quality is fitted to, made in processes: what they run must not be in `__main__`, which
-processes that are spawned do not import."""
+"""The estimates to which quality is fitted. They are made in processes; spawned processes do not import
+`__main__`, so their code is here."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from huepose.model import load_models
 from studies.absent import answers_where_absent, questions
 
 MIN_VISIB = 0.1
-"""Least share of an object that is seen, for it to be asked for."""
+"""Least visible share of an object that is estimated."""
 
 ABSENT_PER_FRAME = 3
-"""Objects that are asked for in each frame and are not in it."""
+"""Number of absent objects that are asked for in each frame."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A share of a scene's frames, from `first` on every `step`, by one method."""
+    """Every `step`-th frame of a scene from `first` on, by one method."""
 
     kind: str
     method: Method
@@ -36,12 +36,13 @@ class Part:
 
     @property
     def name(self) -> str:
-        """Of its result file."""
+        """The name of its result file."""
         return f"{self.method}_{self.scene.name}_{self.kind}_{self.first}of{self.step}"
 
 
 def estimate(part: Part, work: Path) -> None:
-    """The estimates of a part, as a file. Nothing is hidden as not found, so that all is fitted to."""
+    """Write the estimates of a part to a file. With a found level of 0 all poses count as found, so that all
+    are fitted."""
     models = load_models(part.bundles)
     targets, whole = Targets(models), BopScene(part.scene)
     scene = SomeImages(whole, whole.image_ids[part.first :: part.step])

@@ -1,10 +1,9 @@
 """Fitting quality: from estimates with known truth to the probabilities of `huepose.believe.quality`.
 
-Four kinds of estimates are needed. Of objects that were asked for in their own boxes (labels): which of the
-published answers was right. Of objects asked for where they are not (others): whether something is there. Of
-the same shapes in another texture (alike) or in another size (sizes): whether it is this one. What is
-reported of a fit is measured on frames that it has not seen: the frames are dealt into folds, and each fold
-is judged by the fit of the rest.
+Four kinds of estimates are needed. Objects in their own boxes (labels): which of the published answers is
+right? Absent objects (others): is the object there? The same shapes with another texture (alike) or in
+another size (sizes): is it this object? Figures of a fit are cross-validated: the frames are divided into
+folds, and each fold is judged by the fit of the others.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from studies.likelihood import choice, logistic
 
 @dataclass(frozen=True)
 class Names:
-    """Which of `believe.quality.features` enter each part of a fit."""
+    """The names of the `believe.quality.features` that enter each part of a fit."""
 
     presence: Sequence[str]
     this_texture: Sequence[str]
@@ -50,28 +49,27 @@ FEATURES: Mapping[str, Names] = {
         sharpness=(),
     ),
 }
-"""By method: the fewest whose likelihood on frames that the fit has not seen is as good as that of more."""
+"""By method: the fewest features whose likelihood on held-out frames is as good as with more."""
 
 ALIKE_WEIGHT, SIZE_WEIGHT = 0.05, 0.2
-"""Of a look-alike in texture, and of one in size; with more, objects in dim light, whose colours fade, are
-taken for the one, and those half hidden for the other."""
+"""Weight of a look-alike with another texture, and of one in another size. With more weight, objects in dim
+light, whose colours fade, count as the first, and half-occluded objects as the second."""
 
 LEVEL_SHARE = 0.99
 LOST_SHARE = 0.002
-"""Of the poses that lie on their objects, so many may be taken for "nothing there"."""
+"""Least share of right poses over `level`; share of poses on their objects that may fall under `found`."""
 
 NONE = Judged([], np.zeros(0, np.int64), np.zeros(0, bool), [], [], np.zeros(0), np.zeros(0))
 
 FOLDS = 10
 FEWEST = 50
-"""Fewer poses than this over a level say nothing about 99 %."""
+"""Fewer poses than this over a level are not enough to measure 99 %."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """A fit, and what it states about what it was fitted to, each by the fit of other frames: quality of the
-    labels, the others, the look-alikes and the other sizes; present_labels, present_others: that they are
-    there."""
+    """A fit, and its cross-validated probabilities: quality of the labels, the others, the look-alikes and
+    the other sizes; present_labels, present_others: that the object is there."""
 
     fit: QualityFit
     labels: Float64
@@ -85,9 +83,9 @@ class Fitted:
 def fit(
     labels: Judged, names: Names, others: Judged = NONE, alike: Judged = NONE, sizes: Judged = NONE
 ) -> Fitted:
-    """The fit on all of them, its levels from folds that their own fit has not seen. Without others
-    everything is present, without look-alikes every texture is the right one, and so with sizes. Raises
-    InputError when all or none of the labels are right."""
+    """The fit on all data, with cross-validated levels. Without others every object is present, without
+    look-alikes every texture is right, without sizes every size. Raises InputError if all or none of the
+    labels are right."""
     if labels.right.all() or not labels.right.any():
         raise InputError(
             "calibration",
@@ -100,15 +98,15 @@ def fit(
     quality = [np.zeros(len(part.which)) for part in parts]
     present = [np.ones(len(part.which)) for part in (labels, others)]
     for k in range(FOLDS):
-        seen = [part.only(f != k) for part, f in zip(parts, folds, strict=True)]
-        mine = [np.flatnonzero(f == k).tolist() for f in folds]
-        if not any(len(m) for m in mine) or seen[0].right.all() or not seen[0].right.any():
+        fitted_on = [part.only(f != k) for part, f in zip(parts, folds, strict=True)]
+        held_out = [np.flatnonzero(f == k).tolist() for f in folds]
+        if not any(len(h) for h in held_out) or fitted_on[0].right.all() or not fitted_on[0].right.any():
             continue
-        held = _fit_once(names, *seen)
-        for part, where, q in zip(parts, mine, quality, strict=True):
-            q[where] = [held.probabilities(part.terms[i])[0] for i in where]
-        for part, where, p in zip(parts[:2], mine[:2], present, strict=True):
-            p[where] = [held.present(part.terms[i]) for i in where]
+        of_fold = _fit_once(names, *fitted_on)
+        for part, where, q in zip(parts, held_out, quality, strict=True):
+            q[where] = [of_fold.probabilities(part.terms[i])[0] for i in where]
+        for part, where, p in zip(parts[:2], held_out[:2], present, strict=True):
+            p[where] = [of_fold.present(part.terms[i]) for i in where]
     level = level_of(quality[0], labels.right, labels.weights)
     found = float(np.quantile(present[0][labels.placed], LOST_SHARE)) if len(others.which) else 0.0
     whole = replace(_fit_once(names, *parts), level=level, found=found)
@@ -118,9 +116,9 @@ def fit(
 def level_of(
     quality: Float64, right: Bool, weights: Float64 | None = None, share: float = LEVEL_SHARE
 ) -> float:
-    """The lowest quality such that of the poses with it or more the share `share` is right; quality (N,),
-    right, weights (N,). One more wrong pose than was seen is counted, lest chance choose the level. Where
-    there is none, or it stands for fewer than 50 poses: that of the 50 surest."""
+    """The lowest quality such that the share `share` of the poses with this quality or more is right; quality
+    (N,), right, weights (N,). One wrong pose more than measured is counted, against chance. If there is no
+    such quality, or it has fewer than 50 poses: the lowest quality of the 50 best poses."""
     order = np.argsort(-quality, kind="stable")
     each = np.ones(len(order)) if weights is None else weights[order]
     true = np.cumsum(each * right[order]) / (np.cumsum(each) + 1.0)
@@ -131,7 +129,7 @@ def level_of(
 
 
 def as_json(quality_fit: QualityFit) -> dict[str, Any]:
-    """The entry of a method in `fits.json`: factors of nothing are left out."""
+    """The entry of a method in `fits.json`; factors of zero are left out."""
     parts = {name: getattr(quality_fit, name) for name in ("presence", "this_texture", "this_size", "listed")}
     return {
         **{
@@ -174,7 +172,8 @@ def _fit_once(names: Names, labels: Judged, others: Judged, alike: Judged, sizes
 
 
 def _against(right: Judged, wrong: Judged, names: Sequence[str]) -> Logistic:
-    """What tells the first from the second; without a second, everything is one of the first."""
+    """The logistic function that separates the first from the second; without a second, all belong to the
+    first."""
     both = right + wrong
     x = _columns(_table(both.terms), names)
     if not len(wrong.which):
@@ -184,7 +183,7 @@ def _against(right: Judged, wrong: Judged, names: Sequence[str]) -> Logistic:
 
 
 def _folds(judged: Judged) -> Int64:
-    """The fold (N,) of each, one for all of a frame."""
+    """The fold (N,) of each pose; all poses of a frame are in one fold."""
     frames = {frame: k for k, frame in enumerate(dict.fromkeys(judged.frames))}
     order = np.random.default_rng(0).permutation(len(frames))
     return np.array([order[frames[frame]] % FOLDS for frame in judged.frames], dtype=np.int64)
@@ -200,7 +199,7 @@ def _columns(table: Mapping[str, Float64], names: Sequence[str]) -> Float64:
 
 
 def _gaps(terms: Sequence[QualityTerms]) -> Float64:
-    """Gaps (N, A): 0 of the pose itself first, inf where there is no such answer."""
+    """Gaps (N, A): first 0, of the pose itself; inf for no answer."""
     gaps = np.full((len(terms), 1 + max(len(t.gaps) for t in terms)), np.inf)
     for row, t in zip(gaps, terms, strict=True):
         row[: 1 + len(t.gaps)] = [0.0, *(max(gap, 0.0) for gap in t.gaps)]

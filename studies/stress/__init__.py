@@ -1,1 +1,1 @@
-"""Tracking under stress: films fed in ways that tempt a tracker to believe what is not so."""
+"""Tracking under stress: films played in ways that provoke false TRACKING."""

@@ -1,22 +1,22 @@
-"""Track under stress, and say what the states were worth, by cause.
+"""Track under stress, and report how often the states were right, by cause.
 
     .venv/bin/python -m studies.stress --out OUT --split report --films 60 --processes 2
     .venv/bin/python -m studies.stress --out OUT --split report --films 24 --objects unseen
     .venv/bin/python -m studies.stress --out OUT --split report --films 40 --bundles BUNDLES
     .venv/bin/python -m studies.stress --out OUT --fast-ycb SEQ... --bundles BUNDLES
 
-Films of two seconds are drawn (about 12 s of CPU each) and kept under the cache folder: an object that is
-carried fast, leaves and comes back, is swapped for its look-alike, or slides on a plain ground with one face
-up until it is picked up. With `--kind "put away"` they are of four seconds, and it leaves and comes back as
-slowly as a hand carries it. They show twelve objects made by code, among them plain parts, boxes with plain
-sides and a can with repeated labels; `--objects household` random bowls, mugs, tools, fruit and packages;
-`--objects unseen` objects that nothing is fitted to; `--bundles` those of the split among the reference
-models there. Recorded sequences are used for what needs no drawing. Each film is played by every cause
-(`studies.stress.causes`), `alone` and `with_loop`: there a nearly perfect perception answers at 5 Hz after
-0.35 s.
+Films of two seconds are rendered (about 12 s of CPU each) and kept in the cache folder: an object is carried
+fast, leaves the image and comes back, is swapped for its look-alike, or slides on a plain ground with one
+face up until it is picked up. With `--kind "put away"` films have four seconds, and the object leaves and
+comes back at the speed of a hand. The objects are twelve procedural ones, among them plain parts, boxes with
+plain sides and a can with repeated labels; with `--objects household` random bowls, mugs, tools, fruit and
+packages; with `--objects unseen` objects to which nothing is fitted; with `--bundles` the reference models of
+that folder that belong to the split. Recorded sequences are played for the causes that need no rendering.
+Each film is played with every cause (`studies.stress.causes`), `alone` and `with_loop`: then a nearly perfect
+perception answers at 5 Hz after 0.35 s.
 
-What was played stays in OUT/rows.jsonl; the same command goes on where it was stopped. Splits have seeds and
-objects of their own: what was fitted on `fit` and chosen on `choose` is reported on `report`.
+Results stay in OUT/rows.jsonl; the same command continues an interrupted run. Each split has its own seed and
+objects: parameters that were fitted on `fit` and chosen on `choose` are reported on `report`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from studies.stress.report import summary, text
 
 
 def main() -> None:
-    """Play what is missing, report on all."""
+    """Play the missing films, report on all."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

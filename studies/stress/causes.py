@@ -1,4 +1,4 @@
-"""What is fed of a film, by cause: large steps, jumps, wrong starts, what a loaded machine leaves."""
+"""The runs of a film, by cause: large steps, jumps, wrong first poses, frames skipped on a loaded machine."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from studies.stress.films import Film, Seen
 
 STEPS = (1, 3, 5, 7, 10, 15)
 OFFSETS = 3
-"""Runs of one step, each from another first frame."""
+"""Largest number of runs with one step, each from another first frame."""
 
 WRONG_STARTS = ("shifted", "turned", "turned over", "elsewhere", "on another object", "in the table")
 CLAIMED = 0.9
-"""Quality that a wrong first pose comes with."""
+"""Quality that is given with a wrong first pose."""
 
 JUMP_AT, JUMP_FRAMES = 15, 20
 LEAST_VISIBLE = 0.5
-"""A run begins with a frame that shows this much of the object."""
+"""A run begins with a frame in which at least this share of the object is visible."""
 
 LOADED_GAPS = (1, 2, 1, 2, 1, 1, 2, 1, 2, 1, 1, 1, 1, 1, 1, 3, 1, 1, 1, 1, 2, 1, 1, 26)
-"""Frames between those that a tracker got to see, as recorded with six busy processes on two cores; the last
-gap is a search that had to wait for the processor."""
+"""Steps between the frames that a tracker received, as recorded with six busy processes on two cores; the
+last one is a search that had to wait for the CPU."""
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a tracker is fed: frames in order with their stamps, and the first pose with its quality."""
+    """Input of a tracker: frames in order with their timestamps, and the first pose with its quality."""
 
     name: str
     cause: str
@@ -42,7 +42,7 @@ class Run:
 
 
 def runs(film: Film, model: ReferenceModel, seed: int) -> Iterator[Run]:
-    """All runs of a film that it allows."""
+    """All runs that a film allows."""
     rng = np.random.default_rng([seed, *film.name.encode()])
     if film.kind in ("carried", "recorded"):
         for step in STEPS:
@@ -62,7 +62,7 @@ def runs(film: Film, model: ReferenceModel, seed: int) -> Iterator[Run]:
 
 
 def loaded_schedule(count: int) -> list[int]:
-    """Which of `count` frames of a camera at 30 Hz a tracker gets to see on a loaded machine."""
+    """The numbers of the frames, of `count` at 30 Hz, that a tracker receives on a loaded machine."""
     kept = accumulate(cycle(LOADED_GAPS), initial=0)
     return list(takewhile(lambda i: i < count, kept))
 
@@ -76,7 +76,7 @@ def _run(
     if len(kept) < 2:
         return
     if at_once:
-        # The frames between are cut out, as if the object had been put elsewhere in no time.
+        # Timestamps without the frames between: the object jumps to another position.
         stamps = [round(k * 1e9 / 30.0) for k in range(len(kept))]
         kept = [
             replace(s, frame=replace(s.frame, frame_id=k, stamp_ns=t))
@@ -97,14 +97,14 @@ def _wrong(film: Film, model: ReferenceModel, cause: str, rng: Rng) -> Iterator[
         shift = rng.normal(0, 1, 3)
         centre = centre + shift / np.linalg.norm(shift) * model.diameter_m * rng.uniform(0.2, 2.0)
     elif cause == "turned":
-        R = _turn(rng, rng.uniform(np.pi / 4, np.pi)) @ R
+        R = _rotation(rng, rng.uniform(np.pi / 4, np.pi)) @ R
     elif cause == "turned over":
         if len(model.near_symmetries) < 2:
             return
-        turn = model.near_symmetries[1 + int(rng.integers(len(model.near_symmetries) - 1))]
-        R, centre = (truth @ turn)[:3, :3], (truth @ turn @ np.append(model.mesh.centre, 1.0))[:3]
+        near = model.near_symmetries[1 + int(rng.integers(len(model.near_symmetries) - 1))]
+        R, centre = (truth @ near)[:3, :3], (truth @ near @ np.append(model.mesh.centre, 1.0))[:3]
     elif cause == "elsewhere":
-        centre, R = on_a_surface(frame, rng), _turn(rng, rng.uniform(0, np.pi)) @ R
+        centre, R = on_a_surface(frame, rng), _rotation(rng, rng.uniform(0, np.pi)) @ R
     elif cause == "in the table":
         at = on_a_surface(frame, rng)
         centre = at * (1.0 + 0.5 * model.diameter_m / float(at[2]))
@@ -120,13 +120,13 @@ def _wrong(film: Film, model: ReferenceModel, cause: str, rng: Rng) -> Iterator[
     yield Run(f"{film.name}: {cause}", cause, kept, first, CLAIMED)
 
 
-def _turn(rng: Rng, angle: float) -> Float64:
+def _rotation(rng: Rng, angle: float) -> Float64:
     axis = rng.normal(size=3)
     return se3.rotation_exp(axis / np.linalg.norm(axis) * angle)
 
 
 def on_a_surface(frame: RgbdFrame, rng: Rng) -> Float64:
-    """A point (3,) that the camera sees."""
+    """A random point (3,) of the depth, camera axes."""
     rows, columns = np.nonzero(frame.depth > 0.3)
     k = int(rng.integers(len(rows)))
     pixel = np.array([[columns[k], rows[k]]], float)

@@ -1,4 +1,4 @@
-"""Drawn films of one object for some seconds, kept on disk, and recorded sequences in the same form."""
+"""Rendered films of one object for some seconds, kept on disk, and recorded sequences in the same form."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ from huepose.scenes.loop_file import kept_loop
 from huepose.support.errors import InputError
 from studies.stress.objects import look_alike
 
-VERSION = 1  # raise it when any pixel changes
+VERSION = 1  # increase it if any pixel changes
 AWAY = se3.make(np.eye(3), np.array([0.0, 0.0, -2.0]))
 """Behind the camera."""
 
 ASIDE_M = 0.9
 AWAY_AT = {"leaves": (FRAMES, 22, 36, 8), "put away": (120, 50, 70, 36)}
-"""Films in which the object leaves the picture and comes back: how many frames, when it is away, and how many
-frames it takes for ASIDE_M: thrown at 5 m/s, or carried at 1.1 m/s."""
+"""Films in which the object leaves the image and comes back: number of frames, the frames between which it is
+away, and the number of frames for the distance ASIDE_M: thrown at 5 m/s, or carried at 1.1 m/s."""
 
 SWAPPED = 30
-"""The frame from which on the look-alike is in the object's place."""
+"""From this frame on the look-alike is in the object's place."""
 
 RESTS, LIFTED, SLIDES_M_S = 18, 32, 0.15
-"""The frames up to which the object slides on the plain ground and from which on it is carried; how fast it
-slides."""
+"""The object slides on the plain ground up to the first frame, and is carried from the second on; its speed
+while it slides."""
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A frame and the truth in it: the object's T_cam_obj (4, 4), and how much of it is visible, 0..1."""
+    """A frame with its truth: the object's T_cam_obj (4, 4), and its visible share, 0..1."""
 
     frame: RgbdFrame
     T_cam_obj: Float64
@@ -48,8 +48,8 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """Frames of one object with the truth. kind: "carried", "swapped", "plain", "recorded", or of AWAY_AT;
-    others (K, 4, 4): poses T_cam_mesh of what stands around."""
+    """Frames of one object with the truth. kind: "carried", "swapped", "plain", "recorded", or a key of
+    AWAY_AT; others (K, 4, 4): poses T_cam_mesh of the static things around it."""
 
     name: str
     kind: str
@@ -58,7 +58,7 @@ class Film:
     others: Float64
 
 
-def drawn(
+def rendered(
     cache: Path,
     kind: str,
     model: ReferenceModel,
@@ -66,7 +66,7 @@ def drawn(
     seed: int,
     number: int,
 ) -> Film | None:
-    """Film `number` of a seed, from disk where it was drawn before; None for a swap that nobody could see."""
+    """Film `number` of a seed, from disk if it was rendered before; None if the object has no look-alike."""
     rng = np.random.default_rng([seed, number])
     stage = _stage(kind, model, [m for m in models.values() if m is not model], rng)
     if stage is None:
@@ -85,13 +85,13 @@ def drawn(
 
 
 def _kept_row(shot: Shot) -> tuple[UInt8, Float32, dict[str, Any]]:
-    """A frame and its truth as they are kept in a loop."""
+    """A frame and its truth, as kept in a loop file."""
     truth = {"T_cam_obj": shot.labels.T_cam_obj.tolist(), "visib_fract": shot.labels.visib_fract.tolist()}
     return shot.color, shot.depth, truth
 
 
 def recorded(path: Path, models: Mapping[str, ReferenceModel]) -> Film:
-    """A sequence in Fast-YCB's layout; its object counts as wholly visible."""
+    """A sequence in Fast-YCB's layout; its object counts as completely visible."""
     model = models[object_of(path)]
     offset = np.zeros(3) if model.frame_offset_m is None else model.frame_offset_m
     sequence, frames = FastYcbSequence(path, offset), []
@@ -141,19 +141,19 @@ def _frames(kind: str) -> int:
 
 
 def _leaving(path: Float64, centre_obj: Float64, left: int, back: int, ramp: int, rng: Rng) -> Float64:
-    """Out of the picture on one side and back from the other, turned meanwhile."""
+    """The object leaves the image on one side and comes back from the other with another rotation."""
     frames = np.arange(len(path))
     away, middle = smooth(len(path), left, back, ramp), (left + back) // 2
-    out, turn = path.copy(), se3.rotation_exp(rng.normal(0, 1.0, 3))
+    out, R_away = path.copy(), se3.rotation_exp(rng.normal(0, 1.0, 3))
     centres = path[:, :3, :3] @ centre_obj + path[:, :3, 3]
     centres[:, 0] += ASIDE_M * away * np.where(frames < middle, -1.0, 1.0)
-    out[middle:, :3, :3] = out[middle:, :3, :3] @ turn
+    out[middle:, :3, :3] = out[middle:, :3, :3] @ R_away
     out[:, :3, 3] = centres - out[:, :3, :3] @ centre_obj
     return out
 
 
 def _lifted(path: Float64, model: ReferenceModel, T_room_ground: Float64, rng: Rng) -> Float64:
-    """It slides on the ground, one face up, and is then picked up and carried away."""
+    """The object slides on the ground with one face up, and is then picked up and carried away."""
     up, mesh = T_room_ground[:3, 2], model.mesh
     up = up if up[2] < 0 else -up
     axis, sign = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))

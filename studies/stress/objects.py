@@ -1,4 +1,4 @@
-"""Objects by code that a tracker finds hard: plain ones, ones with plain sides or repeated labels."""
+"""Procedural objects that are hard to track: plain ones, ones with plain sides or repeated labels."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from huepose.training.shapes import random_object
 
 
 def builtin_meshes(seed: int) -> dict[str, Mesh]:
-    """Twelve objects of 9 to 19 cm in metres; another seed gives other colours, pictures and texts."""
+    """Twelve objects of 9 to 19 cm, in metres; another seed gives other colours, pictures and texts."""
     rng = np.random.default_rng([seed, 21])
 
     def drawn(charts: Sequence, arts: Sequence[Art], hue: float) -> Mesh:
@@ -69,24 +69,24 @@ def unseen_meshes(seed: int) -> dict[str, Mesh]:
 
 
 def look_alike(mesh: Mesh) -> Mesh | None:
-    """The same shape in other colours; None for one so grey that nobody could tell."""
+    """The same shape in other colours; None if the object is too grey for a visible difference."""
     other = np.ascontiguousarray(mesh.texture[..., [1, 2, 0]])
     differs = np.abs(other.astype(int) - mesh.texture).mean()
     return Mesh(mesh.vertices, mesh.faces, mesh.uv, other) if differs > LEAST_DIFFERENCE else None
 
 
 LEAST_DIFFERENCE = 25.0
-"""Of 255, mean over the texture: what anybody can tell."""
+"""Least mean difference over the texture, of 255: clearly visible."""
 
 
-def learned(meshes: Mapping[str, Mesh], cache: Path) -> dict[str, ReferenceModel]:
-    """Reference models of meshes, made once."""
+def onboarded(meshes: Mapping[str, Mesh], cache: Path) -> dict[str, ReferenceModel]:
+    """Reference models of meshes, from the cache if they were made before."""
     out = {}
     for name, mesh in meshes.items():
         digest = hashlib.sha256(mesh.vertices.tobytes() + mesh.texture.tobytes()).hexdigest()[:12]
         path = cache / f"{name}-{digest}.huepose"
         if not path.exists():
-            print(f"learning {name}", file=sys.stderr)
+            print(f"onboarding {name}", file=sys.stderr)
             cache.mkdir(parents=True, exist_ok=True)
             save_model(onboard_mesh(mesh, name), path)
         out[name] = load_model(path)
@@ -98,13 +98,13 @@ def _plain(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
 
 
 def _repeated(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """Three labels alike, as on many cans."""
+    """Three equal labels, as on many cans."""
     once = textures.wrapper("SOUP", "daily", "1")(rng, height, max(8, width // 3), p)
     return np.ascontiguousarray(np.tile(once, (1, 4, 1))[:, :width])
 
 
 def _one_label(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """A label on a third of the way round, the rest plain."""
+    """A label on a third of the circumference, the rest plain."""
     image, part = textures.plain(height, width, p.base), width // 3
     image[:, :part] = textures.front("OIL", "cold pressed", "BIO")(rng, height, part, p)
     return image

@@ -1,7 +1,7 @@
-"""A tracker and the re-initialisation loop play a film, as when live.
+"""A tracker and the re-initialisation loop play a film, as in a live pipeline.
 
-The loop asks at 5 Hz; an answer comes when the chain has had its time, and is about the frame that was asked
-for.
+The loop sends requests at 5 Hz; the answer comes after the latency of perception, and is about the frame of
+the request.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from huepose.tracking import Correction, TrackedPose, Tracker
 from studies.stress.films import Seen
 
 CHAIN_S, EACH_MORE_S = 0.35, 0.05
-"""From a request to its answer: the deadline is 0.6 s; and for each object more than two."""
+"""Time from a request to its answer (the deadline is 0.6 s), and more for each object beyond two."""
 
 
 class Perception(Protocol):
-    """What is asked for poses at 5 Hz."""
+    """Estimates poses at 5 Hz."""
 
     def answer(self, request: Request, seen: Seen) -> Sequence[PoseEstimate]:
-        """Of what is asked for, in that frame."""
+        """Estimates of the requested objects in a frame."""
         ...
 
 
@@ -42,17 +42,17 @@ def play(
     quality: float = 1.0,
     perception: Perception | None = None,
 ) -> list[Moment]:
-    """Track a film of one object from a first pose (4, 4) with its quality; without `perception` alone. What
-    was published of each frame, by the track nearest to the truth."""
+    """Track a film of one object from a first pose (4, 4) with its quality; without `perception` the tracker
+    is alone. Returns the published state for each frame, of the track nearest to the truth."""
     tracker.correct(Correction.first(model.name, first, frames[0].frame, quality))
     loop = ReinitLoop(objects=[ObjectSlot.of(model)])
-    return [_told(seen, model, poses) for seen, poses in followed(frames, tracker, loop, perception)]
+    return [_moment(seen, model, poses) for seen, poses in followed(frames, tracker, loop, perception)]
 
 
 def followed(
     frames: Iterable[Seen], tracker: Tracker, loop: ReinitLoop, perception: Perception | None
 ) -> Iterator[tuple[Seen, list[TrackedPose]]]:
-    """The frames of a film, and what is published of each."""
+    """The frames of a film, and the poses that are published for each."""
     due: list[tuple[int, PerceptionResult]] = []
     for seen in frames:
         frame, now_ns = seen.frame, seen.frame.stamp_ns
@@ -73,8 +73,8 @@ def followed(
         yield seen, poses
 
 
-def _told(seen: Seen, model: ReferenceModel, poses: list[TrackedPose]) -> Moment:
-    """By that of several tracks which is nearest to the truth; one without a pose where none has one."""
+def _moment(seen: Seen, model: ReferenceModel, poses: list[TrackedPose]) -> Moment:
+    """The state of the track nearest to the truth, and whether its pose is right."""
     error, state = np.inf, None
     if poses:
         errors = [error_of(model, pose.T_cam_obj, seen.T_cam_obj) for pose in poses]
@@ -86,11 +86,11 @@ def _told(seen: Seen, model: ReferenceModel, poses: list[TrackedPose]) -> Moment
 
 
 def error_of(
-    model: ReferenceModel, T_cam_obj: Float64 | None, truth: Float64, turns: Float64 | None = None
+    model: ReferenceModel, T_cam_obj: Float64 | None, truth: Float64, rotations: Float64 | None = None
 ) -> float:
-    """ADD in diameters to the nearest of the true pose after the turns (M, 4, 4), by default those under
-    which the object looks the same; inf without a pose."""
+    """ADD in diameters to the nearest of the true poses with rotations (M, 4, 4) of the object, by default
+    its equivalent rotations; inf without a pose."""
     if T_cam_obj is None:
         return np.inf
-    turns = model.equivalents if turns is None else turns
-    return min(metrics.add(model.eval_points, T_cam_obj, truth @ turn) for turn in turns) / model.diameter_m
+    rotations = model.equivalents if rotations is None else rotations
+    return min(metrics.add(model.eval_points, T_cam_obj, truth @ r) for r in rotations) / model.diameter_m

@@ -1,5 +1,5 @@
-"""Playing the films of a split to trackers, each film a job of its own; with a perception that is nearly
-right, or without any."""
+"""Plays the films of a split to trackers, each film as one job; with a nearly perfect perception, or without
+any."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from huepose.reinit.types import ObjectSlot, Request, RequestedObject
 from huepose.support.files import cache_folder
 from huepose.tracking import Tracker
 from studies.stress.causes import runs
-from studies.stress.films import Film, Seen, drawn, recorded
-from studies.stress.objects import builtin_meshes, household_meshes, learned, unseen_meshes
+from studies.stress.films import Film, Seen, recorded, rendered
+from studies.stress.objects import builtin_meshes, household_meshes, onboarded, unseen_meshes
 from studies.stress.play import play
 
 SHIFT_M, TURN_RAD = 0.002, 0.02
-"""Normal errors per axis, as a good single-frame estimate has them."""
+"""Standard deviations of the oracle's errors per axis, as of a good single-frame estimate."""
 
 SCORE, SCORE_PER_DIAMETER = 1.9, 2.5
-"""Scores of the oracle's judge: of a right pose, and what is lost per diameter of displacement, up to 1.2."""
+"""The oracle's score of a right pose, and the loss per diameter of displacement, at most 1.2."""
 
 
 class Oracle:
-    """The true pose of an object that is seen well enough, with normal errors, and a fair comparison of it
-    with a tracked one."""
+    """Nearly perfect perception: the true pose of a visible object with normal errors, and a score of the
+    tracked pose to compare it with."""
 
     def __init__(self, model: ReferenceModel, seed: int = 0) -> None:
         self._slot = ObjectSlot.of(model)
         self._rng = np.random.default_rng([seed, 50])
 
     def answer(self, request: Request, seen: Seen) -> list[PoseEstimate]:
-        """Estimates of what was asked for and is there."""
+        """An estimate of the requested object, if it is visible."""
         if seen.visib_fract < VISIBLE:
             return []
         return [self._estimate(asked, seen) for asked in request.objects[:1]]
@@ -77,8 +77,8 @@ SPLITS = {
     "report": Split(43, (6, 9, 10, 11, 14, 19, 21)),
 }
 OBJECTS = {"builtin": builtin_meshes, "household": household_meshes, "unseen": unseen_meshes}
-"""Objects made by code: hard ones; random bowls, mugs, tools, fruit and packages, as in training; and those
-that results are reported on."""
+"""Procedural objects: hard ones; random bowls, mugs, tools, fruit and packages, as in training; and those on
+which results are reported."""
 
 KINDS = ("carried", "plain", "leaves", "carried", "swapped")
 MODES = ("alone", "with_loop")
@@ -88,8 +88,8 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Job:
-    """One film: of a split and its number there, or recorded. objects: the folder of the reference models, or
-    a name among OBJECTS; kind: what happens in it, by default one of KINDS by its number."""
+    """One film: its split and number, or a recorded one. objects: the folder of the reference models, or a
+    key of OBJECTS; kind: what happens in the film, by default one of KINDS by its number."""
 
     split: str
     number: int
@@ -108,12 +108,12 @@ class Job:
 
 
 def missing(jobs: Sequence[Job], rows: Iterable[Row]) -> list[Job]:
-    """What is left to play of some jobs: those whose rows are not there, in the modes that are not."""
+    """The jobs of which rows are missing, each with the missing modes."""
     done = {(row["job"], row.get("mode")) for row in rows}
     left = [
         replace(job, modes=tuple(mode for mode in job.modes if (job.name, mode) not in done)) for job in jobs
     ]
-    # Where there is nothing to play, a row without a mode says so.
+    # A row without a mode says that there is nothing to play.
     return [job for job in left if job.modes and (job.name, None) not in done]
 
 
@@ -122,11 +122,11 @@ def models_of(split: str, objects: Path | str) -> Mapping[str, ReferenceModel]:
     if isinstance(objects, Path):
         return load_models(objects)
     seed = SPLITS[split].seed
-    return learned(OBJECTS[objects](seed), cache_folder() / "stress" / f"{objects}-{seed}")
+    return onboarded(OBJECTS[objects](seed), cache_folder() / "stress" / f"{objects}-{seed}")
 
 
 def film_of(job: Job) -> tuple[Film | None, Mapping[str, ReferenceModel]]:
-    """The film of a job, None where its object has no look-alike to be swapped for, and all models."""
+    """The film of a job, and all models. The film is None if its object has no look-alike to swap it for."""
     split, models = SPLITS[job.split], models_of(job.split, job.objects)
     if job.recorded is not None:
         return recorded(job.recorded, models), models
@@ -134,11 +134,12 @@ def film_of(job: Job) -> tuple[Film | None, Mapping[str, ReferenceModel]]:
     if isinstance(job.objects, Path):
         names = sorted(n for n, m in models.items() if m.object_id in split.objects)
     model, kind = models[names[job.number % len(names)]], job.kind or KINDS[job.number % len(KINDS)]
-    return drawn(cache_folder() / "stress", kind, model, models, split.seed, job.number), models
+    return rendered(cache_folder() / "stress", kind, model, models, split.seed, job.number), models
 
 
 def played(job: Job) -> list[Row]:
-    """All runs of a film: what was published in every frame; one row without frames where there is none."""
+    """One row for each run of a film and each mode, with the published state of every frame; one row without
+    frames if there is no run."""
     cv2.setNumThreads(1)
     film, models = film_of(job)
     if film is None:
@@ -149,8 +150,8 @@ def played(job: Job) -> list[Row]:
         for mode in job.modes:
             tracker = Tracker({film.object: model})
             perception = Oracle(model, seed) if mode == "with_loop" else None
-            told = play(run.frames, model, tracker, run.first, run.quality, perception)
+            moments = play(run.frames, model, tracker, run.first, run.quality, perception)
             facts = {"job": job.name, "mode": mode, "cause": run.cause, "run": run.name}
-            frames = [astuple(moment) for moment in told]
+            frames = [astuple(moment) for moment in moments]
             rows.append({**facts, "object": film.object, "film": film.name, "frames": frames})
     return rows or [{"job": job.name, "frames": []}]

@@ -1,4 +1,4 @@
-"""What the states of many runs were worth, by mode and cause."""
+"""How often the states of many runs were right, by mode and cause."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def summary(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def figures(rows: Sequence[Row]) -> dict[str, Any]:
-    """Of some runs."""
+    """Figures of some runs."""
     count: dict[str, list[float]] = defaultdict(list)
     frame_films, visible_films, suspect, back, never, twice, believed = [], [], [], [], 0, 0, 0
     for row in rows:
@@ -80,7 +80,7 @@ def _finite(value: float) -> float | None:
 
 
 def text(result: Mapping[str, Any]) -> str:
-    """A summary for reading."""
+    """A summary as tables."""
     parts = []
     for mode, causes in result.items():
         lines = []

@@ -1,1 +1,1 @@
-"""Frames and films of another renderer and of another physics than the library's own."""
+"""Frames and films by another renderer and other physics than the library's."""

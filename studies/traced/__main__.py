@@ -1,4 +1,5 @@
-"""Frames of another renderer: MuJoCo lets objects fall, Mitsuba follows the light, a stereo camera errs.
+"""Frames by another renderer: MuJoCo drops the objects, Mitsuba traces paths of light, a stereo camera is
+simulated.
 
     $(find .tools -name uv -type f | head -n 1) pip install --python .venv/bin/python mitsuba mujoco
     .venv/bin/python -m studies.traced --models MODELS_DIR --kind apart --frames 7 --seed 5000 --out OUT
@@ -6,9 +7,9 @@
     .venv/bin/python -m studies.traced --models MODELS_DIR --film bumped --frames 45 --seed 6000 --out FILM
     huepose eval track --bop FILM --bundles bundles --init estimate --json film.json
 
-Nothing of the library's own light, gloss, rooms, heaps, motions or sensors is in them, so they show what is
-fitted to those. Nothing is fitted on such frames: they are for finding faults and for measuring. A frame
-takes half a minute of two processors; a third of it with --llvm, where LLVM's library is found.
+They use none of the library's own light, gloss, rooms, heaps, motions or sensors, so they show what is fitted
+too closely to those. Nothing is fitted on such frames: they are for finding faults and for measurements. A
+frame takes half a minute on two cores; a third of that with --llvm, if LLVM's library is found.
 """
 
 from __future__ import annotations
@@ -36,15 +37,17 @@ from studies.traced.room import room
 from studies.traced.world import SPREAD_M, World
 
 LEAST_LIGHT, LEAST_LABELS = 25, 3
-"""Mean grey level, and labels, under which a frame is drawn anew: the camera stood in something."""
+"""A frame with a lower mean grey level, or with fewer labels, is rendered again from another seed: the camera
+was inside something."""
 
 Frame = tuple[UInt8, Float32, Camera, list[Label]]
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """Five to eight named objects and up to four other things, which fell where they lie, and what stands
-    about. numbers: of the objects and things in the world; target (3,): about where the objects are."""
+    """Five to eight named objects and up to four other things, which fell to their poses, and the static
+    things around them (`about`). numbers: of the objects and things in the world; target (3,): about the
+    middle of the objects."""
 
     names: list[str]
     things: list[Mesh]
@@ -55,7 +58,7 @@ class Stage:
 
     @classmethod
     def of(cls, rng: Rng, kind: str, meshes: Mapping[str, Mesh]) -> Stage:
-        """One of that kind."""
+        """A random stage of a kind, a key of SPREAD_M."""
         some = rng.choice(sorted(meshes), min(int(rng.integers(5, 9)), len(meshes)), False)
         names = [str(name) for name in some]
         others = [clutter(rng) for _ in range(int(rng.integers(0, 5)))]
@@ -77,7 +80,7 @@ class Stage:
         return cls(names, things, numbers, world, about, np.mean(near, axis=0) if near else np.zeros(3))
 
     def placed(self, poses: Sequence[Float64]) -> list[Placed]:
-        """All meshes, where the world has its things at these poses; the named objects first."""
+        """All meshes with their poses; `poses`: of the world's things. The named objects come first."""
         return [(m, poses[k]) for m, k in zip(self.things, self.numbers, strict=True)] + self.about
 
 
@@ -89,16 +92,16 @@ def frames(
     ids: Mapping[str, int],
     done: Collection[int],
 ) -> Iterator[tuple[int, Frame]]:
-    """Single frames, but those that are done, with their numbers."""
+    """Single frames with their numbers, without those that are done."""
     for k in (k for k in range(count) if k not in done):
         for again in range(10):
             rng = np.random.default_rng(seed + k + 100_000 * again)
             stage = Stage.of(rng, kind, meshes)
             camera, T_world_cam = camera_at(rng, stage.target)
-            drawn = _drawn(rng, rng, stage, stage.world.poses(), camera, T_world_cam, ids, "independent")
-            if drawn[0].mean() >= LEAST_LIGHT and len(drawn[3]) >= LEAST_LABELS:
+            frame = _rendered(rng, rng, stage, stage.world.poses(), camera, T_world_cam, ids, "independent")
+            if frame[0].mean() >= LEAST_LIGHT and len(frame[3]) >= LEAST_LABELS:
                 break
-        yield k, drawn
+        yield k, frame
 
 
 def film(
@@ -110,8 +113,8 @@ def film(
     ids: Mapping[str, int],
     done: Collection[int],
 ) -> Iterator[tuple[int, Frame]]:
-    """Frames at 30 Hz, but those that are done, with their numbers: some things are `bumped` and come to lie
-    elsewhere, or the camera is `carried`."""
+    """Frames at 30 Hz with their numbers, without those that are done. moving: "bumped", some things are
+    pushed and come to rest elsewhere, or "carried", the camera moves."""
     rng = np.random.default_rng(seed)
     stage = Stage.of(rng, kind, meshes)
     camera, T_world_cam = camera_at(rng, stage.target)
@@ -124,10 +127,10 @@ def film(
     for k, (eye, at) in enumerate(zip(eyes, poses, strict=True)):
         if k not in done:
             same, other = np.random.default_rng(look), np.random.default_rng([seed, k])
-            yield k, _drawn(same, other, stage, at, camera, eye, ids, "multijitter")
+            yield k, _rendered(same, other, stage, at, camera, eye, ids, "multijitter")
 
 
-def _drawn(
+def _rendered(
     rng: Rng,
     noise: Rng,
     stage: Stage,
@@ -137,25 +140,25 @@ def _drawn(
     ids: Mapping[str, int],
     sampler: str,
 ) -> Frame:
-    """A stage as a camera sees it. rng: of gloss, light and what the camera is; noise: of what varies from
+    """The frame of a stage. rng: for gloss, light and the camera's properties; noise: for what varies from
     frame to frame."""
     placed = stage.placed(poses)
     T_cam_world = se3.inverse(T_world_cam)
-    seen = [(mesh, T_cam_world @ T) for mesh, T in placed]
-    geometry = render(seen, camera, color=False)
+    in_camera = [(mesh, T_cam_world @ T) for mesh, T in placed]
+    geometry = render(in_camera, camera, color=False)
     shown = [(mesh, T, rng.uniform()) for mesh, T in placed]
     color = photographed(rng, noise, traced(rng, noise, shown, camera, T_world_cam, sampler))
     labels = []
     for k, name in enumerate(stage.names):
-        count, box = silhouette(stage.things[k], seen[k][1], camera)
+        count, box = silhouette(stage.things[k], in_camera[k][1], camera)
         mask = np.asarray(geometry.object_index == k)
         if mask.any():
-            labels.append(Label(ids[name], se3.orthonormalised(seen[k][1]), mask, count, box))
+            labels.append(Label(ids[name], se3.orthonormalised(in_camera[k][1]), mask, count, box))
     return color, measured(rng, noise, geometry.depth, camera.fx), camera, labels
 
 
 def main() -> None:
-    """Draw, frame by frame; what is there stays."""
+    """Render frame by frame; existing frames are kept."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -164,7 +167,7 @@ def main() -> None:
     parser.add_argument("--film", choices=["bumped", "carried"], help="one film instead of single frames")
     parser.add_argument("--frames", type=int, default=7)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--llvm", action="store_true", help="three times as fast, where LLVM is installed")
+    parser.add_argument("--llvm", action="store_true", help="three times as fast, if LLVM is installed")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="scene folder")
     a = parser.parse_args()
     import mitsuba as mi
@@ -176,10 +179,10 @@ def main() -> None:
     facts = {"study": "traced", "kind": a.kind, "seed": a.seed, "film": a.film}
     writer = BopWriter(a.out, facts)
     of = a.seed, a.frames, meshes, ids, writer.done
-    drawing = frames(a.kind, *of) if a.film is None else film(a.kind, a.film, *of)
+    rendering = frames(a.kind, *of) if a.film is None else film(a.kind, a.film, *of)
     left = len(set(range(a.frames)) - writer.done)
-    for k, drawn in progress(drawing, f"drawing {a.out.name}", left):
-        writer.add(k, *drawn)
+    for k, frame in progress(rendering, f"rendering {a.out.name}", left):
+        writer.add(k, *frame)
 
 
 if __name__ == "__main__":

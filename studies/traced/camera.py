@@ -1,4 +1,4 @@
-"""A camera: where it stands or is carried, and what it makes of light and depth."""
+"""A camera: its pose or path, and its colour and depth from light and exact depth."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from studies.traced.world import HZ
 
 WIDTH, HEIGHT = 640, 480
 WALK_M_S, SWAY_M, SWAY_RAD = (0.15, 0.5), 0.006, 0.012
-"""A camera that is carried moves so fast about what it looks at, and so much off its way."""
+"""Speed of a carried camera around its target; scales of its deviation from the path."""
 
 
 def camera_at(rng: Rng, target: Float64) -> tuple[Camera, Float64]:
-    """A camera and T_world_cam (4, 4): it looks at about a point, from 0.5 to 1.5 m, by its focal length."""
+    """A camera and T_world_cam (4, 4): it looks roughly at `target` (3,) from 0.5 to 1.5 m, depending on its
+    focal length."""
     focal = float(rng.choice([540.0, 615.0, 1066.0]))
     cx, cy = (np.array([WIDTH, HEIGHT]) - 1) / 2 + rng.normal(0, 6, 2)
     away = rng.uniform(0.55, 1.05) * (focal / 615.0) ** 0.6
@@ -26,26 +27,26 @@ def camera_at(rng: Rng, target: Float64) -> tuple[Camera, Float64]:
     z /= np.linalg.norm(z)
     x = np.cross(z, [0, 0, 1]) / np.linalg.norm(np.cross(z, [0, 0, 1]))
     roll = se3.rotation_exp(np.array([0, 0, np.radians(rng.normal(0, 6))]))
-    turn = np.stack([x, np.cross(z, x), z], 1) @ roll
-    return Camera(focal, focal, float(cx), float(cy), WIDTH, HEIGHT), se3.make(turn, eye)
+    R = np.stack([x, np.cross(z, x), z], 1) @ roll
+    return Camera(focal, focal, float(cx), float(cy), WIDTH, HEIGHT), se3.make(R, eye)
 
 
 def carried(rng: Rng, target: Float64, T_world_cam: Float64, frames: int) -> list[Float64]:
-    """The poses (4, 4) of a camera that is carried about what it looks at, with a hand that is not still."""
+    """The poses (4, 4) of a camera that an unsteady hand carries around its target."""
     away = np.linalg.norm(T_world_cam[:3, 3] - target)
     about = np.array([rng.normal(0, 0.3), rng.normal(0, 0.3), rng.choice([-1.0, 1.0])])
     about *= rng.uniform(*WALK_M_S) / away / np.linalg.norm(about)
     sway = [np.stack([clouds(rng, 4, frames, 20.0, 2)[0] - 0.5 for _ in range(3)], 1) for _ in range(2)]
     out = []
     for k in range(frames):
-        turn = se3.rotation_exp(about * (k / HZ))
-        place = target + turn @ (T_world_cam[:3, 3] - target) + SWAY_M * sway[0][k]
-        out.append(se3.make(turn @ T_world_cam[:3, :3] @ se3.rotation_exp(SWAY_RAD * sway[1][k]), place))
+        R = se3.rotation_exp(about * (k / HZ))
+        eye = target + R @ (T_world_cam[:3, 3] - target) + SWAY_M * sway[0][k]
+        out.append(se3.make(R @ T_world_cam[:3, :3] @ se3.rotation_exp(SWAY_RAD * sway[1][k]), eye))
     return out
 
 
 def photographed(rng: Rng, noise: Rng, light: Float32) -> UInt8:
-    """A picture (H, W, 3) of light: exposure, white balance, saturation, contrast, blur, edges, noise."""
+    """An image (H, W, 3) of light: exposure, white balance, saturation, contrast, blur, sharpening, noise."""
     level = np.quantile(light.mean(-1), rng.uniform(0.5, 0.8))
     out = light * (rng.uniform(0.28, 0.5) / max(float(level), 1e-6)) * np.exp(rng.normal(0, 0.06, 3))
     grey = out.mean(-1, keepdims=True)
@@ -61,8 +62,8 @@ def photographed(rng: Rng, noise: Rng, light: Float32) -> UInt8:
 
 
 def measured(rng: Rng, noise: Rng, depth: Float32, focal: float) -> Float32:
-    """What a stereo camera measures of depth (H, W): noise of disparity in patches, borders that are grown
-    over, nothing where the other camera does not see, and holes."""
+    """Depth (H, W) as a stereo camera measures it: smooth noise of disparity, smeared borders, no reading
+    where the view of the other camera is occluded, and holes."""
     baseline_m = rng.uniform(0.045, 0.08)
     disparity = np.where(depth > 0, focal * baseline_m / np.maximum(depth, 1e-3), 0.0).astype(np.float32)
     height, width = depth.shape

@@ -1,4 +1,4 @@
-"""Light that is followed through a room: Mitsuba, whose variant is set before."""
+"""Path tracing with Mitsuba; the caller sets its variant first."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from huepose.geometry.arrays import Float32, Float64, Rng
 from huepose.rendering.render import corner_normals
 
 SAMPLES, BOUNCES = {"independent": 40, "multijitter": 9}, 7
-"""Of a pixel, by Mitsuba's sampler: single frames by the first, films by the second, which needs fewer."""
+"""Samples of a pixel by Mitsuba's sampler (single frames use the first, films the second, which needs fewer),
+and length of a path."""
 
 
 def kelvin(temperature: float) -> Float64:
@@ -32,8 +33,8 @@ def traced(
     T_world_cam: Float64,
     sampler: str,
 ) -> Float32:
-    """Linear light (H, W, 3) of meshes with poses (4, 4) and gloss, 0..1, under one to three lamps and an
-    even sky, less most of the colour of the first lamp."""
+    """Linear light (H, W, 3) of meshes with poses (4, 4) and gloss, 0..1, under one to three lamps and a
+    uniform sky, white-balanced for most of the colour of the first lamp."""
     import mitsuba as mi
 
     parts: dict[str, Any] = {}
@@ -60,13 +61,13 @@ def traced(
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": light.tolist()}},
         }
     # Mitsuba's camera has x to the left and y up.
-    seen = T_world_cam @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    T_world_sensor = T_world_cam @ np.diag([-1.0, -1.0, 1.0, 1.0])
     parts["sensor"] = {
         "type": "perspective",
         "fov": float(np.degrees(2 * np.arctan(camera.width / 2 / camera.fx))),
         "principal_point_offset_x": -(camera.cx - (camera.width - 1) / 2) / camera.width,
         "principal_point_offset_y": -(camera.cy - (camera.height - 1) / 2) / camera.height,
-        "to_world": to(seen.tolist()),
+        "to_world": to(T_world_sensor.tolist()),
         "sampler": {"type": sampler},
         "film": {
             "type": "hdrfilm",
@@ -85,7 +86,8 @@ def traced(
 
 
 def _part(mi: Any, mesh: Mesh, T: Float64, roughness: float, specular: float) -> Any:
-    """A mesh for Mitsuba, its corners apart so that each has a normal and a place in the texture."""
+    """A mesh for Mitsuba; faces share no vertices, so that each corner has its own normal and texture
+    coordinates."""
     material = {
         "type": "principled",
         "base_color": {"type": "bitmap", "bitmap": mi.Bitmap(np.ascontiguousarray(mesh.texture))},

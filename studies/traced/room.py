@@ -1,4 +1,4 @@
-"""A room about a table, with surfaces of its own."""
+"""A room around a table, with its own surfaces."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from huepose.scenes.textures import clouds
 
 
 def surface(rng: Rng, pixels: int = 512) -> UInt8:
-    """A plain, wooden, stained or checked picture."""
+    """The texture of a surface: plain, wooden, stone or checked."""
     a, b = (rng.uniform(30, 245, 3).astype(np.float32) for _ in range(2))
     out: Float
     kind = rng.choice(["plain", "wood", "stone", "checks"], p=[0.35, 0.3, 0.2, 0.15])
@@ -35,7 +35,7 @@ def surface(rng: Rng, pixels: int = 512) -> UInt8:
 
 
 def room(rng: Rng) -> list[Placed]:
-    """A table at z = 0, floor, walls, ceiling, and open boxes that stand and hang about."""
+    """A table at z = 0, floor, walls, ceiling, and open boxes on the floor and in the air."""
     wide, deep = 2.0 * rng.uniform(0.4, 0.8, 2)
     table = sheet(wide, deep, surface(rng))
     turn = se3.rotation_exp(np.array([0, 0, rng.uniform(0, 2 * np.pi)]))

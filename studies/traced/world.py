@@ -1,4 +1,4 @@
-"""Things that fall, and are pushed about: MuJoCo, by their convex hulls."""
+"""Things that fall and are pushed: MuJoCo, with their convex hulls."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from huepose.geometry import Mesh, se3
 from huepose.geometry.arrays import Float64, Rng
 
 SPREAD_M = {"apart": 0.26, "heap": 0.17, "pile": 0.10}
-"""Radius of the circle over which objects fall; in every second pile into an open box."""
+"""Radius of the circle over which objects fall; half of the piles fall into an open box."""
 
 STEP_S, STEPS = 0.002, 1600
 HZ, START_S = 30, 0.3
-"""Of a film; so long nothing is pushed in it."""
+"""Frame rate of a film; time before the first push."""
 
 PUSHED, PUSHES_A_SECOND, PUSH_M_S, PUSH_UP_M_S, PUSH_RAD_S = 0.6, 1.5, 0.4, 1.2, 5.0
-"""Share of the things that are pushed, and how often; standard deviations of the velocity along the ground
-and of the angular velocity, and the most upwards."""
+"""Share of the things that are pushed, and how often; standard deviation of the velocity along the ground,
+largest velocity upwards, standard deviation of the angular velocity."""
 
 HULL_POINTS = 400
-"""Points of a mesh whose convex hull falls."""
+"""Number of points of a mesh from which its convex hull is made."""
 
 
 class World:
-    """Things that fell on z = 0 or into a bin, by their convex hulls."""
+    """Things that fell on z = 0 or into a bin, as convex hulls."""
 
     def __init__(self, rng: Rng, things: Sequence[Mesh], spread_m: float, bin_: Mesh | None) -> None:
         import mujoco
@@ -36,12 +36,12 @@ class World:
         mujoco.mj_step(self._model, self._state, STEPS)
 
     def poses(self) -> list[Float64]:
-        """Of all things (4, 4), now."""
+        """The current poses (4, 4) of all things."""
         at = self._state
         return [se3.make(at.xmat[i].reshape(3, 3), at.xpos[i].copy()) for i in self._bodies]
 
     def film(self, rng: Rng, frames: int) -> Iterator[list[Float64]]:
-        """The poses in each frame, while some things are pushed now and then."""
+        """The poses in each frame, while some things are sometimes pushed."""
         import mujoco
 
         moving = np.flatnonzero(rng.uniform(size=len(self._bodies)) < PUSHED)
@@ -58,7 +58,7 @@ class World:
 
 
 def _falling(rng: Rng, things: Sequence[Mesh], spread_m: float, bin_: Mesh | None) -> str:
-    """MuJoCo's description of things in the air, one above the other."""
+    """MuJoCo's description of the things in the air, one above the other."""
     meshes, bodies, places = "", "", list[Float64]()
     for k, mesh in enumerate(things):
         v = mesh.vertices

@@ -8,10 +8,10 @@ import numpy as np
 
 from huepose.geometry import se3
 from studies.live import HZ
-from studies.still import Row, Told, likely, report, watched
+from studies.still import Outcome, Row, likely, report, watched
 
 
-def told_of(frame, model, instances, wanted: int, count: int, rng: np.random.Generator) -> Told:
+def told_of(frame, model, instances, wanted: int, count: int, rng: np.random.Generator) -> Outcome:
     """What is told of a kind that alone is known."""
     (told,) = watched(frame, {model.name: model}, {model.name: instances}, wanted, count, rng).values()
     return told
@@ -70,7 +70,7 @@ def test_the_report_counts_instances_and_films() -> None:
     ]
     assert report(done) == (
         "there: 3 of 4 instances TRACKING and right, 1 within 2 s, (median, 90 %) 3.0 s, 3.8 s; "
-        "right in 180 of 360 frames, wrong in 5, 2 on one that has a pose\n"
-        "not there: false TRACKING in 20 of 180 frames, of 1 of 2 kinds; "
-        "a pose of any state in 24 frames, of 1 kinds"
+        "right in 180 of 360 frames, wrong in 5, 2 on an instance with another pose\n"
+        "absent: false TRACKING in 20 of 180 frames, of 1 of 2 objects; "
+        "a pose of any state in 24 frames, of 1 objects"
     )

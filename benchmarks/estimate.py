@@ -1,9 +1,9 @@
-"""Single-frame rivals and HuePose on the same instances: accuracy, intervals, CPU time an object.
+"""Single-frame baselines and HuePose on the same instances: accuracy, intervals, CPU time per object.
 
     .venv/bin/python benchmarks/estimate.py --bop SCENE... --bundles DIR --json OUT.json
 
-May be stopped, and asked for other methods, masks or images later: what the file holds is not asked again,
-and the table has all that it holds of what was asked for.
+It can be interrupted, and run later with other methods, masks or images: results in the file are not computed
+again. The table has all results in the file for the chosen methods, masks and images.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from huepose.model import ReferenceModel, load_models
 from huepose.support.progress import progress
 
 COMMON = ("boxes", "min_visib", "seed", "objects", "equivalent")
-"""Options that all answers of a file have in common."""
+"""Options that all results in a file share."""
 
 
 Image = tuple[str, int]
@@ -74,28 +74,28 @@ def main() -> None:
 
 
 def _image(scene: BopScene, image: int) -> Image:
-    """By its folder: scenes of different sets share names."""
+    """An image by the folder of its scene: scenes of different sets share names."""
     return str(scene.path.resolve()), image
 
 
 def key_of(method: str, masks: str, image: Image) -> str:
-    """Of a piece of work in the journal."""
+    """The key of one image in the journal."""
     return f"{method}, masks {masks}, {image[0]}/{image[1]}"
 
 
 def piece_of(image: Image, rows: Sequence[EstimateRow], cpu_s: Sequence[float]) -> dict[str, Any]:
-    """What is kept: the answers in one image and the CPU seconds of each."""
+    """The journal's entry of one image: the estimates and the CPU seconds of each."""
     records = [row.as_json() for row in rows]
     short = [{k: v for k, v in row.items() if k not in ("terms", "alternatives", "box")} for row in records]
     return {"scene": image[0], "image": image[1], "cpu_s": list(cpu_s), "rows": short}
 
 
 def summary(journal: Journal, method: str, masks: str, images: Sequence[Image]) -> dict[str, Any] | None:
-    """Figures over those of the images that hold answers, as in a result file, with `cpu_s_p50` and
-    `cpu_s_mean` of an object; None without any."""
+    """Figures over the images with results, as in a result file, with `cpu_s_p50` and `cpu_s_mean` per
+    object; None without results."""
     keys = [key_of(method, masks, image) for image in images]
     pieces = [journal.entries[key] for key in keys if key in journal.entries]
-    # Scenes of different sets share names, so a row is of its folder.
+    # Scenes of different sets share names, so a row names its folder.
     rows = [{**row, "scene": piece["scene"]} for piece in pieces for row in piece["rows"]]
     if not rows:
         return None
@@ -105,7 +105,7 @@ def summary(journal: Journal, method: str, masks: str, images: Sequence[Image]) 
 
 
 def _figures(journal: Journal, arguments: argparse.Namespace, images: Sequence[Image]) -> str:
-    """Two tables of what the journal holds of these images: all figures, and recall by object."""
+    """Two tables of the journal's results on these images: all figures, and recall by object."""
     found = {
         (name, masks): summary(journal, name, masks, images)
         for masks in arguments.masks
@@ -136,7 +136,7 @@ def _by_object(methods: Mapping[str, Any]) -> str:
 def _methods(
     models: Mapping[str, ReferenceModel], arguments: argparse.Namespace
 ) -> dict[str, Callable[[], Ours | RivalEstimator]]:
-    """What makes each method."""
+    """Functions that make the estimator of each method."""
 
     def rival(make: Callable[[], Rival]) -> Callable[[], RivalEstimator]:
         return lambda: RivalEstimator(make(), models)
@@ -161,7 +161,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--bop", type=Path, nargs="+", required=True, metavar="SCENE_DIR")
     parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
     parser.add_argument("--json", type=Path, required=True, metavar="FILE",
-                        help="a journal of answers; what it holds already is not asked again")  # fmt: skip
+                        help="a journal of results; those in it are not computed again")  # fmt: skip
     parser.add_argument("--methods", nargs="+", choices=names, default=list(names))
     parser.add_argument("--masks", nargs="+", choices=("auto", "gt"), default=["auto", "gt"])
     parser.add_argument("--boxes", choices=("perturbed", "paper", "gt"), default="perturbed")
@@ -169,7 +169,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--equivalent", type=Path, default=None, metavar="FILE")
     parser.add_argument("--min-visib", type=float, default=0.3, metavar="F")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th image (1)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the disturbed boxes")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of the disturbed boxes")
     parser.add_argument("--rivals", type=Path, default=Path("build/rivals"), metavar="DIR",
                         help="environment made by make_env.sh")  # fmt: skip
     return parser.parse_args()

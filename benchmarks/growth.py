@@ -1,13 +1,13 @@
-"""How cost grows: with the objects known, the objects in view, the size of the picture, the triangles of a
-mesh, the readers of poses.
+"""How cost grows: with the known objects, the objects in view, the image size, the triangles of a mesh, the
+readers of poses.
 
     OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.growth --out DIR
         [--only known memory visible pixels triangles onboarding readers] [--quick]
 
-CPU milliseconds (all threads) of one frame, medians, and memory that a process has for itself. The scene is a
-wall with objects before it in rows, all turning slowly; the objects are the demo's five, under other names
-where more are asked for. Each curve gets an exponent: the slope of a straight line through the logarithms,
-over its larger half, where what is paid once counts less. 1 is linear, 0 costs nothing.
+CPU milliseconds (all threads) of one frame, medians, and private memory of a process. The scene is a wall
+with rows of objects before it, all rotating slowly; the objects are the demo's five, repeated under other
+names if more are needed. Each curve gets an exponent: the slope of a straight line through the logarithms,
+over the larger half of the curve, where constant costs count less. 1 is linear, 0 is constant.
 """
 
 from __future__ import annotations
@@ -52,19 +52,19 @@ from huepose_services.builtin import builtin_bundles
 
 CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
 COLUMNS, SPACING_M, AWAY_M, WALL_M = 5, 0.27, 1.5, 2.2
-"""Of the objects: how many in a row, how far apart, how far away, and how far the wall behind them is."""
+"""Objects in a row, their spacing and distance, and the distance of the wall behind them."""
 
 KNOWN, VISIBLE = (1, 2, 5, 10, 20, 50, 100), (1, 2, 5, 10, 20)
 SIZES = ((320, 240), (480, 360), (640, 480), (960, 720), (1280, 960))
 HALVINGS, READERS = (0, 1, 2, 3, 4), (1, 2, 5, 10, 20, 50, 100)
-"""How often each edge of a mesh is halved, which makes four triangles of one."""
+"""How often each edge of a mesh is halved, which makes four triangles of one; number of readers."""
 
 IN_VIEW = 5
-"""Objects in view where their number is not what is varied."""
+"""Objects in view if their number is not varied."""
 
 WORKERS = ("tracker", "estimator", "detector")
 FRAMES, WARM = 24, 4
-"""Of a measurement; the first few are not counted."""
+"""Frames of a measurement; frames at its start that are not counted."""
 
 PERIOD_NS = round(1e9 / 30.0)
 
@@ -73,22 +73,22 @@ Models = Mapping[str, ReferenceModel]
 
 
 def main() -> None:
-    """Measure, draw, print a Markdown table."""
+    """Measure, plot, print a Markdown table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     axes: dict[str, tuple[str, str, Callable[[Sequence[int]], Curves], Sequence[int]]] = {
-        "known": ("objects known, five of them in view", "CPU ms a frame", known, KNOWN),
-        "memory": ("objects known", "MiB of its own", memory, KNOWN),
-        "visible": ("objects in view", "CPU ms a frame", visible, VISIBLE),
-        "pixels": ("pixels, thousands", "CPU ms a frame", pixels, range(len(SIZES))),
-        "triangles": ("triangles of each mesh, thousands", "CPU ms a frame", triangles, HALVINGS),
+        "known": ("known objects, five of them in view", "CPU ms per frame", known, KNOWN),
+        "memory": ("known objects", "private MiB", memory, KNOWN),
+        "visible": ("objects in view", "CPU ms per frame", visible, VISIBLE),
+        "pixels": ("pixels, thousands", "CPU ms per frame", pixels, range(len(SIZES))),
+        "triangles": ("triangles of each mesh, thousands", "CPU ms per frame", triangles, HALVINGS),
         "onboarding": ("triangles of the mesh, thousands", "CPU seconds, MiB", onboarding, HALVINGS),
-        "readers": ("readers of poses", "sender's CPU ms a second", readers, READERS),
+        "readers": ("readers of poses", "sender's CPU ms per second", readers, READERS),
     }
     parser.add_argument("--out", type=Path, required=True, metavar="DIR")
     parser.add_argument("--only", nargs="+", choices=list(axes), default=list(axes))
-    parser.add_argument("--quick", action="store_true", help="the ends of each axis alone")
+    parser.add_argument("--quick", action="store_true", help="only the ends of each axis")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)  # as in the workers
     found: dict[str, Any] = {"origin": origin()}
@@ -117,20 +117,20 @@ def exponent(points: Sequence[tuple[float, float]]) -> float:
 
 
 def copies(count: int, models: Models | None = None) -> dict[str, ReferenceModel]:
-    """So many models: the demo's, again and again under other names."""
+    """`count` models: the demo's, repeated under other names."""
     models = models or load_models(builtin_bundles(0))
     names = list(islice(cycle(models), count))
     return {f"{name}_{k:03d}": replace(models[name], name=f"{name}_{k:03d}") for k, name in enumerate(names)}
 
 
 def pose_of(k: int, i: int, count: int) -> Float64:
-    """T_cam_obj (4, 4) of the k-th of so many objects in frame i: in rows about the middle of the picture."""
+    """Pose (4, 4) of the centre of the k-th of `count` objects in frame i: in rows, centred in the image."""
     rows = -(-count // COLUMNS)
     column, row = k % COLUMNS, k // COLUMNS
     across = min(count, COLUMNS)
-    place = np.array([column - (across - 1) / 2, row - (rows - 1) / 2, 0.0]) * SPACING_M
-    turn = se3.rotation_exp(np.array([0.4, 0.9 * k + 0.02 * i, 0.2]))
-    return se3.make(turn, place + np.array([0.002 * (i % 10), 0.0, AWAY_M]))
+    position = np.array([column - (across - 1) / 2, row - (rows - 1) / 2, 0.0]) * SPACING_M
+    R = se3.rotation_exp(np.array([0.4, 0.9 * k + 0.02 * i, 0.2]))
+    return se3.make(R, position + np.array([0.002 * (i % 10), 0.0, AWAY_M]))
 
 
 def picture(models: Models, count: int, i: int, camera: Camera = CAMERA) -> RgbdFrame:
@@ -140,12 +140,12 @@ def picture(models: Models, count: int, i: int, camera: Camera = CAMERA) -> Rgbd
     for k, model in enumerate(shown):
         T = pose_of(k, i, count)
         scene.append((model.mesh, T @ se3.make(np.eye(3), -model.mesh.centre)))
-    drawn = render(scene, camera)
-    behind = drawn.depth == 0
+    rendered = render(scene, camera)
+    behind = rendered.depth == 0
     rng = np.random.default_rng(7)
     wall = cv2.resize(rng.integers(110, 150, (60, 80, 3)).astype(np.uint8), (camera.width, camera.height))
-    color = np.where(behind[..., None], wall, drawn.color)
-    depth = np.where(behind, np.float32(WALL_M), drawn.depth)
+    color = np.where(behind[..., None], wall, rendered.color)
+    depth = np.where(behind, np.float32(WALL_M), rendered.depth)
     return RgbdFrame(color, depth, camera, i, i * PERIOD_NS)
 
 
@@ -178,7 +178,7 @@ def estimated_ms(models: Models, count: int, camera: Camera = CAMERA) -> float:
 
 
 def detected_ms(models: Models, asked: int, in_view: int, camera: Camera = CAMERA) -> float:
-    """CPU milliseconds of one search for so many objects that are not there, beside some that are."""
+    """CPU milliseconds of one search for `asked` absent objects, while `in_view` others are in view."""
     detector = ViewDetector(models, profile("live").detector)
     absent = list(models)[-asked:]
     frames = [picture(models, in_view, i, camera) for i in range(8)]
@@ -186,7 +186,7 @@ def detected_ms(models: Models, asked: int, in_view: int, camera: Camera = CAMER
 
 
 def median_ms(works: Sequence[Callable[[], object]]) -> float:
-    """Median CPU milliseconds, the first few not counted: they prepare."""
+    """Median CPU milliseconds, without the first few runs, which prepare."""
     spans = []
     for work in works:
         start = time.process_time()
@@ -196,9 +196,9 @@ def median_ms(works: Sequence[Callable[[], object]]) -> float:
 
 
 def known(counts: Sequence[int]) -> Curves:
-    """Objects that are known, while five are in view, or all that there are."""
+    """By the number of known objects, of which five, or all if there are fewer, are in view."""
     curves: Curves = {"track": [], "estimate": [], "detect two": []}
-    for count in progress(counts, "objects known"):
+    for count in progress(counts, "known objects"):
         models, seen = copies(count), min(count, IN_VIEW)
         curves["track"].append((count, tracked_ms(models, seen) / seen * IN_VIEW))
         curves["estimate"].append((count, estimated_ms(models, seen) / seen * IN_VIEW))
@@ -207,7 +207,7 @@ def known(counts: Sequence[int]) -> Curves:
 
 
 def visible(counts: Sequence[int]) -> Curves:
-    """Objects that are in view, tracked, estimated, and as many looked for that are not."""
+    """By the number of objects in view: tracked, estimated, and searched for while absent."""
     curves: Curves = {"track": [], "estimate": [], "detect absent": []}
     for count in progress(counts, "objects in view"):
         models = copies(count)
@@ -218,10 +218,10 @@ def visible(counts: Sequence[int]) -> Curves:
 
 
 def pixels(which: Sequence[int]) -> Curves:
-    """The size of the picture, five objects in view."""
+    """By the image size, with five objects in view."""
     curves: Curves = {"track": [], "estimate": [], "detect two": []}
     models = copies(IN_VIEW)
-    for size in progress([SIZES[k] for k in which], "picture sizes"):
+    for size in progress([SIZES[k] for k in which], "image sizes"):
         camera = CAMERA.scaled(size[0] / CAMERA.width)
         thousands = size[0] * size[1] / 1e3
         curves["track"].append((thousands, tracked_ms(models, IN_VIEW, camera)))
@@ -231,7 +231,7 @@ def pixels(which: Sequence[int]) -> Curves:
 
 
 def triangles(halvings: Sequence[int]) -> Curves:
-    """The triangles of the meshes, five objects of one mesh in view."""
+    """By the triangles of the meshes, with five objects of one mesh in view."""
     curves: Curves = {"track": [], "estimate": [], "detect two": []}
     for times in progress(halvings, "sizes of meshes"):
         mesh = halved(_some_mesh(), times)
@@ -244,7 +244,7 @@ def triangles(halvings: Sequence[int]) -> Curves:
 
 
 def onboarding(halvings: Sequence[int]) -> Curves:
-    """The triangles of a mesh: CPU seconds of making its reference model, and MiB of that one's file."""
+    """By the triangles of a mesh: CPU seconds of onboarding, and MiB of the reference model's file."""
     curves: Curves = {"CPU seconds": [], "MiB": []}
     with tempfile.TemporaryDirectory() as folder:
         path = model_path(folder, "object")
@@ -260,7 +260,7 @@ def onboarding(halvings: Sequence[int]) -> Curves:
 
 
 def halved(mesh: Mesh, times: int) -> Mesh:
-    """The same surface with every edge halved so many times."""
+    """The same surface with every edge halved `times` times."""
     for _ in range(times):
         corners = mesh.vertices[mesh.faces]
         points, faces = np.unique(_quarters(corners).reshape(-1, 3), axis=0, return_inverse=True)
@@ -280,8 +280,8 @@ def _some_mesh() -> Mesh:
 
 
 def memory(counts: Sequence[int]) -> Curves:
-    """What a worker takes for itself, each started anew on files of its own, no two alike, and at its second
-    start, when what is derived from them is there. Five of the objects are asked for, or all."""
+    """Private memory of a worker by the number of known objects. Each worker is a new process, at its second
+    start, when the cache of derived data exists; all files differ. Five of the objects are used, or all."""
     curves: Curves = {f"{worker}, {asked}": [] for asked in ("five seen", "all seen") for worker in WORKERS}
     context = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory() as folder:
@@ -298,14 +298,14 @@ def memory(counts: Sequence[int]) -> Curves:
 
 
 def in_fresh_process(context: Any, work: Callable[..., float], *arguments: object) -> float:
-    """What a process that is started for it gives."""
+    """The result of a function in a new process."""
     with context.Pool(1) as pool:
         return float(pool.apply(work, arguments))
 
 
 def own_mib(worker: str, folder: str, asked: int) -> float:
-    """MiB that a process has for itself with all models of a folder ready, after the first `asked` of them
-    were in a picture."""
+    """Private MiB of a process with all models of a folder loaded, after the first `asked` of them were each
+    in a frame."""
     os.environ["XDG_CACHE_HOME"] = folder
     models = load_models(folder)
     names = list(models)[:asked]

@@ -1,12 +1,12 @@
-"""Which compiled kernels and networks take the time of a frame, and what a GPU would give at most.
+"""Which compiled kernels and networks take the time of a frame, and a bound of what a GPU would gain.
 
     OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.kernels [--json FILE]
 
-Five objects of the built-in scene: tracked, estimated, searched for. For each kernel: calls, CPU milliseconds
-and MiB handed over a frame (its arrays, each time it is called). For those that do the same work for many
-poses, views, windows or pixels at once, the time on the GPU of a Jetson is bounded from above: each call
-launches and waits; its arrays are read once from memory; and its operations are at most those that a core of
-this machine could do in its time.
+Five objects of the built-in scene are tracked, estimated and searched for. For each kernel: calls, CPU
+milliseconds and MiB of its arguments per frame (all arrays, at each call). For kernels that do the same work
+for many poses, views, windows or pixels at once, there is an upper bound of the time on the GPU of a Jetson:
+each call launches and waits; its arrays are read once from memory; and it has at most as many operations as a
+core of this machine could do in its time.
 """
 
 from __future__ import annotations
@@ -46,16 +46,17 @@ MANY = {
     "huepose.perception.windows._fill": "windows",
     "network": "windows",
 }
-"""Kernels that do the same for many at once, and for what. The others follow one pose, or are short."""
+"""Kernels that do the same work for many items at once, and the items. The others follow one pose, or are
+short."""
 
 JETSONS = {"AGX Orin 64 GB": (5.3e12, 204.8e9), "Orin Nano 8 GB": (1.28e12, 68e9)}
-"""Operations (32 bit) and bytes a second of GPU and memory: NVIDIA's data sheets."""
+"""Operations (32 bit) and bytes per second of GPU and memory: NVIDIA's data sheets."""
 
 CALL_S = 30e-6
-"""To launch a kernel and wait for what it found. Assumed."""
+"""Time to launch a kernel and wait for its result. Assumed."""
 
 USABLE_OPERATIONS, USABLE_BYTES = 0.2, 0.6
-"""Share of a GPU's peak that code reaches which gathers and branches. Assumed."""
+"""Shares of a GPU's peak that code with gathers and branches reaches. Assumed."""
 
 
 @dataclass
@@ -77,10 +78,10 @@ def main() -> None:
     cv2.setNumThreads(1)  # as in the workers
     models, scene, live = load_models(builtin_bundles(0)), SyntheticScene(0), profile("live")
     peak = operations_a_second()
-    print(f"one core does {peak / 1e9:.0f} billion operations a second at most\n")
+    print(f"one core does at most {peak / 1e9:.0f} billion operations per second\n")
     detections = 12
-    # The bench estimates each frame twice and one more, and asks in each of its frames for all, for two, and
-    # three times for one that is absent.
+    # The bench estimates each frame twice, and one more; in each frame it searches for all objects, for two,
+    # and three times for an absent one.
     uses: dict[str, tuple[Callable[[], object], int]] = {
         "track": (lambda: bench_track(scene, models, live.tracker), TRACKED + 1),
         "estimate": (
@@ -97,7 +98,7 @@ def main() -> None:
             work()
             whole_ms = 1e3 * (time.process_time() - start) / frames
         found[name] = rows(kernels, frames, peak)
-        print(f"{name}: {whole_ms:.1f} CPU ms a frame with all that the bench does beside\n")
+        print(f"{name}: {whole_ms:.1f} CPU ms per frame, with the other work of the bench\n")
         names = ("kernel", "for many", "calls", "CPU ms", "MiB", *(f"{d}, ms" for d in JETSONS))
         print(table(names, [[str(x) for x in row.values()] for row in found[name]]))
         print()
@@ -106,7 +107,7 @@ def main() -> None:
 
 
 def rows(kernels: dict[str, Use], frames: int, peak: float) -> list[dict[str, Any]]:
-    """One for each kernel that takes a hundredth of all of them, the longest first; per frame."""
+    """One row for each kernel that takes at least a hundredth of the total, the longest first; per frame."""
     total = sum(use.cpu_s for use in kernels.values())
     longest = sorted(kernels.items(), key=lambda item: -item[1].cpu_s)
     out = []
@@ -128,8 +129,8 @@ def rows(kernels: dict[str, Use], frames: int, peak: float) -> list[dict[str, An
 
 
 def on_gpu_s(use: Use, peak: float, operations: float, bandwidth: float) -> float:
-    """Seconds at most on a GPU of so many operations and bytes a second, for what took `use.cpu_s` on a core
-    that does `peak` operations a second.
+    """Upper bound in seconds on a GPU with `operations` and `bandwidth` (bytes) per second, for work that
+    took `use.cpu_s` on a core that does `peak` operations per second.
 
     >>> on_gpu_s(Use(calls=10, cpu_s=1.0, handed_bytes=6_000_000), 1e9, 1e12, 1e10)
     0.0063
@@ -140,8 +141,8 @@ def on_gpu_s(use: Use, peak: float, operations: float, bandwidth: float) -> floa
 
 
 def operations_a_second() -> float:
-    """The most that one core does, 32 bit, multiplications and additions counted alone: vectors of which
-    nothing leaves the nearest cache."""
+    """Peak of one core: 32-bit multiplications and additions per second, on vectors that stay in the nearest
+    cache."""
     x = np.full(1024, 1.0001, np.float32)
     times = 20_000
     _multiply_and_add(x, 10)
@@ -171,8 +172,8 @@ def _multiply_and_add(x: Float32, times: int) -> float:
 
 @contextmanager
 def watched() -> Iterator[dict[str, Use]]:
-    """Count the calls of all compiled kernels that are made from Python, and of networks, meanwhile. Kernels
-    that call one another are one."""
+    """Count the calls of all compiled kernels from Python, and of networks, in this context. A kernel that
+    another one calls counts as part of it."""
     import onnxruntime as ort
     from numba.core.dispatcher import Dispatcher
 
@@ -207,7 +208,7 @@ def _counted(work: Callable[..., Any], use: Use) -> Callable[..., Any]:
 
 
 def _bytes(value: Any) -> int:
-    """Of all arrays in it."""
+    """Bytes of all arrays in a value."""
     if isinstance(value, np.ndarray):
         return value.nbytes
     if isinstance(value, dict):

@@ -1,5 +1,5 @@
 #!/bin/sh
-# An environment of its own for the rival that cannot live beside HuePose: opencv-contrib brings another OpenCV.
+# Makes a separate environment for the baseline that cannot share HuePose's: opencv-contrib brings another OpenCV.
 # Usage: benchmarks/make_env.sh [FOLDER]      (build/rivals)
 set -eu
 cd "$(dirname "$0")/.."

@@ -1,8 +1,8 @@
-"""Rivals from Open3D: features with RANSAC, features with Fast Global Registration, ICP from many starts,
-and the same with the texture, chosen by colour.
+"""Baselines from Open3D: features with RANSAC, features with Fast Global Registration, ICP from many starts,
+and the same with a choice by colour.
 
-Scene points are registered to the model (a part to the whole), then the transform is turned round. Each ends
-with point-to-plane ICP on the model's surface samples.
+Scene points are registered to the model (a part to the whole), then the transform is inverted. Each method
+ends with point-to-plane ICP on the model's surface samples.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def scene_cloud(seen: Seen, voxel: float) -> Any:
 
 
 def settle(scene: Any, model: Any, T_obj_cam: Float64, gates_m: tuple[float, ...]) -> Any:
-    """Point-to-plane ICP through ever smaller gates; Open3D's last result."""
+    """Point-to-plane ICP with decreasing gates; returns Open3D's last result."""
     result = None
     for gate in gates_m:
         result = registration.registration_icp(
@@ -79,7 +79,7 @@ class Features:
         self._models[model.name] = whole, sparse, _features(sparse, voxel)
 
     def pose(self, model: ReferenceModel, seen: Seen) -> tuple[Float64, float, float] | None:
-        """Match, register, settle."""
+        """Match, register, refine."""
         o3d.utility.random.seed(0)
         start = time.process_time()
         whole, sparse, model_features = self._models[model.name]
@@ -123,17 +123,18 @@ def _features(cloud: Any, voxel: float) -> Any:
 
 
 FINISHED, FINISHED_BY_COLOR, APART_RAD = 5, 20, 0.35
-"""So many starts are finished, the best by fit; by colour, so many of the best that are this far apart."""
+"""Number of starts that are refined further, the best by fit; by colour: number of the best starts that
+differ by this angle."""
 
 NEAR_M, FEWEST = 0.008, 30
-"""Points of the scene farther from the model have no colour to compare; with fewer nothing is said."""
+"""Scene points up to this distance from the model are compared in colour; fewest points for a correlation."""
 
 
 class ManyStarts:
-    """ICP from 60 rotations, centred on the points; the best five are finished, the best fit wins.
+    """ICP from 60 rotations, centred on the points; the best five are refined further, the best fit wins.
 
-    by_color: twenty of different rotations are finished, and the one wins whose fit and correlation of
-    colours add up to most. (Coloured ICP after that, Park et al. 2017, made four in a hundred worse.)"""
+    by_color: twenty with different rotations are refined further, and the largest sum of fit and colour
+    correlation wins. (Coloured ICP after that, Park et al. 2017, made four in a hundred worse.)"""
 
     def __init__(self, by_color: bool = False) -> None:
         self._by_color = by_color
@@ -187,7 +188,7 @@ class ManyStarts:
         return T, float(best.fitness), time.process_time() - begin
 
     def _correlation(self, model: ReferenceModel, scene: Any, T_obj_cam: Float64) -> float:
-        """Of the scene's colours and those of the nearest samples, each about its mean: -1..1."""
+        """Correlation, -1..1, of the scene's colours and those of the nearest samples."""
         tree, colors = self._colors[model.name]
         points = se3.apply(T_obj_cam, np.asarray(scene.points))
         distance, nearest = tree.query(points, distance_upper_bound=NEAR_M)

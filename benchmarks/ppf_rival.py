@@ -1,4 +1,4 @@
-"""Point pair features (Drost et al. 2010) as OpenCV-contrib has them, in a process of their own."""
+"""Point pair features (Drost et al. 2010) of OpenCV-contrib, in a separate process."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from huepose.model import ReferenceModel
 from huepose.support.errors import InputError
 
 _MM = np.array([1000.0] * 3 + [1.0] * 3)
-"""Of points and normals (6,): from metres to millimetres; normals stay as they are."""
+"""Factors of points and normals (6,): points from metres to millimetres; normals unchanged."""
 
 
 class PointPairFeatures:
-    """python: that of the environment made by `make_env.sh`."""
+    """python: the interpreter of the environment made by `make_env.sh`."""
 
     def __init__(self, python: Path) -> None:
         if not python.exists():
@@ -34,7 +34,7 @@ class PointPairFeatures:
         )
 
     def prepare(self, model: ReferenceModel) -> None:
-        """Train on the surface samples, sparser."""
+        """Train on the averaged surface samples."""
         self._ask("train", model.name, _oriented(model_cloud(model).voxel_down_sample(voxel_m(model) / 2)))
 
     def pose(self, model: ReferenceModel, seen: Seen) -> tuple[Float64, float, float] | None:

@@ -1,4 +1,4 @@
-"""Point pair features of OpenCV-contrib, in an environment of its own: pickled requests in, answers out.
+"""Point pair features of OpenCV-contrib, in a separate environment: pickled requests in, answers out.
 
 Run by `ppf_rival.py` with the Python of `make_env.sh`; needs numpy and opencv-contrib only. Lengths in mm.
 """
@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 SAMPLING = 0.08
-"""Of the diameter. With the usual 0.05 the hash table of a box takes minutes to fill: its sides are alike."""
+"""In diameters. With the usual 0.05 the hash table of a box takes minutes to fill: its sides are similar."""
 
 
 def main() -> None:

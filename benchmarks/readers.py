@@ -1,5 +1,5 @@
-"""What the poses cost their sender, by the number of readers: five poses at 30 Hz over sockets, as the
-tracker sends them."""
+"""CPU time of the sender of poses, by the number of readers: five poses at 30 Hz over sockets, as the tracker
+sends them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from huepose_protos.messages import PoseMessage
 from huepose_services.runtime.session import zenoh_config
 
 POSES, RATE_HZ, SECONDS = 5, 30.0, 6.0
-"""Objects whose poses are published, how often, and for how long."""
+"""Number of objects whose poses are published, rate, and duration."""
 
 READERS_COME_S = 12.0
 """Time for all readers to subscribe."""
@@ -28,7 +28,7 @@ _KEY = "huepose/growth/pose"
 
 
 def readers(counts: Sequence[int]) -> dict[str, list[tuple[float, float]]]:
-    """CPU milliseconds a second of the sender, at so many readers, each with a session of its own."""
+    """CPU milliseconds per second of the sender, by the number of readers, each with its own session."""
     curves: dict[str, list[tuple[float, float]]] = {"send five poses": []}
     context = multiprocessing.get_context("spawn")
     for count in progress(counts, "readers"):
@@ -49,7 +49,7 @@ def readers(counts: Sequence[int]) -> dict[str, list[tuple[float, float]]]:
 
 
 def sent_ms(there: str) -> float:
-    """CPU milliseconds a second of a process that sends poses, after its readers had time to come."""
+    """CPU milliseconds per second of a process that sends poses, after its readers had time to subscribe."""
     session = zenoh.open(zenoh_config([there], []))
     publishers = [session.declare_publisher(f"{_KEY}/{k}") for k in range(POSES)]
     time.sleep(READERS_COME_S)

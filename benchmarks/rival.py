@@ -1,4 +1,4 @@
-"""What all single-frame rivals have in common: they are given masked points and return a pose.
+"""What all single-frame baselines share: they get masked points and return a pose.
 
 Each is wrapped as an estimator, so that HuePose's own evaluation runs it on the same instances, in the same
 disturbed boxes, with the same masks and the same labels, and counts its CPU time per object.
@@ -20,7 +20,7 @@ from huepose.model import ReferenceModel
 from huepose.perception.embedded import DepthSegmenter
 
 FEWEST_POINTS = 30
-"""Of a mask with depth, for the rival to be asked."""
+"""Fewest pixels with depth in a mask for which the baseline is run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +32,10 @@ class Seen:
 
 
 class Rival(Protocol):
-    """A method that is compared with. `pose` returns T_cam_obj (4, 4), a fitness, and the CPU seconds that it
-    took; None for no pose."""
+    """A baseline. `pose` returns T_cam_obj (4, 4), a fitness, and its CPU seconds; None for no pose."""
 
     def prepare(self, model: ReferenceModel) -> None:
-        """What is done once per object; not counted."""
+        """Preparation, once per object; not counted."""
         ...
 
     def pose(self, model: ReferenceModel, seen: Seen) -> tuple[Float64, float, float] | None:
@@ -46,7 +45,7 @@ class Rival(Protocol):
 
 @dataclass(eq=False)
 class RivalEstimator:
-    """A rival as an estimator. cpu_s: one value an object, without the segmenter, which all share."""
+    """A baseline as an estimator. cpu_s: one value per object, without the segmenter, which all share."""
 
     rival: Rival
     models: Mapping[str, ReferenceModel]
@@ -57,10 +56,10 @@ class RivalEstimator:
         self._prepared: set[str] = set()
 
     def warm_up(self) -> None:
-        """Nothing: an object is prepared when it is first asked for, which is not counted."""
+        """Does nothing: an object is prepared at its first query, which is not counted."""
 
     def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
-        """One answer a query, from its mask or the segmenter's best one."""
+        """One answer per query, from its mask or the segmenter's best one."""
         return [self._one(frame, query) for query in queries]
 
     def _one(self, frame: RgbdFrame, query: ObjectQuery) -> PoseEstimate:
@@ -73,9 +72,9 @@ class RivalEstimator:
             masks = list(self._segmenter.segment(frame, query.box, model.diameter_m))
         found = None
         if masks:
-            seen = seen_under(frame, masks[0])
-            if len(seen.points_cam) >= FEWEST_POINTS:
-                found = self.rival.pose(model, seen)
+            points = seen_under(frame, masks[0])
+            if len(points.points_cam) >= FEWEST_POINTS:
+                found = self.rival.pose(model, points)
         if found is None:
             self.cpu_s.append(0.0)
             return answer(query, None, 0.0)
@@ -86,20 +85,20 @@ class RivalEstimator:
 
 @dataclass(eq=False)
 class Ours:
-    """HuePose's own estimator with its CPU time counted per object, its segmenter included. together: all
-    objects of a frame are asked for in one call, so that they compete for its depth; else each alone, as the
-    rivals are."""
+    """HuePose's estimator with its CPU time counted per object, including its segmenter. together: all
+    objects of a frame are estimated in one call, so that they compete for its depth; else each alone, like
+    the baselines."""
 
     estimator: Estimator
     together: bool = False
     cpu_s: list[float] = field(default_factory=list)
 
     def warm_up(self) -> None:
-        """Compile the kernels and read the objects, which is not counted."""
+        """Compile the kernels and load the objects, which is not counted."""
         self.estimator.warm_up()
 
     def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
-        """One answer a query."""
+        """One answer per query."""
         answers = []
         for asked in [queries] if self.together else [[query] for query in queries]:
             start = time.process_time()
@@ -117,7 +116,7 @@ def seen_under(frame: RgbdFrame, mask: np.ndarray) -> Seen:
 
 
 def answer(query: ObjectQuery, T_cam_obj: Float64 | None, fitness: float) -> PoseEstimate:
-    """A pose in the form in which it is evaluated."""
+    """A pose as an estimate, for the evaluation."""
     found = T_cam_obj is not None
     return PoseEstimate(
         query.object, query.instance, found, T_cam_obj, float(np.clip(fitness, 0.0, 1.0)),

@@ -1,4 +1,4 @@
-"""Ten minutes of the built-in scene: rate and gaps of poses, their age, and whether memory stays flat.
+"""Ten minutes of the built-in scene: rate and gaps of poses, their age, and whether memory grows.
 
 python -m benchmarks.soak [--minutes 10] [--json FILE] [--memory PNG]
 """
@@ -26,7 +26,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="A long run on the built-in scene.")
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--json", type=Path)
-    parser.add_argument("--memory", type=Path, help="a picture of each worker's memory over time")
+    parser.add_argument("--memory", type=Path, help="a plot of each worker's memory over time")
     arguments = parser.parse_args()
     with LivePipeline() as pipeline:
         if not pipeline.wait_until_steady(3, 240.0):
@@ -61,7 +61,7 @@ def main() -> None:
 
 
 def draw(said: Said, start_s: float, path: Path) -> None:
-    """A picture of each worker's memory over the minutes."""
+    """A plot of each worker's memory over the minutes."""
     series = {}
     for worker in dict.fromkeys(m.worker for _, m in said):
         own = [(at, m) for at, m in said if m.worker == worker and at >= start_s]
@@ -71,7 +71,7 @@ def draw(said: Said, start_s: float, path: Path) -> None:
 
 
 def pose_figures(poses: list[SeenPose], start: float, end: float) -> dict[str, Any]:
-    """Rate of frames with poses, the times between them, ages, and how many were wrong."""
+    """Rate of frames with poses, the gaps between them, ages, and the number of wrong poses."""
     gaps = np.array(gaps_s(poses, start, end)) * 1000.0
     ages = np.array([p.age_ms for p in poses])
     tracking = [p for p in poses if p.state == "TRACKING"]

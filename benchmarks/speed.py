@@ -1,10 +1,10 @@
-"""Has a stage become slower? Its CPU time, divided by that of fixed work beside it, and what it was.
+"""Has a stage become slower? Compares its CPU time, divided by that of fixed work, with the known ratio.
 
     OMP_NUM_THREADS=1 .venv/bin/python -m benchmarks.speed [--only track estimate detect]
 
-Other load slows both. The least of many rounds is compared, for nothing makes work faster than it is.
-It exits with 1 when a stage costs more than ALARM times what it did. After a change that is meant to
-cost more or less, or on another processor, put what this says into RATIOS.
+Other load slows both. The minimum of many rounds is compared, since load can only make work slower. It exits
+with 1 if a stage costs more than ALARM times the known ratio. After a change that is meant to cost more or
+less, or on another processor, enter the printed ratios in RATIOS.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ RATIOS = {
     "rocketlake": {"track": 2.8, "estimate": 5.0, "detect": 5.5},
     "znver3": {"track": 2.7, "estimate": 4.4, "detect": 6.2},
 }
-"""CPU time of ten steps with two objects, one estimate, a search for two that are absent, in units of the
-fixed work: on processors by LLVM's names, which do it and the stages at other ratios."""
+"""CPU time of ten steps with two objects, of one estimate, and of a search for two absent objects, in units
+of the fixed work; by processor (LLVM's names), since the ratios differ between processors."""
 
 STAGES = ["track", "estimate", "detect"]
 
 ALARM = 1.2
 ROUNDS, MOST_ROUNDS = 8, 40
-"""At least and, while there is an alarm, at most."""
+"""Least number of rounds; largest number, while there is an alarm."""
 
 Work = Callable[[], object]
 
 
 def fixed_work() -> Work:
-    """What the library is made of, and no line of it: filters, products, sorting, elementary functions."""
+    """Work like the library's, without any of its code: filters, products, sorting, elementary functions."""
     rng = np.random.default_rng(0)
     image = rng.random((480, 640, 3), dtype=np.float32)
     values, matrix = rng.random(60_000), rng.random((150, 150))
@@ -62,7 +62,7 @@ def fixed_work() -> Work:
 
 
 def stages() -> dict[str, Work]:
-    """What is watched, each on one thread."""
+    """The measured stages, each on one thread."""
     models, settings = copies(4), profile("live")
     seen = dict(list(models.items())[:2])
     frames = [picture(seen, 2, i) for i in range(11)]
@@ -87,7 +87,7 @@ def stages() -> dict[str, Work]:
 
 
 def measured(works: Mapping[str, Work]) -> dict[str, float]:
-    """CPU time of each, in units of the fixed work; of more rounds while one is too slow."""
+    """CPU time of each, in units of the fixed work; with more rounds while one is too slow."""
     fixed = fixed_work()
     for work in works.values():
         work()
@@ -104,7 +104,7 @@ def measured(works: Mapping[str, Work]) -> dict[str, float]:
 
 
 def slowed(work: Work, share: float) -> Work:
-    """The same, which costs so much more."""
+    """The same work with `share` more CPU time."""
 
     def longer() -> None:
         spent_s = _cpu_s(work)
@@ -116,9 +116,9 @@ def slowed(work: Work, share: float) -> Work:
 
 
 def slower(ratios: Mapping[str, float]) -> dict[str, float]:
-    """Those that cost more than they may, as multiples of what they did; none on an unknown processor."""
-    were = RATIOS.get(get_host_cpu_name(), ratios)
-    return {name: found / were[name] for name, found in ratios.items() if found > ALARM * were[name]}
+    """The stages that cost too much, as multiples of the known ratios; none on an unknown processor."""
+    known = RATIOS.get(get_host_cpu_name(), ratios)
+    return {name: found / known[name] for name, found in ratios.items() if found > ALARM * known[name]}
 
 
 def _cpu_s(work: Work) -> float:
@@ -134,7 +134,7 @@ def main() -> None:
     )
     parser.add_argument("--only", nargs="+", choices=STAGES, default=STAGES)
     parser.add_argument(
-        "--slowed", type=float, default=0.0, metavar="SHARE", help="make them slower by so much"
+        "--slowed", type=float, default=0.0, metavar="SHARE", help="slow the stages down by this share"
     )
     arguments = parser.parse_args()
     cv2.setNumThreads(1)

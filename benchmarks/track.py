@@ -1,4 +1,4 @@
-"""Rivals in tracking and HuePose's tracker on the same sequences in one run, from the true first pose.
+"""Tracking baselines and HuePose's tracker on the same sequences in one run, from the true first pose.
 
 .venv/bin/python benchmarks/track.py --fast-ycb SEQUENCE... --bundles DIR --json OUT.json
 """
@@ -60,12 +60,12 @@ def main() -> None:
             write_json(arguments.json, record)
             print(rows[-1], flush=True)
     names = [scene.name for scene in scenes]
-    heading = ["method", "every", "AUC ADD", "AUC ADD-S", "all frames", "95 %", "ms a frame", *names]
+    heading = ["method", "every", "AUC ADD", "AUC ADD-S", "all frames", "95 %", "ms per frame", *names]
     print(table(heading, rows))
 
 
 def _run(scenes: list[Scene], targets: Targets, name: str, every: int) -> dict[str, Any]:
-    """Figures of one method: the mean over sequences, and of all frames with the interval."""
+    """Figures of one method: the mean over sequences, and over all frames with the interval."""
     result = evaluate_tracking(
         scenes,
         targets,
@@ -86,7 +86,7 @@ def _run(scenes: list[Scene], targets: Targets, name: str, every: int) -> dict[s
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="Rivals in tracking and HuePose on the same sequences.")
+    parser = argparse.ArgumentParser(description="Tracking baselines and HuePose on the same sequences.")
     parser.add_argument("--fast-ycb", type=Path, nargs="+", required=True, metavar="SEQ_DIR")
     parser.add_argument("--bundles", type=Path, required=True, metavar="DIR")
     parser.add_argument("--json", type=Path, required=True, metavar="FILE")

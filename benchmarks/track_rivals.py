@@ -1,8 +1,8 @@
-"""Rivals in tracking: each starts from the pose that it is given and knows nothing but the last one or two.
+"""Tracking baselines: each starts from a given pose and uses only its last one or two poses.
 
-Careful ICP: projective point-to-plane on the visible model surface, culled anew in every iteration, Tukey
-weights, a gate on distance and normals, damped; with or without constant velocity. Colour ICP: Open3D's
-(Park et al. 2017). Flow: DIS flow filtered by colour pairs, Kabsch, no refinement at all.
+Careful ICP: projective point-to-plane on the visible model surface, which is found again in every iteration,
+Tukey weights, a gate on distance and normals, damping; with or without constant velocity. Colour ICP:
+Open3D's (Park et al. 2017). Flow: DIS flow filtered by colour pairs, Kabsch, no refinement.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ Step = Callable[[ReferenceModel, Float64, RgbdFrame | None, RgbdFrame], Float64]
 
 @dataclass(eq=False)
 class LastPoseTracker:
-    """A tracker out of one step: (model, start pose, frame before, frame) to a pose. It never says that it
-    is lost. constant_velocity: the start is the last pose moved on by the last motion."""
+    """A tracker made of one step function: (model, start pose, frame before, frame) to a pose. It never
+    reports that it is lost. constant_velocity: the start is the last pose, moved by the last motion."""
 
     models: Mapping[str, ReferenceModel]
     advance: Step
@@ -43,14 +43,14 @@ class LastPoseTracker:
     _before: RgbdFrame | None = None
 
     def correct(self, correction: Correction) -> Applied:
-        """Takes a pose for the frame that comes next."""
+        """Use this pose for the next frame."""
         key = (correction.object, correction.instance)
         self._poses[key] = [correction.T_cam_obj]
         self._fresh.add(key)
         return Applied.APPLIED
 
     def step(self, frame: RgbdFrame) -> Sequence[TrackedPose]:
-        """All objects of one frame."""
+        """The poses of all objects in one frame."""
         for key, poses in self._poses.items():
             if key in self._fresh:
                 continue
@@ -71,14 +71,14 @@ class LastPoseTracker:
 
 
 def shown(surface: Surface, T: Float64) -> Int32:
-    """The samples that the view shows which is nearest to a pose."""
+    """The samples that are visible in the model's view nearest to a pose."""
     towards = -(T[:3, :3].T @ T[:3, 3])
     view = int(np.argmax(surface.directions @ (towards / np.linalg.norm(towards))))
     return surface.visible[surface.offsets[view] : surface.offsets[view + 1]]
 
 
 def careful_icp(model: ReferenceModel, T: Float64, before: RgbdFrame | None, frame: RgbdFrame) -> Float64:
-    """15 damped Gauss-Newton steps with the gate closing from 3 cm to 6 mm."""
+    """15 damped Gauss-Newton steps with a gate from 3 cm down to 6 mm."""
     camera, surface = frame.camera, model.surface
     for gate in np.geomspace(0.03, 0.006, 15):
         seen = shown(surface, T)[:800]
@@ -103,13 +103,12 @@ def careful_icp(model: ReferenceModel, T: Float64, before: RgbdFrame | None, fra
         information = (jacobian * weight[:, None]).T @ jacobian
         damping = 1e-3 * np.trace(information[:3, :3]) * np.diag([1, 1, 1, *[model.diameter_m**2 / 8] * 3])
         x = np.linalg.solve(information + damping, (jacobian * weight[:, None]).T @ r)
-        turned = se3.rotation_exp(x[3:]) @ T[:3, :3]
-        T = se3.make(turned, T[:3, 3] + x[:3])
+        T = se3.make(se3.rotation_exp(x[3:]) @ T[:3, :3], T[:3, 3] + x[:3])
     return T
 
 
 def _normals(frame: RgbdFrame, rows: Any, columns: Any, expected: Float64) -> Float64:
-    """Cosine (N,) between expected normals and those of the depth image; 1 where depth gives none."""
+    """Cosine (N,) between expected normals and those of the depth image; 1 without a normal from depth."""
 
     def point(dr: int, dc: int) -> tuple[Float64, Any]:
         z = frame.depth[rows + dr, columns + dc].astype(np.float64)
@@ -128,7 +127,7 @@ def color_icp(model: ReferenceModel, T: Float64, before: RgbdFrame | None, frame
     seen = shown(surface, T)
     rgb = cv2.cvtColor(surface.lab[0, seen][None].astype(np.float32), cv2.COLOR_Lab2RGB)[0]
     pixels = frame.camera.project(se3.apply(T, surface.points[seen].astype(np.float64)))
-    # Light: the texture's colours are brought to the brightness and tint of the pixels where they should lie.
+    # Light: scale the texture's colours to the brightness and tint of the pixels at the pose.
     inside = np.isfinite(pixels).all(1)
     if not inside.any():
         return T
@@ -165,7 +164,7 @@ def _cloud(points: Any, colors: Any) -> Any:
 
 
 def flow_pairs(model: ReferenceModel, T: Float64, before: RgbdFrame | None, frame: RgbdFrame) -> Float64:
-    """Motion of colour pairs by flow, added to the last pose."""
+    """The last pose moved by the motion of colour pairs, from flow."""
     if before is None:
         return T
     mask = render_depth(model.mesh, T, before.camera) > 0

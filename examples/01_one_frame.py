@@ -1,4 +1,4 @@
-"""One frame, one answer: which of the known objects are in a picture, and where.
+"""One frame: which of the known objects are in it, and where.
 
 huepose new tea_box examples/tea_box.obj
 python examples/01_one_frame.py tea_box
@@ -21,7 +21,7 @@ try:
 except InputError as error:  # says what to do
     sys.exit(str(error))
 
-places = ViewDetector(models).detect(frame, sorted(models))  # needs no training; or boxes of your own
+places = ViewDetector(models).detect(frame, sorted(models))  # needs no training; or use your own boxes
 queries = [ObjectQuery(place.object, place.box, searched=True) for place in places]
 for pose in Estimator(models).estimate(frame, queries):
     if pose.T_cam_obj is not None:

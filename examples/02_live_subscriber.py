@@ -1,4 +1,4 @@
-"""Poses as they come, from a pipeline on this machine or behind a gateway.
+"""Print poses as they arrive, from a pipeline on this machine or behind a gateway.
 
 huepose up tea_box/pipeline.yaml                              # in another terminal
 python examples/02_live_subscriber.py [tcp/robot.local:7447]
@@ -16,8 +16,8 @@ try:
         while True:
             pose = client.next(timeout_s=3.0)
             if pose is not None:
-                seen = (pose.object, pose.instance, pose.state, f"{pose.quality:.2f}", pose.translation)
-                print(*seen, flush=True)
+                fields = (pose.object, pose.instance, pose.state, f"{pose.quality:.2f}", pose.translation)
+                print(*fields, flush=True)
             else:
                 print(client.why_silent(), file=sys.stderr, flush=True)
 except KeyboardInterrupt:

@@ -1,9 +1,10 @@
-"""A pick loop: act on a pose only when it may be acted on and the object has come to rest.
+"""A pick loop: act on a pose only if it is TRACKING and the object has come to rest.
 
 huepose up tea_box/pipeline.yaml
 python examples/03_pick_when_still.py tea_box [tcp/robot.local:7447]
 
-The drawn scene of `huepose new` never rests: there it says so until Ctrl-C. With a camera it ends.
+The rendered scene of `huepose new` never comes to rest: there it prints this until Ctrl-C. With a camera it
+ends.
 """
 
 import sys
@@ -15,20 +16,20 @@ import numpy as np
 from huepose_protos import PoseClient
 from huepose_protos.local import pose_endpoints
 
-STILL_S, STILL_M = 0.5, 0.003  # so long within so little: choose what your gripper forgives
+STILL_S, STILL_M = 0.5, 0.003  # at rest: moves less than this distance in this time; choose for your gripper
 SAY_EVERY_S = 3.0
 
 
 def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
-    """T_parent_obj where somebody says where the camera is on the robot, else T_cam_obj. A camera on a hand
-    is waited for until its place is known at that moment. A camera that moves, and of which nobody ever says
-    where it is, looks the same from here as a fixed one that has no mount: then too it is T_cam_obj."""
+    """T_parent_obj if the camera's pose on the robot is given, else T_cam_obj. For a camera on a hand it
+    waits until the camera pose is known for that moment. A moving camera whose pose is never given cannot be
+    distinguished from a fixed one without a mount: then T_cam_obj is returned, too."""
     if client.camera(5.0) is None:
-        sys.exit(f"no camera says where it is: {client.why_silent()}")
+        sys.exit(f"no camera: {client.why_silent()}")
     began, start, say_at = 0.0, None, time.monotonic() + SAY_EVERY_S
-    mounted = False  # where the camera is was said, if only once
+    mounted = False  # the camera pose was given at least once
     while True:
-        now = client.at(object=name)  # where it is at this moment; None where nothing is known that is new
+        now = client.at(object=name)  # the pose predicted to now; None without a recent pose
         sure = now is not None and now.state == "TRACKING"
         mounted = mounted or client.camera().mount is not None or (sure and now.T_parent_obj is not None)
         placed = sure and (now.T_parent_obj is not None or not mounted)
@@ -38,11 +39,11 @@ def wait_until_still(client: PoseClient, name: str) -> np.ndarray:
             return now.T_parent_obj if mounted else now.T_cam_obj
         if time.monotonic() > say_at:
             say_at += SAY_EVERY_S
-            why = "it moves" if placed else "nobody says where the camera is now"
-            why = why if sure else "no pose of it may be acted on"
-            known = client.looked_for()  # None where nobody says
+            why = "it moves" if placed else "the camera pose is not known now"
+            why = why if sure else "none of its poses is TRACKING"
+            known = client.looked_for()  # None without an answer
             if known is not None and name not in known:
-                why = f"{name} is not looked for; what is: {', '.join(known) or 'nothing'}"
+                why = f"{name} is not searched for; searched for: {', '.join(known) or 'nothing'}"
             print("waiting:", why, file=sys.stderr)
         time.sleep(0.02)
 

@@ -1,9 +1,9 @@
-"""A camera of your own in a pipeline: a file with `frames()`, named in pipeline.yaml.
+"""Your own camera in a pipeline: a file with `frames()`, named in pipeline.yaml.
 
     camera: {source: python, path: ../examples/04_own_camera.py}   # in tea_box/pipeline.yaml
 
-This one gives the frame of `huepose new` thirty times a second, with new noise each time; put your driver in
-its place. The frame is read from the folder `tea_box` beside `examples`, or from $FRAME_FOLDER.
+This one gives the frame of `huepose new` thirty times a second, each time with new noise; replace it with
+your driver. The frame is read from the folder `tea_box` beside `examples`, or from $FRAME_FOLDER.
 """
 
 import os
@@ -25,7 +25,7 @@ def frames() -> Iterator[RgbdFrame]:
     due_s = time.monotonic()
     while True:
         due_s += 1 / 30
-        time.sleep(max(0.0, due_s - time.monotonic()))  # your driver waits for its next picture here
+        time.sleep(max(0.0, due_s - time.monotonic()))  # your driver waits for its next image here
         captured_ns = time.monotonic_ns()
         noise = rng.integers(-3, 4, still.color.shape, np.int16)
         color = (still.color + noise).clip(0, 255).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""A detector of your own: whatever gives boxes will do. This one looks for the colours of the object.
+"""Your own detector: anything that gives boxes. This one searches for the colours of the object.
 
 huepose new tea_box examples/tea_box.obj
 python examples/05_own_detector.py tea_box
@@ -17,11 +17,11 @@ from huepose.perception.types import Detection
 from huepose.support.errors import InputError
 
 BINS, RANGES = [32, 32], [0, 256, 0, 256]
-PLACES = 8  # boxes for each object: colours alone find the right one seldom at once, the pose tells
+PLACES = 8  # boxes for each object: by colours alone the first is seldom right; the pose decides
 
 
 class ByColour:
-    """The boxes, of the size that the object has at their distance, in which its colours are commonest."""
+    """The boxes with the largest share of the object's colours; size: the object's at their distance."""
 
     def __init__(self, models: dict[str, ReferenceModel]) -> None:
         self.models = models

@@ -1,6 +1,6 @@
-"""A topic of ROS 2 of your own, without ROS on this machine: the newest pose of one object to act on.
+"""Your own ROS 2 topic, without ROS on this machine: the newest pose of one object, if it is TRACKING.
 
-For all objects with /tf and detections there is the worker `ros2` (docs/ros2.md). On the robot:
+The worker `ros2` publishes all objects, with /tf and detections (docs/ros2.md). On the robot:
 
     ros2 run rmw_zenoh_cpp rmw_zenohd
     ros2 topic echo /pick/target

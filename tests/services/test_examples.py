@@ -239,7 +239,7 @@ def test_nothing_is_picked_while_nobody_says_where_a_camera_on_a_hand_is(base_po
             picked, _ = picker.communicate(timeout=30.0)
         finally:
             picker.terminate()
-    assert waiting == "waiting: nobody says where the camera is now\n"
+    assert waiting == "waiting: the camera pose is not known now\n"
     assert picker.returncode == 0
     assert [float(n) for n in re.findall(r"\d\.\d*", picked)] == pytest.approx([0.1, 0.2, 1.05])
 
@@ -268,7 +268,7 @@ def test_a_name_that_is_not_looked_for_is_said_with_those_that_are(base_port: in
     inside, outside = (f"tcp/127.0.0.1:{base_port + k}" for k in (0, 1))
     with listed(inside, outside=False), listed(outside, outside=True):
         lines = first_words(*(example("03_pick_when_still.py", "crton", at) for at in (inside, outside)))
-    assert lines == ["waiting: crton is not looked for; what is: carton, tea_box\n"] * 2
+    assert lines == ["waiting: crton is not searched for; searched for: carton, tea_box\n"] * 2
 
 
 @pytest.mark.live

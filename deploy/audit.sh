@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Asks the databases of known holes about every package of the lock that an installation can have, by hash.
-# It needs the network, and what it finds changes from day to day: it is no part of the tests.
+# Checks every locked package that an installation can have, by hash, against databases of known vulnerabilities.
+# It needs the network, and its results change from day to day: it is not part of the tests.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 UV=.tools/uv-$(sed -n 's/^uv==\([0-9.]*\).*/\1/p' deploy/uv.txt)/bin/uv

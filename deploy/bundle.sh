@@ -1,14 +1,14 @@
 #!/usr/bin/env bash
-# Makes build/bundle/huepose-VERSION-ARCH-pyX.Y.tar for each target: wheels of HuePose and of all that it needs, as
-# locked, uv, the installer and its files. What it holds is installed without internet:
+# Makes build/bundle/huepose-VERSION-ARCH-pyX.Y.tar for each target: wheels of HuePose and of all locked packages that
+# it needs, uv, the installer and its files. It is installed without internet:
 #   tar xf huepose-*.tar && sudo huepose-*/install.sh
 #   deploy/bundle.sh [TARGET...]    a target is x86_64-3.10, aarch64-3.12 and so on (default: both of each)
-#   EXTRAS="edge" deploy/bundle.sh  leaves out what is not needed (default: edge viewer realsense oak ros2 secure)
+#   EXTRAS="edge" deploy/bundle.sh  only these extras (default: edge viewer realsense oak ros2 secure)
 set -euo pipefail
 cd "$(dirname "$0")/.."
 UV=$PWD/.tools/uv-$(sed -n 's/^uv==\([0-9.]*\).*/\1/p' deploy/uv.txt)/bin/uv
 PYTHON=$PWD/.venv/bin/python
-# The Python that the environment was made from has pip, as `make setup` needs it.
+# The Python from which .venv was made has pip: `make setup` needs it.
 PIP=("$("$PYTHON" -c 'import sys; print(sys._base_executable)')" -m pip)
 OUT=$PWD/build/bundle
 targets=("${@:-}")
@@ -25,7 +25,7 @@ flags=()
 for extra in $extras; do flags+=(--extra "$extra"); done
 "$UV" export --frozen --quiet --no-dev --no-emit-project "${flags[@]}" > "$work/locked.txt"
 
-# The oldest system that all wheels of the lock fit: Ubuntu 22.04 (JetPack 6), glibc 2.35.
+# The oldest supported system: all locked wheels fit Ubuntu 22.04 (JetPack 6), glibc 2.35.
 glibc=35
 for target in "${targets[@]}"; do
     arch=${target%-*} python=${target#*-}
@@ -35,7 +35,7 @@ for target in "${targets[@]}"; do
     name=huepose-$version-$arch-py$python
     folder=$work/$name
     mkdir -p "$folder/wheels"
-    # Of the lock, what this target needs: markers are those of the target, not of this machine.
+    # The locked packages that this target needs: environment markers of the target, not of this machine.
     "$UV" pip compile --quiet --no-deps --no-header --no-annotate --generate-hashes --only-binary :all: \
         --python-version "$python" --python-platform "$arch-manylinux_2_$glibc" \
         "$work/locked.txt" -o "$folder/requirements.txt"
@@ -47,14 +47,14 @@ for target in "${targets[@]}"; do
             --implementation cp --python-version "$python" "${platforms[@]}" "$@"
     }
     fetch -r "$folder/requirements.txt" -d "$folder/wheels"
-    # The installer's own tool: it makes environments where Python has no pip.
+    # uv, for the installer: it makes environments even if Python has no pip.
     fetch -r deploy/uv.txt -d "$work/uv-$arch"
     unzip -q -o -j "$work/uv-$arch"/uv-*.whl '*/scripts/uv' -d "$folder"
     chmod 755 "$folder/uv"
     cp "$work/own/$wheel" "$folder/wheels/"
     cp deploy/jetson/install.sh deploy/jetson/70-huepose-cameras.rules pipeline.yaml "$folder/"
     printf '%s\n' "$version" > "$folder/VERSION"
-    # All that is needed there is in it, and fits.
+    # Check that the bundle is complete and fits the target.
     "$UV" pip install --quiet --dry-run --offline --no-index --find-links "$folder/wheels" --target "$work/none" \
         --python-version "$python" --python-platform "$arch-manylinux_2_$glibc" "huepose[${extras// /,}]==$version"
     mkdir -p "$OUT"

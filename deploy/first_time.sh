@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# What a computer does once with the .venv of deploy/setup.sh: compiles the kernels, learns the built-in objects and
-# draws their scene. Does nothing where it is done.
+# Run once on each computer after deploy/setup.sh: compiles the kernels, onboards the built-in objects and renders
+# their scene. Does nothing if this is done.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-# Compiled for the code as it is: again where a file of it is newer.
+# Compile again if a source file is newer.
 if [ ! -e .venv/.compiled ] || [ -n "$(find huepose services -name '*.py' -newer .venv/.compiled -print -quit)" ]; then
-    echo "setup: compiling, learning the built-in objects and drawing their scene: three to five minutes of a processor, once for each computer and version"
+    echo "setup: compiling, onboarding the built-in objects and rendering their scene: three to five minutes of CPU time, once for each computer and version"
     .venv/bin/python -m huepose_services.first_time
     touch .venv/.compiled
 fi

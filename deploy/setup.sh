@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Makes .venv with everything of `edge`, `onboard`, `viewer`, `ros2`, `secure`, `docs`, both cameras and `dev`, where there is only Python, pip and apt.
+# Makes .venv with `edge`, `onboard`, `viewer`, `ros2`, `secure`, `docs`, both cameras and `dev`. It needs only Python, pip and apt.
 # Idempotent: a second call with nothing to do takes about a second.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -9,7 +9,7 @@ UV=.tools/uv-$UV_VERSION
 
 fail() { printf 'setup: %s\n' "$*" >&2; exit 2; }
 
-# A Python is found by running it: a launcher of that name may exist and still fail.
+# Candidates are run, not only looked up: a launcher with that name may exist and fail.
 find_python() {
     for name in "${PYTHON:-}" python3.11 python3.12 python3.10 python3; do
         [ -n "$name" ] || continue
@@ -22,7 +22,7 @@ find_python() {
 # Shared libraries that the wheels expect from the system.
 system_libraries() {
     local missing=() row known
-    # Debian has ldconfig in a folder that is not on an ordinary user's path.
+    # On Debian, ldconfig is in a folder that is not on a normal user's PATH.
     known=$(PATH=$PATH:/usr/sbin:/sbin ldconfig -p)
     for row in libusb-1.0.so.0:libusb-1.0-0 libudev.so.1:libudev1 libGL.so.1:libgl1 libEGL.so.1:libegl1 \
                libX11.so.6:libx11-6 libidn2.so.0:libidn2-0 libgomp.so.1:libgomp1; do
@@ -44,14 +44,14 @@ system_libraries() {
 system_libraries
 python=$(find_python)
 if [ ! -x "$UV/bin/uv" ]; then
-    echo "setup: fetching uv $UV_VERSION"
+    echo "setup: downloading uv $UV_VERSION"
     PIP_ROOT_USER_ACTION=ignore "$python" -m pip install --quiet --disable-pip-version-check --target "$UV" --no-deps --only-binary :all: \
         --require-hashes -r deploy/uv.txt \
-        || fail "pip could not fetch uv $UV_VERSION: is the package index reachable?"
+        || fail "pip could not download uv $UV_VERSION: is the package index reachable?"
 fi
-[ -e .venv/.compiled ] || echo "setup: installing packages into .venv, 2.5 GB on the disk (what pip or uv keeps in its cache is not fetched again)"
+[ -e .venv/.compiled ] || echo "setup: installing packages into .venv, 2.5 GB on disk (packages in the cache of pip or uv are not downloaded again)"
 export UV_PYTHON_DOWNLOADS=never
-# As pip does: a company's proxy has its certificate in the system's store.
+# Like pip, use the system's certificate store: it has the certificate of a company's proxy.
 [ ! -e /etc/ssl/certs/ca-certificates.crt ] || export UV_SYSTEM_CERTS="${UV_SYSTEM_CERTS:-true}"
 "$UV/bin/uv" sync --frozen --quiet --python "$python" \
     --extra edge --extra onboard --extra viewer --extra realsense --extra oak --extra secure --extra ros2 --extra docs --group dev

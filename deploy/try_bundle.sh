@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
-# Installs a bundle for real: in a Debian of its own whose systemd is process 1 and which has no network. There it is
-# installed, runs, reads its file again, is killed, upgraded, upgraded to a version that never gets ready (and rolls
-# back), rolled back by hand, uninstalled, and nothing is left. Needs root, mmdebstrap and systemd-nspawn; ends with 77
-# where it has them not.
+# Tests a bundle in a Debian container with systemd as process 1 and without network: install, reload of the
+# configuration, killed worker, upgrade, upgrade to a version that never gets ready (it is rolled back), rollback by
+# hand, and uninstall, after which nothing is left. Needs root, mmdebstrap and systemd-nspawn; without them it exits
+# with 77.
 #   deploy/try_bundle.sh build/bundle/huepose-VERSION-x86_64-py3.11.tar [FOLDER]
-# FOLDER keeps the Debian for the next time. CACHE=~/.cache/huepose: what the built-in scene would have to compute first.
+# FOLDER keeps the Debian for the next run. CACHE=~/.cache/huepose: spares the first computations of the built-in scene.
 set -euo pipefail
 bundle=$(realpath "${1:?which bundle?}")
 [ "$(id -u)" -eq 0 ] || { echo "try_bundle: this needs root" >&2; exit 77; }
@@ -33,7 +33,7 @@ kept=${2:-}
 mkdir -p "$root/root/new" "$root/root/broken" "$root/var/cache/huepose/huepose"
 tar -C "$root/root/new" --strip-components=1 -xf "$bundle"
 cp -a "$root/root/new/." "$root/root/broken/"
-# A version whose workers die as they start: one of the packages is not what it says it is.
+# A broken version, whose workers fail at start: a package is missing.
 sed -i '/^opencv-python-headless/,/[^\\]$/d' "$root/root/broken/requirements.txt"
 printf 'camera: {source: synthetic}\n' > "$root/root/pipeline.yaml"
 [ -z "${CACHE:-}" ] || cp -a "$CACHE/." "$root/var/cache/huepose/huepose/"
@@ -72,13 +72,13 @@ must said 'max_age_ms (300.0 > 250.0)'
 must said 'changes that wait for the next start: tracker.history_frames (20 > 30)'
 must active
 must test "$(pid tracker)" = "$old"
-say "reloaded: what can be is taken over, the rest is named"
+say "reloaded: changes were applied if possible, the others were named"
 
 inside kill -9 "$old"
 for _ in $(seq "$within"); do [ "$(pid tracker)" != "$old" ] && active && break; sleep 1; done
 must active
 must test "$(pid tracker)" != "$old"
-say "the tracker was killed, and is ready again"
+say "the tracker was killed and is ready again"
 
 inside sh -c 'echo "# mine" >> /etc/huepose/pipeline.yaml'
 sleep 1
@@ -94,7 +94,7 @@ if inside /root/broken/install.sh --ready-within "${BROKEN_WITHIN:-60}"; then sa
 must test "$(inside readlink /opt/huepose/.venv)" = "$second"
 for _ in $(seq "$within"); do active && break; sleep 1; done
 must active
-say "a version that does not get ready was rolled back"
+say "a version that did not get ready was rolled back"
 
 must inside /root/new/install.sh --rollback --ready-within "$within"
 must test "$(inside readlink /opt/huepose/.venv)" = "$first"

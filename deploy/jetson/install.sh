@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # Installs HuePose as systemd services: a user, /opt/huepose, /etc/huepose/pipeline.yaml, units, udev rules.
-# From the repository, by the lock; from what `make bundle` made, without internet. Where it is installed already, it
-# upgrades: the configuration is kept, and the version before comes back when the new one is not ready in time.
+# From the repository with the locked versions, or from a bundle of `make bundle` without internet. If HuePose is
+# installed, it upgrades: the configuration is kept, and the previous version comes back if the new one is not ready in time.
 #   sudo ./install.sh [--config PIPELINE] [--prefix DIR] [--extras LIST] [--no-start] [--ready-within SECONDS]
-#   sudo ./install.sh --rollback     back to the version before
-#   sudo ./install.sh --udev         only the rules for cameras
+#   sudo ./install.sh --rollback     back to the previous version
+#   sudo ./install.sh --udev         only the udev rules for cameras
 #   sudo ./install.sh --uninstall    units, rules and programs; configuration and data stay
-#   sudo ./install.sh --purge        these as well, and the user
-# --dry-run prints what would be done and changes nothing. Run it again after a change of pipeline.yaml.
+#   sudo ./install.sh --purge        these, configuration, data and the user
+# --dry-run prints what would be done and changes nothing. Run the installer again after a change of pipeline.yaml.
 set -euo pipefail
 here=$(cd "$(dirname "$0")" && pwd)
 bundled=0
@@ -39,13 +39,13 @@ case $prefix in /*) ;; *) fail "--prefix must be an absolute path, not $prefix" 
 case $prefix in /home/* | /root/* | /tmp/*) fail "the services cannot see $prefix; choose a prefix such as /opt/huepose" ;; esac
 case $ready_within in "" | *[!0-9]*) fail "--ready-within is a number of seconds, not $ready_within" ;; esac
 [ -z "$config" ] || [ -f "$config" ] || fail "no configuration $config"
-[ "$dry" = 1 ] || [ "$(id -u)" -eq 0 ] || fail "this needs root: run it with sudo, or look first with --dry-run"
+[ "$dry" = 1 ] || [ "$(id -u)" -eq 0 ] || fail "this needs root: run it with sudo, or try --dry-run first"
 
 run() {
     if [ "$dry" = 1 ]; then printf '  %s\n' "$*"; else "$@"; fi
 }
 
-# systemd may be installed without running, for example in a container.
+# systemd may be installed but not running, for example in a container.
 systemd_runs() { [ "$dry" = 1 ] || [ -d /run/systemd/system ]; }
 
 install_rules() {
@@ -66,7 +66,7 @@ make_user() {
     return 0
 }
 
-# The services cannot see /home and /root, so a Python that lies there does not do.
+# The services cannot see /home and /root, so Python must be elsewhere.
 find_python() {
     local name
     for name in "${PYTHON:-}" python3.11 python3.12 python3.10 python3 /usr/bin/python3.{11,12,10}; do
@@ -78,11 +78,11 @@ print(sys.executable)' 2>/dev/null && return
     fail "no Python 3.10, 3.11 or 3.12 outside of /home and /root. Install one: apt-get install python3"
 }
 
-# Each version lies in a folder of its own, so that the one before can come back; $prefix/.venv leads to the one in use.
+# Each version has its own folder, so that the previous one can come back; $prefix/.venv links to the one in use.
 releases=$prefix/releases release=$prefix/releases/$(date -u +%Y%m%dT%H%M%S)
 in_use() { if [ -L "$prefix/.venv" ]; then dirname "$(readlink "$prefix/.venv")"; fi; }
 
-# With bytecode: the services may not write it, and would compile all that they import at every start.
+# With bytecode: the services may not write it, and would compile all imports at every start.
 install_programs() {
     local python uv flags=() extra
     python=$(find_python)
@@ -105,8 +105,8 @@ install_programs() {
         --no-dev --no-editable --project "$repo" --python "$python" "${flags[@]}"
 }
 
-# Units and the way to the programs, of a release. Nothing of the units of another one stays, and nothing of it goes
-# before its own are there.
+# Activate a release: its units and the link to its programs. The units of the other release are removed only after
+# the new ones exist.
 use() {
     run rm -rf "$1/units"
     run "$1/.venv/bin/huepose" units "$home/pipeline.yaml" --out "$1/units" --user "$user"
@@ -117,7 +117,7 @@ use() {
     if systemd_runs; then
         run systemctl daemon-reload
         [ "$start" = 0 ] || {
-            # A restart of the target would start again all that run, also those that it does not name any more.
+            # A restart of the target alone would also restart workers that it does not name any more.
             run systemctl stop 'huepose@*.service' || true
             run systemctl reset-failed 'huepose@*' || true
             run systemctl enable huepose.target
@@ -134,7 +134,7 @@ remove_units() {
     done
 }
 
-# Whether all workers say that they are ready, within the time that they have.
+# Whether all workers are ready within the given time.
 all_ready() {
     local worker end=$((SECONDS + ready_within))
     if [ "$dry" = 1 ] || [ "$start" = 0 ] || ! systemd_runs; then return 0; fi
@@ -149,14 +149,14 @@ all_ready() {
     done
 }
 
-# A configuration that was given with a version that does not stay does not stay, either.
+# If the new version is rolled back, so is the configuration that was given with it.
 old_config() {
     if [ -n "$config" ] && [ -f "$home/pipeline.yaml.before" ]; then
         run mv "$home/pipeline.yaml.before" "$home/pipeline.yaml"
     fi
 }
 
-# Of the versions before, the last one stays, for --rollback.
+# Remove old versions, except the previous one, for --rollback.
 forget_but() {
     local old
     for old in "$releases"/*; do
@@ -188,7 +188,7 @@ install)
     run "$release/.venv/bin/huepose" validate "$home/pipeline.yaml" || {
         run rm -rf "$release"
         old_config
-        fail "the new version does not take $home/pipeline.yaml${before:+; what was installed runs on}"
+        fail "the new version does not accept $home/pipeline.yaml${before:+; the installed version keeps running}"
     }
     use "$release"
     install_rules
@@ -197,7 +197,7 @@ install)
         old_config
         use "$before"
         run rm -rf "$release"
-        fail "the version before is back"
+        fail "the previous version is back"
     fi
     forget_but "$release" "$before"
     [ "$dry" = 1 ] || echo "installed: systemctl status 'huepose@*', journalctl -fu 'huepose@*', $prefix/.venv/bin/huepose status" ;;
@@ -206,9 +206,9 @@ rollback)
     for old in "$releases"/*; do
         if [ -d "$old" ] && [ "$old" != "$now" ]; then before=$old; fi
     done
-    [ -n "$before" ] || fail "there is no version before"
+    [ -n "$before" ] || fail "there is no previous version"
     run "$before/.venv/bin/huepose" validate "$home/pipeline.yaml" \
-        || fail "the version before does not take $home/pipeline.yaml; what is installed runs on"
+        || fail "the previous version does not accept $home/pipeline.yaml; the installed version keeps running"
     use "$before"
     all_ready || fail "see journalctl -u 'huepose@*'"
     echo "back to $before" ;;

@@ -253,7 +253,7 @@ def test_a_bundle_is_installed_without_a_network_and_checked_by_its_hashes(tmp_p
 def test_there_is_nothing_to_go_back_to_before_an_upgrade():
     done = _install("--dry-run", "--rollback")
     assert done.returncode == 2
-    assert "no version before" in done.stderr
+    assert "no previous version" in done.stderr
 
 
 @pytest.fixture
@@ -304,7 +304,7 @@ def test_where_the_version_before_refuses_the_configuration_the_one_in_use_stays
     done = _roll_back(two_versions)
     assert done.returncode == 2
     assert "newkey: unknown" in done.stderr
-    assert ("what is installed runs on" in done.stderr) == (refuses == "validate")
+    assert ("the installed version keeps running" in done.stderr) == (refuses == "validate")
     assert _files(two_versions / "units") == before
     assert (two_versions / "opt/.venv").readlink() == two_versions / "opt/releases/2/.venv"
     assert not (two_versions / "told").exists()

@@ -1,12 +1,12 @@
-"""Makes docs/images/demo.webp: the demo's scene with the poses that the pipeline publishes of it.
+"""Makes docs/images/demo.webp: the demo's scene with the poses that the pipeline publishes.
 
     .venv/bin/python docs/make_film.py
 
-Runs the workers on the built-in scene as `huepose demo` does, and listens as a subscriber. Left the camera's
-picture with the outline of each model at the pose published of that very frame, in the colour of its state;
-right the models at these poses among the points of the depth image, seen from the side, with the ways that
-they went. It begins a moment before the first object is found. `docs/make_film.py FOLDER` writes single
-pictures as well.
+Runs the workers on the built-in scene as `huepose demo` does, and subscribes to the poses. Left: the camera's
+image with the outline of each model at the pose published for this frame, in the colour of its state. Right:
+the models at these poses with the points of the depth image, from the side, and the paths of the models. The
+film begins half a second before the first object is found. `docs/make_film.py FOLDER` also writes single
+images.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from huepose_services.viewer.show import STATE_COLOURS
 
 SEED, SECONDS, BEFORE_S, EVERY = 0, 6.0, 0.5, 3
 SIZE, LEFT_PX = (880, 428), 507  # of the film and of its left half
-SIDE = Camera(430.0, 430.0, 184.5, 189.5, 370, 380)  # from where the right half is seen
+SIDE = Camera(430.0, 430.0, 184.5, 189.5, 370, 380)  # of the right half
 EYE, LOOK_AT = np.array([0.75, -0.25, 0.35]), np.array([-0.03, 0.02, 0.80])  # m, in the camera's axes
 GROUND: Colour = (20, 22, 27)
 TRAIL = 45  # frames
@@ -51,7 +51,7 @@ Poses = Mapping[str, PoseMessage]
 
 
 def main() -> None:
-    """Run the pipeline, draw what it published, write the film."""
+    """Run the pipeline, draw the published poses, write the film."""
     published = listen()
     scene, models = SyntheticScene(SEED), load_models(builtin_bundles(SEED))
     pictures, trails = [], {name: list[Float64]() for name in models}
@@ -75,7 +75,7 @@ def main() -> None:
 
 
 def listen() -> list[tuple[int, Poses]]:
-    """For every frame in order: the number of its image in the loop, and its poses by object."""
+    """For each frame in order: the number of its image in the scene's loop, and its poses by object."""
     images, poses = dict[int, int](), dict[int, dict[str, PoseMessage]]()
     first, n_frames = None, round(SECONDS * RATE_HZ)
     with tempfile.TemporaryDirectory() as folder:
@@ -108,7 +108,7 @@ def listen() -> list[tuple[int, Poses]]:
 def drawn(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], poses: Poses, trails: Mapping[str, list]
 ) -> UInt8:
-    """One picture of the film (H, W, 3)."""
+    """One image of the film (H, W, 3)."""
     height = SIDE.height
     picture = cv2.resize(left(frame, models, poses), (LEFT_PX, height), interpolation=cv2.INTER_AREA)
     film = Image.new("RGB", SIZE, GROUND)
@@ -135,7 +135,7 @@ def drawn(
 
 
 def label(pen: ImageDraw.ImageDraw, text: str, foot: tuple[float, float], colour: Colour) -> None:
-    """Text on a plate that stands on a point."""
+    """Text on a plate above a point."""
     half = pen.textlength(text, FONT) / 2
     x = float(np.clip(foot[0], half + 6, LEFT_PX - half - 6))
     pen.rounded_rectangle((x - half - 5, foot[1] - 20, x + half + 5, foot[1]), 5, GROUND)
@@ -143,7 +143,7 @@ def label(pen: ImageDraw.ImageDraw, text: str, foot: tuple[float, float], colour
 
 
 def left(frame: RgbdFrame, models: Mapping[str, ReferenceModel], poses: Poses) -> UInt8:
-    """The camera's picture with the models' outlines."""
+    """The camera's image with the models' outlines."""
     picture = frame.color
     for name, pose in poses.items():
         T_cam_obj = pose_of(pose)
@@ -157,7 +157,7 @@ def left(frame: RgbdFrame, models: Mapping[str, ReferenceModel], poses: Poses) -
 def right(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], poses: Poses, trails: Mapping[str, list]
 ) -> UInt8:
-    """The models at their poses among the points of the depth image, from the side."""
+    """The models at their poses with the points of the depth image, from the side."""
     T_side_cam = looking(EYE, LOOK_AT)
     picture: UInt8 = np.full((SIDE.height, SIDE.width, 3), GROUND, np.uint8)
     depth_mm = np.rint(1000 * frame.depth).astype(np.uint16)
@@ -169,8 +169,8 @@ def right(
     for dv, du in np.ndindex(3, 3):
         picture[v[far_first] + dv, u[far_first] + du] = colors[far_first] * 0.6
     found = [(models[n].mesh, T_side_cam @ T) for n, p in poses.items() if (T := pose_of(p)) is not None]
-    seen = render(found, SIDE)
-    picture = np.where((seen.depth > 0)[..., None], seen.color, picture)
+    rendered = render(found, SIDE)
+    picture = np.where((rendered.depth > 0)[..., None], rendered.color, picture)
     for name, trail in trails.items():
         if len(trail) > 1:
             line(picture, se3.apply(T_side_cam, np.array(trail)), STATE_COLOURS[poses[name].state])
@@ -178,13 +178,13 @@ def right(
 
 
 def line(picture: UInt8, points_side: Float64, colour: Colour) -> None:
-    """A line through points (N, 3) into the right half."""
+    """Draw a line through points (N, 3) into the right half."""
     pixels = np.rint(16 * SIDE.project(points_side)).astype(np.int32)
     cv2.polylines(picture, [pixels], False, colour, 2, cv2.LINE_AA, 4)
 
 
 def looking(eye: Float64, at: Float64) -> Float64:
-    """T_side_cam of a camera at a point that looks at another, the room's up in the picture."""
+    """T_side_cam of a camera at one point that looks at another, with the room's up at the top."""
     z = (at - eye) / np.linalg.norm(at - eye)
     x = np.cross(-UP_ROOM, z)
     x /= np.linalg.norm(x)

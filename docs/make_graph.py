@@ -1,11 +1,10 @@
-"""Makes docs/images/rooms.png: which room of the vision library imports which, from the code as it is.
+"""Makes docs/images/rooms.png: which package of the vision library imports which, read from the code.
 
     .venv/bin/python docs/make_graph.py
 
-Rooms stand on the lines of the layers in pyproject.toml. An arrow goes from a room to one that it imports;
-left out are those that follow from others (a room also knows what its neighbours know), and those to
-`support`, `geometry` and `model`, which nearly all rooms import. Ends with an error where the imports go
-round in a circle."""
+Packages are on the lines of the layers in pyproject.toml. An arrow goes from a package to one that it
+imports. Not drawn: imports that follow from other arrows, and those of `support`, `geometry` and `model`,
+which nearly all packages import. Ends with an error if the imports have a cycle."""
 
 from __future__ import annotations
 
@@ -28,10 +27,10 @@ COLUMNS = {
     "tracking": 0.68, "onboarding": 0.10, "perception": 0.60, "paper": 0.83, "scenes": 0.12,
     "datasets": 0.30, "model": 0.62, "colorpair": 0.76, "rendering": 0.40, "drawing": 0.10,
 }  # fmt: skip
-"""How far to the right each room stands; the five verbs in the middle."""
+"""Horizontal position of each package, 0 to 1; the five stages are in the middle."""
 
 SCALE = 2
-"""Drawn so many times larger than kept, for smooth lines."""
+"""The plot is drawn larger by this factor and then reduced, for smooth lines."""
 
 Rooms = dict[str, set[str]]
 
@@ -46,14 +45,14 @@ def main() -> None:
 
 
 def layers_of(path: Path) -> list[list[str]]:
-    """The rooms, line by line, highest first."""
+    """The packages, line by line, highest first."""
     contracts = tomllib.loads(path.read_text())["tool"]["importlinter"]["contracts"]
     lines = next(c["layers"] for c in contracts if c.get("containers") == ["huepose"])
     return [line.split(" | ") for line in lines]
 
 
 def rooms_of(layers: list[list[str]]) -> Rooms:
-    """What each room imports."""
+    """The packages that each package imports."""
     graph = grimp.build_graph("huepose", exclude_type_checking_imports=True)
     names = [name for line in layers for name in line]
     for name in names:
@@ -67,7 +66,7 @@ def rooms_of(layers: list[list[str]]) -> Rooms:
 
 
 def without_implied(rooms: Rooms) -> Rooms:
-    """The same without those imports that are reached over another room as well."""
+    """The same without imports that are also reached through another package."""
     reached: Rooms = {}
     for name in TopologicalSorter(rooms).static_order():
         reached[name] = rooms[name].union(*(reached[other] for other in rooms[name]))
@@ -78,7 +77,7 @@ def without_implied(rooms: Rooms) -> Rooms:
 
 
 def drawn(layers: list[list[str]], rooms: Rooms) -> Image.Image:
-    """The picture of rooms on their lines."""
+    """The plot of the packages on their lines."""
     height = STEP * len(layers) + 2 * MARGIN
     image = Image.new("RGB", (WIDTH * SCALE, height * SCALE), "white")
     pen, font = ImageDraw.Draw(image), ImageFont.load_default(19 * SCALE)
@@ -95,7 +94,7 @@ def drawn(layers: list[list[str]], rooms: Rooms) -> Image.Image:
 
 
 def places_of(layers: list[list[str]]) -> dict[str, tuple[float, float]]:
-    """The middle of each room, in pixels."""
+    """The middle of each package's box, in pixels."""
     return {
         name: (WIDTH * COLUMNS.get(name, 0.5), MARGIN + STEP * (k + 0.5))
         for k, line in enumerate(layers)
@@ -104,7 +103,7 @@ def places_of(layers: list[list[str]]) -> dict[str, tuple[float, float]]:
 
 
 def arrow(pen: ImageDraw.ImageDraw, start: str, end: str, places: dict[str, tuple[float, float]]) -> None:
-    """From under one box to over another, bent as little as lets it pass beside all others."""
+    """Draw an arrow from below one box to above another, with the smallest bend that avoids all others."""
     (x0, y0), (x1, y1) = places[start], places[end]
     y0, y1 = y0 + BOX[1] / 2, y1 - BOX[1] / 2
     others = np.array([place for name, place in places.items() if name not in (start, end)])

@@ -1,10 +1,10 @@
-"""Makes docs/images/overview.jpg: a frame of the built-in scene, and what the estimator makes of it.
+"""Makes docs/images/overview.jpg: a frame of the built-in scene, and the estimated poses.
 
     .venv/bin/python docs/make_picture.py
 
-Left the colour image with the poses found in disturbed boxes (outline, axes, error against the truth),
-right its depth as a stereo camera gives it, below the colour pairs of the objects and the models drawn where
-they were found.
+Left: the colour image with the poses found in disturbed boxes (outline, axes, error against the truth).
+Right: its depth as a stereo camera measures it. Below: the colour pairs of the objects, and the models
+rendered at their poses.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def main() -> None:
     answers = Estimator(models).estimate(frame, queries)
 
     found = [(models[a.object].mesh, a.T_cam_obj) for a in answers if a.found]
-    drawn = render(found, frame.camera)
+    rendered = render(found, frame.camera)
     bodies, pairs_picture = [], (frame.color // 3).copy()
     for k, (truth, answer) in enumerate(zip(truths, answers, strict=True)):
         if not answer.found:
@@ -53,7 +53,7 @@ def main() -> None:
         some = pairs[np.linspace(0, len(pairs) - 1, min(len(pairs), 120)).astype(int)]
         rgb = cv2.cvtColor(some.colors, cv2.COLOR_Lab2RGB)
         pairs_picture = draw_color_pairs(pairs_picture, some.pixels, np.rint(255 * rgb).astype(np.uint8))
-    models_picture = np.where((drawn.depth > 0)[..., None], drawn.color, frame.color // 4)
+    models_picture = np.where((rendered.depth > 0)[..., None], rendered.color, frame.color // 4)
     sheet = contact_sheet(
         [
             draw_poses(frame.color, frame.camera, bodies),

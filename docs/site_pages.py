@@ -1,5 +1,5 @@
-"""What the site has beside the pages of this folder, as a hook of mkdocs: README as the first page, and the
-reference of pipeline.yaml, made from the types that read it and from the comments of the file itself."""
+"""A hook of mkdocs that adds two pages to those of this folder: README as the first page, and the reference
+of pipeline.yaml, made from the types that read it and from the comments in the file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def on_files(files: Files, config: Any) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Files that are no pages are looked at in the repository."""
+    """Links to files that are not pages lead to the repository."""
     outside = re.sub(r"\]\(\.\./README\.md(#[\w-]+)?\)", r"](index.md\1)", markdown)
     outside = re.sub(r"\]\(\.\./([\w./#-]+)\)", rf"]({REPOSITORY}\1)", outside)
     if page.file.src_uri == "index.md":
@@ -40,7 +40,7 @@ def _of_docs(path: str) -> str:
 
 
 def reference() -> str:
-    """The page about pipeline.yaml: for every key its type, limits, default, and what it means."""
+    """The page about pipeline.yaml: type, limits, default and meaning of every key."""
     (_, parts) = msgspec.json.schema_components([Config])
     said = comments((ROOT / "pipeline.yaml").read_text())
     head = (
@@ -51,7 +51,7 @@ def reference() -> str:
 
 
 def _section(parts: dict[str, Any], name: str, path: str, said: dict[str, str]) -> list[str]:
-    """The table of a part of the file, then those of the parts in it."""
+    """The table of a section of the file, then those of the sections in it."""
     part, rows, inner = parts[name], [], list[str]()
     for key, kind in part["properties"].items():
         whole, below, default = f"{path}{key}", _struct(kind), kind.get("default", "")
@@ -74,7 +74,7 @@ def _section(parts: dict[str, Any], name: str, path: str, said: dict[str, str]) 
 
 
 def _struct(kind: dict[str, Any]) -> str | None:
-    """The name of the part that a key holds."""
+    """The name of the section that a key holds, None for a plain value."""
     items = [kind["items"]] if isinstance(kind.get("items"), dict) else []
     refs = [one["$ref"] for one in [kind, *kind.get("anyOf", []), *items] if "$ref" in one]
     return str(refs[0]).rsplit("/", 1)[-1] if refs else None
@@ -97,7 +97,7 @@ def _type(kind: dict[str, Any]) -> str:
 
 
 def comments(text: str) -> dict[str, str]:
-    """What the comments of a YAML file say of its keys, by path (`camera.rate`)."""
+    """The comments of a YAML file on its keys, by path (`camera.rate`)."""
     said, path = dict[str, list[str]](), list[tuple[int, str]]()
     for line in text.splitlines():
         found = re.match(r"( *)([a-z_0-9]+):[^#]*(?:#\s*(.*))?$", line)

@@ -35,7 +35,7 @@ def translation_given(
 ) -> Float64:
     """Translation (3,) of a motion with a known rotation, from matched points (N, 3) with weights (N,): first
     the component-wise median, then a mean with Tukey's biweight, which ignores matches with an error over
-    `inlier_m` metres. The median if all weights are zero."""
+    `inlier_m` metres. The median if no weight is left."""
     votes = np.asarray(points_b, np.float64) - np.asarray(points_a, np.float64) @ np.asarray(R_b_a).T
     t = np.median(votes, axis=0)
     for _ in range(ROUNDS):

@@ -2,7 +2,7 @@
 
 Networks of several kinds can be trained together on the same motions. The newest samples are kept and reused:
 rendering one costs more than a training step on it. Each use is augmented: rotated about the line of sight,
-mirrored, or with the two frames exchanged. The tracker could meet each of these, and the true output follows.
+mirrored, or with the two frames exchanged. Each of these can occur in tracking, and its true output is known.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ from huepose.geometry.symmetry import nearest_alike
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.rendering.render import render
-from huepose.scenes.rendered import Drawn, SceneRanges, check_sizes, rendered_frame
+from huepose.scenes.rendered import RenderedFrame, SceneRanges, check_sizes, rendered_frame
 from huepose.support.errors import InputError
 from huepose.support.lengths import length
 from huepose.support.progress import progress
@@ -172,7 +172,7 @@ def _trials(model: ReferenceModel, estimator: Estimator, count: int, seed: int) 
         )
 
 
-def _next_that_shows(model: ReferenceModel, seed: int, numbers: Iterator[int]) -> tuple[int, Drawn, Box]:
+def _next_that_shows(model: ReferenceModel, seed: int, numbers: Iterator[int]) -> tuple[int, RenderedFrame, Box]:
     """The next drawn frame that shows enough of the object: its number, and the bounds of what is seen."""
     for number in itertools.islice(numbers, MOST_HIDDEN):
         drawn = rendered_frame({model.name: model.mesh}, seed, number, RANGES)

@@ -1,8 +1,8 @@
-"""A drawn scene: a loop of RGB-D frames at 30 Hz with exact ground truth, made by code from a seed.
+"""The built-in scene: a closed loop of rendered RGB-D frames at 30 Hz with exact ground truth, from a seed.
 
-Several printed objects move over a table with clutter, turn, pass before each other, and are hidden in part
-by a bar now and then, under light that moves; depth is as noisy as an active stereo camera's. The loop is
-computed once (about 20 s on two cores) and kept on disk; it closes, so it can be played for ever.
+Several printed objects move and rotate over a table with clutter. They pass in front of each other, and a bar
+occludes parts of them now and then. The light moves; depth is as noisy as that of an active stereo camera.
+The loop is rendered once (about 20 s on two cores) and kept on disk. It closes, so it can be played for ever.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from huepose.support.files import cache_folder
 from huepose.support.kept import kept
 from huepose.support.progress import progress
 
-# What plans and draws is imported where that is done: a camera that plays the loop does neither.
+# Planning and rendering are imported where they are used: a camera that plays the loop needs neither.
 if TYPE_CHECKING:
     from huepose.scenes.frame import Shot, Stage
 
-VERSION = 4  # of what the code below this module draws: raise it when any pixel changes
+VERSION = 4  # of the rendered images: raise it when a change in any module used here changes a pixel
 SECONDS = 8.0
 
 
 @dataclass(frozen=True, eq=False)
-class _Drawn:
+class _MeshArrays:
     """The arrays of a mesh."""
 
     vertices: Float32
@@ -52,30 +52,29 @@ class _Drawn:
 class _Objects:
     """The objects of a seed."""
 
-    tea_box: _Drawn
-    soup_can: _Drawn
-    juice_bottle: _Drawn
-    corner_bracket: _Drawn
-    parts_tray: _Drawn
+    tea_box: _MeshArrays
+    soup_can: _MeshArrays
+    juice_bottle: _MeshArrays
+    corner_bracket: _MeshArrays
+    parts_tray: _MeshArrays
 
 
 def builtin_objects(seed: int) -> dict[str, Mesh]:
-    """`demo_objects(seed)`, drawn once and kept in the cache folder: every worker of a pipeline asks for
-    them."""
+    """`demo_objects(seed)`, made once and kept in the cache folder: every worker of a pipeline needs them."""
 
-    def drawn() -> _Objects:
+    def made() -> _Objects:
         meshes = demo_objects(seed).items()
-        return _Objects(**{name: _Drawn(m.vertices, m.faces, m.uv, m.texture) for name, m in meshes})
+        return _Objects(**{name: _MeshArrays(m.vertices, m.faces, m.uv, m.texture) for name, m in meshes})
 
-    found = kept(_Objects, f"scene-{seed}", drawn)
+    found = kept(_Objects, f"scene-{seed}", made)
     return {field.name: Mesh(**vars(getattr(found, field.name))) for field in fields(_Objects)}
 
 
 class SyntheticScene:
-    """A closed loop of frames with truth, read as scenes of recordings are. Indices beyond the loop go round:
-    frame(len) shows what frame(0) does, with its own number and stamp.
+    """A closed loop of frames with ground truth, with the interface of a recorded scene. Indices go on beyond
+    the loop: frame(len) shows the same as frame(0), with its own number and timestamp.
 
-    meshes: the labelled objects by name; camera: its intrinsics; len(scene): frames in the loop.
+    meshes: the labelled objects by name; camera: its intrinsics; len(scene): number of frames in the loop.
     """
 
     def __init__(
@@ -87,11 +86,11 @@ class SyntheticScene:
         depth_sensor: StereoSensor | None = STEREO,
         cache: Path | None = None,
     ) -> None:
-        """Open the loop, computing it first where the cache folder (default `~/.cache/huepose`) has none.
+        """Open the loop. If the cache folder (default `~/.cache/huepose`) has none, it is rendered first.
 
         objects: meshes in metres by name, default `builtin_objects(seed)`; without a depth sensor, depth
-        is exact.
-        Raises InputError when there is no object, too many to fit in view, under a second, or no cache.
+        is exact. Raises InputError for no object, for more objects than fit in view, for less than a second,
+        or if the cache folder cannot be written.
         """
         if seconds < 1.0:
             raise InputError("synthetic scene", found=f"{seconds:g} s", expected="at least 1 s")
@@ -108,11 +107,11 @@ class SyntheticScene:
         return len(self._loop)
 
     def __iter__(self) -> Iterator[Sample]:
-        """Once round the loop."""
+        """All frames of the loop, once."""
         return (Sample(self.frame(i), self.truths(i), self.name, i) for i in self.image_ids)
 
     def stamp_ns(self, i: int) -> int:
-        """When frame i was captured, from the start of the loop: i / 30 s."""
+        """Capture time of frame i from the start of the loop: i / 30 s."""
         return round(i * 1e9 / RATE_HZ)
 
     def frame(self, i: int) -> RgbdFrame:
@@ -121,7 +120,8 @@ class SyntheticScene:
         return RgbdFrame(self._loop.color(k), self._loop.depth(k), self.camera, frame_id=i, stamp_ns=at_ns)
 
     def truths(self, i: int) -> tuple[GroundTruth, ...]:
-        """The truth of frame i, one entry per object, also for those that are hidden; exact to float64."""
+        """The ground truth of frame i: one entry for each object, also for occluded ones; exact to
+        float64."""
         k = i % len(self)
         row = self._rows[k]
         return tuple(
@@ -138,7 +138,7 @@ class SyntheticScene:
 
     @cached_property
     def stage(self) -> Stage:
-        """Everything that is there and how it moves."""
+        """All meshes and their motion."""
         from huepose.scenes.plan import plan
 
         return plan(self.meshes, self.seed, self._n_frames, self.camera)
@@ -158,13 +158,13 @@ class SyntheticScene:
         return digest.hexdigest()[:12]
 
     def _computed(self) -> Iterator[tuple[np.ndarray, np.ndarray, dict[str, Any]]]:
-        """Every frame in order, drawn by up to four threads (the kernels release the interpreter lock)."""
+        """Every frame in order, rendered by up to four threads (the kernels release the interpreter lock)."""
         from huepose.scenes.frame import shoot
 
         workers = max(1, min(4, os.cpu_count() or 1))
         with ThreadPoolExecutor(workers) as pool:
             ahead: list[Future[Shot]] = []
-            for i in progress(range(self._n_frames), f"drawing the scene of seed {self.seed}, once"):
+            for i in progress(range(self._n_frames), f"rendering the scene of seed {self.seed}, once"):
                 take = partial(
                     shoot, self.stage, seed=self.seed, color_sensor=COLOR, depth_sensor=self._depth_sensor
                 )
@@ -175,7 +175,7 @@ class SyntheticScene:
 
 
 def first_shot(objects: Mapping[str, Mesh]) -> Shot:
-    """Frame 0 of `SyntheticScene(objects=objects)`, without drawing the others. Raises InputError."""
+    """Frame 0 of `SyntheticScene(objects=objects)`, without rendering the others. Raises InputError."""
     from huepose.scenes.frame import shoot
     from huepose.scenes.plan import plan
 
@@ -183,7 +183,7 @@ def first_shot(objects: Mapping[str, Mesh]) -> Shot:
 
 
 def check_scene(objects: Mapping[str, Mesh], seed: int = 0) -> None:
-    """Raises InputError where `SyntheticScene(seed, objects=objects)` has no room for them; draws nothing."""
+    """Raises InputError if `SyntheticScene(seed, objects=objects)` has no room for them; renders nothing."""
     from huepose.scenes.plan import check_room
 
     check_room(objects, seed, round(SECONDS * RATE_HZ), CAMERA)

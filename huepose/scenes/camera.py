@@ -1,4 +1,5 @@
-"""The camera that looks at a scene: intrinsics, rate, and the numbers of its sensors (see `sensor`)."""
+"""The camera of the rendered scenes: intrinsics, frame rate, and the parameters of its sensors (see
+`sensor`)."""
 
 from __future__ import annotations
 
@@ -21,8 +22,9 @@ class ColorSensor:
 
 @dataclass(frozen=True)
 class StereoSensor:
-    """baseline_m; subpixel: RMS of the disparity in px; window_px: the side of the matching window; the rest
-    are shares of pixels: lost on a surface at 1 m, lost and flying along edges."""
+    """subpixel: RMS of the disparity noise in px; window_px: side of the matching window. The others are
+    shares of pixels. holes: without depth on a surface at 1 m; edge_holes: without depth along depth edges;
+    flying: between the two surfaces along depth edges."""
 
     baseline_m: float = 0.05
     subpixel: float = 0.08

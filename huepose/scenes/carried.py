@@ -1,4 +1,4 @@
-"""An object that a fast hand carries and turns over a table, as the sequences of Fast-YCB show one."""
+"""An object that moves and rotates fast over a table, as in the sequences of Fast-YCB."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from huepose.scenes.room import Placed, sheet, table_top, wallpaper
 CAMERA = Camera(614.0, 614.0, 319.5, 239.5, 640, 480)
 FRAMES = 60
 OTHERS = 5
-"""Objects that lie on the ground."""
+"""Number of objects on the ground."""
 
 BEHIND = 0.35
-"""Share of the sequences in which something hangs between camera and object."""
+"""Share of the sequences in which another object is between camera and object."""
 
 
 def staged(mesh: Mesh, others: Sequence[Mesh], rng: Rng, frames: int = FRAMES) -> Stage:
-    """The object on its path, the ground, what lies on it, and a light."""
+    """The object on its path, the ground, other objects, and a light."""
     pixel, middle_m = rng.uniform((230, 170), (410, 310)), rng.uniform(0.5, 0.8)
     path = carried(rng, CAMERA.backproject(pixel[None], np.array([middle_m]))[0], mesh.centre, frames)
     ground_m = rng.uniform(0.95, 1.25)
@@ -54,14 +54,15 @@ def staged(mesh: Mesh, others: Sequence[Mesh], rng: Rng, frames: int = FRAMES) -
 
 
 def random_strong_light(rng: Rng) -> Light:
-    """Of any strength: whites may be overexposed."""
+    """A random light of varied strength: white surfaces may be overexposed."""
     light = random_light(rng)
     key, sky = light.key * np.exp(rng.uniform(-0.9, 0.9)), light.sky * np.exp(rng.uniform(-0.7, 0.7))
     return replace(light, key=float(key), sky=float(sky))
 
 
 def carried(rng: Rng, middle_cam: Float64, centre_obj: Float64, frames: int = FRAMES) -> Float64:
-    """Poses (frames + 1, 4, 4) of an object that a fast hand carries and turns about a place (3,)."""
+    """Poses T_cam_obj (frames + 1, 4, 4) of an object that moves and rotates fast around `middle_cam`
+    (3,)."""
     k, phase = int(rng.integers(4, 6)), np.linspace(0.0, 0.999, frames + 1)
     place = positions(rng.normal(0, 1, (k, 3)) * (1.0, 0.7, 0.6), phase)
     place -= place.mean(0)
@@ -70,15 +71,15 @@ def carried(rng: Rng, middle_cam: Float64, centre_obj: Float64, frames: int = FR
     turns, base = rng.normal(0, 1, (k, 3)), Rotation.random(random_state=int(rng.integers(1 << 30)))
     limit, low, high = np.radians(rng.uniform(260, 380)), 0.0, 4.0
 
-    def turned(amplitude: float) -> Float64:
+    def rotated(amplitude: float) -> Float64:
         return rotations((Rotation.from_rotvec(amplitude * turns) * base).as_matrix(), phase)
 
     for _ in range(12):
         half = (low + high) / 2.0
-        R = turned(half)
+        R = rotated(half)
         steps = [np.linalg.norm(Rotation.from_matrix(R[i + 1] @ R[i].T).as_rotvec()) for i in range(frames)]
         low, high = (half, high) if max(steps) * RATE_HZ < limit else (low, half)
-    R = turned(low)
+    R = rotated(low)
     path = np.tile(np.eye(4), (frames + 1, 1, 1))
     path[:, :3, :3], path[:, :3, 3] = R, place - R @ centre_obj
     return path

@@ -1,7 +1,7 @@
-"""Closed shapes built from charts: flat pieces of surface of known size that a texture can be put on.
+"""Closed shapes built from charts: pieces of surface that are flattened, so that a texture fits on them.
 
-Two ways to build: blocks on an uneven lattice, and surfaces of revolution. z is up; textures are upright and
-not mirrored when seen from outside.
+Two kinds: blocks on an uneven lattice, and surfaces of revolution. z is up; textures are upright and not
+mirrored when seen from outside.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float64, Int64
 
-# Per face direction, for one who looks at the face: where right and up are, as axis and sign.
+# Per face direction: which axis and sign is right and which is up, when the face is seen from outside.
 _VIEWS = {
     (0, -1): ((1, -1), (2, 1)),
     (0, 1): ((1, 1), (2, 1)),
@@ -27,13 +27,14 @@ _VIEWS = {
 
 OPEN_TOP: Bool = np.ones((3, 3, 2), bool)
 OPEN_TOP[1, 1, 1] = False
-"""The cells of a box that is open above: walls, a floor, and the room within."""
+"""The filled cells of a box that is open above: walls and a floor."""
 
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """corners (N, 3, 3) m: triangles, outward by the right-hand rule; flat (N, 3, 2) m: where their corners
-    lie on the texture, from its top-left, right and down; size (width, height) of the texture in metres."""
+    """corners (N, 3, 3) m: triangles, outward by the right-hand rule; flat (N, 3, 2) m: positions of their
+    corners on the texture, right and down from its top-left; size: (width, height) of the texture in
+    metres."""
 
     corners: Float64
     flat: Float64
@@ -46,7 +47,7 @@ def blocks(
     """The surface of the filled cells (X-1, Y-1, Z-1) between the lattice planes xs, ys, zs.
 
     One chart per plane and side, in the order -x, +x, -y, +y, -z, +z, and by coordinate within each.
-    Faces are cut to squares of at most about `cell_m`.
+    Faces are divided into cells with sides of at most about `cell_m`.
     """
     axes: list[Float64] = []
     for k, lines in enumerate((xs, ys, zs)):
@@ -85,8 +86,8 @@ def _plane(axes: list[Float64], cells: Int64, axis: int, side: int, plane: int) 
 
 
 def flattened(corners: Float64, flat: Float64) -> Chart:
-    """A chart of triangles (N, 3, 3) m that lie on the texture like flat (N, 3, 2) m, wherever its origin is;
-    triangles without area are left out."""
+    """A chart of triangles (N, 3, 3) m with texture positions flat (N, 3, 2) m about any origin; triangles
+    without area are left out."""
     sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     kept = np.linalg.norm(sides, axis=1) > 1e-12
     corners, flat = corners[kept], flat[kept]
@@ -96,10 +97,11 @@ def flattened(corners: Float64, flat: Float64) -> Chart:
 
 
 def revolved(parts: Sequence[Sequence[tuple[float, float]]], segments: int = 48) -> list[Chart]:
-    """The surface of revolution about z of a profile in parts (K, 2) of radius and height, from the bottom of
-    the axis along the outside to the top of the axis, each part beginning where the last one ended.
+    """The surface of revolution about z of a profile. Its parts (K, 2) of radius and height go from the
+    bottom of the axis along the outside to the top of the axis; each part begins where the last one ended.
 
-    A part that touches the axis is printed as seen along the axis, any other one unrolled.
+    The texture of a part that touches the axis is projected along the axis; that of any other part is
+    unrolled.
     """
     charts = []
     angle = np.linspace(0.0, 2 * np.pi, segments + 1)
@@ -126,7 +128,7 @@ def revolved(parts: Sequence[Sequence[tuple[float, float]]], segments: int = 48)
 
 
 def grid_triangles(grid: Float64) -> Float64:
-    """Triangles (N, 3, D) of a grid (R, C, D): rows go up the profile, columns around it."""
+    """Triangles (N, 3, D) of a grid (R, C, D): rows go up the profile, columns around the axis."""
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
     dims = grid.shape[-1]
     return np.concatenate(

@@ -1,8 +1,8 @@
-"""One exposure of the synthetic camera, and the exact truth in its middle.
+"""One exposure of the rendered camera, and the exact ground truth at its middle.
 
-The shutter is open for a share of the frame time: colour is the mean of several instants, each also shifted
-by a part of a pixel, so that one loop over instants gives both motion blur and smooth edges. Depth and truth
-are those of the middle instant.
+The shutter is open for a share of the frame time. Colour is the mean of several instants, each shifted by a
+part of a pixel: this gives both motion blur and smooth edges. Depth and ground truth are those of the middle
+instant.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _INSTANTS = ((-1 / 3, 0.0, -1 / 3), (0.0, 1 / 3, 1 / 6), (1 / 3, -1 / 3, 1 / 6))
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """A scene in time. meshes: all of them, the first `labelled` are objects; T_room_mesh (M, N, 4, 4) and
-    T_cam_room (N, 4, 4): poses per mesh and frame of a closed loop; lights: one a frame; lamp: a second one
-    for all frames."""
+    """A scene over time. meshes: the first `labelled` of them are the labelled objects; T_room_mesh
+    (M, N, 4, 4) and T_cam_room (N, 4, 4): poses by mesh and frame, in a closed loop; lights: one for each
+    frame; lamp: a second light, the same in all frames."""
 
     meshes: tuple[Mesh, ...]
     labelled: int
@@ -60,8 +60,8 @@ class Stage:
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """Truth of the labelled objects of a frame: T_cam_obj (K, 4, 4), visib_fract (K,), box_visib: bounds of
-    the visible pixels, None where there are none."""
+    """Ground truth of the K labelled objects of a frame: T_cam_obj (K, 4, 4); visib_fract (K,); box_visib:
+    bounds of the visible pixels, None where there are none."""
 
     T_cam_obj: Float64
     visib_fract: Float64
@@ -69,7 +69,8 @@ class Labels:
 
 
 def labels(stage: Stage, i: int, camera: Camera) -> Labels:
-    """The truth of frame i, by rendering; a smaller `camera` than the stage's makes it cheap and rough."""
+    """The ground truth of frame i, by rendering. A smaller `camera` than the stage's is faster and
+    coarser."""
     scene = stage.in_camera(i)
     return _labels(scene[: stage.labelled], render(scene, camera, color=False).object_index, camera)
 
@@ -86,12 +87,13 @@ def _labels(objects: list[tuple[Mesh, Float64]], owner: np.ndarray, camera: Came
 
 
 def visible_mask(stage: Stage, i: int, k: int) -> Bool:
-    """Pixels (H, W) of frame i in which object k is seen."""
+    """Pixels (H, W) of frame i in which object k is visible."""
     return np.asarray(render(stage.in_camera(i), stage.camera, color=False).object_index == k)
 
 
 def silhouette(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> tuple[int, Box]:
-    """Pixels and bounds of an object as if nothing hid it, parts outside the image included."""
+    """Pixel count and bounds of an object's outline as if nothing occluded it, parts outside the image
+    included."""
     pixels = camera.project(se3.apply(T_cam_obj, mesh.vertices))
     if not np.isfinite(pixels).all():
         return 0, Box(-1, -1, -1, -1)
@@ -106,8 +108,8 @@ def silhouette(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> tuple[int, Box]:
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What the camera delivers, color (H, W, 3) uint8 and depth (H, W) float32 m, and the truth; owner (H, W)
-    int16: the number of the mesh that is seen, -1 = none."""
+    """What the camera delivers, and the ground truth. color (H, W, 3) uint8; depth (H, W) float32 m; owner
+    (H, W) int16: number of the visible mesh, -1 = none."""
 
     color: UInt8
     depth: Float32
@@ -118,7 +120,7 @@ class Shot:
 def shoot(
     stage: Stage, i: int, seed: int, color_sensor: ColorSensor, depth_sensor: StereoSensor | None
 ) -> Shot:
-    """Take frame i. The same arguments give the same noise. Without a depth sensor, depth is exact."""
+    """Render frame i. The same arguments give the same noise. Without a depth sensor, depth is exact."""
     rng = np.random.default_rng([seed, i, 7])
     camera = stage.camera
     moved, _ = stage.poses(i)

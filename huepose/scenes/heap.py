@@ -1,7 +1,7 @@
-"""Heaps of objects on a table, and a box around them: each object is lowered until it touches what is there.
+"""Heaps of objects on a table, and a box around them: each object is lowered until it touches a surface.
 
-Surfaces are height maps, rendered from far above and far below, so that objects never visibly penetrate each
-other. There is no balance of forces: an object may rest on a single point.
+Surfaces are height maps, rendered from far above and far below, so objects do not visibly penetrate each
+other. Forces are not modelled: an object may rest on a single point.
 """
 
 from __future__ import annotations
@@ -22,19 +22,20 @@ from huepose.scenes.textures import Palette
 
 CELL_M = 0.002
 _FAR_M = 200.0
-"""Distance of the camera that takes the height maps: its rays are parallel to a part in a thousand."""
+"""Distance of the camera that renders the height maps: its rays are parallel to one part in a thousand."""
 
 _GAP_M = 0.0005
-"""Between what lies on each other, so that no surfaces cross."""
+"""Distance between objects that lie on each other, so that their surfaces do not intersect."""
 
 _LYING_SHARE = 0.7
 _SAME_AREA = 9
-"""Decimals, square metres: sides whose areas are equal so far keep their order on every processor."""
+"""Decimals of areas in square metres: they are rounded so that equal sides keep their order on every CPU."""
 
 
 @dataclass(eq=False)
 class Heap:
-    """A square of the table, z up, the middle at the origin; heights (N, N) m, row 0 at the far end (+y)."""
+    """A square of the table with its centre at the origin, z up. heights (N, N) m: row 0 is at the far end
+    (+y)."""
 
     side_m: float = 1.0
     heights: Float32 = field(init=False)
@@ -44,14 +45,14 @@ class Heap:
         self.heights = np.zeros((n, n), np.float32)
 
     def drop(self, mesh: Mesh, R: Float64, places: Float64) -> Float64:
-        """Let a mesh, turned by R (3, 3), down at that of `places` (K, 2) m where it comes to lie lowest; a
-        place where it would stick out is moved inwards.
+        """Lower a mesh, rotated by R (3, 3), at that of the positions `places` (K, 2) m where it comes to
+        rest lowest. Positions where it would stick out of the square are moved inwards.
 
-        Returns T_table_mesh (4, 4). Raises ValueError when it does not fit on the square."""
+        Returns T_table_mesh (4, 4). Raises ValueError if it does not fit on the square."""
         T = se3.make(R, -(R @ mesh.centre))
         reach = float(np.abs(se3.apply(T, mesh.vertices)[:, :2]).max())
         n = 2 * (int(reach / CELL_M) + 2) + 1
-        top, bottom = _seen(mesh, T, n, above=True), _seen(mesh, T, n, above=False)
+        top, bottom = _height_map(mesh, T, n, above=True), _height_map(mesh, T, n, above=False)
         best_z, best_at = np.inf, (0, 0)
         middle, last = self.heights.shape[0] // 2, self.heights.shape[0] - n
         if last < 0:
@@ -70,24 +71,25 @@ class Heap:
         return se3.make(np.eye(3), np.array(shift)) @ T
 
 
-def _seen(mesh: Mesh, T: Float64, n: int, *, above: bool) -> Float32:
+def _height_map(mesh: Mesh, T: Float64, n: int, *, above: bool) -> Float32:
     """Heights (n, n) of the highest or the lowest surface of a mesh at T, infinite where there is none."""
     points = se3.apply(T, mesh.vertices)
-    # Seen from above, rows run against y and depth against z. Seen from below with the same rows and columns
-    # the picture would be mirrored, so the mesh is mirrored instead.
-    seen = points * ([1.0, -1.0, -1.0] if above else [1.0, -1.0, 1.0]) + [0.0, 0.0, _FAR_M]
+    # From above, rows run against y and depth against z. From below, with the same rows and columns, the
+    # image would be mirrored, so the mesh is mirrored instead.
+    points_cam = points * ([1.0, -1.0, -1.0] if above else [1.0, -1.0, 1.0]) + [0.0, 0.0, _FAR_M]
     focal = _FAR_M / CELL_M
     camera = Camera(focal, focal, (n - 1) / 2, (n - 1) / 2, n, n)
-    placed = Mesh(seen.astype(np.float32), mesh.faces, mesh.uv, mesh.texture)
+    placed = Mesh(points_cam.astype(np.float32), mesh.faces, mesh.uv, mesh.texture)
     depth = render_depth(placed, np.eye(4), camera)
     height = _FAR_M - depth if above else depth - _FAR_M
     return np.where(depth > 0, height, np.inf if not above else -np.inf).astype(np.float32)
 
 
 def resting_turns(mesh: Mesh) -> tuple[Float64, Float64]:
-    """Rotations (K, 3, 3) that lay a flat side of the convex hull on the table, and their areas (K,) m^2.
+    """Rotations (K, 3, 3) that lay a flat side of the convex hull on the table, and the areas (K,) m^2 of
+    these sides.
 
-    Only sides that carry the middle of the bounding box; a shape without any rests as it is."""
+    Only sides under the centre of the bounding box count; a shape without such a side is not rotated."""
     try:
         hull = ConvexHull(mesh.vertices.astype(np.float64))
     except QhullError:
@@ -116,7 +118,8 @@ def resting_turns(mesh: Mesh) -> tuple[Float64, Float64]:
 
 
 def random_turn(mesh: Mesh, rng: Rng, lying: float = _LYING_SHARE) -> Float64:
-    """A rotation (3, 3): with the chance `lying` on a flat side, large ones more often, else any."""
+    """A rotation (3, 3): with probability `lying` it rests on a flat side (large sides are more probable),
+    else it is random."""
     if rng.random() >= lying:
         return np.asarray(Rotation.random(random_state=rng).as_matrix())
     turns, areas = resting_turns(mesh)
@@ -125,7 +128,8 @@ def random_turn(mesh: Mesh, rng: Rng, lying: float = _LYING_SHARE) -> Float64:
 
 
 def open_box(half_side_m: float, height_m: float, rng: Rng) -> Mesh:
-    """An open box with walls of 8 mm about the origin, one side up to a fifth longer than the other."""
+    """An open box centred at the origin, with walls of 8 mm; one side is up to a fifth longer than the
+    other."""
     x, y = half_side_m * rng.uniform(1.0, 1.2), half_side_m
     z, wall = height_m / 2.0, 0.008
     lattice = [-x - wall, -x, x, x + wall], [-y - wall, -y, y, y + wall], [-z, wall - z, z]

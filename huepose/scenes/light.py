@@ -1,7 +1,7 @@
-"""Light that moves: a key light with a soft-edged shadow, a sky, a tint and an exposure, in linear light.
+"""Moving light: a key light with a soft-edged shadow, sky light, tint and exposure, in linear light.
 
-Lambert's law on smooth normals, and a small gloss on labelled things. Everything is smooth in time and closes
-with the loop.
+Lambert's law on smooth normals, and a weak highlight on labelled objects. Everything is smooth in time, also
+where the loop closes.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _SCENE_CENTRE_ROOM = np.array([0.0, 0.0, 0.95])
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """towards_room (3,) unit, from the scene to the key light; key and sky: strengths; gain (3,): exposure
-    and tint of R, G, B; gloss: strength of the highlight."""
+    """towards_room (3,): unit vector from the scene to the key light; key, sky: strengths; gain (3,):
+    exposure and tint of R, G, B; gloss: strength of the highlight."""
 
     towards_room: Float64
     key: float
@@ -36,7 +36,7 @@ class Light:
 
 
 def lights(timing: Timing, rng: Rng) -> list[Light]:
-    """A light for each frame of a loop: the key wanders overhead, the tint and the exposure drift."""
+    """A light for each frame of a loop: the key light moves overhead, tint and exposure drift."""
     n = max(4, round(timing.length_s / 1.6))
     when = np.arange(len(timing.phase)) / len(timing.phase)
     wander = positions(np.clip(rng.normal(0, 1, (n, 6)), -1.8, 1.8), when)
@@ -45,7 +45,7 @@ def lights(timing: Timing, rng: Rng) -> list[Light]:
 
 
 def random_light(rng: Rng) -> Light:
-    """One light of the same kind."""
+    """One random light with the ranges of `lights`."""
     return _light(rng.uniform(-1.2, 1.2, 6), rng.choice([-1.0, 1.0]))
 
 
@@ -62,7 +62,7 @@ def _light(x: Float, side: float) -> Light:
 
 
 def shadow_map(scene: Sequence[tuple[Mesh, Float]], light: Light) -> tuple[Float32, Float64]:
-    """What the key light sees: depth (H, W) m, and T_light_room. scene: meshes with T_room_mesh (4, 4)."""
+    """Shadow map of the key light: depth (H, W) m, and T_light_room. scene: meshes with T_room_mesh."""
     z = -light.towards_room
     x = np.cross([0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
@@ -83,9 +83,9 @@ def shine(
     shadow: tuple[Float32, Float64],
     total: Float32,
 ) -> None:
-    """Add the light that comes from each pixel to `total` (H, W, 3), linear, 1 = white in plain light.
+    """Add the light that each pixel reflects to `total` (H, W, 3), linear, 1 = white.
 
-    color (H, W, 3) uint8 sRGB is the surface's own; glossy (H, W) uint8 where there is a highlight.
+    color (H, W, 3): uint8 sRGB of the surface; glossy (H, W): uint8, where there may be a highlight.
     """
     T_light_cam = shadow[1] @ se3.inverse(T_cam_room)
     R = T_cam_room[:3, :3]
@@ -144,7 +144,7 @@ def _shine(
             highlight = 0.0
             lit = 0.0
             if facing > 0:
-                # Looked up a little off the surface, towards the light, so that it does not shade itself.
+                # The point is moved off the surface along its normal, so that it does not shade itself.
                 p0, p1, p2 = x * z + 0.004 * n0, y * z + 0.004 * n1, z + 0.004 * n2
                 a = T[0, 0] * p0 + T[0, 1] * p1 + T[0, 2] * p2 + T[0, 3]
                 b = T[1, 0] * p0 + T[1, 1] * p1 + T[1, 2] * p2 + T[1, 3]

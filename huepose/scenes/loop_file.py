@@ -1,11 +1,11 @@
-"""The file that a computed loop is kept in: a zip of pictures, and of what is known of them.
+"""The file of a rendered loop: a zip of images and of their ground truth.
 
-Colour is JPEG (as most cameras deliver it), depth raw uint16, nothing is packed further, so that playing it
-costs little. A file is written beside its name and moved there when complete; on opening, everything is
-checked, and whoever asked computes the loop anew when it does not hold.
+Colour is JPEG (as most cameras deliver it), depth raw uint16. Nothing is compressed further, so playing costs
+little. A file is written under another name and renamed when it is complete. On opening, everything is
+checked; a damaged loop is rendered again.
 
-Whoever writes or plays a loop holds a lock on its file. Loops that nobody has asked for in `UNUSED_DAYS` go
-when the next one is written, and so do the parts that a killed writer left.
+A process that writes or plays a loop holds a lock on its file. When a loop is written, loops that were not
+used for `UNUSED_DAYS` are removed, and so are incomplete files of killed writers.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from huepose.support.kept import unused
 
 DEPTH_SCALE_M = 1e-4
 UNUSED_DAYS = 7
-"""Less than for what is derived from a user's files: a loop is 165 to 500 MB, and drawn anew in 20 s."""
+"""Less than for what is derived from a user's files: a loop is 165 to 500 MB, and rendered again in 20 s."""
 _FACTS = "facts.json"
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """The pictures of an opened loop. They are read, not mapped: a loop that is played would lie whole in the
-    process's memory."""
+    """The images of an opened loop. They are read, not memory-mapped: else the whole loop would end up in the
+    memory of the process that plays it."""
 
     _file: ZipFile
     _count: int
@@ -60,9 +60,9 @@ class Loop:
 
 
 def write_loop(path: Path, frames: Iterable[tuple[UInt8, Float32, dict[str, Any]]]) -> None:
-    """Write colour, depth and facts of every frame, then put the file in place.
+    """Write colour, depth and ground truth of every frame, then move the file to `path`.
 
-    Raises InputError where the folder cannot be written.
+    Raises InputError if the folder cannot be written.
     """
     rows: list[dict[str, Any]] = []
     size = (0, 0)
@@ -84,28 +84,28 @@ def write_loop(path: Path, frames: Iterable[tuple[UInt8, Float32, dict[str, Any]
 
 
 def _hold(file: ZipFile) -> None:
-    """Say that the file is in use, as long as it is open."""
+    """Lock the file as in use, as long as it is open."""
     assert file.fp is not None
-    with suppress(OSError):  # some network drives know no locks
+    with suppress(OSError):  # some network drives do not support locks
         fcntl.flock(file.fp, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
 
 def _tidy(folder: Path) -> None:
-    """Remove the loops that nobody asks for and the parts that nobody writes any more."""
+    """Remove unused loops, and incomplete files that no process writes any more."""
     for path in (*unused(folder.glob("*.loop"), UNUSED_DAYS), *folder.glob(".*.loop.*.part")):
         with suppress(OSError), path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # refused where it is in use
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises OSError if it is in use
             path.unlink()
 
 
 def kept_loop(
-    path: Path, draw: Callable[[], Iterable[tuple[UInt8, Float32, dict[str, Any]]]]
+    path: Path, frames: Callable[[], Iterable[tuple[UInt8, Float32, dict[str, Any]]]]
 ) -> tuple[Loop, list[dict[str, Any]]]:
-    """The loop in `path` and the facts of its frames; drawn and written first where there is none. Raises
-    InputError where the folder cannot be written."""
+    """The loop in `path` and the ground truth of its frames. If there is none, it is made from `frames` and
+    written first. Raises InputError if the folder cannot be written."""
     found = open_loop(path)
     if found is None:
-        write_loop(path, draw())
+        write_loop(path, frames())
         found = open_loop(path)
     if found is None:
         raise InputError(path, found="a file that changed while it was written", fix="Try again.")
@@ -113,7 +113,7 @@ def kept_loop(
 
 
 def open_loop(path: Path) -> tuple[Loop, list[dict[str, Any]]] | None:
-    """The loop in `path` and the facts of its frames; None when there is none, or not a whole one."""
+    """The loop in `path` and the ground truth of its frames; None if there is none, or it is damaged."""
     try:
         file = ZipFile(path)
         _hold(file)
@@ -127,5 +127,5 @@ def open_loop(path: Path) -> tuple[Loop, list[dict[str, Any]]] | None:
             return None
         height, width = stored["size"]
         return Loop(file, len(stored["rows"]), (height, width)), stored["rows"]
-    except Exception:  # of what is damaged, zipfile trips over anything
+    except Exception:  # zipfile raises errors of any type for damaged files
         return None

@@ -1,8 +1,8 @@
-"""How things move in the synthetic scene: closed paths that are smooth twice over, also where they wrap.
+"""Motion in the built-in scene: closed paths with two continuous derivatives, also where the loop closes.
 
-A path is a cyclic cubic B-spline, for rotations in its cumulative form (Kim, Kim and Shin 1995). The tempo is
-calm where the loop begins and lively after, as when someone picks objects up one by one. Positions are in the
-frame `room`: the camera's at rest (x right, y down, z forward).
+A path is a cyclic cubic B-spline, for rotations in its cumulative form (Kim, Kim and Shin 1995). Motion is
+slow at the beginning of the loop and fast afterwards, as when someone picks up objects one by one. Positions
+are in the frame `room`, which is that of the camera at rest (x right, y down, z forward).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from huepose.geometry.arrays import Bool, Float, Float64, Rng
 from huepose.geometry.camera import Camera
 from huepose.scenes.camera import RATE_HZ
 
-CALM_S = 1.5  # at the beginning of the loop: slow, and nobody hides anybody
-PITCH = np.radians(35.0)  # how far the camera looks down
+CALM_S = 1.5  # at the beginning of the loop: objects are slow, and none occludes another
+PITCH = np.radians(35.0)  # by which the camera looks down
 UP_ROOM = np.array([0.0, -np.cos(PITCH), -np.sin(PITCH)])
 AHEAD_ROOM = np.array([0.0, -np.sin(PITCH), np.cos(PITCH)])  # along the table
 TABLE_M = 0.78  # height of the camera over the table
@@ -26,8 +26,8 @@ NEAREST_M, FARTHEST_M = 0.57, 1.0  # of the centres of labelled objects
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """The frames of a loop. phase (N,) in 0..1: how far along its path everything is in each frame, smooth
-    and slow at both ends; calm (N,) bool: the frames of the calm beginning and the last half second."""
+    """The N frames of a loop. phase (N,) in 0..1: position along every path in each frame, smooth, and slow
+    at both ends; calm (N,) bool: frames of the calm beginning and of the last half second."""
 
     phase: Float64
     calm: Bool
@@ -66,7 +66,7 @@ def rotations(control: Float, phase: Float) -> Float64:
     """Rotations (N, 3, 3) at phases (N,) of the cyclic spline with control rotations (K, 3, 3)."""
     index, weights = _cubic(len(control), phase)
     at = Rotation.from_matrix(control)
-    steps = (at[np.arange(len(control)) - 1].inv() * at).as_rotvec()  # from each one's predecessor
+    steps = (at[np.arange(len(control)) - 1].inv() * at).as_rotvec()  # from the control rotation before
     total = at[index[:, 0]]
     for k in (1, 2, 3):
         share = weights[:, k:].sum(1)
@@ -86,7 +86,7 @@ def _cubic(n: int, phase: Float) -> tuple[np.ndarray, Float64]:
 
 
 def speeds(poses: Float) -> tuple[Float64, Float64]:
-    """Linear (m/s) and angular (rad/s) speeds (N,) of a closed row of poses (N, 4, 4), the wrap included."""
+    """Linear (m/s) and angular (rad/s) speeds (N,) of a closed loop of poses (N, 4, 4)."""
     following = np.roll(poses, -1, axis=0)
     linear = np.linalg.norm(following[:, :3, 3] - poses[:, :3, 3], axis=1)
     turn = Rotation.from_matrix(np.swapaxes(poses[:, :3, :3], 1, 2) @ following[:, :3, :3])
@@ -96,9 +96,9 @@ def speeds(poses: Float) -> tuple[Float64, Float64]:
 def object_paths(radii: Float, camera: Camera, timing: Timing, rng: Rng, haste: float = 1.0) -> Float64:
     """Poses T_room_obj (objects, N, 4, 4) of objects with bounding radii (objects,) m about their origins.
 
-    They stay in view, over the table, apart from each other in space, and mostly apart in the image. Peaks of
-    0.35 to 0.6 m/s, times `haste`, and 150 to 370 degrees a second. The slower, the shorter are the ways, and
-    the more objects have room. Raises RuntimeError where they have none.
+    They stay in view, over the table, apart from each other in space, and mostly apart in the image. Peak
+    speeds are 0.35 to 0.6 m/s, times `haste`, and 150 to 370 degrees a second. Slower paths are shorter, so
+    more objects have room. Raises RuntimeError if the objects have no room.
     """
     for _ in range(200):
         tracks: list[Float64] = []
@@ -123,7 +123,7 @@ def _controls(timing: Timing) -> int:
 def _place(
     radius: float, radii: Float, others: list[Float64], camera: Camera, timing: Timing, rng: Rng, haste: float
 ) -> Float64 | None:
-    """Positions (N, 3) of one more object that keep clear of the others', or None when no draw does."""
+    """Positions (N, 3) of one more object, clear of those of the others; None if no random path is."""
     n, k = 192, _controls(timing)
     depth = rng.uniform(NEAREST_M + 0.06, FARTHEST_M - 0.04, n)
     pixel = rng.uniform(0.16, 0.84, (n, 2)) * (camera.width, camera.height)
@@ -148,7 +148,7 @@ def _place(
     )
     good = inside.all((1, 2))
     for other, r in zip(others, radii, strict=True):
-        # No two hide each other altogether, or meet in the image at all while things are calm.
+        # No two fully occlude each other. In calm frames they do not touch in the image.
         share = np.linalg.norm(seen - camera.project(other), axis=2) / (disc + 0.8 * focal * r / other[:, 2])
         good &= (share > 0.5).all(1) & (share[:, timing.calm] > 1.05).all(1)
         good &= (share < 0.8).mean(1) < 0.12
@@ -157,8 +157,8 @@ def _place(
 
 
 def _tumble(timing: Timing, rng: Rng) -> Float64:
-    """Rotations (N, 3, 3) about a nearly upright stand: whole turns about the vertical, and a wobble that is
-    scaled until the fastest moment is between 150 and 370 degrees a second."""
+    """Rotations (N, 3, 3) of a nearly upright object: full revolutions about the vertical, and a wobble. The
+    wobble is scaled so that the largest speed is between 150 and 370 degrees a second."""
     n = _controls(timing)
     stand = upright(rng.uniform(0, 2 * np.pi))
     turns = int(rng.integers(-1, 2))
@@ -167,28 +167,28 @@ def _tumble(timing: Timing, rng: Rng) -> Float64:
     fastest = np.radians(rng.uniform(150, 370))
     poses = np.tile(np.eye(4), (len(timing.phase), 1, 1))
 
-    def turned(amplitude: float) -> Float64:
+    def rotated(amplitude: float) -> Float64:
         control = Rotation.from_rotvec(amplitude * wobble).as_matrix() @ spin @ stand
         return rotations(control, timing.phase)
 
     low, high = 0.0, 1.1
     for _ in range(10):
         middle = (low + high) / 2
-        poses[:, :3, :3] = turned(middle)
-        calm = speeds(poses)[1].max() < fastest
-        low, high = (middle, high) if calm else (low, middle)
-    return turned(low)
+        poses[:, :3, :3] = rotated(middle)
+        slower = speeds(poses)[1].max() < fastest
+        low, high = (middle, high) if slower else (low, middle)
+    return rotated(low)
 
 
 def upright(yaw: float) -> Float64:
-    """Rotation R_room_obj (3, 3) of an object that stands on the table, z up, turned by `yaw`."""
+    """Rotation R_room_obj (3, 3) of an object upright on the table, z up, rotated about z by `yaw`."""
     right = np.array([1.0, 0.0, 0.0])
     table = np.stack([right, np.cross(UP_ROOM, right), UP_ROOM], -1)
     return np.asarray(table @ Rotation.from_rotvec([0, 0, yaw]).as_matrix(), np.float64)
 
 
 def camera_sway(timing: Timing, rng: Rng) -> Float64:
-    """Poses T_cam_room (N, 4, 4) of a camera in a calm hand: about 1 cm and half a degree to each side."""
+    """Poses T_cam_room (N, 4, 4) of a camera in a steady hand: about 1 cm and half a degree to each side."""
     n = max(4, round(timing.length_s / 1.3))
     poses = np.tile(np.eye(4), (len(timing.phase), 1, 1))
     when = np.arange(len(timing.phase)) / len(timing.phase)
@@ -199,8 +199,8 @@ def camera_sway(timing: Timing, rng: Rng) -> Float64:
 
 
 def passing(timing: Timing, rng: Rng, distance_m: float, reach_m: float) -> Float64:
-    """Poses T_room_obj (N, 4, 4) of a thing that passes between camera and objects, to one side and later
-    back, and waits out of view `reach_m` beside the optical axis meanwhile. It hangs down along y."""
+    """Poses T_room_obj (N, 4, 4) of a bar along y that passes between camera and objects, to one side and
+    later back. In between it waits out of view, `reach_m` beside the optical axis."""
     t = np.arange(len(timing.phase)) / RATE_HZ
     length = timing.length_s
     there, back = 0.24 * length + rng.uniform(0, 0.05 * length), 0.6 * length + rng.uniform(0, 0.05 * length)

@@ -1,8 +1,8 @@
-"""The folders and files of YCB-Video and Fast-YCB, filled with drawn frames of any meshes, and of the unseen
-objects at one seed: heaps in any light with stereo-like depth for single frames, carried objects with exact
-depth for tracks.
+"""Rendered data in the layouts of YCB-Video and Fast-YCB, of any meshes, and of the unseen objects at one
+seed.
 
-What reads the official downloads reads these, with known answers.
+Single frames show heaps in varied light, with depth as of a stereo camera. Sequences show moving objects,
+with exact depth. The readers of the official downloads read these, too, and their ground truth is exact.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ from huepose.support.files import write_text
 from huepose.support.progress import progress
 
 FIRST_SCENE = 48
-"""Of the test scenes of YCB-Video."""
+"""Number of the first test scene of YCB-Video."""
 
 FIRST_ID = 101
-"""Of the unseen objects: beyond the ids of YCB-Video."""
+"""First id of the unseen objects: above the ids of YCB-Video."""
 
 SCENES, FRAMES = 8, 5
 SEQUENCES, SEQUENCE_FRAMES = 24, 30
-"""Of the unseen objects: heaps in the layout of YCB-Video, and tracks in that of Fast-YCB."""
+"""Of the unseen objects: heaps in the layout of YCB-Video, and sequences in that of Fast-YCB."""
 
 SEED = 0
-"""Of the unseen objects and of their frames."""
+"""Seed of the unseen objects and of their frames."""
 
 
 @dataclass(frozen=True, eq=False)
 class SetObject:
-    """mesh: in metres, in BOP's frame; offset_m (3,): takes points of the PoseCNN frame to it; info: further
-    entries of models_info.json (symmetries)."""
+    """mesh: in metres, in BOP's model frame; offset_m (3,): added to points of the PoseCNN frame gives points
+    of BOP's; info: further entries of models_info.json (symmetries)."""
 
     object_id: int
     name: str
@@ -60,8 +60,8 @@ class SetObject:
 def write_bop_ycbv(
     out: Path, objects: Sequence[SetObject], scenes: int, frames: int, seed: int, ranges: SceneRanges
 ) -> None:
-    """BOP's download: `test/NNNNNN/` without `mask/`, `test_targets_bop19.json`, `models/`, `models_eval/`.
-    Scenes that were begun are gone on with. Raises InputError."""
+    """Write the layout of BOP's download: `test/NNNNNN/` without `mask/`, `test_targets_bop19.json`,
+    `models/`, `models_eval/`. Incomplete scenes are continued. Raises InputError."""
     meshes, ids = {o.name: o.mesh for o in objects}, {o.name: o.object_id for o in objects}
     targets = []
     for scene in range(FIRST_SCENE, FIRST_SCENE + scenes):
@@ -99,17 +99,18 @@ def _write_models(out: Path, objects: Sequence[SetObject]) -> None:
 
 
 def _frame(shot: Shot) -> FastYcbFrame:
-    """What the camera delivers, with the mask and the pose of the first object."""
+    """The images of a frame, with the mask and the pose of the first object."""
     return FastYcbFrame(shot.color, shot.depth, shot.owner == 0, shot.labels.T_cam_obj[0])
 
 
 def write_fast_ycb_set(
     out: Path, objects: Sequence[SetObject], sequences: int, frames: int, seed: int
 ) -> None:
-    """Fast-YCB: a sequence of each of the first objects; those there are kept."""
+    """Write the layout of Fast-YCB: one sequence for each of the first `sequences` objects. Complete
+    sequences that are already there are kept."""
     wanted = list(enumerate(objects[:sequences]))
     missing = [(k, obj) for k, obj in wanted if not (out / obj.name / "gt" / "poses_ycb.txt").exists()]
-    for number, obj in progress(missing, "drawing sequences") if missing else ():
+    for number, obj in progress(missing, "rendering sequences") if missing else ():
         folder = out / obj.name
         rng = np.random.default_rng([seed, number, 67])
         stage = carried.staged(obj.mesh, [o.mesh for o in objects if o is not obj], rng)
@@ -120,7 +121,7 @@ def write_fast_ycb_set(
 
 
 def unseen_set() -> list[SetObject]:
-    """The unseen objects with their ids; `texture` in models_info.json tells those with little."""
+    """The unseen objects with their ids; `texture` in models_info.json marks those with little texture."""
     return [
         SetObject(number, obj.name, obj.mesh, np.zeros(3), {"texture": "little"} if obj.plain else {})
         for number, obj in enumerate(unseen_objects(SEED), FIRST_ID)
@@ -128,8 +129,8 @@ def unseen_set() -> list[SetObject]:
 
 
 def write_unseen(out: Path, scenes: int = SCENES, frames: int = FRAMES, sequences: int = SEQUENCES) -> None:
-    """`out/ycbv` in BOP's layout, with the meshes, and `out/fast` in that of Fast-YCB; what is there is kept.
-    Raises InputError."""
+    """Write `out/ycbv` in BOP's layout, with the meshes, and `out/fast` in that of Fast-YCB. Frames and
+    sequences that are already there are kept. Raises InputError."""
     objects = unseen_set()
     write_bop_ycbv(out / "ycbv", objects, scenes, frames, SEED, SceneRanges())
     write_fast_ycb_set(out / "fast", objects, sequences, SEQUENCE_FRAMES, SEED)

@@ -1,4 +1,4 @@
-"""Plan the built-in scene: paths of all objects, tested for visibility by coarse renderings."""
+"""Plans the built-in scene: paths of all objects, checked for visibility in coarse renderings."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from huepose.scenes.room import bar, room
 from huepose.support.errors import InputError
 
 _ATTEMPTS = 12
-"""Most drafts of a plan, the best of which is taken."""
+"""Largest number of drafts; the best one becomes the plan."""
 
-_EVERY = 5  # frames between those that are looked at before a plan is taken
+_EVERY = 5  # every N-th frame of a draft is checked
 
 
 @dataclass(frozen=True)
 class _Manner:
-    """How objects move. about_middle: as if their origins were in the middle of their bounding boxes; haste:
-    how fast and how far, see `object_paths`."""
+    """How objects move. about_middle: about the centres of their bounding boxes instead of their origins;
+    haste: factor on speed and path length, see `object_paths`."""
 
     about_middle: bool
     haste: float
 
 
 _MANNERS = (_Manner(False, 1.0), _Manner(True, 1.0), _Manner(True, 0.5), _Manner(True, 0.35))
-"""The first in which the objects have room is taken."""
+"""The first manner in which the objects have room is used."""
 
 
 def plan(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera) -> Stage:
     """The stage of a loop: the first of twelve random plans that meets all conditions, else the best of them.
 
-    Conditions: every object is fully visible in the calm phase, at least 30 % visible in 97 % of all frames,
-    never fully hidden, and some object is half hidden at some time. Raises InputError when the objects do not
-    fit.
+    Conditions: in the calm phase at least 93 % of every object is visible; every object is at least 30 %
+    visible in 97 % of all frames, and never less than 12 %; some object is at some time less than half
+    visible. Raises InputError if the objects do not fit.
     """
     for manner in _MANNERS:
         stage = _best(objects, seed, n_frames, camera, manner)
@@ -52,20 +52,20 @@ def plan(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera) 
 
 
 def check_room(objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera) -> None:
-    """Raises InputError where `plan` does, without drawing anything."""
+    """Raises InputError if `plan` does, without rendering anything."""
     timing = Timing.of(n_frames)
-    if all(_moving(objects, camera, timing, _dice(seed, 0), manner) is None for manner in _MANNERS):
+    if all(_moving(objects, camera, timing, _generator(seed, 0), manner) is None for manner in _MANNERS):
         raise _no_room(objects)
 
 
 def _best(
     objects: Mapping[str, Mesh], seed: int, n_frames: int, camera: Camera, manner: _Manner
 ) -> Stage | None:
-    """The plan that is taken when objects move in that manner; None when they have no room."""
+    """The best plan in which objects move in this manner; None if they have no room."""
     best: Stage | None = None
     best_score = -np.inf
     for attempt in range(_ATTEMPTS):
-        stage = _draft(objects, n_frames, camera, _dice(seed, attempt), manner)
+        stage = _draft(objects, n_frames, camera, _generator(seed, attempt), manner)
         if stage is None:
             break
         score = _score(stage)
@@ -76,7 +76,7 @@ def _best(
     return best
 
 
-def _dice(seed: int, attempt: int) -> np.random.Generator:
+def _generator(seed: int, attempt: int) -> np.random.Generator:
     return np.random.default_rng([seed, attempt, 30])
 
 
@@ -136,13 +136,13 @@ def _draft(
 
 
 def _score(stage: Stage) -> float:
-    """Score of a plan: at least 1 if it meets all conditions, else how nearly."""
+    """Score of a plan: 1 if it meets all conditions, less the farther it is from them."""
     rough = stage.camera.scaled(0.25)
     frames = np.arange(0, len(stage), _EVERY)
-    seen: Float64 = np.array([labels(stage, int(i), rough).visib_fract for i in frames])
-    calm = seen[frames < CALM_S * RATE_HZ].min()
-    often = (seen >= 0.3).mean(0).min()
-    hidden = seen.min()
+    visible: Float64 = np.array([labels(stage, int(i), rough).visib_fract for i in frames])
+    calm = visible[frames < CALM_S * RATE_HZ].min()
+    often = (visible >= 0.3).mean(0).min()
+    least = visible.min()
     return (
-        float(min(calm / 0.93, 1.0) + min(often / 0.97, 1.0) + min(hidden / 0.12, 1.0) + (hidden < 0.5)) / 4.0
+        float(min(calm / 0.93, 1.0) + min(often / 0.97, 1.0) + min(least / 0.12, 1.0) + (least < 0.5)) / 4.0
     )

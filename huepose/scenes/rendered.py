@@ -1,10 +1,10 @@
-"""Single labelled frames of heaps and piles of objects, drawn by code: to calibrate and to judge changes on.
+"""Rendered single frames of heaps and piles of objects, with labels: for calibration and to measure changes.
 
-A frame is a heap of some of the objects and of other things on a printed table, seen by a hand-held colour
-and stereo depth camera. Everything varies from frame to frame, and follows from the seed and the number of
-the frame alone: which objects, how close together, the lenses, how far and from where, the direction, colour
-and strength of light, shadows, gloss, exposure, hand shake, noise of colour and depth. A pile is a heap that
-is denser, farther away and in worse light, half of them in an open box, with depth as cameras lose it there.
+A frame shows a heap of some of the objects and of clutter on a printed table, taken by a hand-held colour and
+stereo depth camera. The seed and the number of the frame determine it completely. What varies: the objects,
+how close they are together, the focal length, the camera pose, the direction, colour and strength of light,
+shadows, gloss, exposure, motion blur, noise of colour and depth. A pile is a heap that is denser, farther
+away and in worse light, with depth that is lost as by real cameras; half of the piles are in an open box.
 """
 
 from __future__ import annotations
@@ -31,34 +31,36 @@ from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
 HEAP_ROOM = -TABLE_M * UP_ROOM + 0.8 * AHEAD_ROOM
-"""Where the middle of the heap lies on the table."""
+"""Centre of the heap on the table."""
 
 T_ROOM_TABLE = se3.make(upright(0.0), HEAP_ROOM)
 
 LARGEST_M = 0.45
-"""Longest side, of the mesh's own axes, of an object that fits on the table."""
+"""Longest extent, along the mesh's own axes, of an object that fits on the table."""
 
 _ROOMS = 8
-"""Rooms of a set: its frames take them in turn."""
+"""Number of rooms in a set; its frames use them in turn."""
 
 HEAP_PLACES, PILE_PLACES = 5, 24
-"""Places that are tried for each thing, of which it takes the lowest: piles are denser."""
+"""Positions that are tried for each mesh; it takes the lowest. More positions make piles denser."""
 
 BOXED, BOX_HALF_SIDE_M, BOX_HEIGHT_M = 0.5, (0.13, 0.2), (0.06, 0.13)
 """Share of the piles in an open box, and its size."""
 
 MISALIGNED, SHIFT_PX = 0.25, 2
-"""Share of the piles whose depth lies off the picture, and by how much at most along each axis."""
+"""Share of the piles whose depth is shifted against colour, and the largest shift along each axis."""
 
 
 @dataclass(frozen=True)
 class SceneRanges:
-    """From what range each thing is drawn, evenly. objects, others: counts in a frame; spread_m: radius of
-    the heap; distance_m, elevation_deg: of the camera from the heap; exposure: in stops; tint: natural
-    logarithm of red and blue against green; key, sky, gloss: see `scenes.light.Light`; shake_px: motion
-    during the exposure, in every third frame; subpixel: see `scenes.camera.StereoSensor`; pile: whether
-    there are a second lamp, in every second frame an open box around the heap, in every fourth depth that
-    lies up to 2 px off the picture, and always depth that is lost in the dark and in glare."""
+    """Ranges of the uniform distributions that a frame is drawn from.
+
+    objects, others: number of objects and of other meshes; spread_m: radius of the heap; distance_m,
+    elevation_deg: of the camera from the heap; exposure: in stops; tint: natural logarithm of red and blue
+    against green; key, sky, gloss: see `scenes.light.Light`; shake_px: motion during the exposure, in a third
+    of the frames; subpixel: see `scenes.camera.StereoSensor`; pile: adds a second lamp, an open box around
+    half of the heaps, depth that is shifted by up to 2 px against colour in a quarter of the frames, and
+    depth that is lost in the dark and in glare."""
 
     objects: tuple[int, int] = (6, 9)
     others: tuple[int, int] = (2, 5)
@@ -88,13 +90,13 @@ PILES = SceneRanges(
     shake_px=(1.0, 6.0),
     pile=True,
 )
-"""From what ranges piles are drawn."""
+"""The ranges of piles."""
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
-    """A frame: what the camera delivers and the truth, the names of the labelled objects in the order of the
-    labels, and the camera with its intrinsics."""
+class RenderedFrame:
+    """A frame with its ground truth. names: of the labelled objects, in the order of the labels; camera: its
+    intrinsics."""
 
     shot: Shot
     names: tuple[str, ...]
@@ -103,17 +105,17 @@ class Drawn:
 
 def rendered_frame(
     meshes: Mapping[str, Mesh], seed: int, number: int, ranges: SceneRanges | None = None
-) -> Drawn:
+) -> RenderedFrame:
     """Frame `number` of the set `seed`. The same arguments give the same pixels.
 
-    Raises InputError for no mesh, or for one too large for a heap on the table."""
+    Raises InputError for no mesh, or for one that is too large for a heap on the table."""
     ranges = ranges or SceneRanges()
     stage, names, rng, pile = heaped_stage(meshes, seed, number, ranges)
     depth_sensor = replace(STEREO, subpixel=rng.uniform(*ranges.subpixel))
     color_sensor = replace(
         COLOR, full_well=COLOR.full_well * rng.uniform(0.3, 1.2), blur_px=rng.uniform(0.4, 0.8)
     )
-    # The middle one of three frames: the exposure reaches into its neighbours.
+    # The middle of three frames, because the exposure extends into its neighbours.
     shot = shoot(stage, 1, int(rng.integers(2**31)), color_sensor, depth_sensor)
     if ranges.pile:
         depth = lost_in_bad_light(shot.depth, shot.color, pile)
@@ -121,16 +123,17 @@ def rendered_frame(
             right_px, down_px = pile.integers(-SHIFT_PX, SHIFT_PX + 1, 2)
             depth = shifted(depth, int(right_px), int(down_px))
         shot = replace(shot, depth=depth)
-    return Drawn(shot, names, stage.camera)
+    return RenderedFrame(shot, names, stage.camera)
 
 
 def heaped_stage(
     meshes: Mapping[str, Mesh], seed: int, number: int, ranges: SceneRanges
 ) -> tuple[Stage, tuple[str, ...], Rng, Rng]:
-    """The heap of frame `number` of the set `seed`, for three frames in the middle of which it is taken; the
-    names of its labelled objects; and the dice of the frame and of its pile, to be thrown on.
+    """The heap of frame `number` of the set `seed` as a stage of three frames, of which the middle one is
+    rendered; the names of its labelled objects; and the random generators of the frame and of the pile, for
+    what is drawn after this.
 
-    Raises InputError for no mesh, or for one too large for a heap on the table."""
+    Raises InputError for no mesh, or for one that is too large for a heap on the table."""
     check_sizes(meshes)
     rng = np.random.default_rng([seed, number, 61])
     known = sorted(meshes)
@@ -163,8 +166,7 @@ def heaped_stage(
 
 
 def check_sizes(meshes: Mapping[str, Mesh], fix: str = "Leave it out with --objects.") -> None:
-    """Raises InputError for no mesh, or for one that is too large for a heap on the table, with what to do
-    about that."""
+    """Raises InputError for no mesh, or, with `fix`, for one that is too large for a heap on the table."""
     if not meshes:
         raise InputError("rendered scene", found="no object", expected="one mesh or more")
     for name, mesh in meshes.items():
@@ -180,14 +182,14 @@ def check_sizes(meshes: Mapping[str, Mesh], fix: str = "Leave it out with --obje
 
 @lru_cache(maxsize=_ROOMS)
 def _room(seed: int, k: int) -> tuple[tuple[Mesh, Float64], ...]:
-    """One of the rooms of a set, with its table and what stands at the back of it."""
+    """Room k of a set: table, wall and clutter at the back of the table."""
     rng = np.random.default_rng([seed, k, 62])
     return tuple(room(rng, n_clutter=int(rng.integers(2, 12))))
 
 
 def _heaped(heap: Heap, things: list[Mesh], spread_m: float, rng: Rng, places: int) -> list[Float64]:
-    """Poses T_room_mesh (4, 4) of things heaped up within that radius, large ones first, each in the lowest
-    of so many places."""
+    """Poses T_room_mesh (4, 4) of meshes that are heaped up within the radius `spread_m`, roughly from
+    large to small, each at the lowest of `places` random positions."""
     poses: list[Float64] = [np.eye(4)] * len(things)
     sizes = [float(np.ptp(mesh.vertices, axis=0).max()) * rng.uniform(0.6, 1.4) for mesh in things]
     for k in np.argsort(sizes)[::-1]:
@@ -199,7 +201,7 @@ def _heaped(heap: Heap, things: list[Mesh], spread_m: float, rng: Rng, places: i
 
 
 def _view(ranges: SceneRanges, rng: Rng) -> tuple[Camera, Float64]:
-    """A camera, and T_cam_room (4, 4) of one that looks at the heap from the front."""
+    """A camera, and its pose T_cam_room (4, 4): it looks at the heap from the front."""
     zoom = rng.uniform(0.9, 1.1)
     camera = replace(CAMERA, fx=CAMERA.fx * zoom, fy=CAMERA.fy * zoom)
     elevation, azimuth = np.radians(rng.uniform(*ranges.elevation_deg)), rng.uniform(-0.7, 0.7)
@@ -215,7 +217,8 @@ def _view(ranges: SceneRanges, rng: Rng) -> tuple[Camera, Float64]:
 
 
 def _shaken(T_cam_room: Float64, camera: Camera, ranges: SceneRanges, rng: Rng) -> Float64:
-    """T_cam_room (3, 4, 4) a frame before, at and after: still, but for every third camera, which turns."""
+    """T_cam_room (3, 4, 4) one frame before, at, and one frame after: a third of the cameras rotate, the
+    others are static."""
     shaken, angle = rng.random() < 1 / 3, rng.uniform(0, 2 * np.pi)
     turn = rng.uniform(*ranges.shake_px) / camera.fx / SHUTTER * (1.0 if shaken else 0.0)
     step = turn * np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -239,7 +242,7 @@ def _light(ranges: SceneRanges, rng: Rng) -> Light:
 
 
 VERSION = 1
-"""Of what the code draws: raise it when the same seed gives other pictures."""
+"""Of the rendered images: raise it when the same seed gives other pixels."""
 
 
 def write_rendered_set(
@@ -251,10 +254,11 @@ def write_rendered_set(
     ranges: SceneRanges | None = None,
     color_suffix: str = ".jpg",
 ) -> None:
-    """Draw frames 0 to `frames` - 1 of the set `seed` into a folder; those that are there already are kept.
+    """Render frames 0 to `frames` - 1 of the set `seed` into a folder. Frames that are already there are
+    kept.
 
     meshes: in metres, by name; object_ids: BOP ids by name. Raises InputError for a folder that holds
-    something else, no frames, or meshes that cannot be drawn."""
+    something else, for no frames, or for meshes that are too large."""
     if frames < 1:
         raise InputError("--frames", found=str(frames), expected="1 or more")
     ranges = ranges or SceneRanges()
@@ -268,9 +272,9 @@ def write_rendered_set(
     }
     writer = BopWriter(folder, facts, color_suffix)
     missing = [number for number in range(frames) if number not in writer.done]
-    for number in progress(missing, f"drawing {folder.name}") if missing else ():
-        drawn, labels = rendered_frame(meshes, seed, number, ranges), []
-        for k, (name, T) in enumerate(zip(drawn.names, drawn.shot.labels.T_cam_obj, strict=True)):
-            count, box = silhouette(meshes[name], T, drawn.camera)
-            labels.append(Label(object_ids[name], T, np.asarray(drawn.shot.owner == k), count, box))
-        writer.add(number, drawn.shot.color, drawn.shot.depth, drawn.camera, labels)
+    for number in progress(missing, f"rendering {folder.name}") if missing else ():
+        frame, labels = rendered_frame(meshes, seed, number, ranges), []
+        for k, (name, T) in enumerate(zip(frame.names, frame.shot.labels.T_cam_obj, strict=True)):
+            count, box = silhouette(meshes[name], T, frame.camera)
+            labels.append(Label(object_ids[name], T, np.asarray(frame.shot.owner == k), count, box))
+        writer.add(number, frame.shot.color, frame.shot.depth, frame.camera, labels)

@@ -1,4 +1,4 @@
-"""What stands around in the synthetic scene: a table, a wall, clutter on the table, a bar that passes by.
+"""The surroundings in the rendered scenes: a table, a wall, clutter on the table, a bar that passes by.
 
 Poses are in the frame `room`, as in `scenes.motion`.
 """
@@ -23,7 +23,7 @@ TABLE_SIZE_M, WALL_SIZE_M = (2.6, 2.0), (5.0, 2.4)
 
 
 def sheet(width_m: float, height_m: float, texture: UInt8) -> Mesh:
-    """A rectangle in z = 0 about the origin, its picture seen from +z with y up."""
+    """A rectangle in z = 0 centred at the origin; its texture is upright when seen from +z with y up."""
     x, y = width_m / 2, height_m / 2
     vertices = np.array([[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -33,7 +33,7 @@ def sheet(width_m: float, height_m: float, texture: UInt8) -> Mesh:
 
 def room(rng: Rng, n_clutter: int = 11) -> list[Placed]:
     """Table, wall and clutter with their poses T_room_mesh (4, 4)."""
-    below = -TABLE_M * UP_ROOM  # the foot of the camera on the table
+    below = -TABLE_M * UP_ROOM  # the point of the table vertically below the camera
     lying = se3.make(upright(0.0), below + 0.95 * AHEAD_ROOM)
     wall_turn = upright(0.0) @ se3.rotation_exp(np.array([np.pi / 2, 0, 0]))
     standing = se3.make(wall_turn, below + 2.0 * AHEAD_ROOM + 0.6 * UP_ROOM)
@@ -107,7 +107,7 @@ def wallpaper(rng: Rng, pixels: tuple[int, int] = (720, 1500)) -> UInt8:
 
 
 def clutter(rng: Rng) -> Mesh:
-    """A thing of 5 to 16 cm that is none of the objects: plain or printed; box, ball, cup or step."""
+    """A mesh of 5 to 16 cm that is none of the objects: plain or printed; box, ball, cup or step."""
     kind = int(rng.integers(4))
     p = textures.palette(rng.uniform(), rng)
     art = [textures.painted, textures.sticker("STORE 3", int(rng.integers(4))), textures.blocks("misc")][
@@ -130,7 +130,7 @@ def clutter(rng: Rng) -> Mesh:
 
 
 def bar(rng: Rng) -> Mesh:
-    """A stick of 3 x 2 x 60 cm along y, painted in bands: it passes before the objects."""
+    """A stick of 3 x 2 x 60 cm along y, painted in bands. It passes in front of the objects."""
     p = textures.palette(rng.uniform(), rng)
     charts = blocks([-0.015, 0.015], [-0.3, 0.3], [-0.01, 0.01], np.ones((1, 1, 1), bool), 0.1)
     return printed(charts, [_bands] * len(charts), p, rng, 512)

@@ -1,11 +1,11 @@
-"""What a camera makes of the light and of the geometry: noise, and depth as an active stereo pair gives it.
+"""The sensor model: noise of colour, and depth as an active stereo pair measures it.
 
-Depth is taken as the left view of a stereo pair, with disparity d = fx * baseline / Z pixels. Effects in
-turn: ragged edges (the matching window takes one of the two surfaces, more often the nearer one), a shadow
-without depth on the left of things (hidden from the right camera), pixels that fly between two surfaces,
-disparity noise that is correlated over the matching window, steps of 1/32 px, holes. So the RMS of Z is
-Z^2 * subpixel / (fx * baseline) on a smooth surface, as the makers state it. In bad light, blobs are lost
-where the picture is too dark or too bright to match.
+Depth is that of the left view of a stereo pair, with disparity d = fx * baseline / Z pixels. Effects, in this
+order: ragged edges (the matching window takes one of the two surfaces, more often the nearer one); no depth
+to the left of foreground objects (occluded for the right camera); flying pixels between two surfaces;
+disparity noise that is correlated over the matching window; steps of 1/32 px; holes. So the RMS of Z on a
+smooth surface is Z^2 * subpixel / (fx * baseline), as manufacturers state it. In bad light, depth is lost in
+blobs where the image is too dark or too bright to match.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from huepose.geometry.camera import Camera
 from huepose.scenes.camera import ColorSensor, StereoSensor
 from huepose.support.jit import jit
 
-# sRGB of light whose square root is k / 4095: nearly a straight line, so that dark tones keep their steps.
+# sRGB of light whose square root is k / 4095: nearly linear in k, so dark tones keep fine steps.
 _TO_SRGB: UInt8 = np.rint(255.0 * (np.arange(4096) / 4095.0) ** (2 / 2.2)).astype(np.uint8)
 
 
-# The normal distribution: its values at 65536 equal shares, and its shares at values from -5 to 5.
+# The normal distribution: 65536 quantiles at equal steps, and the cumulative distribution from -5 to 5.
 _NORMAL: Float32 = ndtri((np.arange(65536) + 0.5) / 65536).astype(np.float32)
 _NORMAL_SHARE: Float32 = ndtr(np.arange(-320, 321) / 64.0).astype(np.float32)
 
 
 DARK, GLARE = 14.0, 250.0
-"""Grey levels under and over which a stereo camera finds nothing to match."""
+"""Grey levels below and above which a stereo camera finds no match."""
 
 LOST_SHARE = 0.6
-"""Of such surfaces, in blobs."""
+"""Share of these pixels that have no depth, in blobs."""
 
 
 def gaussian(rng: Rng, shape: tuple[int, ...]) -> Float32:
-    """Normal noise of RMS 1, by a table of 16-bit steps: four times as fast as the exact one."""
+    """Normal noise of RMS 1, from a table of 16-bit steps: four times as fast as exact noise."""
     codes = np.frombuffer(rng.bytes(2 * int(np.prod(shape))), np.uint16)
     return np.asarray(_NORMAL[codes].reshape(shape), np.float32)
 
@@ -64,17 +64,17 @@ def _develop(light: Float32, noise: Float32, photon: float, read: float, to_srgb
 def stereo_depth(
     depth: Float32, normals_cam: Float32, camera: Camera, sensor: StereoSensor, rng: Rng
 ) -> Float32:
-    """Depth (H, W) as the sensor measures it, 0 = none, of true depth (H, W) and normals (H, W, 3)."""
+    """Depth (H, W) as the sensor measures it, 0 = none, from true depth (H, W) and normals (H, W, 3)."""
     shape = depth.shape
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     unit = camera.fx * sensor.baseline_m
     d = np.divide(unit, depth, out=np.zeros_like(depth), where=depth > 0).astype(np.float32)
     near, far, edge = _around_edges(d)
 
-    # The window takes one of the surfaces around an edge, by chance but the same over patches of it.
+    # Around an edge, the window takes one of the two surfaces: at random, but the same within a patch.
     choice = patches(rng, shape, 2.2)
     seen = np.where(edge & (choice > 0.75), far, np.where(edge & (choice < 0.45), near, d)).astype(np.float32)
-    known = (seen > 0) & ~_hidden(d)
+    known = (seen > 0) & ~_occluded(d)
     flying = edge & (rng.random(shape, dtype=np.float32) < sensor.flying)
     mix = rng.random(shape, dtype=np.float32)
     seen = np.where(flying, far + mix * (near - far), seen).astype(np.float32)
@@ -106,7 +106,8 @@ def _around_edges(d: Float32) -> tuple[Float32, Float32, Bool]:
 
 
 def patches(rng: Rng, shape: tuple[int, ...], sigma_px: float) -> Float32:
-    """A field uniform in 0..1 and smooth over about `sigma_px`: the share p of it below p lies in blobs."""
+    """A random field, uniform in 0..1 and smooth over about `sigma_px`. Its values below p cover the share
+    p of the pixels, in blobs."""
     height, width = shape
     step = 1 if sigma_px < 2 else 2
     small = gaussian(rng, (height // step + 1, width // step + 1))
@@ -116,9 +117,9 @@ def patches(rng: Rng, shape: tuple[int, ...], sigma_px: float) -> Float32:
 
 
 @jit
-def _hidden(d: Float32) -> Bool:
-    """Pixels whose place in the right view, d px to the left, is taken by a nearer surface, one that lies
-    further right in the same row here."""
+def _occluded(d: Float32) -> Bool:
+    """Pixels that a nearer surface occludes in the right view. Their position there is d px to the left; the
+    nearer surface lies farther right in the same row of the left view."""
     height, width = d.shape
     out: Bool = np.zeros(d.shape, np.bool_)
     for row in range(height):
@@ -136,7 +137,7 @@ def _hidden(d: Float32) -> Bool:
 
 @jit
 def _grazing(normals: Float32, fx: float, fy: float, cx: float, cy: float) -> Float32:
-    """0 where a surface is seen at up to 60 degrees from its normal, rising to 1 at 85 degrees."""
+    """0 where a surface is viewed at up to 60 degrees from its normal, rising to 1 at 85 degrees."""
     height, width = normals.shape[:2]
     out: Float32 = np.zeros((height, width), np.float32)
     for row in range(height):
@@ -151,14 +152,14 @@ def _grazing(normals: Float32, fx: float, fy: float, cx: float, cy: float) -> Fl
 
 
 def lost_in_bad_light(depth: Float32, color: UInt8, rng: Rng) -> Float32:
-    """Depth (H, W) of which blobs are gone, 0, where the picture (H, W, 3) is too dark or too bright."""
+    """Depth (H, W) with blobs set to 0 where the image (H, W, 3) is too dark or too bright."""
     grey = cv2.GaussianBlur(color.max(2).astype(np.float32), (0, 0), 2.0)
     bad = (grey < DARK) | (grey > GLARE)
     return np.where(bad & (patches(rng, depth.shape, 4.0) < LOST_SHARE), np.float32(0.0), depth)
 
 
 def shifted(depth: Float32, right_px: int, down_px: int) -> Float32:
-    """Depth (H, W) that lies so many pixels off the picture; 0 where nothing is known then."""
+    """Depth (H, W) shifted against colour by these pixels; 0 at the border, where depth is then unknown."""
     height, width = depth.shape
     move = np.array([[1, 0, right_px], [0, 1, down_px]], np.float64)
     return np.asarray(cv2.warpAffine(depth, move, (width, height), flags=cv2.INTER_NEAREST), np.float32)

@@ -1,7 +1,7 @@
-"""Textured demonstration objects by code: a box, a can, a bottle, a bracket and a tray.
+"""The textured demo objects, made by code: a box, a can, a bottle, a bracket and a tray.
 
-Closed meshes of one to six thousand triangles; each chart is printed at the same number of pixels per metre
-and packed into one texture.
+Closed meshes of one to six thousand triangles. All charts have the same number of pixels per metre and are
+packed into one texture.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from huepose.scenes.charts import OPEN_TOP, Chart, blocks, revolved
 from huepose.scenes.textures import Art, Palette
 
 TEXTURE_PX = 1024
-GAP_PX = 8  # between charts; each texture also bleeds over half of it
+GAP_PX = 8  # between charts; each chart's texture extends over half of it
 
 
 def demo_objects(seed: int = 0) -> dict[str, Mesh]:
-    """Five objects of 10 to 19 cm in metres, z up, the origin in the middle of the bounding box.
+    """Five objects of 10 to 19 cm in metres, z up, the origin at the centre of the bounding box.
 
-    The same seed gives the same textures to the pixel; another seed other colours, pictures and texts.
+    The same seed gives the same pixels; another seed gives other colours, pictures and texts.
     """
     rng = np.random.default_rng([seed, 20])
     hues = (rng.uniform() + np.array([0.0, 0.42, 0.2, 0.63, 0.83])) % 1.0
@@ -103,7 +103,7 @@ def parts_tray(p: Palette, rng: Rng) -> Mesh:
 def printed(
     charts: Sequence[Chart], arts: Sequence[Art], p: Palette, rng: Rng, texture_px: int = TEXTURE_PX
 ) -> Mesh:
-    """The mesh of charts, each with its own art, all in one square texture."""
+    """The mesh of the charts, each printed with its own art, all in one square texture."""
     sizes = np.array([chart.size for chart in charts])
     density, places = _packed(sizes, texture_px)
     texture = np.zeros((texture_px, texture_px, 3), np.uint8)
@@ -128,7 +128,8 @@ def printed(
 
 
 def _packed(sizes: Float64, texture_px: int) -> tuple[float, list[tuple[int, int]]]:
-    """The most pixels per metre at which charts (N, 2) fit on shelves, and their top-left corners in px."""
+    """The most pixels per metre at which charts of these sizes (N, 2) fit into the texture in rows, and their
+    top-left corners in px."""
 
     def packed(density: float) -> tuple[list[tuple[int, int]], bool]:
         pixels = np.maximum(8, (sizes * density).astype(int)) + GAP_PX

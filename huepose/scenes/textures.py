@@ -1,7 +1,7 @@
-"""Printed matter by code: labels, pictures, tables, bar codes, warning stickers, wood. All RGB uint8.
+"""Textures made by code: labels, pictures, tables, bar codes, warning stickers, wood. All RGB uint8.
 
-Every function draws into its own image of a given size; nothing here repeats, so that a texture tells which
-way round an object is.
+Every function makes an image of a given size. No texture is periodic, so it determines the orientation of an
+object.
 """
 
 from __future__ import annotations
@@ -249,8 +249,8 @@ def blocks(text: str) -> Art:
 
 
 def sticker(text: str, style: int) -> Art:
-    """Painted wood with a hazard band, a label and ornaments; the four styles (style mod 4) differ in where
-    things are and in colours, so that opposite sides of an object are told apart from afar."""
+    """Painted wood with a hazard band, a label and ornaments. The four styles (style mod 4) differ in layout
+    and colours, so that opposite sides of an object can be distinguished from afar."""
     style %= 4
 
     def draw(rng: Rng, height: int, width: int, p: Palette) -> UInt8:

@@ -86,7 +86,7 @@ def test_ctrl_c_ends_a_demo_whose_scene_is_still_being_drawn(tea_box: ReferenceM
         preexec_fn=heeds_ctrl_c,
     ) as running:
         assert running.stderr is not None
-        while f"drawing the scene of seed {seed}, once" not in (line := running.stderr.readline()):
+        while f"rendering the scene of seed {seed}, once" not in (line := running.stderr.readline()):
             assert line, "it ended"
         running.send_signal(signal.SIGINT)
         said = running.stderr.read()

@@ -1,4 +1,4 @@
-"""Objects by code to judge on alone: other shapes and other prints than those of the demo and of YCB.
+"""Objects made by code, for evaluation only: other shapes and prints than those of the demo and of YCB.
 
-Nothing is fitted to them and nothing is chosen by them.
+Nothing was fitted to them, and no choice was made on them.
 """

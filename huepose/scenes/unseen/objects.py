@@ -1,4 +1,4 @@
-"""Twenty-four objects: boxes, cans, bottles, bowls, tools with handles, toys; a third with little texture.
+"""Twenty-four objects: boxes, cans, bottles, bowls, tools with handles, toys; a third have little texture.
 
 Shapes are closed surfaces through rounded cross-sections along a line: soft boxes, handles, hulls, bowls.
 """
@@ -33,7 +33,7 @@ from huepose.scenes.unseen.prints import (
 )
 
 SEGMENTS = 40
-"""Corners of a cross-section."""
+"""Number of corners of a cross-section."""
 
 STEP_M = 0.008
 """Longest step along the line, so that triangles stay small."""
@@ -46,11 +46,12 @@ def loft(
     axis: tuple[float, float, float] | None = (0.0, 0.0, 1.0),
     across: tuple[float, float, float] = (1.0, 0.0, 0.0),
 ) -> list[Chart]:
-    """Three charts: the first end, the side unrolled, the last end.
+    """A closed surface through K cross-sections, as three charts: the first end, the unrolled side, the
+    last end.
 
     centres (K, 3) m; radii (K, 2) m: of each cross-section along `across` and at right angles to it; power:
-    2 is an ellipse, 1 a diamond, larger ones near a rectangle; axis: what cross-sections are at right angles
-    to, None for the line itself."""
+    2 is an ellipse, 1 a diamond, larger values approach a rectangle; axis: normal of the cross-sections, None
+    for the direction of the line itself."""
     middle, radius = _dense(np.asarray(centres, np.float64), np.asarray(radii, np.float64))
     along = np.gradient(middle, axis=0) if axis is None else np.broadcast_to(np.array(axis), middle.shape)
     along = along / np.linalg.norm(along, axis=1, keepdims=True)
@@ -75,7 +76,7 @@ def loft(
 
 
 def _end(ring: Float64, middle: Float64, flat_ring: Float64, first: bool) -> Chart:
-    """What closes an end: smaller and smaller rings about its middle."""
+    """The chart that closes an end: concentric rings that shrink to its centre."""
     count = max(2, int(np.ceil(np.linalg.norm(ring - middle, axis=1).max() / STEP_M)))
     shares = np.linspace(0.0, 1.0, count + 1)[:: 1 if first else -1, None, None]
     points, flat = middle + shares * (ring - middle), shares * flat_ring * (-1.0 if first else 1.0, -1.0)
@@ -83,7 +84,7 @@ def _end(ring: Float64, middle: Float64, flat_ring: Float64, first: bool) -> Cha
 
 
 def _dense(centres: Float64, radii: Float64) -> tuple[Float64, Float64]:
-    """The same line with more cross-sections, none farther apart than STEP_M."""
+    """The same line with more cross-sections, at most STEP_M apart."""
     reach = np.abs(np.diff(radii, axis=0)).max(1)
     steps = np.maximum(np.linalg.norm(np.diff(centres, axis=0), axis=1), reach)
     counts = np.maximum(1, np.ceil(steps / STEP_M).astype(int))
@@ -98,7 +99,7 @@ def _dense(centres: Float64, radii: Float64) -> tuple[Float64, Float64]:
 def arc(
     middle: tuple[float, float, float], radii: tuple[float, float], degrees: tuple[float, float]
 ) -> Float64:
-    """Points (K, 3) of an ellipse's arc in the x-z plane, 0 degrees at +x, 90 at +z."""
+    """Points (K, 3) of an arc of an ellipse in the x-z plane, 0 degrees at +x, 90 at +z."""
     angle = np.radians(np.linspace(*degrees, 17))
     zero = np.zeros_like(angle)
     around = np.stack([radii[0] * np.cos(angle), zero, radii[1] * np.sin(angle)], -1)
@@ -116,7 +117,7 @@ def upright(
 
 
 def rod(a: Sequence[float], b: Sequence[float], radius: float, power: float = 2.0) -> list[Chart]:
-    """A straight bar with ends a little rounded."""
+    """A straight bar with slightly rounded ends."""
     start, end = np.asarray(a, np.float64), np.asarray(b, np.float64)
     along = (end - start) / np.linalg.norm(end - start)
     across = (0.0, 1.0, 0.0) if abs(along[1]) < 0.9 else (1.0, 0.0, 0.0)
@@ -268,7 +269,7 @@ def _with_little_texture() -> dict[str, list[Part]]:
 
 @dataclass(frozen=True, eq=False)
 class UnseenObject:
-    """mesh: metres, the origin in the middle of the bounding box; plain: with little texture."""
+    """mesh: in metres, the origin at the centre of the bounding box; plain: with little texture."""
 
     name: str
     mesh: Mesh
@@ -276,7 +277,7 @@ class UnseenObject:
 
 
 def unseen_objects(seed: int = 0) -> list[UnseenObject]:
-    """The same seed gives the same textures to the pixel; another one other colours and prints."""
+    """All 24 objects. The same seed gives the same pixels; another seed gives other colours and prints."""
     textured = {**_boxes_and_cans(), **_vessels(), **_toys()}
     little = _with_little_texture()
     out = []

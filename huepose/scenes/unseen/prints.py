@@ -1,5 +1,5 @@
-"""Prints without words or pictures of things: cells, maps, marbling, splashes, signs, leaves, wires, tiles;
-and surfaces with little on them. All RGB uint8; see `huepose.scenes.textures` for the arguments."""
+"""Prints without words or pictures: cells, maps, marbling, splashes, signs, leaves, wires, tiles; and
+surfaces with little texture. All RGB uint8; see `huepose.scenes.textures` for the arguments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from huepose.scenes.textures import Colour, Palette, clouds, mixed, plain
 
 
 def scheme(rng: Rng) -> Palette:
-    """Five colours that have nothing to do with each other."""
+    """Five independent random colours."""
 
     def any_colour(low: float, high: float) -> Colour:
         rgb = colorsys.hsv_to_rgb(rng.random(), rng.uniform(0.15, 0.95), rng.uniform(low, high))
@@ -39,7 +39,7 @@ def _points(rng: Rng, count: int, height: int, width: int) -> Float64:
 
 
 def cells(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """Cells around uneven points, with dark walls."""
+    """Voronoi cells of unevenly spread points, with dark borders."""
     sites = _points(rng, 40, height, width)
     sites = np.concatenate([sites, sites[:20] + rng.normal(0, 0.06 * max(height, width), (20, 2))])
     v, u = np.mgrid[:height, :width].astype(np.float32)
@@ -62,7 +62,7 @@ def contours(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
 
 
 def marbled(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """Bands of colour, drawn out and folded."""
+    """Distorted bands of colour."""
     size = max(height, width)
     folds = clouds(rng, height, width, size / 2, 5)
     v, u = np.mgrid[:height, :width].astype(np.float32)
@@ -75,7 +75,7 @@ def marbled(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
 
 
 def splashes(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """Thrown paint: blots, drops around them, strings."""
+    """Splashes of paint: blots, drops around them, lines."""
     image, size = plain(height, width, p.light), max(height, width)
     for at in _points(rng, 26, height, width):
         (x, y), ink, r = at, _any(rng, p), size * rng.uniform(0.01, 0.07)
@@ -91,7 +91,7 @@ def splashes(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
 
 
 def signs(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """Rows of signs that nobody reads, of several sizes and colours."""
+    """Rows of meaningless signs of several sizes and colours."""
     image, y = mixed(p.light, p.base, 0.3 * clouds(rng, height, width, width / 2, 2)), 0.02 * height
     while y < height:
         tall = height * rng.choice([0.05, 0.07, 0.12, 0.18])
@@ -108,7 +108,7 @@ def signs(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
 
 
 def leaves(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """Leaves and flowers that lie over each other."""
+    """Overlapping leaves and flowers."""
     image, size = plain(height, width, p.dark), max(height, width)
     for n, (x, y) in enumerate(_points(rng, 70, height, width)):
         ink, r = _any(rng, p), size * rng.uniform(0.03, 0.08)
@@ -152,7 +152,7 @@ def wires(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
 
 
 def tiles(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """A field divided again and again, each part in a colour of its own."""
+    """A rectangle that is divided repeatedly, each part in a random colour."""
     image = plain(height, width, p.dark)
     fields = [(0, 0, width, height)]
     for _ in range(30):
@@ -170,12 +170,12 @@ def tiles(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
 
 
 def coat(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """Paint, nearly even."""
+    """Nearly uniform paint in the base colour."""
     return mixed(p.base, p.dark, 0.06 * clouds(rng, height, width, max(height, width) / 2, 2))
 
 
 def trim(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """The same in the second colour: handles, lids, wheels."""
+    """Nearly uniform paint in the accent colour: for handles, lids, wheels."""
     return mixed(p.accent, p.dark, 0.06 * clouds(rng, height, width, max(height, width) / 2, 2))
 
 
@@ -198,7 +198,7 @@ def marked(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
 
 
 def halves(rng: Rng, height: int, width: int, p: Palette) -> UInt8:
-    """Two colours that meet on a slope."""
+    """Two colours that meet at a slanted line."""
     image = coat(rng, height, width, p)
     line = np.array([[0, 0.3], [1, 0.75], [1, 1], [0, 1]]) * (width, height)
     cv2.fillPoly(image, [np.rint(line).astype(np.int32)], p.accent, cv2.LINE_AA)

@@ -1,17 +1,18 @@
-"""The paper's ablation: what filtering flow by colour pairs does to the motion that is computed from it.
+"""The paper's ablation: how filtering optical flow by colour pairs changes the motion that is computed from
+it.
 
-Pairs of frames some frames apart; the raw relative pose between them, without refinement, re-initialisation
-or any memory; from different choices of flow correspondences (paper, section IV, "Ablation Study"):
+The relative pose between two frames some frames apart is computed without refinement, re-initialisation or
+memory, from different choices of flow correspondences (paper, section IV, "Ablation Study"):
 
-flow                 all flow on the object's surface, sampled evenly, as it comes
-flow filtered        of these, those whose two colours are still the same pair: the filter, nothing else
-consistent           of `flow` what flow backwards confirms and what ends on the carried mask
-consistent filtered  of these, those whose two colours are still the same pair: the filter, nothing else
-colorpair            all that the tracker does: also points on the ridges of colour pairs, and weights
+flow                 all flow on the object's surface, sampled evenly
+flow filtered        of these, those whose two colours are still the same pair: the filter alone
+consistent           of `flow`, what backward flow confirms and what ends on the propagated mask
+consistent filtered  of these, those whose two colours are still the same pair: the filter alone
+colorpair            as the paper's tracker: also points on the ridges of colour pairs, and weights
 
-and by different estimators, each a `RelativePose`: `kabsch`, weighted least squares over all of
-them, `robust`, RANSAC and reweighting, `residual`, a network that corrects the rotation of the robust one,
-and `direct`, a network that gives the whole rotation.
+and by different estimators, each a `RelativePose`: `kabsch`, weighted least squares over all
+correspondences; `robust`, RANSAC and reweighting; `residual`, a network that corrects the rotation of
+`robust`; `direct`, a network that gives the whole rotation.
 """
 
 from __future__ import annotations
@@ -40,21 +41,22 @@ from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
 LEAST_M, LEAST_RAD = 0.001, np.radians(1.0)
-"""Relative errors of pairs that move less say nothing: they are left out and counted."""
+"""Least motion of a pair. Relative errors of smaller motions mean nothing: such pairs are left out and
+counted."""
 
 FLOW_STEP_PX = 4
-"""Every choice starts from as dense a grid."""
+"""Step of the grid of flow samples, the same for every choice."""
 
 VISIBLE_M, VISIBLE_SHARE = 0.01, 0.005
-"""Largest difference of depth and rendered surface at visible pixels: these metres plus this share of the
-distance."""
+"""Largest difference between measured and rendered depth at visible pixels: these metres plus this share of
+the distance."""
 
 WINDOW_GROWTH, WINDOW_PX = 0.3, 8.0
-"""Flow is computed where the object is in either frame, and this much around it."""
+"""Flow is computed in the box around the object in both frames, grown by this share and these pixels."""
 
 
 def plain_kabsch(matches: LiftedMatches) -> Float64 | None:
-    """A RelativePose by weighted least squares over every match, wrong ones included."""
+    """A RelativePose by weighted least squares over all matches, wrong ones included."""
     if len(matches) < kabsch.MIN_INLIERS or matches.weights.sum() <= 0.0:
         return None
     return kabsch.fit(matches.points_a, matches.points_b, matches.weights)
@@ -64,15 +66,16 @@ ESTIMATORS: Mapping[str, RelativePose] = {"kabsch": plain_kabsch, "robust": robu
 
 
 def with_networks() -> dict[str, RelativePose]:
-    """These and the networks of the package."""
+    """ESTIMATORS and the networks of the package."""
     return {**ESTIMATORS, "residual": learned("residual"), "direct": learned("direct")}
 
 
 def evaluate_ablation(
     scenes: Sequence[Scene], targets: Targets, estimators: Mapping[str, RelativePose] | None = None
 ) -> AblationResult:
-    """Every pair of frames of each sequence whose numbers differ by GAP, for every labelled object that is
-    visible in both; a variant is called CHOICE/ESTIMATOR. Raises InputError where nothing can be compared."""
+    """Compare all variants on every pair of frames of each sequence whose numbers differ by GAP, for every
+    labelled object that is visible in both. The name of a variant is CHOICE/ESTIMATOR. Raises InputError if
+    there is no such pair."""
     rows: list[AblationRow] = []
     left_out = pairs = 0
     for scene in scenes:
@@ -87,7 +90,7 @@ def evaluate_ablation(
         raise InputError(
             "ablation",
             found=f"{pairs} pairs of frames, {left_out} of them without motion",
-            expected=f"an onboarded object that is seen moving {GAP} frames apart",
+            expected=f"an onboarded object that moves and is visible in frames {GAP} apart",
         )
     return AblationResult(rows, pairs, left_out)
 
@@ -95,7 +98,7 @@ def evaluate_ablation(
 def _pair(
     scene: Scene, image: int, targets: Targets, estimators: Mapping[str, RelativePose]
 ) -> list[list[AblationRow]]:
-    """One list of rows for each object of a pair of frames, empty where it hardly moves."""
+    """One list of rows for each object of a pair of frames; empty for an object that hardly moves."""
     before = {t.instance: t for t in scene.truths(image) if targets.wants(t) and t.visible}
     after = {t.instance: t for t in scene.truths(image + GAP) if t.visible}
     out: list[list[AblationRow]] = []
@@ -115,7 +118,7 @@ def _pair(
 
 
 def moves(T_a: Float64, T_b: Float64) -> bool:
-    """Whether an object moves far enough for relative errors to mean something."""
+    """Whether an object moves and rotates enough for relative errors to be meaningful."""
     shift = float(np.linalg.norm(T_b[:3, 3] - T_a[:3, 3]))
     return shift >= LEAST_M and se3.rotation_angle(T_a, T_b) >= LEAST_RAD
 
@@ -128,9 +131,9 @@ def compare(
     T_b: Float64,
     estimators: Mapping[str, RelativePose],
 ) -> list[tuple[str, float | None, float | None, float | None, int]]:
-    """(variant, relative rotation error, relative translation error, end-point error in px, matches) of every
-    variant for an object that goes from pose T_a to T_b (4, 4). The errors are None where there is no motion,
-    the last one where there is no match."""
+    """(variant, relative rotation error, relative translation error, end-point error in px, matches) of
+    every variant for an object that moves from pose T_a to T_b (4, 4). The relative errors are None if the
+    estimator finds no motion, the end-point error if there is no match on the object."""
     camera = a.frame.camera
     boxes = [_box(model, T, camera) for T in (T_a, T_b)]
     flow = None
@@ -155,17 +158,17 @@ def compare(
 
 
 def visible_within(mesh: Mesh, T_cam_obj: Float64, frame: RgbdFrame, box: Box) -> Bool:
-    """Pixels (H, W) of the frame in which the object is seen: rendered there, and confirmed by depth. `box`
-    bounds the object; it is clipped to the image."""
+    """Pixels (H, W) in which the object is visible: it is rendered there, and measured depth confirms it.
+    `box` bounds the object; it is clipped to the image."""
     mask = np.zeros(frame.depth.shape, bool)
     rows, columns = box.slices(frame.camera.width, frame.camera.height)
     w, h = columns.stop - columns.start, rows.stop - rows.start
     if w <= 0 or h <= 0:
         return mask
     rendered = render_depth(mesh, T_cam_obj, frame.camera.cropped(columns.start, rows.start, w, h))
-    seen = frame.depth[rows, columns]
-    near = np.abs(seen - rendered) < VISIBLE_M + VISIBLE_SHARE * rendered
-    mask[rows, columns] = (rendered > 0) & (seen > 0) & near
+    measured = frame.depth[rows, columns]
+    near = np.abs(measured - rendered) < VISIBLE_M + VISIBLE_SHARE * rendered
+    mask[rows, columns] = (rendered > 0) & (measured > 0) & near
     return mask
 
 
@@ -173,7 +176,7 @@ CHOICES = ("flow", "flow filtered", "consistent", "consistent filtered", "colorp
 
 
 def chosen(choice: str, a: Sample, b: Sample, mask: Bool, flow: Flow) -> Correspondences:
-    """The correspondences of a choice, see above; `mask` (H, W) outlines the object in the first frame."""
+    """The correspondences of a choice, see the module; `mask` (H, W): the object in the first frame."""
     colors = (a.frame.color, b.frame.color)
     if choice == "colorpair":
         return match(*colors, mask, flow, grid_step_px=FLOW_STEP_PX)
@@ -196,17 +199,18 @@ def _all_flow(mask: Bool, flow: Flow) -> Correspondences:
 
 
 def errors(T_b_a: Float64, T_a: Float64, T_b: Float64) -> tuple[float, float]:
-    """Residual rotation and translation of a motion, each as a share of the true one."""
-    there = se3.compose(T_b_a, T_a)
-    shift = np.linalg.norm(there[:3, 3] - T_b[:3, 3]) / np.linalg.norm(T_b[:3, 3] - T_a[:3, 3])
-    return se3.rotation_angle(there, T_b) / se3.rotation_angle(T_a, T_b), float(shift)
+    """Rotation and translation error of a motion, each as a share of the true motion."""
+    moved = se3.compose(T_b_a, T_a)
+    shift = np.linalg.norm(moved[:3, 3] - T_b[:3, 3]) / np.linalg.norm(T_b[:3, 3] - T_a[:3, 3])
+    return se3.rotation_angle(moved, T_b) / se3.rotation_angle(T_a, T_b), float(shift)
 
 
 def endpoint_error_px(
     matches: Correspondences, surface_depth: Float, camera: Camera, T_b_a: Float64
 ) -> float | None:
-    """Mean distance in pixels between where matches end and where the true motion takes the surface points
-    that they start from; surface_depth (H, W): of the object alone at its true pose, 0 beside it."""
+    """Mean distance in pixels between the end points of matches and the true end points, to which the true
+    motion takes the surface points at their start. surface_depth (H, W): rendered depth of the object alone
+    at its true pose, 0 elsewhere."""
     columns, rows = np.rint(matches.pixels_a).astype(int).T
     depth = surface_depth[rows, columns]
     on = depth > 0

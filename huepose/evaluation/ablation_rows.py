@@ -1,4 +1,4 @@
-"""Rows, summary and picture of the ablation of flow correspondences."""
+"""Rows, summary and plot of the ablation of flow correspondences."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from huepose.evaluation.summary import Figures, grouped
 from huepose.geometry.arrays import UInt8
 
 GAP = 5
-"""Frames between the two of a pair, as in the paper."""
+"""Difference of the frame numbers of a pair, as in the paper."""
 
 NO_ANSWER = 1.0
-"""Relative error of a pair without a motion: as if the object had been taken to stand still."""
+"""Relative error of a pair without an estimated motion: the same as if the object were static."""
 
 BLOCK = 15
-"""Pairs of frames that overlap or follow each other share what is easy or hard: so many frames of a sequence,
-half a second, are one unit where intervals are drawn."""
+"""Frames of a sequence that are one unit of the bootstrap, half a second: the errors of neighbouring pairs
+are correlated."""
 
 FILTERED = {"flow": "flow filtered", "consistent": "consistent filtered"}
-"""What the filter alone makes of which correspondences."""
+"""Choices of correspondences, and the same after the filter alone."""
 
 PICTURED = ("flow", "flow filtered", "colorpair")
 
@@ -37,7 +37,7 @@ RELATIVE = {
 @dataclass(frozen=True)
 class AblationRow:
     """One variant on one object in the pair of frames that begins with `frame`. object: BOP id or name. The
-    errors are None where no motion was found; matches: correspondences with depth at both ends."""
+    relative errors are None if no motion was found; matches: correspondences with depth at both ends."""
 
     sequence: str
     frame: int
@@ -51,14 +51,15 @@ class AblationRow:
 
 @dataclass(frozen=True, eq=False)
 class AblationResult:
-    """All rows; pairs: of an object in two frames; left_out: of these, how many hardly moved."""
+    """All rows. pairs: number of pairs of frames, counted for each object; left_out: how many of these were
+    left out because the object hardly moved."""
 
     rows: list[AblationRow]
     pairs: int
     left_out: int
 
     def as_json(self) -> dict[str, Any]:
-        """What is written."""
+        """The result file."""
         return {"summary": self.summary(), "rows": [asdict(row) for row in self.rows]}
 
     def summary(self) -> dict[str, Any]:
@@ -74,11 +75,11 @@ class AblationResult:
         }
 
     def picture(self, names: Mapping[str, str] | None = None) -> UInt8:
-        """The paper's figure: per object and over all, the mean errors of all flow, of what the filter leaves
-        of it and of what the tracker uses, one panel for each estimator, two side by side; below them the
-        end-point error, which belongs to the correspondences, whoever estimates from them.
+        """The paper's figure: mean errors per object and over all, of all flow, of filtered flow, and of the
+        correspondences of the tracker. One panel for each estimator, two side by side. Below them is the
+        end-point error, which does not depend on the estimator.
 
-        names: what to write under the bars of an object, by how rows call it."""
+        names: labels of the bars of an object, by its number or name in the rows."""
         summary, known = self.summary(), names or {}
         groups = {known.get(k, k): block for k, block in summary["per_object"].items()}
         groups["all"] = summary["variants"]
@@ -104,7 +105,7 @@ class AblationResult:
                 )
                 for estimator in estimators
             ]
-            # Two side by side: a page shows more only in letters that nobody can read.
+            # Two side by side: with more, the text on a page would be too small to read.
             blank = [np.full_like(row[0], 255)] * (len(row) % 2)
             panels += [beside([*row, *blank][k : k + 2]) for k in range(0, len(row), 2)]
         epe = {
@@ -117,7 +118,7 @@ class AblationResult:
 
 
 def _width(groups: Mapping[str, Any]) -> int:
-    """Pixels of a panel, so that the numbers over its bars do not run into each other."""
+    """Width of a panel in pixels, so that the numbers over its bars do not overlap."""
     return max(560, 170 * len(groups))
 
 
@@ -126,7 +127,7 @@ def _by_variant(rows: Sequence[AblationRow]) -> dict[str, Figures]:
 
 
 def _filter_alone(rows: Sequence[AblationRow]) -> dict[str, dict[str, tuple[float, Interval | None]]]:
-    """By correspondences and estimator: by how much the filter changes each mean, and the 95 % interval."""
+    """By choice and estimator: the change of each mean by the filter, and its 95 % interval."""
     by_variant = grouped(rows, lambda row: row.variant)
     out: dict[str, dict[str, tuple[float, Interval | None]]] = {}
     for name, without in by_variant.items():

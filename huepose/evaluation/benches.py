@@ -1,4 +1,4 @@
-"""How long the library takes on the built-in scene: stages of perception, estimation and tracking."""
+"""Computing time of the library on the built-in scene: stages of perception, estimation and tracking."""
 
 from __future__ import annotations
 
@@ -28,22 +28,21 @@ from huepose.tracking import Tracker, TrackerConfig
 from huepose.tracking.types import Correction
 
 ESTIMATED, TRACKED = 12, 120
-"""Frames that are measured."""
+"""Numbers of measured frames."""
 
 TRACKED_SIGMA = np.repeat([0.002, 0.01], 3)
-"""How far the priors of tracked objects are off, metres and radians: about as far as those of a tracker."""
+"""Standard deviation of the priors of tracked objects, metres and radians: about that of a tracker."""
 
 AT_ONCE = 2
-"""Objects that a running pipeline asks for at once, by default (reinit.objects_per_tick)."""
+"""Objects in one request of a running pipeline, by default (reinit.objects_per_tick)."""
 
 
 @dataclass(frozen=True)
 class StageTime:
-    """Milliseconds of one stage: percentiles over repetitions; CPU time is that of the threads it ran in.
+    """Milliseconds of one stage: percentiles over repetitions. CPU time is that of the threads it ran in.
 
-    first_wall_ms: of the first time in this process, which is not among the repetitions; allocated_mib: the
-    most that one repetition holds at once beside what there was before, without what compiled kernels take.
-    Both None where they are not measured.
+    first_wall_ms: of the first run in this process, which is not among the repetitions; allocated_mib: peak
+    memory that one repetition allocates, without that of compiled kernels. Both None if not measured.
     """
 
     name: str
@@ -62,7 +61,7 @@ class StageTime:
         first_s: float | None = None,
         allocated_mib: float | None = None,
     ) -> StageTime:
-        """From (wall, cpu) seconds, one a repetition; the wall seconds of the first time."""
+        """spans: (wall, cpu) seconds, one for each repetition; first_s: wall seconds of the first run."""
         wall, cpu = 1000.0 * np.array(spans, dtype=np.float64).reshape(-1, 2).T
         p50, p95, p99 = np.percentile(wall, [50, 95, 99])
         cpu_p50, cpu_p99 = np.percentile(cpu, [50, 99])
@@ -76,7 +75,7 @@ def bench_estimate(
 ) -> list[StageTime]:
     """All objects of the scene in disturbed true boxes, frame by frame: `estimate` as a whole on two threads,
     then each of its stages on one, summed over the objects of a frame. `estimate tracked`: with priors near
-    their true poses instead of boxes, in a frame that is not one of those that are looked at in full."""
+    the true poses instead of boxes, in a frame that is not searched in full."""
     estimator = Estimator(models, replace(config, threads=2))
     alone = Estimator(models, replace(config, threads=1))
     rows: dict[str, list[tuple[float, float]]] = {"estimate": [], "estimate tracked": []}
@@ -109,15 +108,15 @@ def bench_estimate(
 
 
 def _not_in_full(every: int) -> int:
-    """The number of a frame that is not looked at in full, if there are such frames."""
+    """The number of a frame that is not searched in full; 0 if there are no such frames."""
     return next((k for k in range(every * every) if not looks_in_full(k, every)), 0)
 
 
 def bench_track(
     scene: SyntheticScene, models: Mapping[str, ReferenceModel], config: TrackerConfig
 ) -> list[StageTime]:
-    """All objects of the scene, started from the truth, tracked through its frames: each step as a whole,
-    and its stages."""
+    """All objects of the scene, started from their true poses and tracked through its frames: each step as a
+    whole, and its stages."""
     tracker = Tracker(models, config)
     tracker.warm_up()
     first = scene.frame(0)
@@ -146,10 +145,10 @@ def bench_perception(
     config: DetectorConfig | None = None,
     frames: int = 12,
 ) -> list[StageTime]:
-    """On two threads, as in a pipeline. `detect`: all objects of the scene asked for at once, one of them
-    searched everywhere where a first look does not find it; its stages. `detect two`: two of them. `detect
-    missing`: one that was taken out of the picture; `detect still missing`: the same picture again with other
-    noise, as a camera gives it that stands still. `segment`: masks in the boxes of all."""
+    """On two threads, as in a pipeline. `detect`: all objects of the scene in one request, one of them
+    searched for in the whole image if the first step does not find it; its stages. `detect two`: two
+    objects. `detect missing`: one that was removed from the frame; `detect still missing`: the same frame
+    again with other noise, as from a static camera. `segment`: masks in the boxes of all objects."""
     config = replace(config or DetectorConfig(), threads=2)
     detector, segmenter = ViewDetector(models, config), DepthSegmenter()
     remembering = ViewDetector(models, replace(config, remembering=True))
@@ -159,19 +158,19 @@ def bench_perception(
     first_s = allocated = 0.0
     for k, i in enumerate(progress(np.linspace(0, len(scene), frames + 1, endpoint=False), "detecting")):
         frame, truths = scene.frame(int(i)), scene.truths(int(i))
-        turn = names[k % len(names)]
-        two = [turn, names[(k + 1) % len(names)]][:AT_ONCE]
-        without = _taken_out(frame, next((t for t in truths if t.object == turn), None))
-        remembering.detect(without, [turn])
+        chosen = names[k % len(names)]
+        two = [chosen, names[(k + 1) % len(names)]][:AT_ONCE]
+        without = _taken_out(frame, next((t for t in truths if t.object == chosen), None))
+        remembering.detect(without, [chosen])
         boxes = [(t.box_visib, models[t.object]) for t in truths if t.box_visib and t.object]
         with listening() as clock:
-            whole = _timed(partial(detector.detect, frame, names, (turn,)))
+            whole = _timed(partial(detector.detect, frame, names, (chosen,)))
         spans = {f"detect/{name}": total for name, total in clock.totals().items()}
         spans |= {
             "detect": whole,
             "detect two": _timed(partial(detector.detect, frame, two, two[:1])),
-            "detect missing": _timed(partial(detector.detect, without, [turn])),
-            "detect still missing": _timed(partial(remembering.detect, _again(without, k), [turn])),
+            "detect missing": _timed(partial(detector.detect, without, [chosen])),
+            "detect still missing": _timed(partial(remembering.detect, _again(without, k), [chosen])),
             "segment": _timed(partial(_segmented, segmenter, frame, boxes)),
         }
         if k == 0:  # prepares the models
@@ -180,14 +179,14 @@ def bench_perception(
         for name, span in spans.items():
             rows.setdefault(name, []).append(span)
         if k == 1:
-            allocated = _allocated_mib(partial(detector.detect, frame, names, (turn,)))
+            allocated = _allocated_mib(partial(detector.detect, frame, names, (chosen,)))
     wholes = ["detect two", "detect missing", "detect still missing", "segment"]
     order = ["detect", *(name for name in rows if "/" in name), *wholes]
     return _stages({name: rows[name] for name in order}, {"detect": (first_s, allocated)})
 
 
 def _again(frame: RgbdFrame, seed: int) -> RgbdFrame:
-    """The same view with more noise: 2 of 255 levels, 2 mm of depth a square metre of its square."""
+    """The same view with more noise: 2 of 255 levels of colour; 2 mm times the square of depth in metres."""
     rng = np.random.default_rng(seed)
     color = np.clip(np.rint(frame.color + rng.normal(0.0, 2.0, frame.color.shape)), 0, 255).astype(np.uint8)
     depth = frame.depth + rng.normal(0.0, 0.002, frame.depth.shape).astype(np.float32) * frame.depth**2
@@ -195,7 +194,7 @@ def _again(frame: RgbdFrame, seed: int) -> RgbdFrame:
 
 
 def _taken_out(frame: RgbdFrame, truth: GroundTruth | None) -> RgbdFrame:
-    """The frame without depth where an object is seen: nothing else looks like it there."""
+    """The frame without depth where an object is visible, so that it cannot be found there."""
     mask = None if truth is None else truth.mask()
     return frame if mask is None else frame.without(mask)
 
@@ -214,7 +213,7 @@ def _timed(work: Callable[[], object]) -> tuple[float, float]:
 
 
 def _allocated_mib(work: Callable[[], object]) -> float:
-    """The most that Python and numpy hold at once while it runs, beside what there was before."""
+    """Peak memory that Python and numpy allocate while `work` runs."""
     tracemalloc.start()
     try:
         work()
@@ -226,7 +225,7 @@ def _allocated_mib(work: Callable[[], object]) -> float:
 def _stages(
     rows: Mapping[str, Sequence[tuple[float, float]]], wholes: Mapping[str, tuple[float, float]]
 ) -> list[StageTime]:
-    """One for each row; of a whole also (first wall s, allocated MiB)."""
+    """One StageTime for each row. wholes: (first wall s, allocated MiB) of rows that have them."""
     return [StageTime.of(name, spans, *wholes.get(name, ())) for name, spans in rows.items()]
 
 

@@ -1,8 +1,9 @@
-"""How far figures of few frames may be trusted: intervals by drawing again with replacement, and a sign test.
+"""Uncertainty of figures from few frames: intervals by bootstrap (resampling with replacement), and a sign
+test.
 
-What belongs together is drawn together (Efron and Tibshirani 1993, the bootstrap over clusters). For a figure
-these are frames, because the objects of one frame share its light and its noise; for the change of a figure
-they are units that the caller names.
+Dependent rows are drawn together (Efron and Tibshirani 1993, the bootstrap over clusters). For a figure these
+are the rows of a frame, because its objects share light and noise; for the change of a figure they are units
+that the caller names.
 """
 
 from __future__ import annotations
@@ -19,14 +20,14 @@ Interval = tuple[float, float]
 
 
 SHARE = 0.95
-"""Of the draws, that an interval holds."""
+"""Share of the resamples within an interval."""
 
 
 def frame_intervals(values: Mapping[str, Float], frames: Sequence[Hashable]) -> dict[str, Interval | None]:
-    """For each figure the central interval of its mean that holds `SHARE` of 2000 resamples, moved outwards
-    as those of `difference_intervals`. None for fewer than two frames.
+    """For each figure the central interval of its mean with `SHARE` of 2000 resamples, widened as in
+    `difference_intervals`. None for fewer than two frames.
 
-    values: one number an instance (N,), by figure; frames: which frame each instance is of (N,).
+    values: one number for each instance (N,), by figure; frames: the frame of each instance (N,).
 
     >>> frame_intervals({"recall": np.array([100.0, 100.0, 100.0])}, [1, 1, 2])
     {'recall': (100.0, 100.0)}
@@ -41,7 +42,7 @@ def frame_intervals(values: Mapping[str, Float], frames: Sequence[Hashable]) -> 
 
 @dataclass(frozen=True, eq=False)
 class Share:
-    """One figure of N rows: `part.sum() / whole.sum()`, each (N,). The whole of a mean is one in every row
+    """One figure of N rows: `part.sum() / whole.sum()`, each (N,). For a mean, `whole` is one in every row
     that counts and zero in the others."""
 
     part: Float64
@@ -61,19 +62,19 @@ class Share:
         return float(self.part.sum()) / whole if whole else None
 
     def only(self, chosen: Int64) -> Share:
-        """Of the rows with these numbers."""
+        """The figure of the rows with these indices."""
         return Share(self.part[chosen], self.whole[chosen])
 
 
 def difference_intervals(
     pairs: Mapping[str, tuple[Share, Share]], units: Sequence[Hashable], resamples: int = 4000, seed: int = 0
 ) -> dict[str, Interval | None]:
-    """For each figure the interval of its change, second less first, over the same N rows.
+    """For each figure the interval of its change, second minus first, over the same N rows.
 
-    units: what is drawn together, of each row (N,). The percentiles are moved outwards as for a t interval
-    with as many degrees of freedom as there are units less one, because the plain ones are too narrow when
-    units are few (Hesterberg 2015, What teachers should know about the bootstrap, 'expanded percentiles').
-    None for fewer than two units, or where nothing counts.
+    units: the unit of each row (N,); rows of one unit are drawn together. The percentiles are widened as
+    for a t interval with one degree of freedom less than there are units, because plain percentiles are too
+    narrow when units are few (Hesterberg 2015, What teachers should know about the bootstrap, 'expanded
+    percentiles'). None for fewer than two units, or if no row counts.
 
     >>> rows = np.array([100.0, 0.0])
     >>> difference_intervals({"recall": (Share.of(rows), Share.of(rows))}, ["a", "b"])
@@ -91,7 +92,7 @@ def difference_intervals(
 
 
 def sign_test(wins: int, losses: int) -> float:
-    """How likely wins and losses as uneven as these, or more, are by chance: exact, two-sided (McNemar).
+    """Probability that wins and losses are at least as uneven as these by chance: exact, two-sided (McNemar).
 
     >>> sign_test(0, 6), sign_test(3, 3), sign_test(0, 0)
     (0.03125, 1.0, 1.0)
@@ -107,13 +108,14 @@ def _interval(drawn: Float64, units: int) -> Interval:
 
 
 def _expanded(share: float, units: int) -> float:
-    """The share of the resamples between the percentiles that a t interval over so many units needs."""
+    """Share of the resamples between the widened percentiles, as of a t interval over this number of
+    units."""
     t = float(special.stdtrit(units - 1, 0.5 + 0.5 * share))
     return 2.0 * float(special.ndtr(t * np.sqrt(units / (units - 1)))) - 1.0
 
 
 def _draws(units: Sequence[Hashable], resamples: int, seed: int) -> tuple[Int64, Int64]:
-    """Which unit each row is of (N,), and how often each unit is drawn in each resample (R, U)."""
+    """Index of the unit of each row (N,), and how often each unit is drawn in each resample (R, U)."""
     number = {unit: k for k, unit in enumerate(dict.fromkeys(units))}
     index = np.array([number[unit] for unit in units], np.int64)
     even = np.full(len(number), 1.0 / len(number))
@@ -121,6 +123,6 @@ def _draws(units: Sequence[Hashable], resamples: int, seed: int) -> tuple[Int64,
 
 
 def _drawn(share: Share, index: Int64, times: Int64) -> Float64:
-    """A figure in each resample (R,), not finite where none of its rows was drawn that counts."""
+    """A figure in each resample (R,); nan where no row that counts was drawn."""
     part, whole = (times @ np.bincount(index, weights=each) for each in (share.part, share.whole))
     return np.asarray(np.divide(part, whole, out=np.full(len(part), np.nan), where=whole > 0))

@@ -26,13 +26,13 @@ PIXELS = np.arange(5, 51, 5)
 """Thresholds of MSPD in an image 640 pixels wide."""
 
 _SYMMETRY_STEP_RAD = 0.02
-"""A point turns by a hundredth of the diameter at most between two samples of a continuous symmetry."""
+"""Between two samples of a continuous symmetry a point moves by at most a hundredth of the diameter."""
 
 
 @dataclass(frozen=True, eq=False)
 class BopObject:
-    """What an object's errors are measured on. mesh: in metres; diameter_m: as the data set states it;
-    symmetries (S, 4, 4): T_cam_obj and T_cam_obj @ symmetry count alike."""
+    """An object for BOP's errors. mesh: in metres; diameter_m: as the data set states it; symmetries
+    (S, 4, 4): T_cam_obj and T_cam_obj @ symmetry count as the same pose."""
 
     mesh: Mesh
     diameter_m: float
@@ -40,7 +40,7 @@ class BopObject:
 
     @staticmethod
     def of(mesh: Mesh, info: Mapping[str, Any]) -> BopObject:
-        """mesh and its entry of `models_info.json` (millimetres)."""
+        """info: the mesh's entry in `models_info.json` (millimetres)."""
         return BopObject(
             mesh, float(info["diameter"]) / 1000.0, symmetry.sampled(info, step_rad=_SYMMETRY_STEP_RAD)
         )
@@ -52,7 +52,8 @@ _LIMITS = np.stack([*[FRACTIONS] * len(FRACTIONS), FRACTIONS, PIXELS])
 
 @dataclass(frozen=True)
 class BopErrors:
-    """vsd: by misalignment tolerance, 0..1; mssd: over the diameter; mspd_px: in an image 640 wide."""
+    """vsd: by misalignment tolerance, 0..1; mssd: as a share of the diameter; mspd_px: in an image 640 px
+    wide."""
 
     vsd: tuple[float, ...]
     mssd: float
@@ -60,14 +61,14 @@ class BopErrors:
 
     @staticmethod
     def missing() -> BopErrors:
-        """No pose."""
+        """The errors of a missing pose."""
         return BopErrors((1.0,) * len(FRACTIONS), np.inf, np.inf)
 
 
 @dataclass(frozen=True)
 class BopScore:
-    """A label's errors with its own pose, and the share of the thresholds of VSD, MSSD and MSPD at which the
-    label is matched by a pose."""
+    """errors: of the pose that is assigned to a label; recalls: shares of the thresholds of VSD, MSSD and
+    MSPD at which some pose matches the label."""
 
     errors: BopErrors
     recalls: tuple[float, float, float]
@@ -81,7 +82,7 @@ class BopScore:
 def bop_errors(
     obj: BopObject, T_estimate: Float | None, T_truth: Float, depth_m: Float32, camera: Camera
 ) -> BopErrors:
-    """All three errors of a pose (4, 4), or of None, in a frame with this depth (H, W)."""
+    """All three errors of a pose (4, 4), or of a missing one (None), in a frame with this depth (H, W)."""
     if T_estimate is None:
         return BopErrors.missing()
     rendered = [render_depth(obj.mesh, T, camera) for T in (T_estimate, T_truth)]
@@ -97,9 +98,10 @@ def vsd(
     camera: Camera,
     diameter_m: float,
 ) -> Float64:
-    """Visible surface discrepancy (10,) at the tolerances FRACTIONS, of rendered and measured depths (H, W).
+    """Visible surface discrepancy (10,) at the tolerances FRACTIONS, from rendered and measured depths (H,
+    W).
 
-    A pixel without depth hides nothing, and what is visible of the label is visible of the estimate."""
+    A pixel without depth occludes nothing. Where the label's surface is visible, the estimate's is, too."""
     columns, rows = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     slope_x, slope_y = (columns - camera.cx) / camera.fx, (rows - camera.cy) / camera.fy
 
@@ -125,8 +127,8 @@ def mssd_mspd(
     estimate = se3.apply(T_estimate, points)
     pixels = _projected(estimate, camera)
     surface = projection = np.inf
-    for turn in symmetries:
-        truth = se3.apply(T_truth @ turn, points)
+    for rotation in symmetries:
+        truth = se3.apply(T_truth @ rotation, points)
         surface = min(surface, float(((estimate - truth) ** 2).sum(1).max()))
         projection = min(projection, float(((pixels - _projected(truth, camera)) ** 2).sum(1).max()))
     return float(np.sqrt(surface)), float(np.sqrt(projection))
@@ -140,10 +142,11 @@ def _projected(points_cam: Float64, camera: Camera) -> Float64:
 
 
 def matched_recalls(errors: Sequence[Sequence[BopErrors]]) -> list[tuple[float, float, float]]:
-    """BopScore.recalls of an object's labels in an image. errors: by pose, the surest first, and label.
+    """BopScore.recalls of an object's labels in an image. errors: by pose, in order of decreasing score,
+    and by label.
 
-    As in BOP's task of localisation: at each threshold the surest pose takes the label to which its error is
-    least, if that is below the threshold, and the next poses choose among the labels that are left."""
+    As in BOP's localisation task: at each threshold the pose with the highest score matches the label with
+    the least error, if that is below the threshold. The next poses match among the remaining labels."""
     values = np.array([[(*e.vsd, e.mssd, e.mspd_px) for e in row] for row in errors], np.float64)
     free = np.ones((values.shape[1], *_LIMITS.shape), bool)
     for own in values[..., None]:
@@ -157,7 +160,8 @@ def matched_recalls(errors: Sequence[Sequence[BopErrors]]) -> list[tuple[float, 
 def average_recalls(scores: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
     """`ar` and its parts `ar_vsd`, `ar_mssd`, `ar_mspd` of N scores in their file form, percent.
 
-    Each part is the mean recall over its thresholds (VSD: and its tolerances), AR the mean of the three."""
+    Each part is the mean recall over its thresholds (for VSD also over its tolerances); AR is the mean of the
+    three."""
     if not scores:
         return dict.fromkeys(("ar", "ar_vsd", "ar_mssd", "ar_mspd"))
     v, s, p = (100.0 * np.mean([score["recalls"] for score in scores], axis=0)).tolist()

@@ -1,4 +1,4 @@
-"""Is quality true? Estimates with known truth, and how well the quality they state agrees with it."""
+"""Calibration of quality: estimates with ground truth, and how well their stated quality agrees with it."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from huepose.geometry.arrays import Bool, Float64, Int64
 from huepose.support.errors import InputError
 
 FALSE_WEIGHT = 0.05
-"""Of a pose where the object is not, against one where it is: whether it is there at all is a question of its
-own, and enough of them would make every doubtful pose look false."""
+"""Weight of a pose where the object is not present; one where it is present has weight 1. Presence is a
+separate question, and many such poses would make every doubtful pose look wrong."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Estimates with truth: terms; which (N,): the number of the answer that is right, 0 the pose itself, -1
-    none; placed (N,): whether the pose lies on the object, turned as it may be; frames: which frame each is
-    of; instances: which object of which frame, however often it was asked for; stated (N,): the quality that
-    was published for each; weights (N,); missed: how many more instances got no pose."""
+    """N estimates with ground truth. terms: of their quality; which (N,): index of the right answer, 0 for
+    the pose itself, -1 if none is right; placed (N,): the pose is on the object, at whatever rotation;
+    frames: the frame of each; instances: the instance of each, which may occur several times; stated (N,):
+    the published quality; weights (N,); missed: number of further instances without a pose."""
 
     terms: Sequence[QualityTerms]
     which: Int64
@@ -55,7 +55,7 @@ class Judged:
         )
 
     def only(self, chosen: Bool) -> Judged:
-        """Those of a mask (N,); none counts as missed."""
+        """The estimates in a mask (N,), with `missed` 0."""
         keep = np.flatnonzero(chosen).tolist()
         return Judged(
             [self.terms[k] for k in keep],
@@ -70,10 +70,10 @@ class Judged:
 
 @dataclass(frozen=True)
 class Worth:
-    """What a quality is worth on some estimates. ece: calibration error over ten bins of equal count;
-    chance: what that would be if every stated quality were true, on average and at most in 95 % of draws, see
-    `by_chance`; precision: share right of those over the level, None where there are none; coverage: share of
-    all instances that are over it; poses, right: counts; found: share in which something was found."""
+    """Figures of a quality on some estimates. ece: calibration error over ten bins of equal count; chance:
+    the same if every stated quality were true, mean and 95 % quantile, see `by_chance`; precision: share of
+    right poses among those at or above the level, None if there are none; coverage: share of all instances
+    at or above it; poses, right: counts; found: share of instances with a pose."""
 
     ece: float | None
     chance: tuple[float, float] | None
@@ -85,15 +85,15 @@ class Worth:
 
 
 def read_judged(path: Path | str) -> Judged:
-    """The found poses of a result file of `huepose eval estimate`; poses that belong to no label are none of
-    them right. Raises InputError."""
+    """The found poses of a result file of `huepose eval estimate`. Poses that belong to no label count as
+    wrong. Raises InputError."""
     rows, false = read_rows(path)
     found = [row for row in rows if row.get("found")]
     return replace(judged(found, false, path), missed=len(rows) - len(found))
 
 
 def judged(found: Sequence[Row], false: Sequence[Row], path: Path | str) -> Judged:
-    """Rows of a file: poses of labels, and poses of none. Raises InputError."""
+    """Estimates from rows of a file. found: poses of labels; false: poses of no label. Raises InputError."""
     every = [*found, *false]
     return Judged(
         [_quality_terms(row, path) for row in every],
@@ -116,12 +116,12 @@ def read_rows(path: Path | str) -> tuple[list[dict[str, Any]], list[dict[str, An
 
 
 def _frame_key(row: Row, path: Path | str) -> tuple[str, str, int]:
-    """Which frame a row is of: file, scene, image."""
+    """The frame of a row: file, scene, image."""
     return str(path), str(row["scene"]), int(row["image"])
 
 
 def _quality_terms(row: Row, path: Path | str) -> QualityTerms:
-    """What the quality of a row was made of. Raises InputError where the file does not say it."""
+    """The terms of a row's quality. Raises InputError if the file does not have them."""
     try:
         return QualityTerms(**{**row["terms"], "gaps": tuple(row["terms"]["gaps"])})
     except (TypeError, KeyError):
@@ -134,18 +134,18 @@ def _quality_terms(row: Row, path: Path | str) -> QualityTerms:
 
 
 def _which(row: Row) -> int:
-    """The number of the first answer that is right, -1 for none."""
+    """Index of the first right answer, -1 if none is right."""
     chances = [row["right"], *(other["right"] for other in row.get("alternatives", []))]
     return next((k for k, right in enumerate(chances) if right), -1)
 
 
 def _placed(row: Row) -> bool:
-    """ADD-S under a tenth of the diameter."""
+    """The pose is right, or its ADD-S is under a tenth of the diameter."""
     return bool(row["right"] or row["adds_m"] < metrics.RECALL_FRACTION * row["diameter_m"])
 
 
 def worth(quality: Float64, judged: Judged, level: float, found: Bool | None = None) -> Worth:
-    """What stated qualities (N,) are worth at a level. found (N,): what counts as found, by default all."""
+    """The figures of stated qualities (N,) at a level. found (N,): which count as found, by default all."""
     over = quality >= level
     total = len(quality) + judged.missed
     seen = len(quality) if found is None else int(found.sum())
@@ -161,13 +161,14 @@ def worth(quality: Float64, judged: Judged, level: float, found: Bool | None = N
 
 
 CHANCE_DRAWS = 400
-"""Of `by_chance`: twenty of them lie above its 95 %."""
+"""Number of draws in `by_chance`: twenty of them are above its 95 % quantile."""
 
 
 def by_chance(quality: Float64, instances: Sequence[Hashable]) -> tuple[float, float] | None:
-    """The calibration error of qualities (N,) that are all true: its mean, and what 95 % of the draws stay
-    under; None without any. Few poses err by chance, and the same instance in several boxes is right or wrong
-    nearly always together: so one number is drawn for each instance, under which quality is right."""
+    """The calibration error if all qualities (N,) were true: its mean and 95 % quantile over random draws;
+    None without qualities. With few poses it is above 0 by chance. The same instance in several boxes is
+    nearly always right in all or wrong in all: so one random number is drawn for each instance, and its
+    poses are right where it is below their quality."""
     if not len(quality):
         return None
     number = {instance: k for k, instance in enumerate(dict.fromkeys(instances))}

@@ -1,9 +1,9 @@
-"""Two result files of the same questions, row against row: what was won, what was lost, and how sure that is.
+"""Compares two result files of the same instances, row by row: wins, losses, and their significance.
 
-Rows are paired because some instances are harder than others, before and after alike. Not rows but units are
-drawn for the intervals and counted in the sign test: several boxes of one instance are mostly right or wrong
-together, and so are neighbouring frames of a track. Instances of one frame are units of their own: their
-changes do not correlate (by -0.03 to 0.05 in clutter and piles, from `colorpair` to `full`).
+Rows are paired because some instances are harder than others, before and after. The intervals and the sign
+test count units instead of rows: several boxes of one instance are mostly all right or all wrong, and so are
+neighbouring frames of a track. Instances of one frame are separate units: their changes are not correlated
+(-0.03 to 0.05 in clutter and piles, from `colorpair` to `full`).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from huepose.geometry.arrays import Float64, Int64
 from huepose.support.errors import InputError
 
 MARGIN = 0.1
-"""Percentage points, or poses per 100 frames, within which a change is none. A tenth of a point of AUC is a
-mean error larger by a tenth of a millimetre, which is less than the noise of depth."""
+"""Percentage points, or poses per 100 frames: a change within the margin counts as no change. A tenth of a
+point of AUC is a tenth of a millimetre of mean error, which is less than the noise of depth."""
 
 SAME_MM, SAME_DEG = 0.1, 0.1
-"""Poses nearer than this are called the same: a hundredth of the error at which the pose of an object of
+"""Poses within these distances count as the same: a hundredth of the error at which the pose of an object of
 10 cm counts as wrong."""
 
 
@@ -33,10 +33,10 @@ SAME_MM, SAME_DEG = 0.1, 0.1
 class Change:
     """A figure before and after, over the rows that both files have. Percent; `quality` and `brier` 0..1.
 
-    interval95: of the change, None where there are too few units. wins, losses: rows that became better and
-    worse (of `false_per_100_frames` frames), None for a figure without steps. sign_test_p: over units, each
-    of which counts once, as won or as lost. verdict: `worse` or `better` where the interval lies beyond the
-    margin, `same` where it lies within it, else `open`; `-` where the figure is not judged."""
+    interval95: of the change, None if there are too few units. wins, losses: numbers of rows that became
+    better and worse (for `false_per_100_frames`: of frames), None for a figure without steps. sign_test_p:
+    over units, each of which counts once, as won or as lost. verdict: `worse` or `better` if the interval
+    is outside the margin, `same` if it is inside, else `open`; `-` if the figure is not judged."""
 
     figure: Figure
     before: float | None
@@ -51,9 +51,9 @@ class Change:
 
 @dataclass(frozen=True)
 class Moved:
-    """How far poses moved. both: rows that have a pose before and after; same: of these, within 0.1 mm and
-    0.1 degrees; median and largest distance and turn; found, states: of all paired rows, those that differ in
-    whether there is a pose, and in the state."""
+    """Differences between the poses before and after. both: rows with a pose before and after; same: of
+    these, those within 0.1 mm and 0.1 degrees; median and largest distance and rotation; found, states: of
+    all paired rows, those that differ in whether there is a pose, and in the state."""
 
     both: int
     same: int
@@ -67,10 +67,11 @@ class Moved:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Two files. unit: what was drawn, in words; units: how many of them; paired: rows that both have;
-    only_before, only_after: keys of the rows that one of them has; settings: those that differ, before and
-    after; groups: changes by scene or sequence; moved: None where rows have no poses; won, lost: keys of the
-    rows that became right and wrong by the kind's first figure; phantoms: before and after."""
+    """The comparison of two files. unit: the unit of the bootstrap, in words; units: their number; paired:
+    rows that both files have; only_before, only_after: keys of the rows that only one file has; settings:
+    those that differ, before and after; groups: changes by scene or sequence; moved: None if rows have no
+    poses; won, lost: keys of the rows that became right and wrong by the kind's first figure; phantoms:
+    before and after."""
 
     name: str
     before: Measured
@@ -90,17 +91,17 @@ class Comparison:
 
     @property
     def kind(self) -> Kind:
-        """What kind of files they are."""
+        """The kind of the files."""
         return self.before.kind
 
     @property
     def worse(self) -> list[Change]:
-        """Figures that lost more than their interval allows."""
+        """Figures with the verdict `worse`."""
         return [change for change in self.changes if change.verdict == "worse"]
 
     @property
     def doubtful(self) -> list[Change]:
-        """Figures that lost, but not more than their interval allows."""
+        """Figures that became worse, with the verdict `open`."""
         return [c for c in self.changes if c.verdict == "open" and c.figure.better * (c.change or 0.0) < 0.0]
 
     def as_json(self) -> dict[str, Any]:
@@ -137,7 +138,8 @@ def _figures_json(changes: Sequence[Change]) -> dict[str, Any]:
 
 
 def compare(before: Measured, after: Measured, name: str, margin: float = MARGIN) -> Comparison:
-    """Pair the rows of two files by their identity. Raises InputError for two kinds, or no row in common."""
+    """Compare two files, with rows paired by their keys. Raises InputError for files of two kinds, or
+    without a row in common."""
     if before.kind is not after.kind:
         raise InputError(
             f"{before.path} and {after.path}",
@@ -206,7 +208,8 @@ def _changes(
 
 
 def _false_change(before: Measured, after: Measured, margin: float) -> Change:
-    """Poses that are no label's, by frames. Frames whose rows are in one file only are left out."""
+    """Change of the number of false positives, by frame. Frames with rows in only one of the files are left
+    out."""
     one_sided = before.frames ^ after.frames
     frames = sorted((before.frames | after.frames | {*before.false, *after.false}) - one_sided)
     old, new = (Share.of(np.array([100.0 * m.false.get(f, 0.0) for f in frames])) for m in (before, after))
@@ -237,7 +240,7 @@ def _change(
 
 
 def _improved(before: Share, after: Share, better: int) -> Float64:
-    """1 for each row (N,) that became better, -1 for worse, 0 else; only rows that count before and after."""
+    """1 for each row (N,) that became better, -1 for worse, else 0; only rows that count before and after."""
     both = (before.whole > 0) & (after.whole > 0)
     return np.asarray(np.where(both, better * np.sign(after.part - before.part), 0.0))
 
@@ -263,7 +266,7 @@ def _moved(before: Sequence[Row], after: Sequence[Row]) -> Moved | None:
     old = np.array([a for a, _ in both], np.float64).reshape(-1, 4, 4)
     new = np.array([b for _, b in both], np.float64).reshape(-1, 4, 4)
     mm = 1000.0 * np.linalg.norm(new[:, :3, 3] - old[:, :3, 3], axis=1)
-    # By the chord, which is exact for small turns, where the trace is not.
+    # The angle comes from the chord, which is exact for small rotations, where the trace is not.
     chord = np.linalg.norm(new[:, :3, :3] - old[:, :3, :3], axis=(1, 2))
     deg = np.degrees(2.0 * np.arcsin(np.minimum(1.0, chord / np.sqrt(8.0))))
     return Moved(

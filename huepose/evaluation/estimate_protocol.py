@@ -28,19 +28,19 @@ from huepose.support.progress import progress
 
 
 class PoseEstimator(Protocol):
-    """What is evaluated."""
+    """An estimator to evaluate."""
 
     def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
-        """One answer for each query."""
+        """One estimate for each query."""
         ...
 
 
 @dataclass(frozen=True)
 class EstimateOptions:
-    """boxes `detect` asks a detector for all objects in every image, `file` takes the surest box of each
-    label's object from a file; masks `gt` gives the true visible mask.
+    """boxes: `detect` runs a detector for all objects in every image; `file` takes the boxes of the highest
+    score from a file, as many as an object has labels; masks: `gt` gives the true visible mask.
 
-    Labels under `min_visib` are left out; those of unknown visibility are kept."""
+    Labels that are less visible than `min_visib` are left out; those of unknown visibility are kept."""
 
     boxes: Disturbance | Literal["detect", "file"] = "perturbed"
     masks: Literal["auto", "gt"] = "auto"
@@ -60,8 +60,8 @@ class EstimateOptions:
 class EstimateSetup:
     """What is evaluated, and how.
 
-    equivalents: poses that count as the labelled one does; detector: for boxes `detect`; bop_objects: by BOP
-    id, what BOP's errors are measured on, where they are wanted; given: the boxes for `file`."""
+    equivalents: transforms of labels to poses that count as right, too; detector: for boxes `detect`;
+    bop_objects: by BOP id, the objects for which BOP's errors are computed; given: the boxes for `file`."""
 
     targets: Targets
     estimator: PoseEstimator
@@ -76,7 +76,7 @@ class EstimateSetup:
             raise InputError("--boxes detect", found="no detector", fix="Give one, or use --boxes perturbed.")
 
     def image(self, scene: Scene, image: int) -> ImageAnswers:
-        """Run the estimator over one image, under every seed. Raises InputError where a file is broken."""
+        """Run the estimator on one image with every seed. Raises InputError for a broken file."""
         truths = scene.truths(image)
         labels, without_model = labels_of(truths, self.targets, self.options.min_visib)
         rows: list[EstimateRow] = []
@@ -94,8 +94,8 @@ class EstimateSetup:
 
 @dataclass(frozen=True, eq=False)
 class ImageAnswers:
-    """What came of one image: rows of all seeds, poses of no label, number of labels without a model; sample:
-    the image, None where nothing was asked."""
+    """The result of one image: rows of all seeds; false: poses of no label; without_model: number of labels
+    without a reference model; sample: the image, None if it was not evaluated."""
 
     rows: list[EstimateRow]
     false: list[FalsePose]
@@ -112,11 +112,11 @@ def evaluate_estimates(
     on_frame: Callable[[Sample, list[EstimateRow]], None] | None = None,
     **more: Any,
 ) -> EstimateResult:
-    """Run the estimator over all labelled images of the scenes. `on_frame` sees each frame with its rows;
-    `more`: the other fields of EstimateSetup.
+    """Run the estimator on all labelled images of the scenes. `on_frame` is called with each frame and its
+    rows; `more`: the other fields of EstimateSetup.
 
-    Raises InputError when nothing is labelled, `boxes` is `detect` without a detector, or two scenes have one
-    name."""
+    Raises InputError if nothing is labelled, `boxes` is `detect` without a detector, or two scenes have the
+    same name."""
     check_names(scenes)
     setup = EstimateSetup(targets, estimator, options, **more)
     rows: list[EstimateRow] = []
@@ -134,7 +134,7 @@ def evaluate_estimates(
     if not rows:
         raise InputError(
             "scenes " + ", ".join(scene.name for scene in scenes),
-            found=f"no label of an onboarded object ({skipped} of others)",
+            found=f"no label of an onboarded object ({skipped} of other objects)",
             expected="labels in scene_gt.json of objects that have a reference model",
             fix="Onboard the objects, or check --objects, --bundles and --min-visib.",
         )
@@ -144,7 +144,7 @@ def evaluate_estimates(
 
 @dataclass(frozen=True, eq=False)
 class _FrameRun:
-    """One frame under one seed."""
+    """One frame with one seed."""
 
     sample: Sample
     labels: Sequence[Label]
@@ -152,7 +152,7 @@ class _FrameRun:
     seed: int
 
     def answers(self) -> tuple[list[EstimateRow], list[FalsePose]]:
-        """A row for each label that counts, and the poses that belong to none."""
+        """A row for each label that counts, and the poses of no label."""
         setup = self.setup
         if setup.detector is not None and setup.options.boxes == "detect":
             return self.detected(setup.detector)
@@ -183,7 +183,8 @@ class _FrameRun:
         return self.setup.estimator.estimate(self.sample.frame, list(queries.values())) if queries else []
 
     def _query(self, label: Label) -> ObjectQuery | None:
-        """None where the true mask or the box is empty: nothing of the object is in the image."""
+        """The query of a label; None if its true mask or box is empty: nothing of the object is in the
+        image."""
         camera, truth = self.sample.frame.camera, label.truth
         masks: tuple[Bool, ...] = ()
         if self.setup.options.masks == "gt":
@@ -210,7 +211,7 @@ class _FrameRun:
         return ObjectQuery(label.model.name, box=box, masks=masks, instance=truth.instance)
 
     def detected(self, detector: Detector) -> tuple[list[EstimateRow], list[FalsePose]]:
-        """Every object is asked for; the poses that stand are matched to the labels of their object."""
+        """Search for every object. The poses that are kept are matched to the labels of their object."""
         start = time.perf_counter()
         names = [model.name for model in self.setup.targets.models]
         detections = detector.detect(self.sample.frame, names)
@@ -222,7 +223,7 @@ class _FrameRun:
 
         def why(name: str) -> str:
             if any(pose.object == name for pose in poses):
-                return "The poses of the object that stand are at other places."
+                return "The poses of the object that are kept are at other positions."
             return why_none_stands(name, answers)
 
         taken, spare = assigned(poses, self.labels, self._box_of)
@@ -230,8 +231,8 @@ class _FrameRun:
         return rows, [self._false(answer, T) for answer, T in spare]
 
     def given(self, boxes: BopDetections) -> list[EstimateRow]:
-        """As BOP's task of localisation has it: which objects are there, and how often, is known; the surest
-        boxes of each are looked at."""
+        """BOP's localisation task: the objects and the number of their instances are known; the boxes of the
+        highest score are used for each object."""
         start = time.perf_counter()
         due = Counter(label.model.name for label in self.labels if label.counted)
         queries: dict[int, ObjectQuery] = {}
@@ -248,7 +249,7 @@ class _FrameRun:
         def why(name: str) -> str:
             if name not in reasons:
                 return "The file has no box of the object in this image."
-            return reasons[name] or "The pose of the object is at another place."
+            return reasons[name] or "The pose of the object is at another position."
 
         taken = localised(answers, self.labels)
         return self._rows(queries, taken, time.perf_counter() - start, why)
@@ -260,8 +261,8 @@ class _FrameRun:
         seconds: float,
         why: Callable[[str], str],
     ) -> list[EstimateRow]:
-        """A row for each label that counts. queries: by instance; taken: answers by index of the label; why:
-        what to say of a label without an answer, by the object's name."""
+        """A row for each label that counts. queries: by instance; taken: estimates by index of the label;
+        why: the reason for a label without an estimate, by the object's name."""
         scores, rows = self._bop_scores(taken), []
         for i, label in enumerate(self.labels):
             if label.counted:
@@ -277,7 +278,8 @@ class _FrameRun:
         return projected_box(model.mesh, T_cam_obj, self.sample.frame.camera)
 
     def _bop_scores(self, answers: Mapping[int, PoseEstimate]) -> dict[int, BopScore]:
-        """By index of the label, of the objects that are measured so. answers: by index of the label."""
+        """BOP's scores by index of the label, for the objects with BOP's errors. answers: by index of the
+        label."""
         groups: dict[int, list[int]] = {}
         for i, label in enumerate(self.labels):
             number = label.model.object_id

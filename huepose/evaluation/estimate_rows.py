@@ -19,12 +19,12 @@ from huepose.geometry.box import Box
 
 @dataclass(frozen=True, eq=False)
 class EstimateRow:
-    """One ground-truth instance and what was estimated for it; T_cam_obj (4, 4) metres or None.
+    """One ground-truth instance and its estimate. T_cam_obj (4, 4): metres, or None.
 
-    seconds: wall time of the whole frame, all its objects; box: what the estimator was given, x y w h;
-    terms: what the quality was made of, None where nothing could be looked at; alternatives: the other
-    answers' probabilities, and whether each is right; reason: why nothing was found, empty where something
-    was; bop: by the errors of the BOP challenge, None where not measured."""
+    seconds: wall time of the whole frame with all its objects; box: of the query, x y w h; terms: of the
+    quality, None if there was nothing to judge; alternatives: the probabilities of the other poses, and
+    whether each is right; reason: why no pose was found, empty if one was; bop: scores of the BOP
+    challenge, None if not computed."""
 
     scene: str
     image: int
@@ -63,7 +63,7 @@ class EstimateRow:
 
 @dataclass(frozen=True, eq=False)
 class FalsePose:
-    """A pose that belongs to no ground-truth instance."""
+    """A false positive: a pose of no ground-truth instance."""
 
     scene: str
     image: int
@@ -81,7 +81,7 @@ class FalsePose:
 
 @dataclass(frozen=True, eq=False)
 class EstimateResult:
-    """All rows of all seeds. skipped_no_bundle: labels without a reference model, of one seed."""
+    """All rows of all seeds. skipped_no_bundle: number of labels without a reference model."""
 
     rows: Sequence[EstimateRow]
     false: Sequence[FalsePose]
@@ -108,9 +108,9 @@ class EstimateResult:
 
 
 def summary_of(rows: Sequence[Row], false: Sequence[Row] = (), settings: Row | None = None) -> dict[str, Any]:
-    """Of rows and false poses in their file form: the figures in percent; `ece` is a fraction; several seeds
-    are averaged. BOP's AR is given where all rows of an object, or all rows, were measured by BOP's errors.
-    interval95: where the figures lie in 95 % of draws of frames, with their boxes of all seeds."""
+    """The figures of rows and false poses in their file form, in percent (`ece` is a fraction). Several seeds
+    are averaged. BOP's AR is given if all rows (of an object, or of all) have BOP's errors. interval95: the
+    95 % intervals of a bootstrap over frames, with their boxes of all seeds."""
     by_seed = {
         seed: _figures(own, [pose for pose in false if pose["seed"] == seed])
         for seed, own in grouped(rows, lambda row: row["seed"]).items()
@@ -134,7 +134,7 @@ def summary_of(rows: Sequence[Row], false: Sequence[Row] = (), settings: Row | N
 
 
 def frame_of(row: Row) -> tuple[str, int]:
-    """The picture that a row is of."""
+    """Scene and image of a row."""
     return row["scene"], row["image"]
 
 

@@ -1,8 +1,7 @@
-"""Labels that an evaluation is about, and which pose is judged against which of them, where an object may be
-there several times.
+"""The labels of an evaluation, and the assignment of poses to them. An object may have several instances.
 
-An instance of an object is the k-th of its labels in a frame. Poses of tracks go to labels by least total
-ADD; those that are left take the places of instances without a label in this frame, the rest are phantoms.
+An instance of an object is the k-th of its labels in a frame. Poses of tracks are assigned to labels by least
+total ADD. The remaining ones are assigned to instances without a label in this frame; the rest are phantoms.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ from huepose.support.errors import InputError
 _FAR_M = 10.0
 
 ASSIGNMENT_IOU = 0.3
-"""Least overlap of boxes at which a pose is of a label."""
+"""Least IoU of boxes at which a pose is assigned to a label."""
 
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """A label that is evaluated (`counted`), or that only takes its poses away from the false ones."""
+    """A label. It is evaluated (`counted`), or its poses only do not count as false positives."""
 
     truth: GroundTruth
     model: ReferenceModel
@@ -41,7 +40,7 @@ class Label:
 
 
 def labels_of(truths: Sequence[GroundTruth], targets: Targets, min_visib: float) -> tuple[list[Label], int]:
-    """Labels that have a model and a pose, and the number of wanted ones that have no model."""
+    """Labels with a reference model and a pose, and the number of counted labels without a model."""
     labels, without_model = [], 0
     for truth in truths:
         if not targets.wants(truth) or truth.T_cam_obj is None:
@@ -58,8 +57,9 @@ def labels_of(truths: Sequence[GroundTruth], targets: Targets, min_visib: float)
 def assigned(
     answers: Sequence[PoseEstimate], labels: Sequence[Label], box_of: Callable[[str, Float64], Box | None]
 ) -> tuple[dict[int, PoseEstimate], list[tuple[PoseEstimate, Float64]]]:
-    """Poses to labels of their object, one to one, the surest pose first, each to the label whose projected
-    box it overlaps most, by IoU 0.3 at least. Returns answers by index of the label, and the spare poses."""
+    """Assign poses to labels of their object, one to one, in order of decreasing quality: each to the free
+    label whose projected box it overlaps most, with an IoU of at least 0.3. Returns estimates by index of
+    the label, and the remaining poses."""
     taken: dict[int, PoseEstimate] = {}
     spare = []
     boxes = [box_of(label.model.name, label.T_cam_obj) for label in labels]
@@ -80,8 +80,8 @@ def assigned(
 
 
 def localised(answers: Sequence[PoseEstimate], labels: Sequence[Label]) -> dict[int, PoseEstimate]:
-    """Poses to labels that count, of their object, by least total ADD, wherever they lie: by index of the
-    label."""
+    """Assign poses to counted labels of their object by least total ADD, at any distance. Returns estimates
+    by index of the label."""
     taken: dict[int, PoseEstimate] = {}
     for name in {label.model.name for label in labels if label.counted}:
         mine = [(i, x) for i, x in enumerate(labels) if x.counted and x.model.name == name]
@@ -100,7 +100,7 @@ def _found(answers: Sequence[PoseEstimate]) -> Iterator[tuple[PoseEstimate, Floa
 
 @dataclass(frozen=True, eq=False)
 class PublishedPose:
-    """What a tracker said of one track at one frame; T_cam_obj (4, 4) and velocity (6,) or None."""
+    """What a tracker published for one track in one frame; T_cam_obj (4, 4) and velocity (6,), or None."""
 
     object: str
     track: int
@@ -112,7 +112,8 @@ class PublishedPose:
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """An instance of an object in one frame; truth is None where this frame has no label of it."""
+    """An instance of an object in one frame. ordinal: number of the instance; truth: None if this frame has
+    no label of it."""
 
     model: ReferenceModel
     ordinal: int
@@ -121,20 +122,20 @@ class Place:
 
 @runtime_checkable
 class PartlyLabelled(Protocol):
-    """A scene of which some images may have no labels: nothing is known of what these show."""
+    """A scene in which some images may have no labels: what these show is unknown."""
 
     def has_labels(self, image: int) -> bool:
-        """The labels say what an image shows, which may be nothing."""
+        """Whether an image is labelled, possibly with no object."""
         ...
 
 
 def has_labels(scene: Scene, image: int) -> bool:
-    """It is known what an image shows: where an object has no label there, it is not there."""
+    """Whether an image is labelled: then an object without a label is not in it."""
     return not isinstance(scene, PartlyLabelled) or scene.has_labels(image)
 
 
 def check_names(scenes: Sequence[Scene]) -> None:
-    """Raises InputError for two scenes of one name, by which results are listed."""
+    """Raises InputError for two scenes of the same name: results are listed by name."""
     names = [scene.name for scene in scenes]
     for name in names:
         if names.count(name) > 1:
@@ -146,7 +147,8 @@ def check_names(scenes: Sequence[Scene]) -> None:
 
 
 def instance_counts(scene: Scene, images: Iterable[int], targets: Targets) -> dict[str, int]:
-    """By model name: the most labels of an object that one of the images has. Onboarded, wanted ones only."""
+    """By model name: the largest number of labels of an object in one of the images. Only objects that have a
+    model and are evaluated."""
     counts: dict[str, int] = {}
     for image in images:
         here = Counter(model.name for model, _ in labelled(scene.truths(image), targets))
@@ -155,12 +157,12 @@ def instance_counts(scene: Scene, images: Iterable[int], targets: Targets) -> di
 
 
 def labelled(truths: Sequence[GroundTruth], targets: Targets) -> list[tuple[ReferenceModel, GroundTruth]]:
-    """The labels that have a pose and a model and are wanted."""
+    """The labels that have a pose and a model and are evaluated."""
     return [(label.model, label.truth) for label in labels_of(truths, targets, 0.0)[0]]
 
 
 def places(truths: Sequence[GroundTruth], targets: Targets, counts: Mapping[str, int]) -> list[Place]:
-    """All instances of the sequence as they are in one frame, by object and ordinal."""
+    """All instances of the sequence in one frame, by object and ordinal."""
     by_name: dict[str, list[GroundTruth]] = {}
     for model, truth in labelled(truths, targets):
         by_name.setdefault(model.name, []).append(truth)
@@ -175,7 +177,7 @@ def places(truths: Sequence[GroundTruth], targets: Targets, counts: Mapping[str,
 def match(
     all_places: Sequence[Place], published: Sequence[PublishedPose]
 ) -> tuple[list[PublishedPose | None], list[PublishedPose]]:
-    """A published pose, or None, for each place; and the phantoms, which are poses without a place."""
+    """A published pose, or None, for each instance; and the phantoms: poses of no instance."""
     chosen: list[PublishedPose | None] = [None] * len(all_places)
     phantoms: list[PublishedPose] = []
     names = {place.model.name for place in all_places} | {pose.object for pose in published}
@@ -190,7 +192,7 @@ def match(
         used = {id(with_pose[nearest]) for _, nearest in pairs}
         left = sorted((p for p in tracks if id(p) not in used), key=lambda p: p.T_cam_obj is not None)
         free = [i for i in indices if chosen[i] is None]
-        # A track without a pose speaks for an instance that has none; then spare poses for absent ones.
+        # Tracks without a pose go to labelled instances first, remaining poses to instances without a label.
         free.sort(key=lambda i: all_places[i].truth is None)
         for pose in left:
             if not free:
@@ -201,7 +203,7 @@ def match(
 
 
 def _nearest(labels: Sequence[Place], poses: Sequence[PublishedPose]) -> list[tuple[int, int]]:
-    """Pairs (label, pose) of least total ADD; far ones count as 10 m, so that no outlier decides."""
+    """Pairs (label, pose) of least total ADD. Distances are limited to 10 m, so that no outlier dominates."""
     cost = np.full((len(labels), len(poses)), _FAR_M)
     for i, label in enumerate(labels):
         for j, pose in enumerate(poses):

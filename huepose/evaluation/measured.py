@@ -1,4 +1,4 @@
-"""Result files of `huepose eval` read back, row by row, with all that a comparison of two of them needs."""
+"""Reads result files of `huepose eval`, with everything that a comparison of two of them needs."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from huepose.geometry.arrays import Float64
 from huepose.support.errors import InputError
 
 BLOCK_NS = 500_000_000
-"""Frames of a sequence within half a second are one unit: three times as long as a tracker may take to say
-LOST (5 frames at 30 Hz). A track that is lost often stays lost for longer, so these intervals are rather too
+"""Frames of a sequence within half a second are one unit: three times the time within which a tracker must
+report LOST (5 frames at 30 Hz). A lost track often stays lost for longer, so these intervals tend to be too
 narrow."""
 
 ENOUGH_SEQUENCES = 10
-"""From so many sequences on, whole sequences are the units instead."""
+"""With this number of sequences or more, whole sequences are the units instead."""
 
 
 @dataclass(frozen=True, eq=False)
 class Units:
-    """What is drawn together of tracks. one, many: one and several of them, in words; of: that of each row
-    (N,)."""
+    """Units of the bootstrap over tracks. one, many: their name in singular and plural; of: the unit of
+    each row (N,)."""
 
     one: str
     many: str
@@ -37,8 +37,8 @@ class Units:
 
 
 def unit_of(rows: Sequence[Row]) -> Units:
-    """The units of these rows of tracks, with all their seeds: sequences where there are enough, else half
-    seconds from the first of the rows of a sequence."""
+    """The units of rows of tracks, with all their seeds: sequences if there are enough, else half seconds
+    from the first row of a sequence."""
     first_ns: dict[str, int] = {}
     for row in rows:
         first_ns[row["sequence"]] = min(row["stamp_ns"], first_ns.get(row["sequence"], row["stamp_ns"]))
@@ -53,9 +53,9 @@ _EXPECTED = "a result of `huepose eval estimate`, `track`, `poses` or `perceptio
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure of a set. better: 1 where more is better, -1 where less is, 0 where neither; steps: rows are
-    right or wrong, so that wins and losses can be counted; judged: it decides whether a set is worse, and is
-    in percent or per 100 frames; digits: after the decimal point."""
+    """A figure of a result. better: 1 if more is better, -1 if less is, 0 if neither; steps: rows are right
+    or wrong, so wins and losses can be counted; judged: it decides whether a result is worse, and is in
+    percent or per 100 frames; digits: after the decimal point."""
 
     key: str
     label: str
@@ -80,8 +80,8 @@ FALSE_PER_FRAME = Figure("false_per_100_frames", "false poses, per 100 frames", 
 
 @dataclass(frozen=True)
 class Kind:
-    """What a verb of `huepose eval` writes. unit: what is drawn again, in words, empty where the rows decide
-    it; settings: keys of the summary that say how it was run."""
+    """What a command of `huepose eval` writes. unit: the unit of the bootstrap in words, empty if it
+    depends on the rows; settings: keys of the summary with the settings of the run."""
 
     verb: str
     unit: str
@@ -121,10 +121,10 @@ PERCEPTION = Kind(
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A result file. keys: what identifies each of the N rows, unique; names: the parts of a key in words;
-    unit: what is drawn again, in words; units: what each row is drawn with; groups: its scene or sequence;
-    shares: by the keys of the kind's figures; frames: those that have rows; false: poses or boxes that are no
-    label's, by frame, as a mean over seeds; phantoms: tracked poses of no instance, over all frames."""
+    """A result file. keys: unique keys of the N rows; names: names of the parts of a key; unit: the unit of
+    the bootstrap in words; units: the unit of each row; groups: the scene or sequence of each row; shares:
+    by the keys of the kind's figures; frames: those with rows; false: number of false poses or boxes by
+    frame, mean over seeds; phantoms: number of tracked poses of no instance, over all frames."""
 
     path: Path
     kind: Kind
@@ -144,7 +144,7 @@ class Measured:
 def read_measured(path: Path) -> Measured:
     """A result of `huepose eval estimate`, `track`, `poses` or `perception`.
 
-    Raises InputError for another file, for no rows, and for two rows of one identity."""
+    Raises InputError for another file, for no rows, and for two rows with the same key."""
     record = files.read_json(path, "Make it with `huepose eval ... --json`.")
     rows = record.get("rows")
     if not isinstance(rows, list) or not rows or not isinstance(rows[0], dict):
@@ -158,7 +158,7 @@ def read_measured(path: Path) -> Measured:
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             path,
-            found=f"a row that lacks something ({type(error).__name__}: {error})",
+            found=f"an incomplete row ({type(error).__name__}: {error})",
             fix="Measure it again with `huepose eval`.",
         ) from None
     twice = [key for key, n in Counter(measured.keys).items() if n > 1]
@@ -167,7 +167,7 @@ def read_measured(path: Path) -> Measured:
         raise InputError(
             path,
             found=f"two rows of {named}",
-            fix="Measure folders of the same name into files of their own.",
+            fix="Write the results of folders with the same name to different files.",
         )
     return measured
 
@@ -182,8 +182,8 @@ def _read(
     false: Mapping[tuple[str, int], float] | None = None,
     phantoms: float = 0.0,
 ) -> Measured:
-    """names: the parts of a key, of which the first two are the scene or sequence and the frame, and the last
-    may be the seed; units: by default all rows that differ by the seed alone."""
+    """names: the parts of a key; the first two are the scene or sequence and the frame, the last may be the
+    seed; units: by default, rows that differ only in the seed are one unit."""
     rows = record["rows"]
     keys = [tuple(row[name] for name in names) for row in rows]
     one = [name for name in names if name != "seed"]
@@ -260,7 +260,8 @@ def _pose_shares(rows: Sequence[Row], scored: np.ndarray) -> dict[str, Share]:
 
 
 def _quality_shares(rows: Sequence[Row], right: np.ndarray, known: np.ndarray) -> dict[str, Share]:
-    """The Brier score: a quality that is a probability has the least squared error that can be."""
+    """Mean quality, and the Brier score: the squared error, which is least if quality is the true
+    probability."""
     quality: Float64 = np.array([float(row["quality"]) for row in rows])
     return {"quality": Share.of(quality), "brier": Share.of((quality - right) ** 2, known)}
 

@@ -1,4 +1,4 @@
-"""Pose errors and the figures made of them. Pure functions on arrays; errors in metres, figures in percent.
+"""Pose errors and figures computed from them. Pure functions on arrays; errors in metres, figures in percent.
 
 A missing pose has the error inf: it is wrong in recall and 0 in AUC.
 """
@@ -18,7 +18,7 @@ AUC_LIMIT_M = 0.1
 """Largest error in the area under the curve of ADD (Xiang et al., PoseCNN, RSS 2018)."""
 
 RECALL_FRACTION = 0.1
-"""Of the diameter: a pose with a smaller ADD is right (Hinterstoisser et al., ACCV 2012)."""
+"""Share of the diameter: a pose with a smaller ADD is right (Hinterstoisser et al., ACCV 2012)."""
 
 FIGURES = ("recall_add", "recall_adds", "auc_add", "auc_adds")
 
@@ -37,8 +37,8 @@ def add(points_obj: Float, T_estimate: Float, T_truth: Float) -> float:
 def adds(points_obj: Float, T_estimate: Float, T_truth: Float, tree: cKDTree | None = None) -> float:
     """ADD-S: mean over the *truth's* points of the distance to the estimate's nearest point, metres.
 
-    tree: a cKDTree of `points_obj`. Distances do not change when both clouds move together, so the truth
-    is taken into the estimate's object frame and one tree serves every pose of a model."""
+    tree: a cKDTree of `points_obj`. The truth is transformed into the estimate's object frame, which does not
+    change distances, so one tree serves all poses of a model."""
     T_estimate_truth = se3.inverse(T_estimate) @ T_truth
     tree = cKDTree(points_obj) if tree is None else tree
     distances, _ = tree.query(se3.apply(T_estimate_truth, points_obj))
@@ -46,11 +46,10 @@ def adds(points_obj: Float, T_estimate: Float, T_truth: Float, tree: cKDTree | N
 
 
 def auc_voc(errors_m: Float) -> float:
-    """The area of `pose_scores` as the YCB-Video toolbox sums it (`VOCap`, in steps up to each next error),
-    percent.
+    """AUC as in the YCB-Video toolbox (`VOCap`: a sum of steps from one error to the next), percent.
 
-    Each step takes the accuracy at its right end, so the area is a little larger; of several equal errors the
-    first counts, as in the toolbox."""
+    Each step takes the accuracy at its right end, so the area is a little larger than in `pose_scores`. Of
+    several equal errors the first counts, as in the toolbox."""
     errors = np.sort(np.asarray(errors_m, dtype=np.float64))
     accuracy = np.arange(1, len(errors) + 1) / len(errors)
     kept = errors <= AUC_LIMIT_M
@@ -70,7 +69,8 @@ def accuracy_curve(errors_m: Float, thresholds_m: Float) -> Float64:
 
 
 def expected_calibration_error(quality: Float, right: Bool) -> float | None:
-    """Mean distance of stated quality (N,) 0..1 and share of right poses (N,), over ten bins of equal count.
+    """Mean difference between stated quality (N,) 0..1 and share of right poses, over ten bins of equal
+    count.
 
     A fraction, 0..1; None without poses. Bins are weighted by their counts where N does not divide by ten."""
     if not len(quality):
@@ -80,8 +80,8 @@ def expected_calibration_error(quality: Float, right: Bool) -> float | None:
 
 
 def pose_scores(add_m: Float, adds_m: Float, diameters_m: Float) -> dict[str, Float64]:
-    """What the four figures are the means of: a number for each of N poses, percent. AUC is the area under
-    the accuracy-threshold curve from 0 to 0.1 m, which is the mean of max(0, 1 - e / 0.1)."""
+    """For each figure one number for each of N poses, percent; the figure is their mean. AUC is the area
+    under the accuracy-threshold curve from 0 to 0.1 m, which is the mean of max(0, 1 - e / 0.1)."""
     scores: dict[str, Float64] = {}
     for name, errors_m in (("add", add_m), ("adds", adds_m)):
         errors = np.asarray(errors_m, np.float64)
@@ -107,11 +107,12 @@ def roft_figures(
     stamps_ns: Sequence[int],
     velocities: Sequence[Float64 | None] | None = None,
 ) -> dict[str, float | None]:
-    """`rmse_cm`, `rmse_deg`, `rmse_cm_s`, `rmse_deg_s` of the frames of one track, in order.
+    """`rmse_cm`, `rmse_deg`, `rmse_cm_s`, `rmse_deg_s` of the frames of one track, in order of time.
 
-    poses, truths: T_cam_obj (4, 4), None where there is none; velocities (6,): of the object's origin and of
-    its turn, camera axes, per second, by default what the last two poses make it. The true velocity is that
-    between the frames before and after. Frames before the first pose are left out. None where nothing counts.
+    poses, truths: T_cam_obj (4, 4), None where there is none; a missing pose is replaced by the last one.
+    velocities (6,): of the object's origin and angular, camera axes, per second, by default from the last
+    two poses. The true velocity is that between the frame before and the frame after. Frames before the
+    first pose are left out. A figure is None if no frame counts.
     """
     held = _held(poses)
     stated = list(velocities) if velocities is not None else [None] * len(held)
@@ -140,7 +141,7 @@ def _held(poses: Sequence[Float64 | None]) -> list[Float64 | None]:
 def _speed(
     poses: Sequence[Float64 | None], stamps_ns: Sequence[int], before: int, after: int
 ) -> Float64 | None:
-    """Mean velocity (6,) from one frame to another, None where one of them has no pose."""
+    """Mean velocity (6,) between two frames, None if one of them has no pose."""
     if before < 0 or after >= len(poses):
         return None
     start, end = poses[before], poses[after]

@@ -1,8 +1,9 @@
-"""The paper's tracker as the tracking protocol asks for it: frames in, poses out, late poses in between.
+"""The paper's tracker with the interface of the tracking protocol: it takes frames and late poses, and gives
+poses.
 
-It has no states and no confidence: what it follows is published as `TRACKING` with quality 1. A pose that
-comes late replaces the one at its frame, and the motions since then carry it to now, as ROFT does; the paper
-says no more of it than that its tracker is run by ROFT's protocol.
+It has no states and no confidence: every tracked pose is published as `TRACKING` with quality 1. A late pose
+replaces the one at its frame, and the motion increments since then move it to the newest frame, as in ROFT.
+The paper says only that its tracker is run by ROFT's protocol.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ from huepose.tracking.history import PoseHistory
 from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
 
 HISTORY_NS = 2_000_000_000
-"""How far back late poses are taken."""
+"""Largest age of a late pose."""
 
 Key = tuple[str, int]
 
 
 @dataclass(eq=False)
 class _Followed:
-    """One instance: its poses at the frames so far, and its mask in the newest where one was given."""
+    """One tracked instance: its past poses, and its mask in the newest frame if one was given."""
 
     history: PoseHistory
     mask: Bool | None = None
@@ -37,7 +38,7 @@ class _Followed:
 
 
 class PaperTracker:
-    """Follows instances of known objects through the frames of one camera, as the paper does."""
+    """Tracks instances of known objects through the frames of one camera, as in the paper."""
 
     def __init__(self, models: Mapping[str, ReferenceModel], step: PaperStep | None = None) -> None:
         self._models = dict(models)
@@ -47,7 +48,7 @@ class PaperTracker:
         self._frames: deque[RgbdFrame] = deque()
 
     def correct(self, correction: Correction) -> Applied:
-        """Take a pose for a past frame, or for the one that comes next."""
+        """Apply a pose for a past frame, or for the next frame."""
         if not self._frames or correction.stamp_ns > self._frames[-1].stamp_ns:
             self._waiting.append(correction)
             return Applied.CATCHING_UP
@@ -65,7 +66,7 @@ class PaperTracker:
         return Applied.APPLIED
 
     def step(self, frame: RgbdFrame) -> list[TrackedPose]:
-        """Follow everything to a new frame."""
+        """Track all instances to a new frame."""
         with stage("follow"):
             for key, followed in self._followed.items():
                 self._follow(key, followed, self._frames[-1], frame)
@@ -89,7 +90,7 @@ class PaperTracker:
     def _carried(
         self, correction: Correction, history: PoseHistory, since: Sequence[RgbdFrame]
     ) -> Bool | None:
-        """The mask of a late result in the newest of the frames since then."""
+        """The mask of a late result, propagated to the newest frame; None if that is not possible."""
         if correction.mask is None or since[0].stamp_ns != correction.stamp_ns:
             return None
         poses = [history.at(frame.stamp_ns) for frame in since[:-1]]
@@ -98,7 +99,7 @@ class PaperTracker:
         return self._step.carried(model, correction.mask, known, since) if len(known) == len(poses) else None
 
     def _start(self, correction: Correction, frames: Sequence[RgbdFrame]) -> None:
-        """An instance begins, or begins anew, at the first of these frames, and is followed to the last."""
+        """Start or restart an instance at the first of these frames, and track it to the last."""
         history = PoseHistory(self._models[correction.object].surface.centre)
         followed = _Followed(history, correction.mask, correction.seq)
         followed.history.append(frames[0].frame_id, frames[0].stamp_ns, correction.T_cam_obj)

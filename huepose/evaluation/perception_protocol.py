@@ -1,5 +1,5 @@
-"""Boxes and masks of whole frames: what the detector proposes, what the estimator leaves of it, and how well
-objects are outlined."""
+"""Perception in whole frames: the boxes that the detector proposes, the poses that the estimator keeps, and
+the quality of masks."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ from huepose.support.errors import InputError
 from huepose.support.progress import progress
 
 SAME = 0.5
-"""A box of an object is the label's when they overlap by this IoU."""
+"""Least IoU at which a box belongs to a label of its object."""
 
 
 @dataclass(frozen=True)
 class PerceptionOptions:
-    """judged: most proposals of one object that the estimator looks at; least: score of a proposal that is
-    worth it; seed: of the disturbed boxes. Labels that are hardly visible are neither asked for nor false."""
+    """judged: largest number of proposals of one object that are estimated; least: least score of an
+    estimated proposal; seed: of the disturbed boxes. Labels that are hardly visible are not counted, and
+    boxes on them are no false positives."""
 
     judged: int = 2
     least: float = 0.0
@@ -55,10 +56,10 @@ def evaluate_perception(
     *,
     on_frame: Callable[[Sample, FrameFigures], None] | None = None,
 ) -> PerceptionResult:
-    """Ask for all objects of `targets` in all labelled images, whether they show one of them or not.
-    `on_frame` sees each frame with its figures.
+    """Search for all objects of `targets` in all labelled images, whether these show them or not.
+    `on_frame` is called with each frame and its figures.
 
-    Raises InputError when nothing is labelled, or two scenes have one name."""
+    Raises InputError if nothing is labelled, or two scenes have the same name."""
     check_names(scenes)
     frames = []
     names = [model.name for model in targets.models]
@@ -94,7 +95,7 @@ def _labels(sample: Sample, targets: Targets) -> list[_Label]:
 
 @dataclass(frozen=True, eq=False)
 class _FrameRun:
-    """One frame, and what is evaluated on it."""
+    """The evaluation of one frame."""
 
     sample: Sample
     labels: Sequence[_Label]
@@ -105,7 +106,7 @@ class _FrameRun:
     options: PerceptionOptions
 
     def figures(self, names: Sequence[str]) -> FrameFigures:
-        """Ask for the objects of these names, and outline all that is labelled."""
+        """Search for the objects of these names, and segment all labelled objects."""
         sample, options = self.sample, self.options
         start = time.perf_counter()
         detections = self.detector.detect(sample.frame, names)
@@ -145,8 +146,8 @@ class _FrameRun:
         )
 
     def _mask_ious(self, label: _Label) -> tuple[float | None, float | None]:
-        """Of the segmenter's first mask and of the estimator's last with the visible mask, in a disturbed
-        box."""
+        """IoU with the visible mask of the segmenter's first mask, and of the estimator's final mask, in a
+        disturbed box."""
         sample, true_mask = self.sample, label.truth.mask()
         if true_mask is None or not true_mask.any():
             return None, None
@@ -160,8 +161,8 @@ class _FrameRun:
         return overlap(mask, true_mask), overlap(final, true_mask)
 
     def _assigned(self, poses: Sequence[PoseEstimate]) -> tuple[dict[int, PoseEstimate], list[FalseBox]]:
-        """Standing poses by the instance that they find, and those that find none. The box of a pose is that
-        of the pixels that it explains."""
+        """Kept poses by the instance that they find, and false positives. The box of a pose is that of the
+        pixels that it explains."""
         taken: dict[int, PoseEstimate] = {}
         false = []
         for pose in poses:
@@ -180,17 +181,17 @@ class _FrameRun:
 
 
 def first_of_each(detections: Sequence[Detection], most: int) -> list[Detection]:
-    """At most so many of each object, the first ones."""
-    seen: dict[str, int] = {}
+    """The first detections of each object, at most `most`."""
+    counts: dict[str, int] = {}
     chosen = []
     for d in detections:
-        seen[d.object] = seen.get(d.object, 0) + 1
-        if seen[d.object] <= most:
+        counts[d.object] = counts.get(d.object, 0) + 1
+        if counts[d.object] <= most:
             chosen.append(d)
     return chosen
 
 
 def _shown(labels: Sequence[_Label], box: Box) -> str | None:
-    """The labelled object that a box overlaps most, None where it overlaps none by a third."""
+    """The labelled object that a box overlaps most; None if the IoU is under a third."""
     best = max(labels, key=lambda x: x.box.iou(box), default=None)
     return best.model.name if best is not None and best.box.iou(box) >= 1 / 3 else None

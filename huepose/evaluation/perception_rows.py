@@ -16,15 +16,15 @@ from huepose.geometry.box import Box
 NOTHING = "nothing labelled"
 
 FIRST = (1, 5, 20)
-"""Numbers of first proposals of an object at which recall is given."""
+"""Numbers of first proposals of an object for which recall is given."""
 
 
 @dataclass(frozen=True, eq=False)
 class PerceptionRow:
-    """One labelled instance. rank: of the first proposal whose box overlaps the label's by IoU 0.5, from 1;
-    best_iou: of all proposals; mask_iou, final_mask_iou: of the segmenter's first mask and of the mask that
-    the estimator ends with, in a disturbed true box, with the visible mask; None where not measured; quality:
-    of the standing pose that finds it, None where none does."""
+    """One labelled instance. rank: of the first proposal whose box has an IoU of 0.5 or more with the
+    label's, from 1; best_iou: of all proposals; mask_iou, final_mask_iou: IoU with the visible mask of the
+    segmenter's first mask and of the estimator's final mask, in a disturbed true box, None if not measured;
+    quality: of the kept pose that finds it, None if none does."""
 
     scene: str
     image: int
@@ -41,7 +41,7 @@ class PerceptionRow:
 
     @property
     def found(self) -> bool:
-        """A standing pose has the label's box."""
+        """A kept pose has the label's box."""
         return self.quality is not None
 
     def as_json(self) -> dict[str, Any]:
@@ -55,15 +55,16 @@ class PerceptionRow:
         }
 
     def _why_lost(self) -> str:
-        """Why no standing pose has the label's box, in one sentence."""
+        """Why no kept pose has the label's box, in one sentence."""
         if self.rank is None:
-            return f"No proposal has its box; the best one overlaps it by IoU {self.best_iou:.2f}."
-        return f"Proposal {self.rank} of the object has its box, and no pose stands there."
+            return f"No proposal has its box; the best one has an IoU of {self.best_iou:.2f} with it."
+        return f"Proposal {self.rank} of the object has its box, but no pose there is kept."
 
 
 @dataclass(frozen=True, eq=False)
 class FalseBox:
-    """A standing pose that is no label's of its object; shown: the labelled object that is there instead."""
+    """A false positive: a kept pose that is on no label of its object. shown: the labelled object that is
+    there instead, None if there is none."""
 
     scene: str
     image: int
@@ -80,7 +81,7 @@ class FalseBox:
 
 @dataclass(frozen=True, eq=False)
 class FrameFigures:
-    """One frame. detector_s, seconds: wall time of the detector, and with the estimator."""
+    """One frame. detector_s: wall time of the detector; seconds: of detector and estimator."""
 
     scene: str
     image: int
@@ -92,7 +93,7 @@ class FrameFigures:
 
 @dataclass(frozen=True, eq=False)
 class PerceptionResult:
-    """All frames; asked_for: how many objects were asked for in each of them."""
+    """All frames; asked_for: number of objects that were searched for in each frame."""
 
     frames: Sequence[FrameFigures]
     asked_for: int
@@ -126,7 +127,7 @@ class PerceptionResult:
         }
 
     def _intervals(self, rows: Sequence[PerceptionRow]) -> dict[str, Interval | None]:
-        """Of recall over the frames with labels, of false boxes over all frames."""
+        """Intervals of recall (over frames with labels) and of false boxes (over all frames)."""
         recall = {"recall_iou50": np.array([100.0 * row.found for row in rows])}
         per_frame = {"false_boxes_per_frame": np.array([float(len(frame.false)) for frame in self.frames])}
         return {
@@ -148,7 +149,7 @@ def _figures(rows: Sequence[PerceptionRow]) -> dict[str, Any]:
 
 
 def _confusion(rows: Sequence[PerceptionRow], false: Sequence[FalseBox]) -> dict[str, dict[str, int]]:
-    """What was taken for what: found[taken for][really there], the diagonal included."""
+    """Confusion matrix: counts[found object][labelled object], with the diagonal."""
     counts: dict[str, Counter[str]] = {}
     for row in rows:
         if row.found:

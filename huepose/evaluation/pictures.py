@@ -1,4 +1,4 @@
-"""Results to look at: every frame with the poses drawn over it, and errors over time (`--plots`)."""
+"""Plots of results (`--plots`): every frame with the poses drawn over it, and errors over time."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ MISSED = (250, 200, 40)
 
 
 def draw_rows(sample: Sample, rows: Sequence[EstimateRow | TrackRow], targets: Targets) -> UInt8:
-    """The frame (H + h, W, 3) uint8 RGB: each label's outline in white and each pose's over it, green when
-    right, red when wrong; they are numbered, and listed below with ADD, quality and state."""
+    """The frame (H + h, W, 3) uint8 RGB with the outline of each label in white, and of each pose in green if
+    right, in red if wrong. The rows are numbered, and listed below with ADD, quality and state."""
     picture, notes = sample.frame.color, []
     truths = {truth.instance: truth for truth in sample.truths}
     for number, row in enumerate(rows, 1):
@@ -59,7 +59,7 @@ def _words(row: EstimateRow | TrackRow) -> str:
 
 
 def _list(notes: Sequence[tuple[str, Colour]], width: int) -> UInt8:
-    """Lines of text in two columns, each with a dash in its colour."""
+    """Lines of text in two columns, each with a bar in its colour."""
     lines = (len(notes) + 1) // 2
     page: UInt8 = np.full((18 * lines + 8, width, 3), 250, np.uint8)
     for k, (text, color) in enumerate(notes):
@@ -70,7 +70,7 @@ def _list(notes: Sequence[tuple[str, Colour]], width: int) -> UInt8:
 
 
 class PictureFolder:
-    """Writes pictures into a folder, made when needed."""
+    """Writes pictures into a folder; the folder is made if needed."""
 
     def __init__(self, folder: Path, targets: Targets) -> None:
         self._folder, self._targets = folder, targets
@@ -104,7 +104,7 @@ def _millimetres(row: TrackRow) -> float:
 
 
 def write_perception(folder: Path, sample: Sample, figures: FrameFigures) -> None:
-    """SCENE_IMAGE.png of one frame: found labels green, missed ones yellow, false boxes red."""
+    """Write SCENE_IMAGE.png of one frame: found labels green, missed ones yellow, false boxes red."""
     write_picture(folder / f"{sample.scene}_{sample.image:06d}.png", draw_perception(sample, figures))
 
 

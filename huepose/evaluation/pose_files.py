@@ -1,12 +1,11 @@
-"""Files of poses that were made elsewhere: our CSV, that of the BOP challenge, and those of DOPE as ROFT
-ships them.
+"""Files of poses from elsewhere: our CSV, that of the BOP challenge, and those of DOPE as ROFT has them.
 
 CSV: `frame,object,x,y,z,qx,qy,qz,qw`, metres, the reference model's frame; object is a name or a BOP id. An
-instance number may follow; what comes after it is not read.
+instance number may follow; further columns are not read.
 BOP challenge 2019 and later (https://bop.felk.cvut.cz/challenges/bop-challenge-2019/#formatofresults):
-`scene_id,im_id,obj_id,score,R,t,time`, one line a pose, R row by row, t in mm, time in seconds for the whole
-image.
-DOPE: row i is frame i, `x y z ax ay az angle`, zeros where nothing was found; in the model frame of NVIDIA
+`scene_id,im_id,obj_id,score,R,t,time`, one line for each pose, R row by row, t in mm, time in seconds for the
+whole image.
+DOPE: row i is frame i, `x y z ax ay az angle`, zeros if nothing was found; in the model frame of NVIDIA
 (`poses.txt`) or PoseCNN (`poses_ycb.txt`): p_nvdu = R p_posecnn + t, and p_bop = p_posecnn + offset.
 """
 
@@ -33,7 +32,7 @@ COLUMNS = ("frame", "object", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 @dataclass(frozen=True, eq=False)
 class PoseTable:
-    """T_cam_obj (4, 4) by (frame, object as the file calls it); a missing pose is not in it."""
+    """T_cam_obj (4, 4) by (frame, name or id of the object in the file); missing poses are not in it."""
 
     poses: Mapping[tuple[int, str], Float64]
 
@@ -43,8 +42,8 @@ class PoseTable:
         return found if found is not None or object_id is None else self.poses.get((frame, str(object_id)))
 
     def moved(self, T_theirs_obj: Mapping[str, Float64]) -> PoseTable:
-        """The poses in other model frames: by object as the file calls it, `T_theirs_obj` (4, 4) takes points
-        of the reference model to the file's frame. Poses of other objects are left out."""
+        """The poses in the reference models' frames. T_theirs_obj: by name or id of the object in the file,
+        takes points of the reference model to the file's model frame. Poses of other objects are left out."""
         return PoseTable(
             {
                 (frame, name): se3.compose(T, T_theirs_obj[name])
@@ -55,7 +54,7 @@ class PoseTable:
 
 
 class PoseRow(NamedTuple):
-    """A row of our CSV. instance: None where the file does not say; T (4, 4): as a rule T_cam_obj."""
+    """A row of our CSV. instance: None if the file does not have it; T (4, 4): usually T_cam_obj."""
 
     frame: int
     object: str
@@ -64,23 +63,23 @@ class PoseRow(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Which thing it is, in words."""
+        """OBJECT, or OBJECT/INSTANCE."""
         return self.object if self.instance is None else f"{self.object}/{self.instance}"
 
 
 def read_pose_csv(path: Path | str) -> PoseTable:
-    """Read our CSV as a table; of several instances of an object in a frame the last counts. Raises
+    """Read our CSV as a table; of several instances of an object in a frame, the last one is used. Raises
     InputError."""
     return PoseTable({(row.frame, row.object): row.T for row in read_pose_rows(path)})
 
 
 def read_pose_rows(path: Path | str) -> list[PoseRow]:
     """Read our CSV, with or without its header; rows with nan are missing poses. Raises InputError."""
-    # Spreadsheets write a mark of the encoding, and line ends of their own.
+    # Spreadsheet programs write a byte order mark, and other line ends.
     text = files.read_bytes(Path(path)).decode("utf-8-sig", "replace")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").replace("\0", "?").splitlines()
     rows: list[PoseRow] = []
-    # A row is a line: no value holds a line end, so a quote that is not closed spoils its own line only.
+    # A row is a line: no value contains a line end, so an open quote affects only its own line.
     for line, row in enumerate((text.split(",") for text in lines), 1):
         cells = [cell.strip().strip('"') for cell in row]
         if not any(cells) or (line == 1 and cells[0] == COLUMNS[0]):
@@ -97,7 +96,7 @@ def read_pose_rows(path: Path | str) -> list[PoseRow]:
         if abs(np.linalg.norm(values[3:]) - 1.0) > 0.05:
             raise InputError(
                 f"{path}, line {line}",
-                found=f"{','.join(row)[:80]}, whose quaternion {values[3:]} has not the length 1",
+                found=f"{','.join(row)[:80]}, whose quaternion {values[3:]} is not of length 1",
                 expected=",".join(COLUMNS),
                 fix="Write numbers with a decimal point.",
             )
@@ -109,7 +108,7 @@ def read_pose_rows(path: Path | str) -> list[PoseRow]:
 
 
 def _whole(cell: str) -> int:
-    """A whole number, also as pandas writes it where a value of the column is missing: `100.0`. Raises
+    """An integer, also in the form `100.0`, which pandas writes if a value of the column is missing. Raises
     ValueError."""
     try:
         return int(cell)
@@ -120,7 +119,7 @@ def _whole(cell: str) -> int:
 
 
 def read_dope_poses(path: Path | str, name: str) -> PoseTable:
-    """Read DOPE's poses of one object, in the model frame in which they are. Raises InputError."""
+    """Read DOPE's poses of one object, in the file's model frame. Raises InputError."""
     return PoseTable(
         {
             (frame, name): T_cam_nvdu
@@ -135,7 +134,7 @@ _HEADER = ("scene_id", "im_id", "obj_id", "score", "R", "t", "time")
 
 @dataclass(frozen=True, eq=False)
 class BopResult:
-    """One line: T_cam_obj (4, 4) metres; score: higher is surer; seconds for the image, -1: not known."""
+    """One line: T_cam_obj (4, 4) metres; score: higher is better; seconds: for the image, -1 if unknown."""
 
     scene: str
     image: int
@@ -158,9 +157,9 @@ def write_bop_csv(path: Path | str, results: Iterable[BopResult]) -> None:
 
 
 def read_bop_csv(path: Path | str, broken: list[str] | None = None) -> list[BopResult]:
-    """Read a result file. Raises InputError, naming the line; where `broken` is given, lines without a pose
-    (not a number, no rotation) are described there instead."""
-    text = files.read_bytes(Path(path)).decode("utf-8-sig", "replace")  # spreadsheets mark the encoding
+    """Read a result file. Raises InputError, naming the line; if `broken` is given, lines without a valid
+    pose (not finite, not a rotation) are described there instead."""
+    text = files.read_bytes(Path(path)).decode("utf-8-sig", "replace")  # may begin with a byte order mark
     rows = list(csv.reader(io.StringIO(text)))
     results = []
     for number, row in enumerate(rows, 1):
@@ -178,7 +177,7 @@ def read_bop_csv(path: Path | str, broken: list[str] | None = None) -> list[BopR
         T_cam_obj = se3.make(R, t_m)
         if not se3.is_rigid(T_cam_obj, se3.ROUNDED):
             if broken is not None:
-                broken.append(f"line {number}: no rotation or not finite")
+                broken.append(f"line {number}: not a rotation, or not finite")
                 continue
             raise InputError(f"{path}, line {number}", found="a matrix that is no rotation")
         results.append(BopResult(scene, values[0], values[1], values[2], T_cam_obj, values[3]))

@@ -1,8 +1,8 @@
-"""What a live pipeline published, scored against the scene that it was played.
+"""Scores the poses that a live pipeline published against the labels of the scene that it played.
 
-The input is what `huepose poses --json` prints: one pose message a line. A source that plays a scene gives
-its first pass the numbers of the images as frame ids; what comes after the first pass does not count, and
-times are those of the scene.
+The input is the output of `huepose poses --json`: one pose message per line. In its first pass, a source that
+plays a scene uses the image numbers as frame ids. Later passes do not count. Timestamps are those of the
+scene.
 """
 
 from __future__ import annotations
@@ -41,17 +41,15 @@ class LivePose:
 
 
 def read_messages(path: Path | str) -> list[LivePose]:
-    """The pose messages of a file, one JSON object a line; messages of other kinds are passed over.
-
-    A last line that is cut short, as when the recording was stopped, is passed over as well.
-    Raises InputError, naming the line."""
+    """The pose messages of a file, one JSON object per line. Messages of other kinds are skipped, and so is
+    an incomplete last line, as when the recording was stopped. Raises InputError, naming the line."""
     text = files.read_bytes(Path(path)).decode("utf-8", "replace")
     if "\ufffd" in text:
         raise InputError(
             path,
             found="bytes that are no text",
-            expected="one JSON message a line, as `huepose poses --json` prints",
-            fix="Of a recording `huepose replay RUN.mcap --bop DIR` writes DIR/poses.jsonl.",
+            expected="one JSON message per line, as `huepose poses --json` prints",
+            fix="For a recording, `huepose replay RUN.mcap --bop DIR` writes DIR/poses.jsonl.",
         )
     lines = text.splitlines()
     messages = []
@@ -65,7 +63,7 @@ def read_messages(path: Path | str) -> list[LivePose]:
             if number == len(lines) and not text.endswith("\n"):
                 continue
             raise InputError(
-                where, found=line[:60], expected="one JSON message a line, as `huepose poses --json` prints"
+                where, found=line[:60], expected="one JSON message per line, as `huepose poses --json` prints"
             ) from None
         if isinstance(record, dict) and {"object", "instance", "state"} <= record.keys():
             messages.append(_message(record, where))
@@ -104,8 +102,8 @@ def _message(record: dict[str, Any], where: str) -> LivePose:
 
 
 def first_pass(messages: Sequence[LivePose], image_ids: Sequence[int]) -> list[LivePose]:
-    """The messages about the scene's images, by capture time, of the first camera epoch, until the frame
-    numbers start again; of several about the same track and frame the one published first."""
+    """The messages about the scene's images, by capture time: those of the first camera epoch, until the
+    frame numbers start again. Of several about the same track and frame, the first published one."""
     images = set(image_ids)
     kept: dict[tuple[str, int, int], LivePose] = {}
     for message in _until_it_begins_again(messages, max(images)):
@@ -126,10 +124,10 @@ def _until_it_begins_again(messages: Sequence[LivePose], last_image: int) -> lis
 
 
 def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets) -> TrackResult:
-    """Score published poses like those of a tracker; an image without a message has no pose, and one of
-    which nothing is known has no row.
+    """Score published poses like those of a tracker. An image without a message has no pose; an unlabelled
+    image has no row.
 
-    Raises InputError when no message is about the scene, or the scene has no label of an onboarded object."""
+    Raises InputError if no message is about the scene, or the scene has no label of an onboarded object."""
     counts = instance_counts(scene, scene.image_ids, targets)
     if not counts:
         raise InputError(f"scene {scene.name}", found="no labelled pose of an onboarded object")
@@ -166,7 +164,7 @@ def evaluate_poses(messages: Sequence[LivePose], scene: Scene, targets: Targets)
 
 
 def _times(kept: Sequence[LivePose]) -> dict[str, Any]:
-    """Rate of the frames with a message, and latency from capture to publication."""
+    """Rate of the frames with a message, and latency from capture to publishing."""
     captures = np.array(sorted({m.capture_ns for m in kept}))
     latencies_ms = np.array([(m.publish_ns - m.capture_ns) * 1e-6 for m in kept])
     took_s = (captures[-1] - captures[0]) * 1e-9

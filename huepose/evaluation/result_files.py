@@ -1,5 +1,5 @@
-"""Results as JSON: numbers that are none become null, and a file is there as a whole or not at all. Each says
-where it comes from: machine, versions, command, date."""
+"""Results as JSON. Numbers that are not finite become null, and files are written atomically. `origin` gives
+machine, versions, command and date."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from huepose.support.files import write_text
 
 
 def plain(value: Any) -> Any:
-    """`value` in JSON's types: arrays to lists, nan and inf to None, keys to text.
+    """`value` in JSON's types: arrays become lists, nan and inf None, keys text.
 
     >>> plain({1: np.array([1.0, np.nan]), "b": np.int64(3)})
     {'1': [1.0, None], 'b': 3}
@@ -42,8 +42,8 @@ def plain(value: Any) -> Any:
 
 
 def result_names(paths: Sequence[Path]) -> list[str]:
-    """What result files are called: by their names, a `results.json` by its folder's; where some are called
-    alike, with as many folders before it as tell all apart. Raises InputError where nothing does.
+    """Unique names of result files: the file's name, for a `results.json` its folder's. If some are equal,
+    parent folders are put before all. Raises InputError if that does not make them unique.
 
     >>> result_names([Path("a/track.json"), Path("b/results.json")])
     ['track', 'b']
@@ -62,7 +62,7 @@ def result_names(paths: Sequence[Path]) -> list[str]:
 
 
 def write_json(path: Path | str, value: Any) -> None:
-    """Write `value` as JSON, one row of a list a line at the first two levels. Raises InputError."""
+    """Write `value` as JSON: one line for each key, and for each item of its lists. Raises InputError."""
     write_text(path, _layout(plain(value)) + "\n")
 
 
@@ -84,7 +84,7 @@ _SLASHED = re.compile(r"(?:[\w.~-]*/)+(?=[\w.-])")
 
 
 def origin(arguments: Sequence[str] | None = None) -> dict[str, str]:
-    """`date` (UTC), `command` with paths cut to their last part, `machine` in general words, `versions`.
+    """`date` (UTC), `command` with paths cut to their last part, `machine` in general terms, `versions`.
 
     arguments: of the command, by default those of this process."""
     words = sys.argv[1:] if arguments is None else list(arguments)

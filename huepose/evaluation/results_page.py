@@ -1,4 +1,4 @@
-"""`docs/results.md`: results as one page, made from their files alone, each with its origin."""
+"""Makes `docs/results.md`: all results on one page, from their files alone, each with its origin."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ Made by `huepose eval results` from result files. Do not edit this page by hand:
 
 
 def results_page(records: Mapping[str, Mapping[str, Any]]) -> str:
-    """The page as Markdown, of result files of `huepose eval` by name. Raises InputError for other files."""
+    """The page as Markdown, from result files of `huepose eval` by name. Raises InputError for other
+    files."""
     return "\n".join([_INTRODUCTION, *(_section(name, record) for name, record in records.items())])
 
 
@@ -45,8 +46,8 @@ BEGIN, END = "<!-- cut from docs/results by `huepose eval results` -->", "<!-- e
 
 
 def with_cut(document: str, records: Mapping[str, Mapping[str, Any]]) -> str:
-    """A document with the lines between BEGIN and END made anew: of the first result that has the paper's
-    tables, what this code gives on average. Raises InputError where there are no such lines or tables."""
+    """A document in which the lines between BEGIN and END are replaced by the averages of this code, from the
+    first result with the paper's tables. Raises InputError if there are no such lines or tables."""
     before, begin, rest = document.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not begin or not end:
@@ -75,8 +76,8 @@ def _section(name: str, record: Mapping[str, Any]) -> str:
 
 
 def _summary(name: str, summary: Mapping[str, Any]) -> Table:
-    """The figures of one result with their intervals, of tracks those of all frames; what it does not have
-    is left out."""
+    """The figures of one result with their intervals (of tracks: over all frames). Figures that it does not
+    have are left out."""
     shown = {key: head for key, head in _FIGURES.items() if summary.get(key) is not None}
     spans = summary.get("interval95", {})
     rows: list[tuple[str, tuple[Cell, ...]]] = [("all", tuple(summary[key] for key in shown))]

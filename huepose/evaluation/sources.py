@@ -1,6 +1,6 @@
-"""Where a tracker's first pose and its late results come from: our estimator, the labels, or a file.
+"""Sources of a tracker's first pose and of its late poses: our estimator, the labels, or a file.
 
-What a late estimate means offline is decided by the rule of the live re-initialisation loop.
+The rules of the live re-initialisation loop decide what a late estimate means.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from huepose.reinit.types import ObjectSlot, Prior
 from huepose.tracking.types import TrackedPose, Verdict
 
 Priors = Mapping[tuple[str, int], PosePrior]
-"""Of the instances that are tracked, by (object, ordinal)."""
+"""Pose priors of the tracked instances, by (object, ordinal)."""
 
 
 @dataclass(frozen=True, eq=False)
 class SourcedPose:
-    """A pose of one instance at the frame that was looked at. estimate: what it was taken from, if it was."""
+    """A pose of one instance in the requested frame. estimate: the estimate it comes from, if it does."""
 
     place: Place
     T_cam_obj: Float64
@@ -38,7 +38,7 @@ class SourcedPose:
 
 
 class PoseSource(Protocol):
-    """Gives poses for one frame; what it cannot give is missing from the answer."""
+    """Gives poses for one frame; instances without a pose are missing from the result."""
 
     def poses(self, sample: Sample, places: Sequence[Place], priors: Priors) -> list[SourcedPose]:
         """Poses of the instances that have a label in the frame."""
@@ -49,7 +49,7 @@ class TruthSource:
     """The labels, with their masks."""
 
     def poses(self, sample: Sample, places: Sequence[Place], priors: Priors) -> list[SourcedPose]:
-        """The labelled poses of the instances that are not gone."""
+        """The labelled poses of the instances of which at least a tenth is visible."""
         return [
             SourcedPose(place, truth.T_cam_obj, 1.0, truth.mask())
             for place, truth in _present(places)
@@ -59,14 +59,14 @@ class TruthSource:
 
 @dataclass(eq=False)
 class EstimatorSource:
-    """Our estimator in the perturbed box of each instance; the answer to a frame is remembered."""
+    """Our estimator in the disturbed box of each instance. The poses of a frame are cached."""
 
     estimator: PoseEstimator
     seed: int
     _answers: dict[tuple[str, int], list[SourcedPose]] = field(default_factory=dict)
 
     def poses(self, sample: Sample, places: Sequence[Place], priors: Priors) -> list[SourcedPose]:
-        """What was found."""
+        """The poses that were found."""
         key = (sample.scene, sample.image)
         if key not in self._answers:
             self._answers[key] = self._estimate(sample, places, priors)
@@ -95,12 +95,12 @@ class EstimatorSource:
 
 @dataclass(frozen=True, eq=False)
 class FileSource:
-    """Poses made elsewhere; they carry no mask. Of several instances of an object the first is meant."""
+    """Poses from a file, without masks. They belong to the first instance of each object."""
 
     table: PoseTable
 
     def poses(self, sample: Sample, places: Sequence[Place], priors: Priors) -> list[SourcedPose]:
-        """The poses that the file has for this frame."""
+        """The poses in the file for this frame."""
         found = []
         for place in places:
             T_cam_obj = self.table.pose(sample.image, place.model.name, place.model.object_id)
@@ -114,17 +114,17 @@ def _present(places: Sequence[Place]) -> list[tuple[Place, GroundTruth]]:
 
 
 class LoopJudge:
-    """Verdicts on late poses. Those without an estimate (labels, files) are taken as they are.
+    """Verdicts on late poses. Poses without an estimate (labels, files) are always accepted.
 
-    The instance that an estimate is of is known here, so that an object without a pose takes every usable
-    estimate at once; the tracker still verifies it on its own frame before it is published."""
+    Here the instance of an estimate is known. So an object without a pose takes every usable estimate at
+    once; the tracker still verifies it on its own frame before it is published."""
 
     def __init__(self, models: Mapping[str, ReferenceModel]) -> None:
         self._config = ReinitConfig()
         self._slots = {name: ObjectSlot.of(model) for name, model in models.items()}
 
     def __call__(self, pose: SourcedPose, tracked: TrackedPose | None) -> Verdict:
-        """tracked: what was published at the frame that the estimate looked at, None without a pose."""
+        """tracked: the pose that was published for the frame of the estimate, None without a pose."""
         if pose.estimate is None:
             return Verdict.CORRECT if tracked is not None else Verdict.ACQUIRE
         if tracked is None or tracked.T_cam_obj is None:

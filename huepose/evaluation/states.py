@@ -1,12 +1,12 @@
-"""What the states of a tracked object were worth: coverage, false TRACKING, declaring, (re)acquiring.
+"""Figures of the states of a tracked object: coverage, false TRACKING, times to report a loss and to acquire.
 
-The words as this module measures them, on the frames of one object instance:
-right: the pose is within a tenth of the diameter of the label. Visible: 30 % or more, or unknown; gone:
-under 10 %. Losing support: the first gone frame, or the first of a run of frames without a right pose,
-after a right one. Declared: the first frame from there on that is not TRACKING (suspect), or that has no pose
-(lost). Acquired, reacquired: the first right pose; confirmed: the first right pose as TRACKING.
-Coverage: TRACKING frames over visible frames, counted from a confirmation until the object is gone, so
-that waiting for an object to appear is not held against the tracker but losing a visible one is.
+All figures are measured on the frames of one object instance.
+Right: the pose has an error under a tenth of the diameter. Visible: 30 % or more, or unknown; gone: less than
+10 %. Support is lost at the first gone frame, or at the first frame without a right pose, after a right one.
+Declared: the first frame from there on that is not TRACKING (suspect), or that has no pose (lost).
+Acquired, reacquired: the first right pose. Confirmed: the first right pose that is TRACKING.
+Coverage: TRACKING frames divided by visible frames, counted from a confirmation until the object is gone. So
+losing a visible object counts, but waiting for an object to appear does not.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from huepose.evaluation.summary import largest
 
 LOST_WITHIN_FRAMES = 5
 SUSPECT_WITHIN_FRAMES = 2
-"""An object that is gone has to be said to be LOST, and to be SUSPECT, within so many frames."""
+"""Within these numbers of frames an object that is gone must be LOST, and SUSPECT."""
 _NO_POSE = ("LOST", "SEARCHING")
 
 
 @dataclass(frozen=True)
 class Moment:
-    """One frame of one instance. state: as published, None where nothing was published for the frame."""
+    """One frame of one instance. state: as published, None if nothing was published for the frame."""
 
     stamp_ns: int
     visible: bool
@@ -35,13 +35,13 @@ class Moment:
 
     @property
     def supported(self) -> bool:
-        """There is something to track, and the published pose is right."""
+        """The object is not gone, and the published pose is right."""
         return not self.gone and self.right
 
 
 @dataclass(frozen=True)
 class Loss:
-    """Support was lost at frame `start` and came back at `end` (None: not before the end)."""
+    """Support was lost at frame `start` and came back at frame `end` (None: it did not come back)."""
 
     start: int
     end: int | None
@@ -49,8 +49,8 @@ class Loss:
 
 @dataclass(frozen=True)
 class StateReport:
-    """Counts and times of one instance, or summed over several (times: the largest). never_confirmed: how
-    often it did not happen though the object was visible."""
+    """Counts and times of one instance, or of several (counts summed, times the largest). never_confirmed:
+    number of instances that were visible but never confirmed."""
 
     frames: int
     false_tracking_frames: int
@@ -67,14 +67,15 @@ class StateReport:
 
     @property
     def coverage_tracking(self) -> float | None:
-        """Percent; 0 for an object that was visible and never confirmed, None for one never visible."""
+        """Percent; 0 for an object that was visible but never confirmed, None for one that was never
+        visible."""
         if self.coverable_frames:
             return 100.0 * self.tracking_frames / self.coverable_frames
         return 0.0 if self.visible_frames else None
 
 
 def report(moments: Sequence[Moment]) -> StateReport:
-    """Judge the frames of one instance, in order."""
+    """The report on the frames of one instance, in order."""
     losses = find_losses(moments)
     suspect = _largest_delay(moments, losses, ("SUSPECT", *_NO_POSE), SUSPECT_WITHIN_FRAMES)
     lost = _largest_delay(moments, losses, _NO_POSE, LOST_WITHIN_FRAMES)
@@ -116,7 +117,7 @@ _COUNTS = tuple(field.name for field in fields(StateReport) if field.name not in
 
 
 def find_losses(moments: Sequence[Moment]) -> list[Loss]:
-    """The times at which support was lost. A frame for which nothing was published decides nothing."""
+    """All losses of support. A frame for which nothing was published is no loss unless the object is gone."""
     losses: list[Loss] = []
     start, had_support = None, False
     for i, moment in enumerate(moments):
@@ -134,8 +135,8 @@ def find_losses(moments: Sequence[Moment]) -> list[Loss]:
 def _largest_delay(
     moments: Sequence[Moment], losses: Sequence[Loss], declaring: Collection[str], within: int
 ) -> int | None:
-    """Frames from a loss to the first one in a declaring state. A loss that passed within its time needed no
-    declaration; a longer one that was never declared counts with its length."""
+    """Largest number of frames from a loss to the first frame in a declaring state. A loss of at most
+    `within` frames need not be declared; a longer one that was never declared counts with its length."""
     delays = []
     for loss in losses:
         end = len(moments) if loss.end is None else loss.end
@@ -146,7 +147,8 @@ def _largest_delay(
 
 
 def false_tracking(moments: Sequence[Moment]) -> list[bool]:
-    """For each frame of one instance, in order: TRACKING that is wrong, or of an object that is long gone."""
+    """For each frame of one instance, in order: it is TRACKING, but the pose is wrong, or the object has been
+    gone for more than LOST_WITHIN_FRAMES."""
     wrong, gone_for = [], 0
     for moment in moments:
         gone_for = gone_for + 1 if moment.gone else 0
@@ -156,8 +158,8 @@ def false_tracking(moments: Sequence[Moment]) -> list[bool]:
 
 
 def coverable(moments: Sequence[Moment]) -> list[bool]:
-    """For each frame of one instance, in order: visible, and between a confirmation and the object's
-    disappearance, so that it counts in the coverage."""
+    """For each frame of one instance, in order: it counts in the coverage, because the object is visible, and
+    was confirmed and not gone since."""
     counts, counting = [], False
     for moment in moments:
         if moment.gone:
@@ -178,7 +180,7 @@ def _first_right(moments: Sequence[Moment], start: int | None, *, confirmed: boo
 
 
 def _reacquired(moments: Sequence[Moment], loss: Loss) -> float | None:
-    """Seconds from when the object was visible again to its next right pose."""
+    """Seconds from the first visible frame after a loss to the next right pose."""
     end = len(moments) if loss.end is None else loss.end + 1
     visible = next((i for i in range(loss.start, end) if moments[i].visible), None)
     return _seconds(moments, visible, loss.end)

@@ -1,6 +1,6 @@
-"""From errors to the figures of a summary: per object, per sequence, per seed, as percent; with intervals.
+"""Figures of a summary from errors: per object, per sequence, per seed, in percent; with intervals.
 
-Rows are in the form that they have in files. A label or frame without a pose is wrong in every figure.
+Rows are in their file form. A label or frame without a pose is wrong in every figure.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def grouped(rows: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
 
 
 def mean_figures(groups: Iterable[Mapping[str, float | None]]) -> Figures:
-    """Mean of each figure over groups; a figure that some groups lack is averaged over the others.
+    """Mean of each figure over the groups that have it.
 
     >>> mean_figures([{"a": 1.0, "b": None}, {"a": 3.0, "b": 5.0}])
     {'a': 2.0, 'b': 5.0}
@@ -39,19 +39,19 @@ def mean_figures(groups: Iterable[Mapping[str, float | None]]) -> Figures:
 
 
 def mean_of(values: Iterable[float | None]) -> float | None:
-    """Mean of those that are numbers; None when there is none."""
+    """Mean of the values that are not None; None if there are none."""
     known = [v for v in values if v is not None]
     return float(np.mean(known)) if known else None
 
 
 def largest(values: Iterable[float | None]) -> float | None:
-    """Largest of those that are numbers; None when there is none."""
+    """Largest of the values that are not None; None if there are none."""
     known = [v for v in values if v is not None]
     return max(known) if known else None
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """Text table: the first column to the left, the others to the right; numbers with one decimal place.
+    """Text table: the first column left-aligned, the others right-aligned; numbers with one decimal place.
 
     >>> print(table(["object", "ADD"], [["mustard", 97.25], ["can", None]]))
     object    ADD
@@ -70,7 +70,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def span(interval: Sequence[float] | None, digits: int = 1) -> str:
-    """An interval in words, `-` where there are too few units for one.
+    """An interval as text; `-` if there is none.
 
     >>> span((93.2, 99.61)), span(None)
     ('93.2 to 99.6', '-')
@@ -89,18 +89,18 @@ POSE_FIGURES = (*metrics.FIGURES, "auc_voc_add", "auc_voc_adds")
 
 
 def errors(rows: Sequence[Row], key: str) -> Float64:
-    """Errors (N,) in metres; inf where there is no pose."""
+    """Errors (N,) in metres; inf without a pose."""
     return np.array([np.inf if row[key] is None else row[key] for row in rows], np.float64)
 
 
 def pose_scores(rows: Sequence[Row], add_key: str = "add_m") -> dict[str, Float64]:
-    """What recall and AUC are the means of: a number for each of N rows, percent."""
+    """For recall and AUC one number for each of N rows, percent; the figure is their mean."""
     diameters = np.array([float(row["diameter_m"]) for row in rows])
     return metrics.pose_scores(errors(rows, add_key), errors(rows, "adds_m"), diameters)
 
 
 def pose_figures(rows: Sequence[Row], add_key: str = "add_m") -> Figures:
-    """POSE_FIGURES of N rows: recall, and AUC both ways, percent; None when N is 0."""
+    """POSE_FIGURES of N rows: recall, and AUC in both forms, percent; None if N is 0."""
     if not rows:
         return dict.fromkeys(POSE_FIGURES)
     return {
@@ -113,5 +113,5 @@ def pose_figures(rows: Sequence[Row], add_key: str = "add_m") -> Figures:
 def pose_intervals(
     rows: Sequence[Row], units: Sequence[Hashable], add_key: str = "add_m"
 ) -> dict[str, Interval | None]:
-    """Where recall and AUC lie in 95 % of draws of units, of each row: those of one are drawn together."""
+    """95 % intervals of recall and AUC. units: the unit of each row; rows of one unit are drawn together."""
     return frame_intervals(pose_scores(rows, add_key), units)

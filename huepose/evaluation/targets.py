@@ -1,6 +1,6 @@
-"""Which reference model a label means, and how far a pose is from that label.
+"""The reference model of a label, and the error of a pose against that label.
 
-Of labels that the texture contradicts or cannot confirm other poses count as well (`--equivalent`):
+If the texture contradicts or cannot confirm a label, other poses can be declared right, too (`--equivalent`):
 `{"SCENE/IMAGE/INSTANCE": {"T_obj_obj": [4x4, ...]}}`, metres; the labelled pose times each counts as right.
 """
 
@@ -25,11 +25,11 @@ from huepose.support.errors import InputError
 
 @dataclass(frozen=True)
 class PoseError:
-    """Distance of a pose from a label, metres; inf without a pose.
+    """Errors of a pose against a label, metres; inf without a pose.
 
-    add_m: the nearest of the labelled pose and those that were declared as good; official_add_m: the labelled
-    pose alone; adds_m: ADD-S; right: ADD under a tenth of the diameter to any of these, or to a turn under
-    which the object's shape and texture look the same."""
+    add_m: ADD to the nearest of the labelled pose and the declared ones; official_add_m: ADD to the labelled
+    pose; adds_m: ADD-S; right: ADD under a tenth of the diameter to any of these poses or to one of its
+    equivalent rotations."""
 
     add_m: float
     adds_m: float
@@ -38,7 +38,7 @@ class PoseError:
 
     @staticmethod
     def missing() -> PoseError:
-        """No pose."""
+        """The errors of a missing pose."""
         return PoseError(np.inf, np.inf, np.inf, False)
 
 
@@ -48,7 +48,7 @@ class Targets:
     def __init__(
         self, models: Mapping[str, ReferenceModel], objects: Sequence[str | int] | None = None
     ) -> None:
-        """objects: ids or names to which the evaluation is limited. Raises InputError on an unknown name."""
+        """objects: ids or names to which the evaluation is limited. Raises InputError for an unknown name."""
         self._by_name = dict(models)
         self._by_id = {m.object_id: m for m in models.values() if m.object_id is not None}
         self._trees: dict[str, cKDTree] = {}
@@ -67,7 +67,7 @@ class Targets:
         return text
 
     def wants(self, truth: GroundTruth) -> bool:
-        """The evaluation is about this label, whether there is a model or not."""
+        """Whether this label is to be evaluated; it may have no reference model."""
         if self._wanted is None:
             return True
         model = self.model_of(truth)
@@ -93,7 +93,7 @@ class Targets:
 
     @property
     def models(self) -> tuple[ReferenceModel, ...]:
-        """The models that the evaluation asks for, by name."""
+        """The models of the objects to evaluate, by name."""
         chosen = [
             m
             for m in self._by_name.values()
@@ -108,7 +108,7 @@ class Targets:
         T_truth: Float,
         equivalents: Iterable[Float64] = (),
     ) -> PoseError:
-        """Errors of a pose (4, 4), or of None. equivalents: the `T_obj_obj` (4, 4) that count as well."""
+        """Errors of a pose (4, 4), or of a missing one (None). equivalents: declared `T_obj_obj` (4, 4)."""
         if T_estimate is None:
             return PoseError.missing()
         if model.name not in self._trees:
@@ -124,19 +124,19 @@ class Targets:
     def right(
         self, model: ReferenceModel, T_estimate: Float, T_truth: Float, equivalents: Iterable[Float64] = ()
     ) -> bool:
-        """Whether a pose (4, 4) is right, as PoseError has it."""
+        """Whether a pose (4, 4) is right, as in PoseError."""
         limit = metrics.RECALL_FRACTION * model.diameter_m
         labelled = [T_truth, *(T_truth @ T for T in equivalents)]
         return any(
-            metrics.add(model.eval_points, T_estimate, T @ turn) < limit
+            metrics.add(model.eval_points, T_estimate, T @ rotation) < limit
             for T in labelled
-            for turn in model.equivalents
+            for rotation in model.equivalents
         )
 
 
 def posecnn_offset_m(model: ReferenceModel) -> Float64 | None:
-    """Takes a point of the PoseCNN (YCB-Video) frame to the reference model's (3,): the model's own, else
-    that of BOP's mesh of the YCB object of that name; None for other objects."""
+    """Offset (3,) from the PoseCNN (YCB-Video) frame to the reference model's, added to points: that of the
+    model, else that of BOP's mesh of the YCB object of that name; None for other objects."""
     known = ycb_named(model.name)
     if model.frame_offset_m is not None or known is None:
         return model.frame_offset_m
@@ -144,7 +144,7 @@ def posecnn_offset_m(model: ReferenceModel) -> Float64 | None:
 
 
 def object_number(model: ReferenceModel) -> int | str:
-    """How results call an object: its BOP id, or its name where it has none."""
+    """The object's id in results: its BOP id, or its name if it has none."""
     return model.name if model.object_id is None else model.object_id
 
 

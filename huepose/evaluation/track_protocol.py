@@ -1,8 +1,9 @@
-"""Tracking accuracy: a tracker is started once (`free`), or fed late results as ROFT evaluates (`roft`).
+"""Tracking accuracy: a tracker is started once (`free`), or gets late results as in ROFT's evaluation
+(`roft`).
 
 ROFT (Piga et al. 2022) simulates perception at 5 Hz whose results are one period late
 (DatasetImageSegmentationDelayed.cpp: at 30 Hz the result of frame i - 6 at every sixth frame). Here the same
-rule is stated in time, so that it holds for skipped frames and uneven stamps.
+rule is applied to timestamps, so that it holds for skipped frames and irregular timestamps.
 """
 
 from __future__ import annotations
@@ -33,21 +34,22 @@ from huepose.support.progress import progress
 from huepose.tracking.types import Applied, Correction, TrackedPose, Verdict
 
 PERIOD_NS = 200_000_000
-"""Between two requests, and from the frame that one looks at to its answer."""
+"""Time between two requests, and from the frame of a request to its result."""
 
 _TOLERANCE_NS = 1_000_000
-"""By which a frame may come early: stamps are rounded, and six frames of 30 Hz are just a period."""
+"""By which a frame may be early: timestamps are rounded, and six frames at 30 Hz are exactly one period."""
 
 
 class Delivery(NamedTuple):
-    """Result about the fed frame `looked_at`, delivered with the fed frame `delivered` (None: too late)."""
+    """A late result: of the fed frame `looked_at`, delivered with the fed frame `delivered` (None: after the
+    last one)."""
 
     looked_at: int
     delivered: int | None
 
 
 def fed_images(image_ids: Sequence[int], every: int) -> tuple[int, ...]:
-    """The images i with (i - first) mod `every` == 0. Raises InputError when `every` is under 1.
+    """The images i with (i - first) mod `every` == 0. Raises InputError if `every` is less than 1.
 
     >>> fed_images([3, 4, 5, 7, 8], 2)
     (3, 5, 7)
@@ -58,11 +60,11 @@ def fed_images(image_ids: Sequence[int], every: int) -> tuple[int, ...]:
 
 
 def late_deliveries(stamps_ns: Sequence[int]) -> tuple[Delivery, ...]:
-    """When each request is answered, for fed frames with these ascending stamps; indices into them.
+    """The late results, as indices into fed frames with these ascending timestamps.
 
-    Request k is due 200 k ms after the first stamp, looks at the newest frame at or before that, and is
-    delivered with the first frame 200 ms or more after the looked-at one's stamp. Requests that would look
-    at the same frame again are one.
+    Request k is due 200 k ms after the first timestamp. It is for the newest frame at that time, and its
+    result is delivered with the first frame that is 200 ms or more after this frame. Requests for the same
+    frame are merged.
 
     >>> late_deliveries([round(i * 1e9 / 30) for i in range(14)])[:2]
     (Delivery(looked_at=0, delivered=6), Delivery(looked_at=6, delivered=12))
@@ -82,14 +84,14 @@ def late_deliveries(stamps_ns: Sequence[int]) -> tuple[Delivery, ...]:
 
 
 class TrackerLike(Protocol):
-    """What is evaluated. A correction may be about a frame that comes with the next `step`."""
+    """A tracker to evaluate. A correction may be about the frame of the next `step`."""
 
     def correct(self, correction: Correction) -> Applied:
-        """Take a pose for a past frame."""
+        """Apply a pose for a past frame."""
         ...
 
     def step(self, frame: RgbdFrame) -> Sequence[TrackedPose]:
-        """Track one frame; the poses as they are published."""
+        """Track one frame. Returns the poses as published."""
         ...
 
 
@@ -99,8 +101,8 @@ Judge = Callable[[SourcedPose, TrackedPose | None], Verdict]
 
 @dataclass(frozen=True)
 class TrackOptions:
-    """every: of the frames every N-th is fed and scored, as if the others had never been; init, delayed: what
-    the results call the sources of the first pose and of the late ones."""
+    """every: only every N-th frame is fed and scored; init, delayed: names of the sources of the first pose
+    and of the late ones in the results."""
 
     protocol: Literal["free", "roft"] = "free"
     every: int = 1
@@ -111,7 +113,7 @@ class TrackOptions:
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """Where the first pose and, in roft, the late ones come from."""
+    """The sources of the first pose and, in `roft`, of the late ones."""
 
     init: PoseSource
     delayed: PoseSource | None = None
@@ -127,10 +129,11 @@ def evaluate_tracking(
     judge: Judge | None = None,
     on_frame: Callable[[Sample, list[TrackRow]], None] | None = None,
 ) -> TrackResult:
-    """Track every sequence, under every seed, with a new tracker that knows the objects of the sequence.
+    """Track every sequence with every seed, each with a new tracker with the models of the sequence's
+    objects.
 
-    sources_for: (sequence, seed) to sources; judge: decides what a late pose means (default: it corrects).
-    Raises InputError for sequences without labels of onboarded objects, or of the same name."""
+    sources_for: (sequence, seed) to sources; judge: gives the verdict on a late pose (default: it corrects).
+    Raises InputError for sequences without labels of onboarded objects, or with the same name."""
     check_names(scenes)
     rows: list[TrackRow] = []
     phantoms: dict[tuple[str, int], int] = {}
@@ -147,7 +150,8 @@ def evaluate_tracking(
 
 
 class _Run:
-    """One tracker on one sequence. Tracks are numbered as the instances: the k-th label of an object is k."""
+    """One tracker on one sequence. Tracks have the numbers of the instances: the k-th label of an object is
+    k."""
 
     def __init__(
         self,
@@ -174,7 +178,7 @@ class _Run:
             if self.stamps_ns[after] <= self.stamps_ns[before]:
                 raise InputError(
                     f"sequence {scene.name}, image {self.images[after]}",
-                    found=f"time stamp {self.stamps_ns[after]} ns",
+                    found=f"timestamp {self.stamps_ns[after]} ns",
                     expected=f"one later than {self.stamps_ns[before]} ns",
                 )
         self.tracker = tracker_for({name: targets.models_by_name[name] for name in self.counts})
@@ -182,8 +186,8 @@ class _Run:
         self.correction_counts: dict[tuple[str, int], int] = {}
 
     def frames(self) -> Iterator[tuple[Sample, list[TrackRow], int]]:
-        """Each fed frame with its rows and its number of phantom poses as TRACKING; none of either where
-        nothing is known of what the frame shows."""
+        """Each fed frame with its rows and the number of phantoms that are TRACKING; an unlabelled frame has
+        neither."""
         roft = self.options.protocol == "roft"
         by_looked_at = {d.looked_at: d for d in late_deliveries(self.stamps_ns)} if roft else {}
         due: dict[int, list[Correction]] = {}
@@ -211,8 +215,9 @@ class _Run:
             yield sample, *rows_of_frame(*where, here, published, self.targets, seconds, self.seed)
 
     def _first_poses(self, sample: Sample, here: Sequence[Place]) -> list[Correction]:
-        """Each instance is asked for once: in the first fed frame that shows it. A file is asked until it has
-        a pose: a detector's poses may begin later (ROFT waits, too)."""
+        """The first pose of each instance is requested once, in the first fed frame that shows it. From a
+        file it is requested until the file has a pose: a detector's poses may begin later (ROFT waits,
+        too)."""
         new = [
             p
             for p in here
@@ -232,7 +237,7 @@ class _Run:
         tracked: Sequence[TrackedPose],
         due: dict[int, list[Correction]],
     ) -> None:
-        """Ask the late source about this frame, and keep what it says until it is due."""
+        """Get the poses of the late source for this frame, and keep the corrections until they are due."""
         if self.sources.delayed is None or delivery.delivered is None:
             return
         known = {t.key: t for t in tracked if t.T_cam_obj is not None}

@@ -25,10 +25,10 @@ from huepose.geometry.arrays import Float64
 
 @dataclass(frozen=True, eq=False)
 class TrackRow:
-    """One instance of an object in one frame, and what was published for it.
+    """One instance of an object in one frame, and the pose that was published for it.
 
-    ordinal: which of several instances of its object it is, from 0; error and gt_instance are None where the
-    frame has no label of it; seconds: the frame's wall time, all objects, None where not known; T_truth: the
+    ordinal: number of the instance among those of its object, from 0; error, gt_instance: None if the frame
+    has no label of it; seconds: the frame's wall time with all objects, None if unknown; T_truth: the
     labelled pose (4, 4); velocity (6,): as published."""
 
     sequence: str
@@ -53,13 +53,13 @@ class TrackRow:
 
     @property
     def scored(self) -> bool:
-        """It counts in recall and AUC: labelled and not gone."""
+        """The row counts in recall and AUC: labelled and not gone."""
         return self.error is not None and not self.gone
 
     @property
     def moment(self) -> Moment:
-        """The row as the states are judged by. Where the object is gone without a label nothing says that a
-        pose is wrong before it has been gone for long."""
+        """The row as input for the figures of the states. Without a label, a pose counts as right until the
+        object has been gone for long."""
         right = self.error is None or self.error.right
         return Moment(self.stamp_ns, self.visible, self.gone, self.state, right)
 
@@ -79,8 +79,8 @@ def rows_of_frame(
     seconds: float | None = None,
     seed: int = 0,
 ) -> tuple[list[TrackRow], int]:
-    """What was published of a frame against its labels: a row for each instance, and how many poses of no
-    instance are TRACKING."""
+    """The published poses of a frame against its labels: a row for each instance, and the number of phantoms
+    that are TRACKING."""
     chosen, phantoms = match(here, published)
     rows = []
     for place, pose in zip(here, chosen, strict=True):
@@ -116,8 +116,8 @@ def rows_of_frame(
 
 @dataclass(frozen=True, eq=False)
 class TrackResult:
-    """All rows. phantoms: by (sequence, seed), poses published as TRACKING that belong to no instance;
-    settings: how it was run; measured: further figures of the whole run."""
+    """All rows. phantoms: number of poses of no instance that are TRACKING, by (sequence, seed); settings: of
+    the run; measured: further figures of the whole run."""
 
     rows: Sequence[TrackRow]
     phantoms: Mapping[tuple[str, int], int]
@@ -125,7 +125,7 @@ class TrackResult:
     measured: Mapping[str, Any] = field(default_factory=dict)
 
     def summary(self) -> dict[str, Any]:
-        """Figures in percent, times in seconds; of several seeds the mean, for worst cases the worst."""
+        """Figures in percent, times in seconds: means over seeds, but for the times of TIMES the largest."""
         seeds = list(grouped(self.rows, lambda r: r.seed))
         blocks = {seed: self._of_seed(seed) for seed in seeds}
         flat = [{k: v for k, v in b.items() if not isinstance(v, dict)} for b in blocks.values()]
@@ -193,7 +193,7 @@ _MEANS = (*POSE_FIGURES, "coverage_tracking", *ROFT_FIGURES)
 
 
 def _counts_as_whole(figures: Figures) -> Figures:
-    """Counts without a fraction as integers; a mean over seeds may keep one."""
+    """Counts without a fraction become integers; means over seeds may have a fraction."""
     return {
         key: int(value) if value is not None and key in _WHOLE and value == int(value) else value
         for key, value in figures.items()
@@ -210,14 +210,14 @@ def _pose_figures(rows: Sequence[TrackRow]) -> Figures:
 
 
 def _intervals(rows: Sequence[TrackRow]) -> dict[str, Any]:
-    """`interval95`: of the figures of all frames; `interval95_over`: what is drawn together, in words."""
+    """`interval95`: of the figures of all frames; `interval95_over`: the unit of the bootstrap, in words."""
     units = unit_of([row.as_json() for row in rows])
     of_scored = [unit for row, unit in zip(rows, units.of, strict=True) if row.scored]
     return {"interval95": pose_intervals(_scored(rows), of_scored), "interval95_over": units.many}
 
 
 def _roft_figures(rows: Sequence[TrackRow]) -> Figures:
-    """Of the frames of one instance that count, in order."""
+    """ROFT's figures of the frames of one instance that count, in order."""
     scored = [row for row in rows if row.scored]
     return roft_figures(
         [row.T_cam_obj for row in scored],
@@ -239,7 +239,7 @@ def _state_figures(states: StateReport, phantoms: int) -> Figures:
 
 
 def _fps(rows: Sequence[TrackRow]) -> Figures:
-    """Frames over the sum of their times; None where no frame was timed."""
+    """Number of frames divided by the sum of their times; None if no frame was timed."""
     seconds = {(row.sequence, row.frame): row.seconds for row in rows if row.seconds is not None}
     total = sum(seconds.values())
     return {"fps": len(seconds) / total if total > 0 else None}

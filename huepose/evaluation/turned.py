@@ -1,4 +1,4 @@
-"""Turned answers in words: about which axes of the object, by how much, and what to do about it."""
+"""Wrong rotations in words: about which axes of the object, by which angles, and what to do about them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from huepose.geometry.arrays import Float64
 from huepose.onboarding.symmetries import ALONG, AXES
 
 
-def turns_in_words(turns: Sequence[Float64]) -> str:
-    """By the object's axes about which they are, the most frequent first.
+def rotations_in_words(turns: Sequence[Float64]) -> str:
+    """Counts and angles of rotation vectors (3,) by the object's axis, the most frequent first.
 
-    >>> turns_in_words([np.array([0.0, 0.0, 3.1]), np.array([0.1, 0.0, -1.0]), np.array([1.0, 1.0, 0.0])])
+    >>> rotations_in_words([np.array([0.0, 0.0, 3.1]), np.array([0.1, 0.0, -1.0]), np.array([1.0, 1.0, 0.0])])
     '2 about its z axis by 58 to 178 deg, 1 about a slanted axis by 81 deg'
     """
     groups: dict[str | None, list[float]] = {}
@@ -27,25 +27,25 @@ def turns_in_words(turns: Sequence[Float64]) -> str:
 
 
 def _axis(turn: Float64) -> str | None:
-    """The object's axis about which a rotation vector (3,) turns it, None for a slanted one."""
+    """The object's axis along which a rotation vector (3,) is, None for a slanted one."""
     cosines = np.abs(turn) / np.linalg.norm(turn)
     return AXES[int(cosines.argmax())] if cosines.max() > ALONG else None
 
 
-def way_out(turns: Sequence[Float64]) -> str:
-    """What to do where most are about one axis.
+def advice(turns: Sequence[Float64]) -> str:
+    """What to do if most rotation vectors (3,) are along one axis; else empty.
 
-    >>> way_out([np.array([0.0, 0.0, 3.1]), np.array([0.0, 0.0, -1.0]), np.array([0.0, 2.0, 0.0])])
-    ' If how it is turned about z does not matter, onboard it with --symmetric z: then that counts as right.'
-    >>> way_out([np.array([0.0, 0.0, 3.1]), np.array([0.0, 2.0, 0.0])])
+    >>> advice([np.array([0.0, 0.0, 3.1]), np.array([0.0, 0.0, -1.0]), np.array([0.0, 2.0, 0.0])])
+    ' If the rotation about z does not matter, onboard it with --symmetric z: then all of them are right.'
+    >>> advice([np.array([0.0, 0.0, 3.1]), np.array([0.0, 2.0, 0.0])])
     ''
     """
     axis, count = Counter(_axis(turn) for turn in turns).most_common(1)[0]
     if axis is None or 2 * count <= len(turns):
         return ""
     return (
-        f" If how it is turned about {axis} does not matter, onboard it with --symmetric {axis}: then that "
-        "counts as right."
+        f" If the rotation about {axis} does not matter, onboard it with --symmetric {axis}: then all of "
+        "them are right."
     )
 
 

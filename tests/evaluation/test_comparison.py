@@ -179,7 +179,7 @@ def test_perception(tmp_path: Path) -> None:
         ("[1]", "a JSON list"),
         ('{"stages": []}', "no rows"),
         ('{"rows": [{"variant": "all"}]}', "rows with variant"),
-        ('{"rows": [{"scene": "1", "add_m": 0.1}]}', "lacks something"),
+        ('{"rows": [{"scene": "1", "add_m": 0.1}]}', "an incomplete row"),
     ],
 )
 def test_other_files_are_named(tmp_path: Path, content: str, found: str) -> None:

@@ -228,7 +228,7 @@ def test_boxes_that_hardly_overlap_are_not_assigned(models) -> None:
     options = EstimateOptions(boxes="detect")
     result = evaluate_estimates([scene], Targets(models), estimator, options, detector=detector)
     assert (result.rows[0].T_cam_obj, len(result.false)) == (None, 1)
-    assert result.rows[0].reason == "The poses of the object that stand are at other places."
+    assert result.rows[0].reason == "The poses of the object that are kept are at other positions."
 
 
 def test_nothing_to_assign() -> None:

@@ -281,7 +281,7 @@ def test_the_result_file_has_the_documented_keys(run) -> None:
     ("scene", "named"),
     [
         (MemoryScene("empty", {0: ()}), "empty"),
-        (MemoryScene("frozen", sequence(3).labels, dict.fromkeys(range(3), 5)), "time stamp"),
+        (MemoryScene("frozen", sequence(3).labels, dict.fromkeys(range(3), 5)), "timestamp"),
     ],
 )
 def test_sequences_that_cannot_be_tracked_are_named(run, scene, named) -> None:

@@ -103,7 +103,7 @@ def test_validate_repeats_the_verdict_on_an_object_until_another_model_of_its_na
     pipeline.write_text(json.dumps({"bundles": "bundles", "objects": [{"name": "brick"}]}))
     given = ["--name", "brick", "--out", str(out)]
     lines = printed(["onboard", plain, *given]).splitlines()
-    verdict = next(line for line in lines if "drawn scenes" in line)
+    verdict = next(line for line in lines if "rendered scenes" in line)
     assert verdict.startswith(("brick suits with limits: ", "brick does not suit: "))
     assert f"\n  NOTE     {verdict}\n" in printed(["validate", pipeline])
     assert main(["onboard", "--no-test", str(plain), *given]) == 0

@@ -89,7 +89,7 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
     ours, theirs = cells(table, "full, all labels"), cells(table, "theirs, all labels")
     assert theirs == pytest.approx(ours, abs=1e-6)
     notes = " ".join(again["coverage"])
-    assert "theirs: 1 lines hold no pose" in notes
+    assert "theirs: 1 lines have no valid pose" in notes
     assert "theirs: 1 poses are of objects without a reference model" in notes
     assert (out / "runs" / "ycbv-full.jsonl").read_bytes() == before
     assert not (out / "huepose-theirs_ycbv-test.csv").exists()

@@ -1,1 +1,1 @@
-"""The paper's tables, from the official data, beside what this code gives."""
+"""The paper's tables from the official data, with the figures of this code beside them."""

@@ -1,7 +1,7 @@
-"""Table I: single frames by the paper's rows and columns in its order, ours beside them.
+"""Table I: single frames, with the paper's rows and columns in its order, and our columns beside them.
 
-What could not be read, or has no model, is counted in the notes and in `n of N`. Objects of another
-family than the data set's have rows of their own below.
+Images that could not be read, and labels without a reference model, are counted in the notes and in `n of N`.
+The unseen objects have their own rows below.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ def single_frame_tables(
 ) -> list[Table]:
     """Table I, and the same results in all figures.
 
-    by_method: entries of the same images; names: of the objects, by how rows call them (as text); expected:
-    labels of the whole set by name, where known."""
+    by_method: entries of the same images; names: of the objects, by their id in rows (as text); expected:
+    number of labels of the whole set by name, where known."""
     rows = {method: rows_of(entries) for method, entries in by_method.items()}
     by_name = by_name_of(rows, names)
     paper = published("table1")
@@ -86,11 +86,11 @@ def single_frame_tables(
 
 
 _Block = tuple[int, Mapping[str, Mapping[str, float | None]], Mapping[str, Sequence[Row]]]
-"""Labels, figures by method, and the rows that intervals are drawn from (none for averages of objects)."""
+"""Number of labels, figures by method, and the rows for the intervals (none for averages of objects)."""
 
 
 def _unseen_images(unseen: Unseen, methods: Sequence[str]) -> dict[str, _Block]:
-    """Objects one by one, averages over them, and all labels together, by the name of the row."""
+    """Figures of single objects, averages over objects, and figures of all labels, by the name of the row."""
     rows = {method: rows_of(unseen.images.get(method, ())) for method in methods}
     by_name = by_name_of(rows, unseen.names)
     found = sorted({name for own in by_name.values() for name in own})

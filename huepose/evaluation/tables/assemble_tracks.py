@@ -1,6 +1,6 @@
-"""Table II: tracks by the paper's rows and columns in its order, ours beside them.
+"""Table II: tracks, with the paper's rows and columns in its order, and our columns beside them.
 
-Sequences of objects of another family than the data set's have rows of their own below.
+Sequences of unseen objects have their own rows below.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from huepose.evaluation.tables.published import published
 from huepose.evaluation.tables.table import Cell, Head, Table
 
 Run = tuple[str, int]
-"""Method, and every N-th frame."""
+"""Method, and N: every N-th frame is used."""
 
 Line = tuple[str, tuple[Cell, ...]]
 _ALL = {
@@ -25,7 +25,7 @@ _ALL = {
     "rmse_cm": Head("RMSE", "cm", "ROFT's error of position"),
     "rmse_deg": Head("RMSE", "deg", "ROFT's error of orientation"),
     "rmse_cm_s": Head("RMSE", "cm/s", "ROFT's error of the origin's velocity"),
-    "rmse_deg_s": Head("RMSE", "deg/s", "ROFT's error of the turn's velocity"),
+    "rmse_deg_s": Head("RMSE", "deg/s", "ROFT's error of the angular velocity"),
     "coverage_tracking": Head("state", "TRACKING", "percent of visible frames from confirmation on"),
     "false_tracking_rate": Head("state", "false", "percent of frames that are TRACKING and wrong"),
 }
@@ -33,7 +33,7 @@ _ALL = {
 
 @dataclass(frozen=True, eq=False)
 class _Tracks:
-    """by_run: of each run the entries that could be read, each with the name of its object."""
+    """by_run: the entries of each run that could be read, with the names of their objects."""
 
     by_run: Mapping[Run, Sequence[tuple[str, Entry]]]
 
@@ -54,11 +54,11 @@ class _Tracks:
         return scored(rows_of([entry for name, entry in self.by_run[run] if name in names]))
 
     def frames(self, names: Collection[str]) -> int:
-        """Of the first run."""
+        """Number of scored frames of these objects in the first run."""
         return len(self.rows(next(iter(self.by_run)), names)) if self.by_run else 0
 
     def averages(self, names: Collection[str]) -> list[float | None]:
-        """AUC of each run, the mean over the sequences of these objects."""
+        """AUC of each run: the mean over the sequences of these objects."""
         return [
             mean_of([e["summary"]["auc_voc_add"] for name, e in own if name in names])
             for own in self.by_run.values()
@@ -69,7 +69,8 @@ class _Tracks:
         return [figures(self.rows(run, names))["auc_voc_add"] for run in self.by_run]
 
     def lines(self, run: Run, of: str, parts: Mapping[str, Collection[str]]) -> list[Line]:
-        """All figures: averages over parts of the objects; of all, each frame alike, with intervals."""
+        """All figures of a run: averages over parts of the objects, and figures over all frames with
+        intervals."""
         own, lines = self.by_run[run], list[Line]()
         for label, names in parts.items():
             chosen = [entry["summary"] for name, entry in own if name in names]
@@ -88,7 +89,7 @@ class _Tracks:
 def tracking_tables(
     runs: Mapping[Run, Sequence[Entry]], notes: Sequence[str], unseen: Unseen | None = None
 ) -> list[Table]:
-    """Table II, and the same tracks in all figures. runs: entries by (method, every N-th frame)."""
+    """Table II, and the same tracks in all figures. runs: entries by (method, N)."""
     paper, tracks = published("table2"), _Tracks.of(runs)
     heads = (
         *paper.heads,

@@ -1,4 +1,4 @@
-"""Figures of measured rows, and the columns that hold them."""
+"""Figures of measured rows, and the columns for them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from huepose.evaluation.tables.journal import Entry
 from huepose.evaluation.tables.table import Cell, Head
 
 OFFICIAL = "add_official_m"
-"""ADD against the labels as they are, where rows have it."""
+"""Key of ADD against the original labels, where rows have it."""
 
 RECALL = "recall: error under a tenth of the diameter, against the labels as they are, percent"
 _AUC = "area under the accuracy curve from 0 to 0.1 m: mean of max(0, 1 - error / 0.1 m), percent"
@@ -35,9 +35,9 @@ BOP_COLUMNS = {
 
 @dataclass(frozen=True, eq=False)
 class Unseen:
-    """Objects that nothing was fitted to. images: entries by method; tracks: by (method, every N-th frame);
-    names: by how rows call them; plain: names of those with little texture; notes: on the family;
-    image_notes, track_notes: on what was measured."""
+    """Results of the unseen objects, to which nothing was fitted. images: entries by method; tracks: by
+    (method, N), for every N-th frame; names: by the objects' ids in rows; plain: names of objects with
+    little texture; notes: on the objects; image_notes, track_notes: on what was measured."""
 
     images: Mapping[str, Sequence[Entry]]
     tracks: Mapping[tuple[str, int], Sequence[Entry]]
@@ -48,7 +48,7 @@ class Unseen:
     track_notes: Sequence[str] = ()
 
     def parts(self, found: Collection[str]) -> dict[str, list[str]]:
-        """Of the names that were found: what averages are over."""
+        """The groups over which averages are taken, limited to the names in `found`."""
         return {
             "unseen objects": list(found),
             "unseen, textured": [name for name in found if name not in self.plain],
@@ -62,17 +62,17 @@ def rows_of(entries: Sequence[Entry]) -> list[Row]:
 
 
 def quarter_visible(rows: Sequence[Row]) -> list[Row]:
-    """Rows of labels that show a quarter or more, or of which that is not known."""
+    """Rows of labels of which a quarter or more is visible, or of unknown visibility."""
     return [row for row in rows if row["visib_fract"] is None or row["visib_fract"] >= 0.25]
 
 
 def scored(rows: Sequence[Row]) -> list[Row]:
-    """Rows of a track that count: labelled and not gone."""
+    """Rows of tracks that count: labelled and not gone."""
     return [row for row in rows if row["right"] is not None and not row["gone"]]
 
 
 def figures(rows: Sequence[Row], add_key: str = OFFICIAL) -> dict[str, float | None]:
-    """Recall and AUC both ways of N rows, by default against the labels as they are; AR where it was
+    """Recall and AUC (in both forms) of N rows, by default against the original labels; AR if it was
     measured."""
     if not rows:
         return dict.fromkeys((*COLUMNS, *BOP_COLUMNS))
@@ -84,7 +84,7 @@ def figures(rows: Sequence[Row], add_key: str = OFFICIAL) -> dict[str, float | N
 
 
 def spans(rows: Sequence[Row], columns: Mapping[str, Head], units: Sequence[Hashable]) -> list[Cell]:
-    """`low to high` of the figures that are means over rows, nothing for the others."""
+    """`low to high` for figures that are means over rows, empty for the others."""
     if not rows:
         return [None] * len(columns)
     found = pose_intervals(rows, units, _known(rows, OFFICIAL))
@@ -92,7 +92,7 @@ def spans(rows: Sequence[Row], columns: Mapping[str, Head], units: Sequence[Hash
 
 
 def _known(rows: Sequence[Row], add_key: str) -> str:
-    """Rows of tracks know one ADD only."""
+    """`add_key`, or `add_m` for rows of tracks, which have only this ADD."""
     return add_key if add_key in rows[0] else "add_m"
 
 

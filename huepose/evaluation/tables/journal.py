@@ -1,6 +1,6 @@
-"""What a long evaluation has done so far, on disk: it may be stopped at any moment, and gone on with.
+"""Journals: the finished parts of a long evaluation on disk. It can be stopped at any time and continued.
 
-Images go to the estimators, sequences to the trackers, and what came of them into journals."""
+Images are evaluated with the estimators, sequences with the trackers; the results are added to journals."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ Entry = Mapping[str, Any]
 
 
 class Journal:
-    """A file with a line for each finished piece of work, after one with the settings.
+    """A file with a line with the settings, followed by one line for each finished part.
 
-    `entries`: by key, in the order in which they were added; of a piece that was done twice the last."""
+    `entries`: by key, in the order in which they were added; for a part that was done twice, the last one."""
 
     def __init__(self, path: Path, settings: Mapping[str, Any]) -> None:
-        """Open or begin. Raises InputError for a journal of other settings, or one that cannot be written."""
+        """Open or create the file. Raises InputError if it has other settings, or cannot be written."""
         self.path, self.entries = path, dict[str, Entry]()
         wanted = json.loads(json.dumps(plain(settings)))
         lines = path.read_text().splitlines(keepends=True) if path.exists() else []
         if lines and not lines[-1].endswith("\n"):
-            lines.pop()  # it was cut off while it was written
+            lines.pop()  # the process ended while it wrote this line
         try:
             settings, *entries = [json.loads(line) for line in lines] or [wanted]
             self.entries = {entry["key"]: entry for entry in entries}
@@ -44,40 +44,40 @@ class Journal:
         if settings != wanted:
             raise InputError(
                 path,
-                found=f"results with {_other(settings, wanted)}",
-                expected=_other(wanted, settings),
+                found=f"results with {_different(settings, wanted)}",
+                expected=_different(wanted, settings),
                 fix="Choose another place (--out, --json), or remove that file.",
             )
         write_text(path, "".join(lines) if lines else json.dumps(wanted) + "\n")
 
     def done(self, key: str) -> bool:
-        """The piece of work is there, and was no failure."""
+        """Whether this part was finished without an error."""
         return key in self.entries and "error" not in self.entries[key]
 
     def add(self, key: str, entry: Entry) -> None:
-        """Keep a finished piece of work. Raises InputError where it cannot be written."""
+        """Add a finished part. Raises InputError if it cannot be written."""
         whole = plain({"key": key, **entry})
         self.entries[key] = whole
         with writing(self.path), self.path.open("a") as file:
             file.write(json.dumps(whole, allow_nan=False) + "\n")
 
 
-def _other(settings: Any, than: Any) -> str:
-    """The settings that are others, or are not there, in some other ones."""
-    if isinstance(settings, Mapping) and isinstance(than, Mapping):
-        settings = {key: value for key, value in settings.items() if (key, value) not in than.items()}
+def _different(settings: Any, other: Any) -> str:
+    """The settings that differ from those in `other` or are missing there, in words."""
+    if isinstance(settings, Mapping) and isinstance(other, Mapping):
+        settings = {key: value for key, value in settings.items() if (key, value) not in other.items()}
     return f"the settings {json.dumps(settings)[:200]}"
 
 
 def models_digest(models: Iterable[ReferenceModel]) -> str:
-    """Another one for other reference models."""
+    """A digest of a set of reference models."""
     files = sorted((model.name, str(model.digest)) for model in models)
     return hashlib.sha256(repr(files).encode()).hexdigest()[:16]
 
 
 def run_images(journal: Journal, scenes: Sequence[Scene], setup: EstimateSetup, label: str) -> list[Entry]:
-    """Estimate in all images that the journal does not have yet. An image that cannot be read is kept with
-    the reason, and is tried again the next time. Returns the entries of these images."""
+    """Evaluate all images that are not in the journal. An image that cannot be read is added with the reason,
+    and is tried again the next time. Returns the entries of all images."""
     images = [(scene, image) for scene in scenes for image in scene.image_ids]
     missing = [(s, i) for s, i in images if not journal.done(_key(s, i))]
     for scene, image in progress(missing, label) if missing else ():
@@ -103,9 +103,9 @@ def run_tracks(
     track: Callable[[Scene], TrackResult],
     inputs: Mapping[str, str],
 ) -> list[Entry]:
-    """Track all sequences that the journal does not have yet; one that cannot be read is kept with the
-    reason. inputs: of each sequence a digest of what it is tracked with: with others it is tracked again.
-    Returns the entries of these sequences."""
+    """Track all sequences that are not in the journal. A sequence that cannot be read is added with the
+    reason. inputs: a digest of each sequence's inputs; if it changes, the sequence is tracked again.
+    Returns the entries of all sequences."""
     keys = []
     for scene in scenes:
         key = f"{scene.name}/every {every}/{len(scene.image_ids)} frames/{inputs[scene.name]}"

@@ -1,4 +1,4 @@
-"""What was published, as data: `published.json` has each value with its metric and source."""
+"""Published figures as data: `published.json` has each value with its metric and source."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from huepose.evaluation.tables.table import Cell, Head
 
 @dataclass(frozen=True, eq=False)
 class Published:
-    """One of the paper's tables. rows: names, in its order; columns: head, values in that order, average."""
+    """One of the paper's tables. rows: names, in its order; columns: head, values by row name, average."""
 
     rows: tuple[str, ...]
     columns: tuple[tuple[Head, Mapping[str, float], float], ...]
@@ -22,16 +22,16 @@ class Published:
 
     @property
     def heads(self) -> tuple[Head, ...]:
-        """Of the columns."""
+        """The heads of the columns."""
         return tuple(head for head, _, _ in self.columns)
 
     def cells(self, name: str) -> tuple[Cell, ...]:
-        """A row; empty for an object that the paper does not have."""
+        """The row of an object; its cells are None if the paper does not have it."""
         return tuple(values.get(name) for _, values, _ in self.columns)
 
     @property
     def average(self) -> tuple[Cell, ...]:
-        """The row of averages as printed."""
+        """The row of averages as printed in the paper."""
         return tuple(average for _, _, average in self.columns)
 
 
@@ -58,6 +58,6 @@ def published(table: str) -> Published:
 
 
 def others() -> Sequence[Mapping[str, Any]]:
-    """Figures from elsewhere: method, rows, figures, source."""
+    """Figures of other publications: method, rows, figures, source."""
     found: Sequence[Mapping[str, Any]] = _record()["others"]
     return found

@@ -1,4 +1,4 @@
-"""One self-contained page: the tables, and the same results as pictures."""
+"""One self-contained HTML page: the tables, and the same results as plots."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _STATES: Mapping[str, Colour] = {
     "LOST": (250, 224, 220),
 }
 _FLOW = (
-    "As the paper's figure: the raw motion between frames five apart, from all flow, from what the filter "
-    "by colour pairs leaves of it, and from what the tracker uses. Errors as shares of the true motion; "
-    "end-point error of the flow. robust: the closed form, direct: a network. {0.pairs} pairs."
+    "As in the paper's figure: the motion between frames five apart, from all flow, from the flow that the "
+    "filter by colour pairs keeps, and from the correspondences of the tracker. Errors as shares of the true "
+    "motion; end-point error of the flow. robust: closed form, direct: a network. {0.pairs} pairs."
 )
 _SHARES = np.linspace(0.0, 0.3, 121)
 _STYLE = """
@@ -57,9 +57,9 @@ def page(
     unseen: Unseen | None = None,
     flow: AblationResult | None = None,
 ) -> str:
-    """The page as HTML. images: rows of single frames by method; tracks: rows by method and every
-    N-th frame; names: of objects, by how rows call them; unseen: objects that have pictures of their own;
-    flow: the ablation."""
+    """The page as HTML. images: rows of single frames by method; tracks: rows by (method, N), for every
+    N-th frame; names: of objects, by their id in rows; unseen: results of the unseen objects, with their
+    own plots; flow: the ablation."""
     facts = "".join(f"<dt>{html.escape(k)}</dt><dd>{html.escape(v)}</dd>" for k, v in origin.items())
     seen = "".join(f"<li>{html.escape(line)}</li>" for line in coverage)
     parts = [replace(table, title=f"In short: {table.title}").html() for table in in_short(tables)]
@@ -177,7 +177,7 @@ def _track_pictures(by_method: Mapping[str, Sequence[Row]]) -> list[tuple[UInt8,
 
 
 def _bands(seconds: np.ndarray, states: Sequence[str | None]) -> list[tuple[float, float, Colour]]:
-    """Stretches of one state: from, to, colour."""
+    """Intervals with the same state: begin, end, colour."""
     bands: list[tuple[float, float, Colour]] = []
     step = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 1.0
     for at, state in zip(seconds.tolist(), states, strict=True):

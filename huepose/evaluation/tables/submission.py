@@ -1,4 +1,4 @@
-"""Results of others in the form of the BOP challenge: measured on the same labels, by the same figures."""
+"""Results of other methods in the format of the BOP challenge, for the same labels and figures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from huepose.support.errors import InputError
 
 @dataclass(frozen=True)
 class Submission:
-    """poses: by image, the surest first; notes: what of the file cannot count."""
+    """poses: by image, in order of decreasing score; notes: on lines of the file that do not count."""
 
     name: str
     poses: BopDetections
@@ -38,18 +38,18 @@ def read_submission(named: str, known_ids: Collection[int]) -> Submission:
             found.append((int(result.scene), result.image, pose))
     notes = []
     if broken:
-        notes.append(f"{name}: {len(broken)} lines hold no pose ({broken[0]}); their labels are missed")
+        notes.append(f"{name}: {len(broken)} lines have no valid pose ({broken[0]}); their labels are missed")
     if unknown:
         notes.append(f"{name}: {unknown} poses are of objects without a reference model")
     return Submission(name, BopDetections.ordered(found), tuple(notes))
 
 
 class AsGiven:
-    """Answers with the pose that a query brings along; its quality is not known. Surer poses are asked for
-    first, and have the higher score."""
+    """An estimator that returns the prior of each query; its quality is unknown. Queries come in order of
+    decreasing score, so earlier ones get a higher score."""
 
     def estimate(self, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[PoseEstimate]:
-        """One answer for each query."""
+        """One estimate for each query."""
         return [_answer(query, query.prior) for query in queries]
 
 

@@ -1,4 +1,4 @@
-"""A table as data, and its forms: text, Markdown, CSV, HTML."""
+"""A table as data, and its output as text, Markdown, CSV and HTML."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ Cell = float | int | str | None
 
 @dataclass(frozen=True)
 class Head:
-    """What a column holds. method: whose figures; figure: which; metric: what that means; measured: by this
-    code, here."""
+    """The head of a column. method: that the figures are of; figure: its name; metric: its definition;
+    measured: by this code, not published."""
 
     method: str
     figure: str
@@ -25,7 +25,7 @@ class Head:
 
 @dataclass(frozen=True)
 class Table:
-    """rows: name and cells, one for each head; notes: what must be known to read them."""
+    """rows: name and cells, one for each head; notes: needed to understand the figures."""
 
     key: str
     title: str
@@ -40,7 +40,7 @@ class Table:
 
     @staticmethod
     def of_json(record: dict[str, Any]) -> Table:
-        """The table of its file form."""
+        """The table from its file form."""
         heads = tuple(Head(**head) for head in record["heads"])
         rows = tuple((name, tuple(cells)) for name, cells in record["rows"])
         return Table(record["key"], record["title"], heads, rows, tuple(record["notes"]), record["digits"])
@@ -53,7 +53,7 @@ class Table:
 
     @property
     def groups(self) -> list[tuple[str, int]]:
-        """Methods of neighbouring columns, and how many columns each has."""
+        """Methods of neighbouring columns, with their number of columns."""
         out: list[tuple[str, int]] = []
         for head in self.heads:
             if out and out[-1][0] == head.method:
@@ -63,7 +63,7 @@ class Table:
         return out
 
     def text(self) -> str:
-        """For a terminal; methods stand above their columns."""
+        """For a terminal; methods are above their columns."""
         cells = [[name, *(self.cell(v) for v in values)] for name, values in self.rows]
         heads = ["", *(head.figure for head in self.heads)]
         widths = [max(len(row[i]) for row in [heads, *cells]) for i in range(len(heads))]
@@ -91,14 +91,14 @@ class Table:
         return "\n".join([f"### {self.title}", "", *self.piped(), "", *notes, ""])
 
     def piped(self, corner: str = "") -> list[str]:
-        """The lines of it in Markdown; a method and its figure share a head."""
+        """Its lines in Markdown; method and figure are in one head."""
         heads = [corner, *(f"{head.method} {head.figure}".strip() for head in self.heads)]
         lines = [heads, ["---"] * len(heads)]
         lines += [[name, *map(self.cell, values)] for name, values in self.rows]
         return [f"| {' | '.join(cells)} |" for cells in lines]
 
     def csv(self) -> str:
-        """Values with all their digits; two lines of heads, and a third that says what each figure means."""
+        """Values with all digits; three lines of heads: method, figure, and definition of the figure."""
         out = io.StringIO()
         writer = csv.writer(out, lineterminator="\n")
         for part in ("method", "figure", "metric"):
@@ -108,7 +108,7 @@ class Table:
         return out.getvalue()
 
     def html(self) -> str:
-        """A table element with its title and notes; cells carry what their figure means."""
+        """A table element with its title and notes; heads have the definition of their figure as tooltip."""
         over = "".join(f'<th colspan="{n}">{html.escape(m)}</th>' for m, n in self.groups)
         under = "".join(
             f'<th class="{_kind(head)}" title="{html.escape(head.metric)}">{html.escape(head.figure)}</th>'
@@ -131,7 +131,7 @@ class Table:
 
 
 def _shown(head: Head, value: Cell) -> bool:
-    """Not where somebody else published nothing."""
+    """Whether a cell is shown: not if it is published and empty."""
     return head.measured or value is not None
 
 
@@ -151,11 +151,11 @@ _ROWS: Mapping[str, Mapping[str, str]] = {
     "table1": {"All labels": "YCB-Video", **_UNSEEN},
     "table2": {"Average": "Fast-YCB, or like it", **_UNSEEN},
 }
-"""Of the paper's tables: the rows that are kept, and how they are called in short."""
+"""By the paper's tables: the rows of the short form, and their names in it."""
 
 
 def in_short(tables: Sequence[Table]) -> list[Table]:
-    """Of each of the paper's tables the columns of this code and the rows of averages."""
+    """The short form of each of the paper's tables: the columns of this code and the rows of averages."""
     return [_short(table, _ROWS[table.key]) for table in tables if table.key in _ROWS]
 
 

@@ -26,26 +26,26 @@ from huepose.support.words import counted, listed
 
 _HOLDS = (
     "The folder of a scene has rgb/000000.png ..., depth/000000.png ... (16 bit) and scene_camera.json: "
-    '{"0": {"cam_K": [fx, 0, cx, 0, fy, cy, 0, 0, 1], "depth_scale": 1.0}, ...}, an entry for each picture; '
-    "depth_scale is millimetres a depth value"
+    '{"0": {"cam_K": [fx, 0, cx, 0, fy, cy, 0, 0, 1], "depth_scale": 1.0}, ...}, an entry for each image; '
+    "depth_scale is millimetres per depth value"
 )
-"""What has to be there, in words."""
+"""Required content of a scene folder, in words."""
 
 
 def _scenes_in(folder: Path) -> list[str]:
-    """The scenes in a folder, or in its parts (`test/000048`), as paths below it."""
+    """The scenes in a folder or its subfolders (`test/000048`), as relative paths."""
     cameras = [*folder.glob("*/scene_camera.json"), *folder.glob("*/*/scene_camera.json")]
     return sorted(str(path.parent.relative_to(folder)) for path in cameras)
 
 
 def refuse_grey(scene: Path) -> None:
-    """Raises InputError for a scene folder with grey pictures and none in colour."""
+    """Raises InputError for a scene folder with grey images and none in colour."""
     if not (scene / "rgb").is_dir() and (scene / "gray").is_dir():
         raise InputError(
             scene,
-            found="grey pictures, gray/ and no rgb/",
-            expected="colour pictures in rgb/",
-            fix="HuePose needs colour: take a set that has it.",
+            found="grey images, gray/ and no rgb/",
+            expected="colour images in rgb/",
+            fix="HuePose needs colour: use a data set with colour.",
         )
 
 
@@ -62,7 +62,7 @@ class BopScene:
             raise InputError(
                 self.path,
                 found=f"a folder of {counted(len(scenes), 'scene')}: {listed(scenes)}",
-                expected=f"the folder of one, as {self.path / scenes[0]}",
+                expected=f"the folder of one scene, for example {self.path / scenes[0]}",
             )
         refuse_grey(self.path)
         self.name = files.folder_name(self.path)
@@ -90,13 +90,13 @@ class BopScene:
         return bool(self._labels)
 
     def has_labels(self, image: int) -> bool:
-        """The labels say what an image shows, which may be nothing."""
+        """Whether an image is labelled, possibly with no object."""
         return str(image) in self._labels
 
     def gaps(self) -> list[str]:
-        """What is missing of pictures, a sentence for each part of the folder; no picture is read."""
+        """Missing images and camera entries, one sentence for each part of the folder; no image is read."""
         stems = [path.stem for path in self.path.glob("depth/*.png") if path.stem.isdecimal()]
-        # That of a colour picture is named as it is.
+        # A depth image has the name of its colour image.
         depths = {int(stem) for stem in stems if self._colors.get(int(stem), Path(stem)).stem == stem}
         numbers = {*self._colors, *depths}
         parts: dict[str, Collection[int]] = {"rgb/": self._colors, "depth/": depths}
@@ -115,7 +115,7 @@ class BopScene:
         return isinstance(record, dict) and {"cam_K", "depth_scale"} <= record.keys()
 
     def stamp_ns(self, image: int) -> int:
-        """`timestamp_ns` where the scene has it, else the image number at 30 Hz."""
+        """`timestamp_ns` if the scene has it, else the time of the image number at 30 Hz."""
         record, where = self._camera_record(image)
         if "timestamp_ns" not in record:
             return files.stamp_at_30_hz(image)
@@ -139,13 +139,13 @@ class BopScene:
         return RgbdFrame(color, depth, camera, frame_id=image, stamp_ns=self.stamp_ns(image))
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
-        """The labels of an image; none where the scene has none for it. Raises InputError."""
+        """The labels of an image; empty if it has none. Raises InputError."""
         if self._farthest_mm is not None and self._farthest_mm < 1000.0 * NEAREST_M:
             raise InputError(
                 self.path / "scene_gt.json",
                 found=f"no object farther from the camera than {self._farthest_mm:.3g} mm",
                 expected="cam_t_m2c in millimetres",
-                fix="Of positions in metres write a thousand times as much.",
+                fix="If your positions are in metres, multiply them by 1000.",
             )
         labels = self._entries(self._labels, image, "scene_gt.json")
         details = self._entries(self._details, image, "scene_gt_info.json")
@@ -162,12 +162,12 @@ class BopScene:
 
     @cached_property
     def _farthest_mm(self) -> float | None:
-        """How far the farthest label is from the camera; None where none says a place other than 0."""
+        """Distance of the farthest label from the camera; None if no label has a position other than 0."""
         distances = []
         for label in (
             one for of_image in self._labels.values() if isinstance(of_image, list) for one in of_image
         ):
-            with suppress(InputError):  # which is said where the label is asked for
+            with suppress(InputError):  # raised again when this label is read
                 distances.append(float(np.linalg.norm(files.numbers(label, "cam_t_m2c", (3,), ""))))
         return max(distances, default=0.0) or None
 

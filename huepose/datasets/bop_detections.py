@@ -1,4 +1,4 @@
-"""Detections in the format of the BOP challenge: a JSON list of boxes with scores, as CNOS has them.
+"""Detections in the format of the BOP challenge: a JSON list of boxes with scores, as of CNOS.
 
 https://bop.felk.cvut.cz/challenges/bop-challenge-2023/: `scene_id`, `image_id`, `category_id` (the object),
 `bbox` (x, y, width, height, pixels), `score`; masks and times are not read.
@@ -19,7 +19,7 @@ from huepose.support.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class BopDetection:
-    """A box of an object in an image, or its pose T_cam_obj (4, 4); score: higher is surer."""
+    """A box of an object in an image, or its pose T_cam_obj (4, 4); score: higher is better."""
 
     object_id: int
     box: Box | None
@@ -29,17 +29,17 @@ class BopDetection:
 
 @dataclass(frozen=True)
 class BopDetections:
-    """Detections by (scene, image), the surest first."""
+    """Detections by (scene, image), in order of decreasing score."""
 
     by_image: Mapping[tuple[int, int], Sequence[BopDetection]]
 
     def of(self, scene: str, image: int) -> Sequence[BopDetection]:
-        """Those of an image; none where the scene is not named by a number."""
+        """The detections of an image; none if the scene's name is not a number."""
         return self.by_image.get((int(scene), image), ()) if scene.isdigit() else ()
 
     @staticmethod
     def ordered(found: Iterable[tuple[int, int, BopDetection]]) -> BopDetections:
-        """Those of (scene, image, detection) in any order; of each image the surest first."""
+        """From (scene, image, detection) in any order."""
         by_image: dict[tuple[int, int], list[BopDetection]] = {}
         for scene, image, one in sorted(found, key=lambda item: -item[2].score):
             by_image.setdefault((scene, image), []).append(one)

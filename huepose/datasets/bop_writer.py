@@ -1,11 +1,11 @@
-"""Write scenes and models folders in the layout of the BOP benchmark.
+"""Writes scenes and models folders in the layout of the BOP benchmark.
 
-A scene is written frame by frame: it may be stopped, and gone on with.
+A scene is written frame by frame: writing can be stopped and continued.
 
-What `datasets.bop` reads: `rgb/` (JPEG, or PNG where asked), `depth/` (16 bit, tenths of a millimetre),
-`mask_visib/`, `scene_camera.json`, `scene_gt.json`, `scene_gt_info.json`; and `rendered.json`, which says
-what the folder holds. The JSON files are written anew after each frame and name only frames whose pictures
-are whole.
+It has the files that `datasets.bop` reads: `rgb/` (JPEG, or PNG if requested), `depth/` (16 bit, tenths of a
+millimetre), `mask_visib/`, `scene_camera.json`, `scene_gt.json`, `scene_gt_info.json`; and `rendered.json`
+with the settings of the scene. The JSON files are rewritten after each frame and have only frames whose
+images are complete.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from huepose.support.errors import InputError
 from huepose.support.files import whole, write_bytes, write_text, writing
 
 DEPTH_SCALE_MM = 0.1
-"""Of a step of the depth pictures, whose 16 bits so reach 6.5 m."""
+"""Step of the depth images: 16 bits reach 6.5 m."""
 
 JPEG_QUALITY = 95
 _SHEETS = ("scene_camera", "scene_gt", "scene_gt_info")
@@ -36,9 +36,9 @@ _SHEETS = ("scene_camera", "scene_gt", "scene_gt_info")
 
 @dataclass(frozen=True, eq=False)
 class Label:
-    """One labelled object of a frame: object_id; T_cam_obj (4, 4) m; mask (H, W) of what is seen of it;
-    silhouette_px and silhouette: count and bounds of its outline as if nothing hid it, parts outside the
-    image included."""
+    """One labelled object of a frame: object_id; T_cam_obj (4, 4) m; mask (H, W): its visible pixels;
+    silhouette_px, silhouette: pixel count and bounds of its outline as if nothing occluded it, parts outside
+    the image included."""
 
     object_id: int
     T_cam_obj: Float64
@@ -48,23 +48,21 @@ class Label:
 
 
 class BopWriter:
-    """A scene folder that grows. facts: what makes its frames; a folder with other facts is refused;
-    color_suffix: `.jpg` or `.png`.
-
-    `done`: numbers of the frames that are there."""
+    """Writes one scene folder. facts: the settings that its frames are made from; a folder with other facts
+    is refused; color_suffix: `.jpg` or `.png`."""
 
     def __init__(self, folder: Path, facts: dict[str, Any], color_suffix: str = ".jpg") -> None:
-        """Open or make the folder. Raises InputError when it holds something else or cannot be written."""
+        """Open or make the folder. Raises InputError if it holds something else or cannot be written."""
         self.folder, self._facts, self._color_suffix = folder, facts, color_suffix
         self._sheets: dict[str, dict[str, Any]] = {name: {} for name in _SHEETS}
-        said = folder / "rendered.json"
-        if said.exists():
-            there = files.read_json(said)
-            if there != json.loads(json.dumps(facts)):
+        facts_path = folder / "rendered.json"
+        if facts_path.exists():
+            stored = files.read_json(facts_path)
+            if stored != json.loads(json.dumps(facts)):
                 raise InputError(
                     folder,
-                    found="a scene that was drawn with other settings",
-                    expected="an empty folder, or one with the same settings to go on with",
+                    found="a scene that was rendered with other settings",
+                    expected="an empty folder, or a scene with the same settings to continue",
                     fix="Choose another --out, or remove that folder.",
                 )
             for name in _SHEETS:
@@ -80,11 +78,11 @@ class BopWriter:
         with writing(folder):
             for part in ("rgb", "depth", "mask_visib"):
                 (folder / part).mkdir(parents=True, exist_ok=True)
-            _write(said, json.dumps(facts, indent=1).encode())
+            _write(facts_path, json.dumps(facts, indent=1).encode())
 
     @property
     def done(self) -> frozenset[int]:
-        """Numbers of the frames that are there as a whole."""
+        """Numbers of the complete frames in the folder."""
         cameras, labels, details = (set(self._sheets[name]) for name in _SHEETS)
         return frozenset(int(key) for key in cameras & labels & details)
 
@@ -93,7 +91,7 @@ class BopWriter:
         stem, key = f"{image:06d}", str(image)
         suffix = self._color_suffix
         quality = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY] if suffix == ".jpg" else []
-        with writing(self.folder, "a folder with room for about 0.6 MB a frame"):
+        with writing(self.folder, "a folder with room for about 0.6 MB per frame"):
             _write(self.folder / "rgb" / f"{stem}{suffix}", _encoded(suffix, color[..., ::-1], quality))
             _write(self.folder / "depth" / f"{stem}.png", _encoded(".png", depth_steps(depth)))
             for k, label in enumerate(labels):
@@ -110,7 +108,7 @@ class BopWriter:
 
 
 def depth_steps(depth: Float32) -> UInt16:
-    """Depth (H, W), metres, in steps of DEPTH_SCALE_MM; 0, nothing, where it is farther than they reach."""
+    """Depth (H, W), metres, in steps of DEPTH_SCALE_MM; 0 (no depth) where it is too far for 16 bits."""
     return whole_steps(depth * np.float32(1000.0 / DEPTH_SCALE_MM))
 
 
@@ -147,7 +145,7 @@ def _write(path: Path, data: bytes) -> None:
 def write_models_folder(folder: Path, meshes: Mapping[str, Mesh], object_ids: Mapping[str, int]) -> None:
     """Write meshes (metres, by name) under their ids, and `models_info.json` with their names and extents.
 
-    Raises InputError where the folder cannot be written."""
+    Raises InputError if the folder cannot be written."""
     infos = {}
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -159,7 +157,7 @@ def write_models_folder(folder: Path, meshes: Mapping[str, Mesh], object_ids: Ma
 
 
 def extents_mm(mesh: Mesh) -> dict[str, float]:
-    """`min_x` and so on, `size_x` and so on, as models_info.json has them."""
+    """`min_x`, ..., `size_x`, ... for models_info.json."""
     points = 1000.0 * mesh.vertices.astype(np.float64)
     parts = {"min": points.min(0), "size": np.ptp(points, axis=0)}
     return {
@@ -168,9 +166,8 @@ def extents_mm(mesh: Mesh) -> dict[str, float]:
 
 
 def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
-    """Write PATH as BOP has its models, with a PNG of the same stem; lengths times `scale`. Texture
-    coordinates are the vertices' there, so each is written for every corner of a face. Raises
-    InputError."""
+    """Write PATH in the form of BOP's models, with a PNG of the same stem; lengths times `scale`. In this
+    form texture coordinates belong to vertices, so every corner of a face is a vertex. Raises InputError."""
     corners = scale * mesh.vertices[mesh.faces].reshape(-1, 3).astype(np.float64)
     uv = mesh.uv.reshape(-1, 2).astype(np.float64) * [1.0, -1.0] + [0.0, 1.0]
     faces = np.arange(len(corners)).reshape(-1, 3)
@@ -180,8 +177,8 @@ def write_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
 
 
 def write_bare_ply(path: Path, mesh: Mesh, scale: float = 1.0) -> None:
-    """Write PATH as BOP has its `models_eval/`: vertices and faces, no colours; lengths times `scale`. Raises
-    InputError."""
+    """Write PATH in the form of BOP's `models_eval/`: vertices and faces, no colours; lengths times `scale`.
+    Raises InputError."""
     _write_ascii(path, (), ("x", "y", "z"), scale * mesh.vertices.astype(np.float64), mesh.faces)
 
 

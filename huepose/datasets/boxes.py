@@ -1,6 +1,6 @@
-"""The boxes that estimation is given: true ones, and true ones disturbed as a detector would.
+"""Boxes for estimation: ground-truth boxes, and ground-truth boxes disturbed like those of a detector.
 
-The paper moves ground-truth boxes by up to a tenth of their size (section IV); here they are scaled as well.
+The paper moves ground-truth boxes by up to a tenth of their size (section IV); here they are scaled, too.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ Disturbance = Literal["perturbed", "paper", "gt"]
 
 
 def projected_box(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> Box | None:
-    """Bounds in pixels of the mesh's vertices at a pose, not clipped; None with none before the camera."""
+    """Bounds in pixels of the mesh's vertices at a pose, not clipped to the image; None if no vertex is in
+    front of the camera."""
     R, t = T_cam_obj[:3, :3], T_cam_obj[:3, 3]
     pixels = camera.project(mesh.vertices.astype(np.float64) @ R.T + t)
     pixels = pixels[np.isfinite(pixels).all(1)]
@@ -28,9 +29,10 @@ def projected_box(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> Box | None:
 
 
 def truth_box(truth: GroundTruth, mesh: Mesh, camera: Camera) -> Box | None:
-    """The ground-truth box: the set's own, else the bounds of the visible mask, else of the projected mesh.
+    """The ground-truth box: that of the data set, else the bounds of the visible mask, else of the projected
+    mesh.
 
-    None when nothing of the object is in the image by any of the three."""
+    None if the object is not in the image by any of these."""
     if truth.box_visib is not None:
         return truth.box_visib
     mask = truth.mask()
@@ -44,10 +46,10 @@ def truth_box(truth: GroundTruth, mesh: Mesh, camera: Camera) -> Box | None:
 def disturbed(
     box: Box, kind: Disturbance, seed: int, scene: str, image: int, instance: int, camera: Camera
 ) -> Box:
-    """The box of one label as it is given to the estimator; the same whatever else is evaluated.
+    """The disturbed box of one label. It depends only on the arguments, not on what else is evaluated.
 
     `perturbed`: moved by U(-0.1, 0.1) of its width and height, then both sides scaled by one U(0.9, 1.1)
-    about the centre; `paper`: moved only; both are clipped to the image. `gt`: as it is."""
+    about the centre; `paper`: moved only; both are clipped to the image. `gt`: not changed."""
     if kind == "gt":
         return box
     rng = np.random.default_rng([seed, zlib.crc32(scene.encode()), image, instance])

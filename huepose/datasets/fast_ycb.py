@@ -1,8 +1,8 @@
-"""Sequences of the Fast-YCB data set (ROFT, doi 10.48557/G2QJDM) in the layout in which it is published.
+"""Sequences of the Fast-YCB data set (ROFT, doi 10.48557/G2QJDM) in their published layout.
 
 `rgb/N.png`, `depth/N.float`, `masks/gt/OBJECT_N.png`, `gt/poses_ycb.txt` (for each frame a row
 `x y z ax ay az angle`, metres, PoseCNN's model frame), `cam_K.json`, `data.txt` (for each frame a line
-that begins with its time stamp in seconds). The object is named as the folder, less a trailing `_real`.
+that begins with its timestamp in seconds). The object has the name of the folder without a trailing `_real`.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ def object_of(path: Path | str) -> str:
 
 
 def labelled_sequences(path: Path | str) -> tuple[list[Path], list[str]]:
-    """The labelled sequences of a download, by name, and notes in words on what is not there or left out.
+    """The labelled sequences of a download, by name, and notes on what is missing or left out.
 
-    path: the folder of the data set, or one sequence. Raises InputError where there is no labelled one."""
+    path: the folder of the data set, or one sequence. Raises InputError if there is no labelled sequence."""
     root = Path(path)
     folders = [root] if (root / "rgb").is_dir() else sorted(p for p in root.glob("*") if p.is_dir())
     found, notes = [], []
@@ -58,7 +58,7 @@ def labelled_sequences(path: Path | str) -> tuple[list[Path], list[str]]:
             found.append(folder)
             if min(colors, depths) < stated:
                 notes.append(
-                    f"{name}: {colors} pictures and {depths} depth files of {stated} frames are there"
+                    f"{name}: {colors} colour images and {depths} depth files of {stated} frames are there"
                 )
     if not found:
         raise InputError(
@@ -71,9 +71,9 @@ def labelled_sequences(path: Path | str) -> tuple[list[Path], list[str]]:
 
 
 def axis_angle_poses(path: Path) -> Float64:
-    """Poses (N, 4, 4) of rows `x y z ax ay az angle`; a row of zeros, as for a missing pose, gives nan.
+    """Poses (N, 4, 4) of rows `x y z ax ay az angle`; a row of zeros is a missing pose and gives nan.
 
-    Raises InputError when a row has other than seven finite numbers or an axis without length."""
+    Raises InputError if a row does not have seven finite numbers, or an axis has length 0."""
     poses = []
     for line, text in enumerate(files.read_bytes(path).decode("utf-8", "replace").splitlines(), 1):
         if not text.strip():
@@ -103,8 +103,8 @@ def _numbers_of(text: str) -> Float64 | None:
 
 
 class FastYcbSequence:
-    """One sequence. frame_offset_m (3,): takes a point of the PoseCNN frame to the reference model's (its
-    `frame_offset_m`); None where that is not known: then the labels have no pose."""
+    """One sequence. frame_offset_m (3,): offset from the PoseCNN frame to the reference model's, added to
+    points (the model's `frame_offset_m`); None if unknown: then the labels have no pose."""
 
     def __init__(self, path: Path | str, frame_offset_m: Float | None) -> None:
         self.path = Path(path)
@@ -137,12 +137,12 @@ class FastYcbSequence:
 
     @property
     def with_depth(self) -> tuple[int, ...]:
-        """Those of `image_ids` that have a depth file."""
+        """The `image_ids` that have a depth file."""
         there = self._depths()
         return tuple(image for image in self._colors if image in there)
 
     def gaps(self) -> list[str]:
-        """What is missing of pictures, a sentence for each part of the folder; no picture is read."""
+        """Missing images, one sentence for each part of the folder; no image is read."""
         depths = self._depths()
         return files.gaps(self.path, {"rgb/": self._colors, "depth/": depths}, {*self._colors, *depths})
 
@@ -151,7 +151,7 @@ class FastYcbSequence:
         return {int(stem) for stem in stems if str(int(stem)) == stem}
 
     def _read_stamps(self) -> Float64 | None:
-        """Seconds by frame number; None where `data.txt` has none that increase, or only counts."""
+        """Seconds by frame number; None if those in `data.txt` do not increase, or are only frame numbers."""
         lines = files.read_bytes(self.path / "data.txt").decode("utf-8", "replace").splitlines()
         rows = [_numbers_of(text) for text in lines if text.strip()]
         first = np.array([row[0] if row is not None and len(row) else np.nan for row in rows])
@@ -170,7 +170,7 @@ class FastYcbSequence:
         return found
 
     def stamp_ns(self, image: int) -> int:
-        """The time stamp of `data.txt`, else the frame number at 30 Hz."""
+        """The timestamp in `data.txt`, else the time of the frame number at 30 Hz."""
         return files.stamp_at_30_hz(image) if self._stamps is None else round(self._stamps[image] * 1e9)
 
     def frame(self, image: int) -> RgbdFrame:
@@ -185,7 +185,7 @@ class FastYcbSequence:
         return RgbdFrame(color, depth, camera, frame_id=image, stamp_ns=self.stamp_ns(image))
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
-        """The one label of a frame; its pose is None in a sequence that is not labelled."""
+        """The one label of a frame; its pose is None if it is missing or the sequence is not labelled."""
         T_cam_obj = None
         if self._offset is not None and len(self._poses) and np.isfinite(self._poses[image]).all():
             T_cam_obj = se3.compose(self._poses[image], se3.make(np.eye(3), -self._offset))
@@ -211,9 +211,9 @@ def write_fast_ycb(
     rate_hz: float,
     frame_offset_m: Float | None,
 ) -> None:
-    """Write a sequence of the object `name`; `gt/poses_ycb.txt` is written last, so that it says that all is
-    there. frame_offset_m (3,): takes points of the PoseCNN frame to the reference model's, by default none.
-    Raises InputError."""
+    """Write a sequence of the object `name`. `gt/poses_ycb.txt` is written last: if it exists, the sequence
+    is complete. frame_offset_m (3,): offset from the PoseCNN frame to the reference model's, added to
+    points; None: 0. Raises InputError."""
     T_obj_posecnn = se3.inverse(T_posecnn_obj(np.zeros(3) if frame_offset_m is None else frame_offset_m))
     rows = []
     with writing(folder):

@@ -1,4 +1,4 @@
-"""Reading pictures and JSON from disk, so that whatever is broken is named together with its fix."""
+"""Reads images and JSON from disk. Errors name the file, what is wrong, and what to do."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from huepose.support.words import listed
 _COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 _FRAME_NS = 1e9 / 30.0
 _SQUARE = 1e-3
-"""A skew of this share of the focal length moves nothing by half a pixel, and is not looked at."""
+"""A skew of less than this share of the focal length is ignored: it moves no point by half a pixel."""
 
 
 def folder_name(path: Path) -> str:
-    """The name by which a folder is given, also where it is a link or a relative path."""
+    """The name of a folder, also for a relative path; links are not resolved."""
     return os.path.basename(os.path.abspath(path))
 
 
 def stamp_at_30_hz(number: int) -> int:
-    """Nanoseconds of frame `number` of a 30 Hz recording without time stamps."""
+    """Nanoseconds of frame `number` of a 30 Hz recording without timestamps."""
     return round(number * _FRAME_NS)
 
 
 def read_bytes(path: Path, fix: str = "") -> bytes:
-    """All of a file. Raises InputError when it is missing or cannot be read."""
+    """The content of a file. Raises InputError if it is missing or cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError:
@@ -44,8 +44,8 @@ def read_bytes(path: Path, fix: str = "") -> bytes:
 
 
 def read_json(path: Path, fix: str = "", form: str = "") -> dict[str, Any]:
-    """A JSON object. fix, form: what to do where it is missing, and where it is none. Raises
-    InputError when the file is missing, is not JSON, or holds something else."""
+    """A JSON object. fix, form: what to do if the file is missing, and if it is not JSON. Raises InputError
+    if the file is missing, is not JSON, or has no object."""
     content = read_bytes(path, fix)
     try:
         value = json.loads(content)
@@ -59,7 +59,7 @@ def read_json(path: Path, fix: str = "", form: str = "") -> dict[str, Any]:
 
 
 def field(record: dict[str, Any], key: str, where: object) -> Any:
-    """`record[key]`. Raises InputError naming `where` when it is not there."""
+    """`record[key]`. Raises InputError, naming `where`, if it is not there."""
     if not isinstance(record, dict) or key not in record:
         found = f"keys {in_words(record) or 'none'}" if isinstance(record, dict) else f"{record!r}"
         raise InputError(where, found=found, expected=f"the key '{key}'")
@@ -67,7 +67,7 @@ def field(record: dict[str, Any], key: str, where: object) -> Any:
 
 
 def in_words(keys: Iterable[str]) -> str:
-    """Keys in order, not all of them where they are many; numbers that follow each other as one.
+    """Keys in order, shortened if there are many; consecutive numbers as one range.
 
     >>> in_words(["fy", "fx"]), in_words(["10", "9", "8", "0"]), in_words(map(str, range(1000)))
     ('fx, fy', '0, 8 to 10', '0 to 999')
@@ -85,7 +85,7 @@ def in_words(keys: Iterable[str]) -> str:
 
 
 def numbers(record: dict[str, Any], key: str, shape: tuple[int, ...], where: object) -> Float64:
-    """`record[key]` as finite float64 numbers in that shape (() is one number). Raises InputError."""
+    """`record[key]` as finite float64 numbers in this shape (() is one number). Raises InputError."""
     value = field(record, key, where)
     count = int(np.prod(shape))
     try:
@@ -109,8 +109,8 @@ def positive(record: dict[str, Any], key: str, where: object) -> float:
 
 
 def pinhole(K: Float64, where: object) -> Float64:
-    """K (3, 3) as a file holds it. Raises InputError where it is not that of a pinhole camera whose rows and
-    columns of pixels are at right angles."""
+    """The camera matrix K (3, 3) of a file. Raises InputError if it is not that of a pinhole camera without
+    skew."""
     if K[0, 0] <= 0 or K[1, 1] <= 0:
         raise InputError(where, found=f"focal lengths {K[0, 0]}, {K[1, 1]}", expected="numbers over 0")
     if K[2].tolist() != [0.0, 0.0, 1.0]:
@@ -126,14 +126,15 @@ def pinhole(K: Float64, where: object) -> Float64:
             where,
             found=f"a skew of {skew:g} beside the focal lengths {K[0, 0]:g}, {K[1, 1]:g}",
             expected="0: fx, 0, cx, 0, fy, cy, 0, 0, 1, row by row",
-            fix="Rectify the pictures to a matrix without skew (OpenCV: cv2.undistort with such a "
+            fix="Rectify the images to a matrix without skew (OpenCV: cv2.undistort with such a "
             "newCameraMatrix), and give that matrix.",
         )
     return K
 
 
 def rigid(R: Float64, t_m: Float64, where: object) -> Float64:
-    """T (4, 4) of a rotation as a file holds it, its rounding removed. Raises InputError when it is none."""
+    """T (4, 4) from the rotation and translation of a file; rounding errors of the rotation are removed.
+    Raises InputError if R is not a rotation."""
     if not np.allclose(R.T @ R, np.eye(3), atol=1e-2) or np.linalg.det(R) < 0:
         raise InputError(
             where, found="a matrix that is no rotation", expected="orthonormal rows, determinant 1"
@@ -150,44 +151,44 @@ def _decode(path: Path, flags: int) -> np.ndarray:
     except cv2.error:
         image = None
     if image is None:
-        raise InputError(path, found="no picture that can be decoded", fix="Copy or export the file again.")
+        raise InputError(path, found="no image that can be decoded", fix="Copy or export the file again.")
     return image
 
 
 def read_color(path: Path) -> UInt8:
-    """Colour picture (H, W, 3) uint8 RGB; grey ones are spread, alpha is dropped. Raises InputError."""
+    """Colour image (H, W, 3) uint8 RGB. Grey images become RGB, alpha is dropped. Raises InputError."""
     flags = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
     image = _decode(path, flags)
     if image.dtype != np.uint8:
         raise InputError(
             path,
             found=f"{image.dtype} values",
-            expected="a colour picture of 8 bit values",
-            fix="Give the colour picture here; 16 bit values are usually depth.",
+            expected="a colour image with 8 bit values",
+            fix="Give the colour image here; 16 bit values are usually depth.",
         )
     return np.ascontiguousarray(image[..., ::-1])
 
 
 _SAVE_METRES = (
-    "Of depth in metres save millimetres: cv2.imwrite('depth.png', (depth * 1000).astype(np.uint16)), with "
-    "0.001 as 'depth_scale_m'."
+    "If depth is in metres, save millimetres: cv2.imwrite('depth.png', (depth * 1000).astype(np.uint16)), "
+    "with 0.001 as 'depth_scale_m'."
 )
 
 
 def _instead_of(depth: np.ndarray) -> str:
-    """What to save instead of a picture that is not one of 16 bit depth values."""
+    """What to save instead of an image that does not have 16 bit depth values."""
     if depth.ndim == 2 and depth.dtype.kind == "f":
         return _SAVE_METRES
     if depth.ndim == 2 and depth.dtype == np.uint8:
-        return "8 bits have 256 steps only: save the camera's own values, as 16 bits."
-    return "Save the depth values themselves, not a coloured picture of them."
+        return "8 bits have only 256 steps: save the camera's own values with 16 bits."
+    return "Save the depth values themselves, not a coloured image of them."
 
 
 def read_depth(path: Path, scale_m: float) -> Float32:
-    """Depth picture (H, W) float32 metres from 16 bit values times `scale_m`; 0 = no reading."""
+    """Depth (H, W) float32 metres from an image of 16 bit values times `scale_m`; 0 = no reading."""
     if path.suffix.lower() in (".npy", ".npz"):
         raise InputError(
-            path, found="an array of numpy", expected="a picture of 16 bit values", fix=_SAVE_METRES
+            path, found="an array of numpy", expected="an image with 16 bit values", fix=_SAVE_METRES
         )
     image = _decode(path, cv2.IMREAD_UNCHANGED)
     if image.ndim != 2 or image.dtype != np.uint16:
@@ -195,7 +196,7 @@ def read_depth(path: Path, scale_m: float) -> Float32:
         raise InputError(
             path,
             found=f"{image.dtype} values in {channels} channel{'s'[: channels > 1]}",
-            expected="one channel of 16 bit values",
+            expected="one channel with 16 bit values",
             fix=_instead_of(image),
         )
     return np.asarray(image * np.float32(scale_m), dtype=np.float32)
@@ -204,14 +205,14 @@ def read_depth(path: Path, scale_m: float) -> Float32:
 def read_float_depth(path: Path, fix: str = "") -> Float32:
     """Fast-YCB's `.float`: width and height as little-endian uint64, then float32 metres row by row.
 
-    Values that are not finite or not over 0 become 0. Raises InputError when the size does not fit."""
+    Values that are not finite or not positive become 0. Raises InputError if the size does not fit."""
     data = read_bytes(path, fix)
     width, height = (int(v) for v in np.frombuffer(data[:16], "<u8")) if len(data) >= 16 else (0, 0)
     if width * height == 0 or len(data) != 16 + 4 * width * height:
         raise InputError(
             path,
             found=f"{len(data)} bytes for {width} x {height} pixels",
-            expected="16 bytes of size, then 4 bytes a pixel",
+            expected="16 bytes of size, then 4 bytes per pixel",
             fix="Copy the file again.",
         )
     depth = np.frombuffer(data, "<f4", offset=16).reshape(height, width)
@@ -225,7 +226,7 @@ def read_mask(path: Path) -> Bool:
 
 
 def same_size(color: UInt8, color_path: Path, other: np.ndarray, other_path: Path) -> None:
-    """Raises InputError when two pictures of one frame differ in size."""
+    """Raises InputError if two images of one frame differ in size."""
     if color.shape[:2] != other.shape[:2]:
         raise InputError(
             other_path,
@@ -236,7 +237,7 @@ def same_size(color: UInt8, color_path: Path, other: np.ndarray, other_path: Pat
 
 
 def numbered_files(folder: Path) -> dict[int, Path]:
-    """Pictures named by a number, by number, ascending. Raises InputError."""
+    """Image files whose name is a number, by number, ascending. Raises InputError."""
     if not folder.is_dir():
         raise InputError(folder, found="no such folder", fix="Check the path of the scene.")
     found: dict[int, Path] = {}
@@ -248,14 +249,14 @@ def numbered_files(folder: Path) -> dict[int, Path]:
 
 
 def gaps(folder: Path, parts: Mapping[str, Collection[int]], numbers: Collection[int]) -> list[str]:
-    """A sentence for each part of a scene that lacks some of the numbers of its pictures, which are left out
-    when it is played. parts: the numbers in each, by its name."""
-    missing = {part: sorted(set(numbers) - set(there)) for part, there in parts.items()}
+    """One sentence for each part of a scene in which some of its images are missing; these images are left
+    out when the scene is played. parts: the image numbers in each part, by its name."""
+    missing = {part: sorted(set(numbers) - set(present)) for part, present in parts.items()}
     return [
-        f"{folder}: {len(lacking)} of {len(numbers)} pictures are not in {part}, the first is number "
-        f"{lacking[0]}; they are left out when it is played"
-        for part, lacking in missing.items()
-        if lacking
+        f"{folder}: {len(absent)} of {len(numbers)} images are not in {part}, the first is number "
+        f"{absent[0]}; they are left out when it is played"
+        for part, absent in missing.items()
+        if absent
     ]
 
 
@@ -263,7 +264,7 @@ _FILMS = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm"})
 
 
 def instead_of_film(path: Path) -> str:
-    """What to give instead of a film of colour, in a sentence; empty for other files.
+    """What to give instead of a video without depth, in a sentence; empty for other files.
 
     >>> instead_of_film(Path("run.mcap"))
     ''
@@ -271,6 +272,6 @@ def instead_of_film(path: Path) -> str:
     if path.suffix.lower() not in _FILMS:
         return ""
     return (
-        "A film has no depth, which HuePose needs: record colour with depth, by `huepose record` of a "
-        "pipeline with the camera, or as a bag of ROS."
+        "A video has no depth, which HuePose needs: record colour with depth, by `huepose record` of a "
+        "pipeline with the camera, or as a ROS bag."
     )

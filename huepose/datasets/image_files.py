@@ -1,10 +1,10 @@
-"""One frame from three files: a colour picture, a depth picture, and a JSON with the camera's intrinsics.
+"""One frame from three files: a colour image, a depth image, and a JSON with the camera's intrinsics.
 
 Forms of the JSON: the intrinsics are `fx fy cx cy`, or nine numbers as `cam_K` or `K` (row by row), or
-Open3D's `intrinsic_matrix` (column by column); the unit of depth is `depth_scale_m` (metres a depth value) or
-BOP's `depth_scale` (millimetres a depth value), or both where they agree; `width height`, and
-`distortion_model` with `distortion`, may be left out. Of BOP's `scene_camera.json` the entry of the image
-number counts.
+Open3D's `intrinsic_matrix` (column by column). The unit of depth is `depth_scale_m` (metres per depth value)
+or BOP's `depth_scale` (millimetres per depth value), or both if they agree. `width height`, and
+`distortion_model` with `distortion`, may be left out. In BOP's `scene_camera.json` the entry of the image
+number is used.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
 
 NEAREST_M, FARTHEST_M = 0.02, 50.0
-"""A picture whose median depth lies outside was read in wrong units."""
+"""If the median depth of an image is outside this range, it was read with the wrong unit."""
 
 FORMS = (
     "fx, fy, cx, cy (or K or cam_K, nine numbers row by row, or Open3D's intrinsic_matrix), width, height, "
     "depth_scale_m, and for a distorted lens distortion_model (brown_conrady, plumb_bob, rational) with "
     "distortion, as in OpenCV"
 )
-"""What a camera's JSON may hold, in words."""
+"""The possible content of a camera's JSON, in words."""
 
 _OTHER_NAMES = frozenset(
     {"d", "dist", "disto", "coeffs", "dist_coeffs", "distcoeffs", "distortion_coefficients"}
     | {"distortion_coeffs", "dist_coeff", *(f"k{n}" for n in range(1, 7)), "p1", "p2"}
 )
-"""What others call `distortion`, in small letters: overlooked, it would leave pictures wrong at their rim."""
+"""Other names of `distortion`, in lower case. If it were ignored, images would be wrong near their border."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraFile:
-    """Intrinsics as a file states them. width, height, depth_scale_m: None where it does not say;
-    distortion: OpenCV's coefficients, empty for a pinhole camera."""
+    """Intrinsics from a file. width, height, depth_scale_m: None if the file does not have them; distortion:
+    OpenCV's coefficients, empty for a pinhole camera."""
 
     path: Path
     K: Float64
@@ -53,7 +53,7 @@ class CameraFile:
     distortion: Float64
 
     def camera(self, width: int, height: int, image: Path) -> Camera:
-        """The camera of a picture of that size. Raises InputError when the file speaks of another size."""
+        """The camera of an image of this size. Raises InputError if the file has another size."""
         if (self.width or width, self.height or height) != (width, height):
             raise InputError(
                 image,
@@ -81,7 +81,7 @@ def read_camera(path: Path | str, image: int | None = None) -> CameraFile:
                 path,
                 found=f"no entry for image {image}",
                 expected=f"one of its entries, {files.in_words(record)}",
-                fix="The number at the end of the colour picture's name says which one is read: without, 0.",
+                fix="The number at the end of the colour image's name chooses the entry; without one, 0.",
             )
         record, where = record[str(image)], f"{path}, image {image}"
     if overlooked := [key for key in record if key.lower() in _OTHER_NAMES]:
@@ -105,7 +105,7 @@ def _matrix(record: dict[str, Any], where: str) -> Float64:
     if key := next((key for key in ("cam_K", "K") if key in record), None):
         K = files.numbers(record, key, (3, 3), where)
     elif "intrinsic_matrix" in record:
-        K = files.numbers(record, "intrinsic_matrix", (3, 3), where).T  # Open3D's is stored by columns
+        K = files.numbers(record, "intrinsic_matrix", (3, 3), where).T  # Open3D stores it by columns
     elif not {"fx", "fy", "cx", "cy"} & set(record):
         raise InputError(
             where,
@@ -126,15 +126,15 @@ def _size(record: dict[str, Any], key: str, where: str) -> int | None:
 
 def _depth_scale_m(record: dict[str, Any], where: str) -> float | None:
     scales = {"depth_scale_m": 1.0, "depth_scale": 0.001}
-    said = {key: files.positive(record, key, where) * m for key, m in scales.items() if key in record}
-    if len(said) == 2 and not math.isclose(*said.values(), rel_tol=1e-6):
+    given = {key: files.positive(record, key, where) * m for key, m in scales.items() if key in record}
+    if len(given) == 2 and not math.isclose(*given.values(), rel_tol=1e-6):
         raise InputError(
             where,
             found=f"'depth_scale_m': {record['depth_scale_m']} beside 'depth_scale': {record['depth_scale']}",
             expected="one of them, or the same scale in both",
-            fix="'depth_scale_m' is metres a depth value, BOP's 'depth_scale' millimetres.",
+            fix="'depth_scale_m' is metres per depth value, BOP's 'depth_scale' millimetres.",
         )
-    return next(iter(said.values()), None)
+    return next(iter(given.values()), None)
 
 
 def read_frame(
@@ -147,9 +147,9 @@ def read_frame(
 ) -> RgbdFrame:
     """The frame of three files, rectified.
 
-    depth: 16 bit picture, or Fast-YCB's `.float`. frame_id, stamp_ns: its number and its time of capture,
-    which grow from one frame to the next; without them the number at the end of the colour file's name, 0
-    without one, and the time of that frame at 30 Hz. Raises InputError, naming the file and what to do."""
+    depth: 16 bit image, or Fast-YCB's `.float`. frame_id, stamp_ns: frame number and capture time, which must
+    increase from frame to frame; by default the number at the end of the colour file's name (0 without one),
+    and the time of this number at 30 Hz. Raises InputError, naming the file and what to do."""
     color_path, depth_path = Path(color), Path(depth)
     number = _number(color_path)
     intrinsics = read_camera(camera, number)
@@ -160,8 +160,8 @@ def read_frame(
         raise InputError(
             intrinsics.path,
             found="no depth scale",
-            expected="'depth_scale_m', metres a depth value",
-            fix="A RealSense writes 0.001: 16 bit values are millimetres then.",
+            expected="'depth_scale_m', metres per depth value",
+            fix="For a RealSense it is 0.001: 16 bit values are millimetres.",
         )
     else:
         depth_m = files.read_depth(depth_path, intrinsics.depth_scale_m)
@@ -181,16 +181,17 @@ def _number(path: Path) -> int:
 
 
 def _check_units(depth_m: Float32, path: Path, camera: Path) -> None:
-    """Raises InputError where there is no depth, or none that a camera gives: it was read in wrong units."""
-    seen = depth_m[depth_m > 0]
-    if not seen.size:
-        raise InputError(path, found="no depth in any pixel", expected="a depth picture; 0 is no reading")
-    median_m = float(np.median(seen))
+    """Raises InputError if there is no depth, or if it is outside the range of cameras: then its unit is
+    wrong."""
+    readings = depth_m[depth_m > 0]
+    if not readings.size:
+        raise InputError(path, found="no depth in any pixel", expected="a depth image; 0 is no reading")
+    median_m = float(np.median(readings))
     if not NEAREST_M < median_m < FARTHEST_M:
         raise InputError(
             path,
             found=f"a median depth of {median_m:.{3 if median_m < 10 else 0}f} m",
             expected=f"{NEAREST_M:g} to {FARTHEST_M:g} m",
-            fix=f"Correct the depth scale in {camera}: 'depth_scale_m' is metres a depth value, "
+            fix=f"Correct the depth scale in {camera}: 'depth_scale_m' is metres per depth value, "
             "BOP's 'depth_scale' millimetres.",
         )

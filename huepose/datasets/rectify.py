@@ -1,8 +1,8 @@
-"""Removing lens distortion: colour bilinearly, depth by the nearest reading, once, at the edge.
+"""Removes lens distortion: colour with bilinear interpolation, depth with the nearest reading.
 
-Models as in OpenCV: `brown_conrady` (ROS: `plumb_bob`) has k1 k2 p1 p2 [k3], `rational` (ROS:
-`rational_polynomial`) has k1 k2 p1 p2 k3 k4 k5 k6. The
-rectified picture has the same intrinsics and size; where it looks past the original it is black, depth 0.
+It is done once, where frames enter the program. Models as in OpenCV: `brown_conrady` (ROS: `plumb_bob`) has
+k1 k2 p1 p2 [k3], `rational` (ROS: `rational_polynomial`) has k1 k2 p1 p2 k3 k4 k5 k6. The rectified image has
+the same intrinsics and size; outside the original image it is black, with depth 0.
 """
 
 from __future__ import annotations
@@ -19,16 +19,17 @@ from huepose.support.errors import InputError
 COEFFICIENTS = {"none": (0,), "brown_conrady": (4, 5), "rational": (8,)}
 
 _OF_ROS = {"plumb_bob": "brown_conrady", "rational_polynomial": "rational", "": "none"}
-"""Names of ROS for the models of OpenCV."""
+"""ROS names of the models of OpenCV."""
 
 _PINHOLES = frozenset({"inverse_brown_conrady", "modified_brown_conrady"})
-"""Models of librealsense that are read where all coefficients are zero, as its cameras often say: that is a
-pinhole. It is not so of every model: a fisheye's pictures are bent with zeros, too."""
+"""Models of librealsense that are accepted if all coefficients are zero, as its cameras often report: then
+they are pinhole cameras. This does not hold for every model: a fisheye image with zero coefficients is
+distorted."""
 
 
 def checked_coefficients(model: str | None, coefficients: Sequence[float] | None, where: object) -> Float64:
-    """The coefficients (N,) in OpenCV's order; empty for no distortion, as None says, too. Raises InputError,
-    naming `where`."""
+    """The coefficients (N,) in OpenCV's order; empty for no distortion. None means no distortion. Raises
+    InputError, naming `where`."""
     model, values = _named(model), _values(coefficients)
     if model in _PINHOLES and not values.any():
         return np.empty(0)
@@ -37,8 +38,8 @@ def checked_coefficients(model: str | None, coefficients: Sequence[float] | None
             where,
             found=f"distortion_model '{model}'",
             expected="one of " + ", ".join([*COEFFICIENTS, *filter(None, _OF_ROS)]),
-            fix="Rectify the pictures of another lens first (OpenCV: cv2.fisheye; librealsense: "
-            "rs2_project_point_to_pixel), and give the intrinsics of the rectified ones.",
+            fix="Rectify the images of another lens first (OpenCV: cv2.fisheye; librealsense: "
+            "rs2_project_point_to_pixel), and give the intrinsics of the rectified images.",
         )
     if model == "none" and not values.any():
         return np.empty(0)
@@ -57,7 +58,7 @@ def checked_coefficients(model: str | None, coefficients: Sequence[float] | None
 
 
 def _named(model: object) -> str:
-    """Our name of a model; librealsense calls one `distortion.brown_conrady`, or Brown Conrady."""
+    """Our name of a model. librealsense writes `distortion.brown_conrady` or Brown Conrady."""
     if model is None:
         return "none"
     if not isinstance(model, str):
@@ -67,7 +68,7 @@ def _named(model: object) -> str:
 
 
 def _values(coefficients: object) -> Float64:
-    """Coefficients (N,), none where None says so; one that is no number where they are not numbers."""
+    """Coefficients (N,), empty for None; a single nan if they are not numbers."""
     try:
         return np.asarray([] if coefficients is None else coefficients, dtype=np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
@@ -75,15 +76,15 @@ def _values(coefficients: object) -> Float64:
 
 
 class Rectifier:
-    """Rectifies the pictures of one camera. maps: from which column and row (H, W each) of the distorted
-    picture every pixel is read; None where there is no distortion."""
+    """Rectifies the images of one camera. maps: column and row (H, W each) of the distorted image from which
+    each pixel is read; None if there is no distortion."""
 
     def __init__(self, maps: tuple[Float32, Float32] | None) -> None:
         self._maps = maps
 
     @staticmethod
     def of(camera: Camera, coefficients: Float64) -> Rectifier:
-        """To the pinhole `camera` from one with the same intrinsics and these coefficients (N,)."""
+        """For a camera with the intrinsics of the pinhole camera `camera` and these coefficients (N,)."""
         if not len(coefficients):
             return Rectifier(None)
         size = (camera.width, camera.height)
@@ -93,13 +94,13 @@ class Rectifier:
         return Rectifier((np.asarray(columns, np.float32), np.asarray(rows, np.float32)))
 
     def color(self, image: UInt8) -> UInt8:
-        """The rectified colour picture (H, W, 3)."""
+        """The rectified colour image (H, W, 3)."""
         if self._maps is None:
             return image
         return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LINEAR), dtype=np.uint8)
 
     def depth(self, depth: Float32) -> Float32:
-        """The rectified depth (H, W): readings are moved, never mixed."""
+        """The rectified depth (H, W): readings are moved, never interpolated."""
         if self._maps is None:
             return depth
         return np.asarray(cv2.remap(depth, *self._maps, cv2.INTER_NEAREST), dtype=np.float32)

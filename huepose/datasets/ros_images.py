@@ -1,7 +1,7 @@
-"""Pictures as ROS sends them: `sensor_msgs` Image, CompressedImage and CameraInfo to arrays and a camera.
+"""Images of ROS: converts `sensor_msgs` Image, CompressedImage and CameraInfo to arrays and a camera.
 
-A message is whatever has the fields of its type, as rosbags gives it. Encodings: sensor_msgs/image_encodings
-and REP 118; compressed: as written by compressed_image_transport and compressed_depth_image_transport.
+A message is any object with the fields of its type, as from rosbags. Encodings: sensor_msgs/image_encodings
+and REP 118; compressed: those of compressed_image_transport and compressed_depth_image_transport.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from huepose.geometry.camera import Camera
 from huepose.support.errors import InputError
 from huepose.support.picture_size import require_room
 
-# Which channel is red, green and blue, and how many there are.
+# Indices of the red, green and blue channel, and the number of channels.
 _CHANNELS = {
     **{"rgb8": ([0, 1, 2], 3), "bgr8": ([2, 1, 0], 3)},
     **{"rgba8": ([0, 1, 2], 4), "bgra8": ([2, 1, 0], 4)},
@@ -25,25 +25,25 @@ _CHANNELS = {
 _METRES = {"16UC1": ("u2", 0.001), "32FC1": ("f4", 1.0)}
 _DEPTH_PNG = "16UC1; compressedDepth"
 _DEPTH_PNG_AT = 12
-"""Bytes that compressed_depth_image_transport puts before the PNG."""
+"""Number of bytes that compressed_depth_image_transport writes before the PNG."""
 
 Kind = Literal["color", "depth"]
 _WANTED: dict[Kind, tuple[str, str]] = {
     "color": (
         f"{', '.join(_CHANNELS)}, or a compressed one of these (jpeg, png)",
-        "HuePose finds objects by their colours: record the driver's colour topic (mono8 has none; "
-        "image_proc makes colours of bayer_*).",
+        "HuePose finds objects by their colours: record the driver's colour topic (mono8 has no colour; "
+        "image_proc converts bayer_* to colour).",
     ),
     "depth": (
-        "16UC1 (millimetres), 32FC1 (metres), or compressedDepth of the first",
+        "16UC1 (millimetres), 32FC1 (metres), or 16UC1 as compressedDepth",
         "HuePose needs depth: record the driver's depth topic.",
     ),
 }
-"""What is expected of a picture that is to be used so, and what to do where it is not."""
+"""Expected encodings for each kind of image, and what to do if an image has another."""
 
 
 def kind_of(message: Any) -> Kind | None:
-    """What a picture can be used as; None where it is neither."""
+    """Whether an image is colour or depth; None if it is neither."""
     encoding = encoding_of(message)
     if encoding in _METRES or encoding.startswith(_DEPTH_PNG):
         return "depth"
@@ -53,24 +53,24 @@ def kind_of(message: Any) -> Kind | None:
 
 
 def encoding_of(message: Any) -> str:
-    """Its encoding, or what a compressed one says instead: `jpeg`, `rgb8; jpeg compressed bgr8`, ..."""
+    """The encoding of an image; of a compressed one its format: `jpeg`, `rgb8; jpeg compressed bgr8`, ..."""
     return str(message.format if _is_compressed(message) else message.encoding)
 
 
 def color_of(message: Any, where: object) -> UInt8:
-    """The colour picture (H, W, 3) RGB. Raises InputError, naming `where`, for one that is none or broken."""
+    """The colour image (H, W, 3) RGB. Raises InputError, naming `where`, if it is not one or is broken."""
     encoding = _encoding_for(message, "color", where)
     if not _is_compressed(message):
         order, channels = _CHANNELS[encoding]
         return np.ascontiguousarray(_pixels(message, "u1", channels, where)[..., order], dtype=np.uint8)
     image = _decoded(message.data, 3, np.uint8, where)
-    # Its sender either says that it made BGR of its picture before, as the codec wants it, or did nothing.
+    # The format says if the sender converted RGB to BGR for the codec. If not, the decoded image is RGB.
     as_sent = ";" in encoding and "compressed bgr" not in encoding and encoding.startswith("rgb")
     return np.ascontiguousarray(image[..., [0, 1, 2] if as_sent else [2, 1, 0]], dtype=np.uint8)
 
 
 def depth_of(message: Any, where: object) -> Float32:
-    """The depth (H, W) float32 metres, 0 for no reading. Raises InputError for a picture that is none."""
+    """The depth (H, W) float32 metres, 0 for no reading. Raises InputError if the image is not depth."""
     encoding = _encoding_for(message, "depth", where)
     if _is_compressed(message):
         image = _decoded(np.asarray(message.data)[_DEPTH_PNG_AT:], 2, np.uint16, where)
@@ -83,8 +83,8 @@ def depth_of(message: Any, where: object) -> Float32:
 
 
 def camera_of(info: Any, rectified: bool, where: object) -> tuple[Camera, Rectifier]:
-    """The camera of a CameraInfo, and what takes the distortion out of its pictures; `rectified`: they have
-    none any more, and the intrinsics of P. Raises InputError where it was not calibrated."""
+    """The camera of a CameraInfo, and the rectifier of its images. rectified: the images are already
+    rectified, so the intrinsics are those of P. Raises InputError if the camera is not calibrated."""
     K = np.asarray(field(info, "p") if rectified else field(info, "k"), np.float64)
     K = K.reshape(3, -1)[:, :3]
     if not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0):
@@ -102,17 +102,17 @@ def camera_of(info: Any, rectified: bool, where: object) -> tuple[Camera, Rectif
 
 
 def field(info: Any, name: str) -> Any:
-    """A matrix of CameraInfo, which ROS 1 calls by a capital letter."""
+    """A matrix of CameraInfo; its name is a capital letter in ROS 1."""
     return getattr(info, name) if hasattr(info, name) else getattr(info, name.upper())
 
 
 def _encoding_for(message: Any, kind: Kind, where: object) -> str:
-    """The encoding of a picture that can be used as that. Raises InputError for another."""
+    """The encoding of an image of this kind. Raises InputError for an image of another kind."""
     encoding = encoding_of(message)
     if kind_of(message) == kind:
         return encoding
     expected, fix = _WANTED[kind]
-    raise InputError(where, found=f"a picture of encoding '{encoding}'", expected=expected, fix=fix)
+    raise InputError(where, found=f"an image with the encoding '{encoding}'", expected=expected, fix=fix)
 
 
 def _is_compressed(message: Any) -> bool:
@@ -120,14 +120,14 @@ def _is_compressed(message: Any) -> bool:
 
 
 def _has_colours(encoding: str) -> bool:
-    """Whether one that is compressed may have colours, by what it says."""
+    """Whether a compressed image may have colours, by its format."""
     return ("jpeg" in encoding or "jpg" in encoding or "png" in encoding) and not (
         encoding.startswith(("mono", "16UC1", "32FC1", "8UC1")) or "compressedDepth" in encoding
     )
 
 
 def _pixels(message: Any, dtype: str, channels: int, where: object) -> Any:
-    """The pixels (H, W, channels), rows without what fills them up."""
+    """The pixels (H, W, channels), without the padding of rows."""
     kind = np.dtype(dtype).newbyteorder(">" if message.is_bigendian else "<")
     height, width, step = int(message.height), int(message.width), int(message.step)
     data = np.asarray(message.data, np.uint8)
@@ -141,7 +141,7 @@ def _pixels(message: Any, dtype: str, channels: int, where: object) -> Any:
 
 
 def _decoded(data: Any, axes: int, dtype: type, where: object) -> Any:
-    """A compressed picture, which has to have so many axes and that type."""
+    """The decoded image. Raises InputError if it does not have this number of axes and this type."""
     data = np.asarray(data, np.uint8)
     require_room(data.tobytes(), where)
     try:
@@ -149,11 +149,11 @@ def _decoded(data: Any, axes: int, dtype: type, where: object) -> Any:
     except cv2.error:
         image = None
     if image is None:
-        raise InputError(where, found="a picture that cannot be decoded", expected="a whole JPEG or PNG")
+        raise InputError(where, found="an image that cannot be decoded", expected="a complete JPEG or PNG")
     if image.ndim != axes or image.dtype != dtype:
         raise InputError(
             where,
-            found=f"a picture of {image.shape} {image.dtype}",
+            found=f"an image of {image.shape} {image.dtype}",
             expected="three colours of 8 bits" if axes == 3 else "depth of 16 bits",
         )
     return image

@@ -1,7 +1,7 @@
-"""A bag of ROS as a scene: `.bag` of ROS 1, or the folder of a bag of ROS 2 (sqlite3, mcap), read by rosbags.
+"""A ROS bag as a scene: `.bag` of ROS 1, or the folder of a ROS 2 bag (sqlite3, mcap), read by rosbags.
 
-Colour and depth are paired by the stamps in their headers: each colour picture has the nearest depth, half
-the usual time between two colour pictures away at most. Depth must lie in the pixels of colour.
+Colour and depth are paired by the timestamps in their headers: each colour image gets the nearest depth
+image, at most half the usual time between two colour images away. Depth must be aligned to colour.
 """
 
 from __future__ import annotations
@@ -29,22 +29,23 @@ if TYPE_CHECKING:
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _INFO = "sensor_msgs/msg/CameraInfo"
 _USUAL_NS = 1_000_000_000 // 30
-"""Between pictures of a camera at 30 Hz: taken where a recording holds one picture only."""
+"""Time between images at 30 Hz: used if a recording has only one colour image."""
 
 _TRANSPORTS = ("/compressed", "/compressedDepth")
 _ALIGNED = (
-    "Record depth in the pixels of colour: with realsense2_camera align_depth.enable:=true and its topic "
+    "Record depth that is aligned to colour: with realsense2_camera align_depth.enable:=true and its topic "
     "aligned_depth_to_color, with others depth_registered or depth_to_rgb."
 )
 
 
 _UNALIGNED, _SAME_SENSOR = "/depth/image_rect_raw", "/image_rect_raw"
-"""How realsense2_camera calls depth in its own pixels, and colour of a D405, which has the same ones."""
+"""Topics of realsense2_camera: depth that is not aligned to colour, and colour of a D405, which has the same
+pixels as its depth."""
 
 
 @dataclass(frozen=True)
 class Topics:
-    """Which topics are read; None: the only one that fits."""
+    """The topics to read; None: the only one that fits."""
 
     color: str | None = None
     depth: str | None = None
@@ -52,9 +53,9 @@ class Topics:
 
 
 class RosbagScene:
-    """Frames by their places in the bag, from 0, rectified. topics: None where nobody can name them, which
-    errors then do not propose. Raises InputError for a bag that is broken, has no pair of colour and
-    depth, or whose camera changes."""
+    """The rectified frames of a bag, numbered from 0. topics: None if the user cannot choose them; then
+    errors do not propose it. Raises InputError for a bag that is broken, has no pair of colour and depth,
+    or whose camera changes."""
 
     def __init__(self, path: Path, topics: Topics | None = None) -> None:
         self.name, self._path = path.stem, path
@@ -67,17 +68,17 @@ class RosbagScene:
         if not self._pairs:
             raise InputError(
                 path,
-                found=f"no depth of {chosen.depth} at the time of a picture of {chosen.color}",
-                expected="stamps of one clock, half a frame apart at most",
+                found=f"no depth of {chosen.depth} at the time of an image of {chosen.color}",
+                expected="timestamps of one clock, at most half a frame apart",
             )
         self.image_ids = tuple(range(len(self._pairs)))
 
     def stamp_ns(self, image: int) -> int:
-        """The stamp of the colour picture."""
+        """The timestamp of the colour image."""
         return self._pairs[image][0].stamp_ns
 
     def frame(self, image: int) -> RgbdFrame:
-        """Colour and depth. Raises InputError where they are broken, or of another size than the first."""
+        """Colour and depth. Raises InputError if they are broken, or differ in size from the first images."""
         color, depth = (
             stream.at(place)
             for stream, place in zip((self._color, self._depth), self._pairs[image], strict=True)
@@ -96,14 +97,14 @@ class RosbagScene:
 
 @dataclass(frozen=True, order=True)
 class _Place:
-    """A message: the stamp in its header, and when it was recorded."""
+    """Identifies a message: the timestamp in its header, and the time at which it was recorded."""
 
     stamp_ns: int
     log_ns: int
 
 
 def _paired(colors: list[_Place], depths: list[_Place]) -> list[tuple[_Place, _Place]]:
-    """Each colour picture with its depth, in the order of their stamps; those without one are left out."""
+    """Each colour image with its depth image, in order of time; colour images without one are left out."""
     colors, depths = sorted(colors), sorted(depths)
     gaps = sorted(b.stamp_ns - a.stamp_ns for a, b in pairwise(colors))
     reach_ns = (gaps[len(gaps) // 2] if gaps else _USUAL_NS) // 2
@@ -118,7 +119,7 @@ def _paired(colors: list[_Place], depths: list[_Place]) -> list[tuple[_Place, _P
 
 
 class _Stream:
-    """The messages of one topic; those after one another are read in one go."""
+    """The messages of one topic. Consecutive ones are read without a new search in the file."""
 
     def __init__(self, path: Path, topic: str) -> None:
         self._path, self.topic = path, topic
@@ -126,17 +127,17 @@ class _Stream:
         self._last: _Place | None = None
         self.places = [message.place for message in _messages(path, topic)]
         if any(place.stamp_ns == 0 for place in self.places):
-            raise InputError(f"{path}, {topic}", found="a picture without a stamp", expected="header.stamp")
+            raise InputError(f"{path}, {topic}", found="image without a timestamp", expected="header.stamp")
 
     def at(self, place: _Place) -> Any:
-        """A message."""
+        """The message at this place."""
         if self._last is None or place.log_ns <= self._last.log_ns:
             self._left = _messages(self._path, self.topic, place.log_ns)
         for message in self._left:
             if message.place == place:
                 self._last = place
                 return message.read()
-        raise InputError(self._path, found="another bag than before", expected="a file that nobody changes")
+        raise InputError(self._path, found="another bag than before", expected="a file that does not change")
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ class _Message:
     place: _Place
 
     def read(self) -> Any:
-        """The message itself."""
+        """The deserialised message."""
         try:
             return self.reader.deserialize(self.raw, self.kind)
         except Exception as error:
@@ -156,8 +157,8 @@ class _Message:
 
 
 def _messages(path: Path, topic: str, since_ns: int | None = None) -> Iterator[_Message]:
-    """Of one topic, in the order in which they were recorded. The reader is its own, because some give one
-    iterator at a time, and is closed with it."""
+    """The messages of one topic, in the order in which they were recorded. Each iterator has its own reader,
+    because some readers support only one iterator at a time; the reader is closed with it."""
     with _opened(path) as reader:
         ours = [one for one in reader.connections if one.topic == topic]
         with closing(reader.messages(ours, start=since_ns)) as messages:
@@ -166,11 +167,11 @@ def _messages(path: Path, topic: str, since_ns: int | None = None) -> Iterator[_
 
 
 _SAME_CAMERA = {"k": 0.5, "d": 1e-3, "p": 0.5}
-"""How much the numbers of a camera may differ in one bag: half a pixel, and as much of its lens."""
+"""Largest differences within one bag: half a pixel in K and P, 0.001 in the distortion coefficients D."""
 
 
 def _check_one_camera(path: Path, topic: str) -> None:
-    """Raises InputError where the CameraInfo of a topic changes: another size, zoom or focus, say."""
+    """Raises InputError if the CameraInfo of a topic changes, for example in size, zoom or focus."""
     first, first_ns = None, 0
     for message in _messages(path, topic):
         info = message.read()
@@ -183,12 +184,12 @@ def _check_one_camera(path: Path, topic: str) -> None:
             found=f"another {what} {(message.place.log_ns - first_ns) * 1e-9:.2f} s after its first message "
             f"(stamp {message.place.stamp_ns * 1e-9:.3f})",
             expected="one camera in all of the bag",
-            fix="Cut the bag there, or record with a size, zoom and focus that stay.",
+            fix="Cut the bag there, or record with constant size, zoom and focus.",
         )
 
 
 def _changed(one: Any, other: Any) -> str | None:
-    """What of a camera differs between two messages."""
+    """What differs between two messages of a camera; None if nothing does."""
     if (one.width, one.height) != (other.width, other.height):
         return f"size ({other.width} x {other.height})"
     differs = (k for k, by in _SAME_CAMERA.items() if not _same(field(one, k), field(other, k), by))
@@ -196,14 +197,14 @@ def _changed(one: Any, other: Any) -> str | None:
 
 
 def _stamp_ns(raw: bytes, is2: bool) -> int:
-    """The stamp, without reading the picture. It stands behind `seq` in ROS 1, in ROS 2 behind the four bytes
-    of CDR, the second of which says how numbers are written."""
+    """The timestamp, without decoding the image. It follows `seq` in ROS 1, and the four bytes of the CDR
+    header in ROS 2, the second of which gives the byte order."""
     seconds, nanoseconds = struct.unpack_from(">II" if is2 and not raw[1] & 1 else "<II", raw, 4)
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 def _firsts(path: Path) -> dict[str, Any]:
-    """The first message of each topic of pictures or of a camera."""
+    """The first message of each topic of images or CameraInfo."""
     found: dict[str, Any] = {}
     with _opened(path) as reader:
         for one in sorted(reader.connections, key=lambda one: one.topic):
@@ -224,15 +225,15 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     if not path.exists() or (path.is_dir() and not (path / "metadata.yaml").is_file()):
         raise _broken(path, "no metadata.yaml in it" if path.exists() else "no such file")
     try:
-        # Bags of older ROS 2 have no definitions of their types.
+        # Bags of older ROS 2 versions have no definitions of their types.
         reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
         reader.open()
         try:
             yield reader
         finally:
-            with suppress(Exception):  # it loads modules, which an interpreter that ends has no more
+            with suppress(Exception):  # it imports modules, which fails while the interpreter shuts down
                 reader.close()
-    except Exception as error:  # rosbags lets through whatever its parsers trip over
+    except Exception as error:  # rosbags passes on errors of any type from its parsers
         raise _broken(path, error) from error
 
 
@@ -241,20 +242,20 @@ def _broken(path: Path, error: Exception | str) -> InputError:
         return InputError(
             path,
             found="a file of another program than ROS",
-            expected="a bag of ROS",
+            expected="a ROS bag",
             fix="A recording of `huepose record` is played with `source: recording`.",
         )
     return InputError(
         path,
         found=" ".join(str(error).split())[:200] or type(error).__name__,
-        expected="a whole .bag of ROS 1, or the folder of a bag of ROS 2, with its metadata.yaml",
+        expected="a complete .bag of ROS 1, or the folder of a ROS 2 bag, with its metadata.yaml",
         fix=instead_of_film(path)
-        or "One whose recording was cut off is mended by `rosbag reindex` or `ros2 bag reindex`.",
+        or "`rosbag reindex` or `ros2 bag reindex` repairs a bag whose recording was cut off.",
     )
 
 
 class _Choice:
-    """Which topics of a bag belong together: those named, else the only ones that fit."""
+    """Chooses the topics of a bag: those named by the user, else the only ones that fit."""
 
     def __init__(self, path: Path, firsts: Mapping[str, Any], topics: Topics | None) -> None:
         self._path, self._topics, self._can_name = path, topics or Topics(), topics is not None
@@ -286,20 +287,20 @@ class _Choice:
             raise InputError(
                 where,
                 found=f"a camera of {info.width} x {info.height}{_partly(info)}",
-                expected=f"{width} x {height}, as the pictures of {self.color}",
-                fix=self._named_or("name another: camera.info_topic", "record the one of these pictures."),
+                expected=f"{width} x {height}, as the images of {self.color}",
+                fix=self._named_or("name another: camera.info_topic", "record the one of these images."),
             )
-        # By convention of image_proc.
+        # By convention of image_proc, topics named image_rect* have rectified images.
         self.camera = camera_of(info, _base(self.color).rpartition("/")[2].startswith("image_rect"), where)
 
     def _candidates(self, kind: str, named: str | None) -> list[str]:
-        """The topic that is named, or all of a kind; not those that are another one, compressed."""
+        """The topic that is named, or all topics of a kind, without compressed copies of another topic."""
         read = color_of if kind == "color" else depth_of
         if named is not None:
             if named not in self._first:
                 raise InputError(
                     f"camera.{kind}_topic {named}",
-                    found="no pictures of that name",
+                    found="no images of that name",
                     expected=f"a topic of {self._path}: {self._listed()}",
                 )
             read(self._first[named], f"{self._path}, {named}")
@@ -307,25 +308,25 @@ class _Choice:
         found = [topic for topic, message in self._first.items() if kind_of(message) == kind]
         others = [topic for topic, message in self._first.items() if kind_of(message) is None]
         if not found and len(others) == 1:
-            read(self._first[others[0]], f"{self._path}, {others[0]}")  # says why it is none
+            read(self._first[others[0]], f"{self._path}, {others[0]}")  # raises an error with the reason
         if not found:
             raise InputError(
                 self._path,
-                found=f"no {'colour' if kind == 'color' else 'depth'} pictures, but {self._listed()}",
-                expected="sensor_msgs/Image of colour, and of depth in its pixels",
+                found=f"no {'colour' if kind == 'color' else 'depth'} images, but {self._listed()}",
+                expected="sensor_msgs/Image of colour, and of depth that is aligned to it",
             )
         return [topic for topic in found if topic == _base(topic) or _base(topic) not in found]
 
     def _apart(self, color: str, depth: str) -> str | None:
-        """Why depth does not lie in the pixels of colour; None where nothing says so."""
+        """Why depth is not aligned to colour; None if there is no sign of that."""
         size = color_of(self._first[color], f"{self._path}, {color}").shape[1::-1]
         depth_size = depth_of(self._first[depth], f"{self._path}, {depth}").shape[::-1]
         if size != depth_size:
             return "depth of {} x {}, and colour of {} x {}".format(*depth_size, *size)
-        unsaid = _beside(depth) not in self._infos and self._topics.depth is None
-        if unsaid and _base(depth).endswith(_UNALIGNED) and not _base(color).endswith(_SAME_SENSOR):
-            way_out = " (if it is, name it: camera.depth_topic)" if self._can_name else ""
-            return f"no CameraInfo of RealSense's own depth, which is not aligned to colour{way_out}"
+        unknown = _beside(depth) not in self._infos and self._topics.depth is None
+        if unknown and _base(depth).endswith(_UNALIGNED) and not _base(color).endswith(_SAME_SENSOR):
+            advice = " (if it is, name it: camera.depth_topic)" if self._can_name else ""
+            return f"no CameraInfo of RealSense's own depth, which is not aligned to colour{advice}"
         if _beside(depth) not in self._infos:
             return None
         ours, its = self._infos[self._info_of(color)], self._infos[_beside(depth)]
@@ -353,35 +354,35 @@ class _Choice:
         return named
 
     def _named_or(self, named: str, other: str) -> str:
-        """What to do: the first, where there is such a thing and topics can be named, or the other."""
+        """What to do: `named` (if it is not empty, and topics can be named) or `other`."""
         fix = f"{named}, or {other}" if named and self._can_name else other
         return fix[0].upper() + fix[1:]
 
     def _listed(self) -> str:
-        return ", ".join(f"{t} ({encoding_of(m)})" for t, m in self._first.items()) or "no pictures"
+        return ", ".join(f"{t} ({encoding_of(m)})" for t, m in self._first.items()) or "no images"
 
 
 def _base(topic: str) -> str:
-    """The topic that image_transport has made another one of."""
+    """The topic without the suffix of a transport of image_transport."""
     return next((topic.removesuffix(t) for t in _TRANSPORTS if topic.endswith(t)), topic)
 
 
 def _beside(topic: str) -> str:
-    """Where the CameraInfo of a topic of pictures is, by convention."""
+    """The CameraInfo topic of an image topic, by convention."""
     return _base(topic).rpartition("/")[0] + "/camera_info"
 
 
 def _partly(info: Any) -> str:
-    """What a CameraInfo says of pictures that are not whole, which is not read, in words."""
+    """Binning and region of interest of a CameraInfo, which are not supported, in words; else empty."""
     binning, roi = f"{info.binning_x} x {info.binning_y}", info.roi
     parts = [f"binning {binning}"] if max(info.binning_x, info.binning_y) > 1 else []
     if roi.width and (roi.width, roi.height) != (info.width, info.height):
         parts.append(f"a roi of {roi.width} x {roi.height} at {roi.x_offset}, {roi.y_offset}")
-    return f" with {' and '.join(parts)}, of which nothing is read" if parts else ""
+    return f" with {' and '.join(parts)}, which is not supported" if parts else ""
 
 
 def _same(one: Any, other: Any, tolerance: float) -> bool:
-    """Whether numbers are the same, up to zeros at their end."""
+    """Whether numbers are the same, apart from zeros at the end."""
     a, b = (np.asarray(x, np.float64).ravel() for x in (one, other))
     a, b = (np.pad(x, (0, max(len(a), len(b)) - len(x))) for x in (a, b))
     return bool(np.allclose(a, b, rtol=0, atol=tolerance))

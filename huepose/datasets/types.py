@@ -1,4 +1,4 @@
-"""What every data set yields: frames, and the truth about them."""
+"""Types that all data sets share: frames and their ground truth."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
 
 VISIBLE, GONE = 0.3, 0.1
-"""Shares of an object from which it counts as visible, and under which it is as good as gone: what is between
-decides nothing. BOP asks for labels that show the second."""
+"""Visible shares of an object: from the first on it counts as visible, under the second as gone; between
+them as neither. BOP's targets are labels from the second on."""
 
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
     """One labelled object of one frame.
 
-    object_id: the BOP id, None where the set has names only; object: the reference model's name, None where
-    the set has ids only; instance: index among the labels of the frame (BOP: in `scene_gt.json`).
-    T_cam_obj (4, 4) metres, in the reference model's frame, None where the pose is not labelled;
-    visib_fract: visible share of the silhouette, 0..1, None where unknown; box_visib: bounds of the visible
-    pixels as the set states them; mask_loader: reads the visible mask (H, W) when it is asked for.
+    object_id: the BOP id, None if the data set has only names; object: the reference model's name, None if
+    the data set has only ids; instance: index among the labels of the frame (BOP: in `scene_gt.json`);
+    T_cam_obj (4, 4): metres, of the reference model's frame, None if the pose is not labelled; visib_fract:
+    visible share of the outline, 0..1, None if unknown; box_visib: bounds of the visible pixels from the
+    data set; mask_loader: reads the visible mask (H, W).
     """
 
     instance: int
@@ -35,7 +35,7 @@ class GroundTruth:
     mask_loader: Callable[[], Bool] | None = field(default=None, repr=False)
 
     def mask(self) -> Bool | None:
-        """The visible mask (H, W), or None where the set has none. Raises InputError on a broken file."""
+        """The visible mask (H, W); None if the data set has none. Raises InputError for a broken file."""
         return None if self.mask_loader is None else self.mask_loader()
 
     def shows(self, share: float) -> bool:
@@ -44,12 +44,12 @@ class GroundTruth:
 
     @property
     def visible(self) -> bool:
-        """At least VISIBLE is; unknown counts as visible."""
+        """At least the share VISIBLE is visible; unknown counts as visible."""
         return self.shows(VISIBLE)
 
     @property
     def gone(self) -> bool:
-        """Less than GONE is visible."""
+        """Less than the share GONE is visible; unknown does not count as gone."""
         return self.visib_fract is not None and self.visib_fract < GONE
 
 
@@ -64,12 +64,12 @@ class Sample:
 
     @staticmethod
     def of(scene: Scene, image: int) -> Sample:
-        """Of a scene's image. Raises InputError on a broken file."""
+        """The sample of a scene's image. Raises InputError for a broken file."""
         return Sample(scene.frame(image), scene.truths(image), scene.name, image)
 
 
 class Scene(Protocol):
-    """What readers of recorded scenes have in common. `image` is always the number in the file name."""
+    """Interface of readers of recorded scenes. `image` is always the number in the file name."""
 
     @property
     def name(self) -> str:
@@ -82,20 +82,20 @@ class Scene(Protocol):
         ...
 
     def stamp_ns(self, image: int) -> int:
-        """Capture time: the set's own, else the image number at 30 Hz."""
+        """Capture time: that of the data set, else the time of the image number at 30 Hz."""
         ...
 
     def frame(self, image: int) -> RgbdFrame:
-        """Colour and depth, read from disk. Raises InputError, naming the file, where they are broken."""
+        """Colour and depth, read from disk. Raises InputError, naming the file, if one is broken."""
         ...
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
-        """The labels, without reading any picture."""
+        """The labels; no image is read."""
         ...
 
 
 class SomeImages:
-    """A scene of which only some images are used."""
+    """A scene limited to some of its images."""
 
     def __init__(self, scene: Scene, image_ids: Sequence[int]) -> None:
         self.image_ids = tuple(image_ids)

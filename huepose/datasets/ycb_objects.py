@@ -1,6 +1,6 @@
-"""The 21 objects of YCB-Video: names, BOP ids, and how the model frames in use lie to each other.
+"""The 21 objects of YCB-Video: names, BOP ids, and the transforms between the model frames in use.
 
-The numbers and where they come from are in `ycb_objects.json`.
+The numbers and their sources are in `ycb_objects.json`.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Float, Float64
 
 _SAME = 0.01
-"""Share by which a diameter may differ: meshes of one object differ by 0.3 %, two objects by more."""
+"""Share by which a diameter may differ: meshes of the same object differ by 0.3 %, different objects by
+more."""
 
 
 @dataclass(frozen=True, eq=False)
 class YcbObject:
-    """diameter_m: None where unknown; frame_offset_m (3,): takes a point of the PoseCNN (YCB-Video) frame to
-    BOP's; T_nvdu_posecnn (4, 4): to NVIDIA's frame, None where unknown."""
+    """diameter_m: None if unknown; frame_offset_m (3,): offset from the PoseCNN (YCB-Video) frame to BOP's,
+    added to points; T_nvdu_posecnn (4, 4): from the PoseCNN frame to NVIDIA's, None if unknown."""
 
     object_id: int
     name: str
@@ -36,7 +37,7 @@ class YcbObject:
 
 @cache
 def ycb_objects() -> Mapping[int, YcbObject]:
-    """All 21, by BOP id."""
+    """All 21 objects, by BOP id."""
     path = Path(__file__).with_name("ycb_objects.json")
     return {entry["id"]: _object(entry, path) for entry in json.loads(path.read_text())["objects"]}
 
@@ -66,7 +67,7 @@ def ycb_named(name: str) -> YcbObject | None:
 
 
 def is_ycbv(diameters_mm: Mapping[int, float]) -> bool:
-    """A models folder with these diameters by BOP id is YCB-Video's: those known here agree by 1 %."""
+    """Whether the diameters by BOP id of a models folder are YCB-Video's: those known here agree to 1 %."""
     pairs = [
         (diameters_mm[i], 1000.0 * known.diameter_m)
         for i, known in ycb_objects().items()
@@ -76,5 +77,6 @@ def is_ycbv(diameters_mm: Mapping[int, float]) -> bool:
 
 
 def T_posecnn_obj(frame_offset_m: Float) -> Float64:
-    """From the reference model's frame to PoseCNN's (4, 4), of the offset (3,) the other way round."""
+    """T (4, 4) from the reference model's frame to PoseCNN's; frame_offset_m (3,) is for the other
+    direction."""
     return se3.make(np.eye(3), -np.asarray(frame_offset_m, dtype=np.float64))

@@ -1,6 +1,6 @@
-"""YCB-Video as BOP has it (`test/`, `test_targets_bop19.json`), and what of a download is missing.
+"""YCB-Video in BOP's layout (`test/`, `test_targets_bop19.json`), and what is missing in a download.
 
-The images that count are those of the targets, where the folder has that list.
+If the folder has the list of targets, only its images count.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from huepose.geometry.frame import RgbdFrame
 from huepose.support.errors import InputError
 
 Targets = Mapping[tuple[int, int], Mapping[int, int]]
-"""By (scene, image), how many instances of which object are asked for."""
+"""By (scene, image) and object id: number of instances in the list of targets."""
 
 
 @dataclass(frozen=True, eq=False)
 class Coverage:
-    """What is there of what is asked for. asked: images by scene, of the list; there: of these on disk;
-    targets, targets_there: labels by object id; listed: the file with the list, None where there is none."""
+    """Which of the listed images are on disk. asked: number of listed images by scene; there: how many of
+    these are on disk; targets, targets_there: the same for labels, by object id; listed: the file with the
+    list, None if there is none."""
 
     asked: Mapping[int, int]
     there: Mapping[int, int]
@@ -33,7 +34,7 @@ class Coverage:
     listed: str | None = None
 
     def lines(self) -> list[str]:
-        """In words; one line where all is there."""
+        """The coverage in words; one line if nothing is missing."""
         if self.listed is None:
             return [
                 f"no list of test images: all {sum(self.there.values())} images of "
@@ -57,8 +58,8 @@ class Coverage:
 
 @dataclass(frozen=True, eq=False)
 class YcbvFolder:
-    """scenes: with the images that count; coverage: what is missing; models: folder of textured meshes, None
-    where there is none; info: models_info.json of the meshes that errors are measured on, or None."""
+    """scenes: limited to the images that count; coverage: what is missing; models: folder of textured meshes,
+    None if there is none; info: models_info.json of the meshes for the errors, or None."""
 
     scenes: tuple[Scene, ...]
     coverage: Coverage
@@ -67,7 +68,7 @@ class YcbvFolder:
 
 
 def open_ycbv(path: Path | str) -> YcbvFolder:
-    """Look what is there. Raises InputError for a folder of another layout."""
+    """Find scenes and models in a download. Raises InputError for a folder with another layout."""
     root = Path(path)
     if not root.is_dir():
         raise InputError(root, found="no such folder", expected="a download of YCB-Video")
@@ -77,7 +78,7 @@ def open_ycbv(path: Path | str) -> YcbvFolder:
         raise InputError(
             root,
             found=names,
-            expected="test/NNNNNN/scene_camera.json, as BOP has YCB-Video",
+            expected="test/NNNNNN/scene_camera.json, as in BOP's YCB-Video",
             fix="Unpack BOP's archive (ycbv_test_bop19.zip), and give the folder that holds it.",
         )
     there = {
@@ -118,7 +119,7 @@ def read_targets(path: Path) -> Targets:
 def _chosen(
     there: Mapping[int, Scene], targets: Targets | None, listed: str
 ) -> tuple[tuple[Scene, ...], Coverage]:
-    """The scenes with the images that are asked for, and what is missing."""
+    """The scenes limited to the listed images, and the coverage."""
     if targets is None:
         found = {n: len(scene.image_ids) for n, scene in there.items()}
         return tuple(there.values()), Coverage(found, found)
@@ -146,10 +147,10 @@ def _chosen(
 
 
 class TargetImages:
-    """A scene of which only some images count, and of their labels only the objects that are asked for."""
+    """A scene limited to the listed images, and to the labels of the listed objects."""
 
     def __init__(self, scene: Scene, wanted: Mapping[int, Mapping[int, int]]) -> None:
-        """wanted: by image, how many labels of which object id."""
+        """wanted: by image and object id, the number of labels."""
         self._scene, self._wanted = scene, wanted
         self.name, self.image_ids = scene.name, tuple(wanted)
         self.stamp_ns = scene.stamp_ns
@@ -159,7 +160,7 @@ class TargetImages:
         return self._scene.frame(image)
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
-        """The labels that are asked for: of an object those that show most."""
+        """The labels of the listed objects: of each object the most visible ones, as many as listed."""
         truths, left = self._scene.truths(image), dict(self._wanted[image])
         chosen = set[int]()
         for truth in sorted(truths, key=lambda t: -(t.visib_fract or 0.0)):
@@ -170,9 +171,10 @@ class TargetImages:
 
 
 def spread(scenes: Sequence[Scene], count: int) -> tuple[Scene, ...]:
-    """About `count` images, the same share of every scene and evenly spaced in it; one a scene at least.
+    """About `count` images: the same share of every scene, evenly spaced, at least one per scene.
 
-    In a scene of YCB-Video the same objects lie in all images, so this is even over objects as well."""
+    In a scene of YCB-Video all images show the same objects, so the images are also spread evenly over
+    objects."""
     total = sum(len(scene.image_ids) for scene in scenes)
     chosen: list[Scene] = []
     for scene in scenes:

@@ -32,7 +32,7 @@ def test_images_are_listed_in_numeric_order_and_only_those_on_disk(bop_scene: Pa
 
 def test_a_scene_of_grey_pictures_is_called_one(bop_scene: Path) -> None:
     (bop_scene / "rgb").rename(bop_scene / "gray")
-    with pytest.raises(InputError, match=r"found grey pictures, gray/ and no rgb/; .*HuePose needs colour"):
+    with pytest.raises(InputError, match=r"found grey images, gray/ and no rgb/; .*HuePose needs colour"):
         BopScene(bop_scene)
 
 
@@ -200,7 +200,7 @@ def test_the_folder_of_scenes_is_answered_with_their_names(
         BopScene(tmp_path / "set")
     assert (raised.value.found, raised.value.expected) == (
         f"a folder of 1 scene: {place}",
-        f"the folder of one, as {scene}",
+        f"the folder of one scene, for example {scene}",
     )
 
 
@@ -218,15 +218,15 @@ def test_what_is_missing_of_pictures_is_said_with_its_first_number(bop_scene: Pa
     edit(bop_scene / "scene_camera.json", lambda r: (r.pop("10"), r["100"].pop("cam_K"), r.update({"7": 3})))
     left = "they are left out when it is played"
     assert BopScene(bop_scene).gaps() == [
-        f"{bop_scene}: 1 of 4 pictures are not in rgb/, the first is number 7; {left}",
-        f"{bop_scene}: 2 of 4 pictures are not in depth/, the first is number 10; {left}",
-        f"{bop_scene}: 3 of 4 pictures are not in scene_camera.json with cam_K and depth_scale, the first is "
+        f"{bop_scene}: 1 of 4 images are not in rgb/, the first is number 7; {left}",
+        f"{bop_scene}: 2 of 4 images are not in depth/, the first is number 10; {left}",
+        f"{bop_scene}: 3 of 4 images are not in scene_camera.json with cam_K and depth_scale, the first is "
         f"number 7; {left}",
     ]
 
 
 def test_depth_of_another_name_than_its_picture_is_missing(bop_scene: Path) -> None:
     (bop_scene / "depth" / "000010.png").rename(bop_scene / "depth" / "10.png")
-    assert "1 of 3 pictures are not in depth/, the first is number 10" in BopScene(bop_scene).gaps()[0]
+    assert "1 of 3 images are not in depth/, the first is number 10" in BopScene(bop_scene).gaps()[0]
     with pytest.raises(InputError, match=r"000010\.png"):
         BopScene(bop_scene).frame(10)

@@ -111,6 +111,6 @@ def test_what_is_missing_of_pictures_is_said_with_its_first_number(fast_sequence
     packed_depth(fast_sequence)
     assert FastYcbSequence(fast_sequence, None).with_depth == (0, 2)
     assert FastYcbSequence(fast_sequence, None).gaps() == [
-        f"{fast_sequence}: 1 of 3 pictures are not in depth/, the first is number 1; they are left out when "
+        f"{fast_sequence}: 1 of 3 images are not in depth/, the first is number 1; they are left out when "
         "it is played"
     ]

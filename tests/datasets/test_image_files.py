@@ -136,7 +136,7 @@ def test_the_name_of_ros_for_a_distortion_means_the_same(files) -> None:
     [
         (np.ones((HEIGHT, WIDTH), np.float32), "depth.tif", r"float32 .* \(depth \* 1000\)\.astype"),
         (np.ones((HEIGHT, WIDTH), np.uint8), "depth.png", r"uint8 values in 1 channel; .*256 steps"),
-        (np.ones((HEIGHT, WIDTH, 3), np.uint8), "depth.png", r"3 channels; .*coloured picture"),
+        (np.ones((HEIGHT, WIDTH, 3), np.uint8), "depth.png", r"3 channels; .*coloured image"),
     ],
 )
 def test_depth_of_another_type_is_answered_with_what_to_save(files, values, name: str, says: str) -> None:
@@ -216,7 +216,7 @@ def test_depth_in_wrong_units_is_an_error(files, scale_m: float) -> None:
 
 def test_depth_in_the_place_of_colour_is_an_error(files) -> None:
     _, depth, camera = files
-    with pytest.raises(InputError, match=r"found uint16 values; expected a colour picture of 8 bit values"):
+    with pytest.raises(InputError, match=r"found uint16 values; expected a colour image with 8 bit values"):
         read_frame(depth, depth, camera)
 
 

@@ -214,7 +214,7 @@ def test_of_several_pairs_one_is_named(tmp_path: Path) -> None:
     assert all(part in said for part in ("2 pairs", COLOR, "/rear/image_raw (rgb8)", "camera.color_topic"))
     assert "Leave others out" in refusal(path, None)
     assert RosbagScene(path, Topics(color=COLOR)).topics.depth == DEPTH
-    assert "no pictures of that name" in refusal(path, Topics(color="/nothing"))
+    assert "no images of that name" in refusal(path, Topics(color="/nothing"))
     assert "camera.info_topic /x: found no CameraInfo" in refusal(path, Topics(color=COLOR, info="/x"))
 
 
@@ -287,9 +287,9 @@ def test_what_cannot_be_used_is_said(tmp_path: Path) -> None:
     assert "Name another: camera.info_topic, or record" in refusal(path)
     assert "camera.info_topic" not in refusal(path, None), "who cannot name it is not told to"
     flat = [(t, ns, m) for t, ns, m in desk(ros) if t != DEPTH]
-    assert f"no depth pictures, but {COLOR} (rgb8)" in refusal(ros.write(tmp_path / "flat", flat))
+    assert f"no depth images, but {COLOR} (rgb8)" in refusal(ros.write(tmp_path / "flat", flat))
     unset = desk(ros, color=lambda n, ns: ros.image(COLORS[n], "rgb8", 0))
-    assert "without a stamp" in refusal(ros.write(tmp_path / "unset", unset))
+    assert "without a timestamp" in refusal(ros.write(tmp_path / "unset", unset))
     late = desk(ros, depth=lambda n, ns: ros.image(DEPTHS_MM[n], "16UC1", ns + 10**9))
     assert "no depth of" in refusal(ros.write(tmp_path / "late", late))
     binned = desk(ros)
@@ -297,7 +297,7 @@ def test_what_cannot_be_used_is_said(tmp_path: Path) -> None:
         if hasattr(message, "binning_x"):
             message.width, message.height, message.binning_x, message.binning_y = WIDTH * 2, HEIGHT * 2, 2, 2
     said = refusal(ros.write(tmp_path / "binned", binned))
-    assert f"a camera of {WIDTH * 2} x {HEIGHT * 2} with binning 2 x 2, of which nothing is read;" in said
+    assert f"a camera of {WIDTH * 2} x {HEIGHT * 2} with binning 2 x 2, which is not supported;" in said
     fisheye = [*desk(ros, [0.1] * 4)]
     for _, _, message in fisheye:
         if hasattr(message, "distortion_model"):
@@ -333,7 +333,7 @@ def test_a_broken_bag_is_one_paragraph_and_exit_code_2(
 
 def test_who_gives_a_film_is_told_what_to_record_instead(tmp_path: Path) -> None:
     (tmp_path / "turned.mp4").write_bytes(b"\0\0\0\x20ftypisom")
-    assert "A film has no depth" in refusal(tmp_path / "turned.mp4")
+    assert "A video has no depth" in refusal(tmp_path / "turned.mp4")
 
 
 def test_a_recording_of_huepose_is_told_from_a_bag(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_the_targets_say_which_images_and_labels_count(bop_download: Path) -> No
 def test_grey_pictures_are_called_so(bop_download: Path) -> None:
     scene = bop_download / "test" / "000003"
     (scene / "rgb").rename(scene / "gray")
-    with pytest.raises(InputError, match=r"000003: found grey pictures, gray/ and no rgb/; .*needs colour"):
+    with pytest.raises(InputError, match=r"000003: found grey images, gray/ and no rgb/; .*needs colour"):
         open_ycbv(bop_download)
 
 
@@ -101,7 +101,7 @@ def test_fast_ycb_is_found_below_a_folder_and_what_is_missing_is_said(fast_seque
     found, notes = labelled_sequences(root)
     assert found == [fast_sequence]
     assert "not labelled" in notes[0]
-    assert notes[1] == "006_mustard_bottle_real: 3 pictures and 2 depth files of 3 frames are there"
+    assert notes[1] == "006_mustard_bottle_real: 3 colour images and 2 depth files of 3 frames are there"
     assert FastYcbSequence(fast_sequence, OFFSET_M).with_depth == (0, 2)
     with pytest.raises(InputError, match="not labelled"):
         labelled_sequences(unlabelled)

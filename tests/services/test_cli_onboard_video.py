@@ -127,7 +127,7 @@ def test_a_file_that_is_no_recording_is_not_taken_for_a_folder(
     assert main(given_for(tmp_path / name, tmp_path / "bundles")) == 2
     said = capsys.readouterr().err
     assert f"{name}: found {found}; expected a recording" in said
-    assert ("A film has no depth, which HuePose needs: record colour with depth" in said) == (
+    assert ("A video has no depth, which HuePose needs: record colour with depth" in said) == (
         name == "film.mp4"
     )
 

@@ -18,7 +18,7 @@ def test_scenes_of_the_builtin_objects_are_drawn_with_their_meshes(
     scene = BopScene(out)
     assert sorted(t.object_id or 0 for t in scene.truths(0)) == [1, 2]
     assert sorted(p.name for p in (out / "models").glob("*.obj")) == ["obj_000001.obj", "obj_000002.obj"]
-    assert "drawn with other settings" in refused([*arguments, "--seed", "4"])
+    assert "rendered with other settings" in refused([*arguments, "--seed", "4"])
     assert main([*arguments, "--seed", "3", "--kind", "piles"]) == BAD_INPUT
     assert main(["render-scenes", "--models", "builtin", "--out", str(out), "--objects", "7"]) == BAD_INPUT
     assert main(["render-scenes", "--models", "builtin", "--out", str(out), "--frames", "0"]) == BAD_INPUT

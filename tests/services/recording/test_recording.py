@@ -273,7 +273,7 @@ def test_what_was_recorded_is_never_deleted(tmp_path, monkeypatch, capsys):
 def test_who_gives_a_film_is_told_what_to_record_instead(tmp_path):
     film = tmp_path / "turned.MP4"
     film.write_bytes(b"\0\0\0\x20ftypisom")
-    with pytest.raises(InputError, match=r"another kind of file; .* A film has no depth, .*`huepose record`"):
+    with pytest.raises(InputError, match=r"another kind of file; .* video has no depth, .*`huepose record`"):
         Recording(film)
 
 

@@ -174,7 +174,7 @@ def test_stamps_of_wall_time_are_told(tmp_path, capsys, monkeypatch, python_came
     camera = {"source": "python", "path": "cam.py", "rate": 4}
     (tmp_path / "pipeline.yaml").write_text(json.dumps({"camera": camera, "workers": ["camera"]}))
     assert main(["doctor", str(tmp_path / "pipeline.yaml"), "--camera", "--json"]) == 1
-    (said,) = [f for f in json.loads(capsys.readouterr().out) if "time stamps" in f["found"]]
+    (said,) = [f for f in json.loads(capsys.readouterr().out) if "timestamps" in f["found"]]
     assert said["state"] == "bad"
     assert "Give the time.monotonic_ns()" in said["found"]
 

@@ -1,1 +1,1 @@
-"""The camera worker: one module per source, and `ingest`, which publishes what they give, on time."""
+"""The camera worker: one module per source, and `ingest`, which publishes their frames on time."""

@@ -1,9 +1,9 @@
 """Map a camera's own clock to CLOCK_MONOTONIC, with its drift removed.
 
-A picture arrives a while after it was captured: a fixed part that nothing on the host can see, and a part
-that varies and is never negative. So the pairs (device time, arrival) lie above a line, and those that
-travelled fastest lie on it. The line is fitted to the fastest pair of each second of the last minute (the
-lower side of their convex hull); its slope is the drift, a few parts in a hundred thousand on real cameras.
+An image arrives some time after its capture. This delay has a fixed part, which the host cannot measure,
+and a varying part, which is never negative. So the pairs (device time, arrival) lie above a line, and the
+fastest ones lie on it. The line is fitted to the fastest pair of each second of the last minute (the lower
+side of their convex hull); its slope is the drift, a few parts in a hundred thousand on real cameras.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _DRIFT_NEEDS_NS = 5 * SECOND
 
 
 class DeviceClock:
-    """Feed it every picture; it answers with the capture time on CLOCK_MONOTONIC.
+    """Call it for every image; it returns the capture time on CLOCK_MONOTONIC.
 
-    Stamps increase, and are never later than the arrival where the arrivals increase. A device clock that
-    jumps or starts anew begins a new line and counts in `restarts`.
+    The returned timestamps increase. They are never later than the arrival, provided that the arrivals
+    increase. If the device clock jumps or restarts, a new line begins; `restarts` counts this.
 
     >>> clock = DeviceClock()
     >>> clock.capture_ns(5_000, arrived_ns=105_000)
@@ -37,33 +37,35 @@ class DeviceClock:
         self._bucket: int | None = None
         self._origin = (0, 0)
         self.drift = 0.0
-        """Seconds that this machine's clock gains on the device's in a second."""
+        """Seconds by which this machine's clock gains on the device's clock in one second."""
         self._last: tuple[int, int, int] | None = None
 
     def capture_ns(self, device_ns: int, arrived_ns: int) -> int:
-        """When the picture with that device time was captured, as far as the fastest pictures tell."""
+        """The capture time of the image with that device time, estimated from the fastest images."""
         if self._last is not None and self._jumped(device_ns, arrived_ns):
             self.restarts += 1
             self._fastest.clear()
             self._bucket, self.drift = None, 0.0
         if not self._fastest:
             self._origin = (device_ns, arrived_ns)
-        # Nanoseconds since boot do not fit a float's 53 bits for long: all is relative to the origin.
+        # Nanoseconds since boot soon need more than a float's 53 bits: all is relative to the origin.
         device, arrived = device_ns - self._origin[0], arrived_ns - self._origin[1]
         self._learn(device, arrived)
         at, behind = self._line()
         stamp = round(device + behind + self.drift * (device - at)) + self._origin[1]
         stamp = min(stamp, arrived_ns)
         if self._last is not None:
-            # Where the line comes down, the last stamp was too late. Those behind it are nearer together
-            # until the line is reached: a tracker could make nothing of frames without time between them.
+            # If the line moves down, the last timestamp was too late. The following ones are closer
+            # together until they reach the line; they must not be equal, because a tracker needs time
+            # between two frames.
             before_ns, last = self._last[0], self._last[2]
             stamp = max(stamp, min(last + (device_ns - before_ns) // 2, arrived_ns), last + 1)
         self._last = (device_ns, arrived_ns, stamp)
         return stamp
 
     def _jumped(self, device_ns: int, arrived_ns: int) -> bool:
-        """A picture cannot arrive before it was captured, and seldom does it travel for seconds."""
+        """Whether the device clock jumped: by the line, the image arrives before its capture or seconds
+        later."""
         assert self._last is not None
         if device_ns < self._last[0]:
             return True
@@ -82,7 +84,7 @@ class DeviceClock:
             self._fastest[-1] = (device, arrived - device)
 
     def _line(self) -> tuple[float, float]:
-        """A point (device, offset) of the line below all pairs; updates the drift."""
+        """A point (device, offset) on the line below all pairs; updates the drift."""
         pairs = list(self._fastest)
         span = pairs[-1][0] - pairs[0][0]
         if span < _DRIFT_NEEDS_NS:

@@ -1,7 +1,7 @@
-"""The built-in scene as a live camera whose faults are ordered while it runs: what `huepose chaos` looks at.
+"""The built-in scene as a live camera with faults that are ordered while it runs, for `huepose chaos`.
 
-The orders are JSON in the file `camera.path`, read again when it changes. The device has a clock of its own,
-as a real one has.
+The orders are JSON in the file `camera.path`, read again when it changes. Like a real device, it has a
+clock of its own.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ _BOOT_NS = 5 * SECOND
 
 
 class Orders(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the camera does wrong; by default nothing."""
+    """The faults of the camera; by default none."""
 
     unplugged: bool = False
     frozen: Literal["", "stamps", "pixels"] = ""
-    """stamps: the last picture for ever; pixels: the same with new numbers and stamps."""
+    """stamps: the last image for ever; pixels: the same image with new numbers and timestamps."""
     jump_s: float = 0.0
-    """By so much the device's clock is put."""
+    """The device's clock is set forward by this."""
     drift: float = 0.0
     depth_late: Annotated[int, Meta(ge=0, le=30)] = 0
-    """By so many pictures depth is older than colour, and says so."""
+    """Depth is older than colour by this many images; its timestamp shows it."""
     depth: Literal["good", "zero", "nan", "inf", "largest", "holes"] = "good"
     dark: bool = False
     rate_share: Annotated[float, Meta(gt=0.0, le=1.0)] = 1.0
     half_size: bool = False
     focal_share: Annotated[float, Meta(gt=0.1, le=10.0)] = 1.0
-    """Wrong intrinsics: such a multiple of the right focal length."""
+    """Wrong intrinsics: this multiple of the right focal length."""
 
 
 def open_source(config: Config) -> LiveSource:
-    """The camera with the orders in `camera.path`. Raises InputError where these cannot be read."""
+    """The camera with the orders in `camera.path`. Raises InputError if these cannot be read."""
     assert config.camera.path is not None  # the configuration was checked
     orders = Path(config.camera.path)
     read_orders(orders)
@@ -62,7 +62,7 @@ def open_source(config: Config) -> LiveSource:
 
 
 def read_orders(path: Path) -> Orders:
-    """Raises InputError for a file that holds none."""
+    """The orders in a file. Raises InputError if it has none."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=Orders)
     except (OSError, ValueError) as error:
@@ -70,7 +70,7 @@ def read_orders(path: Path) -> Orders:
 
 
 class FaultyCamera:
-    """Gives a picture when it is due."""
+    """Gives an image when it is due."""
 
     device_clock_is_host = False
     is_sensor = True
@@ -89,15 +89,15 @@ class FaultyCamera:
         return self._orders
 
     def read(self, timeout_s: float) -> Shot | None:
-        """The next picture; None when none is due in time. Raises CameraError when it was unplugged."""
+        """The next image; None if none is due in time. Raises CameraError if it is unplugged."""
         orders = self._obey()
         if orders.unplugged:
-            raise CameraError("the connection is lost. Look at the cable; it is looked for again.")
+            raise CameraError("the connection is lost. Check the cable; the search for the camera goes on.")
         wait_s = (self._due_ns - now_ns()) / SECOND
         time.sleep(min(max(wait_s, 0.0), timeout_s))
         if wait_s > timeout_s:
             return None
-        # What it was too late for is lost, as in a camera.
+        # Images that nobody fetched in time are lost, as in a real camera.
         self._due_ns = max(self._due_ns, now_ns() - 2 * round(self._period_ns)) + round(
             self._period_ns / orders.rate_share
         )
@@ -111,7 +111,7 @@ class FaultyCamera:
         return shot
 
     def _shot(self, orders: Orders) -> Shot:
-        """What is to be seen now, spoilt as ordered."""
+        """The image of now, with the ordered faults."""
         passed_ns = now_ns() - self._start_ns
         image = self._image = max(round(passed_ns / self._period_ns), self._image + 1)
         self._number += 1
@@ -139,11 +139,11 @@ class FaultyCamera:
         )
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no device is open."""
 
 
 def _spoilt(depth: Float32, how: str) -> Float32:
-    """Depth (H, W) in metres as a broken sensor gives it."""
+    """Depth (H, W) in metres as a faulty sensor gives it."""
     nothing = {"zero": 0.0, "nan": np.nan, "inf": np.inf, "largest": 6.5535}
     if how in nothing:
         return np.full_like(depth, nothing[how])

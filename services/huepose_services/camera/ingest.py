@@ -1,13 +1,13 @@
-"""Publishes the frames of a source when they are due, and the truth about them when told to.
+"""Publishes the frames of a source when they are due, and their ground truth if `camera.truth` is set.
 
-Deadlines are absolute: a late frame does not move the ones after it. A stamp is the time at which the frame
-was due, so the intervals between stamps are exactly the source's. Falling behind by more than a tenth of a
-second moves the schedule instead of publishing a burst.
+Deadlines are absolute: a late frame does not delay the ones after it. A timestamp is the time at which the
+frame was due, so the intervals between timestamps are exactly the source's. A delay of more than a tenth of
+a second moves the schedule, so that no burst is published.
 
-It starts when the other workers are there, or after a while without them. A recording that is played once
-stands on its first frame until every object has been acquired in it, for `first_frame_s` at most, and ends
-when its last frame has been read. A later picture that cannot be read is left out; where none of a whole
-pass can be, the worker ends with that error.
+Playing starts when the other workers are there, or after a while without them. A recording that is played
+once shows its first frame until every object has been acquired in it, for `first_frame_s` at most, and ends
+when its last frame has been read. A later image that cannot be read is left out; if no image of a whole
+pass can be read, the worker ends with that error.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ _WAIT_TO_LOOP_NS = 20 * SECOND
 _SHOW_AGAIN_NS = SECOND // 2
 _LONGEST_GAP_NS = 10 * SECOND
 _BUSY_WINDOW_NS, _BUSY_FROM = 60 * SECOND, 3
-# A drawn scene closes; a recording does not.
-_DRAWN = (
-    "a drawn scene, round after round of {:.0f} s: objects turn fast, pass before one another and are hidden "
-    "by a bar now and then, so that one is SUSPECT or LOST for a moment is part of it"
+# The rendered scene ends where it began; a recording does not.
+_RENDERED = (
+    "a rendered scene, repeated every {:.0f} s: objects rotate fast, pass in front of each other and are "
+    "occluded by a bar now and then, so it is normal that one is SUSPECT or LOST for a moment"
 )
 _AGAIN = (
-    "the recording begins again, and objects jump to where they were in its first picture: those that are "
-    "LOST by that are searched for; with camera.once: true it would end here"
+    "the recording begins again, and objects jump to where they were in its first image: those that become "
+    "LOST are searched for; with camera.once: true it would end here"
 )
 
 
@@ -53,8 +53,8 @@ def make(bus: Bus, config: Config) -> Ingest | LiveIngest:
 
 
 @dataclass
-class _Stand:
-    """The first frame of a recording, shown again now and then while it is looked at."""
+class _Hold:
+    """The first frame of a recording, published again and again until its objects are acquired."""
 
     since_ns: int
     capture_ns: int
@@ -84,7 +84,7 @@ class Schedule:
             self._offsets = [round(i * period) for i in range(len(self._ids) + 1)]
 
     def begins_again(self, index: int) -> bool:
-        """Whether a frame is the first of a later pass."""
+        """Whether a frame is the first one of a later pass."""
         return index > 0 and index % len(self._ids) == 0 and not self._once
 
     @property
@@ -93,13 +93,13 @@ class Schedule:
         return self._offsets[-1] / SECOND
 
     def image(self, index: int) -> int | None:
-        """The image of a frame; None after the last."""
+        """The image of a frame; None after the last one."""
         if self._once and index >= len(self._ids):
             return None
         return self._ids[index % len(self._ids)]
 
     def frame_id(self, index: int) -> int:
-        """The image's number on the first pass; the same and a multiple of the length on later ones."""
+        """The image's number on the first pass; on later passes that plus a multiple of the pass length."""
         return self._ids[index % len(self._ids)] + index // len(self._ids) * self._id_step
 
     def due_ns(self, index: int) -> int:
@@ -113,7 +113,8 @@ class Schedule:
 
 
 def _stamps(source: Scene) -> list[int]:
-    """When each picture was taken; of one that does not say so, and is left out, that of the one before."""
+    """When each image was captured; an image without a timestamp, which is left out, gets that of the one
+    before."""
     stamps, last = [], 0
     for image in source.image_ids:
         with suppress(InputError):
@@ -129,12 +130,12 @@ class Busy:
         self._late: deque[tuple[int, int]] = deque()
 
     def late(self, by_ns: int, now_ns: int) -> str:
-        """Note that a frame was late; returns the line for the log."""
+        """Note that a frame was late; return the line for the log."""
         self._late.append((now_ns, by_ns))
         return f"frames come {by_ns * 1e-6:.0f} ms late: this computer is busy"
 
     def warning(self, now_ns: int) -> str | None:
-        """The warning that health shows; None when the camera is on time."""
+        """The warning for health; None if the camera is on time."""
         while self._late and now_ns - self._late[0][0] > _BUSY_WINDOW_NS:
             self._late.popleft()
         if len(self._late) < _BUSY_FROM:
@@ -147,7 +148,7 @@ class Busy:
 
 
 class Ingest(Work):
-    """Waits for the audience, plays, and waits until the last frame was read."""
+    """Waits for the other workers, plays, and waits until the last frame was read."""
 
     def __init__(self, bus: Bus, config: Config, source: Scene) -> None:
         self._bus, self._camera, self._source = bus, config.camera, source
@@ -156,10 +157,10 @@ class Ingest(Work):
         self._publisher = FramePublisher(bus, config)
         self._made_ns = now_ns()
         self._index = 0
-        self._picture: Packed | None = self._prepare(source.image_ids[0])
+        self._image: Packed | None = self._prepare(source.image_ids[0])
         self._unread = self._unread_in_a_row = 0
         self._schedule: Schedule | None = None
-        self._stand: _Stand | None = None
+        self._hold: _Hold | None = None
         self._busy = Busy()
         self._ended_ns: int | None = None
         bus.health.camera_epoch = self._epoch
@@ -167,12 +168,12 @@ class Ingest(Work):
 
     def due_ns(self) -> int | None:
         """When the next frame is due."""
-        if self._schedule is None or self._stand is not None or self._ended_ns is not None:
+        if self._schedule is None or self._hold is not None or self._ended_ns is not None:
             return None
         return self._schedule.due_ns(self._index)
 
     def step(self) -> None:
-        """Publish what is due."""
+        """Publish the frame that is due."""
         now = now_ns()
         if self._schedule is None:
             patience_ns = WAIT_TO_PLAY_ONCE_NS if self._camera.once else _WAIT_TO_LOOP_NS
@@ -180,41 +181,42 @@ class Ingest(Work):
                 self._begin(now)
         elif self._ended_ns is not None:
             self._wait_for_readers(self._ended_ns, now)
-        elif self._stand is not None:
-            self._stand_on_first_frame(self._stand, self._schedule, now)
+        elif self._hold is not None:
+            self._hold_first_frame(self._hold, self._schedule, now)
         else:
             self._play(self._schedule, now)
 
     def _begin(self, now: int) -> None:
-        """The first frame, which takes long because zenoh makes the pool of shared memory for it."""
+        """Publish the first frame, which takes long because zenoh makes the pool of shared memory for
+        it."""
         self._schedule = Schedule(self._source, self._camera, now)
         self._bus.health.state = "ready"
         if self._camera.source == "synthetic":
-            self._bus.log.say(_DRAWN.format(self._schedule.length_s))
+            self._bus.log.say(_RENDERED.format(self._schedule.length_s))
         self._publish(self._schedule.frame_id(0), now)
         self._schedule.postpone(now_ns() - now)
         if self._camera.once:
-            self._stand = _Stand(now_ns(), now, self._schedule.frame_id(0), now_ns())
+            self._hold = _Hold(now_ns(), now, self._schedule.frame_id(0), now_ns())
         else:
             self._prepare_next(self._schedule)
 
-    def _stand_on_first_frame(self, stand: _Stand, schedule: Schedule, now: int) -> None:
-        until_ns = stand.since_ns + int(self._camera.first_frame_s * SECOND)
+    def _hold_first_frame(self, hold: _Hold, schedule: Schedule, now: int) -> None:
+        until_ns = hold.since_ns + int(self._camera.first_frame_s * SECOND)
         if now < until_ns and not self._audience.has_acquired_all():
-            if now - stand.shown_ns > _SHOW_AGAIN_NS:
-                stand.shown_ns = now
-                self._publish(stand.frame_id, stand.capture_ns, "frames_repeated")
+            if now - hold.shown_ns > _SHOW_AGAIN_NS:
+                hold.shown_ns = now
+                self._publish(hold.frame_id, hold.capture_ns, "frames_repeated")
             return
         self._audience.ignore_poses()
-        schedule.postpone(now - stand.since_ns)
-        self._stand = None
+        schedule.postpone(now - hold.since_ns)
+        self._hold = None
         self._prepare_next(schedule)
 
     def _play(self, schedule: Schedule, now: int) -> None:
         due = schedule.due_ns(self._index)
         if now < due:
             return
-        if self._picture is None:
+        if self._image is None:
             self._prepare_next(schedule)
             return
         self._bus.health.warn_while("busy", self._busy.warning(now))
@@ -234,9 +236,9 @@ class Ingest(Work):
             return
         if schedule.begins_again(self._index) and self._camera.source != "synthetic":
             self._bus.log.seldom("again", _AGAIN, level="info")
-        self._picture = None  # what cannot be read is not shown as the one before
+        self._image = None  # if this image cannot be read, the one before is not published again
         try:
-            self._picture = self._prepare(image)
+            self._image = self._prepare(image)
         except InputError as error:
             self._leave_out(error)
         else:
@@ -246,7 +248,7 @@ class Ingest(Work):
         self._unread += 1
         self._unread_in_a_row += 1
         self._bus.health.count("frames_unread")
-        self._bus.log.seldom("unread", f"a picture is left out: {error}")
+        self._bus.log.seldom("unread", f"an image is left out: {error}")
         if self._unread_in_a_row == len(self._source.image_ids):
             self.fault, self.finished = error, True
 
@@ -256,11 +258,11 @@ class Ingest(Work):
         return packed(frame, self._camera.depth_scale_m, truths, source.name, image)
 
     def _publish(self, frame_id: int, capture_ns: int, counted_as: str = "frames") -> None:
-        if self._picture is not None:
-            self._publisher.publish(self._picture, self._epoch, frame_id, capture_ns, counted_as)
+        if self._image is not None:
+            self._publisher.publish(self._image, self._epoch, frame_id, capture_ns, counted_as)
 
     def _wait_for_readers(self, ended_ns: int, now: int) -> None:
-        """The pool of frames goes with this process: stay until the last frame was read."""
+        """Stay until the last frame was read, because the pool of frames ends with this process."""
         if self._audience.is_done(self._epoch, self._bus.health.frame_id or 0, now - ended_ns):
             self._bus.log.say(f"the recording has ended after {self._played()}")
             self._bus.health.state = "ended"

@@ -1,8 +1,8 @@
-"""What a live camera is to the worker: something that is opened, read for a limited time, and closed.
+"""The interface of live cameras: a camera is opened, read with a timeout, and closed.
 
-A source is made without touching the device. `open` says at once when the device is not there; `read` returns
-within its timeout. Both may still hang inside a vendor's SDK: `reader.Reader` therefore runs them in a thread
-that nobody waits for.
+A source is made without touching the device. `open` fails at once if the device is not there; `read`
+returns within its timeout. Both may still hang inside a vendor's SDK: `reader.Reader` therefore runs them
+in a thread that nobody waits for.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ Device = TypeVar("Device")
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One picture of a live camera, rectified, depth in the pixels of colour.
+    """One colour and depth image of a live camera, rectified, with depth in the pixels of colour.
 
-    color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 for no reading; number: the device's own count;
-    device_ns: capture time on the device's clock, of colour; depth_ns: that of depth, None where it is not
-    known; arrived_ns: CLOCK_MONOTONIC when this machine had it; truths: of a camera that knows them;
-    T_parent_cam: as in an RgbdFrame, of one that knows where it is.
+    color (H, W, 3) uint8 RGB; depth (H, W) float32 metres, 0 for no reading; number: the device's own
+    count; device_ns: capture time of colour on the device's clock; depth_ns: that of depth, None if it is
+    not known; arrived_ns: CLOCK_MONOTONIC at the arrival on this machine; truths: ground truth, from a
+    camera that knows it; T_parent_cam: as in an RgbdFrame, from a camera that knows its pose.
     """
 
     color: UInt8
@@ -43,7 +43,8 @@ class Shot:
     T_parent_cam: Float64 | None = None
 
     def shows_the_same(self, other: Shot) -> bool:
-        """Whether every pixel is the same: no sensor gives one picture twice, but of nothing at all."""
+        """Whether every pixel is the same. A sensor never gives the same image twice; black images do not
+        count."""
         return same(self.color, other.color) and same(self.depth, other.depth) and bool(self.color.any())
 
 
@@ -51,11 +52,11 @@ REPLUG = "Close other programs that use it; else unplug it and plug it in again.
 
 
 class CameraError(RuntimeError):
-    """The camera cannot give pictures now: what was found, and what to do. It is tried again."""
+    """The camera cannot give images now: what was found, and what to do. It is tried again."""
 
 
-class FilmOver(Exception):  # noqa: N818 - no error
-    """A source that is played once has given its last picture."""
+class SourceEnded(Exception):  # noqa: N818 - no error
+    """A source that is played once has given its last image."""
 
 
 class LiveCamera(Protocol):
@@ -65,31 +66,32 @@ class LiveCamera(Protocol):
     """Whether `device_ns` is CLOCK_MONOTONIC already, because the SDK converts it."""
 
     is_sensor: bool
-    """Whether no two pictures are the same but by a fault, as those of every sensor."""
+    """Whether two equal images mean a fault, as with every real sensor."""
 
     def read(self, timeout_s: float) -> Shot | None:
-        """The next picture; None when none came in time. Raises CameraError when it is gone."""
+        """The next image; None if none came in time. Raises CameraError if the camera is gone."""
         ...
 
     def close(self) -> None:
-        """Let the device go."""
+        """Close the device."""
         ...
 
 
 @dataclass(frozen=True)
 class LiveSource:
-    """A camera that may be there or not. if_silent: what to do where it gives no picture, in a sentence;
-    open: starts it, and raises CameraError, in under two seconds when it is not there."""
+    """A camera that may be connected or not. if_silent: a sentence that says what to do if it gives no
+    image; open: starts the camera; raises CameraError, in under two seconds if it is not there."""
 
     name: str
     if_silent: str
     open: Callable[[], LiveCamera]
     once: bool = False
-    """Whether it is opened once: what goes wrong with it is then its end."""
+    """Whether it is opened only once; then any error ends it."""
 
 
 def sdk(package: str, source: str, what: str, more: str = "") -> Any:
-    """The package by which a source is read; what: it is; more: to install. Raises InputError without it."""
+    """Import the package that reads a source. what: a description of the package; more: what else to
+    install. Raises InputError if it is not installed."""
     try:
         return import_module(package)
     except ImportError as error:
@@ -102,7 +104,8 @@ def sdk(package: str, source: str, what: str, more: str = "") -> Any:
 
 
 def the_one(connected: Mapping[str, Device], serial: str | None, if_none: str) -> Device:
-    """The camera of a serial number, or the only one. Raises CameraError: `if_none` where there is none."""
+    """The camera with a serial number, or the only one. Raises CameraError, with `if_none` if none is
+    connected."""
     if not connected:
         raise CameraError(if_none)
     names = ", ".join(connected)

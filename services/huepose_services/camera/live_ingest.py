@@ -1,10 +1,10 @@
-"""Publishes what a live camera gives, as soon as it comes, stamped in this machine's clock.
+"""Publishes the frames of a live camera as soon as they come, with timestamps of this machine's clock.
 
-A picture goes out once, the newest first. While there is none, health says `waiting` and why: what was looked
-for, what was found, what to do; it also says what is wrong with pictures that do come. Each opening of the
-camera, each change of its intrinsics, and each time its stamps go back, begins a new camera epoch, so nothing
-that was believed about the old pictures is applied to new ones. What is played once is opened when the other
-workers are there, and ends the pipeline.
+Each image is published once; if several wait, only the newest. While none comes, health has the state
+`waiting` and the reason: what was expected, what was found, what to do. Health also shows faults of the
+images that come. A new camera epoch begins when the camera is opened, when its intrinsics change, and when
+its timestamps go back, so that no track of old images is applied to new ones. A source that is played once
+is opened when the other workers are there; its end ends the pipeline.
 """
 
 from __future__ import annotations
@@ -30,21 +30,22 @@ from huepose_services.runtime.work import Work
 _LONGEST_STEP_S = 0.05
 _SAY_AGAIN_NS = 30 * SECOND
 _SILENT_S = 1.0
-"""After so long, and after the time of some pictures, it is said that none comes."""
+"""After this time, and at least the time of PATIENCE_PICTURES images, it is reported that none comes."""
 _BACK_NS = SHORTEST_NS
-"""A stamp that is older than the newest by more begins a new epoch. Readers leave older frames out until
-the stamps have caught up; the change to another epoch takes them so long, too."""
+"""A timestamp that is older than the newest one by more than this begins a new epoch. For a smaller step
+back, readers ignore frames until the timestamps have caught up, which takes no longer than their change to
+a new epoch."""
 _NOTHING_IS_SEEN = ("depth", "dark", "grey")
-"""The complaints about pictures in which no object can be told."""
-# A thread that the SDK does not give back cannot be ended: a new process can open the camera again.
+"""The complaints about images in which no object can be found."""
+# A thread that hangs in the SDK cannot be ended: only a new process can open the camera again.
 _GIVE_UP_AFTER_S = 30.0
 
 
 class LiveIngest(Work):
-    """Waits for pictures a short while at a time, so that the worker's loop goes round."""
+    """Waits for an image only a short time in each step, so that the worker's loop goes on."""
 
     ready = False
-    """Whether there was a good picture."""
+    """Whether there was a good image."""
 
     def __init__(self, bus: Bus, config: Config, source: LiveSource) -> None:
         self._bus, self._config = bus, config
@@ -62,19 +63,19 @@ class LiveIngest(Work):
         self._opening = -1
         self._camera: Camera | None = None
         self._epoch, self._frame_id, self._newest_ns = 0, 0, 0
-        self._told: str | None = None
+        self._reported: str | None = None
         self._none_comes = False
         self._say_ns = 0
         bus.health.state = "waiting"
-        # Who waits for others does not keep them waiting.
+        # A source that is played once waits for the other workers, so they must not wait for it.
         self.ready = config.camera.once
 
     def due_ns(self) -> int | None:
-        """At once, since the step itself waits for a picture; soon where nothing is opened yet."""
+        """Now, since the step itself waits for an image; soon, if the camera is not opened yet."""
         return now_ns() + (0 if self._reader.started else int(_LONGEST_STEP_S * SECOND))
 
     def step(self) -> None:
-        """Publish the newest picture, or say what is wrong. Raises SystemExit when the SDK hangs."""
+        """Publish the newest image, or report what is wrong. Raises SystemExit if the SDK hangs."""
         if self._audience is not None and not self._reader.started:
             if self._audience.may_begin(now_ns() - self._made_ns > WAIT_TO_PLAY_ONCE_NS):
                 self._reader.start()
@@ -94,8 +95,8 @@ class LiveIngest(Work):
         self._bus.health.picture = self._nothing_is_seen(trouble, silence)
         missing = trouble or silence
         self._bus.health.warn_while("silence", missing)
-        if trouble != self._told:
-            self._told, self._say_ns = trouble, 0
+        if trouble != self._reported:
+            self._reported, self._say_ns = trouble, 0
             notify(f"STATUS={trouble or 'ready'}")  # for `systemctl status`
         good = self._frame_id and "apart" not in self._complaints and missing is None
         self._bus.health.state = "ready" if good else "waiting"
@@ -110,39 +111,39 @@ class LiveIngest(Work):
             raise SystemExit(text)
 
     def close(self) -> None:
-        """Let the camera go."""
+        """Close the camera."""
         self._reader.close()
 
     def _end(self, audience: Audience) -> None:
-        """The pool of frames goes with this process: stay until the last frame was read."""
+        """Stay until the last frame was read, because the pool of frames ends with this process."""
         now = now_ns()
         self._ended_ns = self._ended_ns or now
         if audience.is_done(self._epoch, self._bus.health.frame_id or 0, now - self._ended_ns):
-            self._bus.log.say(f"{self._name} has ended after {self._reader.pictures} pictures")
+            self._bus.log.say(f"{self._name} has ended after {self._reader.pictures} images")
             self.finished = True
             if (trouble := self._reader.trouble) is not None:
                 self._bus.health.failed(trouble)
                 self.fault = InputError(
                     self._config.camera.path,
                     found=trouble.removeprefix(f"{self._name}: ").rstrip("."),
-                    expected="pictures to the end: with camera.once it is not begun again",
+                    expected="images to the end: with camera.once it is not begun again",
                 )
 
     def _silence(self) -> str | None:
-        """That no picture has come for a while, before it is known what keeps them away."""
+        """The report that no image has come for a while, before the cause is known; None if images come."""
         silent_s, usual_s = self._reader.silent_s(), 1.0 / float(self._config.camera.rate)
         if silent_s is None or silent_s < max(_SILENT_S, PATIENCE_PICTURES * usual_s):
             return None
-        return f"{self._name}: no picture for {silent_s:.0f} s"
+        return f"{self._name}: no image for {silent_s:.0f} s"
 
     def _say_at_once(self, news: bool, none_comes: bool) -> None:
-        """What is new is said, and that pictures end or come again, not with the next sign of life."""
+        """Publish health at once if complaints changed, or images stopped or came again."""
         if news or none_comes != self._none_comes:
             self._none_comes = none_comes
             self._bus.say_health()
 
     def _take(self, taken: Taken) -> None:
-        """Look at a picture, and publish it where colour and depth belong together."""
+        """Examine an image, and publish it if colour and depth are of the same time."""
         if taken.opening != self._opening:
             self._begin_opening(taken.opening)
         if self._condition.look(taken.shot, now_ns(), taken.device_clock_is_host):
@@ -151,7 +152,7 @@ class LiveIngest(Work):
             self._bus.health.count("pictures_apart")
 
     def _complain(self, open_: bool) -> bool:
-        """Warn of what is wrong with the pictures that come; whether that has changed."""
+        """Warn of faults of the images that come. Returns whether the faults have changed."""
         health, now = self._bus.health, now_ns()
         if not open_:
             self._condition.reopened()
@@ -168,16 +169,16 @@ class LiveIngest(Work):
         return bool(new or over)
 
     def _nothing_is_seen(self, trouble: str | None, silence: str | None) -> str:
-        """Why no object can be found; empty where one can. trouble: what keeps the pictures away; silence:
-        that none has come, where that is all that is known."""
+        """Why no object can be found; empty if nothing prevents it. trouble: why no image comes; silence:
+        the report that none comes, if the reason is not known."""
         if none_comes := trouble or silence or self._complaints.get("apart"):
             silent_s = self._reader.silent_s() if trouble else None
             head = "comes" if silent_s is None else f"has come for {silent_s:.0f} s"
-            return f"No picture {head}, and perception waits for the next. {none_comes}"
+            return f"No image {head}, and perception waits for the next. {none_comes}"
         return _nothing_is_seen(self._complaints)
 
     def _lasting(self, now: int) -> dict[str, str]:
-        """What is wrong with the pictures, by kind."""
+        """The faults of the images that last now, as sentences by kind."""
         return {kind: f"{self._name}: {text}" for kind, text in self._condition.complaints(now).items()}
 
     def _publish(self, taken: Taken) -> None:
@@ -191,20 +192,20 @@ class LiveIngest(Work):
         frame = RgbdFrame(shot.color, shot.depth, shot.camera, T_parent_cam=shot.T_parent_cam)
         settings = self._config.camera
         truths = shot.truths if settings.truth else None
-        picture = packed(frame, settings.depth_scale_m, truths, self._name, shot.number)
+        packed_frame = packed(frame, settings.depth_scale_m, truths, self._name, shot.number)
         wrong = self._lasting(now_ns())
         self._publisher.publish(
-            picture,
+            packed_frame,
             self._epoch,
             self._frame_id,
             capture_ns,
-            said=(_nothing_is_seen(wrong), wrong.get(STOPPED, "")),
+            faults=(_nothing_is_seen(wrong), wrong.get(STOPPED, "")),
         )
         self._frame_id += 1
         self.ready = True
 
     def _captured_ns(self, taken: Taken) -> int:
-        """When a picture was captured, CLOCK_MONOTONIC; not after its arrival."""
+        """The capture time of an image, CLOCK_MONOTONIC; not after its arrival."""
         shot = taken.shot
         if taken.device_clock_is_host:
             return min(shot.device_ns, shot.arrived_ns)
@@ -213,13 +214,14 @@ class LiveIngest(Work):
         return capture_ns
 
     def _begin_opening(self, opening: int) -> None:
-        """Its first picture came: what is known of the one before says nothing of it."""
+        """The first image of a new opening: forget what was known of the last one."""
         self._opening, self._camera, self._newest_ns = opening, None, 0
         self._clock = DeviceClock()
         self._condition.reopened()
 
     def _begin_epoch(self, camera: Camera) -> None:
-        """The log has it for each opening; what changes while it is open is a complaint."""
+        """Begin a camera epoch. The log has the intrinsics of each opening; a later change is a
+        complaint."""
         if self._camera is None:
             self._bus.log.say(
                 f"{self._name}: {camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}"

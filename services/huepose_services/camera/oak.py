@@ -1,8 +1,9 @@
-"""OAK cameras through depthai v3: colour, stereo depth in its pixels, both undistorted on the device.
+"""OAK cameras through depthai v3: colour, and stereo depth in the pixels of colour, both undistorted on the
+device.
 
-The device's part (`build`) and the host's (`OakCamera`: a queue of synchronised groups) are apart, so that
-the second runs with any nodes that give such groups. depthai converts its stamps to CLOCK_MONOTONIC itself
-and follows the device's drift.
+The part on the device (`build`) and the part on the host (`OakCamera`: reads a queue of synchronised
+groups) are separate, so that the second runs with any nodes that give such groups. depthai itself converts
+timestamps to CLOCK_MONOTONIC and follows the device's drift.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig
 
-# Each is a switch of stereo matching, on for values other than 0.
+# Each switches an option of stereo matching on, for values other than 0.
 STEREO_OPTIONS = {
     "depth.left_right_check": "setLeftRightCheck",
     "depth.subpixel": "setSubpixel",
@@ -34,7 +35,7 @@ DEFAULTS = {"depth.left_right_check": 1.0, "depth.subpixel": 1.0}
 
 
 def check_options(options: Mapping[str, float]) -> None:
-    """Raises InputError for an option that is not known, or half of a manual exposure."""
+    """Raises InputError for an option that is not known, or for exposure time or ISO without the other."""
     known = (*STEREO_OPTIONS, *COLOR_OPTIONS)
     for key in options:
         if key not in known:
@@ -90,7 +91,8 @@ def synchronised(dai: Any, pipeline: Any, color: Any, depth: Any, fps: float, *,
 
 def open_source(config: Config) -> LiveSource:
     """The camera of the configuration, not opened. Raises InputError without the SDK."""
-    # Looking for a camera that is not there takes 11 s by default; read when the SDK is imported.
+    # The search for a missing camera takes 11 s by default. The SDK reads this variable when it is
+    # imported.
     os.environ.setdefault("DEPTHAI_SEARCH_TIMEOUT", "0")
     depthai = sdk("depthai", "oak", "Luxonis' SDK for Python")
     check_options(config.camera.device.options)
@@ -113,7 +115,7 @@ def source_of(dai: Any, settings: CameraConfig) -> LiveSource:
             pipeline.start()
         except RuntimeError as error:
             device.close()
-            raise CameraError(f"it cannot do what is asked: {error}. See camera.device.") from None
+            raise CameraError(f"it cannot do what is configured: {error}. See camera.device.") from None
         return OakCamera(pipeline, queue, device)
 
     return LiveSource(f"OAK {serial}" if serial else "OAK", REPLUG, start)
@@ -135,15 +137,15 @@ class OakCamera:
         self._pipeline, self._queue, self._device = pipeline, queue, device
 
     def read(self, timeout_s: float) -> Shot | None:
-        """The next picture; None when none came in time. Raises CameraError when the camera is gone."""
+        """The next image; None if none came in time. Raises CameraError if the camera is gone."""
         # `get` with a timeout raises the same error for an ended pipeline, so the state is asked first.
         if not self._pipeline.isRunning() or (self._device is not None and self._device.isClosed()):
-            raise CameraError("the connection is lost. Look at the cable; it is looked for again.")
+            raise CameraError("the connection is lost. Check the cable; the search for the camera goes on.")
         group = self._queue.get(timedelta(seconds=max(timeout_s, 0.001)))
         return None if group is None else shot_of(group["color"], group["depth"], now_ns())
 
     def close(self) -> None:
-        """Stop the pipeline and let the device go."""
+        """Stop the pipeline and close the device."""
         with suppress(RuntimeError):
             self._pipeline.stop()
         if self._device is not None:
@@ -152,9 +154,9 @@ class OakCamera:
 
 
 def shot_of(color: Any, depth: Any, arrived_ns: int) -> Shot:
-    """A picture of two depthai images: BGR, and depth in millimetres, of the same size.
+    """A Shot from two depthai images of the same size: BGR, and depth in millimetres.
 
-    Raises CameraError where the sizes differ or the colour image carries no intrinsics."""
+    Raises CameraError if the sizes differ, or the colour image has no intrinsics."""
     height, width = color.getHeight(), color.getWidth()
     if (depth.getHeight(), depth.getWidth()) != (height, width):
         raise CameraError(f"depth is {depth.getWidth()} x {depth.getHeight()}, colour {width} x {height}.")

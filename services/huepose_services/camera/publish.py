@@ -1,4 +1,4 @@
-"""Puts pictures on the bus as frames, and says once a second what the camera is."""
+"""Publishes frames on the bus, and once a second the data of the camera."""
 
 from __future__ import annotations
 
@@ -40,20 +40,20 @@ from huepose_services.runtime.text import encodable
 
 _LATE_NS = SECOND // 2
 _BACK_NS = SECOND // 2
-"""What was told of an earlier time than the last, by no more than this, came late and is left out."""
-_PLACES = 256
-"""So many are remembered: of a robot that tells a thousand a second those of the last quarter of one."""
-_NOT_TOLD = (
-    "nobody has told for half a second where the camera is (camera.moving, camera.tf): there are no poses in "
-    "the frame of the robot; MountSender of huepose_protos tells it, or /tf by the worker ros2"
+"""A mount whose time is earlier than the last one's by no more than this came late and is left out."""
+_KEPT_MOUNTS = 256
+"""The number of mounts that are kept: a quarter of a second, if a robot sends a thousand a second."""
+_NO_MOUNT = (
+    "no camera pose was given for half a second (camera.moving, camera.tf), so there are no poses in the "
+    "robot's frame; give it with MountSender of huepose_protos, or with /tf through the worker ros2"
 )
 
 
 @dataclass(frozen=True)
 class Packed:
-    """A picture that is ready to go. T_parent_cam (4, 4): where its source says that the camera was, None
-    where it does not know; truths: what it knows about it, None where nobody is told; scene, image: which
-    picture of the source it is."""
+    """A frame that is ready to be published. T_parent_cam (4, 4): the camera pose that the source gives,
+    None if it does not know it; truths: the ground truth, None if it is not published; scene, image: the
+    image's scene and number in the source."""
 
     intrinsics: Intrinsics
     buffers: list[BufferSpec]
@@ -71,61 +71,61 @@ def packed(
     scene: str = "",
     image: int = 0,
 ) -> Packed:
-    """Colour and depth as they travel, depth in steps of depth_scale_m. Raises InputError for a picture that
-    is too large to."""
+    """Pack colour and depth as they are sent, depth in steps of depth_scale_m. Raises InputError for an
+    image that is too large."""
     check_size(frame.camera)
     depth = depth_to_wire(frame.depth, depth_scale_m)
     buffers, payload = pack({"color": frame.color, "depth": depth})
     intrinsics = to_wire(Intrinsics, frame.camera, depth_scale_m=depth_scale_m)
-    place = frame.T_parent_cam
-    return Packed(intrinsics, buffers, payload, place, truths, encodable(scene), image)
+    T_parent_cam = frame.T_parent_cam
+    return Packed(intrinsics, buffers, payload, T_parent_cam, truths, encodable(scene), image)
 
 
 class FramePublisher:
-    """The camera's side of the bus."""
+    """Publishes all messages of the camera worker except health."""
 
     def __init__(self, bus: Bus, config: Config) -> None:
         self._bus, self._keys = bus, config.keys
         self._frame_name = config.camera.frame
         self._mount = config.camera.mount
-        self._told_mounts = bus.inbox.queue(self._keys.mount, wakes=False) if config.camera.told else None
-        self._placed_ns = now_ns()
-        self._places: deque[tuple[int, Mount]] = deque(maxlen=_PLACES)
-        self._told: int | None = None
-        self._tell_ns = 0
+        self._mount_inbox = bus.inbox.queue(self._keys.mount, wakes=False) if config.camera.told else None
+        self._newest_mount_ns = now_ns()
+        self._mounts: deque[tuple[int, Mount]] = deque(maxlen=_KEPT_MOUNTS)
+        self._announced: int | None = None
+        self._announce_ns = 0
         self._last: FrameHeader | None = None
 
     def publish(
         self,
-        picture: Packed,
+        packed_frame: Packed,
         epoch: int,
         frame_id: int,
         capture_ns: int,
         counted_as: str = "frames",
-        said: tuple[str, str] = ("", ""),
+        faults: tuple[str, str] = ("", ""),
     ) -> None:
-        """One frame, counted and timed in health, after the truth about it; the last one once more with the
-        header that it had. said: what is wrong with the picture and with the camera (`picture` and `camera`
-        of the header)."""
-        if picture.truths is not None:
+        """Publish the ground truth of a frame, if there is any, then the frame; health counts and times it.
+        If the last frame is published again, it keeps its header. faults: of the image and of the camera
+        (`picture` and `camera` of the header)."""
+        if packed_frame.truths is not None:
             truth = TruthMessage(
                 publish_ns=now_ns(),
                 camera_epoch=epoch,
                 frame_id=frame_id,
                 capture_ns=capture_ns,
-                scene=picture.scene,
-                image=picture.image,
-                objects=[to_wire(TruthObject, truth) for truth in picture.truths],
+                scene=packed_frame.scene,
+                image=packed_frame.image,
+                objects=[to_wire(TruthObject, truth) for truth in packed_frame.truths],
             )
             self._bus.put(self._keys.truth, truth)
         bus, started = self._bus, now_ns()
-        news = self._heard()
+        new_mounts = self._new_mounts()
         last = self._last
         if last is not None and frame_key(last) == (epoch, frame_id):
-            # Of one frame all readers, and a recording, must have the same.
+            # All readers and recordings must have the same header of a frame.
             header = msgspec.structs.replace(last, publish_ns=started)
         else:
-            translation, quaternion = self._place(picture, capture_ns)
+            translation, quaternion = self._camera_pose(packed_frame, capture_ns)
             header = FrameHeader(
                 publish_ns=started,
                 camera_epoch=epoch,
@@ -133,69 +133,75 @@ class FramePublisher:
                 capture_ns=capture_ns,
                 clock=this_clock(),
                 frame=self._frame_name,
-                intrinsics=picture.intrinsics,
-                buffers=picture.buffers,
-                picture=said[0],
-                camera=said[1],
+                intrinsics=packed_frame.intrinsics,
+                buffers=packed_frame.buffers,
+                picture=faults[0],
+                camera=faults[1],
                 camera_translation=translation,
                 camera_quaternion=quaternion,
             )
         self._last = header
-        bus.put_pixels(self._keys.frame, header, picture.payload)
-        if epoch != self._told:
-            doubt = camera_doubted(camera_from_wire(picture.intrinsics))
+        bus.put_pixels(self._keys.frame, header, packed_frame.payload)
+        if epoch != self._announced:
+            doubt = camera_doubted(camera_from_wire(packed_frame.intrinsics))
             bus.health.warn_while("matrix", doubt)
             if doubt is not None:
                 bus.log.say(doubt)
-        self._tell(header)
-        for mount_ns, told in news:
-            self._say(header, self._of_camera(told), mount_ns)
+        self._announce(header)
+        for mount_ns, given in new_mounts:
+            self._publish_camera(header, self._of_camera(given), mount_ns)
         bus.health.count(counted_as)
         bus.health.worked_on(started, header)
 
-    def _tell(self, header: FrameHeader) -> None:
-        """Which camera is open, for readers that take no frames: when it is new, and then once a second."""
+    def _announce(self, header: FrameHeader) -> None:
+        """Publish which camera is open, for readers that take no frames: in a new epoch, and then once a
+        second."""
         now = now_ns()
-        if header.camera_epoch == self._told and now < self._tell_ns:
+        if header.camera_epoch == self._announced and now < self._announce_ns:
             return
-        self._told, self._tell_ns = header.camera_epoch, now + SECOND
-        self._say(header, self._mount if self._told_mounts is None else None, None)
+        self._announced, self._announce_ns = header.camera_epoch, now + SECOND
+        self._publish_camera(header, self._mount if self._mount_inbox is None else None, None)
 
-    def _heard(self) -> list[tuple[int, Mount]]:
-        """Where a camera that moves, or what it is fixed to, was told to be since the last frame."""
-        if self._told_mounts is None:
+    def _new_mounts(self) -> list[tuple[int, Mount]]:
+        """The poses of a moving camera, or of the part that it is fixed to, that were given since the last
+        frame."""
+        if self._mount_inbox is None:
             return []
-        news = []
-        while (message := self._bus.take(self._told_mounts, MountMessage)) is not None:
-            news.append((message.capture_ns, message.mount))
+        new = []
+        while (message := self._bus.take(self._mount_inbox, MountMessage)) is not None:
+            new.append((message.capture_ns, message.mount))
             self._remember(message.capture_ns, message.mount)
-        late = now_ns() - self._placed_ns > _LATE_NS
-        self._bus.health.warn_while("mount", _NOT_TOLD if late else None)
-        return news
+        late = now_ns() - self._newest_mount_ns > _LATE_NS
+        self._bus.health.warn_while("mount", _NO_MOUNT if late else None)
+        return new
 
     def _remember(self, mount_ns: int, mount: Mount) -> None:
-        """That it was there; a stamp that goes far back is of another clock or program, and begins anew."""
-        if self._places and mount_ns < self._places[-1][0] - _BACK_NS:
-            self._places.clear()
-        if not self._places or mount_ns > self._places[-1][0]:
-            self._places.append((mount_ns, mount))
-            self._placed_ns = mount_ns
+        """Keep a given pose. A time far before the last one is from another clock or program: then the
+        earlier poses are dropped."""
+        if self._mounts and mount_ns < self._mounts[-1][0] - _BACK_NS:
+            self._mounts.clear()
+        if not self._mounts or mount_ns > self._mounts[-1][0]:
+            self._mounts.append((mount_ns, mount))
+            self._newest_mount_ns = mount_ns
 
-    def _place(self, picture: Packed, capture_ns: int) -> tuple[Vector3, Quaternion] | tuple[None, None]:
-        """Where the camera took the picture: as somebody told, or the source while nobody does."""
-        if not self._places:
-            return optional_pose_to_wire(picture.T_parent_cam)
-        told = mount_at(self._places, capture_ns)
-        if told is None:
+    def _camera_pose(
+        self, packed_frame: Packed, capture_ns: int
+    ) -> tuple[Vector3, Quaternion] | tuple[None, None]:
+        """The camera pose at the capture: from the poses that were given, or from the source if none
+        was."""
+        if not self._mounts:
+            return optional_pose_to_wire(packed_frame.T_parent_cam)
+        given = mount_at(self._mounts, capture_ns)
+        if given is None:
             return None, None
-        mount = self._of_camera(told)
+        mount = self._of_camera(given)
         return mount.translation, mount.quaternion
 
-    def _of_camera(self, told: Mount) -> Mount:
-        """Where the camera is, of where it, or what it is fixed to, was told to be."""
-        return told if self._mount is None else composed(told, self._mount)
+    def _of_camera(self, given: Mount) -> Mount:
+        """The pose of the camera, from the given pose of the camera or of the part that it is fixed to."""
+        return given if self._mount is None else composed(given, self._mount)
 
-    def _say(self, header: FrameHeader, mount: Mount | None, mount_ns: int | None) -> None:
+    def _publish_camera(self, header: FrameHeader, mount: Mount | None, mount_ns: int | None) -> None:
         message = CameraMessage(
             publish_ns=now_ns(),
             camera_epoch=header.camera_epoch,

@@ -1,4 +1,4 @@
-"""A camera of one's own: a Python file whose `frames()` gives pictures, one after the other.
+"""Your own camera: a Python file whose `frames()` yields one frame after the other.
 
     # my_camera.py
     def frames():
@@ -6,9 +6,9 @@
             yield RgbdFrame(color, depth, camera, stamp_ns=time.monotonic_ns())
 
 color (H, W, 3) uint8 RGB, rectified; depth (H, W) float32 metres in the pixels of colour, 0 or NaN for no
-reading; stamp_ns: when it was captured, CLOCK_MONOTONIC, 0 for now; T_parent_cam (4, 4), of a camera that
-moves, if known: where it was then, in a frame that does not move. It may block as long as a picture takes.
-Both arrays may be filled anew for the next picture: they are copied, in well under a millisecond.
+reading; stamp_ns: capture time, CLOCK_MONOTONIC, 0 for now; T_parent_cam (4, 4), for a moving camera, if
+known: its pose at that time in a static frame. `frames()` may block until the next image. It may fill the
+same arrays again for the next image: they are copied, in well under a millisecond.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from typing import Any
 
 from huepose.geometry import RgbdFrame
 from huepose.support.errors import InputError
-from huepose_services.camera.live import CameraError, FilmOver, LiveSource, Shot
+from huepose_services.camera.live import CameraError, LiveSource, Shot, SourceEnded
 from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 
-_IF_SILENT = "frames() waits for its next picture: does your camera still give some?"
+_IF_SILENT = "frames() waits for its next image: does your camera still give any?"
 _RUNPY = (runpy.__file__, "<frozen runpy>")
 _RAISED = (Exception, SystemExit)
-"""What a file may raise: many scripts call sys.exit() where their device is not there."""
+"""What a file may raise: many scripts call sys.exit() if their device is not there."""
 
 
 def open_source(config: Config) -> LiveSource:
-    """The file `camera.path`, which is run once, and its `frames()` at every opening. Raises InputError for
-    one that cannot be read or has no `frames`."""
+    """Run the file `camera.path` once; its `frames()` is called at every opening. Raises InputError for a
+    file that cannot be run, or has no `frames`."""
     assert config.camera.path is not None  # the configuration was checked
     path = Path(config.camera.path)
     if not path.is_file():
@@ -45,14 +45,14 @@ def open_source(config: Config) -> LiveSource:
     frames = names.get("frames")
     if not callable(frames):
         raise InputError(
-            path, found="no function frames()", expected="one that gives RgbdFrame after RgbdFrame"
+            path, found="no function frames()", expected="one that yields RgbdFrame after RgbdFrame"
         )
     once = config.camera.once
     return LiveSource(path.name, _IF_SILENT, lambda: PythonCamera(_opened(frames, path), path, once), once)
 
 
 def _opened(frames: Callable[[], Any], path: Path) -> Iterator[Any]:
-    """What `frames` of the file gives. Raises CameraError for what gives nothing."""
+    """The iterator that `frames` of the file returns. Raises CameraError if it fails, or returns none."""
     try:
         given = frames()
     except _RAISED as error:
@@ -63,17 +63,18 @@ def _opened(frames: Callable[[], Any], path: Path) -> Iterator[Any]:
 
 
 def _said(error: BaseException, path: Path) -> str:
-    """The exception, and where in the file at path it came up; elsewhere where it is not of that file."""
+    """The exception, and the line of the file at path where it was raised; else the line of another
+    file."""
     steps = [s for s in traceback.extract_tb(error.__traceback__) if s.filename not in (__file__, *_RUNPY)]
     where = ([step for step in steps if Path(step.filename) == path] or steps)[-1:]
     text = " ".join(str(error).split())[:200].rstrip(".")
     named = f"{type(error).__name__}: {text}" if text else type(error).__name__
-    # Python itself names the place of a wrong syntax.
+    # For a syntax error there are no steps: its own text names the line.
     return "".join([named, *(f", in {Path(step.filename).name}, line {step.lineno}" for step in where)])
 
 
 class PythonCamera:
-    """Takes what the iterator gives; path: of the file that it is from; once: its end is the end."""
+    """Reads the frames of an iterator. path: its file; once: whether its end is the end of the source."""
 
     device_clock_is_host = True
     is_sensor = False
@@ -82,13 +83,13 @@ class PythonCamera:
         self._frames, self._path, self._once, self._number = frames, path, once, 0
 
     def read(self, timeout_s: float) -> Shot | None:
-        """The next picture, however long it takes. Raises CameraError for none and for what is none, FilmOver
-        after the last where it is played once."""
+        """The next image, however long it takes. Raises CameraError if `frames()` ends, fails, or yields
+        anything else; SourceEnded after the last image if it is played once."""
         try:
             frame = next(self._frames)
         except StopIteration:
             if self._once:
-                raise FilmOver from None
+                raise SourceEnded from None
             raise CameraError("frames() has ended. It is called again.") from None
         except _RAISED as error:
             again = "" if self._once else " frames() is called again."
@@ -97,10 +98,11 @@ class PythonCamera:
             raise CameraError(f"frames() gave {type(frame).__name__}, expected huepose.RgbdFrame")
         self._number += 1
         now = now_ns()
-        # Whoever fills one array again and again must not change a picture that is still sent, or compared.
+        # A file that fills the same array again must not change an image that is still being sent or
+        # compared.
         color, depth = frame.color.copy(), frame.depth.copy()
-        taken_ns, place = frame.stamp_ns or now, frame.T_parent_cam
-        return Shot(color, depth, frame.camera, self._number, taken_ns, now, T_parent_cam=place)
+        taken_ns, T_parent_cam = frame.stamp_ns or now, frame.T_parent_cam
+        return Shot(color, depth, frame.camera, self._number, taken_ns, now, T_parent_cam=T_parent_cam)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: there is nothing to close."""

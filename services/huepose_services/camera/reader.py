@@ -1,7 +1,8 @@
-"""The thread that opens and reads a live camera, and leaves the newest picture for the work loop.
+"""The thread that opens and reads a live camera, and keeps the newest image for the work loop.
 
-Whatever the SDK does, the loop that takes pictures waits no longer than it asked for. A camera that is not
-there, goes away, falls silent or repeats its last picture is closed and looked for again twice a second.
+Whatever the SDK does, the loop that takes images waits no longer than its timeout. A camera that is
+missing, is unplugged, gives no more images or repeats its last image is closed; twice a second it is tried
+to open it again.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from functools import partial
 from typing import TypeVar
 
 from huepose.support.words import rounded
-from huepose_services.camera.live import CameraError, FilmOver, LiveCamera, LiveSource, Shot
+from huepose_services.camera.live import CameraError, LiveCamera, LiveSource, Shot, SourceEnded
 from huepose_services.convert import check_size
 from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.text import encodable
@@ -25,12 +26,12 @@ _READ_S, _RETRY_S = 0.25, 0.5
 _SILENT_NS = 2 * SECOND
 _SLOW_NS = int(1.5 * SECOND)
 PATIENCE_PICTURES = 3
-"""No camera is slow or silent before the time of so many pictures."""
+"""A camera counts as slow or silent only after the time of this many images."""
 
 
 @dataclass(frozen=True, eq=False)
 class Taken:
-    """A picture, of which opening of the camera it is, and whether its device time is this machine's."""
+    """An image, the number of the opening of the camera, and whether its device time is this machine's."""
 
     shot: Shot
     opening: int
@@ -38,8 +39,8 @@ class Taken:
 
 
 class Reader:
-    """Starts at once, or by `start` where the source is opened once. `take` gives each picture once, the
-    newest; `trouble` says why there is none. rate_hz: how many should come."""
+    """Starts at once, or with `start` if the source is opened only once. `take` returns the newest image,
+    each only once; `trouble` says why there is none. rate_hz: the expected rate."""
 
     def __init__(self, source: LiveSource, rate_hz: float) -> None:
         self._source = source
@@ -53,11 +54,11 @@ class Reader:
         self._stopping = threading.Event()
         self.openings = 0
         self.pictures = 0
-        """Of this opening, those that were taken from here and those that were not."""
+        """The number of images of this opening, taken or not."""
         self.skipped = 0
         self.repeated = 0
         self.over = False
-        """No picture comes any more: all have come, or `trouble` says what ended it."""
+        """Whether no more image comes: all have come, or `trouble` says why it ended."""
         self._thread = threading.Thread(target=self._run, name="camera", daemon=True)
         self.started = False
         if not source.once:
@@ -69,7 +70,7 @@ class Reader:
         self._thread.start()
 
     def take(self, timeout_s: float) -> Taken | None:
-        """The newest picture that was not taken yet; None when none comes in time."""
+        """The newest image that was not taken yet; None if none comes in time."""
         with self._ready:
             if self._taken is None:
                 self._ready.wait(timeout_s)
@@ -78,7 +79,7 @@ class Reader:
 
     @property
     def trouble(self) -> str | None:
-        """What keeps the pictures away now, and what to do; None when nothing does."""
+        """Why no image comes now, and what to do; None if images come."""
         call = self._call
         if call is not None and now_ns() - call[1] > self._slow_ns:
             slow = f"{call[0]} it takes longer than {rounded(self._slow_ns / SECOND)} s."
@@ -86,24 +87,24 @@ class Reader:
         return self._trouble
 
     def silent_s(self) -> float | None:
-        """For how long no new picture has come, of any opening; None before the first."""
+        """The time since the last new image of any opening; None before the first."""
         return None if self._news_ns is None else (now_ns() - self._news_ns) / SECOND
 
     def stuck_s(self) -> float:
-        """For how long the SDK has not returned from a call that should be short."""
+        """The time since the SDK was called, if it has not returned; 0 if it has."""
         call = self._call
         return 0.0 if call is None else (now_ns() - call[1]) / SECOND
 
     def close(self) -> None:
-        """Ask the thread to let the camera go; it is not waited for longer than a moment."""
+        """Ask the thread to close the camera, and wait for it for 0.6 s at most."""
         self._stopping.set()
         if self.started:
             self._thread.join(0.6)
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            # An SDK raises what it likes, also what is no Exception (asyncio's CancelledError, a panic of
-            # Rust), and this thread must live as long as the worker.
+            # An SDK may raise anything, also errors that are no Exception (asyncio's CancelledError, a
+            # panic of Rust), but this thread must live as long as the worker.
             try:
                 camera = self._timed("opening", self._source.open)
             except BaseException as error:
@@ -113,11 +114,11 @@ class Reader:
                 self.pictures = 0
                 try:
                     self._read_on(camera)
-                except FilmOver:
+                except SourceEnded:
                     self._end()
                 except BaseException as error:
                     self._fail(error)
-                with suppress(BaseException):  # what was unplugged cannot be closed well
+                with suppress(BaseException):  # closing an unplugged camera may fail
                     self._timed("closing", camera.close)
             self._stopping.wait(_RETRY_S)
 
@@ -131,7 +132,7 @@ class Reader:
         self.over = True
 
     def _timed(self, what: str, call: Callable[[], T]) -> T:
-        """Note since when the SDK has been in a call."""
+        """Call the SDK, and note the call while it lasts."""
         self._call = (what, now_ns())
         try:
             return call()
@@ -146,21 +147,22 @@ class Reader:
             if shot is not None:
                 check_size(shot.camera)
             if shot is not None and last is not None and _is_repeated(shot, last, camera):
-                # Some cameras give their last picture for ever once they are unplugged, some with new stamps.
+                # Some cameras repeat their last image for ever after they are unplugged, some with new
+                # timestamps.
                 self.repeated += 1
             elif shot is not None:
                 last, news_ns = shot, now_ns()
                 self._news_ns = news_ns
                 self.pictures += 1
                 self._trouble = None
-                self._leave(Taken(shot, self.openings, camera.device_clock_is_host))
+                self._keep(Taken(shot, self.openings, camera.device_clock_is_host))
             if now_ns() - news_ns > self._silent_ns:
                 raise CameraError(
                     f"no new picture for {rounded(self._silent_ns / SECOND)} s. It is opened again; if that "
                     "does not help, use another cable or port (USB 3)."
                 )
 
-    def _leave(self, taken: Taken) -> None:
+    def _keep(self, taken: Taken) -> None:
         with self._ready:
             self.skipped += self._taken is not None
             self._taken = taken

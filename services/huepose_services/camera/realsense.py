@@ -1,8 +1,8 @@
 """RealSense cameras through pyrealsense2, and the `.db3` recordings of its recorder.
 
-The device's sensors are opened one by one and joined by the SDK's syncer, not by its pipeline, which blocks
-for 15 s where no camera is: so a real camera, a recording and the SDK's software device run the same lines.
-Depth is brought into the colour picture's pixels, then both are rectified.
+The device's sensors are opened one by one and combined by the SDK's syncer, not by its pipeline, which
+blocks for 15 s if there is no camera. So a real camera, a recording and the SDK's software device use the
+same code. Depth is aligned to the colour image, then both are rectified.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import CameraConfig, Filter
 
-# A set of colour and depth may be followed by one of colour alone: it must not push the other out.
+# A set of colour and depth may be followed by one of colour alone, which must not replace it in the queue.
 _QUEUE = 2
 _NONE = (
     "no RealSense camera is connected. Plug it into a USB 3 port; if `lsusb -d 8086:` lists it, install the "
@@ -51,11 +51,11 @@ def source_of(rs: Any, settings: CameraConfig) -> LiveSource:
 
     def device() -> Any:
         if path is not None:
-            # The SDK keeps a recording that it has played until it is told otherwise.
+            # The SDK keeps a recording that it has played until it is unloaded.
             with suppress(RuntimeError):
                 context.unload_device(path)
             return context.load_device(path)
-        # A camera that is starting, or used by another program, may be listed and not answer.
+        # A camera that is starting, or is used by another program, may be listed but not answer.
         serial_of = rs.camera_info.serial_number
         devices = {d.get_info(serial_of): d for d in context.query_devices() if d.supports(serial_of)}
         return the_one(devices, serial, _NONE)
@@ -95,7 +95,7 @@ class RealSenseCamera:
             raise CameraError(f"it does not start: {error}. Is another program using it?") from None
 
     def read(self, timeout_s: float) -> Shot | None:
-        """The next picture with both colour and depth; None when none came in time."""
+        """The next image with both colour and depth; None if none came in time."""
         deadline = time.monotonic() + timeout_s
         while (left_s := deadline - time.monotonic()) > 0:
             there, frames = self._syncer.try_wait_for_frames(max(int(left_s * 1000), 1))
@@ -103,7 +103,7 @@ class RealSenseCamera:
             if not there:
                 break
             frameset = frames.as_frameset()
-            # While one of its sensors starts, or when USB lost a picture, a set holds only the other one.
+            # While one of the sensors starts, or when USB lost an image, a set has only the other image.
             if frameset.get_depth_frame() and frameset.get_color_frame():
                 return self._shot(frameset, arrived_ns)
         if self._recorded and self._device.as_playback().current_status() == self._rs.playback_status.stopped:
@@ -112,7 +112,7 @@ class RealSenseCamera:
 
     def _shot(self, frameset: Any, arrived_ns: int) -> Shot:
         color, depth = frameset.get_color_frame(), frameset.get_depth_frame()
-        # Stamps of two clocks say nothing of each other.
+        # Timestamps of two different clocks cannot be compared.
         one_clock = color.get_frame_timestamp_domain() == depth.get_frame_timestamp_domain()
         depth_ns = round(depth.get_timestamp() * 1e6) if one_clock else None
         for one in self._filters:
@@ -138,7 +138,7 @@ class RealSenseCamera:
         )
 
     def close(self) -> None:
-        """Stop what was started."""
+        """Stop and close the sensors that were opened."""
         for sensor in self._open:
             with suppress(RuntimeError):  # unplugged
                 sensor.stop()
@@ -211,8 +211,8 @@ def apply_options(rs: Any, sensors: Sequence[Any], options: Mapping[str, float])
 
 
 def made_filters(rs: Any, filters: Mapping[Filter, Mapping[str, float]]) -> list[Any]:
-    """The SDK's filters of depth with their options, in the order that Intel recommends: smoothing over
-    picture and time works on disparity, whose noise is the same near and far.
+    """The SDK's depth filters with their options, in the order that Intel recommends. Smoothing in space
+    and time works on disparity, whose noise does not depend on distance.
 
     Raises CameraError for an option that a filter does not have, or a value outside its range."""
     made = {}
@@ -243,7 +243,7 @@ def _set_of_filter(rs: Any, made: Any, name: str, key: str, value: float) -> Non
 
 
 def _set(able: Any, option: Any, value: float, what: str, where: str) -> None:
-    """An option of a sensor or a filter. Raises CameraError for a value outside its range."""
+    """Set an option of a sensor or a filter. Raises CameraError for a value outside its range."""
     allowed = able.get_option_range(option)
     if not allowed.min <= value <= allowed.max:
         raise CameraError(
@@ -253,7 +253,8 @@ def _set(able: Any, option: Any, value: float, what: str, where: str) -> None:
 
 
 def use_own_clock(rs: Any, sensors: Iterable[Any]) -> None:
-    """Have stamps in the device's own time: the SDK's mapping goes to the wall clock, which may be set."""
+    """Get timestamps of the device's own clock: the SDK would convert them to the wall clock, which may be
+    set."""
     for sensor in sensors:
         with suppress(RuntimeError):
             if sensor.supports(rs.option.global_time_enabled):
@@ -261,9 +262,9 @@ def use_own_clock(rs: Any, sensors: Iterable[Any]) -> None:
 
 
 class Rectification(Rectifier):
-    """From the camera's distorted picture to a pinhole's with the same intrinsics.
+    """Rectifies the camera's distorted image to that of a pinhole camera with the same intrinsics.
 
-    The SDK projects each ray itself, so every distortion model that it knows holds here too."""
+    The SDK itself projects each ray, so every distortion model that it knows works here."""
 
     def __init__(self, rs: Any, intrinsics: Any) -> None:
         i = intrinsics

@@ -25,8 +25,8 @@ def open_source(config: Config) -> Scene:
 
 
 class RecordedScene:
-    """Frames by their places in the file, from 0; one that was shown again counts once. Raises InputError for
-    a file without frames."""
+    """The frames of a recording, numbered from 0; a frame that was published again counts once. Raises
+    InputError for a file without frames."""
 
     def __init__(self, path: Path) -> None:
         self.name = path.stem
@@ -52,11 +52,11 @@ class RecordedScene:
         self.image_ids = tuple(range(len(self._frames)))
 
     def stamp_ns(self, image: int) -> int:
-        """When it was captured."""
+        """The capture time of a frame."""
         return self._frames[image].capture_ns
 
     def frame(self, image: int) -> RgbdFrame:
-        """Colour and depth."""
+        """A frame: colour and depth."""
         key = frame_key(self._frames[image])
         if key not in self._near:
             chunk = self._recording.chunk(self._places[image])
@@ -71,6 +71,6 @@ class RecordedScene:
         return self._near[key]
 
     def truths(self, image: int) -> tuple[GroundTruth, ...]:
-        """Where everything was, as the recorded camera said."""
-        said = self._truths.get(frame_key(self._frames[image]))
-        return tuple(from_wire(GroundTruth, o) for o in ([] if said is None else said.objects))
+        """The ground truth of a frame, as recorded; empty if there is none."""
+        truth = self._truths.get(frame_key(self._frames[image]))
+        return tuple(from_wire(GroundTruth, o) for o in ([] if truth is None else truth.objects))

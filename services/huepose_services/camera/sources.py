@@ -1,4 +1,5 @@
-"""Where pictures come from, by `camera.source`: a data set's folder, or a module of this package."""
+"""Open the source of images that `camera.source` names: a data set's folder, or a module of this
+package."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from huepose_services.runtime.config import Config
 
 
 def open_source(config: Config) -> Any:
-    """The source of a configuration that was checked: a Scene, or of those that are live a LiveSource."""
+    """The source of a checked configuration: a LiveSource for live cameras, else a Scene."""
     source = config.camera.source
     if source == "bop":
         return BopScene(Path(config.camera.path or ""))
@@ -29,7 +30,8 @@ def open_source(config: Config) -> Any:
 
 
 def _sequence(config: Config, path: Path) -> FastYcbSequence:
-    """Its labels need the object's frame offset, kept in its reference model."""
+    """A Fast-YCB sequence. Its labels need the frame offset of the object, which its reference model
+    has."""
     offset: Float64 | None = None
     if config.camera.truth and config.bundles is not None:
         name = object_of(path)

@@ -1,4 +1,4 @@
-"""A scene that code draws as a camera: its loop, played for ever."""
+"""The rendered scene as a camera: a closed loop, played for ever."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ from huepose_services.runtime.config import Config
 
 
 def open_source(config: Config) -> SyntheticScene:
-    """The scene of `camera.seed`, computed first where it is not in the cache folder: with the objects of
-    `bundles`, or without that, with its own. Raises InputError where they do not fit into one."""
+    """The scene of `camera.seed`, with the objects of `bundles` or, without these, the built-in ones. It is
+    rendered first if it is not in the cache folder. Raises InputError if the objects do not fit into one
+    scene."""
     if config.bundles is None:
         return SyntheticScene(config.camera.seed)
     return SyntheticScene(config.camera.seed, objects=_meshes(config))
 
 
 def check_source(config: Config) -> None:
-    """Raises InputError where `open_source` does because its objects do not fit, without drawing anything."""
+    """Raises InputError if the objects do not fit into one scene, as `open_source` does, but renders
+    nothing."""
     if config.bundles is not None:
         check_scene(_meshes(config), config.camera.seed)
 
 
 def _meshes(config: Config) -> dict[str, Mesh]:
-    """Of the objects, by name: the same ones are the same scene, in whichever order they are listed."""
+    """The meshes by name, sorted: the same objects give the same scene, in whatever order they are
+    listed."""
     return {name: model.mesh for name, model in sorted(models.load(config).items())}

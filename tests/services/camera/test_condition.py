@@ -98,7 +98,7 @@ def test_a_picture_without_colour_is_named_when_it_is_not_what_is_shown_just_now
     said = said_after(condition, 3.0, grey, start_s=2.0, counted=60)
     assert list(said) == ["grey"]
     assert 1.9 < said["grey"][0] < 2.2
-    assert "its picture has no colour" in said["grey"][1]
+    assert "its image has no colour" in said["grey"][1]
     assert said_after(condition, 1.0, start_s=5.0, counted=150) == {}
 
 
@@ -238,12 +238,12 @@ def test_a_still_picture_and_one_stamp_for_all_are_named():
         return replace(still, number=one.number, device_ns=one.device_ns, depth_ns=None)
 
     (said,) = said_after(Condition(RATE_HZ, FARTHEST_M), 2.0, same).values()
-    assert said[1].startswith("it gives the same picture again and again")
+    assert said[1].startswith("it gives the same image again and again")
     frozen = said_after(
         Condition(RATE_HZ, FARTHEST_M), 2.0, lambda one: replace(one, device_ns=5, depth_ns=None)
     )
     assert [text for _, text in frozen.values()] == [
-        "its pictures have one and the same time stamp: each needs that of its own capture"
+        "all its images have the same timestamp: each needs that of its own capture"
     ]
 
 
@@ -252,7 +252,7 @@ def test_a_still_picture_and_one_stamp_for_all_are_named():
     [
         (0.5, None),
         (-30.0, None),
-        (3600.0, "its time stamps are 3600 s ahead of"),
+        (3600.0, "its timestamps are 3600 s ahead of"),
         (1.8e9, "so the time of arrival is taken instead. Give the time.monotonic_ns()"),
         (-63524.0, "64000 s behind"),
     ],

@@ -128,7 +128,7 @@ def test_that_a_recording_begins_again_and_objects_jump_is_said_each_time(scene)
     said = _said_while_played(Config(workers=("camera",), camera=camera), BopScene(scene), 20.0, 2)
     assert len(said) == 2
     assert {text.split(":")[0] for text in said} == {
-        "the recording begins again, and objects jump to where they were in its first picture"
+        "the recording begins again, and objects jump to where they were in its first image"
     }
 
 
@@ -138,7 +138,7 @@ def test_of_a_drawn_scene_it_is_said_once_that_objects_are_hidden_in_it(tmp_path
     drawn = SyntheticScene(3, 1.0, mesh, CAMERA.scaled(0.25), cache=tmp_path)
     config = Config(workers=("camera",), camera=CameraConfig(source="synthetic", rate=30.0))
     (said,) = _said_while_played(config, drawn, 2.5, 2)
-    assert said.startswith("a drawn scene, round after round of 1 s: objects turn fast, pass before one")
+    assert said.startswith("a rendered scene, repeated every 1 s: objects rotate fast, pass in front of")
 
 
 def _ingest(scene, **camera):
@@ -163,7 +163,7 @@ def test_pictures_that_cannot_be_read_are_left_out_and_counted(scene):
     assert [h.frame_id for h in bus.headers] == [3, 4, *range(6, 14)]
     assert bus.health.counters["frames_unread"] == 2
     said = out.getvalue()
-    assert f"a picture is left out: {scene / 'depth' / '000005.png'}: found no such file." in said
+    assert f"an image is left out: {scene / 'depth' / '000005.png'}: found no such file." in said
     assert "the recording has ended after 10 of 12 frames: 2 could not be read\n" in said
 
 

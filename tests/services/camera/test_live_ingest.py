@@ -56,7 +56,7 @@ def test_depth_in_millimetres_is_why_nothing_is_found(ingest_of):
 
 def test_where_every_picture_is_refused_it_says_that_none_comes_and_why(ingest_of):
     ingest, bus = ingest_of("color = color[:24]")
-    why = "No picture comes, and perception waits for the next. cam.py: Input"
+    why = "No image comes, and perception waits for the next. cam.py: Input"
     assert _picture(ingest, bus).startswith(why)
     assert bus.headers == []
 
@@ -65,9 +65,7 @@ def test_where_every_picture_is_too_large_to_be_sent_it_says_so_and_which_is_not
     monkeypatch.setattr("huepose_services.convert.MOST_PIXELS", 2_000)
     ingest, bus = ingest_of("pass")
     said = _picture(ingest, bus)
-    assert (
-        "cam.py: picture: found 64 x 48 pixels; expected at most 0.0 million of them. Set a smaller" in said
-    )
+    assert "cam.py: image: found 64 x 48 pixels; expected at most 0.0 million of them. Set a smaller" in said
     assert bus.headers == []
 
 
@@ -108,16 +106,16 @@ def test_a_camera_that_hangs_is_said_to_give_no_picture_after_a_second_and_no_sl
         ingest.step()
         pictures.add(bus.health.picture)
         warnings.update(bus.health.message().warnings)
-    said = [(frames, message) for frames, message in told if "no picture for" in message.picture]
+    said = [(frames, message) for frames, message in told if "no image for" in message.picture]
     ((frames, message),) = said
     age_s = 1e-9 * (message.publish_ns - bus.headers[frames - 1].capture_ns)
     assert 1.0 < age_s < 1.3
     assert message.state == "waiting"
-    assert message.picture.startswith("No picture comes, and perception waits for the next. cam.py: no pic")
-    assert message.warnings[0] == "cam.py: no picture for 1 s"
+    assert message.picture.startswith("No image comes, and perception waits for the next. cam.py: no ima")
+    assert message.warnings[0] == "cam.py: no image for 1 s"
     assert told[-1][1].state == "ready"
     assert told[-1][1].picture == ""
-    known = "No picture has come for 2 s, and perception waits for the next. cam.py: reading it takes longer"
+    known = "No image has come for 2 s, and perception waits for the next. cam.py: reading it takes longer"
     assert any(picture.startswith(known) for picture in pictures)
     assert "pictures: rate" not in logged
     assert not [text for text in warnings if "pictures a second" in text]
@@ -146,7 +144,7 @@ def test_a_frame_says_that_its_camera_has_stopped_until_it_shows_another_picture
         return
     assert 1.3 < said_s[0] < 1.8
     assert 2.8 < said_s[-1] < 3.1
-    assert "cam.py: its picture stands still" in bus.headers[-60].camera
+    assert "cam.py: its image has changed before" in bus.headers[-60].camera
     assert bus.headers[-1].camera == ""
 
 
@@ -206,8 +204,8 @@ def test_where_every_picture_of_an_opening_is_left_out_it_is_said(good_before):
     finally:
         ingest.close()
     health = bus.health.message()
-    assert health.picture.startswith("No picture comes, and perception waits for the next. sensors: depth is")
-    assert any("such pictures are left out" in warning for warning in health.warnings)
+    assert health.picture.startswith("No image comes, and perception waits for the next. sensors: depth is")
+    assert any("such images are left out" in warning for warning in health.warnings)
     assert (health.state, len(bus.headers)) == ("waiting", good_before)
     assert ingest.ready == (good_before > 0)
 
@@ -221,7 +219,7 @@ def test_stamps_that_go_back_begin_an_epoch_where_readers_would_wait_for_long(in
     )
     _goes_on(ingest, 1.0)
     assert len({header.camera_epoch for header in bus.headers}) == epochs
-    warnings = [text for text in bus.health.message().warnings if "time stamps went back by 3 s" in text]
+    warnings = [text for text in bus.health.message().warnings if "timestamps went back by 3 s" in text]
     assert len(warnings) == len(bus.logged["pictures: back"]) == epochs - 1
     if epochs == 2:
         of_one = [(a, b) for a, b in pairwise(bus.headers) if a.camera_epoch == b.camera_epoch]

@@ -1,7 +1,8 @@
-"""What ROS 2 calls a pose, a transform, a detection and a camera, as CDR; and transforms read from CDR.
+"""Convert poses, transforms, detections and camera data to messages of ROS 2 in CDR; and read transforms
+from CDR.
 
-The types are those of ROS 2 Jazzy; vision_msgs (4.1), which is no core package, is described here.
-Serialised and read by rosbags, which also computes the hashes of the types.
+The types are those of ROS 2 Jazzy; vision_msgs (4.1) is not among its core packages, so its types are
+defined here. rosbags serialises and reads the messages, and computes the hashes of the types.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ VISION_MSGS = {
 
 @cache
 def types() -> Typestore:
-    """All types that are used."""
+    """The type store with all types that are used."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -50,17 +51,17 @@ def types() -> Typestore:
 
 
 def type_hash(name: str) -> str:
-    """Of a type, as `RIHS01_...` (REP 2016)."""
+    """The hash of a type, as `RIHS01_...` (REP 2016)."""
     return str(types().hash_rihs01(name))
 
 
 def cdr(message: Any) -> bytes:
-    """A message as it travels, little-endian, with the four bytes that say so."""
+    """A message in CDR: little-endian, after the four bytes of the encapsulation header."""
     return bytes(types().serialize_cdr(message, message.__msgtype__))
 
 
 def instance_of(pose: PoseMessage) -> str:
-    """Which object a pose is of, as OBJECT_INSTANCE."""
+    """The instance of a pose as OBJECT_INSTANCE."""
     return f"{pose.object}_{pose.instance}"
 
 
@@ -70,14 +71,14 @@ def pose_topic(pose: PoseMessage) -> str:
 
 
 def pose_stamped(pose: PoseMessage) -> Any:
-    """geometry_msgs/PoseStamped of a pose that is there, in the camera's optical frame."""
+    """geometry_msgs/PoseStamped in the camera's optical frame; the message must have a pose."""
     return types().types[POSE](_header(pose), _pose(pose))
 
 
 def transforms(poses: Sequence[PoseMessage], camera: CameraMessage | None, prefix: str = "") -> Any:
-    """tf2_msgs/TFMessage: each object in the camera's frame, called OBJECT_INSTANCE after the prefix; and the
-    camera in the frame that it is mounted in, where that is known; of one that moves only by itself, at its
-    own time."""
+    """tf2_msgs/TFMessage: the pose of each object in the camera's frame, with the name OBJECT_INSTANCE
+    after the prefix; and the pose of the camera in the parent frame of its mount, if it is known. For a
+    moving camera it is in a message without objects, with its own timestamp."""
     out, newest = [], None
     for newest in poses:
         out.append(_transform(_header(newest), prefix + instance_of(newest), newest))
@@ -96,22 +97,23 @@ def _transform(stamped: Any, child: str, place: PoseMessage | Mount) -> Any:
 
 
 _UNIT = 0.01
-"""So far from 1 may the length of a quaternion be, as tf2 has it."""
+"""The length of a quaternion may differ from 1 by this much, as in tf2."""
 _MOST_BYTES = 1024 * 1024
 
 
 def transforms_in(payload: bytes, refuse: Callable[[WireError], None]) -> list[tuple[int, str, Mount]]:
-    """Of a tf2_msgs/TFMessage in CDR: Unix time in ns, the frame placed, and where it is in its parent.
-    refuse: told of bytes that are none, and of each transform that is no rigid motion; it is left out."""
+    """The transforms of a tf2_msgs/TFMessage in CDR: Unix time in ns, the child frame, and its pose in its
+    parent. refuse: called for bytes that are no such message, and for each transform that is no rigid
+    motion; these are left out."""
     if len(payload) > _MOST_BYTES:
         refuse(WireError(f"{len(payload)} bytes of transforms"))
         return []
     try:
         message: Any = types().deserialize_cdr(payload, TRANSFORMS)
-    except Exception as error:  # rosbags lets through whatever its parser trips over
+    except Exception as error:  # the parser of rosbags raises errors of any type
         refuse(WireError(f"no {TRANSFORMS}: {type(error).__name__} {str(error)[:200]}"))
         return []
-    return [told for one in message.transforms if (told := _transform_in(one, refuse)) is not None]
+    return [read for one in message.transforms if (read := _transform_in(one, refuse)) is not None]
 
 
 def _transform_in(one: Any, refuse: Callable[[WireError], None]) -> tuple[int, str, Mount] | None:
@@ -119,7 +121,7 @@ def _transform_in(one: Any, refuse: Callable[[WireError], None]) -> tuple[int, s
     quaternion = np.array([q.x, q.y, q.z, q.w])
     parent, child = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
     if not abs(np.linalg.norm(quaternion) - 1.0) <= _UNIT:
-        refuse(WireError(f"the transform of {child[:64]!r} is no rotation: {quaternion.tolist()}"))
+        refuse(WireError(f"the transform of {child[:64]!r} has no valid rotation: {quaternion.tolist()}"))
         return None
     try:
         place = mount_of(parent, np.array([t.x, t.y, t.z]), quaternion)
@@ -130,7 +132,7 @@ def _transform_in(one: Any, refuse: Callable[[WireError], None]) -> tuple[int, s
 
 
 def detections(poses: Sequence[PoseMessage], bounds: Mapping[str, Float64]) -> Any:
-    """vision_msgs/Detection3DArray of the poses of one frame, one or more; score is the quality.
+    """vision_msgs/Detection3DArray of one or more poses of one frame; the score is the quality.
 
     bounds: by object, its least and greatest coordinates (2, 3), metres."""
     make = types().types
@@ -151,7 +153,7 @@ def detections(poses: Sequence[PoseMessage], bounds: Mapping[str, Float64]) -> A
 
 
 def camera_info(camera: CameraMessage, stamp_ns: int) -> Any:
-    """sensor_msgs/CameraInfo of a rectified camera; stamp_ns: of its clock."""
+    """sensor_msgs/CameraInfo of a rectified camera. stamp_ns: timestamp on its clock."""
     make, k = types().types, camera.intrinsics
     K = np.array([k.fx, 0.0, k.cx, 0.0, k.fy, k.cy, 0.0, 0.0, 1.0])
     P = np.array([k.fx, 0.0, k.cx, 0.0, 0.0, k.fy, k.cy, 0.0, 0.0, 0.0, 1.0, 0.0])
@@ -187,5 +189,5 @@ def _quaternion(xyzw: Iterable[float] | None) -> Any:
 
 
 def _there(values: Iterable[float] | None) -> Iterable[float]:
-    assert values is not None  # only poses that are there come here
+    assert values is not None  # the caller gives only messages with a pose
     return values

@@ -1,10 +1,10 @@
-"""Topics of ROS 2 on zenoh: keys, liveliness tokens and attachments as rmw_zenoh has them, or as
-zenoh-bridge-ros2dds does.
+"""Topics of ROS 2 on zenoh: keys, liveliness tokens and attachments of rmw_zenoh, or keys of
+zenoh-bridge-ros2dds.
 
 rmw_zenoh (ROS 2 Jazzy and later; its docs/design.md and liveliness_utils.cpp): a topic is the key
 DOMAIN/TOPIC/TYPE/HASH, every message has an attachment (number, time, identifier of the publisher), and a
-node and each of its publishers have a liveliness token, by which `ros2 topic list` knows them. The bridge
-takes a topic by its name alone, with nothing attached.
+node and each of its publishers have a liveliness token, by which `ros2 topic list` knows them. For the
+bridge, a topic is the key TOPIC, without an attachment.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from huepose_services.runtime.inbox import Inbox, Place
 Style = Literal["rmw_zenoh", "bridge"]
 
 DEPTH = 10
-"""Messages that a publisher keeps, as ROS 2 has it by default."""
+"""Messages that a publisher keeps; the default of ROS 2."""
 _QOS = f"::,{DEPTH}:,:,:,,"
-"""Reliable, volatile, keep last: what rmw_zenoh takes where nothing is said, but for the depth."""
+"""Reliable, volatile, keep last: the defaults of rmw_zenoh, except for the depth."""
 _KEPT_QOS = f":1:,{DEPTH}:,:,:,,"
-"""The same, transient local: who comes later hears what was said before."""
+"""The same, but transient local: a late subscriber gets the last messages."""
 _NODE_ID = 0
 
 
@@ -39,13 +39,13 @@ def topic_key(topic: str, type_name: str, domain: int, style: Style) -> str:
 
 
 def heard_key(topic: str, type_name: str, domain: int, style: Style) -> str:
-    """The key to hear a topic by, whichever release of ROS 2 computed the hash of its type."""
+    """The key to subscribe to a topic, whichever release of ROS 2 computed the hash of its type."""
     key = topic_key(topic, type_name, domain, style)
     return key if style == "bridge" else f"{key.rpartition('/')[0]}/*"
 
 
 def dds_type(type_name: str) -> str:
-    """`geometry_msgs/msg/PoseStamped` as DDS calls it."""
+    """The DDS name of a type such as `geometry_msgs/msg/PoseStamped`."""
     package, kind, name = type_name.split("/")
     return f"{package}::{kind}::dds_::{name}_"
 
@@ -73,13 +73,14 @@ def endpoint_token(
 
 
 def attachment(number: int, unix_ns: int, token: str) -> bytes:
-    """What rmw_zenoh attaches to a message: its number, when it was sent, and 16 bytes for the publisher."""
+    """The attachment of rmw_zenoh: the message's number, its send time, and 16 bytes that identify the
+    publisher."""
     gid = hashlib.blake2b(token.encode(), digest_size=16).digest()
     return struct.pack("<qqB16s", number, unix_ns, len(gid), gid)
 
 
 class Node:
-    """A node of ROS 2 whose publishers are made when they first say something. Used by one thread."""
+    """A node of ROS 2. A publisher is made with its first message. Not thread-safe."""
 
     def __init__(self, session: zenoh.Session, name: str, domain: int, style: Style) -> None:
         self._session, self._name, self._domain, self._style = session, name, domain, style
@@ -93,7 +94,7 @@ class Node:
 
     @property
     def connected(self) -> bool:
-        """Whether the router is there now."""
+        """Whether the router is connected now."""
         return bool(self._session.info.routers_zid())
 
     def _announce(self, token: str) -> None:
@@ -106,7 +107,7 @@ class Node:
         )
 
     def listen(self, inbox: Inbox, topic: str, type_name: str, kept: bool) -> Place:
-        """Subscribe to what others say on a topic; kept: also to the last messages that they keep."""
+        """Subscribe to what others publish on a topic; kept: get also the last messages that they keep."""
         key = heard_key(topic, type_name, self._domain, self._style)
         if self._style == "rmw_zenoh":
             self._announce(self._token("MS", topic, type_name, kept))
@@ -115,11 +116,11 @@ class Node:
         )
 
     def publish(self, topic: str, type_name: str, payload: bytes) -> None:
-        """A message in CDR on a topic, `/tf` for example."""
+        """Publish a message in CDR on a topic, `/tf` for example."""
         if topic not in self._topics:
             token = self._token("MP", topic, type_name)
             key = topic_key(topic, type_name, self._domain, self._style)
-            # A reader that does not read loses messages; it holds up nobody.
+            # A reader that does not read loses messages; nobody waits for it.
             publisher = self._session.declare_publisher(key, congestion_control=zenoh.CongestionControl.DROP)
             self._topics[topic] = (publisher, token)
             if self._style == "rmw_zenoh":

@@ -1,4 +1,4 @@
-"""The poses of a frame, which come one by one, until all are there. No clock in here: times are passed in."""
+"""Collect the poses of a frame, which come one by one. It has no clock: the caller passes the time."""
 
 from __future__ import annotations
 
@@ -7,64 +7,65 @@ from huepose_services.convert import frame_key
 from huepose_services.runtime.clock import SECOND
 
 _QUIET_NS = SECOND // 40
-"""So long after the last pose of a frame no other one is waited for."""
+"""The longest wait for another pose, from the last pose of a frame."""
 _LONGEST_NS = SECOND // 10
-"""So long after the first one in no case."""
+"""The longest wait in total, from the first pose of a frame."""
 _LIVING_NS = SECOND
 
 _Instance = tuple[str, int]
 
 
 class Together:
-    """What is said of one frame. The tracker says of each instance in every frame where it is, or that it is
-    lost: the frame is `complete` when all that spoke within a second before have spoken of it, and no new
-    one, which may bring others. Until then it is told when a pose of another frame comes (`ends_with`), or
-    at `due_ns`."""
+    """The poses of one frame, to be published together. In every frame the tracker publishes a message for
+    each instance, also for lost ones. The frame is `complete` when the instances with a message in it are
+    exactly those of the last second: after a new one, others may follow. Otherwise its poses are due when a
+    pose of another frame comes (`ends_with`), or at `due_ns`."""
 
     def __init__(self) -> None:
         self._frame = (-1, -1)
         self._poses: dict[_Instance, PoseMessage] = {}
-        self._spoke_ns: dict[_Instance, int] = {}
+        self._captured_ns: dict[_Instance, int] = {}
         self._awaited: set[_Instance] = set()
         self._first_ns = self._last_ns = 0
-        self._untold = False
+        self._unpublished = False
 
     def ends_with(self, pose: PoseMessage) -> bool:
-        """Whether a pose is of another frame, while there is something to tell of this one."""
-        return self._untold and frame_key(pose) != self._frame
+        """Whether a pose is of another frame, while poses of this one are unpublished."""
+        return self._unpublished and frame_key(pose) != self._frame
 
     def add(self, pose: PoseMessage, now_ns: int) -> None:
-        """Take a pose, of any state. One that comes after its frame was told lets it be told again, whole."""
+        """Add a pose in any state. If its frame was published already, the whole frame becomes due
+        again."""
         if frame_key(pose) != self._frame:
             self._begin(pose)
         instance = (pose.object, pose.instance)
-        self._poses[instance], self._spoke_ns[instance] = pose, pose.capture_ns
-        if not self._untold:
+        self._poses[instance], self._captured_ns[instance] = pose, pose.capture_ns
+        if not self._unpublished:
             self._first_ns = now_ns
         self._last_ns = now_ns
-        self._untold = (self._untold or pose.state == "TRACKING") and bool(self._tracked)
+        self._unpublished = (self._unpublished or pose.state == "TRACKING") and bool(self._tracked)
 
     def _begin(self, pose: PoseMessage) -> None:
-        """The frame of a pose."""
+        """Begin with the frame of a pose."""
         frame, at_ns = frame_key(pose), pose.capture_ns
-        spoke_ns = self._spoke_ns if frame[0] == self._frame[0] else {}
-        self._spoke_ns = {one: ns for one, ns in spoke_ns.items() if abs(at_ns - ns) < _LIVING_NS}
-        self._frame, self._poses, self._untold = frame, {}, False
-        self._awaited = set(self._spoke_ns)
+        captured_ns = self._captured_ns if frame[0] == self._frame[0] else {}
+        self._captured_ns = {one: ns for one, ns in captured_ns.items() if abs(at_ns - ns) < _LIVING_NS}
+        self._frame, self._poses, self._unpublished = frame, {}, False
+        self._awaited = set(self._captured_ns)
 
     @property
     def complete(self) -> bool:
-        """Whether there is something to tell, and nobody is waited for."""
-        return self._untold and self._poses.keys() == self._awaited
+        """Whether poses are unpublished, and no other pose of the frame is expected."""
+        return self._unpublished and self._poses.keys() == self._awaited
 
     @property
     def due_ns(self) -> int | None:
-        """When to tell it, complete or not; None where there is nothing to tell."""
-        return min(self._last_ns + _QUIET_NS, self._first_ns + _LONGEST_NS) if self._untold else None
+        """When to publish the frame, complete or not; None if nothing is unpublished."""
+        return min(self._last_ns + _QUIET_NS, self._first_ns + _LONGEST_NS) if self._unpublished else None
 
-    def tell(self) -> list[PoseMessage]:
-        """The poses of the frame that are TRACKING; one or more, where there is something to tell."""
-        self._untold = False
+    def take(self) -> list[PoseMessage]:
+        """Take the poses of the frame that are TRACKING; one or more, if any are unpublished."""
+        self._unpublished = False
         return self._tracked
 
     @property

@@ -11,8 +11,8 @@ from huepose_protos.motion import composed, inverted, mount_at
 from huepose_services.runtime.clock import SECOND
 
 _KEPT = 128
-"""Transforms that are kept of each edge: some seconds of a slow edge, to interpolate at the stamps of a fast
-one."""
+"""Transforms that are kept of each edge: some seconds of a slow edge, to interpolate at the timestamps of a
+fast one."""
 _MOST_FRAMES = 4096
 
 StampedTransform = tuple[int, str, Mount]
@@ -62,9 +62,9 @@ class Tree:
             edge.transforms.append((stamp_ns, mount))
 
     def newest(self, now_ns: int) -> tuple[int, Mount] | None:
-        """The newest stamp at which the whole chain is known, and the pose of `child` in `parent` at it. None
-        if there is none newer than the last one returned. A chain of static transforms alone is known at
-        now_ns, in Unix time, also when that clock was set back."""
+        """The newest timestamp at which the whole chain is known, and the pose of `child` in `parent` at
+        it. None if there is none newer than the last one returned. A chain of static transforms alone is
+        known at now_ns, in Unix time, also when that clock was set back."""
         chain = self._chain()
         if chain is None:
             return None
@@ -110,7 +110,7 @@ class Tree:
 
 
 def _composed(edges: Iterable[_Edge], stamp_ns: int) -> Mount | None:
-    """The pose of the first edge's frame in the last edge's parent; None if an edge has none at the stamp."""
+    """The pose of the first edge's frame in the last edge's parent; None if an edge has none then."""
     T = Mount(parent="itself", translation=(0.0, 0.0, 0.0))
     for edge in edges:
         newest_ns, mount = edge.transforms[-1]

@@ -51,7 +51,7 @@ def make(bus: Bus, config: Config) -> Ros2Work:
 
 
 def open_ros_session(ros2: Ros2Config, quiet: bool = False) -> zenoh.Session:
-    """A session with the router of ROS 2. Waits for the router, and says so once, unless it is to be quiet.
+    """A session with the router of ROS 2. Waits for the router, and prints that once, unless `quiet`.
     Raises InputError for settings that zenoh does not accept."""
     settings = {
         "mode": "client",
@@ -88,7 +88,7 @@ class Router:
     """Our node of ROS 2. A thread connects it to the router, however long that takes; the worker goes on."""
 
     node: Node | None = None
-    """None until the router was there."""
+    """None until the router has answered."""
 
     def __init__(self, ros2: Ros2Config) -> None:
         threading.Thread(target=self._open, args=(ros2,), daemon=True).start()
@@ -98,17 +98,18 @@ class Router:
 
     @property
     def connected(self) -> bool:
-        """Whether the router is there now."""
+        """Whether the router is connected now."""
         return self.node is not None and self.node.connected
 
     def publish(self, topic: str, type_name: str, payload: bytes) -> None:
-        """Publish a message in CDR on a topic; it is dropped until the router was there."""
+        """Publish a message in CDR on a topic; messages are dropped until the router has answered."""
         if self.node is not None:
             self.node.publish(topic, type_name, payload)
 
 
 class MountFromTf:
-    """Reads /tf and /tf_static, and publishes on the bus where `tf.child` is in `tf.parent` (`camera.tf`)."""
+    """Reads /tf and /tf_static, and publishes the pose of `tf.child` in `tf.parent` on the bus
+    (`camera.tf`)."""
 
     def __init__(self, bus: Bus, tf: TfConfig) -> None:
         self._bus, self._tf = bus, tf
@@ -118,7 +119,8 @@ class MountFromTf:
         self._due_ns = 0
 
     def is_of(self, frame: str) -> bool:
-        """Whether the robot itself says where a frame is: nobody else may, since a frame has one parent."""
+        """Whether the robot itself publishes the pose of a frame. Then we must not, since a frame has one
+        parent."""
         return frame == self._tf.child
 
     def listen(self, node: Node) -> None:
@@ -130,11 +132,11 @@ class MountFromTf:
 
     @property
     def due_ns(self) -> int | None:
-        """When a camera that stands still is published again; None before `listen`."""
+        """When to publish the mount of a static camera again; None before `listen`."""
         return self._due_ns if self._topics else None
 
     def step(self) -> None:
-        """Take what arrived and publish the newest mount; warn where there is none."""
+        """Take the transforms that arrived and publish the newest mount; warn if there is none."""
         now, offset_ns = now_ns(), this_clock().realtime_offset_ns
         for place, static in self._topics:
             while (sample := place.take()) is not None:
@@ -157,24 +159,24 @@ class MountFromTf:
     def _missing(self) -> str:
         chain = f"{self._tf.child} in {self._tf.parent} (camera.tf)"
         if self._tree.connected:
-            return f"nothing new was said on /tf about {chain} for half a second"
+            return f"nothing new was published on /tf about {chain} for half a second"
         names = self._tree.frames
-        heard = ", ".join(names[:_MOST_NAMES]) + (" ..." if len(names) > _MOST_NAMES else "") or "none"
-        return f"/tf and /tf_static do not say where {chain} is; frames heard of: {heard}"
+        known = ", ".join(names[:_MOST_NAMES]) + (" ..." if len(names) > _MOST_NAMES else "") or "none"
+        return f"/tf and /tf_static do not give the pose of {chain}; known frames: {known}"
 
 
 def _late(seconds: float) -> str:
     when = f"{seconds:.1f} s ago" if seconds > 0 else f"{-seconds:.1f} s from now"
     return (
-        f"the newest transforms of /tf are stamped {when} by this computer's clock: the robot's clock has to "
-        "agree with it (chrony, PTP), and must not be that of a simulation"
+        f"the newest transforms of /tf have timestamps {when} by this computer's clock: the robot's clock "
+        "must agree with it (chrony, PTP), and must not be that of a simulation"
     )
 
 
 class Ros2Work(Work):
-    """Publishes each pose at once, and what is said of a frame in one message when all its poses are there.
-    bounds: of each object its least and greatest coordinates (2, 3), metres; mount: of the camera, None
-    without `camera.tf`."""
+    """Publishes each pose at once; and /tf and detections of a frame when all its poses are there. bounds:
+    the least and greatest coordinates (2, 3) of each object, metres; mount: of the camera, None without
+    `camera.tf`."""
 
     def __init__(
         self,
@@ -210,7 +212,7 @@ class Ros2Work(Work):
             self._bus.health.warn_while("router", None if connected else self._no_router)
             if connected != self._connected:
                 self._connected = connected
-                self._bus.log.say("the router of ROS 2 is there" if connected else self._no_router)
+                self._bus.log.say("the router of ROS 2 is connected" if connected else self._no_router)
         if self._mount is not None and (node := self._router.node) is not None:
             self._mount.listen(node)
             self._mount.step()
@@ -237,7 +239,7 @@ class Ros2Work(Work):
             self._publish()
 
     def _publish(self) -> None:
-        started, poses = now_ns(), self._together.tell()
+        started, poses = now_ns(), self._together.take()
         self._transform(poses)
         self._say("detections", messages.detections(poses, self._bounds))
         self._bus.health.worked_on(started, poses[0])
@@ -247,8 +249,8 @@ class Ros2Work(Work):
         if camera is not None and self._mount is not None and self._mount.is_of(camera.frame):
             camera = None
         if poses or camera is not None:
-            told = messages.transforms(poses, camera, self._prefix)
-            self._router.publish("/tf", messages.TRANSFORMS, messages.cdr(told))
+            message = messages.transforms(poses, camera, self._prefix)
+            self._router.publish("/tf", messages.TRANSFORMS, messages.cdr(message))
 
     def _say(self, name: str, message: Any) -> None:
         self._router.publish(f"{self._root}/{name}", message.__msgtype__, messages.cdr(message))

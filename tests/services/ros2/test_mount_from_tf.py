@@ -137,7 +137,7 @@ def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
         router = Router(config.ros2)
         mount = MountFromTf(bus, TfConfig(parent="base_link", child="camera"))
         work = Ros2Work(bus, router, config.ros2, {}, Follower(bus, dict, []), mount)
-        until(lambda: "frames heard of: camera, tool0" in warnings(), 20.0, work.step)
+        until(lambda: "known frames: camera, tool0" in warnings(), 20.0, work.step)
         at_ns, key = 0, topic_key("/tf", TRANSFORMS, 0, "rmw_zenoh")
 
         def said() -> bool:
@@ -158,7 +158,7 @@ def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
         assert len({message.capture_ns for message in told}) == len(told)
         assert "tf" not in warnings()
         robot.put(key, written((at_ns - 9 * 10**9, "base_link", "tool0", (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))))
-        until(lambda: "stamped 9" in warnings(), 20.0, work.step)
+        until(lambda: "timestamps 9" in warnings(), 20.0, work.step)
         tokens = {str(r.ok.key_expr) for r in robot.liveliness().get("@ros2_lv/**") if r.ok is not None}
         assert any("/MS/%/%/huepose/%tf_static/" in token for token in tokens)
     close_bus(bus)

@@ -24,7 +24,7 @@ def run(*poses: tuple[int, PoseMessage]) -> list[tuple[int, int, list[str]]]:
     together, told = Together(), []
 
     def tell(at_ns: int) -> None:
-        found = together.tell()
+        found = together.take()
         told.append((at_ns // MS, found[0].frame_id, [pose.object for pose in found]))
 
     for at_ms, pose in poses:

@@ -1,4 +1,5 @@
-"""The viewer: what the pipeline sees and believes, for people. One more reader, in a process of its own."""
+"""The viewer worker: shows images and poses to people. It only reads from the bus, in a process of its
+own."""
 
 import os
 
@@ -6,5 +7,5 @@ from huepose_services.viewer.work import make
 
 __all__ = ["make"]
 
-# Nothing is reported to anyone, from the import of rerun on: a robot has no business on the internet.
+# Switches off the usage reports of rerun before its import: a robot must not use the internet.
 os.environ.setdefault("RERUN_ANALYTICS", "0")

@@ -1,4 +1,4 @@
-"""How the viewer's page is laid out, and where each kind of thing is logged."""
+"""The layout of the viewer's page, and the paths under which each kind of data is logged."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ _PLOTTED_S = 20.0
 
 
 def layout() -> Any:
-    """The blueprint: what the camera sees and what is believed on the left, where things are on the right."""
+    """The blueprint: camera image with poses, depth and events on the left, 3D view and plots on the
+    right."""
     recent = rrb.VisibleTimeRange(
         TIMELINE,
         range=TimeRange(
@@ -34,7 +35,7 @@ def layout() -> Any:
         name="Changes of state",
         origin=EVENTS,
         columns=rrb.TextLogColumns(
-            # The time is in the text: the column of the timeline is too narrow to be read.
+            # The time is in the text, because the column of the timeline is too narrow to read.
             timeline_columns=[rrb.components.TimelineColumn(TIMELINE, visible=False)],
             text_log_columns=[
                 rrb.components.TextLogColumn(kind, visible=visible) for kind, visible in shown.items()
@@ -55,7 +56,7 @@ def layout() -> Any:
         name="Quality",
         origin=QUALITY,
         axis_y=rrb.ScalarAxis(range=(0.0, 1.05)),
-        # Where the lines of objects that are tracked are not.
+        # In this corner there are no lines of tracked objects.
         plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.LeftBottom),
         time_ranges=recent,
     )

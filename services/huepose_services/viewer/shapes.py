@@ -1,4 +1,5 @@
-"""What is drawn, as arrays: outlines and axes in the image, the point cloud, meshes. No rerun in here."""
+"""The arrays that the viewer draws: outlines and axes in the image, the point cloud, meshes. It does not
+use rerun."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ _LABEL_ADVANCE, _LABEL_ROW, _LABEL_MARGIN = 7.0, 16.0, 8.0
 
 
 def outlines(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> list[Float32]:
-    """Border lines (N, 2) of the pixels that a mesh covers at a pose, closed; none where it is outside."""
+    """Closed border lines (N, 2) of the pixels that a mesh covers at a pose; none if it is outside the
+    image."""
     depth = render_depth(mesh, T_cam_obj, camera)
     covered: UInt8 = (depth > 0).astype(np.uint8)
     found, _ = cv2.findContours(covered, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
@@ -34,7 +36,7 @@ def outlines(mesh: Mesh, T_cam_obj: Float, camera: Camera) -> list[Float32]:
 
 
 def warm_up() -> None:
-    """Draw one outline, so that the kernels are compiled before the first picture waits for them."""
+    """Compute one outline, so that the kernels are compiled before the first image."""
     corners = np.array([[-0.1, -0.1, 0.0], [0.1, -0.1, 0.0], [0.0, 0.1, 0.0]], np.float32)
     texture = np.zeros((1, 1, 3), np.uint8)
     triangle = Mesh(corners, np.array([[0, 1, 2]], np.int32), np.zeros((1, 3, 2), np.float32), texture)
@@ -43,7 +45,8 @@ def warm_up() -> None:
 
 
 def axes(T_cam_obj: Float, camera: Camera, length_m: float, centre_obj: Float) -> list[Float32] | None:
-    """The x, y and z axis (2, 2) of an object in the image, from its centre; None where one is behind."""
+    """The x, y and z axis (2, 2) of an object in the image, from its centre; None if a point is behind the
+    camera."""
     points = centre_obj + np.vstack([np.zeros(3), length_m * np.eye(3)])
     pixels = camera.project(se3.apply(T_cam_obj, points)).astype(np.float32)
     if not np.isfinite(pixels).all():
@@ -54,7 +57,7 @@ def axes(T_cam_obj: Float, camera: Camera, length_m: float, centre_obj: Float) -
 def cloud(
     color: UInt8, depth: UInt16, depth_scale_m: float, camera: Camera, stride: int
 ) -> tuple[Float32, UInt8]:
-    """Points (N, 3) in camera axes and their colours (N, 3): every so many pixels that have a depth."""
+    """Points (N, 3) in camera axes and their colours (N, 3): every stride-th pixel, if it has depth."""
     z = depth[::stride, ::stride] * depth_scale_m
     rows, columns = np.nonzero((z > 0) & (z < _CLOUD_REACH_M))
     pixels = np.stack([columns, rows], -1).astype(np.float64)
@@ -64,7 +67,7 @@ def cloud(
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What a viewer needs of a reference model; whole: all of it, where its colour pairs are shown."""
+    """What a viewer needs of a reference model; whole: the whole model, if its colour pairs are shown."""
 
     mesh: Mesh
     diameter_m: float
@@ -72,13 +75,14 @@ class Body:
 
     @staticmethod
     def of(model: ReferenceModel, whole: bool = False) -> Body:
-        """Without `whole` the rest of the model is let go."""
+        """The body of a model. whole: keep the whole model, too."""
         return Body(model.mesh, model.diameter_m, model if whole else None)
 
 
 def drawable(mesh: Mesh) -> dict[str, np.ndarray]:
-    """A mesh as graphics cards take it, by rerun's names: positions (3F, 3), triangles (F, 3), texture
-    coordinates (3F, 2), each corner a vertex of its own, since they belong to corners; a small texture."""
+    """A mesh for graphics cards, by rerun's names: positions (3F, 3), triangles (F, 3), texture coordinates
+    (3F, 2) and a texture of at most 512 pixels a side. Each corner is a vertex of its own, because texture
+    coordinates belong to corners."""
     corners = mesh.faces.reshape(-1)
     texture = mesh.texture
     scale = _MAX_TEXTURE / max(texture.shape[:2])
@@ -94,14 +98,14 @@ def drawable(mesh: Mesh) -> dict[str, np.ndarray]:
 
 
 def yuv(color: UInt8) -> tuple[bytes, int, int]:
-    """Planes Y, U and V of a picture (H, W, 3), the last two at half its size: half the bytes; and width and
-    height of the first, which are even."""
+    """Planes Y, U and V of an image (H, W, 3), U and V at half its width and height: half the bytes; and
+    width and height of Y, which are even."""
     height, width = color.shape[0] // 2 * 2, color.shape[1] // 2 * 2
     return cv2.cvtColor(color[:height, :width], cv2.COLOR_RGB2YUV_I420).tobytes(), width, height
 
 
 def depth_range(depth: UInt16) -> tuple[float, float]:
-    """Where the depths of an image lie, in its own steps, without the outermost."""
+    """The range of the depths of an image in its own steps, from the 1st to the 95th percentile."""
     known: Bool = depth > 0
     if not known.any():
         return 0.0, 1.0
@@ -110,7 +114,8 @@ def depth_range(depth: UInt16) -> tuple[float, float]:
 
 
 def label_size(text: str) -> tuple[float, float]:
-    """Width and height of a label, about: rerun draws it of one size, however large the picture is drawn."""
+    """The approximate width and height of a label: rerun draws labels in one size, whatever the size of the
+    image."""
     rows = text.split("\n")
     return _LABEL_ADVANCE * max(map(len, rows)) + 2 * _LABEL_MARGIN, _LABEL_ROW * len(rows) + _LABEL_MARGIN
 
@@ -118,8 +123,8 @@ def label_size(text: str) -> tuple[float, float]:
 def apart(
     tips: Sequence[tuple[float, float]], sizes: Sequence[tuple[float, float]], width: int, height: int
 ) -> list[tuple[float, float]]:
-    """Points below which labels of these sizes do not cover one another, inside of a picture: each as near to
-    where it was as those before it in the list let it.
+    """Move points so that labels of these sizes below them do not overlap and stay inside the image. Each
+    point moves as little as the labels before it in the list allow.
 
     >>> apart([(50.0, 20.0), (60.0, 25.0)], [(40.0, 10.0), (40.0, 10.0)], 200, 100)
     [(50.0, 20.0), (60.0, 30.0)]

@@ -1,4 +1,4 @@
-"""Writes frames, poses and events to a rerun recording. Everything that is slow or grows is bounded here."""
+"""Writes frames, poses and events to a rerun recording, with bounded time and memory."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ STATE_COLOURS: dict[StateName, Colour] = {
 }
 _LEVELS: dict[StateName, str] = {"TRACKING": "INFO", "SUSPECT": "WARN", "LOST": "ERROR", "SEARCHING": "TRACE"}
 OTHER = (200, 120, 255)
-"""Of what is held possible beside a pose."""
+"""The colour of other hypotheses than the published pose."""
 AGREES, CONTRADICTS = (110, 255, 160), (255, 60, 60)
-"""Of colour pairs that the picture shows, and of those where it has another colour."""
+"""The colours of colour pairs that are found in the image, and of those where it has another colour."""
 _AXES = ((235, 70, 60), (70, 200, 80), (70, 120, 250))
 _PALETTE = (
     (86, 180, 233),
@@ -55,12 +55,12 @@ _PALETTE = (
 )
 _TRAIL = 90
 _ABOVE = 30.0
-"""Pixels from the top of an outline up to the point below which its label stands."""
+"""Distance from the top of an outline up to the point below which its label is, pixels."""
 _CLOUD_STRIDE = 3
 
 
 class Show:
-    """One recording. Static things (meshes, colours, the camera) are written when they are first needed."""
+    """One recording. Static data (meshes, colours, the camera) are written when they are first needed."""
 
     def __init__(self, recording: Any, bodies: Mapping[str, Body]) -> None:
         self._recording = recording
@@ -78,13 +78,13 @@ class Show:
         self._recording.log(path, *what, static=static)
 
     def at(self, realtime_ns: int, frame_id: int) -> None:
-        """What follows belongs to this time (nanoseconds since 1970) and frame."""
+        """Set the time (nanoseconds since 1970) and frame of all that is logged next."""
         self._recording.set_time(place.TIMELINE, timestamp=np.datetime64(realtime_ns, "ns"))
         self._recording.set_time("frame", sequence=frame_id)
 
     def colour_of(self, instance: Instance) -> Colour:
-        """Of an instance in plots and trails: the first of its object has the object's, another one the next
-        that the fewest have."""
+        """The colour of an instance in plots and trails: of the colours that the fewest instances have, the
+        first one counted from its object's."""
         if instance not in self._colours:
             names, used = list(self._bodies), Counter(self._colours.values())
             first = names.index(instance[0]) if instance[0] in names else len(names)
@@ -93,7 +93,7 @@ class Show:
         return self._colours[instance]
 
     def frame(self, header: FrameHeader, color: Array, depth: Array, with_cloud: bool) -> None:
-        """Colour, every other pixel of depth, and now and then the point cloud."""
+        """Write the colour image; with_cloud: also the point cloud, and every second pixel of depth."""
         camera = camera_from_wire(header.intrinsics)
         if camera != self._camera:
             self._camera = camera
@@ -105,11 +105,11 @@ class Show:
             )
             self._log(place.CAMERA, pinhole, static=True)
         planes, width, height = yuv(color)
-        # Not JPEG: a busy browser decodes that later than it draws what belongs on it.
-        picture = rr.Image(
+        # Not JPEG: a busy browser would decode it later than it draws the overlay.
+        image = rr.Image(
             bytes=planes, width=width, height=height, pixel_format=rr.PixelFormat.Y_U_V12_LimitedRange
         )
-        self._log(place.COLOR, picture)
+        self._log(place.COLOR, image)
         if with_cloud:
             scale_m = header.intrinsics.depth_scale_m
             small = np.ascontiguousarray(depth[::2, ::2])
@@ -121,7 +121,7 @@ class Show:
             self._log(place.CLOUD, rr.Points3D(points, colors=colors, radii=rr.Radius.ui_points(1.5)))
 
     def beliefs(self, poses: list[PoseMessage]) -> None:
-        """Outlines, axes and names in the image, of the poses of its frame."""
+        """Draw outlines, axes and names of a frame's poses into its image."""
         if self._camera is None:
             return
         lines, colors, tips, labels, label_colors, crosses = [], [], [], [], [], []
@@ -155,7 +155,7 @@ class Show:
         )
 
     def hypotheses(self, held: HypothesesMessage | None) -> None:
-        """Outlines of what is held possible beside the poses of a frame, with their share of the belief."""
+        """Draw outlines of the other hypotheses of a frame, with their shares."""
         camera = self._camera
         if camera is None:
             return
@@ -179,14 +179,16 @@ class Show:
         )
 
     def pairs(self, pixels: Float64, elsewhere: Bool) -> None:
-        """Colour pairs (N, 2) of the models that a frame shows, and whether it contradicts them (N,)."""
+        """Draw colour pairs of the models in a frame. pixels (N, 2): where they are; elsewhere (N,):
+        whether the image has another colour there."""
         colors = np.where(elsewhere[:, None], CONTRADICTS, AGREES).astype(np.uint8)
         self._log(
             f"{place.OVERLAY}/pairs", rr.Points2D(pixels, colors=colors, radii=rr.Radius.ui_points(2.0))
         )
 
     def pose(self, pose: PoseMessage) -> None:
-        """Where the model stands in space, its trail, its quality; gone from space while it has no pose."""
+        """Show the model and its trail in the 3D view, and plot its quality; without a pose the model is
+        removed from the view."""
         instance = (pose.object, pose.instance)
         path = _path(place.OBJECTS, instance)
         self._draw_once(instance, path)
@@ -203,7 +205,7 @@ class Show:
         self._log(_path(place.QUALITY, instance), rr.Scalars(pose.quality))
 
     def gone(self, instance: Instance) -> None:
-        """Take an instance and its trail from space, until it has a pose again."""
+        """Remove an instance and its trail from the 3D view, until it has a pose again."""
         self._trails.pop(instance, None)
         self._log(_path(place.OBJECTS, instance), rr.Transform3D(scale=0.0))
         self._trail(instance, ())
@@ -224,21 +226,21 @@ class Show:
             name = f"{instance[0]} {instance[1]}"
             line = rr.SeriesLines(colors=[self.colour_of(instance)], widths=[1.5], names=[name])
             self._log(_path(place.QUALITY, instance), line, static=True)
-        # A model may come later than the first pose, and another one in its place.
+        # A model may be loaded after the first pose, or be replaced.
         body = self._bodies.get(instance[0])
         if body is not None and body is not self._in_space.get(instance):
             self._in_space[instance] = body
             self._log(f"{path}/mesh", rr.Mesh3D(**drawable(body.mesh)), static=True)
 
     def latency(self, milliseconds: float) -> None:
-        """From capture to a frame's first pose."""
+        """Plot the time from the capture of a frame to its first pose."""
         self._log(place.LATENCY, rr.Scalars(milliseconds))
 
     def event(self, text: str, state: StateName) -> None:
-        """A line in the log of the page."""
+        """Write a line to the log of the page."""
         self._log(place.EVENTS, rr.TextLog(text, level=_LEVELS[state], color=STATE_COLOURS[state]))
 
 
 def _path(of: str, instance: Instance) -> str:
-    """Where something of an instance is logged."""
+    """The path under which data of an instance are logged."""
     return f"{of}/{instance[0]}_{instance[1]}"

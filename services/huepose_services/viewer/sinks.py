@@ -1,4 +1,4 @@
-"""Where a recording goes: pages served on this machine, a viewer's window, or a file."""
+"""Where a rerun recording goes: a page served on this machine, a window, or a file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from huepose_services.viewer_ports import check_ports_free
 
 _NAME = "huepose"
 _BATCH = timedelta(seconds=0.1)
-"""What is sent together. Row by row, as rerun does by itself, a slow page never catches up."""
+"""Data of this time are sent together. If rows are sent one by one, rerun's default, a slow page never
+catches up."""
 
 
 def _recording() -> Any:
@@ -25,9 +26,9 @@ def _recording() -> Any:
 
 
 def served(config: ViewerConfig) -> tuple[Any, str]:
-    """A recording that browsers look at, and the address of its page. Nothing is fetched from the internet.
+    """A recording for browsers, and the address of its page. Nothing is fetched from the internet.
 
-    Raises InputError where a port is taken."""
+    Raises InputError if a port is taken."""
     check_ports_free(config)
     recording = _recording()
     sink = rr.GrpcServerSink(config.bind, config.grpc_port, server_memory_limit=f"{config.memory_mib}MiB")
@@ -35,7 +36,7 @@ def served(config: ViewerConfig) -> tuple[Any, str]:
     host = "127.0.0.1" if config.bind == "127.0.0.1" else socket.gethostname()
     source = f"rerun+http://{host}:{config.grpc_port}/proxy"
     rr.serve_web_viewer(web_port=config.web_port, open_browser=False, connect_to=source)
-    # Dark, since the colours of states are made for it; a browser would take its own.
+    # The dark theme, for which the colours of states are made; else the browser's theme would be used.
     return recording, f"http://{host}:{config.web_port}/?url={source.replace('+', '%2B')}&theme=dark"
 
 
@@ -54,8 +55,8 @@ def window(memory_mib: int) -> Any:
 
 
 def saved(path: Path) -> Any:
-    """A recording into a file. `disconnect()` at the end completes it. Raises InputError where the disk does
-    not take it."""
+    """A recording into a file. `disconnect()` at the end completes it. Raises InputError if the file cannot
+    be written."""
     recording = _recording()
     try:
         recording.save(path, default_blueprint=layout())
@@ -66,14 +67,14 @@ def saved(path: Path) -> Any:
 
 
 MOST_S = 20.0
-"""For a file that takes no more: rerun's writer says so, or is gone and never answers."""
+"""The longest wait for rerun's writer, which may have ended after a write error and then never answers."""
 
 
 def flushed(recording: Any) -> str:
-    """Waits until a recording's file has all of it: why it has not, where the disk takes no more; else
-    empty."""
+    """Wait until the whole recording is in its file. Returns why it is not, if writing failed; else an
+    empty text."""
     try:
         recording.flush(timeout_sec=MOST_S)
-    except RuntimeError as error:  # what rerun's writer met stands in its log
+    except RuntimeError as error:  # the writer's own error is in rerun's log
         return f"the file cannot be written any further ({error})"
     return ""

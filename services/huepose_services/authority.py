@@ -1,7 +1,8 @@
-"""A small authority for the gateway: its own certificate, one for each reader, and which no longer count.
+"""A small certificate authority for the gateway: the gateway's certificate, one for each reader, and the
+list of revoked ones.
 
-A folder that only its user can open holds `authority.pem` and `.key`, `gateway.pem` and `.key`,
-`revoked.pem`, and `NAME.pem` and `.key` of each reader, to be taken to where it reads.
+Its folder, which only its user can open, has `authority.pem` and `.key`, `gateway.pem` and `.key`,
+`revoked.pem`, and `NAME.pem` and `.key` of each reader. Copy the reader's files to the reader's machine.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from huepose_protos.fields import is_name
 
 AUTHORITY, GATEWAY, REVOKED = "authority", "gateway", "revoked"
 _NAME = re.compile(r"(?!.{254})[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63})*")
-"""Of a computer, as DNS has it; longer ones it does not know."""
+"""The name of a computer in DNS, up to 253 characters."""
 T = TypeVar("T")
 
 
 class Authority:
-    """That of a folder. Raises InputError where there is none, or its files are damaged."""
+    """The authority in a folder. Raises InputError if there is none, or its files are damaged."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -43,14 +44,16 @@ class Authority:
         self._certificate = _read(self.certificate(AUTHORITY), x509.load_pem_x509_certificate)
         key = _read(self.key(AUTHORITY), lambda data: serialization.load_pem_private_key(data, None))
         if not isinstance(key, ec.EllipticCurvePrivateKey):
-            raise InputError(self.key(AUTHORITY), found="another kind of key", expected="an elliptic curve's")
+            raise InputError(self.key(AUTHORITY), found="another kind of key", expected="elliptic curve")
         self._key = key
 
     @staticmethod
     def make(folder: Path, hosts: Sequence[str], days: int) -> Authority:
-        """A new one, with the certificate of the gateway, which readers reach by these names and addresses.
+        """Make a new authority, and the certificate of the gateway. hosts: names and addresses by which
+        readers reach the gateway.
 
-        Raises InputError for a folder that has something in it, and for what is neither name nor address."""
+        Raises InputError for a folder that is not empty, and for a host that is neither a name nor an
+        address."""
         reached_by = [*map(_host, hosts)]
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(folder, found="something there", expected="a new or empty folder")
@@ -72,20 +75,20 @@ class Authority:
         return authority
 
     def certificate(self, name: str) -> Path:
-        """The file of somebody's certificate."""
+        """The file of the certificate of that name."""
         return self.folder / f"{name}.pem"
 
     def key(self, name: str) -> Path:
-        """The file of somebody's key."""
+        """The file of the key of that name."""
         return self.folder / f"{name}.key"
 
     def add(self, name: str, days: int) -> None:
-        """A certificate for a reader. Raises InputError for a name that is taken or none."""
+        """Make a certificate for a reader. Raises InputError for a name that is taken or not valid."""
         if not is_name(name) or name in (AUTHORITY, GATEWAY, REVOKED):
             raise InputError(
                 name,
-                found="no name for a reader",
-                expected="up to 64 of a-z, 0-9, _ and -, not those of roles",
+                found="not a valid name for a reader",
+                expected="up to 64 of a-z, 0-9, _ and -; not authority, gateway or revoked",
             )
         if self.certificate(name).exists():
             raise InputError(
@@ -96,9 +99,9 @@ class Authority:
         self._issue(name, [], ExtendedKeyUsageOID.CLIENT_AUTH, days)
 
     def add_hosts(self, hosts: Sequence[str], days: int) -> list[str]:
-        """The gateway's certificate anew, with more names and addresses by which readers reach it, beside
-        those that it has; returns all of them. The readers' certificates stay as they are. Raises InputError
-        for what is neither name nor address."""
+        """Make the gateway's certificate again, with more names and addresses by which readers reach it.
+        Returns all of them, old and new. The readers' certificates stay as they are. Raises InputError for
+        a host that is neither a name nor an address."""
         before = _read(self.certificate(GATEWAY), x509.load_pem_x509_certificate)
         named = before.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         reached_by = list(dict.fromkeys([*named, *map(_host, hosts)]))
@@ -106,8 +109,8 @@ class Authority:
         return [str(host.value) for host in reached_by]
 
     def revoke(self, name: str) -> None:
-        """The certificate of a reader no longer counts, and its files here are deleted. Raises InputError for
-        one that is not there."""
+        """Revoke the certificate of a reader, and delete its files here. Raises InputError if there is no
+        such reader."""
         if not is_name(name) or name in (AUTHORITY, GATEWAY, REVOKED) or not self.certificate(name).is_file():
             readers = sorted(path.stem for path in self.folder.glob("*.key"))
             known = ", ".join(n for n in readers if n not in (AUTHORITY, GATEWAY))
@@ -154,7 +157,7 @@ def _name(common: str) -> x509.Name:
 def _builder(
     subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePrivateKey, days: int
 ) -> x509.CertificateBuilder:
-    # The clocks of two machines are never quite the same.
+    # The clocks of two machines are never exactly the same.
     begin = _now() - datetime.timedelta(hours=1)
     return x509.CertificateBuilder(
         issuer,
@@ -201,7 +204,7 @@ def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
 
 
 def _write(path: Path, data: bytes) -> None:
-    """All of it or nothing, for its user alone."""
+    """Write all of a file or nothing; only its user can read it."""
     fresh = path.with_name(path.name + ".new")
     with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
         file.write(data)

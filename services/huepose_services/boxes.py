@@ -1,6 +1,6 @@
 """Boxes of requested objects: from a detector, or from the prediction of a track.
 
-A class for each `detector.kind`: SeenBoxes (yolo), SearchedBoxes (views).
+There is one class for each `detector.kind`: SeenBoxes (yolo), SearchedBoxes (views).
 """
 
 from __future__ import annotations
@@ -34,53 +34,54 @@ from huepose_services.runtime.clock import SECOND
 _HINT_NS = 3 * SECOND
 
 Pixels = Callable[[], RgbdFrame]
-"""The frame that a request is about. Raises WireError where its header and payload do not fit."""
+"""The frame that a request is about. Raises WireError if its header and payload do not fit together."""
 
 
 class BoxFinder:
-    """Answers a request with boxes in one frame, and knows objects by their outlines; an object that is not
-    there gets no box."""
+    """Answers a request with boxes in one frame; an object that is not visible gets none. outlines: of all
+    known objects, by name."""
 
     def __init__(self, outlines: Mapping[str, Outline]) -> None:
         self._outlines = dict(outlines)
 
     def add(self, model: ReferenceModel) -> None:
-        """Know one more object, or another model of it."""
+        """Add an object, or replace its model."""
         self._outlines[model.name] = outline(model)
 
     def remove(self, name: str) -> None:
-        """Forget an object; nothing happens when it is not known."""
+        """Remove an object; nothing happens if it is not known."""
         self._outlines.pop(name, None)
 
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
-        """Boxes, in the request's order; of what waits, only where it seems to be. pixels: called by those
-        who look at the frame."""
+        """Boxes in the order of the request; for objects that wait, only where something looks like them.
+        pixels: called by finders that look at the frame."""
         raise NotImplementedError
 
     def lacks(self) -> str:
-        """A sentence on the objects that never get a box; empty where there are none."""
+        """A sentence about the objects that never get a box; empty if there are none."""
         return ""
 
     def order_of_channels(
         self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]
     ) -> ChannelOrder:
-        """What a frame says of the order of its channels, by the objects of these names. seen: scores of
-        those that were searched in it."""
+        """What a frame shows about the order of its colour channels, judged by the objects of these names.
+        seen: scores of the objects that were searched for in it."""
         return ChannelOrder()
 
     def prior_box(self, name: str, prior: Prior | None, header: FrameHeader, camera: Camera) -> Box | None:
-        """Where an instance that is tracked is predicted to be; None where none is, or not in the image."""
+        """The box of a tracked instance at its predicted pose; None without a prior, or outside the
+        image."""
         outline = self._outlines.get(name)
         if prior is None or outline is None:
             return None
         T_cam_obj = prior_from_wire(prior).predicted(header.capture_ns, outline.middle_obj)
         return outline.box(T_cam_obj, camera)
 
-    def given_out(
+    def assigned(
         self, detections: Sequence[Detection], header: FrameHeader, request: PerceptionRequest
     ) -> list[DetectedObject]:
-        """Detections, best first, to those who asked: a tracked instance gets the box that lies best on its
-        prediction, a new one those that are `chosen`."""
+        """Assign detections, best first, to the objects of a request: a tracked instance gets the box that
+        overlaps most with its prediction, a new one the boxes that `chosen` returns."""
         camera = camera_from_wire(header.intrinsics)
         tracked = [
             (wanted.object, box)
@@ -102,25 +103,25 @@ class BoxFinder:
 
 
 class SeenBoxes(BoxFinder):
-    """What a detector sees in the frame."""
+    """The boxes of a network that detects objects."""
 
     def __init__(self, outlines: Mapping[str, Outline], detector: YoloDetector) -> None:
         super().__init__(outlines)
         self._detector = detector
 
     def lacks(self) -> str:
-        """Those of which its network has no class."""
+        """A sentence about the objects for which the network has no class."""
         return never_boxed(self._detector, self._outlines)
 
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
-        """Boxes, in the request's order."""
+        """Boxes in the order of the request."""
         asked = (*request.objects, *request.waiting)
         frame, names = pixels(), list(dict.fromkeys(wanted.object for wanted in asked))
-        return self.given_out(self._detector.detect(frame, names) if names else [], header, request)
+        return self.assigned(self._detector.detect(frame, names) if names else [], header, request)
 
 
 class SearchedBoxes(BoxFinder):
-    """Boxes of the detector that needs no weights, and of predictions: see `Looks`."""
+    """The boxes of the detector that needs no training on the objects, and of predictions: see `Looks`."""
 
     def __init__(self, outlines: Mapping[str, Outline], detector: ViewDetector) -> None:
         super().__init__(outlines)
@@ -128,17 +129,17 @@ class SearchedBoxes(BoxFinder):
         self._looks = Looks(detector, self._outlines)
 
     def add(self, model: ReferenceModel) -> None:
-        """Know one more object, or another model of it."""
+        """Add an object, or replace its model."""
         super().add(model)
         self._searcher.add(model)
 
     def remove(self, name: str) -> None:
-        """Forget an object; nothing happens when it is not known."""
+        """Remove an object; nothing happens if it is not known."""
         super().remove(name)
         self._searcher.remove(name)
 
     def find(self, header: FrameHeader, request: PerceptionRequest, pixels: Pixels) -> list[DetectedObject]:
-        """Boxes, in the request's order."""
+        """Boxes in the order of the request."""
         asked, waiting = (
             [wanted for wanted in some if wanted.object in self._outlines]
             for some in (request.objects, request.waiting)
@@ -155,27 +156,27 @@ class SearchedBoxes(BoxFinder):
     def order_of_channels(
         self, frame: RgbdFrame, names: Sequence[str], seen: Mapping[str, float]
     ) -> ChannelOrder:
-        """By one of the objects, by turns, as in `find`."""
+        """Judged by one of the objects; they take turns, as in `find`."""
         known = [name for name in names if name in self._outlines]
         asked = self._looks.turn(known)[:1] if known else []
         return order_of_channels(frame, self._searcher, asked, seen) if asked else ChannelOrder()
 
 
 class Hints:
-    """Boxes that a person has pointed at: for a while they are where an object is looked for, until it has a
-    pose."""
+    """Boxes that a user gave: for three seconds, or until the object has a pose, it is searched for
+    there."""
 
     def __init__(self) -> None:
         self._boxes: dict[str, tuple[Box, int]] = {}
 
     def point(self, name: str, box: Box, now_ns: int) -> None:
-        """It is there now."""
+        """Take a box that a user gave now."""
         self._boxes[name] = (box, now_ns + _HINT_NS)
 
     def applied(
         self, found: list[DetectedObject], header: FrameHeader, request: PerceptionRequest, now_ns: int
     ) -> list[DetectedObject]:
-        """The boxes that were found, and the hints in place of those of their objects."""
+        """The boxes that were found; the objects with a hint get the hint instead."""
         for wanted in request.objects:
             box, until_ns = self._boxes.get(wanted.object, (None, 0))
             if box is None:

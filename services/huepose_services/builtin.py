@@ -1,8 +1,8 @@
-"""The built-in scene: its reference models, made at first use and kept in the cache folder.
+"""The reference models of the built-in scene, made at first use and kept in the cache folder.
 
 The folder's name is a digest of the meshes and of the code that makes models of them, so that a new version
-never meets models of an old one. Folders that nobody has asked for in 30 days go when the next one is made;
-whoever has their models mapped keeps them.
+never reads models of an old one. Folders that were not used for 30 days are deleted when the next one is
+made; processes that have mapped their models keep them.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ def builtin_names(seed: int) -> list[str]:
 
 
 def bundles_are_kept(seed: int) -> bool:
-    """Whether the reference models of the built-in scene were made before."""
+    """Whether the reference models of the built-in scene exist already."""
     meshes = builtin_objects(seed)
     return not _missing(_folder(meshes, paper=False), meshes)
 
 
 @cache
 def builtin_bundles(seed: int, paper: bool = False) -> Path:
-    """The folder with the reference models of the built-in scene; those that are missing are made.
+    """The folder with the reference models of the built-in scene; missing ones are made first.
 
-    paper: with the tables of the paper's method, in a folder of their own.
+    paper: with the tables of the paper's method; these models have a folder of their own.
 
-    Of several processes one makes them, and the others wait for it."""
+    Of several processes one makes the models, and the others wait for it."""
     meshes = builtin_objects(seed)
     folder = _folder(meshes, paper)
     if not _missing(folder, meshes):
@@ -68,13 +68,13 @@ def builtin_bundles(seed: int, paper: bool = False) -> Path:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            print("waiting: another process learns the built-in objects", file=sys.stderr, flush=True)
+            print("waiting: another process onboards the built-in objects", file=sys.stderr, flush=True)
             fcntl.flock(lock, fcntl.LOCK_EX)
         missing = _missing(folder, meshes)
         if missing:
             from huepose.onboarding.reference import reference_model
 
-            for name in progress(missing, "learning the built-in objects"):
+            for name in progress(missing, "onboarding the built-in objects"):
                 model = reference_model(meshes[name], name, paper=paper)
                 save_model(model, model_path(folder, name))
     return folder

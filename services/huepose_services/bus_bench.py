@@ -1,7 +1,8 @@
-"""How long a frame takes from one process to another: shared memory beside TCP, over real sessions.
+"""Measure how long a frame takes from one process to another, through shared memory and through TCP, over
+real sessions.
 
-The time is from before the sender copies the frame in until the receiver holds arrays: everything that a
-worker pays for a frame.
+The time begins before the sender copies the frame and ends when the receiver has arrays: all that a worker
+spends on receiving a frame.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ _CONNECT_WITHIN_S = 10.0
 
 
 def bench_bus(seconds: float = 6.0) -> list[StageTime]:
-    """One frame of 640x480 colour and depth at 30 Hz to a ring of one: `bus/shared_memory` and `bus/tcp`.
+    """Send frames of 640x480 colour and depth at 30 Hz to a ring of one: `bus/shared_memory` and `bus/tcp`.
 
-    Raises RuntimeError when nothing arrives."""
-    # Here, because the sender's process imports this module too and needs none of it.
+    Raises RuntimeError if nothing arrives."""
+    # Imported here, because the sender's process imports this module, too, and needs none of it.
     from huepose.evaluation.benches import StageTime
 
     return [
@@ -45,15 +46,15 @@ def bench_bus(seconds: float = 6.0) -> list[StageTime]:
 
 
 def hop_spans(shared_memory: bool, seconds: float) -> list[tuple[float, float]]:
-    """(wall, receiver's CPU) seconds of every frame after the first ones.
+    """(wall, receiver's CPU) seconds of every frame after the first WARM_UP.
 
-    Raises RuntimeError when none arrives by the asked way."""
+    Raises RuntimeError if no frame arrives through the requested transport."""
     with tempfile.TemporaryDirectory() as folder:
-        # The way of a pipeline, or TCP for comparison.
-        way = endpoint(1, folder) if shared_memory else f"tcp/127.0.0.1:{free_tcp_port()}"
+        # The endpoint of a pipeline, or TCP for comparison.
+        address = endpoint(1, folder) if shared_memory else f"tcp/127.0.0.1:{free_tcp_port()}"
         context = multiprocessing.get_context("spawn")
-        sender = context.Process(target=_send, args=(way, shared_memory, seconds), daemon=True)
-        session = zenoh.open(zenoh_config([way], [], shared_memory=shared_memory))
+        sender = context.Process(target=_send, args=(address, shared_memory, seconds), daemon=True)
+        session = zenoh.open(zenoh_config([address], [], shared_memory=shared_memory))
         inbox = Inbox(session)
         try:
             ring = inbox.ring(_KEY)
@@ -64,13 +65,13 @@ def hop_spans(shared_memory: bool, seconds: float) -> list[tuple[float, float]]:
             session.close()
             sender.join(timeout=10.0)
     if not spans:
-        way = "shared memory" if shared_memory else "TCP"
-        raise RuntimeError(f"no frame arrived by {way} within {_CONNECT_WITHIN_S + seconds:g} s")
+        transport = "shared memory" if shared_memory else "TCP"
+        raise RuntimeError(f"no frame arrived through {transport} within {_CONNECT_WITHIN_S + seconds:g} s")
     return spans
 
 
 def _receive(inbox: Inbox, ring: Place, seconds: float, shared: bool) -> list[tuple[float, float]]:
-    """As a worker does: a ring of one, the frame copied out."""
+    """Receive as a worker does: from a ring of one, with a copy of the frame."""
     spans: list[tuple[float, float]] = []
     until = time.monotonic() + _CONNECT_WITHIN_S + seconds
     while time.monotonic() < until:
@@ -91,9 +92,9 @@ def _receive(inbox: Inbox, ring: Place, seconds: float, shared: bool) -> list[tu
     return spans[WARM_UP:]
 
 
-def _send(way: str, shared_memory: bool, seconds: float) -> None:
+def _send(address: str, shared_memory: bool, seconds: float) -> None:
     pool_bytes = _POOL_BYTES if shared_memory else 0
-    session = zenoh.open(zenoh_config([], [way], shared_memory=shared_memory, pool_bytes=pool_bytes))
+    session = zenoh.open(zenoh_config([], [address], shared_memory=shared_memory, pool_bytes=pool_bytes))
     frame = np.random.default_rng(0).integers(0, 255, FRAME_BYTES, dtype=np.uint8)
     publisher = session.declare_publisher(_KEY, congestion_control=zenoh.CongestionControl.DROP)
     waited_until = time.monotonic() + _CONNECT_WITHIN_S

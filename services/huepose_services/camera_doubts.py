@@ -1,6 +1,7 @@
-"""What pictures and poses say against a camera, or one object: sizes that do not fit, depth beside colours.
+"""Detect a wrong camera matrix, depth scale or mesh size, and depth that is displaced from the colours,
+from frames and poses.
 
-A few looks, since none of them is worth much alone.
+Several looks (measurements) are combined, because a single one says little.
 """
 
 from __future__ import annotations
@@ -19,19 +20,20 @@ from huepose.tracking.types import Key
 from huepose_services.runtime.clock import SECOND
 
 LOOKS, FEWEST_LOOKS = 12, 3
-"""Newest looks that count, and how many looks at sizes are asked for a doubt."""
+"""How many looks are kept (the newest count), and how many looks at sizes a doubt needs."""
 
 LOOK_EVERY_NS, LATER_EVERY_NS = SECOND, 10 * SECOND
-"""From one look at an object to the next: for the first EARLY of it, but the fewest that are asked for, which
-follow each other at once, and while anything is doubted; else. The same for depth, for the first LOOKS of an
-epoch of the camera. A look takes some 80 ms of a processor."""
+"""Time from one look at an object to the next. The first FEWEST_LOOKS follow each other at once.
+LOOK_EVERY_NS holds for the first EARLY looks and while the camera or the object is doubted, LATER_EVERY_NS
+else. For depth LOOK_EVERY_NS holds for the first LOOKS of a camera epoch. A look takes some 80 ms of a
+processor."""
 
 EARLY = 2 * FEWEST_LOOKS
 
 GONE_NS = 10 * SECOND
-"""What was not found for so long is not warned of."""
+"""There is no warning about an object that was not found for this long."""
 
-WAY_OUT = "No pose is TRACKING for it. If you are sure that all is right, set camera.check: false."
+WAY_OUT = "No pose is TRACKING because of this. If you are sure that all is right, set camera.check: false."
 
 SizesSeen = Callable[[RgbdFrame, Sequence[PoseEstimate]], list[Float64]]
 """`Estimator.sizes_seen`."""
@@ -40,7 +42,7 @@ _Seen = defaultdict[Key, deque[Float64]]
 
 
 class CameraDoubts:
-    """Of the camera whose pictures were looked at last, and of the instances in them."""
+    """The doubts about the camera of the last frame, and about the instances in its images."""
 
     def __init__(self, sizes_seen: SizesSeen) -> None:
         self._sizes_seen = sizes_seen
@@ -51,7 +53,8 @@ class CameraDoubts:
         self._begin(-1)
 
     def look(self, frame: RgbdFrame, answers: Sequence[PoseEstimate], at_ns: int) -> None:
-        """Look at a frame, and at the size of one object of which there is an answer, where it is time."""
+        """If it is time, look at the depth of a frame, and at the size of one object for which there is an
+        answer."""
         if frame.epoch != self._epoch:
             self._begin(frame.epoch)
         self._camera = frame.camera
@@ -59,7 +62,8 @@ class CameraDoubts:
             self._frames += 1
             self._next_ns = at_ns + (LOOK_EVERY_NS if self._frames < LOOKS else LATER_EVERY_NS)
             self._offsets.append(frame_offset(frame))
-        # Where nothing is, the background is often taken for an object of another size: what is new waits.
+        # A false positive is often background that looks like the object in another size: new instances are
+        # left out.
         followed = [answer for answer in answers if answer.found and answer.instance >= 0]
         self._now_ns = at_ns
         self._found_ns |= {_key(answer): at_ns for answer in followed}
@@ -68,7 +72,7 @@ class CameraDoubts:
             self._look_at(frame, min(due, key=lambda answer: self._looks[_key(answer)]), at_ns)
 
     def forget(self, name: str) -> None:
-        """What was seen of an object says nothing any more: it has another model, or was searched anew."""
+        """Drop the looks at an object: it was reset, or has another model."""
         for key in [key for key in self._found_ns if key[0] == name]:
             del self._found_ns[key]
             for looks in (self._sure, self._doubtful):
@@ -88,8 +92,8 @@ class CameraDoubts:
             self._due_ns[key] = at_ns + (LOOK_EVERY_NS if soon else LATER_EVERY_NS)
 
     def _judge(self) -> None:
-        """What all looks together say against the camera, or else against objects."""
-        # Where sure poses are too few, those that are followed though doubtful are asked, too.
+        """Decide from all looks whether to doubt the camera, or else single objects."""
+        # If an object has too few looks at TRACKING poses, those at doubtful poses count, too.
         each = dict(self._sure)
         for k, doubtful in self._doubtful.items():
             if len(self._sure[k]) < FEWEST_LOOKS:
@@ -100,28 +104,28 @@ class CameraDoubts:
 
     @property
     def offset(self) -> str:
-        """How depth lies beside the colours, in most of the looks; empty where it does not."""
+        """How depth is displaced from the colours in most of the looks; empty if it is not."""
         found = [offset for offset in self._offsets if offset is not None]
         return found[-1].said() if 2 * len(found) > len(self._offsets) else ""
 
     @property
     def text(self) -> str:
-        """What is wrong with the camera, empty where nothing is."""
+        """What is wrong with the camera; empty if nothing is."""
         if self._size is None or self._camera is None:
             return self.offset
         return self.offset or self._size.said(self._camera)
 
     @property
     def objects(self) -> dict[Key, str]:
-        """What is wrong with single instances that are in the picture, of those with which something is."""
+        """What is wrong with single instances that were found lately; only those with a fault."""
         here = [key for key in self._objects if self._now_ns - self._found_ns[key] < GONE_NS]
         return {key: self._objects[key].said_of_one() for key in here}
 
     def of(self, name: str, instance: int | None) -> str:
-        """What is wrong with an instance that is in the picture, empty where nothing is; of a new one (None)
-        what is of any of that name, until there are looks at it."""
-        said = [text for key, text in self.objects.items() if key[0] == name and instance in (None, key[1])]
-        return said[0] if said else ""
+        """What is wrong with an instance that was found lately; empty if nothing is. For a new instance
+        (None): what is wrong with any instance of that name."""
+        texts = [text for key, text in self.objects.items() if key[0] == name and instance in (None, key[1])]
+        return texts[0] if texts else ""
 
     def _begin(self, epoch: int) -> None:
         self._epoch = epoch

@@ -1,8 +1,9 @@
-"""Networks that are known by name, and those that the user has added: where they are, that they are right.
+"""Networks that are known by name, and those that the user has added: their files and digests.
 
-They lie in one folder as NAME.onnx: fetched, added, or put there by hand. A download that broke off is taken
-up again. Digests of known networks are those that users of the same file state; a network without one is not
-fetched, because nothing would tell a damaged or another file: it is downloaded by hand and added.
+They are in one folder as NAME.onnx: fetched, added, or copied there by hand. An interrupted download goes
+on where it stopped. The digests of known networks are those that other users of the same file publish. A
+network without a digest is not fetched, because a damaged or wrong file could not be detected: the user
+downloads and adds it.
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ _TIMEOUT_S = 20.0
 
 @dataclass(frozen=True)
 class KnownNetwork:
-    """A network: what it is for, whose it is, and how to know it. url: where `fetch` takes it from;
-    size_bytes and sha256 are None where nobody states them; half: it may run in half precision."""
+    """A network. role: what it is for; url: where `fetch` downloads it; size_bytes and sha256: None if
+    nobody publishes them; half: whether it may run in half precision."""
 
     name: str
     role: str
@@ -90,20 +91,20 @@ KNOWN = (
 
 @dataclass(frozen=True)
 class Entry:
-    """A network of the list; `path` is where it lies or would lie."""
+    """A network of the list; `path` is its file, which may not exist."""
 
     network: KnownNetwork
     path: Path
 
     @property
     def here(self) -> bool:
-        """Whether there is a file; that it is right is checked when it is opened."""
+        """Whether the file exists; its digest is checked when it is opened."""
         return self.path.is_file()
 
 
 def folder() -> Path:
-    """`$HUEPOSE_NETWORKS`, else `huepose/networks` in `$XDG_DATA_HOME` or `~/.local/share`. Raises InputError
-    where nobody says which."""
+    """`$HUEPOSE_NETWORKS`, else `huepose/networks` in `$XDG_DATA_HOME` or `~/.local/share`. Raises
+    InputError if there is no home folder either."""
     if own := os.environ.get(_FOLDER):
         return Path(own)
     base = os.environ.get("XDG_DATA_HOME")
@@ -112,7 +113,7 @@ def folder() -> Path:
 
 
 def entries() -> list[Entry]:
-    """All that are known or were added, and files that lie in the folder besides."""
+    """All networks that are known or were added, and other files in the folder."""
     place, known = folder(), {network.name: network for network in KNOWN}
     noted = known | _added(place)
     more = (path.stem for path in sorted(place.glob("*.onnx")) if path.stem not in known)
@@ -120,7 +121,7 @@ def entries() -> list[Entry]:
 
 
 def entry_of(name: str) -> Entry:
-    """The network of a name. Raises InputError that lists the names."""
+    """The network of a name. Raises InputError, with a list of the names, if there is none."""
     every = entries()
     for entry in every:
         if entry.network.name == name:
@@ -134,7 +135,8 @@ def entry_of(name: str) -> Entry:
 
 
 def add(file: Path, name: str) -> Entry:
-    """Copy a network into the folder, once it opens and has the digest that a known one must have."""
+    """Copy a network into the folder, after it was opened and, for a known name, its digest was
+    compared."""
     if not is_name(name):
         raise InputError(f"name '{name}'", expected="1 to 64 of a-z, 0-9, _ and -", fix="Give one by --name.")
     known = next((k for k in KNOWN if k.name == name), None)
@@ -154,7 +156,7 @@ def add(file: Path, name: str) -> Entry:
 
 
 def _writing(place: Path) -> AbstractContextManager[None]:
-    """What the disk refuses of the folder becomes an InputError that says how to name another."""
+    """Turns a failure to write the folder into an InputError that says how to choose another folder."""
     return writing(place, "a folder that can be written", f"Set {_FOLDER} to one.")
 
 
@@ -163,7 +165,7 @@ def _unknown(name: str) -> KnownNetwork:
 
 
 def _added(place: Path) -> dict[str, KnownNetwork]:
-    """What was noted when networks were added. A file of notes that cannot be read is an InputError."""
+    """The notes about added networks. Raises InputError for a file of notes that cannot be read."""
     path = place / _NOTES
     if not path.is_file():
         return {}
@@ -176,14 +178,14 @@ def _added(place: Path) -> dict[str, KnownNetwork]:
 
 
 def fetch(entry: Entry, url: str | None = None) -> Path:
-    """The file of a network, downloaded unless it is there already. `url` replaces the known one.
+    """The file of a network, downloaded unless it exists already. `url` replaces the known one.
 
-    Raises InputError when it cannot be had, or is not what it should be: then it is thrown away."""
+    Raises InputError if it cannot be downloaded, or has another digest: then it is deleted."""
     network, path = entry.network, entry.path
     if network.sha256 is None:
         raise InputError(
             f"network '{network.name}'",
-            found="no digest that tells a right file from a wrong one",
+            found="no digest, so a wrong file could not be detected",
             expected=f"a file of {network.source}",
             fix=f"Download or export it yourself, then: huepose models add FILE --name {network.name}",
         )
@@ -213,7 +215,7 @@ def fetch(entry: Entry, url: str | None = None) -> Path:
             url,
             found=" ".join(str(error).split()) or type(error).__name__,
             expected=f"the network {network.name}",
-            fix=f"Try again: what has come is kept. Offline, put the file to {path} by hand.",
+            fix=f"Try again: the downloaded part is kept. Without internet, copy the file to {path}.",
         ) from None
     if (found := digest(part)) != network.sha256:
         part.unlink()
@@ -221,18 +223,18 @@ def fetch(entry: Entry, url: str | None = None) -> Path:
             url,
             found=f"SHA-256 {found}",
             expected=network.sha256,
-            fix="It was damaged on the way, or has been replaced there; it was thrown away.",
+            fix="It was damaged on the way, or replaced at the source; the download was deleted.",
         )
     part.replace(path)
     return path
 
 
 def _download(url: str, part: Path, size_bytes: int | None) -> None:
-    """Everything behind what `part` has already."""
+    """Download the rest of a file, after what `part` has already."""
     have = part.stat().st_size if part.is_file() else 0
     if size_bytes is not None and have >= size_bytes:
         return
-    # Any scheme: what comes is taken only with the right digest.
+    # Any scheme is allowed: the file is used only with the right digest.
     request = urllib.request.Request(url, headers={"Range": f"bytes={have}-"} if have else {})  # noqa: S310  # see above
     try:
         answer = urllib.request.urlopen(request, timeout=_TIMEOUT_S)  # noqa: S310  # see above
@@ -241,7 +243,7 @@ def _download(url: str, part: Path, size_bytes: int | None) -> None:
             return
         raise
     with answer:
-        # A server that knows no ranges sends all of it, from the start.
+        # A server that does not support ranges sends the whole file.
         goes_on = have > 0 and answer.status == 206
         done = have if goes_on else 0
         total = size_bytes or done + int(answer.headers.get("Content-Length") or 0)
@@ -254,5 +256,5 @@ def _download(url: str, part: Path, size_bytes: int | None) -> None:
                 share = f" of {total / 1e6:.1f} MB, {100 * done / total:.0f} %" if total else " MB"
                 status.show(f"{name}: {done / 1e6:.1f}{share}")
     if total and done < total:
-        raise OSError(f"it broke off after {done} of {total} bytes")
-    status.line(f"{name}: {done / 1e6:.1f} MB are here")
+        raise OSError(f"the download stopped after {done} of {total} bytes")
+    status.line(f"{name}: {done / 1e6:.1f} MB downloaded")

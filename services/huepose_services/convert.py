@@ -1,4 +1,5 @@
-"""Between the wire and the library: what both call alike is the same, but for what has another form."""
+"""Convert between messages and the library's values. Fields of the same name are copied, except those that
+have another form in messages."""
 
 from __future__ import annotations
 
@@ -35,25 +36,25 @@ class _Value(Protocol):
 
 
 LARGEST_STEP = 65535
-"""Of depth on the wire; what sensors say where they have none."""
+"""The largest value of uint16 depth; sensors give it where they have no reading."""
 
 MOST_PIXELS = MAX_PAYLOAD // 5
-"""Of a picture on the wire, where each has three bytes of colour and two of depth."""
+"""Of an image in a message: each pixel has three bytes of colour and two of depth."""
 
 
 def check_size(camera: Camera) -> None:
-    """Raises InputError for pictures that are too large for the wire."""
+    """Raises InputError for images that are too large for a message."""
     if camera.width * camera.height > MOST_PIXELS:
         raise InputError(
-            "picture",
+            "image",
             found=f"{camera.width} x {camera.height} pixels",
             expected=f"at most {MOST_PIXELS / 1e6:.1f} million of them",
-            fix="Set a smaller mode of the camera, or scale its pictures, and fx, fy, cx, cy with them.",
+            fix="Set a smaller mode of the camera, or scale its images, and fx, fy, cx, cy with them.",
         )
 
 
 def pose_to_wire(T_cam_obj: Float) -> tuple[Vector3, Quaternion]:
-    """Translation and quaternion (xyzw) of a pose (4, 4). Raises ValueError for what is no rigid motion."""
+    """Translation and quaternion (xyzw) of a pose (4, 4). Raises ValueError if it is no rigid motion."""
     T = rigid(T_cam_obj)
     x, y, z = T[:3, 3].tolist()
     qx, qy, qz, qw = se3.quaternion_from_rotation(T[:3, :3]).tolist()
@@ -61,7 +62,7 @@ def pose_to_wire(T_cam_obj: Float) -> tuple[Vector3, Quaternion]:
 
 
 def optional_pose_to_wire(T: Float | None) -> tuple[Vector3, Quaternion] | tuple[None, None]:
-    """The same where there may be no pose."""
+    """As `pose_to_wire`; (None, None) without a pose."""
     return (None, None) if T is None else pose_to_wire(T)
 
 
@@ -71,7 +72,7 @@ def pose_from_wire(translation: Vector3, quaternion: Quaternion) -> Float64:
 
 
 def optional_pose_from_wire(translation: Vector3 | None, quaternion: Quaternion | None) -> Float64 | None:
-    """The same where there may be no pose."""
+    """As `pose_from_wire`; None without a pose."""
     if translation is None or quaternion is None:
         return None
     return pose_from_wire(translation, quaternion)
@@ -83,17 +84,17 @@ def box_to_wire(box: Box) -> BoxXYWH:
 
 
 def pose_of(message: PoseMessage) -> Float64 | None:
-    """Pose (4, 4) of a pose message; None where it has none."""
+    """Pose (4, 4) of a pose message; None if it has none."""
     return optional_pose_from_wire(message.translation, message.quaternion)
 
 
 def frame_key(message: FrameHeader | PoseMessage | TruthMessage) -> tuple[int, int]:
-    """Which frame a message is, or is about: its camera epoch and number."""
+    """Camera epoch and number of the frame that a message is, or is about."""
     return message.camera_epoch, message.frame_id
 
 
 def depth_to_wire(depth_m: Float, depth_scale_m: float) -> UInt16:
-    """Depth in steps of depth_scale_m; 0 where there is no reading, also from LARGEST_STEP on."""
+    """Depth in steps of depth_scale_m; 0 where there is no reading, or a value of LARGEST_STEP or more."""
     return whole_steps(depth_m / depth_scale_m, LARGEST_STEP)
 
 
@@ -120,39 +121,40 @@ _FORMS: dict[str, tuple[tuple[str, ...], tuple[Callable[..., Any], Callable[...,
     "box": (("box",), _BOX),
     "box_visib": (("box",), _BOX),
 }
-"""What has another form on the wire, by the library's name: its fields there, the way there and back."""
+"""Fields that have another form in messages, by the library's name: their fields there, and the functions
+to and from them."""
 _CALLED = {"epoch": "camera_epoch", "stamp_ns": "capture_ns"}
-"""What has another name there."""
+"""Fields that have another name in messages."""
 _WORDS: dict[str, type[Enum]] = {"state": State, "verdict": Verdict}
-"""What is a word there."""
+"""Fields that are a word in messages."""
 
 
 def to_wire(kind: type[S], value: _Value, **given: Any) -> S:
-    """A message, or a part of one, of a value of the library: fields of the same name, in the wire's forms.
-    given: what the value does not say, or says otherwise."""
+    """Make a message, or a part of one, from a value of the library: fields of the same name, in the form
+    that messages have. given: fields that the value does not have, or that replace its own."""
     out: dict[str, Any] = {}
     for name in value.__dataclass_fields__:
         item = getattr(value, name)
         if name in _FORMS:
             parts, (there, _) = _FORMS[name]
-            said = (None,) * len(parts)
+            values = (None,) * len(parts)
             if item is not None:
-                said = there(item) if len(parts) > 1 else (there(item),)
-            out.update(zip(parts, said, strict=True))
+                values = there(item) if len(parts) > 1 else (there(item),)
+            out.update(zip(parts, values, strict=True))
         else:
             out[name] = out[_CALLED.get(name, name)] = item.value if isinstance(item, Enum) else item
     return kind(**{name: item for name, item in {**out, **given}.items() if name in kind.__struct_fields__})
 
 
 def from_wire(kind: type[V], message: Struct, **given: Any) -> V:
-    """A value of the library of a message, or of a part of one; None for what the message has as null. given:
-    what the message does not say, or has in another form."""
+    """Make a value of the library from a message, or from a part of one; null becomes None. given: fields
+    that the message does not have, or has in another form."""
     out = dict(given)
     for name in kind.__dataclass_fields__.keys() - given.keys():
         if name in _FORMS:
             parts, (_, back) = _FORMS[name]
-            said = [getattr(message, part) for part in parts]
-            out[name] = None if None in said else back(*said)
+            values = [getattr(message, part) for part in parts]
+            out[name] = None if None in values else back(*values)
         else:
             called = name if hasattr(message, name) else _CALLED.get(name, name)
             if hasattr(message, called):
@@ -162,25 +164,25 @@ def from_wire(kind: type[V], message: Struct, **given: Any) -> V:
 
 
 def prior_from_wire(prior: WirePrior) -> Prior:
-    """A tracked pose that can be predicted to another stamp."""
+    """A tracked pose that can be predicted to another timestamp."""
     return from_wire(Prior, prior)
 
 
 def requested_from_wire(asked: WireRequested) -> RequestedObject:
-    """What is asked of one object."""
+    """The part of a request about one object."""
     prior = None if asked.prior is None else prior_from_wire(asked.prior)
     return from_wire(RequestedObject, asked, prior=prior, others=tuple(map(prior_from_wire, asked.others)))
 
 
 def requested_to_wire(asked: RequestedObject) -> WireRequested:
-    """The same for a message."""
+    """The part of a request about one object, for a message."""
     prior = None if asked.prior is None else to_wire(WirePrior, asked.prior)
     return to_wire(WireRequested, asked, prior=prior, others=[to_wire(WirePrior, o) for o in asked.others])
 
 
 def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:
-    """The frame of a header and its payload. Raises WireError where they do not fit together, or are no frame
-    of a camera."""
+    """The frame of a header and its payload. Raises WireError if they do not fit together, or have values
+    that no frame of a camera has."""
     color, depth = frame_images(header, payload)
     try:
         return RgbdFrame(
@@ -199,8 +201,8 @@ def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:
 def tracked_to_wire(
     pose: TrackedPose, header: FrameHeader, publish_ns: int, centre: Float64, reason: str = ""
 ) -> PoseMessage:
-    """The message of a tracked pose; the header names the camera's frame and clock. centre (3,): of the
-    object, in its own frame."""
+    """The message of a tracked pose; the header gives the coordinate frame and the clock of the camera.
+    centre (3,): of the object, in object axes."""
     return to_wire(
         PoseMessage,
         pose,

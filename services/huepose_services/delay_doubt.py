@@ -1,6 +1,6 @@
-"""What objects that move say against a camera whose depth is not of the same instant as its colour.
+"""Detect a camera whose depth and colour are not captured at the same time, from moving objects.
 
-Of an object at rest such a camera shows nothing wrong, and its pose is right.
+With an object at rest such a camera shows no fault, and the pose is right.
 """
 
 from __future__ import annotations
@@ -17,24 +17,27 @@ from huepose.tracking.motion import about_centre
 from huepose_services.runtime.clock import SECOND
 
 LOOKS = 60
-"""Newest looks that count."""
+"""How many looks (measurements of the delay) are kept; the newest count."""
 
 LOOK_EVERY_NS, BLOCK_NS = SECOND // 20, SECOND // 6
-"""From one look to the next, at the least; looks at one object within a block err alike."""
+"""The least time from one look to the next; and the length of a block: looks at one object within a block
+have correlated errors."""
 
 REST, REST_NS = 0.3, SECOND
-"""An object at rest moves less than so many of its diameters a second, and has done so for so long."""
+"""An object is at rest if it has moved by less than REST of its diameter a second, for REST_NS."""
 
 WAY_OUT = (
-    "What moves is not TRACKING for it, nor for a second after. Synchronise the two cameras, or pair their "
-    "pictures by their stamps. If you are sure that all is right, set camera.check: false."
+    "Therefore moving objects are not TRACKING, nor for a second after they moved. Synchronise the two "
+    "cameras, or pair their images by their timestamps. If you are sure that all is right, set camera.check: "
+    "false."
 )
 
 
 class DelayDoubt(msgspec.Struct, array_like=True):
-    """Of the newest epoch of the camera. looks, blocks: as for `delay`; looked_ns, moved_ns: when each
-    instance ("object/number") was looked at, and when it last moved; found: the delay and its standard error,
-    seconds, and the share of looks that agree; None where nothing speaks against the camera."""
+    """The looks in the newest camera epoch, and what follows from them. looks, blocks: as for `delay`;
+    looked_ns, moved_ns: when each instance ("object/number") was last looked at, and when it last moved;
+    found: the delay and its standard error, seconds, and the share of looks that agree; None if the camera
+    seems right."""
 
     epoch: int = -1
     looks: list[EdgeLag] = []
@@ -45,13 +48,13 @@ class DelayDoubt(msgspec.Struct, array_like=True):
 
     @property
     def text(self) -> str:
-        """What is wrong with the camera, empty where nothing is."""
+        """What is wrong with the camera; empty if nothing is."""
         return "" if self.found is None else DepthDelay(*self.found).said()
 
     def look(self, frame: RgbdFrame, poses: Sequence[TrackedPose], tracker: Tracker) -> str | None:
-        """Look at one object of a frame, LOOK_EVERY_NS after the last look: of those that move by the poses
-        that the tracker has there, that which was looked at least lately. Returns what is wrong with the
-        camera, and what to do."""
+        """Look at one object of a frame, LOOK_EVERY_NS after the last look: of the objects that move
+        according to their tracked poses, the one whose last look is longest ago. Returns what is wrong with
+        the camera and what to do; None if nothing is."""
         if frame.epoch != self.epoch:
             self.epoch, self.found = frame.epoch, None
             self.looks, self.blocks, self.looked_ns, self.moved_ns = [], [], {}, {}
@@ -75,7 +78,7 @@ class DelayDoubt(msgspec.Struct, array_like=True):
             self._add(one, _key(pose), str(frame.stamp_ns // BLOCK_NS))
 
     def _add(self, one: EdgeLag, key: str, time: str) -> None:
-        """The delay is fitted anew when a block of time begins."""
+        """Keep a look; fit the delay again when a new block begins."""
         begun = not self.blocks or self.blocks[-1].rpartition(" ")[2] != time
         self.looks, self.blocks = [*self.looks, one][-LOOKS:], [*self.blocks, f"{key} {time}"][-LOOKS:]
         fit = delay(self.looks, self.blocks) if begun else None
@@ -85,7 +88,7 @@ class DelayDoubt(msgspec.Struct, array_like=True):
             self.found = None
 
     def of(self, pose: TrackedPose) -> str:
-        """What that means for a pose: nothing for that of an object at rest."""
+        """What is wrong with a pose because of the delay; empty for an object at rest."""
         moved_ns = self.moved_ns.get(_key(pose))
         at_rest = moved_ns is None or abs(pose.stamp_ns - moved_ns) > REST_NS
         return "" if pose.T_cam_obj is None or at_rest else self.text

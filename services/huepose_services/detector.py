@@ -1,4 +1,4 @@
-"""The detector worker: a request comes, the newest frame is taken, boxes and pixels go on together."""
+"""The detector worker: for a request it takes the newest frame, and sends boxes and pixels on together."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Requests, Work
 
 ASK_EVERY_NS = 2 * SECOND
-"""How often the order of the colours is asked about, which takes as long as two searches for one object."""
+"""How often the order of the colour channels is checked, which takes as long as two searches for one
+object."""
 
 FIRST_ASKS = 5
-"""So often, by one object after another, it is asked of a camera that was opened, though objects are
-followed: a wrong place may look right."""
+"""The first checks in a camera epoch, with one object after another, are made although objects are tracked:
+a false positive may have started a track."""
 
 
 def make(bus: Bus, config: Config) -> DetectorWork:
@@ -58,11 +59,11 @@ class DetectorWork(Work):
     ) -> None:
         self._bus, self._finder, self._objects = bus, finder, objects
         self._hints = Hints()
-        self._tell_what_it_lacks()
+        self._warn_of_classes()
         self._requests = Requests(bus, looks=True)
         self._check_camera, self._colours = check_camera, ""
         self._ask_ns = now_ns() + ASK_EVERY_NS
-        # Of an epoch of the camera: how often the order of its colours was asked, and whether it is known.
+        # Camera epoch, how often the order of its colours was checked, and whether it is known to be right.
         self._asked = (-1, 0, False)
 
     def due_ns(self) -> int | None:
@@ -76,7 +77,7 @@ class DetectorWork(Work):
             self._answer(*asked)
 
     def _follow(self) -> None:
-        """Objects that came or went, and boxes that were pointed at."""
+        """Apply changes of the object list, and take boxes that a user gave."""
         for change in self._objects.changes():
             entry = change.entry
             if change.removed:
@@ -85,9 +86,9 @@ class DetectorWork(Work):
                 self._finder.add(change.added)
             if entry.box is not None:
                 self._hints.point(entry.object, Box(*entry.box), now_ns())
-            self._tell_what_it_lacks()
+            self._warn_of_classes()
 
-    def _tell_what_it_lacks(self) -> None:
+    def _warn_of_classes(self) -> None:
         self._bus.health.warn_while("classes", self._finder.lacks() or None)
 
     def _answer(self, request: PerceptionRequest, header: FrameHeader, payload: bytes) -> None:
@@ -117,8 +118,8 @@ class DetectorWork(Work):
     def _doubt_colours(
         self, epoch: int, request: PerceptionRequest, found: Sequence[DetectedObject], pixels: Pixels
     ) -> None:
-        """Ask now and then whether the colours are in the wrong order, until an object says that they are
-        not: some times when a camera was opened, and for as long as nothing is followed."""
+        """Check every two seconds whether red and blue are exchanged, until an object shows that they are
+        not: at the beginning of a camera epoch, and as long as none of the requested objects is tracked."""
         names = [wanted.object for wanted in request.objects]
         asks, known = self._asked[1:] if epoch == self._asked[0] else (0, False)
         enough = known or (asks >= FIRST_ASKS and any(w.prior is not None for w in request.objects))

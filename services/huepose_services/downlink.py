@@ -1,5 +1,5 @@
-"""The downlink worker, at the other computer: it says on its own bus what the camera's computer sends up, and
-sends answers and health down."""
+"""The downlink worker, on the other computer: publishes on its own bus what the camera's computer sends up,
+and sends answers and health down."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def make(bus: Bus, config: Config) -> DownlinkWork:
 
 
 class DownlinkWork(Work):
-    """Passes on both ways."""
+    """Passes messages on in both directions."""
 
     def __init__(self, bus: Bus, config: Config, outside: zenoh.Session) -> None:
         self._bus, self._config, self._outside = bus, config, outside
@@ -40,11 +40,11 @@ class DownlinkWork(Work):
         self._why: str | None = None
 
     def due_ns(self) -> int | None:
-        """When to look whether the camera's computer is there."""
+        """When to check again whether the camera's computer is connected."""
         return self._next_look_ns
 
     def step(self) -> None:
-        """Pass on what is there."""
+        """Pass on what has arrived."""
         bus, keys, started = self._bus, self._bus.keys, now_ns()
         if (taken := bus.take_with_payload(self._pixels, self._kind, foreign=True)) is not None:
             message, payload = taken
@@ -73,12 +73,12 @@ class DownlinkWork(Work):
         health.warn_while("link", self._why)
 
     def _ask_why(self) -> None:
-        """Takes seconds where nothing answers."""
+        """Find out why there is no connection; takes seconds if nothing answers."""
         host, port = address_of(str(self._config.link.connect))
         why = why_unreachable(host, port, credentials(self._config).context()) or "it does not answer"
         self._why = f"waiting for the camera's computer at {host}:{port}: {why}"
         self._bus.log.seldom("link", self._why)
 
     def close(self) -> None:
-        """Leave the camera's computer."""
+        """Close the connection to the camera's computer."""
         self._outside.close()

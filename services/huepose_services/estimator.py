@@ -1,4 +1,4 @@
-"""The estimator worker: poses of the objects whose masks and pixels arrive."""
+"""The estimator worker: estimates the poses of objects from their masks and the frame."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class EstimatorWork(Work):
         self._bus, self._estimator, self._objects = bus, estimator, objects
         self._masks = bus.inbox.ring(bus.keys.masks)
         self._doubts = CameraDoubts(estimator.sizes_seen) if check_camera else None
-        self._blames_picture = False
+        self._image_has_fault = False
 
     def step(self) -> None:
-        """Estimate what is in the newest masks."""
+        """Estimate the objects of the newest masks."""
         for change in self._objects.changes():
             if self._doubts is not None:
                 self._doubts.forget(change.entry.object)
@@ -63,7 +63,7 @@ class EstimatorWork(Work):
         message, payload = taken
         known = set(self._estimator.objects)
         objects = [item for item in message.objects if item.detection.request.object in known]
-        # One that was just added may be asked for before its model is here.
+        # An object that was just added may be requested before its model is loaded here.
         self._bus.health.count("unknown_objects", len(message.objects) - len(objects))
         try:
             frame = frame_from_wire(message.frame, payload)
@@ -79,7 +79,7 @@ class EstimatorWork(Work):
             self._estimated(answer, item.detection.request.instance)
             for answer, item in zip(answers, objects, strict=True)
         ]
-        # What looks say is told in health, whatever the detector says of the camera.
+        # Health shows these doubts, whatever the detector reports about the camera.
         doubted = self._doubted()
         picture, camera = self._fault(frame, answers), message.camera or doubted
         if self._doubts is not None and not any(answer.found for answer in answers):
@@ -103,7 +103,8 @@ class EstimatorWork(Work):
         health.worked_on(started, message.frame)
 
     def _doubted(self) -> str:
-        """What looks say against the camera; told in health and log, as is what they say against objects."""
+        """The doubt about the camera, empty if there is none. Warns of it, and of doubts about objects, in
+        health and log."""
         doubt = "" if self._doubts is None else self._doubts.text
         of_objects = {} if self._doubts is None else self._doubts.objects
         sizes = [f"{name}/{number}: {text}" for (name, number), text in sorted(of_objects.items())]
@@ -119,13 +120,14 @@ class EstimatorWork(Work):
         return to_wire(EstimatedObject, answer, instance=instance, reason=doubt or answer.reason)
 
     def _fault(self, frame: RgbdFrame, answers: Sequence[PoseEstimate]) -> str:
-        """What is wrong with a frame in which nothing was found; empty where nothing is."""
+        """What is wrong with a frame in which nothing was found; empty if nothing is, or something was
+        found."""
         found = any(answer.found for answer in answers)
         text = None if found else why_nothing_is_found(frame, self._estimator.diameters_m)
         self._bus.health.warn_while("picture", text)
-        if (text is not None) != self._blames_picture:
-            # `status` says it as soon as the log, not with the next sign of life.
-            self._blames_picture = text is not None
+        if (text is not None) != self._image_has_fault:
+            # At once, so that `huepose status` shows it as soon as the log does.
+            self._image_has_fault = text is not None
             self._bus.say_health()
         if text is not None:
             self._bus.log.seldom("picture", f"nothing is found: {text}")

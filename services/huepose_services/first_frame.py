@@ -1,4 +1,4 @@
-"""Says to who starts a worker alone that it waits for a camera's frames."""
+"""Tell a user who starts a single worker that it waits for the camera's frames."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from huepose_services.runtime.log import Log
 from huepose_services.runtime.tied import SUPERVISOR
 
 PATIENCE_NS = 5 * SECOND
-"""A camera that is there shows its first frame sooner, also one that is plugged in."""
+"""A running camera gives its first frame sooner, even one that is plugged in only now."""
 
 MISSING = (
     "no frame has come yet: `huepose run camera` starts the camera's worker, `huepose up` starts all; "
-    "`huepose status` says which are there"
+    "`huepose status` shows which are running"
 )
 
 
 class FirstFrame:
-    """Of one worker. With a supervisor a camera starts beside it, and says itself what is in its way."""
+    """Warns for one worker. With a supervisor it does nothing: the camera worker, which starts then, too,
+    reports its faults itself."""
 
     def __init__(self, health: Health, log: Log) -> None:
         self._health, self._log = health, log
-        # By this computer's clock, not by that of a recording, which is read where frames are.
+        # By this computer's clock, also when a recording is replayed.
         self._awaited_since_ns = None if SUPERVISOR in os.environ else now_ns()
 
     def look(self, came: bool) -> None:
-        """Say once that no frame has ever come, until one does. came: one just did."""
+        """Warn once while no frame has ever come. came: whether one has just come."""
         since_ns = self._awaited_since_ns
         if came:
             self._awaited_since_ns = None

@@ -1,7 +1,7 @@
-"""What a computer does once, when HuePose is set up: it compiles the numeric kernels, so that no command
-afterwards is silent for a minute, learns the objects of the built-in scene, and draws that scene.
+"""Prepare a computer once, when HuePose is set up: compile the numeric kernels, so that no later command is
+silent for a minute, onboard the objects of the built-in scene, and render that scene.
 
-`python -m huepose_services.first_time`, as deploy/first_time.sh calls it.
+`python -m huepose_services.first_time`; deploy/first_time.sh calls it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 def main() -> None:
-    """Each step in turn, and how long it took."""
+    """Do each step, and print how long it took."""
     signal.signal(signal.SIGINT, _interrupted)
     from huepose.model import load_models
     from huepose.scenes.builtin import SyntheticScene
@@ -29,22 +29,22 @@ def main() -> None:
     from huepose_services.builtin import builtin_bundles, bundles_are_kept
 
     kept = bundles_are_kept(0)
-    folder = _told("the built-in objects", lambda: builtin_bundles(0))
+    folder = _timed("the built-in objects", lambda: builtin_bundles(0))
     with telling_of_compiling(every=True):
-        _told("the numeric kernels", lambda: compile_all(load_models(folder), learn=kept))
-    _told("the built-in scene", lambda: SyntheticScene(0))
+        _timed("the numeric kernels", lambda: compile_all(load_models(folder), learn=kept))
+    _timed("the built-in scene", lambda: SyntheticScene(0))
 
 
 def _interrupted(number: int, frame: FrameType | None) -> None:
-    """Ends at once, also within the compiler, which takes an exception for a fault of its own: what is kept
-    is written whole."""
+    """End at once, also inside the compiler, which would report an exception as its own fault. No file is
+    left incomplete: caches are written whole or not at all."""
     clear = "\r\x1b[K" if sys.stderr.isatty() else ""
     os.write(2, f"{clear}setup: interrupted; `make setup` goes on here\n".encode())
     os._exit(130)
 
 
-def _told(what: str, work: Callable[[], T]) -> T:
-    """Do it, and say that it is there; what was kept from an earlier time takes a few seconds at most."""
+def _timed(what: str, work: Callable[[], T]) -> T:
+    """Do a step and print the time; a step whose results are cached takes a few seconds at most."""
     start = time.monotonic()
     done = work()
     print(f"setup: {what}: ready after {time.monotonic() - start:.0f} s", flush=True)
@@ -52,8 +52,9 @@ def _told(what: str, work: Callable[[], T]) -> T:
 
 
 def compile_all(models: Mapping[str, ReferenceModel], learn: bool) -> None:
-    """Do once, on the built-in objects, what commands and workers will do: all kernels are compiled then.
-    learn: one of them is learnt, which has compiled nothing here where all were kept from before."""
+    """Compile all kernels: do once, on the built-in objects, what commands and workers do. learn: also
+    onboard one object; needed if all reference models were cached, because then onboarding has compiled
+    nothing here."""
     import numpy as np
 
     from huepose import reinit
@@ -77,24 +78,24 @@ def compile_all(models: Mapping[str, ReferenceModel], learn: bool) -> None:
     ViewDetector(models, live.detector).detect(frame, names)
     Tracker(models, live.tracker).warm_up()
     reinit.warm_up()
-    Tiles.of(frame)  # what a detector sees of a second frame
-    # What the methods of the paper do.
+    Tiles.of(frame)  # the detector uses it from the second frame on
+    # A kernel of the paper's methods.
     local_planes(shot.depth, shot.depth > 0.0, CAMERA, np.zeros((1, 2)), RADIUS_PX, GATE_M)
-    _in_a_drawn_scene(models["corner_bracket"])
-    _in_a_drawn_scene(models["soup_can"])
+    _estimate_rendered(models["corner_bracket"])
+    _estimate_rendered(models["soup_can"])
 
 
-def _in_a_drawn_scene(model: ReferenceModel) -> None:
-    """As the self-test of a new object."""
+def _estimate_rendered(model: ReferenceModel) -> None:
+    """Estimate an object in a rendered frame, as the self-test of a new object does."""
     from huepose.estimation import Estimator, ObjectQuery
     from huepose.evaluation import suitability
     from huepose.geometry import Box, RgbdFrame
     from huepose.profiles import profile
     from huepose.scenes.rendered import rendered_frame
 
-    drawn = rendered_frame({model.name: model.mesh}, 0, 0, suitability.RANGES)
-    box = Box.of_mask(drawn.shot.owner == 0)
-    frame = RgbdFrame(drawn.shot.color, drawn.shot.depth, drawn.camera)
+    rendered = rendered_frame({model.name: model.mesh}, 0, 0, suitability.RANGES)
+    box = Box.of_mask(rendered.shot.owner == 0)
+    frame = RgbdFrame(rendered.shot.color, rendered.shot.depth, rendered.camera)
     if box is not None:
         Estimator({model.name: model}, profile("live").estimator).estimate(
             frame, [ObjectQuery(model.name, box)]

@@ -1,6 +1,6 @@
 """Follow the list of objects that the re-initialisation worker publishes.
 
-What has to be read from disk is read by a thread, so that the work goes on meanwhile.
+A thread reads reference models from disk, so that the worker goes on meanwhile.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ _TRIES, _TRY_S = 3, 0.2
 
 @dataclass(frozen=True)
 class Change(Generic[T]):
-    """What a worker has to do: `added` with what was loaded for it, else `removed`, else search anew."""
+    """One change of the list: an object was added (`added` is what was loaded for it), or `removed`, or
+    else it was reset and is searched for again."""
 
     entry: ObjectEntry
     added: T | None = None
@@ -34,11 +35,11 @@ class Change(Generic[T]):
 
 
 class Follower(Generic[T]):
-    """`changes()`, called in every step, says what has changed since it was last called.
+    """`changes()`, called in every step, returns what has changed since the last call.
 
-    load: from an object's name to what the worker keeps of it, called in a thread, for one after the other;
-    known: the objects that the worker has already; remembers: whether it tells the list to the worker that
-    publishes it, should that one have died."""
+    load: gives what the worker keeps of an object, by its name; called in a thread, for one object at a
+    time. known: the objects that the worker has already. remembers: whether to give the list back to the
+    worker that publishes it, after that one has died (`recall`)."""
 
     def __init__(
         self, bus: Bus, load: Callable[[str], T], known: Iterable[str], remembers: bool = False
@@ -48,20 +49,20 @@ class Follower(Generic[T]):
         self._list = bus.inbox.ring(bus.keys.objects, wakes=False)
         self._known: dict[str, ObjectEntry | None] = dict.fromkeys(known)
         self._loading: set[str] = set()
-        # What was loaded for an entry, and whether to leave it at that.
+        # An entry, what was loaded for it, and whether that is final (False: try again with the next list).
         self._loaded: queue.SimpleQueue[tuple[ObjectEntry, T | None, bool]] = queue.SimpleQueue()
         self._one_loads = threading.Lock()
         self._newest: dict[str, ObjectEntry] = {}
 
     def changes(self) -> list[Change[T]]:
-        """In the order in which they are to be made; mostly none."""
+        """The changes, in the order in which to apply them; usually none."""
         message = self._bus.take(self._list, ObjectsMessage)
         out: list[Change[T]] = []
         if message is not None:
             if self._memory is not None:
                 self._memory.keep(message)
             self._newest = {entry.object: entry for entry in message.objects}
-            out += self._gone() + self._anew()
+            out += self._gone() + self._resets()
             for name, entry in self._newest.items():
                 if name not in self._known and name not in self._loading:
                     threading.Thread(target=self._load_one, args=(entry,), daemon=True).start()
@@ -75,7 +76,8 @@ class Follower(Generic[T]):
         return out
 
     def keep_up(self, kept: dict[str, T]) -> None:
-        """Take the changes over into what a worker keeps of each object, by name."""
+        """Apply the changes to `kept`, what a worker keeps of each object, by name. Resets change
+        nothing."""
         for change in self.changes():
             if change.removed:
                 kept.pop(change.entry.object, None)
@@ -83,7 +85,8 @@ class Follower(Generic[T]):
                 kept[change.entry.object] = change.added
 
     def _goes_on(self, entry: ObjectEntry) -> bool:
-        """Whether it is looked for, and was not removed and added again, maybe with another model, since."""
+        """Whether the object is still in the list. One that was removed and added again is not the same,
+        because its model may be another."""
         newest = self._newest.get(entry.object)
         return newest is not None and newest.added == entry.added
 
@@ -97,11 +100,11 @@ class Follower(Generic[T]):
             del self._known[name]
         return [Change(ObjectEntry(object=n, max_instances=1, searching=0), removed=True) for n in gone]
 
-    def _anew(self) -> list[Change[T]]:
+    def _resets(self) -> list[Change[T]]:
         out = []
         for name, before in self._known.items():
             entry = self._newest[name]
-            # A list that is seen for the first time says how it is, not that something was asked for.
+            # The first list shows the present number of resets; it orders none.
             if before is not None and entry.resets != before.resets:
                 out.append(Change[T](entry))
             self._known[name] = entry
@@ -116,7 +119,7 @@ class Follower(Generic[T]):
             settled = True
             self._fail(str(error))
         except Exception as error:
-            # Memory or files may be short for a moment: it is tried again with the next list.
+            # Memory or open files may run out for a moment: it is tried again with the next list.
             self._fail(f"{name} is not loaded yet: {type(error).__name__} {error}".rstrip())
         finally:
             self._loaded.put((entry, item, settled))
@@ -127,7 +130,8 @@ class Follower(Generic[T]):
 
 
 class Memory:
-    """Answers queries on `objects` with the list as it was last published: it outlives its maker."""
+    """Answers queries on `objects` with the last published list, so that the list outlives its
+    publisher."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
@@ -135,7 +139,7 @@ class Memory:
         bus.session.declare_queryable(bus.keys.objects, self._answer)
 
     def keep(self, message: ObjectsMessage) -> None:
-        """Answer with this from now on."""
+        """Answer with this list from now on."""
         self._list = encode(message)
 
     def _answer(self, query: zenoh.Query) -> None:
@@ -144,7 +148,7 @@ class Memory:
 
 
 def recall(bus: Bus) -> list[ObjectEntry]:
-    """The list as another worker remembers it; empty when the pipeline starts."""
+    """The list that another worker remembers; empty when the pipeline starts."""
     for _ in range(_TRIES):
         for reply in bus.session.get(bus.keys.objects, timeout=_TRY_S):
             if reply.ok is not None:
@@ -157,30 +161,31 @@ def recall(bus: Bus) -> list[ObjectEntry]:
 
 
 class Retired(msgspec.Struct, array_like=True):
-    """Instances that are over because their object was to be searched for anew: what is still on its way
-    about them does not count. [camera epoch, number] by object: those of that epoch below that number."""
+    """Instances that ended because their object was reset or removed: messages about them that arrive later
+    are ignored. below: [camera epoch, number] by object: the instances of that epoch with a lower
+    number."""
 
     below: dict[str, tuple[int, int]] = {}
 
     @staticmethod
     def of(entries: Iterable[ObjectEntry]) -> Retired:
-        """As a list of objects says."""
+        """The retired instances that a list of objects names."""
         return Retired({entry.object: entry.retired for entry in entries if entry.retired is not None})
 
     def add(self, name: str, below: tuple[int, int] | None) -> None:
-        """Note it for an object."""
+        """Note [camera epoch, number] for an object; None changes nothing."""
         if below is not None:
             self.below[name] = below
 
     def includes(self, name: str, epoch: int, instance: int) -> bool:
-        """Whether that instance is over."""
+        """Whether that instance has ended."""
         below = self.below.get(name)
         return below is not None and below[0] == epoch and instance < below[1]
 
 
 def is_over(pose: PoseMessage, objects: list[ObjectEntry] | None) -> bool:
-    """Whether a pose is of an object that is looked for no longer, or that was to be searched for anew since.
-    objects: the list of objects; None where it was not heard yet."""
+    """Whether the object of a pose is no longer searched for, or was reset since. objects: the list of
+    objects; None if none has arrived yet."""
     if objects is None:
         return False
     if all(entry.object != pose.object for entry in objects):

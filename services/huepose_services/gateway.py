@@ -1,9 +1,11 @@
-"""The gateway worker: shows poses, objects, the camera and health to other machines, and takes nothing.
+"""The gateway worker: publishes poses, objects, the camera and health to other machines, and accepts
+nothing from them.
 
-What is published inside under `huepose/SITE/CAMERA/KEY` appears outside under `.../remote/KEY`, at most so
-often a second; a change of an object's state is never held back. Whoever comes late asks (a zenoh `get`) and
-has the latest value of each key at once, a TRACKING pose that nobody says any more as SUSPECT, and none of an
-object that is looked for no longer. The two sides are two sessions; only checked messages go across.
+What is published inside under `huepose/SITE/CAMERA/KEY` appears outside under `.../remote/KEY`, with a
+limited rate; a change of an object's state is never delayed. A subscriber that comes late sends a query (a
+zenoh `get`) and gets the latest value of each key: a TRACKING pose that was not published again for a while
+as SUSPECT, and no pose of an object that is no longer searched for. Inside and outside are two sessions;
+only checked messages pass.
 """
 
 from __future__ import annotations
@@ -40,8 +42,8 @@ class _Key:
 
 
 class Holdback:
-    """How often a key may be sent, on a clock that is passed in: what comes too soon is held back, and only
-    the newest of it goes out later.
+    """Limits how often a key is sent; the caller passes the time. A value that comes too soon is held back,
+    and only the newest one is sent later.
 
     >>> limit = Holdback(10.0)
     >>> limit.offer("pose", b"1", 0), limit.offer("pose", b"2", 1), limit.offer("pose", b"3", 2)
@@ -57,15 +59,15 @@ class Holdback:
         """How many values were replaced by newer ones and never sent."""
 
     def at_rate(self, rate_hz: float) -> None:
-        """From now on so often."""
+        """Change the rate."""
         self._period_ns = int(SECOND / rate_hz)
 
     def offer(self, key: str, value: bytes, now_ns: int, urgent: bool = False) -> bytes | None:
-        """The value if it may be sent now, else None: then it is held. An urgent one is never held."""
+        """The value if it may be sent now, else None: then it is held back. An urgent one never is."""
         place = self._keys.setdefault(key, _Key(now_ns))
         self.held += place.held is not None
         if urgent or now_ns >= place.next_ns:
-            # Deadlines are absolute, so that a source a little faster than the limit is cut evenly.
+            # Deadlines are absolute, so that a source a little faster than the limit is thinned evenly.
             late_ns = now_ns - place.next_ns
             place.next_ns = (place.next_ns if 0 <= late_ns < self._period_ns else now_ns) + self._period_ns
             place.held = None
@@ -74,7 +76,7 @@ class Holdback:
         return None
 
     def due(self, now_ns: int) -> list[tuple[str, bytes]]:
-        """What was held and may be sent now."""
+        """The values that were held back and may be sent now."""
         out = []
         for key, place in self._keys.items():
             if place.held is not None and now_ns >= place.next_ns:
@@ -84,17 +86,17 @@ class Holdback:
         return out
 
     def next_ns(self) -> int | None:
-        """When the first of what is held may be sent; None when nothing is."""
+        """When the first value that is held back may be sent; None if there is none."""
         return min((place.next_ns for place in self._keys.values() if place.held is not None), default=None)
 
     def forget(self, key: str) -> None:
-        """A key that is no more."""
+        """Remove a key that no longer exists."""
         self._keys.pop(key, None)
 
 
-# A pose that was not said again for so long is that of a track that is gone.
+# A pose that was not published again for this long belongs to a track that has ended.
 _FORGET_NS = 10 * SECOND
-_SILENT = "Nothing was said of it for a while: the tracker has ended, or hangs."
+_SILENT = "Nothing was published about it for a while: the tracker has ended, or hangs."
 
 
 def make(bus: Bus, config: Config) -> GatewayWork:
@@ -116,20 +118,20 @@ class _Said:
 
     @property
     def state(self) -> str | None:
-        """Of a pose."""
+        """The state of a pose; None for other messages."""
         return None if self.pose is None else self.pose.state
 
 
 def answer_of(said: _Said, now_ns: int, max_age_ns: int) -> bytes:
-    """What is true of it now: a tracker that runs says a TRACKING pose again before that age, or that it
-    doubts it."""
+    """The value as it is valid now: a TRACKING pose older than max_age_ns becomes SUSPECT, because a
+    running tracker would have published a newer one."""
     if said.pose is None or said.state != "TRACKING" or now_ns - said.at_ns <= max_age_ns:
         return said.payload
     return encode(msgspec.structs.replace(said.pose, state="SUSPECT", publish_ns=now_ns, reason=_SILENT))
 
 
 class GatewayWork(Work):
-    """Passes on what arrives, and answers who asks."""
+    """Passes on the messages that arrive, and answers queries."""
 
     def __init__(self, bus: Bus, outside: zenoh.Session, door: Door, config: Config) -> None:
         self._bus, self._outside, self._door = bus, outside, door
@@ -146,18 +148,18 @@ class GatewayWork(Work):
         self._lock = threading.Lock()
         self._asked = 0
         self._next_count_ns = now_ns()
-        # Answered by zenoh's own thread for it, so at once; undeclared with the session.
+        # A zenoh thread answers, so without delay; it is undeclared when the session closes.
         self._queryable = outside.declare_queryable(keys.remote, self._answer)
 
     def reload(self, config: Config) -> list[str]:
-        """How often a key is said, and who may read how much."""
+        """Take over the rate limit, the age limit of poses, and the door's limits and readers."""
         self._limit.at_rate(config.gateway.max_rate_hz)
         self._max_age_ns = int(config.tracker.max_age_ms * 1e6)
         self._door.reload(config.gateway)
         return []
 
     def due_ns(self) -> int | None:
-        """When something that was held back may go out."""
+        """When a value that was held back may be sent, or the counters are due."""
         held_ns = self._limit.next_ns()
         return self._next_count_ns if held_ns is None else min(held_ns, self._next_count_ns)
 
@@ -197,7 +199,7 @@ class GatewayWork(Work):
 
     def _put(self, key: str, payload: bytes) -> None:
         if key not in self._publishers:
-            # A reader that does not read loses messages; it holds up nobody.
+            # A reader that does not read loses messages; nobody waits for it.
             self._publishers[key] = self._outside.declare_publisher(
                 key,
                 congestion_control=zenoh.CongestionControl.DROP,
@@ -208,7 +210,7 @@ class GatewayWork(Work):
         self._bus.health.count("sent")
 
     def _forget(self, over: Callable[[PoseMessage, int], bool]) -> None:
-        """Poses of which this is true; it is given a pose and when it was said."""
+        """Remove the poses for which over(pose, time of its publication) is true."""
         with self._lock:
             old = [k for k, said in self._latest.items() if said.pose and over(said.pose, said.at_ns)]
             for key in old:
@@ -226,12 +228,12 @@ class GatewayWork(Work):
         counters["readers_now"] = len(self._outside.info.peers_zid())
 
     def close(self) -> None:
-        """Send all readers away."""
+        """Close all connections of readers."""
         self._door.close()
         self._outside.close()
 
     def _answer(self, query: zenoh.Query) -> None:
-        """The latest value of each key that is asked for."""
+        """Reply with the latest value of each key of the query."""
         with self._lock:
             self._asked += 1
             said = [

@@ -1,8 +1,8 @@
-"""Admission to the gateway: check each new connection, and limit its share of connections and time.
+"""Admission to the gateway: check each new connection, and limit how much one reader may use.
 
-It alone listens where other machines reach. A reader is known by the common name of its certificate, without
-TLS by its address. Behind the door its bytes go to the gateway's outer session, through a socket in the
-pipeline's own folder, and back.
+Only the door listens on an address that other machines can reach. It identifies a reader by the common name
+of its certificate; without TLS, by its address. It passes the bytes of an admitted reader on to the
+gateway's outer session, through a socket in the pipeline's own folder, and the answers back.
 """
 
 from __future__ import annotations
@@ -28,42 +28,43 @@ from huepose_services.runtime.config import GatewayConfig
 from huepose_services.runtime.config_perception import TLS_FILES
 
 HANDSHAKE_S = 3.0
-"""So long a connection may take until it has shown whose it is, and then until it has opened its session."""
+"""The most time that a connection may take for the TLS handshake, and then until it has opened its
+session."""
 PENDING, PENDING_OF_ONE = 32, 8
-"""Of those who have not shown yet who they are: altogether, and from one address."""
+"""The most connections that are not identified yet: in total, and from one address."""
 RATE_BYTES_S, BURST_BYTES = 16 * 1024, 64 * 1024
-"""What a reader may say, on all its sessions: it asks, and says that it is there."""
+"""What a reader may send, on all its sessions together: it needs only queries and keep-alive messages."""
 _CHUNK = 16 * 1024
 _LOOK_EVERY_S = 0.5
 _SECONDS_A_DAY = 86_400.0
 _FREEBIND = {socket.AF_INET: (socket.IPPROTO_IP, 15), socket.AF_INET6: (socket.IPPROTO_IPV6, 78)}
-"""IP_FREEBIND and IPV6_FREEBIND of Linux (linux/in.h, linux/in6.h), which Python does not name: an address to
-come can be listened at."""
+"""IP_FREEBIND and IPV6_FREEBIND of Linux (linux/in.h, linux/in6.h), which Python does not name: they allow
+to listen on an address that no network interface has yet."""
 
 
 @dataclass
 class _Reader:
-    """What one reader has taken."""
+    """What one reader uses: its sessions and its allowance of bytes."""
 
     rate_bytes_s: float = RATE_BYTES_S
     sessions: int = 0
     allowance: float = BURST_BYTES
     at: float = field(default_factory=time.monotonic)
 
-    def wait_s(self, said: int) -> float:
-        """How long to read no more of it after so many bytes."""
+    def wait_s(self, sent_bytes: int) -> float:
+        """Count the bytes that the reader sent. Returns how long to wait before more is read from it."""
         now = time.monotonic()
-        self.allowance = min(BURST_BYTES, self.allowance + (now - self.at) * self.rate_bytes_s) - said
+        self.allowance = min(BURST_BYTES, self.allowance + (now - self.at) * self.rate_bytes_s) - sent_bytes
         self.at = now
         return max(0.0, -self.allowance / self.rate_bytes_s)
 
 
 class Door:
-    """Open from when it is made until `close`. `refused`: how many were not let in; tell: called with a word
-    for the kind of what happened, and a sentence;
-    rate_bytes_s: what a reader may say; section: of pipeline.yaml, for errors.
+    """Listens from its construction until `close`. `refused`: how many connections were refused. tell:
+    called with a word for the kind of an event, and a sentence; rate_bytes_s: what a reader may send;
+    section: of pipeline.yaml, for errors.
 
-    Raises InputError for a port that is taken, and certificates that do not fit."""
+    Raises InputError for a port that is taken, or certificates that do not fit."""
 
     def __init__(
         self,
@@ -86,7 +87,8 @@ class Door:
         self._thread.start()
 
     def _listen(self) -> socket.socket:
-        """Also where no network has the address yet, as at a start without one: readers come once it has."""
+        """Listen, also if no network interface has the address yet: then readers can connect once one has
+        it."""
         try:
             return _listener(self._gateway, self._section)
         except InputError as error:
@@ -94,24 +96,24 @@ class Door:
                 raise
             listener = _listener(self._gateway, self._section, early=True)
         listen = f"{self._section}.listen {self._gateway.listen}"
-        self._tell("address", f"{listen}: no network here has that address now; nobody comes before one has")
+        self._tell("address", f"{listen}: no network here has that address yet, so nobody can connect")
         return listener
 
     def reload(self, gateway: GatewayConfig) -> None:
-        """Other limits; where others may read than before, all are asked again who they are."""
+        """Take over new limits. If the list of readers changed, all must connect again."""
         before = self._gateway
         tls = before.tls and gateway.tls and replace(before.tls, readers=gateway.tls.readers)
         sessions = gateway.sessions_per_reader
         self._gateway = replace(before, sessions_per_reader=sessions, tls=tls or before.tls)
         if before.tls != self._gateway.tls:
-            self._loop.call_soon_threadsafe(self._ask_all)
+            self._loop.call_soon_threadsafe(self._disconnect_all)
 
-    def _ask_all(self) -> None:
+    def _disconnect_all(self) -> None:
         for task in self._tasks:
             task.cancel()
 
     def close(self) -> None:
-        """Let nobody in any more, and send all away."""
+        """Stop listening, and close all connections."""
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join()
 
@@ -130,12 +132,12 @@ class Door:
             try:
                 link, address = await self._loop.sock_accept(self._listener)
             except OSError:
-                await asyncio.sleep(0.1)  # no more files may be open: wait until some are closed
+                await asyncio.sleep(0.1)  # too many open files: wait until some are closed
                 continue
             host = str(address[0])
             if self._pending.total() >= PENDING or self._pending[host] >= PENDING_OF_ONE:
                 link.close()
-                self._refuse("too often", f"{host} comes too often")
+                self._refuse("too often", f"{host} connects too often")
                 continue
             self._pending[host] += 1
             task = self._loop.create_task(self._serve(link, host))
@@ -143,7 +145,8 @@ class Door:
             task.add_done_callback(self._tasks.discard)
 
     async def _watch(self) -> None:
-        """Read the files of TLS anew when they change, and ask everyone again who he is."""
+        """When the TLS files change, read them again and close all connections: readers must connect
+        again."""
         before = _changed(self._gateway)
         while True:
             await asyncio.sleep(_LOOK_EVERY_S)
@@ -157,7 +160,7 @@ class Door:
                     "certificates", f"its certificates have changed, and the old ones stay in use: {error}"
                 )
                 continue
-            self._ask_all()
+            self._disconnect_all()
 
     async def _serve(self, link: socket.socket, host: str) -> None:
         writer = None
@@ -181,7 +184,7 @@ class Door:
             finally:
                 self._readers[name].sessions -= 1
         except (OSError, asyncio.TimeoutError):
-            pass  # it went, or its certificate has expired
+            pass  # it has disconnected, or its certificate has expired
         finally:
             if writer is not None:
                 writer.transport.abort()
@@ -198,17 +201,17 @@ class Door:
         return reader, asyncio.StreamWriter(transport, protocol, reader, self._loop)
 
     def _known(self, writer: asyncio.StreamWriter, host: str) -> tuple[str, float | None]:
-        """Who it is, and for how many seconds its certificate holds."""
+        """The name of the reader, and for how many seconds its certificate is valid (None without TLS)."""
         certificate = writer.get_extra_info("peercert")
         if self._tls is None:
             return host, None
         names = [value for part in certificate["subject"] for key, value in part if key == "commonName"]
         left_s = ssl.cert_time_to_seconds(certificate["notAfter"]) - time.time()
-        # A timer cannot wait for years.
+        # A timer cannot wait for years: at most 24 days.
         return (names or ["(no name)"])[0], min(left_s, 24.0 * _SECONDS_A_DAY)
 
     def _why_not(self, name: str) -> tuple[str, str] | None:
-        """Kind and sentence."""
+        """Why a reader is refused, as kind and sentence; None if it is admitted."""
         gateway, reader = self._gateway, self._readers.get(name)
         if gateway.tls is not None and gateway.tls.readers and name not in gateway.tls.readers:
             return f"not {name}", f"{name} is not one of gateway.tls.readers"
@@ -216,12 +219,12 @@ class Door:
             return "sessions", f"{name} has {reader.sessions} sessions (gateway.sessions_per_reader)"
         if sum(reader.sessions for reader in self._readers.values()) >= gateway.max_sessions:
             every = f"there are {gateway.max_sessions} sessions (gateway.max_sessions)"
-            return "full", f"no place for {name}: {every}"
+            return "full", f"no session is left for {name}: {every}"
         return None
 
     def _refuse(self, kind: str, why: str) -> None:
         self.refused += 1
-        self._tell(f"refused: {kind}", f"a reader is not let in: {why}")
+        self._tell(f"refused: {kind}", f"a reader is refused: {why}")
 
     async def _pass_on(self, name: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         back, forth = await asyncio.open_unix_connection(str(self._inside), limit=_CHUNK)
@@ -239,7 +242,7 @@ class Door:
 
 
 def _in_words(error: Exception) -> str:
-    """Why somebody did not show who it is."""
+    """Why a connection could not be identified."""
     reason = str(getattr(error, "reason", None) or "")
     if isinstance(error, ssl.SSLCertVerificationError):
         return f"its certificate is not accepted: {why_not_accepted(error)}"
@@ -248,13 +251,13 @@ def _in_words(error: Exception) -> str:
     if reason == "PEER_DID_NOT_RETURN_A_CERTIFICATE":
         return "it shows no certificate"
     if "_ALERT_" in reason:
-        said = reason.partition("_ALERT_")[2].replace("_", " ").lower()
-        return f"it does not accept the certificate here, of this name or address ({said})"
-    return " ".join(str(error).split())[:200] or "it said nothing"
+        alert = reason.partition("_ALERT_")[2].replace("_", " ").lower()
+        return f"it does not accept the certificate of this side, or not for this name or address ({alert})"
+    return " ".join(str(error).split())[:200] or "it sent nothing"
 
 
 async def _pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter, limit: _Reader | None) -> None:
-    """Bytes from one to the other, no faster than they are taken."""
+    """Copy bytes from source to sink, no faster than the sink takes them and the limit allows."""
     with suppress(OSError):
         while data := await source.read(_CHUNK):
             sink.write(data)
@@ -277,7 +280,7 @@ def _context(gateway: GatewayConfig, section: str) -> ssl.SSLContext | None:
 
 
 def _changed(gateway: GatewayConfig) -> list[tuple[int, int]]:
-    """What differs when one of the files of TLS does."""
+    """The modification times and inodes of the TLS files: they differ after a change."""
     out = []
     for name in TLS_FILES:
         path = None if gateway.tls is None else getattr(gateway.tls, name)
@@ -289,21 +292,21 @@ def _changed(gateway: GatewayConfig) -> list[tuple[int, int]]:
 
 
 def check_door(gateway: GatewayConfig, section: str = "gateway") -> None:
-    """Raises InputError for files or an address that no Door can be made of; opens nothing."""
+    """Raises InputError for files or an address with which no Door can be made; leaves nothing open."""
     _context(gateway, section)
     _listener(gateway, section, port=0).close()
 
 
 def check_free(gateway: GatewayConfig, section: str = "gateway") -> None:
-    """Raises InputError where a Door could not listen now; leaves nothing open."""
+    """Raises InputError if a Door could not listen now; leaves nothing open."""
     _listener(gateway, section).close()
 
 
 def _listener(
     gateway: GatewayConfig, section: str, port: int | None = None, early: bool = False
 ) -> socket.socket:
-    """port: in the place of the one that is set, 0 for any; early: also at an address that is not there
-    yet."""
+    """A socket that listens. port: instead of the configured one, 0 for any; early: also on an address that
+    no network interface has yet."""
     written, own = gateway.listen.rsplit(":", 1)
     host, family = written.strip("[]"), socket.AF_INET6 if written.startswith("[") else socket.AF_INET
     try:
@@ -320,7 +323,7 @@ def _listener(
 
 
 def _bound(family: socket.AddressFamily, host: str, port: int, early: bool) -> socket.socket:
-    """Raises OSError."""
+    """A socket that listens on host and port. Raises OSError."""
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -1,8 +1,9 @@
-"""The gateway's outer session: what readers get, and all that zenoh forbids them.
+"""The gateway's outer session: what readers can read, and the access rules of zenoh for them.
 
-It has no link to the pipeline's own sessions, so nothing that comes from outside can reach a worker, whatever
-its key. The access rules come on top: a reader may subscribe to and ask for keys under `remote/`, and may put
-nothing. It listens on a socket in the pipeline's folder; the door lets those through who may read.
+It has no link to the pipeline's own sessions, so nothing that comes from outside can reach a worker,
+whatever its key. In addition there are access rules: a reader may subscribe to keys under `remote/` and
+query them, and may publish nothing. The session listens on a socket in the pipeline's folder; the door
+passes admitted readers on to it.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ _MAX_MESSAGE = 64 * 1024
 def open_outside(
     gateway: GatewayConfig, tell: Callable[[str, str], None]
 ) -> tuple[zenoh.Session, Door, str | None]:
-    """The session, its door, and a warning for health; tell: called with a kind and the reason where a
-    reader is not let in.
+    """The session, its door, and a warning for health (or None). tell: called with a kind and the reason
+    when a reader is refused.
 
     Raises InputError for files or a port that cannot be used."""
     session, door = open_behind_door(gateway, tell, outside_settings(gateway))
@@ -64,11 +65,12 @@ def open_behind_door(
 
 
 def outside_settings(gateway: GatewayConfig) -> dict[str, object]:
-    """What holds for this session beside what holds for all."""
+    """The settings of this session, in addition to those of every session."""
     return {
         "transport/link/rx/max_message_size": _MAX_MESSAGE,
         "transport/unicast/max_sessions": gateway.max_sessions,
-        # The door counts sessions: one that says nothing is its reader's as well, and is closed after this.
+        # The door counts sessions. One that sends nothing counts for its reader, too, and is closed after
+        # this.
         "transport/unicast/accept_pending": gateway.max_sessions,
         "transport/unicast/accept_timeout": int(1000.0 * HANDSHAKE_S),
         "access_control": allowed(
@@ -79,7 +81,7 @@ def outside_settings(gateway: GatewayConfig) -> dict[str, object]:
 
 
 def allowed(*rules: tuple[str, ...]) -> dict[str, object]:
-    """zenoh's access control: what readers may do, and nothing else. rules: name, flow, key and messages."""
+    """zenoh's access control: only these rules are allowed. rules: name, flow, key and messages."""
     return {
         "enabled": True,
         "default_permission": "deny",

@@ -1,4 +1,4 @@
-"""What the tracker holds possible, as a message for people who look at it."""
+"""The tracker's hypotheses as a message, for the viewer and recordings."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from huepose_services.convert import to_wire
 
 
 def held(tracker: Tracker, header: FrameHeader, publish_ns: int) -> HypothesesMessage:
-    """All hypotheses of a tracker, at the frame of a header. Raises ValueError for a pose that is none."""
+    """All hypotheses of a tracker at the frame of a header. Raises ValueError for an invalid pose."""
     objects = []
     for name, instance in tracker.instances:
         opinions = tracker.hypotheses(name, instance)
-        said = [
+        hypotheses = [
             to_wire(HeldHypothesis, opinion, share=share)
             for opinion, share in zip(opinions, shares(opinions), strict=True)
         ]
-        objects.append(HeldObject(object=name, instance=instance, hypotheses=said))
+        objects.append(HeldObject(object=name, instance=instance, hypotheses=hypotheses))
     return HypothesesMessage(
         publish_ns=publish_ns,
         camera_epoch=header.camera_epoch,

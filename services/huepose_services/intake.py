@@ -3,7 +3,7 @@ compute the poses of a recording again.
 
 A step logs changes of the object list, corrections, the frame's number and every clock reading, and a
 checksum of the tracker's memory after each stage. The memory itself (MemoryMessage) is published every few
-seconds. While nobody records, none of it is computed.
+seconds. Checksums and the memory are computed only while somebody records.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from huepose_services.runtime.bus import Bus, bytes_of
 from huepose_services.runtime.clock import SECOND, now_ns
 
 MEMORY_EVERY_NS = 5 * SECOND
-"""How often the tracker's memory is published. A recording can be verified from the first memory on whose
-frames it has."""
+"""How often the tracker's memory is published. A recording can be verified from the first memory on for
+which it has all frames."""
 
 Clock = Callable[[], int]
 Action = Literal["add", "remove", "reset"]
@@ -46,7 +46,7 @@ Action = Literal["add", "remove", "reset"]
 
 @dataclass
 class Intake:
-    """The log of one step. recorded: whether somebody records; without that, no checksums are computed."""
+    """The log of one step. recorded: whether somebody records; else no checksums are computed."""
 
     clock: Clock = now_ns
     recorded: bool = False
@@ -57,7 +57,7 @@ class Intake:
     marks: list[StageMark] = field(default_factory=list)
 
     def now(self) -> int:
-        """Read the clock, and log what it said."""
+        """Read the clock, and log the reading."""
         self.clock_ns.append(self.clock())
         return self.clock_ns[-1]
 
@@ -139,7 +139,7 @@ class InputCache:
         if key in self._frames:
             return
         self._frames[key] = (header, payload)
-        # The tracker may keep a copy, from where the camera was: copies share the picture.
+        # The tracker may keep a copy of the frame with a camera pose: copies share the colour image.
         weakref.finalize(frame.color, self._frames.pop, key, None).atexit = False
         self._newest.append(frame)
         self._newest_bytes += len(payload)

@@ -1,9 +1,9 @@
-"""Between the two computers of a pipeline: a session on either side, what they allow, what goes up and down.
+"""The link between the two computers of a pipeline: a session on each side, and what these allow.
 
-Pixels and the list of objects go up from the camera's computer, answers and health come down. Both sessions
-are without a link to the workers. That of the camera's computer is behind a door, which lets in the other
-computer's certificate alone; who has it may say what is under `down/` and hear what is under `up/`. Stamps of
-frames stay those of the camera's clock, so the two clocks need not agree.
+Pixels and the list of objects go up from the camera's computer; answers and health come down. Neither
+session has a link to the workers. The session of the camera's computer is behind a door, which admits only
+the other computer's certificate; with it one may publish under `down/` and subscribe under `up/`.
+Timestamps of frames stay those of the camera's clock, so the two clocks need not agree.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from huepose_services.runtime.config import Config, GatewayConfig, TlsConfig
 from huepose_services.runtime.session import MIB, zenoh_config
 
 SILENT_NS = 5 * SECOND // 2
-"""Health comes once a second: who was not heard for so long is not there."""
+"""Health comes once a second: a worker without health for this long counts as gone."""
 _LEASE_MS = 3000
-"""A side that was not heard for so long is gone: then the connection is made anew."""
+"""After this time without a message from the other side the connection is closed and made again."""
 _PATIENCE_US = 1_000_000
-"""So long a piece of a picture, 64 KiB, may wait for its turn; then the picture is given up."""
+"""The longest time that a piece of a frame, 64 KiB, waits to be sent; then the frame is dropped."""
 _SESSIONS = 4
-"""Of the one other computer: those that a cut cable has left behind are there until the lease is over."""
+"""Allowed for the other computer: after a cut cable old sessions stay until their lease has expired."""
 _ANSWERS_BYTES_S = 1.0 * MIB
-"""What the other computer may say. Its answers are some KiB, a few times a second."""
+"""What the other computer may send. Its answers are some KiB, a few times a second."""
 _ABOVE = 64 * 1024
 _COMMON: dict[str, object] = {
     "transport/link/tx/lease": _LEASE_MS,
@@ -43,7 +43,8 @@ _COMMON: dict[str, object] = {
 
 
 def taken_up(config: Config) -> tuple[str, type[Look] | type[Detections] | type[Masks]]:
-    """What goes up with its pixels: the input of the first worker of the other computer."""
+    """Key and type of the message that goes up with its pixels: the input of the first worker of the other
+    computer."""
     keys = config.keys
     if config.far[0] == "detector":
         return keys.look, Look
@@ -51,7 +52,7 @@ def taken_up(config: Config) -> tuple[str, type[Look] | type[Detections] | type[
 
 
 def check_link(config: Config) -> None:
-    """Whether the files of this side are there, and its address is. Raises InputError."""
+    """Check that the files and the address of this side can be used. Raises InputError."""
     if "uplink" in config.workers:
         check_door(_door(config), "link")
     elif "downlink" in config.workers:
@@ -59,13 +60,13 @@ def check_link(config: Config) -> None:
 
 
 def check_uplink_free(config: Config) -> None:
-    """Raises InputError where somebody listens where the other computer comes."""
+    """Raises InputError if another program listens on the uplink's address."""
     check_free(_door(config), "link")
 
 
 def open_uplink(config: Config, tell: Callable[[str, str], None]) -> tuple[zenoh.Session, Door]:
-    """The session of the camera's computer, and its door; tell: called with the kind and the reason where
-    somebody is not let in.
+    """The session of the camera's computer, and its door; tell: called with a kind and the reason when a
+    connection is refused.
 
     Raises InputError for files or a port that cannot be used."""
     door = _door(config)
@@ -85,7 +86,8 @@ def open_uplink(config: Config, tell: Callable[[str, str], None]) -> tuple[zenoh
 
 
 def open_downlink(config: Config) -> zenoh.Session:
-    """The session of the other computer: it goes on trying to reach the camera's. Raises InputError."""
+    """The session of the other computer: it tries again and again to reach the camera's. Raises
+    InputError."""
     files = credentials(config)
     files.context()
     more = _COMMON | tls_files(*files)
@@ -93,7 +95,7 @@ def open_downlink(config: Config) -> zenoh.Session:
 
 
 def credentials(config: Config) -> Credentials:
-    """What the other computer shows."""
+    """The certificate files of the other computer."""
     folder = Path(config.link.secure)
     return Credentials(
         folder / "authority.pem", folder / f"{config.other_host}.pem", folder / f"{config.other_host}.key"
@@ -117,7 +119,8 @@ def _door(config: Config) -> GatewayConfig:
 
 
 class Sender:
-    """Sends pixels in a thread, so that a slow network holds up nobody: what is newer replaces what waits."""
+    """Sends pixels in a thread, so that nobody waits for a slow network: a newer frame replaces one that
+    waits."""
 
     def __init__(self, session: zenoh.Session, key: str) -> None:
         self._publisher = session.declare_publisher(
@@ -128,12 +131,12 @@ class Sender:
         self._open = True
         self.replaced = 0
         self.sent: queue.SimpleQueue[tuple[int, FrameHeader]] = queue.SimpleQueue()
-        """When it began, and of which frame."""
+        """When sending began, and the frame, for each frame that was sent."""
         self._thread = threading.Thread(target=self._run, name="sender", daemon=True)
         self._thread.start()
 
     def offer(self, frame: FrameHeader, header: bytes, payload: bytes) -> None:
-        """Send it when its turn comes."""
+        """Send this as soon as possible, unless a newer frame replaces it."""
         with self._ready:
             self.replaced += self._waiting is not None
             self._waiting = (frame, header, payload)

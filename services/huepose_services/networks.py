@@ -21,19 +21,19 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.config_perception import is_network_file
 
 SAM_ENCODER, SAM_DECODER = "nanosam-encoder", "nanosam-decoder"
-"""Names of `huepose models`: what the segmenter sam takes where none is configured."""
+"""Names of `huepose models`: the networks of the segmenter `sam` if none is configured."""
 
 
 def settings(config: Config) -> NetworkSettings:
-    """How the networks are run."""
+    """How the networks are run, from the configuration."""
     own = config.networks
     cache = Path(own.cache) if own.cache is not None else cache_folder() / "engines"
     return NetworkSettings(providers=own.providers, threads=own.threads, fp16=own.fp16, cache=cache)
 
 
 def opened(config: Config, named: str, *, half: bool = True) -> Network:
-    """The network of a path or a name of `huepose models`; its digest is that of the configuration, else the
-    one that is known. Raises InputError."""
+    """The network of a path or a name of `huepose models`. Its file must have the digest of the
+    configuration, or else the known one. Raises InputError."""
     sha256 = None
     if is_network_file(named):
         path = Path(named)
@@ -42,7 +42,7 @@ def opened(config: Config, named: str, *, half: bool = True) -> Network:
         path, sha256 = entry.path, entry.network.sha256
         half = half and entry.network.half
         if not entry.here:
-            by_hand = f"`huepose models list` says whence; then `huepose models add FILE --name {named}`."
+            by_hand = f"`huepose models list` shows where; then `huepose models add FILE --name {named}`."
             fix = f"`huepose models fetch {named}` fetches it." if entry.network.url else by_hand
             raise InputError(f"network {named}", found=f"no file {path}", expected="the network", fix=fix)
     return open_network(
@@ -51,10 +51,11 @@ def opened(config: Config, named: str, *, half: bool = True) -> Network:
 
 
 def check(config: Config) -> None:
-    """Raises InputError when a network that a worker will open is not there, damaged, or of the wrong kind,
-    or nothing that may run it is installed.
+    """Raises InputError if a network that a worker will open is missing, damaged, or of the wrong kind, or
+    if no allowed provider that could run it is installed.
 
-    It is opened on the processor: building engines for a GPU takes minutes, and is the worker's affair."""
+    The networks are opened on the CPU here: building engines for a GPU takes minutes, and the worker does
+    it."""
     for worker in config.network_workers:
         (yolo if worker == "detector" else sam)(on_processor(config))
     if config.network_workers:
@@ -62,7 +63,7 @@ def check(config: Config) -> None:
 
 
 def on_processor(config: Config) -> Config:
-    """The same with networks that run on the processor alone."""
+    """The same configuration with networks that run on the CPU only."""
     return msgspec.structs.replace(
         config, networks=msgspec.structs.replace(config.networks, providers=("cpu",))
     )
@@ -87,19 +88,19 @@ def yolo(config: Config) -> tuple[YoloDetector, Network]:
 
 
 def never_boxed(detector: YoloDetector, names: Iterable[str]) -> str:
-    """A sentence on those of the objects that a detector never gives a box, empty where there are none."""
+    """A sentence about the objects to which a detector never gives a box; empty if there are none."""
     missing = detector.without_class(names)
     if not missing:
         return ""
     return (
         f"The detector's network has no class for {', '.join(missing)}, so it never gives a box for that. "
-        "Name one in detector.classes, or show where it is (huepose objects reset NAME --box X Y W H)."
+        "Name one in detector.classes, or give a box (huepose objects reset NAME --box X Y W H)."
     )
 
 
 def _by_name(network: Network, wanted: list[str]) -> dict[str, list[int | str]]:
-    """Each class for the object of its name, also for one that is added later. Raises InputError where one
-    that is wanted has no such class."""
+    """Each class for the object of the same name, also for objects that are added later. Raises InputError
+    if a wanted object has no such class."""
     names = class_names(network, None)
     missing = [name for name in wanted if name not in names]
     if missing or not names:
@@ -110,7 +111,7 @@ def _by_name(network: Network, wanted: list[str]) -> dict[str, list[int | str]]:
             found=f"none called {', '.join(missing)}, but {listed(names)}"
             if names
             else "no names in the file",
-            expected="a class that is called as the object is, for each",
+            expected="for each object a class of the same name",
             fix="Say in detector.classes what the network calls it, for example "
             f"{{{one}: {meant[0] if meant else 0}}}.",
         )
@@ -127,5 +128,5 @@ def sam(config: Config) -> tuple[SamSegmenter, Network]:
 
 
 def flow(named: str) -> FlowSource:
-    """Optical flow by a network, of a path or a name of `huepose models`. Raises InputError."""
+    """Optical flow by the network of a path or a name of `huepose models`. Raises InputError."""
     return NetworkFlow(opened(Config(), named))

@@ -1,4 +1,4 @@
-"""Certificates and keys: whether they can be used."""
+"""Check certificates and keys in PEM files, and make TLS contexts of them."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _HOLDS = {
     "key": ("PRIVATE KEY-----", "a private key"),
     "revoked": ("X509 CRL-----", "a list of revoked certificates"),
 }
-"""What the first lines in PEM of each file end with, and what that is."""
+"""For each kind of file: how the first line of its PEM block ends, and what the block is."""
 
 
 def check_pem(what: str, name: str, path: Path) -> None:
-    """Raises InputError unless it is a file that can be read and has what one of this name has: authority,
-    certificate, key or revoked; what: of which section or option it is."""
+    """Raises InputError unless the file can be read and has the right kind of PEM block. name: authority,
+    certificate, key or revoked; what: the section or option that names the file."""
     ending, kind = _HOLDS[name]
     try:
         lines = path.read_text().splitlines()
@@ -40,7 +40,8 @@ def check_pem(what: str, name: str, path: Path) -> None:
 def tls_context(
     purpose: ssl.Purpose, what: str, authority: str, certificate: str, key: str, revoked: str | None = None
 ) -> ssl.SSLContext:
-    """Files in PEM for Python's own TLS. Raises InputError about `what` for files that do not fit."""
+    """A context for Python's own TLS, from files in PEM. Raises InputError about `what` for files that do
+    not fit together."""
     try:
         context = ssl.create_default_context(purpose, cafile=authority)
         context.load_cert_chain(certificate, key)
@@ -51,7 +52,7 @@ def tls_context(
         raise InputError(
             what,
             found=_in_words(error),
-            expected="an authority's certificate, one's own, and the key that belongs to it",
+            expected="the authority's certificate, your own certificate, and its key",
             fix="docs/subscribers.md says how to make certificates.",
         ) from None
     return context
@@ -63,14 +64,15 @@ def _in_words(error: OSError) -> str:
 
 
 class Credentials(NamedTuple):
-    """What a reader shows: files in PEM."""
+    """The certificate files of a reader, in PEM."""
 
     authority: Path
     certificate: Path
     key: Path
 
     def context(self) -> ssl.SSLContext:
-        """Them as Python's own TLS knows them. Raises InputError for files that are none, or do not fit."""
+        """A context for Python's own TLS. Raises InputError for files that are not PEM, or do not fit
+        together."""
         files = {name: str(path) for name, path in self._asdict().items()}
         for name, path in files.items():
             check_pem("--tls ", name, Path(path))

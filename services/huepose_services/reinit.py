@@ -1,5 +1,5 @@
-"""The re-initialisation worker: it gives the loop of `huepose.reinit`, a pure state machine, its clock and
-its bus."""
+"""The re-initialisation worker: connects the loop of `huepose.reinit`, a pure state machine, to the clock
+and the bus."""
 
 from __future__ import annotations
 
@@ -43,14 +43,16 @@ from huepose_services.steering import MOST_OBJECTS, ObjectList, answer_control
 _TICK_NS = SECOND // 30
 # Health warns when perception answers later than this.
 _SLOW_S = 1.5
-# A track is over when it was not published for so long while others were, or while perception saw pictures:
-# the tracker may have died, and a new one follows nothing.
+# A track has ended when its pose is this much older than the newest pose or answer of perception: the
+# tracker may have died, and a new one tracks nothing.
 _FORGET_NS = 2 * SECOND
-# From the first answer about a camera: until then a right one has had objects found.
+# In this time after the first answer in a camera epoch, a camera without faults has a pose that is
+# TRACKING.
 _IN_VAIN_NS = 10 * SECOND
-# Which workers a request needs: with one that has begun, it is made anew.
+# The workers that a request passes through: when one of them starts, the request is sent again.
 _LISTENERS = (*PERCEPTION, "uplink")
-# Bytes of an entry without its reason, and of the rest of a ControlReply, which has the list too: at most.
+# Upper bounds: bytes of an entry without its reason, and of the rest of a ControlReply, which also has the
+# list.
 _ENTRY_BYTES, _REST_BYTES = 200, 8192
 _UNCONFIRMED = "Something was found, but the tracker has not confirmed it."
 
@@ -64,8 +66,8 @@ def make(bus: Bus, config: Config) -> ReinitWork:
     entries = recall(bus)
     if entries:
         slots = [load(entry.object, entry.max_instances) for entry in entries]
-        if told := unlike_file(entries, config.objects):
-            bus.log.say(told)
+        if difference := unlike_file(entries, config.objects):
+            bus.log.say(difference)
     else:
         require_carried(config.objects)
         known = models.load(config)
@@ -89,25 +91,25 @@ def _slot(name: str, count: int, model: ReferenceModel) -> ObjectSlot:
 
 
 def require_carried(objects: Sequence[ObjectConfig]) -> None:
-    """Raises InputError for more objects than the list of them can have."""
+    """Raises InputError for more objects than the list can have."""
     if len(objects) > MOST_OBJECTS:
         raise InputError(
             "objects",
-            found=f"{len(objects)} that are looked for",
+            found=f"{len(objects)} that are searched for",
             expected=f"{MOST_OBJECTS} or fewer",
             fix="Name some of them in `objects`.",
         )
 
 
 def unlike_file(entries: Sequence[ObjectEntry], configured: Sequence[ObjectConfig]) -> str:
-    """How the list that another worker remembers differs from the file's, in one sentence: it may have been
-    changed by command, or the file since. Empty where it does not, and where the file names no object."""
+    """How the list that another worker remembers differs from that of the file, in one sentence: a command
+    may have changed the list, or somebody the file. Empty if they agree, or if the file names no object."""
     known, named = {entry.object for entry in entries}, {item.name for item in configured}
     unlike = (("not in the file", known - named), ("only in the file", named - known))
     parts = [f"{what}: {listed(sorted(names))}" for what, names in unlike if names]
     if not named or not parts:
         return ""
-    return f"objects are looked for as before the restart; {'; '.join(parts)} (huepose objects add, remove)"
+    return f"objects are searched for as before the restart; {'; '.join(parts)} (huepose objects add, remove)"
 
 
 def _settings(config: Config) -> ReinitConfig:
@@ -119,12 +121,14 @@ def _settings(config: Config) -> ReinitConfig:
 
 
 class ReinitWork(Work):
-    """Gives the loop poses and answers; publishes its requests, its corrections, and the list of objects."""
+    """Gives poses and answers to the loop; publishes its requests, its corrections, and the list of
+    objects."""
 
     def __init__(
         self, bus: Bus, loop: ReinitLoop, objects: ObjectList, configured: Sequence[ObjectConfig] = ()
     ) -> None:
-        # What of the file is looked for: a list from before may have other names than the file.
+        # The objects of the file that are searched for: a remembered list may have other names than the
+        # file.
         counts = {entry.object: entry.max_instances for entry in objects.entries()}
         self._names_objects = bool(configured)
         self._of_file = {item.name: counts[item.name] for item in configured if item.name in counts}
@@ -139,16 +143,17 @@ class ReinitWork(Work):
         self._camera = OneCamera(again_counts=False)
         self._newest = NewestFrame()
         self._tracks: dict[tuple[str, int], TrackedPose] = {}
+        # The objects of which the request of this number asks for a new instance.
         self._sought: dict[int, tuple[str, ...]] = {}
         self._reasons: dict[str, str] = {}
-        self._picture_blamed = False
-        self._camera_says = ""
+        self._image_has_fault = False
+        self._camera_fault = ""
         self._answered_ns = 0
         self._newest_frame: tuple[int, int] | None = None
         self._camera_doubt = ""
-        # Epochs of the camera: that of the answers and since when, and the last in which a pose was TRACKING.
+        # Camera epochs: that of the answers and since when, and the last one in which a pose was TRACKING.
         self._answers_of, self._answers_since_ns, self._sure_in = -1, 0, -1
-        self._told_missing: dict[str, int] = {}
+        self._published_missing: dict[str, int] = {}
         self._next_tick_ns = self._next_objects_ns = now_ns()
 
     def reload(self, config: Config) -> list[str]:
@@ -165,15 +170,15 @@ class ReinitWork(Work):
             for name, count in after.items()
             if count not in (before.get(name), now.get(name))
         }
-        told = {name: self._objects.decide(order) for name, order in orders.items()}
-        refused = {name: text for name, (done, text) in told.items() if not done}
-        # What was refused is asked for again when the file is read again: its model may be there by then.
+        results = {name: self._objects.decide(order) for name, order in orders.items()}
+        refused = {name: text for name, (done, text) in results.items() if not done}
+        # What was refused is tried again when the file is next read: its model may be there by then.
         self._of_file = {name: count for name, count in after.items() if name not in refused}
         self._of_file |= {name: before[name] for name in refused if name in before}
         return list(refused.values())
 
     def due_ns(self) -> int | None:
-        """When to take poses, about once a frame; answers wake the loop."""
+        """When to take poses, 30 times a second; answers wake the worker."""
         return self._next_tick_ns
 
     def step(self) -> None:
@@ -185,8 +190,8 @@ class ReinitWork(Work):
         while (health := self._bus.take(self._camera_health, HealthMessage)) is not None:
             if health.camera_epoch is not None and health.frame_id is not None:
                 self._newest_frame = (health.camera_epoch, health.frame_id)
-            if health.picture != self._camera_says:
-                self._camera_says, self._next_objects_ns = health.picture, now_ns()
+            if health.picture != self._camera_fault:
+                self._camera_fault, self._next_objects_ns = health.picture, now_ns()
         while (worker := self._bus.take_begun(self._live)) is not None:
             if worker in _LISTENERS:
                 self._loop.perception_begins()
@@ -203,7 +208,7 @@ class ReinitWork(Work):
             for correction in corrections:
                 self._send(correction)
             acquired = {c.object for c in corrections if c.verdict is Verdict.ACQUIRE}
-            # In its picture or later: an older pose is of a tracker that has died since.
+            # In its frame or a later one: an older pose is of a tracker that has died since.
             tracks = (t for t in self._tracks.values() if t.stamp_ns >= answer.capture_ns)
             followed = {t.object for t in tracks if t.T_cam_obj is not None}
             sought = self._sought.get(answer.request_seq)
@@ -212,8 +217,8 @@ class ReinitWork(Work):
                 sought = tuple(dict.fromkeys((*sought, *found)))
             advice = IF_IN_PLAIN_VIEW if self._in_vain(answer) else ""
             self._reasons |= reasons_not_seen(sought or (), answer, acquired, followed, advice)
-            if bool(answer.picture) != self._picture_blamed:
-                self._picture_blamed = bool(answer.picture)
+            if bool(answer.picture) != self._image_has_fault:
+                self._image_has_fault = bool(answer.picture)
                 self._next_objects_ns = now_ns()
             self._bus.health.worked_on(started, answer)
             self._bus.health.warn_while("slow", slow_text(self._loop.answer_age_s, self._loop.answer_took_s))
@@ -228,12 +233,13 @@ class ReinitWork(Work):
             self._bus.put_control(self._bus.keys.request, request_to_wire(request))
         for correction in self._loop.repeats(now):
             self._send(correction)
-        if now >= self._next_objects_ns or self._missing() != self._told_missing:
+        if now >= self._next_objects_ns or self._missing() != self._published_missing:
             self._next_objects_ns = now + SECOND
             self._publish_objects()
 
     def _in_vain(self, answer: Estimates) -> bool:
-        """Whether pictures of its camera have been looked at for a while, and no pose in them was sure."""
+        """Whether perception has answered in the camera epoch of the answer for a while, and no pose in it
+        was TRACKING."""
         if answer.camera_epoch != self._answers_of:
             self._answers_of, self._answers_since_ns = answer.camera_epoch, now_ns()
         in_vain = now_ns() - self._answers_since_ns > _IN_VAIN_NS
@@ -252,8 +258,8 @@ class ReinitWork(Work):
             self._sure_in = pose.camera_epoch if track.state is State.TRACKING else self._sure_in
 
     def _counts(self, message: PoseMessage | Estimates) -> bool:
-        """Whether it is about the camera's epoch and clock that count now. Where one of them begins with it,
-        what was followed is over."""
+        """Whether a message is about the present camera epoch, and not from before its clock was set back.
+        If the message begins a new epoch, or shows a clock set back, all tracks end."""
         frame = (message.camera_epoch, message.frame_id, message.capture_ns)
         if self._newest.note(*frame) is not Began.NOTHING:
             self._answered_ns = 0
@@ -272,7 +278,7 @@ class ReinitWork(Work):
                 over = self._loop.forget(name, now) if order.anew else self._loop.remove(name, now)
                 self._retired.add(name, over)
                 self._tracks = {key: track for key, track in self._tracks.items() if key[0] != name}
-                # An answer to what was asked before says nothing about the new search.
+                # An answer to an earlier request says nothing about the new search.
                 self._reasons.pop(name, None)
                 self._sought = {n: tuple(o for o in asked if o != name) for n, asked in self._sought.items()}
             if order.slot is not None:
@@ -285,7 +291,7 @@ class ReinitWork(Work):
         over = [key for key, t in self._tracks.items() if newest_ns - t.stamp_ns >= _FORGET_NS]
         for key in over:
             del self._tracks[key]
-            # What was said while it was followed says nothing about the search that begins now.
+            # A reason from the time when it was tracked says nothing about the search that begins now.
             self._reasons.pop(key[0], None)
         return list(self._tracks.values())
 
@@ -299,18 +305,18 @@ class ReinitWork(Work):
 
     def _publish_objects(self) -> None:
         self._bus.health.counters |= asdict(self._loop.counters)
-        missing, before = self._missing(), self._told_missing
-        self._told_missing = missing
+        missing, before = self._missing(), self._published_missing
+        self._published_missing = missing
         entries = self._objects.entries()
         for entry in entries:
             name = entry.object
             count = missing.get(name, 0)
             if count < before.get(name, 0) and self._reasons.get(name) == _UNCONFIRMED:
-                del self._reasons[name]  # it is confirmed, and another one is looked for
-            # The camera knows best why its pictures show nothing.
-            reason = self._camera_says or (self._reasons.get(name, "") if count else "")
+                del self._reasons[name]  # it is confirmed, and another one is searched for
+            # A fault that the camera itself reports is the better reason.
+            reason = self._camera_fault or (self._reasons.get(name, "") if count else "")
             self._objects.tell(name, count, self._retired.below.get(name), shortened(reason, len(entries)))
-        # What is ordered in this moment is published with the next step, which does it.
+        # A change that was accepted in this moment is published by the next step, which applies it.
         if (settled := self._objects.settled()) is not None:
             self._bus.put(self._bus.keys.objects, ObjectsMessage(publish_ns=now_ns(), objects=settled))
 
@@ -320,7 +326,7 @@ def _order(action: Literal["add", "remove"], name: str, count: int = 1) -> Contr
 
 
 def shortened(reason: str, objects: int) -> str:
-    """A reason that so many entries may have, and their list is no larger than its message may be.
+    """The reason, cut so that a list of `objects` entries with such reasons fits in its message.
 
     >>> len(shortened("x" * 2000, 64)), shortened("Too dark.", 64)
     (696, 'Too dark.')
@@ -331,14 +337,14 @@ def shortened(reason: str, objects: int) -> str:
 
 
 def slow_text(age_s: float, took_s: float) -> str | None:
-    """The warning for perception that answers so late, and took so long for it; None where it is in time, or
-    the picture was old already when it was asked."""
+    """The warning that perception is slow. age_s: age of the image at the answer; took_s: time since the
+    request. None if perception is in time, or the image was already old at the request."""
     if min(age_s, took_s) < _SLOW_S:
         return None
     return (
-        f"perception answers {age_s:.1f} s after a picture was taken: what is lost is found again that much "
-        "later. `huepose top` shows which worker takes how long; fewer other programs, fewer objects, or one "
-        "at a time (reinit.objects_per_tick: 1) make it faster"
+        f"perception answers {age_s:.1f} s after an image was taken: lost objects are found again that much "
+        "later. `huepose top` shows the time of each worker. End other programs, search for fewer objects, "
+        "or for one at a time (reinit.objects_per_tick: 1)"
     )
 
 
@@ -349,9 +355,10 @@ def reasons_not_seen(
     followed: Container[str] = (),
     advice: str = "",
 ) -> dict[str, str]:
-    """By name, why no new instance of an object was found in the answer's picture. sought: the objects of
+    """By name, why no new instance of an object was found in the image of an answer. sought: the objects of
     which a new instance was requested; acquired: those of which one was found and given to the tracker;
-    followed: those of which one was followed before; advice: where none of any object was ever sure."""
+    followed: those of which an instance is tracked already; advice: what to check, if no pose of any object
+    was ever TRACKING."""
     out = {}
     for name in sought:
         if name in acquired:
@@ -362,19 +369,19 @@ def reasons_not_seen(
         if answer.picture:
             out[name] = answer.picture
         elif name in followed:
-            out[name] = "No second one is seen."
+            out[name] = "No second instance is visible."
         elif best is None:
-            out[name] = f"No place in the picture looks like the object. {advice}".strip()
+            out[name] = f"No place in the image looks like the object. {advice}".strip()
         elif best.found:
-            doubtful = f"too doubtful to follow (quality {best.quality:.2f})"
-            out[name] = f"Something like it is seen, {doubtful}. {advice}".strip()
+            doubtful = f"too doubtful to track (quality {best.quality:.2f})"
+            out[name] = f"Something like it is visible, {doubtful}. {advice}".strip()
         else:
             out[name] = best.reason
     return out
 
 
 def result_from_wire(message: Estimates) -> PerceptionResult:
-    """Perception's answer of a message."""
+    """Perception's answer from its message."""
     estimates = tuple(
         from_wire(PoseEstimate, e, instance=-1 if e.instance is None else e.instance, alternatives=())
         for e in message.estimates

@@ -1,4 +1,5 @@
-"""The segmenter worker: candidate masks in the detector's boxes; the pixels go on with them."""
+"""The segmenter worker: makes candidate masks in the detector's boxes, and sends them on with the
+pixels."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ from huepose_services.runtime.clock import now_ns
 from huepose_services.runtime.config import Config
 from huepose_services.runtime.work import Work
 
-# A ragged mask has so many runs that it would crowd the others out of the header.
+# A ragged mask with more runs than this would leave no room in the header for the others: it is left out.
 _MAX_RUNS = 6000
 
 
@@ -39,7 +40,7 @@ def make(bus: Bus, config: Config) -> SegmenterWork:
 
 
 class SegmenterWork(Work):
-    """Outlines every object of the newest detections."""
+    """Makes candidate masks for every object of the newest detections."""
 
     def __init__(
         self, bus: Bus, segmenter: Segmenter, outlines: dict[str, Outline], objects: Follower[Outline]
@@ -49,7 +50,8 @@ class SegmenterWork(Work):
         self._detections = bus.inbox.ring(bus.keys.detections)
 
     def warm_up(self) -> None:
-        """Outline a block that stands before a wall, so that the first request is answered in time."""
+        """Segment a made-up image of a block before a wall, so that the first request is answered in
+        time."""
         color = np.full((120, 160, 3), 90, np.uint8)
         depth = np.full((120, 160), 0.9, np.float32)
         color[40:80, 60:100] = (200, 40, 40)
@@ -58,7 +60,7 @@ class SegmenterWork(Work):
         self._segmenter.segment(frame, Box(58.0, 38.0, 44.0, 44.0), 0.25)
 
     def step(self) -> None:
-        """Outline what is in the newest detections."""
+        """Segment the objects of the newest detections."""
         self._objects.keep_up(self._outlines)
         taken = self._bus.take_with_payload(self._detections, Detections)
         if taken is None:
@@ -70,14 +72,14 @@ class SegmenterWork(Work):
         except WireError as error:
             self._bus.refuse(self._bus.keys.detections, error)
             return
-        masked = [self._outline(frame, detection) for detection in message.objects]
+        masked = [self._masked(frame, detection) for detection in message.objects]
         self._publish(message, masked, payload)
         health = self._bus.health
         health.count("boxes", len(masked))
         health.count("masks", sum(len(m.masks) for m in masked))
         health.worked_on(started, message.frame)
 
-    def _outline(self, frame: RgbdFrame, detection: DetectedObject) -> MaskedObject:
+    def _masked(self, frame: RgbdFrame, detection: DetectedObject) -> MaskedObject:
         outline = self._outlines.get(detection.request.object)
         if outline is None:
             self._bus.health.count("unknown_objects")
@@ -98,7 +100,7 @@ class SegmenterWork(Work):
         try:
             self._bus.put_pixels(self._bus.keys.masks, message, payload)
         except WireError:
-            # Too many runs for one header: the likeliest mask of each is enough.
+            # Too many runs for one header: keep only the first mask of each object, the most likely one.
             self._bus.health.count("masks_left_out")
             first = [msgspec.structs.replace(m, masks=m.masks[:1]) for m in masked]
             self._bus.put_pixels(

@@ -1,7 +1,7 @@
 """The list of objects of a running pipeline, and the service that changes it (a zenoh queryable).
 
-A request is answered when it was checked and its reference model was loaded. The re-initialisation loop takes
-the change over at its next step; all other workers follow the published list.
+A request is answered after it was checked and its reference model was loaded. The re-initialisation loop
+applies the change at its next step; all other workers follow the published list.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ from huepose_services.runtime.bus import Bus, bytes_of
 from huepose_services.runtime.clock import now_ns
 
 MOST_OBJECTS = 256
-"""As many as the list of them may have on the wire (ObjectsMessage)."""
-_FULL = f"{MOST_OBJECTS} objects are looked for, which is the most: remove one first"
-# Followers only compare the number of resets with the last one: it may wrap around.
+"""The largest length of the list on the wire (ObjectsMessage)."""
+_FULL = f"{MOST_OBJECTS} objects are searched for, which is the most: remove one first"
+# Followers only check whether the number of resets has changed, so it may wrap around.
 _RESETS = 2**31
 
 
 @dataclass(frozen=True)
 class Order:
-    """An accepted change for the loop, with the object's new entry (None: removed)."""
+    """An accepted change for the loop. entry: the new entry of the object, None if it was removed."""
 
     name: str
     entry: ObjectEntry | None
     slot: ObjectSlot | None = None
-    """Of an object that is new, or has another number of instances."""
+    """Given for an object that is new, or has another number of instances."""
     anew: bool = False
-    """Whether its tracks are dropped and it is searched for anew."""
+    """Whether its tracks are dropped and it is searched for again."""
 
 
 class ObjectList:
-    """The objects that are looked for. load: from a name and a number of instances to what the loop needs;
-    raises InputError for an object without a reference model. picture_size: width and height of the camera's
-    pictures, None before the first."""
+    """The objects that are searched for. load: gives what the loop needs of an object, by its name and
+    number of instances; raises InputError for an object without a reference model. picture_size: width and
+    height of the camera's images, None before the first."""
 
     picture_size: tuple[int, int] | None = None
 
@@ -55,13 +55,13 @@ class ObjectList:
         self._orders: list[Order] = []
 
     def entries(self) -> list[ObjectEntry]:
-        """The objects that are looked for now."""
+        """The objects that are searched for now."""
         with self._lock:
             return list(self._entries.values())
 
     def settled(self) -> list[ObjectEntry] | None:
-        """The same, where the loop has taken all that was accepted; None while it has not. What it is yet to
-        do is not told as done: an entry of a reset names the instances that are over by it."""
+        """The same list if the loop has applied all accepted changes, else None. A list with a pending
+        change must not be published: the entry of a reset also names the instances that end by it."""
         with self._lock:
             return None if self._orders else list(self._entries.values())
 
@@ -72,7 +72,7 @@ class ObjectList:
             return out
 
     def tell(self, name: str, searching: int, retired: tuple[int, int] | None, reason: str) -> None:
-        """Update the entry of an object from the loop, if the object is still in the list."""
+        """Update the entry of an object with what the loop knows, if the object is still in the list."""
         with self._lock:
             if name in self._entries:
                 self._entries[name] = msgspec.structs.replace(
@@ -80,8 +80,8 @@ class ObjectList:
                 )
 
     def decide(self, request: ControlRequest) -> tuple[bool, str]:
-        """Do what a request asks. Returns whether it was done, and a sentence that says what was done or why
-        not."""
+        """Apply a request. Returns whether it was done, and a sentence that says what was done or why it
+        was not."""
         name = request.object
         if name is None:
             return True, ""
@@ -95,11 +95,11 @@ class ObjectList:
         if request.action == "add":
             return self._add(request, name, known)
         if known is None:
-            return False, f"{name} is not looked for; what is: {', '.join(self._entries) or 'nothing'}"
+            return False, f"{name} is not searched for; what is: {', '.join(self._entries) or 'nothing'}"
         if request.action == "remove":
             self._accept(Order(name, None))
-            return True, f"{name} is no longer looked for"
-        # What was known of where it is, and why it is not seen, is forgotten with this answer.
+            return True, f"{name} is no longer searched for"
+        # The new entry forgets where the object was, and why it was not found.
         entry = msgspec.structs.replace(
             known,
             resets=(known.resets + 1) % _RESETS,
@@ -108,16 +108,16 @@ class ObjectList:
             reason="",
         )
         self._accept(Order(name, entry, anew=True))
-        return True, f"{name} is searched for anew"
+        return True, f"{name} is searched for again"
 
     def _add(self, request: ControlRequest, name: str, known: ObjectEntry | None) -> tuple[bool, str]:
         count = request.max_instances
         if known is not None and known.max_instances == count:
-            fix = f"; to search it anew: huepose objects reset {name}"
-            return False, f"{name} is looked for already (up to {count} of it){fix}"
+            fix = f"; to search for it again: huepose objects reset {name}"
+            return False, f"{name} is searched for already (up to {count} of it){fix}"
         if known is not None and request.box is not None:
             fix = f"huepose objects reset {name} --box X Y W H"
-            return False, f"{name} is looked for already: add takes no box then; to search it there: {fix}"
+            return False, f"{name} is searched for already: add takes no box then; to search there: {fix}"
         if known is None and len(self._entries) >= MOST_OBJECTS:
             return False, _FULL
         try:
@@ -125,7 +125,7 @@ class ObjectList:
         except InputError as error:
             return False, str(error)
         fresh = ObjectEntry(object=name, max_instances=count, searching=count)
-        # Orders come from two threads, and to load takes a while.
+        # Requests come from two threads, and loading takes a while.
         with self._lock:
             now = self._entries.get(name)
             if (now and now.max_instances) == (known and known.max_instances):
@@ -136,7 +136,7 @@ class ObjectList:
                     now = msgspec.structs.replace(fresh, added=self._added)
                 entry = msgspec.structs.replace(now, max_instances=count, box=request.box)
                 self._take(Order(name, entry, slot))
-                return True, f"{name} is looked for, up to {count} of it"
+                return True, f"{name} is searched for, up to {count} of it"
         return self._add(request, name, now)
 
     def _accept(self, order: Order) -> None:
@@ -152,7 +152,7 @@ class ObjectList:
 
 
 def answer_control(bus: Bus, objects: ObjectList) -> None:
-    """Answer queries on the key `control` from now on, in a thread of zenoh."""
+    """Answer queries on the key `control` from now on, in a zenoh thread."""
 
     def answer(query: zenoh.Query) -> None:
         try:

@@ -42,28 +42,28 @@ from huepose_services.runtime.config import Config
 from huepose_services.runtime.log import StateChanges
 from huepose_services.runtime.work import Work
 
-# Who comes late is to hear that the camera has stopped.
+# While no new frame comes, SUSPECT poses are published again this often, for subscribers that come late.
 _SAID_AGAIN_NS = SECOND
 _Frame = tuple[int, int]
 
 
 class _Own(msgspec.Struct, array_like=True):
-    """What the worker itself remembers, beside the tracker's memory."""
+    """The worker's own memory, beside that of the tracker."""
 
     newest: _Frame | None = None
     first: _Frame | None = None
-    """Of this opening of the camera."""
+    """The first frame of this camera epoch."""
     published: set[tuple[str, int]] = set()
-    """The instances that were said of the newest frame."""
+    """The instances whose poses in the newest frame were published."""
     retired: Retired = msgspec.field(default_factory=Retired)
     holds_until_ns: int = 0
-    """Until when what was TRACKING in the newest frame holds without a newer one; then it is SUSPECT, and
-    said again at that time."""
+    """Until then the poses that were TRACKING in the newest frame stay valid without a newer frame. Then
+    they are published as SUSPECT, again and again."""
     fx_of_size: dict[str, float] = {}
     complaint: str | None = None
     against: Against = msgspec.field(default_factory=Against)
     relit: set[tuple[str, int]] = set()
-    """What has not been TRACKING since a frame in which the colour of the light changed."""
+    """Instances that have not been TRACKING since a frame in which the colour of the light changed."""
     delay: DelayDoubt = msgspec.field(default_factory=DelayDoubt)
 
 
@@ -80,20 +80,21 @@ def make(bus: Bus, config: Config) -> TrackerWork:
 
 
 def _load_one(config: Config, name: str) -> ReferenceModel:
-    """The model of one object, with all that the tracker prepares of it: no frame waits for that."""
+    """The model of one object. What the tracker derives from it is computed here, so that no frame
+    waits."""
     model = models.load_one(config, name)
-    Subject.of(model).make_ready()  # its lines stay with the model, its views in the cache
+    Subject.of(model).make_ready()  # keeps its lines in the model and its views in the cache
     return model
 
 
 def tracker_of(config: Config, known: Mapping[str, ReferenceModel]) -> Tracker:
     """The library's tracker with the settings of the configuration."""
-    stands = config.camera.mount is not None and not config.camera.told
+    static_camera = config.camera.mount is not None and not config.camera.told
     settings = replace(
         profile(config.profile).tracker,
         history_frames=config.tracker.history_frames,
         older_frames=config.tracker.older_frames,
-        odometry=config.tracker.odometry and not stands,
+        odometry=config.tracker.odometry and not static_camera,
     )
     return Tracker(known, settings)
 
@@ -127,8 +128,8 @@ class TrackerWork(Work):
         self._believed: list[TrackedPose] = []
 
     def reload(self, config: Config) -> list[str]:
-        """Take over `tracker.max_age_ms`; a recorder gets the memory, which names the step from which it
-        holds."""
+        """Take over `tracker.max_age_ms`. A recorder gets the memory, which has the new configuration and
+        the number of the step."""
         age_ms = config.tracker.max_age_ms
         fresh = msgspec.structs.replace(self._config.tracker, max_age_ms=age_ms)
         self._config = msgspec.structs.replace(self._config, tracker=fresh)
@@ -138,7 +139,8 @@ class TrackerWork(Work):
         return []
 
     def due_ns(self) -> int | None:
-        """When TRACKING poses become too old, or are to be said again as such, if no newer frame comes."""
+        """When TRACKING poses become too old, or old poses are due to be published again, if no newer frame
+        comes."""
         return self._own.holds_until_ns if self._believed else None
 
     def step(self) -> None:
@@ -175,7 +177,7 @@ class TrackerWork(Work):
             self._own.holds_until_ns = now + _SAID_AGAIN_NS
 
     def _withdraw(self, why: str) -> None:
-        """Publish what was TRACKING again as SUSPECT, without a newer frame."""
+        """Publish the poses that were TRACKING again, as SUSPECT, without a newer frame."""
         header, before = self._header, self._believed
         self._believed = [_doubted(pose) for pose in before]
         if header is None:
@@ -188,37 +190,37 @@ class TrackerWork(Work):
             self._put(pose, header, self._intake.now(), _sentence(why))
 
     def _publish_log(self) -> None:
-        """Publish the log of the step for a recorder, and now and then the memory."""
+        """Publish the log of the step for a recorder, and the memory every few seconds."""
         bus, keys = self._bus, self._bus.keys
         if not self._intake.recorded:
             self._memory_due_ns = 0
             return
-        said = self._intake.message(self._seq)
+        log = self._intake.message(self._seq)
         if self._cache is not None:
-            self._cache.step(said)
-        bus.put_aside(keys.intake, said)
+            self._cache.step(log)
+        bus.put_aside(keys.intake, log)
         now = now_ns()
         if now >= self._memory_due_ns:
             self._memory_due_ns = now + MEMORY_EVERY_NS
             bus.put_aside(keys.memory, self.memory())
 
     def memory(self) -> MemoryMessage:
-        """The memory of tracker and worker: all that they believe."""
+        """The whole memory of the tracker and of this worker."""
         own = msgspec.to_builtins(self._own, order="deterministic")
-        tracking, told = memory.plain(self._believed, self._tracker), memory.told(self._tracker)
+        tracking, plain = memory.plain(self._believed, self._tracker), memory.told(self._tracker)
         return MemoryMessage(
             publish_ns=now_ns(),
             seq=self._seq,
             config=msgspec.json.encode(self._config).decode(),
             objects=list(self._tracker.objects),
-            memory=msgspec.msgpack.encode((told, own, tracking)),
-            frames=list(dict.fromkeys([*memory.frames_of(told), *filter(None, [self._own.newest])])),
+            memory=msgspec.msgpack.encode((plain, own, tracking)),
+            frames=list(dict.fromkeys([*memory.frames_of(plain), *filter(None, [self._own.newest])])),
         )
 
     def take_over(self, message: MemoryMessage, frame_of: FrameOf) -> None:
-        """Take over the memory of another worker with the same objects and configuration. frame_of: from
-        camera epoch and frame number to the frame and its header. Raises InputError for a memory that does
-        not fit."""
+        """Take over the memory of another worker with the same objects and configuration. frame_of: gives
+        the header and the frame of a camera epoch and frame number. Raises InputError for a memory that
+        does not fit."""
 
         def pixels(epoch: int, frame_id: int) -> RgbdFrame | None:
             found = frame_of(epoch, frame_id)
@@ -299,7 +301,7 @@ class TrackerWork(Work):
             return False
         if before is None or before.camera_epoch != header.camera_epoch:
             self._own.first = frame_key(header)
-            self._withdraw("the camera was opened anew")
+            self._withdraw("the camera was opened again")
         if self._cache is not None:
             self._cache.frame(header, payload, frame, self._intake.recorded)
         complaint = complaint_about(frame, self._pixels) or lens_doubted(frame, self._own.fx_of_size)
@@ -309,7 +311,7 @@ class TrackerWork(Work):
         with self._intake.stages(self._tracker):
             poses = self._tracker.step(frame)
         if not poses and self._tracker.poses():
-            # It is older than one that is tracked already: what was published of that one still counts.
+            # A newer frame was tracked already: the poses published for that one stay valid.
             health.count("frames_older")
             return False
         self._pixels, self._believed, self._own.complaint = frame, [], complaint
@@ -338,12 +340,12 @@ class TrackerWork(Work):
         every = complaint or header.camera
         poses = [_doubted(pose) if every or one else pose for pose, one in zip(poses, against, strict=True)]
         surfaces = [self._tracker.surface(pose.object) for pose in poses]
-        # What the camera knows of its pictures is the cause of all that is seen in them.
-        said = header.camera or header.picture or _sentence(complaint)
-        said = said or why_all_are_lost(frame, poses, surfaces)
+        # A fault that the camera reports explains all that is wrong with the poses in its image.
+        of_frame = header.camera or header.picture or _sentence(complaint)
+        of_frame = of_frame or why_all_are_lost(frame, poses, surfaces)
         for pose, surface, one in zip(poses, surfaces, against, strict=True):
             doubted = pose.state is not State.TRACKING
-            reason = (said or one) if doubted else ""
+            reason = (of_frame or one) if doubted else ""
             if doubted and not reason and frame is not None:
                 doubt = self._tracker.doubt(*pose.key)
                 reason = why_doubted(surface, frame, pose.T_cam_obj, doubt, pose.key in self._own.relit)
@@ -352,16 +354,16 @@ class TrackerWork(Work):
 
     def _publish(self, pose: TrackedPose, header: FrameHeader, reason: str) -> None:
         now = self._intake.now()
-        # A stamp of the future says as little about now as an old one.
+        # A timestamp in the future says as little about now as an old one.
         old = abs(now - pose.stamp_ns) > self._max_age_ns
         # A recording that is played once repeats its first frame until objects are found: it never gets old.
-        stands = self._config.camera.once and frame_key(header) == self._own.first
-        if pose.state is State.TRACKING and old and not stands:
+        repeated = self._config.camera.once and frame_key(header) == self._own.first
+        if pose.state is State.TRACKING and old and not repeated:
             # The object may have moved since, however sure the pose is.
             pose, reason = _doubted(pose), TOO_OLD
             self._bus.health.count("poses_too_old")
         self._put(pose, header, now, reason)
-        if pose.state is State.TRACKING and not stands:
+        if pose.state is State.TRACKING and not repeated:
             self._believed.append(pose)
             self._own.holds_until_ns = now + self._max_age_ns
 
@@ -370,7 +372,7 @@ class TrackerWork(Work):
             centre = self._tracker.surface(pose.object).arrays.centre
             message = tracked_to_wire(pose, header, now, centre, reason)
         except ValueError as error:
-            # Not finite, or not a rotation: it is not published, and the other objects go on.
+            # Not finite, or not a rotation: this pose is not published, those of other objects are.
             self._bus.health.count("poses_refused")
             self._bus.log.seldom("refused pose", f"pose of {pose.object}/{pose.instance}: {error}")
             return

@@ -1,7 +1,7 @@
-"""The uplink worker, at the camera's computer: what perception works on goes up, its answers come down.
+"""The uplink worker, on the camera's computer: sends the input of perception up, and takes its answers.
 
-A request takes the newest frame along, so frames cross at perception's own rate. An answer counts only for a
-frame that was sent, with the stamp that it had; of the other computer's clock nothing is taken over.
+A request goes up with the newest frame, so frames are sent at perception's own rate. An answer is accepted
+only for a frame that was sent, with the same timestamp; the other computer's clock is never used.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def make(bus: Bus, config: Config) -> UplinkWork:
 
 
 class UplinkWork(Work):
-    """Sends up what is newest, and passes on what comes down after it was checked."""
+    """Sends the newest input up, and passes on what comes down after checking it."""
 
     def __init__(self, bus: Bus, config: Config, outside: zenoh.Session, door: Door) -> None:
         self._bus, self._outside, self._door = bus, outside, door
@@ -57,12 +57,12 @@ class UplinkWork(Work):
         self._began_ns = self._next_look_ns = now_ns()
 
     def due_ns(self) -> int | None:
-        """When to look who is there; soon, while a request waits for a newer frame."""
+        """When to check again which workers are there; soon, while a request waits for a newer frame."""
         asked_ns = None if self._requests is None else self._requests.due_ns()
         return self._next_look_ns if asked_ns is None else min(self._next_look_ns, asked_ns)
 
     def step(self) -> None:
-        """Pass on what is there."""
+        """Pass on what has arrived."""
         bus, keys = self._bus, self._bus.keys
         if (taken := self._newest()) is not None:
             self._send(*taken)
@@ -103,7 +103,8 @@ class UplinkWork(Work):
         health.counters["replaced"] = self._sender.replaced
 
     def _look(self, now: int) -> None:
-        """Who of the other computer is there, as this one's `status` shows it."""
+        """Find out which workers of the other computer are there, and show them on this bus (`huepose
+        status`)."""
         bus = self._bus
         there = {worker for worker, heard_ns in self._heard.items() if now - heard_ns <= SILENT_NS}
         for worker in there - self._tokens.keys():
@@ -119,20 +120,20 @@ class UplinkWork(Work):
                 bus.health.state = "ready"
                 bus.log.say(f"{self._host} is there again")
             return
-        text = f"{self._host} is not heard for {silent_s:.0f} s: {_WITHOUT}"
+        text = f"{self._host} has sent nothing for {silent_s:.0f} s: {_WITHOUT}"
         if bus.health.state != "waiting":
             bus.log.warn(text)
         bus.health.state = "waiting"
         bus.health.warn_while("link", text)
 
     def close(self) -> None:
-        """Send the other computer away."""
+        """Close the connection to the other computer."""
         self._sender.close()
         self._door.close()
         self._outside.close()
 
 
 _WITHOUT = (
-    "what is tracked stays tracked, what is lost or new is not found until the link is back (is the other "
-    "computer on, its pipeline up, the cable in?)"
+    "tracked objects stay tracked; lost or new ones are not found until the link is back (is the other "
+    "computer on, its pipeline running, the cable plugged in?)"
 )

@@ -1,4 +1,4 @@
-"""The ports of the viewer's page: looked at also where rerun is not loaded."""
+"""Check the ports of the viewer's page; a module of its own, because it must work without rerun."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from huepose_services.runtime.config import ViewerConfig
 
 
 def check_ports_free(config: ViewerConfig) -> None:
-    """Raises InputError where a port is taken."""
+    """Raises InputError if a port is taken."""
     for name, port in (("web_port", config.web_port), ("grpc_port", config.grpc_port)):
         if why := _why_taken(port, config.bind):
             fix = "Close the other viewer, or choose another port."
@@ -17,7 +17,7 @@ def check_ports_free(config: ViewerConfig) -> None:
 
 
 def free_port(first: int) -> int:
-    """The first free port of this machine from there on, so that several viewers can run side by side."""
+    """The first free port of this machine from `first` on, so that several viewers can run side by side."""
     for port in range(first, min(first + 100, 65_536)):
         if not _why_taken(port, "127.0.0.1"):
             return port
@@ -25,7 +25,7 @@ def free_port(first: int) -> int:
 
 
 def _why_taken(port: int, bind: str) -> str:
-    """What keeps a port from being listened on; empty where nothing does."""
+    """Why the port cannot be used; empty if it can."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

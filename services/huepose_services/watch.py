@@ -1,6 +1,6 @@
 """Observe a running pipeline from its own machine: its workers, their health, their messages.
 
-Only small messages are listened to: looking at a pipeline must not slow its frames down.
+It subscribes only to small messages, because observing a pipeline must not slow down its frames.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from huepose_services.runtime.running import Pipeline
 
 _WINDOW_S = 3.0
 _STALE_S = 2.5
-"""Health comes once a second: what is older than this is not how the worker is now."""
+"""Health comes once a second: an older one does not show the present state of the worker."""
 _NOTICED_S = 0.1
 """How soon a request to stop is noticed."""
 _KINDS = {PerceptionRequest: "request", Estimates: "estimates", CorrectionMessage: "correction"}
@@ -35,28 +35,29 @@ _KINDS = {PerceptionRequest: "request", Estimates: "estimates", CorrectionMessag
 
 @dataclass(frozen=True)
 class View:
-    """What was seen. rates: messages a second of `pose`, `request`, `estimates` and `correction`."""
+    """The state of a pipeline. seen: whether any worker is there; rates: messages a second of `pose`,
+    `request`, `estimates` and `correction`."""
 
     pipeline: Pipeline
     seen: bool
     health: dict[str, HealthMessage]
     silent: frozenset[str]
-    """Workers that are there, or should be, and say nothing."""
+    """Workers that are there and have sent no health lately."""
     missing: tuple[str, ...]
     """Workers of the configuration that are not there."""
     objects: list[ObjectEntry] | None
-    """None where nobody has said yet what is looked for."""
+    """None if no list of objects has arrived yet."""
     poses: dict[tuple[str, int], PoseMessage]
     rates: dict[str, float] = field(default_factory=dict)
 
     @property
     def well(self) -> bool:
-        """Whether all workers are there and say how they are."""
+        """Whether all workers are there and send health."""
         return self.seen and not self.missing and not self.silent
 
 
 class Watch:
-    """Listens to a pipeline; `view()` is what is known now."""
+    """Listens to a pipeline; `view()` returns its present state."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
@@ -70,7 +71,7 @@ class Watch:
         self._since = time.monotonic()
 
     def look(self, seconds: float, stopping: Callable[[], bool] = lambda: False) -> None:
-        """Listen for so long, or until it is to stop."""
+        """Listen for this time, or until `stopping` returns True."""
         until = time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0 and not stopping():
             message = self._reader.next(min(left, _NOTICED_S))
@@ -79,7 +80,7 @@ class Watch:
             self._forget_gone()
 
     def _forget_gone(self) -> None:
-        """What a worker said before it ended is not how the one is that takes its place."""
+        """Drop what a worker sent before it ended: it does not hold for the worker that replaces it."""
         there = self._there()
         for worker in self._were_there - there:
             self._health.pop(worker, None)
@@ -108,18 +109,18 @@ class Watch:
             arrivals.popleft()
 
     def look_at_all(self, least_s: float, most_s: float) -> None:
-        """Listen until everyone who is there has said how they are, in these bounds."""
+        """Listen until every worker that is there has sent its health: at least least_s, at most most_s."""
         self.look(least_s)
         until = time.monotonic() + most_s - least_s
         while time.monotonic() < until and self._there() - set(self._health):
             self.look(0.1)
 
     def _there(self) -> set[str]:
-        """The workers that are there; who plays a recording says nothing of itself."""
+        """The workers that are there; without `replay`, which sends no health."""
         return {last(key) for key in list(self._reader.live)} - {"replay"}
 
     def view(self) -> View:
-        """What is known now."""
+        """The present state."""
         now = time.monotonic()
         there = self._there()
         fresh = {w: m for w, (when, m) in self._health.items() if now - when < _STALE_S}

@@ -398,7 +398,7 @@ def test_a_folder_whose_first_picture_cannot_be_read_is_refused(scene, pipeline,
 def test_a_folder_of_pictures_that_are_too_large_to_be_sent_is_refused(scene, pipeline, refused, monkeypatch):
     monkeypatch.setattr("huepose_services.convert.MOST_PIXELS", 2_000)
     for verb in ("validate", "up"):
-        assert "picture: found 64 x 48 pixels; expected at most" in refused([verb, pipeline()])
+        assert "image: found 64 x 48 pixels; expected at most" in refused([verb, pipeline()])
 
 
 def test_validate_says_which_extra_a_worker_needs(tmp_path, refused, monkeypatch):

@@ -177,13 +177,13 @@ def test_why_objects_that_are_sought_are_not_seen():
     )
     assert reasons_not_seen(["mug", "jar", "can"], answer) == {
         "mug": "Hidden.",
-        "jar": "Something like it is seen, too doubtful to follow (quality 0.62).",
-        "can": "No place in the picture looks like the object.",
+        "jar": "Something like it is visible, too doubtful to track (quality 0.62).",
+        "can": "No place in the image looks like the object.",
     }
     unconfirmed = {"jar": "Something was found, but the tracker has not confirmed it."}
     assert reasons_not_seen(["jar"], answer, {"jar"}) == unconfirmed
     # A second jar is looked for: what is seen, well or not, is the one that is followed.
-    of_two = {"jar": "No second one is seen."}
+    of_two = {"jar": "No second instance is visible."}
     assert reasons_not_seen(["jar"], answer, (), {"jar"}) == of_two
 
 

@@ -53,7 +53,7 @@ SAYS = {
     "huepose estimate": r"tea_box +TRACKING",
     "python write_scene_camera.py": "",
     "huepose validate": r"tracker 17448",
-    "huepose objects reset": r"tea_box is searched for anew",
+    "huepose objects reset": r"tea_box is searched for again",
     "huepose status": r"tracker +ready",
 }
 """What the others have said when they are done, by how they begin."""

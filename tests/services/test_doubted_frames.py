@@ -44,8 +44,8 @@ def said_of(work, bus, frame, **changes):
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
-        ({"color": 1, "depth": -1}, "no depth in the whole picture"),
-        ({"depth": 1}, "colour picture stands still"),
+        ({"color": 1, "depth": -1}, "no depth in the whole image"),
+        ({"depth": 1}, "colour image stays the same"),
         ({"color": 1, "depth": 1, "cx": 33.0}, "intrinsics changed"),
     ],
 )
@@ -175,7 +175,7 @@ def test_who_takes_over_knows_what_perception_speaks_against(part, light_changes
 
 def test_no_pose_is_tracking_while_a_frame_says_that_its_camera_has_stopped():
     work, bus, _ = worker()
-    said = "cam.py: its picture stands still"
+    said = "cam.py: its image has changed before"
     frames = [changed_frame(number + 1, number // 3, number // 3) for number in range(4)]
     cameras = ["", said, said, ""]
     told = [said_of(work, bus, frame, camera=c) for frame, c in zip(frames, cameras, strict=True)]
@@ -206,7 +206,7 @@ def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_o
 
 @pytest.mark.parametrize(
     ("times", "reason"),
-    [(1, "It is not seen where it was"), (1000, "away or farther"), (0.005, "nearer than 0.0")],
+    [(1, "It is not visible where it was"), (1000, "away or farther"), (0.005, "nearer than 0.0")],
 )
 def test_where_all_is_lost_and_depth_may_be_of_another_unit_that_is_the_reason(times, reason):
     work, bus, _ = worker(None)

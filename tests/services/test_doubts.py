@@ -22,7 +22,7 @@ from huepose_services.watch import View
 CAMERA = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
 DIAMETER_M = 0.1
 PIPELINE = Pipeline(base_port=17447)
-NONE_COMES = "No picture comes. cam.py: depth has values that are not finite."
+NONE_COMES = "No image comes. cam.py: depth has values that are not finite."
 NORMALS = np.random.default_rng(0).normal(size=(500, 3))
 NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
 
@@ -178,17 +178,17 @@ def test_status_says_what_the_newest_picture_shows_once_the_fault_of_the_camera_
     assert NONE_COMES not in text
 
 
-@pytest.mark.parametrize("before", ["No picture comes. ", ""])
+@pytest.mark.parametrize("before", ["No image comes. ", ""])
 def test_status_says_the_sentence_of_the_camera_once(before: str) -> None:
     """What other workers and objects repeat of it may be a second older."""
-    why_none = "cam.py: no picture for 3 s"
+    why_none = "cam.py: no image for 3 s"
     workers = [
         health_of("estimator", warnings=[why_none]),
         health_of("camera", warnings=[why_none], picture=before + why_none),
     ]
-    entries = [entry(name, f"{before}cam.py: no picture for 2 s") for name in ("jar", "can")]
+    entries = [entry(name, f"{before}cam.py: no image for 2 s") for name in ("jar", "can")]
     text = shown(workers, entries, [pose_of("mug", k, reason=before + why_none) for k in (0, 1)])
-    assert text.count("no picture for") == 1
+    assert text.count("no image for") == 1
     assert f"  camera: {why_none}\n" in text
     assert text.endswith(f"\n  These 4: {before}See the camera above.")
     assert text.count("See the camera above.") == 1

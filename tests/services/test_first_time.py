@@ -41,7 +41,7 @@ def test_no_kernel_of_what_is_set_up_is_left_for_later():
     assert compiled == "not compiled: []"
 
 
-@pytest.mark.parametrize("during", ["", "learning the built-in objects", "kernels compiled"])
+@pytest.mark.parametrize("during", ["", "onboarding the built-in objects", "kernels compiled"])
 def test_ctrl_c_ends_it_at_any_time_in_one_line(tmp_path: Path, during: str) -> None:
     """At once, while an object is learnt, and within the compiler; caches are empty, but that within the
     compiler the objects are there, so that it need not first compile what learns them."""
@@ -64,4 +64,4 @@ def test_ctrl_c_ends_it_at_any_time_in_one_line(tmp_path: Path, during: str) -> 
         setup.wait()
     lines = (tmp_path / "said").read_text()[len(text) :].splitlines()
     assert lines[-1] == "setup: interrupted; `make setup` goes on here"
-    assert all(" kernels compiled, " in line or line.startswith("learning ") for line in lines[:-1])
+    assert all(" kernels compiled, " in line or line.startswith("onboarding ") for line in lines[:-1])

@@ -99,7 +99,7 @@ def test_a_known_network_is_fetched_once_and_checked(server, entry):
 @pytest.mark.parametrize("ranges", [True, False])
 def test_a_download_that_broke_off_is_taken_up_again(server, entry, ranges):
     server.breaks_after, server.ranges = 100_000, ranges
-    with pytest.raises(InputError, match="what has come is kept"):
+    with pytest.raises(InputError, match="the downloaded part is kept"):
         fetch(entry, server.url)
     assert not entry.path.exists()
     assert fetch(entry, server.url).read_bytes() == CONTENT
@@ -114,7 +114,7 @@ def test_another_file_is_thrown_away(server, entry, folder):
 
 
 def test_without_a_server_it_says_where_the_file_goes(entry):
-    with pytest.raises(InputError, match=r"put the file to .*known\.onnx by hand"):
+    with pytest.raises(InputError, match=r"copy the file to .*known\.onnx"):
         fetch(entry, "http://127.0.0.1:9/known.onnx")
 
 
@@ -130,12 +130,12 @@ def test_progress_is_shown_on_a_terminal(server, entry, monkeypatch, capsys):
     fetch(entry, server.url)
     said = capsys.readouterr().err
     assert re.search(r"\rknown: 0\.\d of 0\.3 MB, \d+ %", said)
-    assert said.endswith("\x1b[Kknown: 0.3 MB are here\n")
+    assert said.endswith("\x1b[Kknown: 0.3 MB downloaded\n")
 
 
 def test_a_log_says_that_a_download_begins_and_that_it_is_there(server, entry, capsys):
     fetch(entry, server.url)
-    assert capsys.readouterr().err.splitlines() == ["known: downloading 0.3 MB", "known: 0.3 MB are here"]
+    assert capsys.readouterr().err.splitlines() == ["known: downloading 0.3 MB", "known: 0.3 MB downloaded"]
 
 
 def test_a_file_of_yours_is_added_listed_and_used_by_name(mine, folder, tmp_path, capsys, printed):

@@ -150,7 +150,7 @@ def test_the_list_of_objects_is_changed_while_it_runs(running, recording, wait_u
     order, instances = running.order, running.instances
     assert [e.object for e in order("list").objects] == [NAME]
     assert f"expected one of {NAME}" in order("add", "teapot").text
-    assert "is looked for already" in order("add", NAME).text
+    assert "is searched for already" in order("add", NAME).text
     assert not order("remove", "teapot").done
     wait_until(instances, 30.0)
     (first,) = instances()
@@ -185,7 +185,7 @@ def test_a_second_instance_of_a_worker_is_refused_and_the_first_ends_when_told_t
     running.supervisor.send_signal(signal.SIGTERM)
     _, log = running.supervisor.communicate(timeout=10.0)
     assert running.supervisor.returncode == 0
-    assert f"{NAME} is searched for anew" in log
+    assert f"{NAME} is searched for again" in log
     assert "does not stop" not in log
 
 

@@ -179,7 +179,7 @@ def test_a_second_one_is_spoken_of_only_while_the_first_is_followed(bus, objects
     step()
     objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=3))
     step()
-    said = "No place in the picture looks like the object." if since else "No second one is seen."
+    said = "No place in the image looks like the object." if since else "No second instance is visible."
     assert (bus.mug().searching, bus.mug().reason) == (2, said)
 
 
@@ -193,7 +193,7 @@ def test_of_one_that_is_followed_no_more_no_older_reason_is_said(bus, objects, s
     step()
     objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=3))
     step()
-    assert (bus.mug().searching, bus.mug().reason) == (2, "No second one is seen.")
+    assert (bus.mug().searching, bus.mug().reason) == (2, "No second instance is visible.")
     old = msgspec.structs.replace(pose(0), capture_ns=now_ns() - 3 * SECOND)
     bus.arriving[PoseMessage] += [old, msgspec.structs.replace(pose(0), object="can")]
     step()
@@ -264,7 +264,7 @@ def test_a_reset_forgets_the_reason_of_the_search_before(bus, objects, step):
     step()
     objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
     step()
-    assert bus.mug().reason == "No place in the picture looks like the object."
+    assert bus.mug().reason == "No place in the image looks like the object."
     objects.decide(ControlRequest(publish_ns=1, action="reset", object="mug"))
     step()
     assert (bus.mug().searching, bus.mug().reason) == (2, "")
@@ -293,7 +293,7 @@ def test_where_nothing_was_ever_sure_it_says_what_to_look_at(
         work.step()
     at[0] += SECOND
     work.step()
-    said = "No place in the picture looks like the object."
+    said = "No place in the image looks like the object."
     assert bus.mug().reason == (f"{said} {IF_IN_PLAIN_VIEW}" if advised else said)
 
 
@@ -323,10 +323,10 @@ def test_that_no_picture_comes_is_said_of_an_object_that_was_found_before(bus, s
     bus.arriving[PoseMessage].append(pose(0))
     step()
     assert (bus.mug().searching, bus.mug().reason) == (0, "")
-    health = msgspec.structs.replace(example(HealthMessage), picture="No picture comes.")
+    health = msgspec.structs.replace(example(HealthMessage), picture="No image comes.")
     bus.arriving[HealthMessage].append(health)
     step()
-    assert (bus.mug().searching, bus.mug().reason) == (0, "No picture comes.")
+    assert (bus.mug().searching, bus.mug().reason) == (0, "No image comes.")
 
 
 @pytest.mark.parametrize(
@@ -386,7 +386,7 @@ def test_a_list_of_objects_fits_its_message_whatever_the_reason(bus):
         for k in range(256)
     ]
     work = ReinitWork(bus, ReinitLoop(), ObjectList(entries, ObjectSlot))
-    work._camera_says = "\N{CAMERA}" * 2000
+    work._camera_fault = "\N{CAMERA}" * 2000
     work.step()
     message = [m for m in bus.said if isinstance(m, ObjectsMessage)][-1]
     assert all(entry.reason.endswith("\N{CAMERA}...") for entry in message.objects)
@@ -400,7 +400,7 @@ def test_more_objects_than_a_list_can_have_are_refused(bus, monkeypatch):
     monkeypatch.setattr("huepose_services.models.load", lambda config: dict.fromkeys(names))
     names = [f"o{k}" for k in range(257)]
     for objects in ([ObjectConfig(name=name) for name in names], []):
-        with pytest.raises(InputError, match="found 257 that are looked for; expected 256 or fewer"):
+        with pytest.raises(InputError, match="found 257 that are searched for; expected 256 or fewer"):
             make(bus, Config(objects=objects))
 
 

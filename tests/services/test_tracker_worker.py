@@ -152,7 +152,7 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     assert "kept for 4.0 s" in warning
     # 1.3 times 8 s are to be reached: 6.4 s more than 4 s, two frames for each 4/15 s.
     assert "tracker.older_frames to 72" in warning
-    said = "found another pose of mug/0 in a picture 8.0 s old; it is not taken over: perception answers"
+    said = "found another pose of mug/0 in an image 8.0 s old; it is not applied: perception answers"
     assert capfd.readouterr().err.count(said) == 1
     work._tracker.answer = Applied.CATCHING_UP
     bus.arriving[CorrectionMessage] = [msgspec.structs.replace(late, seq=late.seq + 1)]
@@ -172,22 +172,22 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
             "acquire",
             4.0,
             300,
-            "found mug/0 in a picture 0.3 s old; it is not taken over: the camera was opened anew since",
+            "found mug/0 in an image 0.3 s old; it is not applied: the camera was opened again since",
         ),
         (
             Applied.REFUSED_EPOCH,
             "acquire",
             4.0,
             -1300,
-            "found mug/0 in an older picture; it is not taken over: the camera was opened anew since",
+            "found mug/0 in an older image; it is not applied: the camera was opened again since",
         ),
         (
             Applied.REFUSED_OLD,
             "agree",
             4.0,
             300,
-            "mug/0 is where it is followed in a picture 0.3 s old; it is not taken over: it is not followed "
-            "any more. Nothing needs to be done",
+            "mug/0 is where it is tracked in an image 0.3 s old; it is not applied: it is no longer "
+            "tracked. Nothing needs to be done",
         ),
         (
             # Of an instance that the tracker before it followed.
@@ -195,15 +195,15 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
             "correct",
             4.0,
             300,
-            "found another pose of mug/0 in a picture 0.3 s old; it is not taken over: it is not followed "
-            "any more. Nothing needs to be done",
+            "found another pose of mug/0 in an image 0.3 s old; it is not applied: it is no longer "
+            "tracked. Nothing needs to be done",
         ),
         (
             Applied.REFUSED_OLD,
             "correct",
             None,
             300,
-            "that was before the tracker began. Nothing needs to be done",
+            "that was before the tracker started. Nothing needs to be done",
         ),
     ],
 )

@@ -74,7 +74,7 @@ def test_who_asks_after_the_tracker_died_is_not_told_that_its_last_pose_may_be_a
         assert told.publish_ns > last.publish_ns
         said = {
             "state": "SUSPECT",
-            "reason": "Nothing was said of it for a while: the tracker has ended, or hangs.",
+            "reason": "Nothing was published about it for a while: the tracker has ended, or hangs.",
         }
         assert told == msgspec.structs.replace(last, publish_ns=told.publish_ns, **said)
         died_s = 1e-9 * (time.monotonic_ns() - last.capture_ns)

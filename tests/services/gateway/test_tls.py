@@ -136,9 +136,7 @@ def test_a_gateway_waits_for_its_address(address):
         check_door(gateway)
     door = Door(gateway, Path("/nowhere"), lambda kind, text: said.append(text), 1000.0, "gateway")
     door.close()
-    assert said == [
-        f"gateway.listen {address}: no network here has that address now; nobody comes before one has"
-    ]
+    assert said == [f"gateway.listen {address}: no network here has that address yet, so nobody can connect"]
 
 
 def test_the_log_says_why_each_kind_of_reader_is_not_let_in(start, authority, wait_until, capsys):
@@ -170,7 +168,7 @@ def test_the_log_says_why_each_kind_of_reader_is_not_let_in(start, authority, wa
         "127.0.0.1: its certificate is not accepted: another authority signed it",
         "127.0.0.1: its certificate is not accepted: certificate has expired",
     ):
-        assert log.count(f"a reader is not let in: {why}") == 1, log
+        assert log.count(f"a reader is refused: {why}") == 1, log
 
 
 def _expired(authority, folder):

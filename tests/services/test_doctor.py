@@ -67,7 +67,11 @@ def test_a_damaged_network_is_noticed(folder, capsys):
 
 @pytest.mark.parametrize(
     ("limit", "state", "text"),
-    [(None, "ok", "no limit"), (8 * MIB, "ok", "8192 KiB"), (6 * MIB, "note", "so they go by the socket")],
+    [
+        (None, "ok", "no limit"),
+        (8 * MIB, "ok", "8192 KiB"),
+        (6 * MIB, "note", "so they are sent over the socket"),
+    ],
 )
 def test_locked_memory_is_held_against_the_pool(monkeypatch, limit, state, text):
     monkeypatch.setattr(checks, "lock_limit", lambda: limit)

@@ -60,6 +60,6 @@ def test_of_several_objects_the_one_of_another_size_is_named(
 def test_where_depth_lies_beside_the_colours_no_object_is_called_right(
     tea_box: ReferenceModel, box_frame: RgbdFrame
 ) -> None:
-    (found,) = objects_in(box_frame, {"tea_box": tea_box}, aside=True)
+    (found,) = objects_in(box_frame, {"tea_box": tea_box}, misaligned=True)
     assert (found.state, found.found[:17]) == ("note", "tea_box TRACKING ")
     assert "BAD above" in found.fix

@@ -55,7 +55,7 @@ def test_depth_that_lies_elsewhere_is_told_with_its_offset(frames, dx, dy, words
     ("source", "fix"),
     [
         ("realsense", "set camera.device.align to true"),
-        ("python", "frames() has to give it in the pixels of colour"),
+        ("python", "frames() must return depth in the pixels of the colour image"),
         ("oak", "calibrate the camera"),
         ("bop", "the calibration of the recording"),
     ],
@@ -100,7 +100,7 @@ def test_a_wall_tells_nothing_of_alignment(frames):
         (lambda d: d * 1000.0, "bad", "another unit"),
         (lambda d: d * 0.001, "bad", "another unit"),
         (lambda d: d * 0.1, "note", "is the depth scale wrong"),
-        (lambda d: d * 0.0, "bad", "Look at lenses"),
+        (lambda d: d * 0.0, "bad", "Check lenses"),
         (
             lambda d: np.where(np.arange(d.shape[1]) % 3 == 0, d, 0.0).astype(np.float32),
             "note",
@@ -116,7 +116,7 @@ def test_depth_in_another_unit_or_missing_is_told(frames, change, state, fix):
 def test_depth_in_another_unit_from_a_python_camera_is_to_be_given_in_metres(frames):
     in_millimetres = [replace(f, depth=1000.0 * f.depth) for f in frames]
     (finding,) = depth(in_millimetres, CameraConfig(source="python"))
-    assert finding.fix == "It is in another unit: frames() has to give metres."
+    assert finding.fix == "Depth is in another unit: frames() must return metres."
 
 
 def test_depth_that_is_too_far_to_be_sent_is_told(frames):
@@ -135,7 +135,7 @@ def test_too_dark_and_too_bright_are_told(frames, factor, state):
 def test_a_picture_without_colour_is_told(frames):
     grey = [replace(f, color=np.repeat(f.color[..., 1:2], 3, axis=2)) for f in frames]
     found = brightness(grey)
-    assert (found.state, found.fix[:26]) == ("bad", "The picture has no colour:")
+    assert (found.state, found.fix[:24]) == ("bad", "The image has no colour:")
     assert brightness([*grey, frames[0]]).state == "ok", "one picture with colours shows that there are"
 
 
@@ -212,4 +212,4 @@ def test_where_depth_is_wrong_nobody_is_told_to_bring_an_object_nearer(
     found = {f["subject"]: f for f in json.loads(capsys.readouterr().out)}
     assert found["depth"]["state"] == depth_state
     assert ("distance" in found) == (depth_state == "ok")
-    assert ("Mend depth first" in found["objects"]["fix"]) == (depth_state == "bad")
+    assert ("Correct depth first" in found["objects"]["fix"]) == (depth_state == "bad")

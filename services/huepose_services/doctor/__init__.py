@@ -1,1 +1,1 @@
-"""What `huepose doctor` looks at. Each check looks at one thing, changes nothing, and says what to do."""
+"""The checks of `huepose doctor`. Each checks one thing, changes nothing, and says what to do."""

@@ -1,4 +1,4 @@
-"""The checks of `huepose doctor`: this machine, and what a pipeline names. A camera's are in `pictures`."""
+"""Checks of this machine, and of what a pipeline names. The checks of a camera are in `pictures`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _MARKS = {"ok": "OK  ", "none": "-   ", "note": "NOTE", "bad": "BAD "}
 
 @dataclass(frozen=True)
 class Finding:
-    """One line. `none`: it is not there, and nothing needs it; `note`: works, but could be better."""
+    """One line of the result. state `none`: missing, but not needed; `note`: works, but could be better."""
 
     subject: str
     state: State
@@ -47,14 +47,14 @@ class Finding:
         return self.state == "bad"
 
     def line(self) -> str:
-        """As it is printed."""
+        """The finding as it is printed."""
         text = f"{_MARKS[self.state]} {self.subject:16s} {self.found}"
         return f"{text}\n{'':22s}-> {self.fix}" if self.fix else text
 
 
 def examine(configs: Sequence[Config]) -> list[Finding]:
-    """What was found; with the configurations of a pipeline's cameras, also whether what they name is there:
-    all but the cameras is the same in each."""
+    """The findings. configs: one for each camera of a pipeline; what they name is checked, too. They differ
+    only in their cameras."""
     config = configs[0] if configs else None
     wanted = config or Config()
     return [
@@ -70,7 +70,7 @@ def examine(configs: Sequence[Config]) -> list[Finding]:
 
 
 def providers(config: Config) -> Iterator[Finding]:
-    """What networks can run on here, and what they would."""
+    """Which execution providers for networks there are, and which one the configuration chooses."""
     if find_spec("onnxruntime") is None:
         yield Finding("providers", "none", "no onnxruntime: networks cannot be run")
         return
@@ -89,7 +89,7 @@ def providers(config: Config) -> Iterator[Finding]:
 
 
 def cameras(needed: Collection[str]) -> Iterator[Finding]:
-    """Which cameras are connected. needed: the sources that are bad when they are missing."""
+    """Which cameras are connected. needed: the sources whose absence is BAD."""
     for kind, package, look in (("realsense", "pyrealsense2", _realsense), ("oak", "depthai", _oak)):
         if find_spec(package) is None:
             fix = install_command(kind) if kind in needed else ""
@@ -108,7 +108,7 @@ def cameras(needed: Collection[str]) -> Iterator[Finding]:
         else:
             fix = "Plug it into a USB 3 port; udev rules: sudo deploy/jetson/install.sh --udev"
             missing = kind in needed
-            yield Finding(kind, "bad" if missing else "none", "no camera seen", fix if missing else "")
+            yield Finding(kind, "bad" if missing else "none", "no camera found", fix if missing else "")
 
 
 def _realsense() -> list[str]:
@@ -123,7 +123,7 @@ def _realsense() -> list[str]:
 
 
 def _oak() -> list[str]:
-    # Without this, looking for a camera that is not there takes 11 s.
+    # Without this, searching for a camera takes 11 s if there is none.
     os.environ.setdefault("DEPTHAI_SEARCH_TIMEOUT", "0")
     os.environ.setdefault("DEPTHAI_LEVEL", "error")
     import depthai as dai
@@ -132,7 +132,7 @@ def _oak() -> list[str]:
 
 
 def networks(config: Config | None) -> Iterator[Finding]:
-    """Whether the networks that are known and here are right, and those of the configuration open."""
+    """Whether the installed known networks are intact, and those of the configuration can be opened."""
     from huepose.perception.sessions import check_file
     from huepose_services import catalogue
 
@@ -147,7 +147,7 @@ def networks(config: Config | None) -> Iterator[Finding]:
 
 
 def _refused(check: Callable[[], None]) -> Iterator[Finding]:
-    """A finding when a check of networks raises."""
+    """A finding if a check of networks raises InputError."""
     try:
         check()
     except InputError as error:
@@ -157,7 +157,7 @@ def _refused(check: Callable[[], None]) -> Iterator[Finding]:
 def bundles(config: Config | None) -> Iterator[Finding]:
     """Whether the reference models can be read."""
     if config is None or config.bundles is None:
-        yield Finding("reference models", "none", "none named: the built-in scene brings its own")
+        yield Finding("reference models", "none", "none configured: the built-in scene brings its own")
         return
     from huepose_services import models
 
@@ -170,7 +170,7 @@ def bundles(config: Config | None) -> Iterator[Finding]:
 
 
 def versions() -> Iterator[Finding]:
-    """Python and packages."""
+    """The versions of Python and of packages."""
     right = (3, 10) <= sys.version_info[:2] <= (3, 12)
     yield Finding(
         "python",
@@ -189,28 +189,29 @@ def versions() -> Iterator[Finding]:
 
 
 def memory(pool_mib: float) -> Iterator[Finding]:
-    """Shared memory, and how much of it may be locked, for a pool of frames."""
+    """Whether shared memory, and how much of it may be locked, suffice for the pool of frames."""
     limit, pool = lock_limit(), int(pool_mib * MIB)
     text = "no limit" if limit is None else f"{limit // 1024} KiB"
     fits = pool == 0 or pool_fits(pool, limit)
     yield Finding(
         "locked memory",
         "ok" if fits else "note",
-        f"{text}; frames need a pool of {pool_mib:g} MiB" + ("" if fits else ", so they go by the socket"),
+        f"{text}; frames need a pool of {pool_mib:g} MiB"
+        + ("" if fits else ", so they are sent over the socket"),
         "" if fits else "Raise it (ulimit -l unlimited, LimitMEMLOCK=infinity), or lower bus.frame_pool_mib.",
     )
     if not os.access(_SHM, os.W_OK):
-        fix = "Mount it: frames go by the socket without it. In a container: --shm-size=256m."
+        fix = "Mount it: without it, frames are sent over the socket. In a container: --shm-size=256m."
         yield Finding("shared memory", "note", f"{_SHM} is not there, or not writable", fix)
         return
     free = shutil.disk_usage(_SHM).free / MIB
     enough = free > 4 * pool_mib
-    fix = "" if enough else "Make room in it, or make it larger: mount -o remount,size=256M /dev/shm."
+    fix = "" if enough else "Free space in it, or enlarge it: mount -o remount,size=256M /dev/shm."
     yield Finding("shared memory", "ok" if enough else "bad", f"{free:.0f} MiB free in {_SHM}", fix)
 
 
 def clock() -> Iterator[Finding]:
-    """The monotonic clock that every stamp is of."""
+    """The monotonic clock, which gives all timestamps."""
     resolution_ns = time.clock_getres(time.CLOCK_MONOTONIC) * 1e9
     source = _read(_CLOCK_SOURCE) or "unknown source"
     slow = source in ("hpet", "acpi_pm", "jiffies")
@@ -222,7 +223,7 @@ def processor() -> Iterator[Finding]:
     """Whether the processor runs as fast as it can."""
     governors = {text for path in _CPUS.glob("cpu[0-9]*/cpufreq/scaling_governor") if (text := _read(path))}
     if not governors:
-        yield Finding("governor", "none", "the system does not say how the processor's clock is governed")
+        yield Finding("governor", "none", "the system does not name the processor's frequency governor")
     elif governors & {"powersave", "conservative"}:
         fix = "For even times: sudo cpupower frequency-set -g performance (on a Jetson: sudo jetson_clocks)."
         yield Finding("governor", "note", ", ".join(sorted(governors)), fix)
@@ -230,7 +231,7 @@ def processor() -> Iterator[Finding]:
         yield Finding("governor", "ok", ", ".join(sorted(governors)))
     load, cores = os.getloadavg()[0], os.cpu_count() or 1
     busy = load > 1.5 * cores
-    fix = "Other programs take the processor's time: times will be long and uneven." if busy else ""
+    fix = "Other programs use the processors: latency will be long and uneven." if busy else ""
     yield Finding("load", "note" if busy else "ok", f"{load:.1f} on {cores} processors", fix)
 
 

@@ -1,5 +1,5 @@
-"""What a camera's pictures are like: whether they come, how bright, how far, in which units, whether depth
-lies on the colours, and whether the objects that are looked for are found in them."""
+"""Checks of a camera's images: whether they arrive, brightness, distance, unit of depth, alignment of depth
+to colour, and whether the configured objects are found in them."""
 
 from __future__ import annotations
 
@@ -47,28 +47,29 @@ LOOK_S = 3.0
 _FRAMES = 10
 _GLARE = 255
 FEWEST_PIXELS = 400
-"""An object that shows fewer is seldom found, and seldom right."""
+"""An object with fewer visible pixels is seldom found, and its pose is seldom right."""
 
 REACH_PX = 8
+"""Largest offset between depth and colour that `edge_offset` looks for, either way."""
 EDGE = 0.03
-"""Of the distance: so large a step between neighbours is an edge of something, not its slope."""
+"""Least depth step between neighbours at an edge, as a share of the distance. Slopes have smaller steps."""
 SHADOW_PX = 12
 CLEAR_PX, CLEAR_SIGMAS = 3.0, 4.0
 _RELATED_PX = 6.0
-"""Neighbours along an edge say the same so far."""
+"""Correlation length along an edge: nearer pixels are not independent."""
 MOST_EDGES = 5000
-"""Pixels of a picture that are asked: depth of a desk has so many at edges, noisy depth thirty times that."""
+"""Most edge pixels of a frame that are used: about as many as a desk has. Noisy depth has 30 times more."""
 
 
 _REGISTER = {
-    "realsense": "set camera.device.align to true; where it is, calibrate the camera.",
-    "python": "frames() has to give it in the pixels of colour.",
+    "realsense": "set camera.device.align to true; if it is, calibrate the camera.",
+    "python": "frames() must return depth in the pixels of the colour image.",
 }
-"""What brings depth onto the colours, by `camera.source`."""
+"""What aligns depth to colour, by `camera.source`."""
 
 
 def pictures(config: Config) -> Iterator[Finding]:
-    """Open the configured camera, look for some seconds, and say what there is to say."""
+    """Open the configured camera, read it for some seconds, and check its frames."""
     try:
         source = open_source(config)
         live = config.camera.source in LIVE_SOURCES
@@ -78,7 +79,7 @@ def pictures(config: Config) -> Iterator[Finding]:
         return
     yield from findings
     if not frames:
-        yield Finding("camera", "bad", f"no picture in {LOOK_S:g} s", "Is another program using it?")
+        yield Finding("camera", "bad", f"no image in {LOOK_S:g} s", "Is another program using it?")
         return
     camera = frames[0].camera
     matrix = f"{camera.width} x {camera.height}, fx {camera.fx:.1f} fy {camera.fy:.1f}"
@@ -91,17 +92,17 @@ def pictures(config: Config) -> Iterator[Finding]:
     yield aligned
     if any(finding.bad for finding in measured):
         if config.bundles is not None:
-            fix = "Mend depth first, which is BAD above: their distance, size and pose follow it."
-            yield Finding("objects", "note", "not looked for", fix)
+            fix = "Correct depth first, which is BAD above: distance, size and pose of objects depend on it."
+            yield Finding("objects", "note", "not searched for", fix)
         return
     yield from distance(frames, config)
     if config.bundles is not None:
-        with suppress(InputError):  # reference models that are not there are said elsewhere
+        with suppress(InputError):  # missing reference models are reported by `checks.bundles`
             yield from objects_in(frames[-1], models.load(config), aligned.bad)
 
 
 def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Finding]]:
-    """Some of the pictures of a live camera, and what its worker would complain of."""
+    """Some frames of a live camera, and the faults that its worker would report."""
     camera = source.open()
     settings = config.camera
     condition = Condition(float(settings.rate), LARGEST_STEP * settings.depth_scale_m, settings.check)
@@ -117,7 +118,7 @@ def _live(source: LiveSource, config: Config) -> tuple[list[RgbdFrame], list[Fin
             came += 1
             condition.count(came, now_ns())
             complaints |= condition.complaints(now_ns())
-            # Those of the first moments are dark until the exposure has settled.
+            # The last ones: the first are dark until the exposure has settled.
             frames = [*frames, RgbdFrame(shot.color, shot.depth, shot.camera)][-_FRAMES:]
     finally:
         camera.close()
@@ -130,40 +131,40 @@ def _recorded(source: Scene) -> list[RgbdFrame]:
 
 
 def brightness(frames: Sequence[RgbdFrame]) -> Finding:
-    """Too dark, or too bright, to tell colours, or without any."""
+    """Whether images are too dark or too bright to show colours, or have none."""
     colors = np.stack([frame.color[::4, ::4] for frame in frames])
     brightest, black = colors.max(-1), float(dark(colors).mean())
     glare = float((brightest >= _GLARE).mean())
     found = f"median {np.median(brightest):.0f} of 255; {100 * black:.0f} % black, {100 * glare:.0f} % white"
     if black > 0.5:
-        return Finding("picture", "bad", found, "Too dark: more light, a longer exposure (device.options).")
+        return Finding("picture", "bad", found, "Too dark: add light, or expose longer (device.options).")
     if all(all_grey(frame.color) for frame in frames):
-        fix = "The picture has no colour: is it that of an infrared or a monochrome sensor?"
+        fix = "The image has no colour: does it come from an infrared or a monochrome sensor?"
         return Finding("picture", "bad", found, fix)
     if glare > 0.25:
         return Finding(
-            "picture", "note", found, "Too bright: less light, a shorter exposure (device.options)."
+            "picture", "note", found, "Too bright: reduce light, or expose shorter (device.options)."
         )
     return Finding("picture", "ok", found)
 
 
 def depth(frames: Sequence[RgbdFrame], camera: CameraConfig) -> Iterator[Finding]:
-    """Whether there is depth, in the right unit, and within what can be sent."""
+    """Whether there is depth, in the right unit, and in the range that can be sent."""
     values = np.stack([some_of(frame.depth) for frame in frames])
     there = readings(values)
     share = float(there.mean())
     if share < LEAST_DEPTH:
-        yield Finding("depth", "bad", f"{100 * share:.1f} % of the picture", "Look at lenses and projector.")
+        yield Finding("depth", "bad", f"{100 * share:.1f} % of the image", "Check lenses and projector.")
         return
     median_m = float(np.median(values[there]))
-    found = f"{100 * share:.0f} % of the picture, half of it nearer than {median_m:.3g} m"
+    found = f"{100 * share:.0f} % of the image, half of it nearer than {median_m:.3g} m"
     if not NEAREST_M <= median_m <= FARTHEST_M:
         fix = "correct depth_scale of the recording, or the camera's depth_units."
         if camera.source == "python":
-            fix = "frames() has to give metres."
-        yield Finding("depth", "bad", found, f"It is in another unit: {fix}")
+            fix = "frames() must return metres."
+        yield Finding("depth", "bad", found, f"Depth is in another unit: {fix}")
         return
-    note = "Much is missing." if share < 0.5 else depth_doubted(frames[-1]) or ""
+    note = "Much of it is missing." if share < 0.5 else depth_doubted(frames[-1]) or ""
     yield Finding("depth", "note" if note else "ok", found, note)
     reach_m = LARGEST_STEP * camera.depth_scale_m
     beyond = float((values[there] >= reach_m).mean())
@@ -173,26 +174,26 @@ def depth(frames: Sequence[RgbdFrame], camera: CameraConfig) -> Iterator[Finding
 
 
 def alignment(frames: Sequence[RgbdFrame], source: str) -> Finding:
-    """Whether edges of depth lie on edges of the colours. source: `camera.source`."""
-    other = "calibrate the camera." if source in LIVE_SOURCES else "see the calibration of the recording."
+    """Whether depth edges lie on colour edges. source: `camera.source`."""
+    other = "calibrate the camera." if source in LIVE_SOURCES else "check the calibration of the recording."
     fix = f"Depth is not registered to colour: {_REGISTER.get(source, other)}"
     far = frame_offset(frames[-1])
     if far is not None:
         return Finding("alignment", "bad", str(far), fix)
     offset = edge_offset(frames)
     if offset is None:
-        return Finding("alignment", "none", "too few edges to tell whether depth lies on the colours")
+        return Finding("alignment", "none", "too few edges to say whether depth is aligned to colour")
     right, down, sigmas = offset
     off = beside(right, down)
-    found = f"edges of the picture are {off or 'on'} those of depth"
+    found = f"colour edges are {off or 'on'} depth edges"
     if np.hypot(right, down) >= CLEAR_PX and sigmas >= CLEAR_SIGMAS:
         return Finding("alignment", "bad", found, fix)
     return Finding("alignment", "ok", found + (", too little to be sure" if off else ""))
 
 
 def edge_offset(frames: Sequence[RgbdFrame]) -> tuple[float, float, float] | None:
-    """(right, down) in pixels from edges of depth to where the picture's edges are strongest along them, and
-    by how many standard errors; None where there are too few."""
+    """The offset (right, down) in pixels from depth edges to colour edges, and its significance in standard
+    errors; None if there are too few edges. It is the shift at which colour edges are strongest."""
     ticks = range(-REACH_PX, REACH_PX + 1)
     rows, total = [], 0
     for frame in frames:
@@ -213,25 +214,25 @@ def edge_offset(frames: Sequence[RgbdFrame]) -> tuple[float, float, float] | Non
 
 
 def _edges(depth: Float32) -> Bool:
-    """The near sides of steps in depth (H, W): where something ends before what is behind it.
+    """The near sides of steps in depth (H, W): where a surface ends in front of another one.
 
-    `frame_offset.steps_of_depth` asks for readings right beside it, which real depth often lacks there. With
-    its steps 11 of 30 shifts of 5 and 6 px are told in 5 scenes of YCB-Video, with these 23."""
+    `frame_offset.steps_of_depth` needs readings right beside the step, which real depth often lacks. In 5
+    scenes of YCB-Video, 11 of 30 shifts of 5 and 6 px are detected with its steps, 23 with these."""
     out = np.zeros(depth.shape, bool)
     for axis in (0, 1):
         for step in (1, -1):
             other = np.roll(depth, step, axis)
-            # Beside what is near, stereo cameras often see nothing of what is behind it.
+            # Stereo cameras often have no depth of the background right beside a near surface.
             other = np.where(other > 0.0, other, np.roll(depth, SHADOW_PX * step, axis))
             out |= (depth > 0.0) & (other > 0.0) & (other - depth > EDGE * depth)
     return out
 
 
 def _strength(frame: RgbdFrame) -> Float32:
-    """How much the picture changes at each pixel (H, W), in all channels, over what it does around it.
+    """The colour gradient at each pixel (H, W), over all channels, relative to its mean around that pixel.
 
-    Around each pixel, not around the edge of depth that asks for it: else what lies farther from that edge
-    seems to be stronger, and where depth is so noisy that it has edges everywhere it would seem shifted."""
+    The mean is around the pixel, not around the depth edge: else colour edges farther from a depth edge
+    would seem stronger, and depth that is so noisy that it has edges everywhere would seem shifted."""
     smooth = cv2.GaussianBlur(frame.color.astype(np.float32), (0, 0), 0.8)
     slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axes) for axes in ((1, 0), (0, 1))]
     change = np.asarray(np.sqrt(sum((s**2).sum(-1) for s in slopes)), np.float32)
@@ -240,31 +241,31 @@ def _strength(frame: RgbdFrame) -> Float32:
 
 
 def distance(frames: Sequence[RgbdFrame], config: Config) -> Iterator[Finding]:
-    """Whether the objects are large enough in the picture, as far as most of it is."""
+    """Whether the objects would be large enough in the image at its median depth."""
     values = np.stack([some_of(frame.depth) for frame in frames])
     if config.bundles is None or not (values > 0.0).any():
         return
     median_m, camera = float(np.median(values[values > 0.0])), frames[0].camera
     for name, one in models.outlines(config).items():
-        # About half of the square of its diameter, seen from anywhere.
+        # From any side an object covers about half of the square of its diameter.
         pixels = 0.5 * camera.fx * camera.fy * (one.diameter_m / median_m) ** 2
         if pixels < FEWEST_PIXELS:
             near_m = median_m * np.sqrt(pixels / FEWEST_PIXELS)
-            fix = f"Bring it, or the camera, nearer than {near_m:.1f} m, or set a larger picture."
+            fix = f"Bring it, or the camera, nearer than {near_m:.1f} m, or set a higher resolution."
             yield Finding(
                 "distance", "note", f"{name} would show {pixels:.0f} pixels at {median_m:.1f} m", fix
             )
 
 
 MOST = 5
-"""Of the objects, so that an examination takes seconds with any number of them."""
+"""Most objects that are searched for, so that the check takes seconds with any number of objects."""
 
 
 def objects_in(
-    frame: RgbdFrame, models: Mapping[str, ReferenceModel], aside: bool = False
+    frame: RgbdFrame, models: Mapping[str, ReferenceModel], misaligned: bool = False
 ) -> Iterator[Finding]:
-    """What is found of the first objects, by name, and what their poses say of the camera. aside: whether
-    depth does not lie on the colours."""
+    """Whether the first objects by name are found, and what their poses say about the camera. misaligned:
+    depth is known not to be aligned to colour."""
     names = sorted(models)[:MOST]
     live = profile("live")
     detector = ViewDetector({name: models[name] for name in names}, live.detector)
@@ -275,7 +276,7 @@ def objects_in(
     if why:
         yield Finding("camera", "bad", "red and blue seem to be exchanged", why)
     if not places:
-        text = f"none of {', '.join(names)} is in the last picture"
+        text = f"none of {', '.join(names)} was found in the last image"
         yield Finding("objects", "none", text, IF_IN_PLAIN_VIEW)
         return
     best = {place.object: place for place in places[::-1]}
@@ -289,10 +290,10 @@ def objects_in(
         yield Finding("camera", "bad", "sizes do not fit", size.said(frame.camera))
     for k, of_object in doubted.items():
         yield Finding("objects", "bad", f"{answers[k].object} does not fit", of_object.said_of_one())
-    if aside or size or why:
-        yield Finding("objects", "note", said, "Seen, but not where these poses are: see what is BAD above.")
+    if misaligned or size or why:
+        yield Finding("objects", "note", said, "Found, but these poses are wrong: correct what is BAD above.")
     elif all(answer.state == "TRACKING" for answer in answers):
         yield Finding("objects", "ok", said)
     else:
-        fix = f"What is not TRACKING was not sure in this picture. {IF_IN_PLAIN_VIEW}"
+        fix = f"An object that is not TRACKING has an uncertain pose here. {IF_IN_PLAIN_VIEW}"
         yield Finding("objects", "note", said, fix)

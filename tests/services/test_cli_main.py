@@ -15,7 +15,7 @@ from huepose.support.errors import InputError
 from huepose_services.cli import entry
 from huepose_services.cli import main as command_line
 from huepose_services.cli.main import BAD_INPUT, main
-from huepose_services.cli.options import answered
+from huepose_services.cli.options import print_result
 from tests.disk import full_disk
 from tests.services.conftest import Says
 
@@ -122,7 +122,7 @@ def test_an_answer_is_printed_before_a_full_disk_refuses_its_file(
 ) -> None:
     path = tmp_path / "out.json"
     with full_disk(), pytest.raises(InputError, match=f"{path}: found File too large"):
-        answered(Namespace(json=path), {"found": 1}, "found it")
+        print_result(Namespace(json=path), {"found": 1}, "found it")
     assert capsys.readouterr().out == "found it\n"
     assert not path.exists()
 
@@ -133,7 +133,7 @@ def test_output_that_cannot_be_written_is_told_once() -> None:
     with open("/dev/full", "w") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=environment)
     assert ended.returncode == BAD_INPUT
-    assert ended.stderr == "huepose models: what it prints: found No space left on device.\n"
+    assert ended.stderr == "huepose models: its output: found No space left on device.\n"
 
 
 @pytest.mark.parametrize(
@@ -192,7 +192,7 @@ def test_an_option_that_nothing_is_like_is_not_answered_with_another(refused: Sa
 def test_a_recording_of_nothing_says_so_and_leaves_no_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("huepose_services.cli.record.until_told", lambda: lambda: True)
+    monkeypatch.setattr("huepose_services.cli.record.catch_stop_signals", lambda: lambda: True)
     config = tmp_path / "pipeline.yaml"
     config.write_text("bus: {base_port: 29147}\nbundles: bundles\nobjects: [{name: cup}]\n")
     assert main(["record", str(tmp_path / "out.mcap"), "--config", str(config)]) == 1
@@ -211,7 +211,7 @@ def test_a_view_of_nothing_says_so_and_leaves_no_file(
     config.write_text("bus: {base_port: 29147}\nbundles: bundles\nobjects: [{name: cup}]\n")
     saved = tmp_path / "out.rrd"
     assert main(["view", "--save", str(saved), "--config", str(config), "--seconds", "0.2"]) == 1
-    assert "no pipeline gave a picture, so nothing was saved" in capsys.readouterr().err
+    assert "no image arrived, so nothing was saved" in capsys.readouterr().err
     assert not saved.exists()
 
 

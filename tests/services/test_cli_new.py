@@ -45,7 +45,7 @@ def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, refused: Says) -> None:
     (tmp_path / "pipeline.yaml").write_text("site: mine\n")
-    assert "is there already" in refused(["new", "box", "box.obj", "--out", tmp_path])
+    assert "exists already" in refused(["new", "box", "box.obj", "--out", tmp_path])
     assert (tmp_path / "pipeline.yaml").read_text() == "site: mine\n"
 
 
@@ -66,7 +66,7 @@ def test_what_is_too_large_to_be_drawn_is_not_learnt_first(
     given = ["new", "box", str(tmp_path / "box.obj"), "--unit", "m", "--no-test", "--out", str(out)]
     said = refused(given)
     assert "found a largest side of 1.5 m" in said
-    assert "say the mesh's unit" in said
+    assert "give the mesh's unit" in said
     assert not out.exists()
 
 

@@ -143,7 +143,7 @@ def test_nothing_is_learnt_of_a_mesh_whose_unit_a_script_does_not_say(
     said = " ".join(refused([*given, "--no-test", "--out", out]).split())
     sizes = "1.5 cm in millimetres, 15 cm in centimetres, 38.1 cm in inches"
     assert f"found no unit, and a largest side of {sizes}" in said
-    assert said.endswith("Say it: --unit mm|cm|in.")
+    assert said.endswith("Give it: --unit mm|cm|in.")
     assert not out.exists()
 
 
@@ -173,7 +173,7 @@ def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
     first, second = capsys.readouterr().err.splitlines()
     assert first == (
         "note: the mesh gives no unit, and is read in millimetres: its largest side is 12 cm (it would be "
-        "1.2 m in centimetres). If that is wrong, give the unit with --unit."
+        "1.2 m in centimetres). If this is wrong, give the unit with --unit."
     )
     assert second.startswith("note: a .glb file is read in metres: its largest side is 1.2 m")
     assert "36.58 cm in feet" in second
@@ -184,7 +184,8 @@ def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
     [
         (
             1000.0,
-            "1.2 m with --unit cm: larger than drawn scenes hold (45 cm); it would be 12 cm in millimetres",
+            "1.2 m with --unit cm: too large for rendered scenes (at most 45 cm); it would be 12 cm in "
+            "millimetres",
         ),
         (20.0, "2.4 cm with --unit cm; it would be 6.096 cm in inches or 73.15 cm in feet"),
         (100.0, ""),
@@ -207,9 +208,13 @@ def test_the_warning_of_an_unusual_size_comes_first_and_once(
     given = [str(tmp_path / "m.obj"), "--unit", "cm", "--out", str(tmp_path / "out")]
     assert main(["onboard", *given, "--name", "brick"]) == 0
     first, *rest = capsys.readouterr().err.splitlines()
-    assert first.startswith("warning: its largest side is 48 cm with --unit cm: larger than drawn scenes")
+    assert first.startswith(
+        "warning: its largest side is 48 cm with --unit cm: too large for rendered scenes"
+    )
     assert not [line for line in rest if line.startswith("warning")]
-    assert rest[-1].startswith("brick was not tried in drawn scenes: object 'brick': found a largest side")
+    assert rest[-1].startswith(
+        "brick was not tested in rendered scenes: object 'brick': found a largest side"
+    )
     assert rest[-1].endswith("(--unit).")
 
 

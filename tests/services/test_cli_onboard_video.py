@@ -118,7 +118,7 @@ def test_of_every_kind_of_recording_each_frame_is_learnt_from(
 
 
 @pytest.mark.parametrize(
-    ("name", "found"), [("film.mp4", "another kind of file"), ("cut.mcap", "an empty file")]
+    ("name", "found"), [("film.mp4", "a file of another kind"), ("cut.mcap", "an empty file")]
 )
 def test_a_file_that_is_no_recording_is_not_taken_for_a_folder(
     name: str, found: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -224,11 +224,11 @@ def test_an_object_that_is_not_looked_for_is_said_with_those_that_are(
         known = huepose("poses", "jar", "--json", *choice)
         for process, fix in (
             (misspelt, "Did you mean 'biscuit'?"),
-            (strange, "Look for it: huepose objects add cup"),
+            (strange, "Search for it: huepose objects add cup"),
         ):
             said = process.communicate(timeout=30.0)[1]
             assert process.returncode == 2
-            assert "found no object of that name that is looked for; expected one of biscuit, jar." in said
+            assert "found no object of that name that is searched for; expected one of biscuit, jar." in said
             assert said.endswith(f"{fix}\n")
             assert _HEADING not in said
         assert " jar/0 " in [headed.stdout.readline() for _ in range(2)][1]
@@ -257,7 +257,7 @@ def test_why_no_pose_comes_in_the_robot_s_frame_is_said_as_it_is(pose, base_port
         lines = iter(printing.stderr.readline, "")
         assert any(f"lab/cam0, from {path}, is being started" in line for line in lines)
         with zenoh.open(listening(endpoint(base_port))) as session, repeating(publish, 0.05):
-            assert any("nobody tells where the camera is" in line for line in lines)
+            assert any("the camera pose is not known" in line for line in lines)
     printing.terminate()
 
 
@@ -277,5 +277,5 @@ def test_why_no_pose_comes_names_the_workers_that_are_not_there():
 def test_why_no_truth_comes_names_the_key_of_the_file_that_it_takes():
     pipeline = Pipeline(base_port=17447, site="local", camera="cam0", workers=("camera",), folder="/run")
     reader = SimpleNamespace(seen=True, live=set())
-    said = "nothing is said on huepose/local/cam0/truth: it takes `camera.truth: true`"
+    said = "nothing is published on huepose/local/cam0/truth: it needs `camera.truth: true`"
     assert said in _silence(reader, pipeline, pipeline.key("truth"))

@@ -336,7 +336,7 @@ def validated(tmp_path, capsys):
 @pytest.mark.parametrize(("text", "noted"), [("", True), ("# later\n", True), ("site: lab\n", False)])
 def test_validate_notes_that_a_file_is_empty(validated, text, noted):
     out = validated(text + (GOOD if text.startswith("site") else ""))
-    assert ("the file is empty: everything is as in the built-in scene" in out) == noted
+    assert ("the file is empty: all defaults apply, with the built-in scene" in out) == noted
 
 
 @pytest.mark.parametrize(
@@ -416,7 +416,7 @@ def test_validate_notes_that_nobody_looks_for_objects(validated):
 
 
 def test_validate_notes_a_section_of_a_worker_that_is_not_started(validated):
-    said = "the section `gateway` is set, and gateway is not among the workers"
+    said = "the section `gateway` is set, but gateway is not among the workers"
     assert f"NOTE     {said}" in validated("gateway: {listen: '0.0.0.0:7447'}\n")
     assert "NOTE" not in validated("gateway: {listen: '127.0.0.1:7447'}\n"), "as without the line"
 
@@ -424,10 +424,10 @@ def test_validate_notes_a_section_of_a_worker_that_is_not_started(validated):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("detector: {model: n.onnx}", "detector.model is set, and detector.kind is views; it is for"),
-        ("detector: {confidence: 0.5}", "detector.confidence is set, and detector.kind is views;"),
-        ("segmenter: {encoder: a, decoder: b}", "segmenter.encoder is set, and segmenter.kind is depth;"),
-        ("camera: {first_frame_s: 1}", "camera.first_frame_s is set, and camera.once is false"),
+        ("detector: {model: n.onnx}", "detector.model is set, but detector.kind is views; it is for"),
+        ("detector: {confidence: 0.5}", "detector.confidence is set, but detector.kind is views;"),
+        ("segmenter: {encoder: a, decoder: b}", "segmenter.encoder is set, but segmenter.kind is depth;"),
+        ("camera: {first_frame_s: 1}", "camera.first_frame_s is set, but camera.once is false"),
     ],
 )
 def test_a_key_that_nothing_reads_is_noted(validated, text, said):
@@ -449,7 +449,7 @@ def test_validate_notes_no_section_that_the_file_does_not_have(validated, text, 
 
 def test_threads_of_the_search_are_noted_beside_a_network():
     config = Config(detector=DetectorConfig(kind="yolo", threads=4))
-    assert "detector.threads is set, and detector.kind is yolo; it is for views" in _unread(config)
+    assert "detector.threads is set, but detector.kind is yolo; it is for views" in _unread(config)
     assert not any("threads" in said for said in _unread(Config(detector=DetectorConfig(threads=4))))
 
 
@@ -458,7 +458,7 @@ def test_of_keys_that_are_read_nothing_is_noted(validated):
 
 
 def test_validate_says_that_a_drawn_scene_shows_one_of_each(validated):
-    said = "the drawn scene shows one of each: a second tea_box is looked for and not there"
+    said = "the rendered scene shows one of each: a second tea_box is searched for, but is not there"
     assert said in validated("objects: [{name: tea_box, max_instances: 2}]\ncamera: {source: synthetic}\n")
     assert "one of each" not in validated("objects: [{name: tea_box}]\ncamera: {source: synthetic}\n")
 

@@ -205,14 +205,14 @@ def test_status_says_of_a_recording_that_is_played_that_no_worker_runs() -> None
     one = Pipeline(base_port=17447, site="local", camera="cam0", folder="/run", file="pipeline.yaml")
     for pipeline, played in ((one, True), (msgspec.structs.replace(one, workers=("camera",)), False)):
         text = shown([health_of("camera")], pipeline=pipeline)
-        assert ("a recording that is played: its workers as they were then" in text) == played
+        assert ("a recording is played: its workers are shown as they were then" in text) == played
 
 
 def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> None:
     entries = [entry(name, NONE_COMES, searching=0) for name in ("mug", "jar")]
     said = shown(objects=entries, poses=[pose_of("jar", state="TRACKING", reason="")]).splitlines()
     (line,) = [number for number, text in enumerate(said) if text.startswith("mug")]
-    assert "no pose of it comes now" in said[line]
+    assert "no pose of it arrives now" in said[line]
     assert said[line + 1 :] == [f"  {NONE_COMES}"]
 
 
@@ -226,13 +226,13 @@ def test_status_says_once_what_is_said_of_several_objects() -> None:
 def test_status_says_that_nothing_is_looked_for_once_that_is_known() -> None:
     for heard, said in (([], True), (None, False), ([entry("mug")], False)):
         view = View(PIPELINE, True, {}, frozenset(), (), heard, {})
-        assert ("nothing is looked for" in as_text(view)) == said
+        assert ("no object is searched for" in as_text(view)) == said
 
 
 def test_status_does_not_call_a_worker_gone_that_may_be_starting() -> None:
     view = View(PIPELINE, True, {}, frozenset(), ("estimator",), [], {})
     (line,) = [text for text in as_text(view).splitlines() if text.startswith("estimator")]
-    assert "it starts, stops or has ended" in line
+    assert "starting, stopping or ended" in line
 
 
 def test_a_narrow_terminal_is_shown_what_says_how_it_is() -> None:

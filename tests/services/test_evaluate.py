@@ -89,7 +89,7 @@ def test_it_says_where_only_the_first_pass_of_several_counts(
     with (tmp_path / "poses.jsonl").open("a") as poses:
         poses.writelines(json.dumps(one) + "\n" for one in later)
     assert main(scoring) == 0
-    said = "only the first pass of the scene counts: 1 of 3 messages are of it"
+    said = "only the first pass of the scene counts: 1 of 3 messages belong to it"
     assert said in capsys.readouterr().out
 
 
@@ -104,7 +104,7 @@ def test_it_says_where_the_poses_are_of_more_than_the_scene(
         poses.writelines(json.dumps(one) + "\n" for one in more)
     assert main(scoring) == 0
     said = capsys.readouterr().out
-    assert "the scene is a part of what the poses are about: 1 of 3 messages are of it" in said
+    assert "the scene is only a part of what was played: 1 of 3 messages belong to it" in said
     assert "first pass" not in said
 
 

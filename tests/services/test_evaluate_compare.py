@@ -62,7 +62,7 @@ def test_a_larger_margin_forgives(folders) -> None:
     ("after", "extra", "named"),
     [
         ("after/nowhere.json", [], "nowhere.json"),
-        ("after", [], "which is none"),
+        ("after", [], "which is not a folder"),
         ("after/piles.json", ["--margin", "-1"], "--margin"),
         ("after/piles.json", ["--margin", "nan"], "--margin"),
         ("after/tracks.json", [], "two of the same kind"),

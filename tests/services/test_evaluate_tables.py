@@ -97,7 +97,7 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
     # Names of two columns, and results that were measured with other inputs, are refused.
     for names in (["full"], ["theirs", "theirs"]):
         assert main([*command, "--submission", *(f"{name}={copy}" for name in names)]) == 2
-        assert "a name of two columns" in capsys.readouterr().err
+        assert "one name for two columns" in capsys.readouterr().err
     equivalent = tmp_path / "equivalent.json"
     equivalent.write_text(json.dumps({"000048/0/0": {"T_obj_obj": [np.eye(4).tolist()]}}))
     assert main([*command, "--methods", "full", "--equivalent", str(equivalent)]) == 2

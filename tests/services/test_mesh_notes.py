@@ -32,14 +32,14 @@ def test_the_meshes_of_a_file_that_are_taken_as_one_object_are_named(
         return capsys.readouterr().err
 
     assert said(1) == ""
-    assert "note: the file holds 2 meshes: carton, second; they are taken as one object. Export" in said(2)
+    assert "note: the file has 2 meshes: carton, second; they are taken as one object. If they" in said(2)
     assert "8 meshes: part 0, part 1, part 2, part 3, part 4 and 3 more; they" in said(8)
 
 
 @pytest.mark.parametrize(
     ("form", "mode", "everywhere", "noted"),
     [
-        ("obj", "", True, "note: 100 % of the surface is transparent; it is read as opaque there"),
+        ("obj", "", True, "note: 100 % of the surface is transparent; it is read as opaque, in the colour"),
         ("obj", "", False, ""),
         ("glb", "MASK", True, "note: 100 % of the surface is transparent"),
         ("glb", "OPAQUE", True, ""),
@@ -123,5 +123,5 @@ def test_a_mesh_whose_origin_is_far_from_it_is_noted(
     files.write_obj(tmp_path / "m.obj", moved, scale=1000.0)
     with_unit(Job(tmp_path / "m.obj", "m", unit="mm"))
     said = capsys.readouterr().err
-    note = f"note: the mesh's origin lies {noted} from the object; poses are those of that origin."
+    note = f"note: the mesh's origin lies {noted} from the object; poses are poses of that origin."
     assert said.startswith(note) if noted else said == ""

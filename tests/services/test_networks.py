@@ -157,7 +157,7 @@ def test_a_file_of_yours_is_added_listed_and_used_by_name(mine, folder, tmp_path
 def test_a_file_put_there_by_hand_is_seen(mine, folder, printed):
     folder.mkdir()
     (folder / "by-hand.onnx").write_bytes(mine.read_bytes())
-    assert "by-hand  [here]" in printed(["models"])
+    assert "by-hand  [installed]" in printed(["models"])
 
 
 @pytest.mark.parametrize("name", ["yolox-nano", "../escape", "Capital"])

@@ -224,8 +224,8 @@ def test_top_ends_at_ctrl_c_wherever_that_comes(monkeypatch):
 def test_a_terminal_that_is_closed_ends_it_in_order_unless_nohup_is_before_it(before, said):
     code = (
         f"import signal; signal.signal(signal.SIGHUP, signal.{before})\n"
-        "from huepose_services.cli.options import until_told\n"
-        "told = until_told(); signal.raise_signal(signal.SIGHUP); print(told())"
+        "from huepose_services.cli.options import catch_stop_signals\n"
+        "told = catch_stop_signals(); signal.raise_signal(signal.SIGHUP); print(told())"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0)
     assert (done.returncode, done.stdout) == (0, said)
@@ -309,10 +309,10 @@ def test_the_second_computer_of_a_pipeline_says_that_poses_and_objects_are_at_th
 @pytest.mark.parametrize(
     ("workers", "said"),
     [
-        (("camera", "tracker"), "local/cam0 is without the worker reinit, which has the list of objects"),
+        (("camera", "tracker"), "local/cam0 has no worker reinit, which keeps the list of objects"),
         (
             ("tracker", "reinit"),
-            "the worker reinit of local/cam0 does not answer: it starts, stops or has ended",
+            "the worker reinit of local/cam0 does not answer: it is starting or stopping, or has ended",
         ),
     ],
 )
@@ -331,14 +331,14 @@ def test_a_pipeline_that_runs_is_recorded_though_its_file_is_wrong_by_now(tmp_pa
     with noted(described(config, path)):
         if text is not None:
             path.write_text(text)
-        found = chosen_config(arguments, names_do=True)
+        found = chosen_config(arguments, names_suffice=True)
         assert (found.keys, found.bus) == (config.keys, config.bus)
         assert set(found.workers) > set(config.workers), "all that may speak are listened to"
         with pytest.raises(InputError):
             chosen_config(arguments)
     path.write_text("bus: {base_port: none}\n")
     with pytest.raises(InputError):  # nobody runs it
-        chosen_config(arguments, names_do=True)
+        chosen_config(arguments, names_suffice=True)
 
 
 def test_a_configuration_may_have_any_name(tmp_path):

@@ -195,7 +195,7 @@ def test_what_the_services_cannot_see_is_said(tmp_path, capsys, monkeypatch):
     there.write_text("bundles: ../home/bundles\nobjects: [{name: mug}]\n")
     assert main(["units", str(there), "--out", str(tmp_path / "units")]) == 0
     said = capsys.readouterr().err
-    assert "these units cannot work, as services see nothing of" in said
+    assert "these units cannot work, because services have no access to" in said
     assert said.splitlines()[1:] == [f"  bundles: {tmp_path}/home/bundles"]
     there.write_text("bundles: ../var/bundles\nobjects: [{name: mug}]\n")
     assert main(["units", str(there), "--out", str(tmp_path / "units")]) == 0
@@ -204,7 +204,7 @@ def test_what_the_services_cannot_see_is_said(tmp_path, capsys, monkeypatch):
 
 def test_what_is_no_user_is_refused(tmp_path, capsys):
     assert main(["units", str(ROOT / "pipeline.yaml"), "--out", str(tmp_path), "--user", "bob smith"]) == 2
-    assert "--user: found bob smith; expected the name of a user" in capsys.readouterr().err
+    assert "--user: found bob smith; expected a user name" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 

@@ -1,4 +1,4 @@
-"""`huepose bench`: where the time goes, stage by stage, on the built-in scene."""
+"""`huepose bench`: the time of each stage, on the built-in scene."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from huepose.support.files import write_picture
-from huepose_services.cli.options import add_from_zero, add_json, add_path, add_profile, answered
+from huepose_services.cli.options import add_from_zero, add_json, add_path, add_profile, print_result
 from huepose_services.runtime.threads import single_threaded
 
 _WHAT = ("estimate", "track", "detect", "bus", "all")
@@ -24,8 +24,8 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Measure, print, write."""
-    # As in the workers: threads of the libraries wait spinning, which is no work.
+    """Measure the stages, print a table, write JSON and a picture."""
+    # As in the workers: waiting threads of the libraries spin, and would count as CPU time.
     single_threaded()
     import resource
     from dataclasses import asdict
@@ -75,15 +75,15 @@ def call(arguments: argparse.Namespace) -> int:
     ]
     text = table(("stage, ms", "wall p50", "p95", "p99", "CPU p50", "p99", "first", "MiB"), rows)
     text += f"\npeak memory {summary['peak_memory_mib']:.0f} MiB"
-    answered(arguments, {"summary": summary, "stages": [asdict(s) for s in stages]}, text)
+    print_result(arguments, {"summary": summary, "stages": [asdict(s) for s in stages]}, text)
     if arguments.picture is not None:
         draw_stages(arguments.picture, [(s.name, s.cpu_ms_p50, s.cpu_ms_p99) for s in stages])
     return 0
 
 
 def draw_stages(path: Path, stages: list[tuple[str, float, float]]) -> None:
-    """Bars of stages (name, median, 99th percentile in CPU ms), a row for each thing that has any; no picture
-    where nothing has."""
+    """Draw stages (name, median and 99th percentile in CPU ms) as bars: one row for each task that has
+    several stages. No picture is written if no task has."""
     import numpy as np
 
     from huepose.drawing.plots import bar_chart

@@ -1,4 +1,4 @@
-"""`huepose calibrate`: where the camera is on the robot."""
+"""`huepose calibrate`: hand-eye calibration, the pose of the camera on the robot."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from huepose.support.errors import InputError
 from huepose.support.files import write_picture
 from huepose.support.words import counted
-from huepose_services.cli.options import add_json, add_path, answered
+from huepose_services.cli.options import add_json, add_path, print_result
 
 if TYPE_CHECKING:
     from huepose.geometry.arrays import Float64
@@ -49,7 +49,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Read, solve, say. Exit code 1 where the poses do not fit together."""
+    """Read the poses, solve, print the mount; exit code 1 if the poses do not fit together."""
     import numpy as np
 
     from huepose.geometry import hand_eye, hand_eye_doubts, se3
@@ -70,8 +70,8 @@ def call(arguments: argparse.Namespace) -> int:
     if hand_eye_doubts.exchanged(hands, B):
         raise InputError(
             arguments.object,
-            found="poses behind the camera, or far beside what it sees",
-            expected="T_cam_obj, which the camera sees",
+            found="poses behind the camera, or far outside its field of view",
+            expected="T_cam_obj, of an object that the camera sees",
             fix="Are the files of --object and --hand exchanged?",
         )
     A = hand_eye_doubts.measured(hands, fixed)
@@ -89,14 +89,14 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.image:
         _draw(arguments.image, frames, found)
     left = (
-        f"{len(frames)} poses are off by {shift['median']:.1f} mm and {turn['median']:.2f} degrees in the "
-        f"median (largest {shift['largest']:.1f} mm, {turn['largest']:.2f} degrees)"
+        f"residuals of {len(frames)} poses: median {shift['median']:.1f} mm and {turn['median']:.2f} degrees"
+        f", largest {shift['largest']:.1f} mm and {turn['largest']:.2f} degrees"
     )
     if not hand_eye_doubts.fits(B, found):
         meant = hand_eye_doubts.meant(hands, B, fixed)
         words = f"THE POSES DO NOT FIT TOGETHER, so no mount is given: {left}. {_why(meant, fixed)}"
         certainty_of = {"well_determined": False, "would_fit_with": meant}
-        answered(arguments, {"mount": None, "left": rest, "certainty": certainty_of}, words)
+        print_result(arguments, {"mount": None, "left": rest, "certainty": certainty_of}, words)
         return 1
     apart_mm, apart_deg = 1e3 * found.forms_apart[0], float(np.degrees(found.forms_apart[1]))
     forms = (
@@ -106,7 +106,7 @@ def call(arguments: argparse.Namespace) -> int:
     inner = ", ".join(f"{key}: {value}" for key, value in mount.items())
     summary = f"mount: {{{inner}}}\n{left}\n{forms}\n{_in_words(sure, len(frames), parent)}"
     if not fixed:
-        summary += f"\nThe mount of a camera that moves with {parent}: beside it, camera.tf or camera.moving."
+        summary += f"\nThe camera moves with {parent}: besides the mount, set camera.tf or camera.moving."
     facts = {
         "well_determined": sure.well,
         "shift_mm": 1e3 * sure.shift_m,
@@ -119,30 +119,30 @@ def call(arguments: argparse.Namespace) -> int:
         "closed_forms_apart_mm": apart_mm,
         "closed_forms_apart_deg": apart_deg,
     }
-    answered(arguments, {"mount": mount, "left": rest, "certainty": facts}, summary)
+    print_result(arguments, {"mount": mount, "left": rest, "certainty": facts}, summary)
     return 0
 
 
 def _why(meant: Sequence[Meaning], fixed: bool) -> str:
-    """What makes poses of the hand fit, or what to look at where nothing that was tried does."""
+    """What makes the poses fit, in words; what to check if nothing that was tried does."""
     mounted, other = ("fixed", "on-hand") if fixed else ("on-hand", "fixed")
     fixes = {
         "millimetres": "give the positions in --hand in metres (they seem to be millimetres)",
         "object in millimetres": "give the positions in --object in metres (they seem to be millimetres)",
         "quaternion order": "give the quaternions in --hand as x y z w (they seem to be w x y z)",
-        "camera": f"say --camera {other} instead of {mounted}, or turn the poses in --hand into T_base_hand",
+        "camera": f"use --camera {other} instead of {mounted}, or invert the poses in --hand to T_base_hand",
     }
     if meant:
-        return f"They fit when you {', and '.join(fixes[change] for change in meant)}"
+        return f"They fit if you {', and '.join(fixes[change] for change in meant)}"
     return (
-        "Look whether both files have metres, and --hand quaternions as x y z w and T_base_hand at the very "
-        f"frames; whether the camera is {mounted}; and whether the object stayed where it was "
-        f"{'in the hand' if fixed else 'put'}, and looks the same from no other side"
+        "Check that both files are in metres, and that --hand has quaternions as x y z w, and T_base_hand at "
+        f"the same frames; that the camera is {mounted}; that the object did not move "
+        f"{'in the hand' if fixed else 'at all'}, and looks the same from no other side"
     )
 
 
 def _in_words(sure: Certainty, count: int, parent: str) -> str:
-    """How far the answer may err; where it errs more than one pose does, what is missing."""
+    """The uncertainty of the mount in words; if it exceeds that of one pose, also which poses are missing."""
     import numpy as np
 
     from huepose.geometry.hand_eye_certainty import WANTED_RAD
@@ -155,7 +155,10 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
         return text
     poor = [
         f"{what} may be {ratio:.1f} times as wrong as one pose"
-        for what, ratio in (("the mount's place", sure.shift_ratio), ("the mount's turn", sure.turn_ratio))
+        for what, ratio in (
+            ("the mount's position", sure.shift_ratio),
+            ("the mount's rotation", sure.turn_ratio),
+        )
         if ratio > 1.0
     ]
     axis = " ".join(f"{a:.1f}" for a in sure.axis + 0.0)
@@ -163,17 +166,17 @@ def _in_words(sure: Certainty, count: int, parent: str) -> str:
     least, most, wanted = np.degrees([sure.turned_rad, sure.most_rad, WANTED_RAD])
     return (
         f"{text}\n"
-        f"POORLY DETERMINED: {' and '.join(poor)}. From pose to pose of these "
-        f"{count}, the hand turned by {least:.0f} degrees about the axis ({axis}) of {parent}, by {most:.0f} "
-        f"about another. Add {more} or more, turned by {wanted:.0f} degrees to either side, about that axis "
-        "first, then about those across it"
+        f"POORLY DETERMINED: {' and '.join(poor)}. Between these {count} poses, the hand rotated by only "
+        f"{least:.0f} degrees about the axis ({axis}) of {parent}, and by {most:.0f} about another. Add "
+        f"{more} or more, rotated by {wanted:.0f} degrees in both directions about that axis first, then "
+        "about the axes perpendicular to it"
     )
 
 
 def _of_one_thing(path: Path, name: str | None, of_hand: bool = False) -> dict[int, Float64]:
-    """The poses (4, 4) of a file by frame. name: whose, with or without the instance; needed where there are
-    several. Raises InputError, also for poses of an object where the hand's are meant: they would give a
-    mount that fits, and is the inverse of the right one."""
+    """The poses (4, 4) in a file, by frame number. name: of the object, with or without its instance;
+    needed if the file has several. Raises InputError, also if the file of the hand has poses of an object:
+    they would fit, but give the inverse of the right mount."""
     from collections import Counter
 
     from huepose.evaluation.pose_files import read_pose_rows
@@ -184,7 +187,7 @@ def _of_one_thing(path: Path, name: str | None, of_hand: bool = False) -> dict[i
             path,
             found="poses of an object, as `huepose poses --csv` writes them",
             expected="poses of the robot's hand in its base",
-            fix="Is it the file for --object?",
+            fix="Is this the file for --object?",
         )
     counts = Counter(row.name for row in rows)
     kinds = ", ".join(f"{thing} ({count})" for thing, count in counts.items())
@@ -194,9 +197,9 @@ def _of_one_thing(path: Path, name: str | None, of_hand: bool = False) -> dict[i
             raise InputError(path, found=f"no pose of {name}; poses of {kinds}", expected="one of these")
     if len({row.name for row in rows}) > 1:
         fix = (
-            "Say which with --name, or write one of them only."
+            "Choose one with --name, or write only one of them."
             if name is None
-            else "Say --name with its number."
+            else "Give --name with the instance number."
         )
         raise InputError(path, found=f"poses of {kinds}", expected="poses of one thing", fix=fix)
     return {row.frame: row.T for row in rows}
@@ -214,5 +217,5 @@ def _draw(path: Path, frames: list[int], found: HandEye) -> None:
     from huepose.drawing.plots import line_plot
 
     x = np.array(frames, float)
-    series = {"shift, mm": (x, 1e3 * found.shift_m), "turn, degrees": (x, np.degrees(found.turn_rad))}
-    write_picture(path, line_plot(series, "what is left of each pose", "frame", "", marks=True))
+    series = {"shift, mm": (x, 1e3 * found.shift_m), "rotation, degrees": (x, np.degrees(found.turn_rad))}
+    write_picture(path, line_plot(series, "residual of each pose", "frame", "", marks=True))

@@ -1,4 +1,4 @@
-"""`huepose chaos`: breaks a running pipeline in every way it knows, and says what held."""
+"""`huepose chaos`: inject faults into a running pipeline, and check what still holds."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from dataclasses import asdict
 from typing import Any
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import add_json, add_number, add_several, answered, over_zero, say
+from huepose_services.cli.options import add_json, add_number, add_several, over_zero, print_result, say
 
 
 def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "chaos", help="inject faults into a pipeline on the built-in scene, and check what still holds"
     )
-    add_number(parser, "--minutes", None, "duration; by default each fault once", kind=over_zero)
+    add_number(parser, "--minutes", None, "duration (default: each fault once)", kind=over_zero)
     add_several(
         parser, "--only", "WORD", "only faults with this word in their name, or this number", [], kind=str
     )
@@ -33,7 +33,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Strike one after the other; exit 1 when something did not hold."""
+    """Inject one fault after the other; exit code 1 if something did not hold."""
     from huepose_services.chaos.faults import FAULTS
     from huepose_services.chaos.memory import growth
     from huepose_services.chaos.outcome import Outcome, cells, strike, table
@@ -46,7 +46,7 @@ def call(arguments: argparse.Namespace) -> int:
             "--only", found=" ".join(words), expected="numbers or words of faults (docs/reliability.md)"
         )
     outcomes: list[Outcome] = []
-    # As Ctrl-C: what was started ends with it.
+    # SIGTERM acts like Ctrl-C, so that the pipeline is stopped.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with LivePipeline(live=True, slow=arguments.slow) as system:
         if not system.wait_until_steady(3, 300.0):
@@ -64,5 +64,6 @@ def call(arguments: argparse.Namespace) -> int:
     text = table(outcomes)
     memory = {worker: asdict(one) for worker, one in grown.items()}
     found = {"faults": [asdict(o) for o in outcomes], "memory": memory}
-    answered(arguments, found, "\n".join([text, *(f"{worker:10s} {one}" for worker, one in grown.items())]))
+    lines = [text, *(f"{worker:10s} {one}" for worker, one in grown.items())]
+    print_result(arguments, found, "\n".join(lines))
     return 1 if any(o.broken for o in outcomes) else 0

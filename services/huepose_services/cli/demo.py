@@ -1,4 +1,4 @@
-"""`huepose demo`: the whole pipeline on the built-in scene, with accuracy and latency at the end."""
+"""`huepose demo`: run the pipeline on the built-in scene; print accuracy and latency at the end."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from huepose_services.cli.options import (
     add_one_of,
     add_path,
     add_several,
-    answered,
     number_of,
+    print_result,
     say,
 )
 
@@ -32,7 +32,7 @@ def add_parser(subparsers: Any) -> None:
         "DIR",
         "a scene of your own objects: folder of reference models (default: built-in objects)",
     )
-    only = "only these objects; about five have room side by side"
+    only = "only these objects (about five fit side by side)"
     add_several(parser, "--object", "NAME", only, [], kind=str)
     add_one_of(
         parser,
@@ -53,7 +53,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Run, judge, print."""
+    """Run the demo, print the report; exit code 1 if the figures fall short."""
     import os
 
     if arguments.sam is not None and arguments.segmenter != "sam":
@@ -70,15 +70,14 @@ def call(arguments: argparse.Namespace) -> int:
     except DemoError as error:
         say(f"huepose demo: {error}")
         return 1
-    answered(arguments, result, report(result))
+    print_result(arguments, result, report(result))
     load, cores = os.getloadavg()[0], os.cpu_count() or 1
     if load > 1.5 * cores + 2.0:
-        text = f"other programs kept {cores} processors busy (load {load:.0f}): alone it is better and faster"
-        say(text)
+        say(f"other programs kept {cores} processors busy (load {load:.0f}): results are worse and slower")
     for name, worker in result["workers"].items():
         for text in worker["warnings"]:
             say(f"{name}: {text}")
     missing = shortcomings(result["summary"])
     if missing:
-        say(f"huepose demo: not what it should be: {'; '.join(missing)}")
+        say(f"huepose demo: result not as expected: {'; '.join(missing)}")
     return 1 if missing else 0

@@ -1,4 +1,4 @@
-"""`huepose doctor`: what this machine has, and what would be in the way."""
+"""`huepose doctor`: check what this machine has, and what would stop a pipeline."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import add_json, answered
+from huepose_services.cli.options import add_json, print_result
 
 
 def add_parser(subparsers: Any) -> None:
@@ -26,7 +26,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Look at everything; exit 1 when something has to be done."""
+    """Run all checks; exit code 1 if something is BAD."""
     from huepose_services.doctor.checks import examine
     from huepose_services.runtime.config import load_all
 
@@ -43,6 +43,6 @@ def call(arguments: argparse.Namespace) -> int:
             findings += [replace(one, subject=f"{of}{one.subject}") for one in pictures(config)]
     lines = [finding.line() for finding in findings]
     if not configs:
-        lines.append("\nA camera's pictures and the objects in them: huepose doctor pipeline.yaml --camera")
-    answered(arguments, [asdict(finding) for finding in findings], "\n".join(lines))
+        lines.append("\nTo check a camera and objects in its images: huepose doctor pipeline.yaml --camera")
+    print_result(arguments, [asdict(finding) for finding in findings], "\n".join(lines))
     return 1 if any(finding.bad for finding in findings) else 0

@@ -1,5 +1,5 @@
 # PYTHON_ARGCOMPLETE_OK
-"""The command `huepose`: the command line, whose own imports Ctrl-C may meet as well."""
+"""Entry point of the command `huepose`. It handles Ctrl-C also while modules are imported."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import sys
 import threading
 
 _AGAIN_S = 0.05
-"""After this time Ctrl-C is tried again where it met a callback of compiled code, which cannot end by it."""
+"""Delay after which Ctrl-C is raised again, if it came in a callback of compiled code, which ignores it."""
 
 
 def main() -> int:
-    """Run the command line of this process. Returns the exit code."""
+    """Run the command line of this process; returns the exit code."""
     pressed = False
 
     def ctrl_c(*what: object) -> None:
@@ -29,14 +29,14 @@ def main() -> int:
         again.daemon = True
         again.start()
 
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not where a shell has it ignored
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else the shell ignores SIGINT
         signal.signal(signal.SIGINT, ctrl_c)
         sys.unraisablehook = lost
     try:
         from huepose_services.cli.main import main as run
 
         return run()
-    except (KeyboardInterrupt, ImportError):  # a compiled module may make the one into the other
+    except (KeyboardInterrupt, ImportError):  # a compiled module may turn KeyboardInterrupt into ImportError
         if not pressed:
             raise
     print("huepose: interrupted", file=sys.stderr)

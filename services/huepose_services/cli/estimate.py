@@ -1,4 +1,4 @@
-"""`huepose estimate`: one frame, one answer, and a picture of it."""
+"""`huepose estimate`: the poses in one frame."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from huepose_services.cli.options import (
     add_path,
     add_profile,
     add_several,
-    answered,
     from_one,
+    print_result,
     say,
 )
 
@@ -37,10 +37,10 @@ if TYPE_CHECKING:
     from huepose.perception.types import Detection
 
 THREADS = 2
-"""Objects that are searched for at the same time: as many as in a pipeline, by default."""
+"""Objects that are searched for at the same time, as many as a pipeline does by default."""
 
 _ASKED = 5
-"""So many of the objects that were not found are looked for in another order of the colours."""
+"""Objects that are searched for with red and blue exchanged, at most."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -55,7 +55,7 @@ def add_parser(subparsers: Any) -> None:
     add_path(parser, "--camera", "FILE.json", "JSON with intrinsics and depth scale", required=True)
     add_bundles(parser)
     add_several(parser, "--object", "NAME", "objects to search for (all of the folder)", kind=str)
-    more = "search for up to so many instances of each object (1: only the most likely place)"
+    more = "search for at most N instances of each object (1: only at the most likely place)"
     add_number(parser, "--instances", 1, more, kind=from_one)
     add_one_of(
         parser,
@@ -71,7 +71,7 @@ def add_parser(subparsers: Any) -> None:
         action=argparse.BooleanOptionalAction,
         default=True,
         help="check the camera: no pose is TRACKING if sizes do not fit the camera matrix, or depth "
-        "lies beside colours",
+        "is not aligned to colour",
     )
     add_json(parser, to_file=True)
     add_path(parser, "--image", "OUT.png", "write the image with the poses drawn on it")
@@ -80,7 +80,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Estimate, write, draw."""
+    """Estimate and print the poses; write JSON and pictures if asked to."""
     from huepose.datasets.image_files import read_frame
     from huepose.estimation import Estimator, ObjectQuery
     from huepose.geometry.box import given_box
@@ -90,7 +90,7 @@ def call(arguments: argparse.Namespace) -> int:
     if arguments.instances > 1 and arguments.box is not None:
         raise InputError(
             "--instances",
-            found="--box beside it, in which one of each is looked for",
+            found="--box beside it, in which one instance of each object is estimated",
             expected="one of the two",
         )
     begun = time.monotonic()
@@ -100,13 +100,13 @@ def call(arguments: argparse.Namespace) -> int:
     models = load_models(arguments.bundles, arguments.object)
     names = list(dict.fromkeys(arguments.object or sorted(models)))
     settings = profile(arguments.profile)
-    # In a detector's boxes it is the presence that says what is found.
+    # In boxes of the detector, the presence decides what is found, not the quality.
     found_level = 0.0 if box is None else None
     estimator = Estimator(
         models, replace(settings.estimator, method=arguments.method, found_level=found_level)
     )
     if arguments.method != "full":
-        estimator.prepare(names)  # a model that is unfit for it is told in any picture
+        estimator.prepare(names)  # raises for a model without the tables, whatever the frame shows
     proposed: list[Detection] = []
     pages: dict[str, UInt8] = {}
     if box is not None:
@@ -115,34 +115,34 @@ def call(arguments: argparse.Namespace) -> int:
         from huepose.perception.view_detector import ViewDetector
 
         least = settings.detector.min_score
-        # To explain, the places that are not worth an estimate are kept, too.
+        # For --explain also the places that are too unlikely for an estimate are kept.
         config = replace(settings.detector, min_score=0.0 if arguments.explain else least, threads=THREADS)
         detector = ViewDetector(models, config)
         most = arguments.instances
         proposed = detector.detect(frame, names, wanted=dict.fromkeys(names, most))
         queries = _queries(proposed, least)
     estimator.prepare([query.object for query in queries])
-    estimator.estimate(frame, queries[:1])  # loads the kernels, so that `seconds` is the time of an answer
+    estimator.estimate(frame, queries[:1])  # loads the kernels: `seconds` is the time of an estimate alone
     prepared = time.monotonic()
-    led = _each(estimator, frame, queries)
-    answers = [answer for answer, _ in led]
+    explained = _each(estimator, frame, queries)
+    answers = [answer for answer, _ in explained]
     if box is None:
-        found = _several(answers, names, most)
+        found = _searched_again(answers, names, most)
         while found:
             left = {name: most - len(mine) for name, mine in found.items()}
             more = detector.detect(frame, list(found), followed=found, wanted=left)
             queries = _queries(more, least, found)
             proposed, before = [*proposed, *more], len(answers)
-            led += _each(estimator, frame, queries)
-            answers = [answer for answer, _ in led]
-            found = _several(answers, found, most, before)
-        answers, pages = _standing(arguments, frame, models, names, answers, proposed)
-    given, answers = answers, [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
+            explained += _each(estimator, frame, queries)
+            answers = [answer for answer, _ in explained]
+            found = _searched_again(answers, found, most, before)
+        answers, pages = _final_answers(arguments, frame, models, names, answers, proposed)
+    original, answers = answers, [_doubted(frame, models[a.object], a, arguments.method) for a in answers]
     reasons = [answer.reason for answer in answers]
     loaded = "one model" if len(names) == 1 else f"{len(names)} models"
     say(
         f"{prepared - begun:.1f} s to load {loaded} and to find where objects may be, "
-        f"{time.monotonic() - prepared:.1f} s to answer"
+        f"{time.monotonic() - prepared:.1f} s to estimate poses"
     )
     against: list[str] = []
     if arguments.check_camera:
@@ -155,12 +155,12 @@ def call(arguments: argparse.Namespace) -> int:
     for doubt in doubts:
         say(doubt)
     record = {"poses": [as_record(a) for a in answers], "doubts": doubts}
-    answered(arguments, record, in_words(answers))
-    # A disk that takes no pictures does not cost the answer.
+    print_result(arguments, record, in_words(answers))
+    # The pictures come last: if the disk is full, the answer is already printed.
     if arguments.explain:
         for name, page in pages.items():
             write_picture(arguments.explain / f"{name}_places.png", page)
-        _explain(arguments.explain, frame, models, given, reasons, led)
+        _explain(arguments.explain, frame, models, original, reasons, explained)
     if arguments.image:
         from huepose_services.cli.explain import draw_answers
 
@@ -169,15 +169,15 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _each(estimator: Estimator, frame: RgbdFrame, queries: Sequence[ObjectQuery]) -> list[Answered]:
-    """What is answered to each query as if there were no other, and what led to it."""
+    """The estimate and its explanation for each query, as if it were the only one."""
     return [estimator.explained(frame, [query])[0] for query in queries]
 
 
 def _queries(
     places: Sequence[Detection], least: float, others: Mapping[str, Sequence[Float64]] | None = None
 ) -> list[ObjectQuery]:
-    """What is asked about places that are likely enough. others: poses of instances that were found
-    before."""
+    """Queries for the places with at least the score `least`. others: poses of the instances of each object
+    that were found before."""
     from huepose.estimation import ObjectQuery
 
     known = others or {}
@@ -188,11 +188,11 @@ def _queries(
     ]
 
 
-def _several(
+def _searched_again(
     answers: Sequence[PoseEstimate], names: Iterable[str], most: int, before: int = 0
 ) -> dict[str, list[Float64]]:
-    """The poses of the objects that are looked for once more: those of which the answers from `before` on
-    found some, and all of them together fewer than `most`."""
+    """The objects that are searched for once more, each with the poses found so far: those of which the
+    answers from `before` on found an instance, and all answers together fewer than `most`."""
     from huepose.estimation.standing import standing_answers
 
     standing = standing_answers(answers)
@@ -207,13 +207,13 @@ def _several(
 def _against(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]
 ) -> tuple[list[str], dict[int, str]]:
-    """Why no pose of a frame is right: objects are larger or smaller in it than they have to be, or depth
-    lies far beside the colours. Where they do not, why single ones are not right, by their place."""
+    """Reasons against all poses of a frame: objects look larger or smaller than their depth says, or depth
+    is far from aligned to colour. If there are none, reasons against single answers, by index."""
     from huepose.estimation.apparent_size import doubted_in
     from huepose.estimation.frame_offset import frame_offset
 
     offset = frame_offset(frame)
-    if offset is not None:  # sizes that are seen beside their depth say nothing
+    if offset is not None:  # then the apparent sizes say nothing
         return [offset.said()], {}
     size, objects = doubted_in(frame, models, answers)
     if size is not None:
@@ -222,7 +222,7 @@ def _against(
 
 
 def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> list[str]:
-    """What else may be wrong with the frame as such, from the answers about it."""
+    """What else may be wrong with the frame itself, judged by the answers."""
     from huepose.estimation.depth_offset import depth_offset
     from huepose.geometry.picture_faults import camera_doubted, depth_doubted
     from huepose.perception.exchanged import order_of_channels
@@ -248,30 +248,30 @@ def _explain(
     models: Mapping[str, ReferenceModel],
     answers: Sequence[PoseEstimate],
     reasons: Sequence[str],
-    led: Sequence[Answered],
+    explained: Sequence[Answered],
 ) -> None:
-    """Write what led to each answer, and of an object that was not found what led to its likeliest pose.
-    reasons: why each answer is none, or is doubted."""
+    """Write the explanation of each answer; for an object that was not found, of its most probable pose.
+    reasons: why each answer has no pose, or is `SUSPECT`."""
     from huepose_services.cli.explain import SURE, write_explanation
 
     written: Counter[str] = Counter()
     for answer, reason in zip(answers, reasons, strict=True):
-        of_it = [(a, why) for a, why in led if a is answer]
-        best = of_it or [(a, why) for a, why in led if a.object == answer.object]
+        of_it = [(a, why) for a, why in explained if a is answer]
+        best = of_it or [(a, why) for a, why in explained if a.object == answer.object]
         if not best:
             continue
         written[answer.object] += 1
         number = written[answer.object]
         name = answer.object if number == 1 else f"{answer.object}_{number}"
         likeliest = max(best, key=lambda one: one[0].chance)
-        stands = bool(of_it) and answer.found
-        doubts = write_explanation(folder, name, frame, models[answer.object], *likeliest, stands, reason)
+        accepted = bool(of_it) and answer.found
+        doubts = write_explanation(folder, name, frame, models[answer.object], *likeliest, accepted, reason)
         against = "; ".join(doubts) or reason or SURE
-        say(f"{name}: {against}" if stands else f"{name}, not found, at its likeliest place: {against}")
+        say(f"{name}: {against}" if accepted else f"{name}, not found, at its most likely place: {against}")
 
 
 def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, method: Method) -> PoseEstimate:
-    """An answer that says why it is `SUSPECT`, where it is."""
+    """The answer; if it is `SUSPECT`, with the reason."""
     from huepose.estimation.reasons import NO_PROBABILITY, turned_as_well
     from huepose.judge.open_region import PreparedSurface
     from huepose.tracking.types import Doubt
@@ -285,7 +285,7 @@ def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, meth
     return replace(answer, reason=why_doubted(PreparedSurface.of(model), frame, answer.T_cam_obj, turned))
 
 
-def _standing(
+def _final_answers(
     arguments: argparse.Namespace,
     frame: RgbdFrame,
     models: Mapping[str, ReferenceModel],
@@ -293,8 +293,8 @@ def _standing(
     answers: list[PoseEstimate],
     proposed: list[Detection],
 ) -> tuple[list[PoseEstimate], dict[str, UInt8]]:
-    """The poses that stand at the proposed places; an object without any is not found, and where that is
-    wanted there is a page about its places, by its name."""
+    """The accepted poses at the proposed places (`standing_answers`); for an object without any, an answer
+    that says why it was not found. Also the pages of --explain about such objects, by name."""
     from huepose.estimation.present import PresenceIn
     from huepose.estimation.standing import standing_answers, why_none_stands
     from huepose.estimation.types import PoseEstimate
@@ -335,8 +335,8 @@ def _standing(
 
 
 def in_words(answers: Sequence[PoseEstimate]) -> str:
-    """A line for each pose: state, quality, where the origin of the mesh is, and why it is doubted. Then the
-    objects that were not found, those together of which the same is said."""
+    """A line for each pose: state, quality, position of the mesh's origin; below it the reason if it is
+    `SUSPECT`. Then the objects that were not found, grouped by reason."""
     lines, missing = [], dict[str, list[str]]()
     for answer in answers:
         if answer.T_cam_obj is None:
@@ -353,8 +353,8 @@ def in_words(answers: Sequence[PoseEstimate]) -> str:
 
 
 def as_record(answer: PoseEstimate) -> dict[str, Any]:
-    """An estimate in the form of the JSON file: metres, T_cam_obj as 4x4, box as x y w h; reason: why nothing
-    was found or why it is `SUSPECT`, else None."""
+    """An estimate as in the JSON output: metres, T_cam_obj as 4x4, box as x y w h; reason: why nothing was
+    found or why it is `SUSPECT`, else None."""
     return {
         "object": answer.object,
         "found": answer.found,

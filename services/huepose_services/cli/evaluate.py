@@ -1,4 +1,4 @@
-"""`huepose eval`: accuracy on labelled data, as numbers, tables and pictures."""
+"""`huepose eval`: accuracy on labelled data, as numbers, tables and plots."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Run a sub-verb: each is a module of its own, imported now."""
+    """Run a subcommand: each is a module of its own, imported only now."""
     module = import_module(f"huepose_services.cli.evaluate_{arguments.eval_verb}")
     code: int = module.call(arguments)
     return code

@@ -1,4 +1,4 @@
-"""`huepose eval ablation`: what filtering flow by colour pairs does to the motion computed from it."""
+"""`huepose eval ablation`: how filtering optical flow by colour pairs changes the computed motion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _COUNTS = ("matches_median", "no_motion")
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Compare, print a table, write, draw."""
+    """Compare, print a table, write JSON and a plot."""
     import cv2
 
     cv2.setNumThreads(1)  # as the tracker's worker does

@@ -1,4 +1,4 @@
-"""`huepose eval compare`: two states of the program on the same data, row against row."""
+"""`huepose eval compare`: two versions of the program on the same data, row by row."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from huepose.support.errors import InputError
 from huepose.support.words import known
 
 _WORSE = 1
-# Rows and scenes that are named under a set; the result file names all.
+# Most rows and scenes that are printed for a data set; the result file has all.
 _LISTED, _UNPAIRED_LISTED = 8, 3
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Compare, print, write. 1 when a set became worse by more than its interval allows."""
+    """Compare, print, write; exit code 1 if a data set became significantly worse."""
     pairs, left_out = _pairs(arguments.before, arguments.after)
     comparisons = [
         compare(read_measured(before), read_measured(after), name, arguments.margin)
@@ -38,13 +38,13 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _pairs(before: Path, after: Path) -> tuple[list[tuple[str, Path, Path]], list[str]]:
-    """(name, file, file) of two files, or of the files of the same names in two folders; and the files that
-    only one folder has. Raises InputError."""
+    """(name, file before, file after) of two files, or of the files with the same names in two folders; also
+    the files that only one folder has. Raises InputError."""
     if before.is_dir() != after.is_dir():
         folder, other = (before, after) if before.is_dir() else (after, before)
         raise InputError(
             f"{before} and {after}",
-            found=f"a folder, {folder}, and {other}, which is none",
+            found=f"a folder, {folder}, and {other}, which is not a folder",
             expected="two result files, or two folders of them",
         )
     if not before.is_dir():
@@ -63,7 +63,7 @@ def _pairs(before: Path, after: Path) -> tuple[list[tuple[str, Path, Path]], lis
 
 
 def set_text(comparison: Comparison, margin: float) -> str:
-    """One set: what was paired, a table of its figures, and what changed beneath."""
+    """Text about one data set: how many rows were paired, a table of figures, and which rows changed."""
     lines = [
         f"{comparison.name}: {comparison.paired} pairs, {len(comparison.only_before)} rows only before, "
         f"{len(comparison.only_after)} only after; unit: {comparison.unit} ({comparison.units})"
@@ -86,17 +86,17 @@ def set_text(comparison: Comparison, margin: float) -> str:
 
 
 def closing_text(comparisons: Sequence[Comparison], left_out: Sequence[str], margin: float) -> str:
-    """How to read it, and what all of it comes to."""
+    """How to read the output, and the overall result."""
     lines = [
         "wins, losses: rows that became right and wrong; p: sign test over units",
         f"worse, better: the interval lies beyond {margin:g} points; same: within; open: it reaches beyond, "
-        "so these data cannot tell",
+        "so these data cannot decide",
     ]
     judged = [change for c in comparisons for change in c.changes if change.verdict != "-"]
     moved = sum(change.verdict != "same" for change in judged)
     if moved:
         lines.append(
-            f"{moved} of {len(judged)} figures are not the same; without any true change one in 40 of them "
+            f"{moved} of {len(judged)} figures are not the same; without any true change, one in 40 figures "
             "would be called worse by chance"
         )
     if left_out:
@@ -107,7 +107,7 @@ def closing_text(comparisons: Sequence[Comparison], left_out: Sequence[str], mar
 
 
 def _named(what: str, sets: Sequence[tuple[str, Sequence[Change]]]) -> list[str]:
-    """A line with the figures of each set and their changes; none for no figure."""
+    """A line with the given figures of each data set and their changes; no line if there are none."""
     told = [
         f"{name} ({', '.join(_changed(change) for change in changes)})" for name, changes in sets if changes
     ]
@@ -146,7 +146,7 @@ def _moved_lines(comparison: Comparison) -> list[str]:
 
 
 def _group_lines(comparison: Comparison, margin: float) -> list[str]:
-    """Scenes or sequences in which something was won or lost, or a figure changed by more than the margin."""
+    """Scenes or sequences in which rows were won or lost, or a figure changed by more than the margin."""
     lines = []
     for name, changes in comparison.groups.items():
         told = [
@@ -161,7 +161,7 @@ def _group_lines(comparison: Comparison, margin: float) -> list[str]:
 
 
 def _listed(comparison: Comparison, what: str, keys: Sequence[tuple[Hashable, ...]], most: int) -> list[str]:
-    """A line that names the first of these rows, several seeds of one together; none for no row."""
+    """A line that names the first of these rows, the seeds of a row together; no line if there are none."""
     if not keys:
         return []
     names = comparison.before.names

@@ -37,7 +37,7 @@ _BOP = ("AR", "AR_VSD", "AR_MSSD", "AR_MSPD")
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Evaluate, print a table, write."""
+    """Evaluate, print a table, write the results."""
     models = load_models(arguments.bundles)
     scenes = open_ycbv_folder(arguments.ycbv).scenes if arguments.ycbv else open_bop(arguments.bop)
     equivalents = read_equivalents(arguments.equivalent) if arguments.equivalent else {}
@@ -52,7 +52,7 @@ def call(arguments: argparse.Namespace) -> int:
     boxes, given = box_source(arguments.boxes)
     options = EstimateOptions(boxes, arguments.masks, arguments.min_visib, tuple(arguments.seed))
     targets = Targets(models, arguments.objects)
-    # In a detector's boxes it is the presence that says what is found.
+    # In boxes of the detector, the presence decides what is found, not the quality.
     found_level = 0.0 if boxes == "detect" else None
     settings = profile(arguments.profile)
     config = replace(
@@ -90,14 +90,14 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def box_source(given: str) -> tuple[Any, BopDetections | None]:
-    """What `--boxes` means: a word, or `file` with the detections of that file. Raises InputError."""
+    """The meaning of `--boxes`: a kind of box, or `file` and its detections. Raises InputError."""
     if given in ("perturbed", "paper", "gt", "detect"):
         return given, None
     return "file", read_detections(given)
 
 
 def bop_results(rows: Iterable[Row]) -> list[BopResult]:
-    """What bop_toolkit evaluates: of rows of a result file, the poses of objects with a BOP id."""
+    """Rows of a result file in the format of bop_toolkit: the poses of objects with a BOP id."""
     return [
         BopResult(
             row["scene"],

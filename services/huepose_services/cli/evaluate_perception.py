@@ -23,13 +23,13 @@ from huepose_services.cli.evaluate_scenes import open_bop
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Evaluate, print a table, write."""
+    """Evaluate, print a table, write the results."""
     scenes = open_bop(arguments.bop)
     targets = Targets(load_models(arguments.bundles), arguments.objects)
     models = {model.name: model for model in targets.models}
     settings = profile(arguments.profile)
     judged, least = settings.detector.proposals, settings.detector.min_score
-    # More boxes than are judged, for the recall of the first so many.
+    # More boxes than are scored, for the recall of the first N.
     asked = replace(
         settings.detector,
         sources=tuple(arguments.sources),
@@ -40,7 +40,7 @@ def call(arguments: argparse.Namespace) -> int:
     detector = ViewDetector(models, asked)
     detector.warm_up()
     segmenter = DepthSegmenter()
-    # Which boxes show their object is the presence's to say.
+    # The presence decides which boxes show their object, not the quality.
     config = replace(settings.estimator, threads=arguments.threads, found_level=0.0)
     estimator = Estimator(models, config, segmenter)
     estimator.warm_up()
@@ -73,7 +73,7 @@ def _report(summary: dict[str, Any]) -> str:
 
     lines = [line(name, block, block["false_boxes"]) for name, block in summary["per_object"].items()]
     lines.append(line("all", summary, f"{summary['false_boxes_per_frame']:.2f}/frame"))
-    text = [table(heading, lines), "", "what was taken for what (other than itself):"]
+    text = [table(heading, lines), "", "false boxes, by what is really there:"]
     for name, shown in summary["confusion"].items():
         others = [f"{other} {n}" for other, n in shown.items() if other != name]
         if others:

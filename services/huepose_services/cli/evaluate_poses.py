@@ -1,4 +1,4 @@
-"""`huepose eval poses`: what a live run published, scored."""
+"""`huepose eval poses`: score the poses that a live run published."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from huepose_services.cli.evaluate_scenes import figure_table, open_scenes, stat
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Score, print a table, write."""
+    """Score, print a table, write the results."""
     messages = read_messages(arguments.poses)
     fast_ycb = [arguments.fast_ycb] if arguments.fast_ycb else None
     bop = [arguments.bop] if arguments.bop else None
@@ -38,11 +38,11 @@ def _report(summary: dict[str, Any]) -> str:
 
 
 def _left_out(summary: dict[str, Any]) -> list[str]:
-    """A sentence where messages do not count."""
+    """A sentence about messages that are not scored; empty if all are."""
     early, given = summary["messages_before_scene"], summary["messages"]
     counted = summary["messages_of_first_pass"] - early
     if counted == given:
         return []
-    if early:  # a scene that is played begins with its first image
-        return [f"the scene is a part of what the poses are about: {counted} of {given} messages are of it"]
-    return [f"only the first pass of the scene counts: {counted} of {given} messages are of it"]
+    if early:  # a played scene begins with its first image, so the scene given is a part
+        return [f"the scene is only a part of what was played: {counted} of {given} messages belong to it"]
+    return [f"only the first pass of the scene counts: {counted} of {given} messages belong to it"]

@@ -1,4 +1,4 @@
-"""`huepose eval results`: a page of results from their files."""
+"""`huepose eval results`: a Markdown page from result files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from huepose.support.words import counted
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Read, write."""
+    """Read the results, write the page."""
     paths = arguments.results
     records = {name: read_json(path) for name, path in zip(result_names(paths), paths, strict=True)}
     write_text(arguments.out, results_page(records))

@@ -1,4 +1,4 @@
-"""What the sub-verbs of `huepose eval` share: scenes, models, tables."""
+"""What the subcommands of `huepose eval` share: scenes, models, tables."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def open_bop(paths: Sequence[Path]) -> list[Scene]:
 
 
 def scene_names(paths: Sequence[Path]) -> list[str]:
-    """Names of scenes: the folder's; where folders of several sets are called alike, with as many of the
-    folders above as tell them apart. Raises InputError for a folder that is given twice.
+    """The names of scenes: their folders' names. Where these are the same, as many parent folders are added
+    as make them distinct. Raises InputError for a folder that is given twice.
 
     >>> scene_names([Path("a/000001"), Path("b/000001"), Path("b/000002")])
     ['a-000001', 'b-000001', '000002']
@@ -61,7 +61,7 @@ def scene_names(paths: Sequence[Path]) -> list[str]:
 
 
 def open_ycbv_folder(path: Path) -> YcbvFolder:
-    """A download of YCB-Video; says what is missing of its test images. Raises InputError."""
+    """A download of YCB-Video; prints which test images are missing. Raises InputError."""
     folder = open_ycbv(path)
     for line in folder.coverage.lines():
         say(f"{path}: {line}")
@@ -71,9 +71,9 @@ def open_ycbv_folder(path: Path) -> YcbvFolder:
 def open_fast_ycb(
     given: Sequence[Path], bundles: Path, broken: list[str] | None = None
 ) -> tuple[list[Scene], dict[str, ReferenceModel]]:
-    """Fast-YCB sequences, or all those of a download, with the reference models of their objects; says what
-    is missing. Raises InputError; where `broken` is given, sequences that cannot be opened are named there
-    instead, as long as one can."""
+    """Fast-YCB sequences, or all sequences of a download, with the reference models of their objects; prints
+    what is missing. Raises InputError. If `broken` is given, errors of single sequences are added to it
+    instead, as long as one sequence can be opened."""
     paths: list[Path] = []
     for folder in given:
         found, notes = labelled_sequences(folder)
@@ -99,7 +99,7 @@ def open_fast_ycb(
                 raise
             broken.append(str(error))
             continue
-        # A partial download: the frames without depth are left out, and were counted.
+        # Frames without depth, as in a partial download, are left out; the notes say how many.
         scenes.append(SomeImages(sequence, sequence.with_depth or sequence.image_ids))
     if not scenes:
         raise InputError("Fast-YCB", found=f"no sequence that can be read: {'; '.join(broken or [])}")
@@ -116,13 +116,13 @@ def open_scenes(
 
 
 def shown(scenes: Sequence[Scene], targets: Targets) -> list[str]:
-    """Names of the reference models that the scenes have labels of, of those that are wanted."""
+    """Names of the reference models among `targets` that have labels in the scenes."""
     return sorted({name for scene in scenes for name in instance_counts(scene, scene.image_ids, targets)})
 
 
 def bop_objects(info: Path, models: Mapping[str, ReferenceModel]) -> dict[int, BopObject]:
-    """What BOP's errors are measured on, by id: the data set's diameter and symmetries, and the mesh beside
-    them (BOP's `obj_NNNNNN.ply`, millimetres), or else the reference model's. Raises InputError."""
+    """The objects for BOP's errors, by id: diameter and symmetries from models_info.json, and the mesh beside
+    it (BOP's `obj_NNNNNN.ply`, millimetres), or else the reference model's. Raises InputError."""
     infos = files.read_json(info)
     measured = {}
     for model in models.values():
@@ -135,25 +135,25 @@ def bop_objects(info: Path, models: Mapping[str, ReferenceModel]) -> dict[int, B
 
 
 def intervals_line(summary: Mapping[str, Any], drawn: str) -> str:
-    """Where the four figures lie in 95 % of draws, in words. drawn: of which rows, and over what."""
+    """The 95 % intervals of the four figures, in words. drawn: which rows, and what they are sampled over."""
     return f"95 % intervals {drawn}: " + ", ".join(span(summary["interval95"][key]) for key in FIGURES)
 
 
 def roft_line(summary: Mapping[str, Any]) -> str:
-    """ROFT's errors in words."""
+    """ROFT's errors, in words."""
     units = {"rmse_cm": "cm", "rmse_deg": "degrees", "rmse_cm_s": "cm/s", "rmse_deg_s": "degrees/s"}
     return "RMSE " + ", ".join(f"{known(summary.get(key), '.2f')} {unit}" for key, unit in units.items())
 
 
 def figure_table(first: str, blocks: Mapping[Any, Mapping[str, Any]], more: Mapping[str, str]) -> str:
-    """A row for each block with the four figures, and the columns of `more` (key to heading)."""
+    """A table with a row for each block: the columns `more` (key to heading) and the four figures."""
     columns = {**more, **FIGURES}
     rows = [[str(name), *(block.get(key) for key in columns)] for name, block in blocks.items()]
     return table([first, *columns.values()], rows)
 
 
 def states_line(summary: Mapping[str, Any]) -> str:
-    """What the states were worth, in words."""
+    """The figures about the states, in words."""
     s = summary
     return (
         f"TRACKING in {known(s['coverage_tracking'], unit=' %')} of visible frames, "

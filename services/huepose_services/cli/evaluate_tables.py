@@ -1,4 +1,4 @@
-"""`huepose eval tables`: the paper's tables from the official data by one command."""
+"""`huepose eval tables`: the paper's tables from the official data, in one command."""
 
 from __future__ import annotations
 
@@ -93,14 +93,14 @@ def _names(models: Mapping[str, ReferenceModel]) -> dict[str, str]:
 
 
 def _wanted(arguments: argparse.Namespace, models: Mapping[str, ReferenceModel]) -> list[str] | None:
-    """Of the single frames: what is asked for, else the paper's objects, else all."""
+    """The objects for single frames: those of --objects, else the paper's, else None for all."""
     if arguments.objects:
         return list(arguments.objects)
     return [name for name in published("table1").rows if name in models] or None
 
 
 def _unseen(arguments: argparse.Namespace) -> Unseen:
-    """The family of objects by code: drawn and onboarded where that was not done yet, then measured."""
+    """Procedurally generated objects: render and onboard them if that was not done yet, then measure."""
     from huepose.scenes.official_sets import write_unseen
 
     if arguments.boxes not in ("paper", "perturbed", "gt"):
@@ -125,7 +125,7 @@ def _unseen(arguments: argparse.Namespace) -> Unseen:
 
 
 def _onboarded(arguments: argparse.Namespace) -> Path:
-    """Reference models in OUT/bundles; those that are there already are kept. Raises InputError."""
+    """The folder OUT/bundles, with the missing reference models added. Raises InputError."""
     meshes = arguments.models or (open_ycbv(arguments.ycbv).models if arguments.ycbv else None)
     if meshes is None:
         raise InputError(
@@ -148,7 +148,7 @@ def _onboarded(arguments: argparse.Namespace) -> Path:
 
 
 def _onboard(models: Sequence[BopModel], out: Path, meshes: Path) -> None:
-    """Those that are there already are kept. Raises InputError."""
+    """Onboard the models that are missing in `out`. Raises InputError."""
     missing = [m for m in models if not model_path(out, m.name).exists()]
     failed = onboard_models(missing, out, paper=True, processes=2) if missing else []
     if failed:

@@ -37,7 +37,7 @@ from huepose_services.cli.pose_tables import PoseSources, warm_tracker
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Evaluate, print a table, write."""
+    """Evaluate, print a table, write the results."""
     import cv2
 
     _check_method(arguments)
@@ -78,7 +78,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _check_method(arguments: argparse.Namespace) -> None:
-    """Raises InputError for what only the method paper has, where it is asked of another one."""
+    """Raises InputError for options of the method paper that are given with another method."""
     given = {
         "--rotation": arguments.rotation != "direct",
         "--rotation-model": arguments.rotation_model is not None,
@@ -97,7 +97,7 @@ def _paper_step(arguments: argparse.Namespace) -> PaperStep:
 
 
 def _options(arguments: argparse.Namespace) -> TrackOptions:
-    """Raises InputError for late results without a protocol that has them."""
+    """The options of the protocol. Raises InputError for --delayed with the protocol free."""
     delayed = arguments.delayed
     if arguments.protocol == "roft":
         delayed = delayed or "estimate"

@@ -1,4 +1,4 @@
-"""Pictures of an estimate: the poses over the image, and for `--explain` what led to each of them."""
+"""Pictures of `huepose estimate`: the poses drawn on the image, and for `--explain` how each came about."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ from huepose.select.near_ties import TERMS
 from huepose.support.files import write_picture, write_text
 
 COLORS = ((70, 160, 255), (255, 80, 160), (60, 220, 220), (180, 110, 255), (240, 240, 240))
-"""Of the places that were tried, likeliest first; none that says how far a pose may be acted on."""
+"""Colours of the places that were tried, most probable first. None of them is a colour of a state."""
 
-REFUSED = (255, 90, 60)
-"""Of a pose that is not given out."""
+REJECTED = (255, 90, 60)
+"""Colour of a pose that was not accepted."""
 
 VIEWS = 12
 POSES = 3
@@ -41,8 +41,8 @@ SURE = "nothing speaks against this answer"
 def draw_answers(
     frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: Sequence[PoseEstimate]
 ) -> UInt8:
-    """The colour image (H, W, 3) with outline, axes, name, state and quality of every pose that was found, in
-    the colour of its state."""
+    """The colour image (H, W, 3) with outline, axes, name, state and quality of every pose, in the colour of
+    its state."""
     bodies = [
         Body(
             models[a.object].mesh,
@@ -59,8 +59,9 @@ def draw_answers(
 def draw_places(
     frame: RgbdFrame, model: ReferenceModel, why: str, places: Sequence[tuple[Float64, float, str]]
 ) -> UInt8:
-    """A page (H, W, 3) about an object that was not found: why, and the poses at the places that were tried,
-    likeliest first, T_cam_obj (4, 4), each with the probability that the object is there and what speaks most
+    """A page (H, W, 3) about an object that was not found: why, and the poses at the places that were tried.
+
+    places, most probable first: T_cam_obj (4, 4), the presence of the object there, and what speaks most
     against it."""
     bodies, lines = [], [f"{model.name} was not found. {why}"]
     for k, (T_cam_obj, chance, doubt) in enumerate(places):
@@ -78,15 +79,15 @@ def write_explanation(
     model: ReferenceModel,
     answer: PoseEstimate,
     explanation: Explanation,
-    stands: bool,
+    accepted: bool,
     reason: str,
 ) -> list[str]:
-    """Write NAME_why.png, NAME_masks.png, NAME_views.png, NAME_pose.png and NAME_scores.json of one estimate;
-    returns what speaks against the answer. stands: it is given out; reason: why it is not, or is doubted."""
+    """Write NAME_why.png, NAME_masks.png, NAME_views.png, NAME_pose.png and NAME_scores.json of an estimate;
+    returns what speaks against it. accepted: it is given as the answer; reason: why not, or why `SUSPECT`."""
     doubts = reasons(model, answer, explanation)
-    state = f"{answer.state}, quality {answer.quality:.2f}. " if stands else "not found. "
+    state = f"{answer.state}, quality {answer.quality:.2f}. " if accepted else "not found. "
     said = [f"{model.name}: {state}{reason}", *doubts, LEGEND]
-    if stands and not reason and not doubts:
+    if accepted and not reason and not doubts:
         said.insert(1, SURE)
     write_picture(folder / f"{name}_why.png", _page(frame, model, answer, explanation, said))
     masks = [_tinted(frame, mask) for mask in explanation.masks]
@@ -99,14 +100,14 @@ def write_explanation(
     if cut:
         write_picture(folder / f"{name}_masks.png", contact_sheet(cut, 4, labels[: len(cut)]))
     _write_views(folder / f"{name}_views.png", model, explanation)
-    write_picture(folder / f"{name}_pose.png", _drawn(frame, model, answer, stands))
+    write_picture(folder / f"{name}_pose.png", _drawn(frame, model, answer, accepted))
     evidence, ranked = explanation.evidence, explanation.ranked
     poses = [
         {"T_cam_obj": T.tolist(), "behind": float(behind), "terms": asdict(score(model, evidence.region, T))}
         for T, behind in zip(ranked.poses, ranked.behind, strict=True)
         if evidence is not None
     ]
-    given = answer.state if stands else State.LOST
+    given = answer.state if accepted else State.LOST
     record = {"quality": answer.quality, "state": given, "doubts": doubts, "poses": poses}
     if reason:
         record["reason"] = reason
@@ -120,10 +121,10 @@ def write_explanation(
     return doubts
 
 
-def _drawn(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, stands: bool) -> UInt8:
-    if stands or answer.T_cam_obj is None:
+def _drawn(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, accepted: bool) -> UInt8:
+    if accepted or answer.T_cam_obj is None:
         return draw_answers(frame, {model.name: model}, [answer])
-    body = Body(model.mesh, answer.T_cam_obj, REFUSED, f"{model.name}: not found")
+    body = Body(model.mesh, answer.T_cam_obj, REJECTED, f"{model.name}: not found")
     return draw_poses(frame.color, frame.camera, [body])
 
 
@@ -134,7 +135,7 @@ def _page(
     explanation: Explanation,
     said: Sequence[str],
 ) -> UInt8:
-    """What the estimator saw, and where its best poses agree with it: a page below what is `said`."""
+    """A page: the text `said`, then what the estimator saw, and where its best poses agree with it."""
     evidence, ranked = explanation.evidence, explanation.ranked
     poses = ranked.poses
     tolerance = 0.01 if evidence is None else evidence.region.tolerance_m
@@ -152,7 +153,7 @@ def _page(
 
 
 def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) -> None:
-    """The views that were retrieved, beside what they were compared with."""
+    """Write the retrieved views, beside the crop that they were compared with."""
     evidence = explanation.evidence
     if evidence is None:
         return
@@ -169,5 +170,5 @@ def _write_views(path: Path, model: ReferenceModel, explanation: Explanation) ->
 
 
 def _tinted(frame: RgbdFrame, mask: Bool) -> UInt8:
-    """The image, dark outside of a mask."""
+    """The image, darkened outside of a mask."""
     return np.where(mask[..., None], frame.color, frame.color // 4).astype(np.uint8)

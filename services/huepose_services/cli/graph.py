@@ -1,4 +1,4 @@
-"""`huepose graph`: who sends what to whom, as a Mermaid flowchart with the rates of a running pipeline."""
+"""`huepose graph`: the messages between workers and their rates, as a Mermaid flowchart."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, add_json, answered, chosen, say, say_if_unknown
+from huepose_services.cli.options import add_choice, add_json, chosen, print_result, say, say_if_unknown
 
 if TYPE_CHECKING:
     from huepose_services.watch import View
 
 _LOOK_S = 3.0
-# From, to, what, and where its rate is from: the work of a worker, or a kind of message that was counted.
+# Sender, receiver, message, and what gives the rate: a worker's own rate, or a kind of message that is
+# counted.
 _EDGES = (
     ("camera", "tracker", "frame", "camera"),
     ("camera", "detector", "frame", "camera"),
@@ -38,7 +39,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Listen for some seconds and draw."""
+    """Listen for some seconds, then print the flowchart."""
     from huepose_services.watch import Watch
 
     pipeline = chosen(arguments)
@@ -49,13 +50,13 @@ def call(arguments: argparse.Namespace) -> int:
     if not view.seen:
         say(f"huepose graph: {pipeline.absence}")
     if view.seen or arguments.json:
-        answered(arguments, as_json(view), mermaid(view))
+        print_result(arguments, as_json(view), mermaid(view))
     return 0 if view.seen else 1
 
 
 def as_json(view: View) -> dict[str, Any]:
-    """The workers, and who sends what to whom; what is not known is None. host: the second computer, where a
-    worker runs there."""
+    """The workers, and the messages between them; unknown values are None. host: the second computer, for a
+    worker that runs there."""
     far = set(view.pipeline.far)
 
     def about(worker: str) -> dict[str, Any]:
@@ -117,7 +118,7 @@ def _workers(view: View) -> list[str]:
 
 
 def _edges(view: View) -> Iterator[tuple[str, str, str, float | None]]:
-    """From, to, what, and its rate in Hz, None where it is not known."""
+    """Sender, receiver, message, and its rate in Hz; None if the rate is not known."""
     workers, far = _workers(view), set(view.pipeline.far)
     for source, target, what, measure in _EDGES:
         if source not in workers or target not in workers:

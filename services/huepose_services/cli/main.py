@@ -1,7 +1,7 @@
-"""`huepose`: reads the command line, calls the verb, turns errors into a paragraph and an exit code.
+"""`huepose`: read the command line, call the command, turn errors into a paragraph and an exit code.
 
-Each verb is a module of this package with `add_parser(subparsers)`, light to import: what a verb needs is
-imported when it runs, so that `huepose --help` answers at once.
+Each command is a module of this package with `add_parser(subparsers)`. It imports what it needs only when it
+runs, so that `huepose --help` answers at once.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ _VERBS = (
     *("up", "run", "status", "graph", "objects", "poses", "view", "record", "replay", "validate"),
     *("doctor", "models", "calibrate", "units", "secure"),
 )
-# Those that run compiled kernels in their own process.
+# Commands that run compiled kernels in their own process.
 _COMPILING = frozenset(
     {"demo", "new", "onboard", "onboard-bop", "estimate", "eval", "replay", "render-scenes", "bench"}
 )
-# Those that go on until they are told to end, as by whoever closes the pipe that they print to. The others
-# come to the end of their work, and write its results, when nobody reads what they print any more.
-_LASTING = frozenset({"up", "run", "view", "record", "poses", "top"})
-# Those whose work is too short for more threads of the numeric libraries than the workers have.
-_SHORT = frozenset({"estimate"})
-# What the base installation, for subscribers, does without.
-_OF_EXTRAS = {
+# Commands that run until they are stopped: a closed output pipe stops them, too. The others finish their work
+# and write its results even if nobody reads their output any more.
+_ENDLESS = frozenset({"up", "run", "view", "record", "poses", "top"})
+# Commands that are too short to gain from more threads of the numeric libraries than the workers have.
+_SINGLE_THREADED = frozenset({"estimate"})
+# The extra that installs a package which the base installation, for subscribers, lacks.
+_EXTRA_OF = {
     **dict.fromkeys(("cv2", "numba", "scipy", "onnxruntime", "PIL", "mcap", "lz4"), "edge"),
     "open3d": "onboard",
     **dict.fromkeys(("torch", "onnx", "onnxscript"), "train"),
@@ -45,24 +45,24 @@ _OF_EXTRAS = {
     "cryptography": "secure",
     "rosbags": "ros2",
 }
-# Options that say where results go.
+# Options that name an output file or folder.
 _OUTPUTS = ("out", "json", "csv", "image", "picture", "explain", "plots", "save")
 _PICTURES = ("image", "picture")
-# Those that are folders. `out` is one or the other, as its verb has it; the rest are files.
+# Output options that are folders. `out` is a file or a folder, depending on the command; the rest are files.
 _FOLDERS = ("explain", "plots")
-# Those of a picture or a recording, whose folder must be there: a mistyped one is not made.
-_IN_FOLDERS = ("image", "save")
-# What a full, protected or odd disk answers; any other error of the system is a mistake of ours.
-_OF_THE_DISK = (
+# Output files whose folder must exist already, so that a mistyped folder is not made.
+_FOLDER_MUST_EXIST = ("image", "save")
+# Errors of a full, protected or faulty disk. Any other OSError is a defect of this program.
+_DISK_ERRORS = (
     *(errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO),
     *(errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.EEXIST, errno.ENAMETOOLONG),
 )
 DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
-_ALIKE = 0.65  # of a word's letters, where it may be meant: 'nonsense' is no mistyped 'poses'
+_MIN_SIMILARITY = 0.65  # of a mistyped word and a suggestion: 'poses' is not suggested for 'nonsense'
 
 
-class _Patient:
-    """An output to which what its reader does not wait for is no error: that goes nowhere."""
+class _IgnoresClosedPipe:
+    """A standard stream that discards what is written after its reader has closed the pipe."""
 
     def __init__(self, out: Any) -> None:
         self._out = out
@@ -71,47 +71,47 @@ class _Patient:
         return getattr(self._out, name)
 
     def write(self, text: str) -> int:
-        """As of a file."""
+        """Like a file's."""
         try:
             self._out.write(text)
         except BrokenPipeError:
-            _say_no_more(self._out)
+            _discard_output(self._out)
         return len(text)
 
     def flush(self) -> None:
-        """As of a file."""
+        """Like a file's."""
         try:
             self._out.flush()
         except BrokenPipeError:
-            _say_no_more(self._out)
+            _discard_output(self._out)
 
 
 class _Verbs(argparse._SubParsersAction):
-    """Verbs whose own help begins with what the list of them says, where they have no more to say."""
+    """Subparsers: the description of a command is by default its text in the list of commands."""
 
     def add_parser(self, name: str, **settings: Any) -> Any:
-        """As usual, with a description."""
+        """Like argparse's, with a description."""
         text = settings.get("help") or ""
         settings.setdefault("description", f"{text[:1].upper()}{text[1:]}." if text else None)
         return super().add_parser(name, **settings)
 
 
 class _Parser(argparse.ArgumentParser):
-    """Says of a mistyped command, choice or option which one may be meant."""
+    """Suggests the closest command, choice or option for a mistyped one."""
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         self.register("action", "parsers", _Verbs)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """As usual, but the command that meets an unknown option answers itself, with its own usage."""
+        """Like argparse's, but the command that meets an unknown option reports it, with its own usage."""
         parsed, unknown = super().parse_known_args(args, namespace)
         options = [word for word in unknown if word.startswith("--")]
         if options:
             option = options[0].split("=")[0]
             known = [known[2:] for known in self._option_string_actions if known.startswith("--")]
-            meant = difflib.get_close_matches(option[2:], known, 1, _ALIKE)
-            fix = f": did you mean '--{meant[0]}'?" if meant else ""
+            closest = difflib.get_close_matches(option[2:], known, 1, _MIN_SIMILARITY)
+            fix = f": did you mean '--{closest[0]}'?" if closest else ""
             self.error(f"there is no option '{option}'{fix}")
         return parsed, unknown
 
@@ -119,9 +119,10 @@ class _Parser(argparse.ArgumentParser):
         try:
             super()._check_value(action, value)
         except argparse.ArgumentError as error:
-            meant = difflib.get_close_matches(str(value), map(str, action.choices or ()), 1, _ALIKE)
-            if meant:
-                error.message = f"there is no '{value}': did you mean '{meant[0]}'?"
+            choices = map(str, action.choices or ())
+            closest = difflib.get_close_matches(str(value), choices, 1, _MIN_SIMILARITY)
+            if closest:
+                error.message = f"there is no '{value}': did you mean '{closest[0]}'?"
             raise
 
 
@@ -143,11 +144,11 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def check_outputs(parsed: argparse.Namespace) -> None:
-    """Look at the places that results go to before the work, not after it. Raises InputError."""
+    """Check the output paths before the work, not after it. Raises InputError."""
     for option in _OUTPUTS:
         path = getattr(parsed, option, None)
         if isinstance(path, Path):
-            check_place(path, makes_folders=option not in _IN_FOLDERS)
+            check_place(path, makes_folders=option not in _FOLDER_MUST_EXIST)
             if option != "out" and path.exists() and path.is_dir() != (option in _FOLDERS):
                 found, wanted = ("a folder", "a file") if path.is_dir() else ("a file", "a folder")
                 raise InputError(f"--{option} {path}", found=found, expected=f"{wanted}, which may be new")
@@ -155,8 +156,8 @@ def check_outputs(parsed: argparse.Namespace) -> None:
                 check_picture(path)
 
 
-def _told(verb: str) -> AbstractContextManager[Any]:
-    """What says that kernels are compiled, around a verb that may have to."""
+def _compiling_notice(verb: str) -> AbstractContextManager[Any]:
+    """A context in which the compilation of kernels is reported, if the command may compile some."""
     if verb not in _COMPILING:
         return nullcontext()
     from huepose.support.compiling import telling_of_compiling
@@ -166,7 +167,7 @@ def _told(verb: str) -> AbstractContextManager[Any]:
 
 def _parsed(arguments: list[str] | None) -> argparse.Namespace:
     parser = build_parser()
-    if "_ARGCOMPLETE" in os.environ:  # a shell asks what may come next
+    if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
         import argcomplete
 
         argcomplete.autocomplete(parser)
@@ -182,30 +183,30 @@ def _interrupted(what: str) -> int:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command line. Returns the exit code."""
+    """Run a command line; returns the exit code."""
     try:
         parsed = _parsed(arguments)
     except KeyboardInterrupt:
         return _interrupted("huepose")
     try:
-        if parsed.verb in _SHORT:
+        if parsed.verb in _SINGLE_THREADED:
             single_threaded()
         check_outputs(parsed)
         with ExitStack() as around:
-            if parsed.verb not in _LASTING:
-                around.enter_context(redirect_stdout(_Patient(sys.stdout)))
-                around.enter_context(redirect_stderr(_Patient(sys.stderr)))
+            if parsed.verb not in _ENDLESS:
+                around.enter_context(redirect_stdout(_IgnoresClosedPipe(sys.stdout)))
+                around.enter_context(redirect_stderr(_IgnoresClosedPipe(sys.stderr)))
             around.callback(lambda: sys.stdout.flush())
-            around.enter_context(_told(parsed.verb))
+            around.enter_context(_compiling_notice(parsed.verb))
             code: int = parsed.call(parsed)
         return code
     except InputError as error:
         print(f"huepose {parsed.verb}: {error}", file=sys.stderr)
         return BAD_INPUT
     except ModuleNotFoundError as error:
-        if error.name not in _OF_EXTRAS:
+        if error.name not in _EXTRA_OF:
             raise
-        command = install_command(_OF_EXTRAS[error.name])
+        command = install_command(_EXTRA_OF[error.name])
         print(
             f"huepose {parsed.verb}: this needs the Python package {error.name}; install it with: {command}",
             file=sys.stderr,
@@ -214,21 +215,21 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return _interrupted(f"huepose {parsed.verb}")
     except BrokenPipeError:
-        _say_no_more(sys.stdout)  # the reader of our output has left
+        _discard_output(sys.stdout)  # the reader of the output has closed it
         return DONE
     except OSError as error:
-        if error.errno not in _OF_THE_DISK:
+        if error.errno not in _DISK_ERRORS:
             raise
         reason = error.strerror or str(error)
-        if error.filename is None:  # what writes to a file names it
-            _say_no_more(sys.stdout)
-        where = error.filename or "what it prints"
+        if error.filename is None:  # not a file, so the output
+            _discard_output(sys.stdout)
+        where = error.filename or "its output"
         print(f"huepose {parsed.verb}: {where}: found {reason}.", file=sys.stderr)
         return BAD_INPUT
 
 
-def _say_no_more(out: Any) -> None:
-    """An output takes nothing any more: what waits for it is not to fail again at the exit."""
+def _discard_output(out: Any) -> None:
+    """Redirect an output to /dev/null, so that flushing its buffer does not fail again at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), out.fileno())
 
 

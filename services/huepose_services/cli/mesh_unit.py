@@ -1,5 +1,7 @@
-"""What is said of a mesh before anything is learnt: its unit, which is settled where it gives none (said,
-asked for, or demanded), that it is of several parts, partly transparent, that its origin is far off."""
+"""Checks of a mesh before onboarding, and its unit.
+
+If the mesh has no unit, the likely one is assumed and printed, or the user is asked, or an error demands it.
+Notes say if the mesh has several parts, is partly transparent, or has its origin far away."""
 
 from __future__ import annotations
 
@@ -18,22 +20,24 @@ if TYPE_CHECKING:
     from huepose.onboarding.meshes import Looked
 
 SMALL_M, LARGE_M = 0.03, 0.6
-"""Few objects that are handled have a smaller or larger largest side: such a mesh may be in another unit."""
+"""Usual range of the largest side of an object that is handled; outside it, the unit may be wrong."""
 
 FAR = 2.0
-"""Diameters from its origin to the middle of a mesh from which it is said."""
+"""Distance from a mesh's origin to its middle, in diameters, from which a note is printed."""
 
 CLEAR = 0.02
-"""Share of a surface that is transparent from which it is said."""
+"""Transparent share of the surface from which a note is printed."""
 
 _NAMED = 5
-"""Parts of a mesh that are named."""
+"""Most parts of a mesh that a note names."""
 
 
 def with_unit(job: Job) -> Job:
-    """A job whose unit is known, after what there is to say of its mesh. A usual size is taken, and said with
-    the others that it could be; of another the unit is asked for at a terminal. Of a unit that was given, an
-    unusual size is said. Raises InputError where nobody can be asked."""
+    """The job with its unit, after the notes about its mesh.
+
+    A given unit is kept, with a warning if the size is unusual. Without one, glTF is read in metres; other
+    meshes are read in metres or millimetres if their size is usual then, else the user is asked at a
+    terminal. Raises InputError if there is no terminal."""
     from huepose.onboarding.meshes import look_at
 
     looked = look_at(job.mesh_path)
@@ -54,7 +58,7 @@ def _with_unit(job: Job, sizes: dict[Unit, float]) -> Job:
         return job
     taken = standard or next((unit for unit in sizes if unit in LIKELY), None)
     if not sizes or (standard and standard not in sizes):
-        return job  # whoever reads it refuses it
+        return job  # reading the mesh will fail
     usual = taken is not None and SMALL_M < sizes[taken] < LARGE_M
     if taken is None or not (usual or standard):
         return replace(job, unit=_asked(job.mesh_path, sizes))
@@ -66,36 +70,36 @@ def _with_unit(job: Job, sizes: dict[Unit, float]) -> Job:
 
 
 def _say_of_parts(parts: tuple[str, ...]) -> None:
-    """Of a file with several meshes: they may be several objects."""
+    """Print a note about a file with several meshes: they may be several objects."""
     if len(parts) > 1:
         say(
-            f"note: the file holds {len(parts)} meshes: {first_of(parts, _NAMED)}; they are taken as "
-            "one object. Export several objects each by itself"
+            f"note: the file has {len(parts)} meshes: {first_of(parts, _NAMED)}; they are taken as "
+            "one object. If they are several objects, export each to its own file"
         )
 
 
 def _say_of_clear(share: float) -> None:
-    """Of a texture with holes, as a label's on a sheet of its own, and of glass."""
+    """Print a note about transparent surfaces: glass, or a texture with holes (a label on its own sheet)."""
     if share > CLEAR:
         say(
-            f"note: {100.0 * share:.0f} % of the surface is transparent; it is read as opaque there, in the "
-            "colour that its texture or material has. Look at the sheet beside the reference model whether "
-            "that is right; else cut these parts off, or fill the picture"
+            f"note: {100.0 * share:.0f} % of the surface is transparent; it is read as opaque, in the "
+            "colour of its texture or material. Check in the image beside the reference model whether "
+            "that is right; else remove these parts, or fill the holes of the texture"
         )
 
 
 def _say_of_origin(looked: Looked, unit: Unit) -> None:
-    """Of a mesh in the coordinates of an assembly or of a scan."""
+    """Print a note if the origin is far from the mesh, as in coordinates of an assembly or a scan."""
     if looked.away >= FAR * looked.diameter:
         say(
             f"note: the mesh's origin lies {length(looked.away * METRES[unit])} from the object; poses are "
-            "those of that origin. For poses of the object itself move it there, and export the mesh again"
+            "poses of that origin. For poses of the object itself, move the origin to it and export again"
         )
 
 
 def _warn_of(given: Unit, sizes: dict[Unit, float]) -> None:
-    """Of a unit by which the mesh is smaller or larger than the objects that are usual, or than drawn scenes
-    hold; one by which it is no object at all is refused by whoever reads it."""
+    """Print a warning if the given unit makes the mesh unusually small, or too large for rendered scenes. A
+    size that no object has is refused when the mesh is read."""
     from huepose.scenes.rendered import LARGEST_M
 
     if given not in sizes or SMALL_M < sizes[given] <= LARGEST_M:
@@ -103,33 +107,33 @@ def _warn_of(given: Unit, sizes: dict[Unit, float]) -> None:
     but = " or ".join(_size(sizes, unit) for unit in sizes if unit != given)
     text = f"its largest side is {length(sizes[given])} with --unit {given}"
     if sizes[given] > LARGEST_M:
-        text += f": larger than drawn scenes hold ({length(LARGEST_M)})"
+        text += f": too large for rendered scenes (at most {length(LARGEST_M)})"
     say(f"warning: {text}{f'; it would be {but}' if but else ''}")
 
 
 def _note(head: str, taken: Unit, sizes: dict[Unit, float]) -> None:
-    """In which unit a mesh is read, and how large it would be in others."""
+    """Print in which unit a mesh is read, and its size in other units."""
     others = [_size(sizes, unit) for unit in sizes if unit != taken]
     but = f" (it would be {', '.join(others)})" if others else ""
     side = f"its largest side is {length(sizes[taken])}{but}"
-    say(f"note: {head} is read in {NAMES[taken]}: {side}. If that is wrong, give the unit with --unit.")
+    say(f"note: {head} is read in {NAMES[taken]}: {side}. If this is wrong, give the unit with --unit.")
 
 
 def _asked(path: Path, sizes: dict[Unit, float]) -> Unit:
-    """The unit that the user names."""
+    """Ask the user for the unit. Raises InputError without a terminal or an answer."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise InputError(
             path,
             found=f"no unit, and a largest side of {_in_words(sizes)}",
-            expected="its unit: few objects have the size that metres or millimetres would give it",
-            fix=f"Say it: --unit {'|'.join(sizes)}.",
+            expected="its unit: the size would be unusual in metres and in millimetres",
+            fix=f"Give it: --unit {'|'.join(sizes)}.",
         )
     say(f"{path} gives no unit. Its largest side is {_in_words(sizes)}.")
     while True:
         print(f"In which unit is it, {', '.join(sizes)}? ", end="", file=sys.stderr, flush=True)
         said = sys.stdin.readline()
         if not said:
-            raise InputError(path, found="no answer", expected="its unit", fix="Say it with --unit.")
+            raise InputError(path, found="no answer", expected="its unit", fix="Give it with --unit.")
         for unit in sizes:
             if said.strip().lower() == unit:
                 return unit

@@ -1,4 +1,4 @@
-"""`huepose models`: the networks that detector and segmenter can use."""
+"""`huepose models`: networks for detector and segmenter."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_json, answered
+from huepose_services.cli.options import add_json, print_result
 
 if TYPE_CHECKING:
     from huepose_services.catalogue import Entry
@@ -33,7 +33,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     if arguments.action == "fetch":
         path = catalogue.fetch(catalogue.entry_of(arguments.name), arguments.url)
-        print(f"{path}: here, and its digest is right")
+        print(f"{path}: installed, and its digest is right")
     elif arguments.action == "add":
         name = arguments.name or arguments.file.stem.lower().replace(".", "_")
         entry = catalogue.add(arguments.file, name)
@@ -44,18 +44,19 @@ def call(arguments: argparse.Namespace) -> int:
         facts = [
             asdict(e.network) | {"here": e.here, "path": str(e.path), "size_bytes": _size(e)} for e in entries
         ]
-        answered(arguments, facts, summary)
+        print_result(arguments, facts, summary)
     return 0
 
 
 def _size(entry: Entry) -> int | None:
-    """Bytes: of the file that is here, else as stated."""
+    """Size in bytes: of the installed file, else as the catalogue states it."""
     return entry.path.stat().st_size if entry.here else entry.network.size_bytes
 
 
 def _in_words(entry: Entry) -> str:
     network, size = entry.network, _size(entry)
-    state = "here" if entry.here else ("can be fetched" if network.url and network.sha256 else "by hand")
+    absent = "can be fetched" if network.url and network.sha256 else "add by hand"
+    state = "installed" if entry.here else absent
     return f"""{network.name}  [{state}]
     {network.role}
     {network.licence}, {"size not stated" if size is None else f"{size:,} bytes"}

@@ -1,4 +1,4 @@
-"""`huepose new`: from a mesh to a folder with all that a first pose and a first live pipeline need."""
+"""`huepose new`: from a mesh to a folder with everything for a first pose and a first live pipeline."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _PIPELINE = """\
 bundles: bundles
 objects: [{{name: {name}}}]
 camera:
-  source: synthetic   # your object in a drawn scene; your camera: realsense or oak
-  truth: true         # what is drawn is known: take this line out with a camera
+  source: synthetic   # your object in a rendered scene; your camera: realsense or oak
+  truth: true         # publish ground truth; remove this line for a real camera
 """
 
 
@@ -44,7 +44,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Draw, onboard, write, and say what to do next."""
+    """Onboard the mesh, render a frame, write the folder, and print what to do next."""
     import numpy as np
 
     from huepose.model.io import check_name
@@ -63,25 +63,25 @@ def call(arguments: argparse.Namespace) -> int:
     if path.exists():
         raise InputError(
             path,
-            found="a file that is there already",
+            found="a file that exists already",
             expected="a new folder",
-            fix="Name another one with --out DIR, or delete this one.",
+            fix="Choose another folder with --out DIR, or delete this file.",
         )
     check_name(arguments.name)
     symmetric = symmetries_of(arguments.symmetric)
     job = with_unit(Job(arguments.mesh, arguments.name, unit=arguments.unit, symmetric=symmetric))
     mesh = read_mesh(job.mesh_path, job.unit)
-    try:  # in a second, before what takes longer
+    try:  # takes a second, so it is tried before the longer work
         shot = first_shot({job.name: mesh})
     except InputError as error:
         raise InputError(
-            f"no scene of {job.name} can be drawn",
+            f"no scene of {job.name} can be rendered",
             found=f"a largest side of {length(float(np.ptp(mesh.vertices, axis=0).max()))}",
             expected="an object that can move in view of a camera",
-            fix="If it is smaller, say the mesh's unit (--unit mm, for example); else learn it with `huepose "
-            "onboard`, and go on with pictures of your camera.",
+            fix="If it is smaller, give the mesh's unit (--unit mm, for example); else onboard it with "
+            "`huepose onboard`, and continue with images of your camera.",
         ) from error
-    print(in_words(onboard_one(job, out / "bundles", settled=True)))
+    print(in_words(onboard_one(job, out / "bundles", unit_known=True)))
     if arguments.test:
         _, words = self_test(out / "bundles", job.name)
         print(words)
@@ -93,7 +93,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     print(
         f"""
-{out} is ready. Next (the first start of a pipeline draws its scene, half a minute or more):
+{out} is ready. Next (the first start of a pipeline renders its scene, half a minute or more):
   huepose estimate --color {at("color.png")} --depth {at("depth.png")} --camera {at("camera.json")} \\
       --bundles {at("bundles")} --image {at("pose.png")}
   huepose demo --bundles {at("bundles")}      # the whole pipeline on it, with its accuracy
@@ -103,7 +103,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def write_frame(folder: Path, shot: Shot, camera: Camera) -> None:
-    """A frame as `huepose estimate` reads it: color.png, depth.png in tenths of a millimetre, camera.json."""
+    """Write a frame for `huepose estimate`: color.png, depth.png in tenths of a millimetre, camera.json."""
     import json
 
     import cv2

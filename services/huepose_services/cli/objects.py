@@ -1,4 +1,4 @@
-"""`huepose objects`: steers what a running pipeline on this machine looks for."""
+"""`huepose objects`: choose what a running pipeline on this machine searches for."""
 
 from __future__ import annotations
 
@@ -7,7 +7,15 @@ import time
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
-from huepose_services.cli.options import add_box, add_choice, add_json, answered, chosen, say, say_if_unknown
+from huepose_services.cli.options import (
+    add_box,
+    add_choice,
+    add_json,
+    chosen,
+    print_result,
+    say,
+    say_if_unknown,
+)
 
 if TYPE_CHECKING:
     from huepose_protos.messages import ControlReply, ControlRequest
@@ -45,7 +53,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Ask the pipeline; print what it answers."""
+    """Send the request to the pipeline, and print its answer."""
     import msgspec
 
     from huepose_protos.messages import ControlRequest
@@ -54,7 +62,7 @@ def call(arguments: argparse.Namespace) -> int:
     if box is not None:
         from huepose.geometry.box import given_box
 
-        given_box(box)  # the pipeline, which knows the picture's size, looks again
+        given_box(box)  # the pipeline, which knows the image size, checks it again
     message = {
         "publish_ns": time.monotonic_ns(),
         "action": arguments.action,
@@ -76,28 +84,26 @@ def call(arguments: argparse.Namespace) -> int:
         say(f"huepose objects {arguments.action}: {reply.text}")
         return 2
     summary = _listed(reply) if arguments.action == "list" else reply.text
-    answered(arguments, msgspec.to_builtins(reply.objects), summary)
+    print_result(arguments, msgspec.to_builtins(reply.objects), summary)
     return 0
 
 
 def _no_answer(pipeline: Pipeline) -> str:
-    """Why nobody answers."""
+    """Why the pipeline does not answer."""
     if pipeline.elsewhere:
         return pipeline.elsewhere
     if pipeline.played or not pipeline.noted:
         return pipeline.absence
     if "reinit" not in pipeline.workers:
-        return (
-            f"{pipeline.name} is without the worker reinit, which has the list of objects ({pipeline.file})"
-        )
+        return f"{pipeline.name} has no worker reinit, which keeps the list of objects ({pipeline.file})"
     return (
-        f"the worker reinit of {pipeline.name} does not answer: it starts, stops or has ended; the log says "
-        f"which ({pipeline.file})"
+        f"the worker reinit of {pipeline.name} does not answer: it is starting or stopping, or has ended; "
+        f"the log says which ({pipeline.file})"
     )
 
 
 def _not_asked(arguments: argparse.Namespace, of_number: bool) -> InputError:
-    """Why that is no request: by the number of instances, else by the name."""
+    """The error of an invalid request. of_number: the number of instances is wrong, else the name is."""
     if of_number:
         return InputError("--max-instances", found=str(arguments.instances), expected="1 to 64")
     name, slash, instance = arguments.name.partition("/")
@@ -110,7 +116,7 @@ def _not_asked(arguments: argparse.Namespace, of_number: bool) -> InputError:
 
 
 def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:
-    """The answer of the pipeline's worker `reinit`; None when nobody answers in time."""
+    """The answer of the pipeline's worker `reinit`; None if it does not answer in time."""
     from huepose_protos import decode, encode
     from huepose_protos.messages import ControlReply
     from huepose_services.runtime.config import WORKERS
@@ -119,7 +125,7 @@ def ask(pipeline: Pipeline, request: ControlRequest) -> ControlReply | None:
     with open_reader_session([pipeline.endpoints[WORKERS.index("reinit")]]) as session:
         until = time.monotonic() + _CONNECT_WITHIN_S
         while time.monotonic() < until:
-            # The link comes up a moment after the session: until then nobody is there to answer.
+            # The link is up a moment after the session opens; until then nobody answers.
             for reply in session.get(
                 pipeline.key("control"), payload=encode(request), timeout=_ANSWER_WITHIN_S
             ):
@@ -134,4 +140,4 @@ def _listed(reply: ControlReply) -> str:
     for entry in reply.objects:
         found = entry.max_instances - entry.searching
         lines.append(f"{entry.object:32s} {found} of {entry.max_instances} found  {entry.reason}".rstrip())
-    return "\n".join(lines) or "nothing is looked for"
+    return "\n".join(lines) or "no object is searched for"

@@ -1,4 +1,4 @@
-"""`huepose onboard` and `huepose onboard-bop`: meshes to reference models."""
+"""`huepose onboard` and `huepose onboard-bop`: make reference models from meshes."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from huepose_services.cli.options import (
     add_path,
     add_several,
     add_unit,
-    answered,
     from_one,
+    print_result,
     say,
 )
 
@@ -68,18 +68,18 @@ def add_parser(subparsers: Any) -> None:
 
 
 def add_symmetric(parser: argparse.ArgumentParser) -> None:
-    """Add the option that says which turns do not matter."""
+    """Add the option that says which rotations do not matter."""
     parser.add_argument(
         "--symmetric",
         metavar="x|y|z|FILE",
-        help="the rotation about this axis of the mesh does not matter where it keeps the shape; or a "
+        help="the rotation about this axis of the mesh does not matter if it keeps the shape; or a "
         "JSON file with symmetries_discrete and symmetries_continuous as in BOP's "
         "models_info.json, millimetres. Default: the symmetries of shape and texture together",
     )
 
 
 def add_test(parser: argparse.ArgumentParser) -> None:
-    """Add the option that leaves the self-test out."""
+    """Add the option that skips the self-test."""
     parser.add_argument(
         "--no-test",
         dest="test",
@@ -97,7 +97,7 @@ def _paper(parser: argparse.ArgumentParser) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Onboard one mesh. Exit code 1 where a recording showed too little of the object."""
+    """Onboard one object; exit code 1 if a recording showed too little of it."""
     from huepose.onboarding.batch import Job
     from huepose.onboarding.declared import symmetries_of
 
@@ -108,7 +108,7 @@ def call(arguments: argparse.Namespace) -> int:
     if made:
         mesh, unit = made.mesh, "m"
     job = Job(mesh, arguments.name, arguments.id, unit, symmetric=symmetric, paper=arguments.paper)
-    result = onboard_one(job, arguments.out, settled=made is not None)
+    result = onboard_one(job, arguments.out, unit_known=made is not None)
     if not arguments.json:
         print(in_words(result), flush=True)
         if made:
@@ -119,13 +119,15 @@ def call(arguments: argparse.Namespace) -> int:
     if made:
         answer["video"] = made.facts
     if arguments.json or words:
-        answered(arguments, answer, words)
+        print_result(arguments, answer, words)
     return 0 if part is None else 1
 
 
 def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict[str, Any] | None, str]:
-    """How well an object suits: for programs, in words, and in a picture, BUNDLES/NAME.png. The verdict is
-    kept beside the model. part: share of its surface of which the model was made, None for all of it."""
+    """Test in rendered scenes how well an object suits. Returns the result for programs and in words; draws
+    it to BUNDLES/NAME.png, and keeps the verdict beside the model.
+
+    part: share of the surface that a recording showed, None for a model of all of it."""
     from huepose.evaluation import suitability
     from huepose.model import load_models
     from huepose_services.models import keep_verdict, sheet_path
@@ -136,7 +138,7 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
         if part is not None:
             found = suitability.seen_in_part(found, part)
     except InputError as error:
-        say(f"{name} was not tried in drawn scenes: {error}")
+        say(f"{name} was not tested in rendered scenes: {error}")
         return None, ""
     picture = sheet_path(bundles, name)
     write_picture(picture, suitability.sheet(model, found))
@@ -146,13 +148,13 @@ def self_test(bundles: Path, name: str, part: float | None = None) -> tuple[dict
     }
     said = suitability.in_words(model, found)
     keep_verdict(bundles, model, found.verdict, said.splitlines()[0])
-    words = f"{said}\nWhat was tried, and how it went: {picture}"
+    words = f"{said}\nThe test scenes and their results: {picture}"
     return {**facts, "trials": len(found.trials), "picture": str(picture)}, words
 
 
-def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
-    """Onboard a mesh into a folder of reference models, with a progress bar; says when it replaced another
-    model of that name. settled: its unit is known, and neither asked for nor doubted."""
+def onboard_one(job: Job, out: Path, unit_known: bool = False) -> Onboarded:
+    """Onboard a mesh into a folder of reference models, with a progress bar. Prints a note if it replaced
+    another model of that name. unit_known: the job has its unit, which is not checked."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: threads only cost
     from huepose.model.io import check_name, model_path
     from huepose.onboarding import batch
@@ -162,17 +164,17 @@ def onboard_one(job: Job, out: Path, settled: bool = False) -> Onboarded:
     check_folder(out)
     if not job.mesh_path.exists():
         raise InputError(job.mesh_path, found="no such file", expected="the mesh", fix="Check the path.")
-    job = job if settled else with_unit(job)
+    job = job if unit_known else with_unit(job)
     before = _model_there(model_path(out, job.name))
     with closing(progress(range(len(STAGES) + 1), f"onboarding {job.name}")) as steps:
         result = batch.onboard_one(job, out, lambda stage: _advance(steps), Status().line)
         deque(steps, maxlen=0)
-    _settle(result, before, "onboard that one again under another --name")
+    _report_notes(result, before, "onboard that object again under another --name")
     return result
 
 
 def _model_there(path: Path) -> tuple[str, str] | None:
-    """Of a file before onboarding its digest, and when it was written in words; None where there is none."""
+    """Digest and date, in words, of a model file before onboarding; None if there is none."""
     if not path.is_file():
         return None
     return _digest(path), f"{datetime.fromtimestamp(path.stat().st_mtime):%Y-%m-%d at %H:%M}"
@@ -182,9 +184,8 @@ def _digest(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _settle(result: Onboarded, before: tuple[str, str] | None, to_have_both: str) -> None:
-    """Say what may be wrong with a mesh; and where its model replaced another, that, and forget what was said
-    of that one."""
+def _report_notes(result: Onboarded, before: tuple[str, str] | None, to_have_both: str) -> None:
+    """Print notes about the mesh. If its model replaced another, say so, and remove the other's verdict."""
     from huepose_services.models import forget_verdict
 
     for note in result.notes:
@@ -199,7 +200,7 @@ def _settle(result: Onboarded, before: tuple[str, str] | None, to_have_both: str
 
 
 def call_bop(arguments: argparse.Namespace) -> int:
-    """Onboard a folder; an object that fails is reported and the others go on."""
+    """Onboard a folder; an object that fails is reported, and the others are still onboarded."""
     from huepose.onboarding.bop_folder import bop_models
 
     check_folder(arguments.out)
@@ -213,7 +214,7 @@ def call_bop(arguments: argparse.Namespace) -> int:
 
 
 def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes: int) -> list[str]:
-    """Onboard them, say what became of each, and return the names of those that failed."""
+    """Onboard models, print the result of each, and return the names of those that failed."""
     from huepose.model.io import model_path
     from huepose.onboarding.batch import Job, Onboarded, StageBegun, onboard_many
     from huepose.onboarding.reference import STAGES
@@ -231,7 +232,7 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
         for event in events:
             if isinstance(event, Onboarded):
                 _say(in_words(event))
-                _settle(event, before[event.name], "onboard these into another folder, --out")
+                _report_notes(event, before[event.name], "onboard these into another folder, --out")
             elif not isinstance(event, StageBegun):
                 failures.append(event.name)
                 _say(f"{event.name:28s} failed: {event.reason}")
@@ -241,7 +242,7 @@ def onboard_models(models: Sequence[BopModel], out: Path, paper: bool, processes
 
 
 def check_folder(out: Path) -> None:
-    """Raises InputError where results cannot go there because it is a file: asked before the work."""
+    """Raises InputError if the output folder is a file; called before the work."""
     if out.exists() and not out.is_dir():
         raise InputError(out, found="a file", expected="a folder, which may be new")
 
@@ -251,12 +252,12 @@ def _advance(steps: Iterator[int]) -> None:
 
 
 def _say(line: str) -> None:
-    Status().clear()  # the progress bar makes room
+    Status().clear()  # clears the progress bar
     print(line, flush=True)
 
 
 def in_words(result: Onboarded) -> str:
-    """A line on what was made."""
+    """A line about the reference model that was made."""
     size = " x ".join(f"{s * 100:.1f}" for s in result.size_m)
     shape = f"{result.equivalents} rotations look the same; " if result.equivalents > 1 else ""
     if result.paper:

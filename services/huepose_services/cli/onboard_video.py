@@ -1,4 +1,4 @@
-"""`huepose onboard --from-video`: from a recording of an object to its mesh."""
+"""`huepose onboard --from-video`: make a mesh from a recording of an object."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from huepose.onboarding.from_video import Learned, Selection
 
 ALL_ROUND = 0.6
-"""Share of the surface under which a model is of one side: an object on a table shows four fifths of it."""
+"""Least share of the surface in a recording from all sides. An object on a table shows four fifths of it."""
 
 
 @dataclass(frozen=True)
 class FromVideo:
-    """mesh: the file that was written; words: what it is worth; facts: the same for programs, the share of
-    the surface that was seen and whether that is all round among them."""
+    """A mesh from a recording. mesh: the file that was written; words: its quality in words; facts: the same
+    for programs, with the share of the surface that was seen, and whether it was seen from all sides."""
 
     mesh: Path
     words: str
@@ -34,7 +34,7 @@ class FromVideo:
 
 
 def add_video(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a recording in the place of a mesh."""
+    """Add the options of a recording that replaces a mesh."""
     add_path(
         parser,
         "--from-video",
@@ -54,8 +54,8 @@ def add_video(parser: argparse.ArgumentParser) -> None:
 
 
 def mesh_from_video(arguments: argparse.Namespace) -> FromVideo | None:
-    """The mesh of a recording, written to OUT/NAME_mesh; None where a mesh was given. Raises InputError where
-    both or neither were."""
+    """The mesh of a recording, written to OUT/NAME_mesh; None if a mesh is given. Raises InputError for both
+    or neither."""
     video: Path | None = arguments.from_video
     if (video is None) == (arguments.mesh is None):
         raise InputError(
@@ -75,7 +75,7 @@ def mesh_from_video(arguments: argparse.Namespace) -> FromVideo | None:
         raise InputError(
             "--from-video",
             found=f"--unit {arguments.unit}",
-            expected="no unit: it is of a mesh, and a recording's depth is in metres",
+            expected="no unit: it is for a mesh; a recording has depth in metres",
             fix="Leave --unit out.",
         )
     from huepose.datasets.bop_writer import write_obj
@@ -117,9 +117,9 @@ def _scene(path: Path) -> Scene:
 
         raise InputError(
             path,
-            found="another kind of file",
-            expected="a recording of `huepose record` (.mcap), a bag of ROS (a .bag, .db3 or .mcap, or its "
-            "folder) or the folder of a BOP scene",
+            found="a file of another kind",
+            expected="a recording of `huepose record` (.mcap), a ROS bag (.bag, .db3 or .mcap, or its "
+            "folder), or the folder of a BOP scene",
             fix=instead_of_film(path),
         )
     from huepose.datasets.bop import BopScene
@@ -128,7 +128,7 @@ def _scene(path: Path) -> Scene:
 
 
 def _is_bag(path: Path) -> bool:
-    """Whether it is a bag of ROS: a file or a folder of one."""
+    """Whether a path is a ROS bag, as a file or as a folder."""
     if path.suffix == ".mcap":
         from huepose_services.recording.read import is_of_ros
 
@@ -147,18 +147,19 @@ def _learned(scene: Scene, selection: Selection, name: str) -> Learned:
 
 
 def _in_words(made: Learned, path: Path) -> str:
-    closing = "no turn was closed"
+    closing = "no full turn was closed"
     if made.closing_m is not None:
-        closing = f"the ends of a turn lay {1000 * made.closing_m:.1f} mm apart before they were joined"
+        apart = f"{1000 * made.closing_m:.1f} mm apart"
+        closing = f"start and end of a full turn were {apart} before they were joined"
     words = (
-        f"from the recording: followed in {len(made.T_cam_obj)} of {made.frames} frames, {made.views} views "
+        f"from the recording: tracked in {len(made.T_cam_obj)} of {made.frames} frames, {made.views} views "
         f"from {100 * made.directions:.0f} % of all directions; {closing}\n"
         f"{100 * made.surface:.0f} % of the surface was seen; the rest of the mesh is a guess\n"
         f"{path}: metres, origin in the middle, z up from the ground"
     )
     if made.surface < ALL_ROUND:
         words += (
-            "\nNOT ALL ROUND (exit code 1): from the sides that were not seen it will not be found. Record "
-            "it turned all round, and tip it over meanwhile"
+            "\nNOT ALL ROUND (exit code 1): it will not be found from the sides that were not seen. Record "
+            "it from all sides: turn it all round, and tip it over in between"
         )
     return words

@@ -1,4 +1,4 @@
-"""Options and habits that several verbs share, among them which pipeline is meant."""
+"""Options and functions that several commands share, among them the choice of a pipeline."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ def _file_or_output(name: str) -> Path | bool:
 
 
 def add_json(parser: argparse.ArgumentParser, to_file: bool = False) -> None:
-    """Add `--json`, the answer for programs; to_file: it may name a file, which is written beside the
-    summary."""
+    """Add `--json`, the result for programs. to_file: it may name a file; then both are written."""
     if to_file:
         parser.add_argument(
             "--json",
@@ -47,8 +46,8 @@ def add_json(parser: argparse.ArgumentParser, to_file: bool = False) -> None:
         parser.add_argument("--json", action="store_true", help="print JSON instead of the summary")
 
 
-def answered(arguments: argparse.Namespace, answer: Any, summary: str) -> None:
-    """Print the summary, or the answer as JSON; write it where a file was named."""
+def print_result(arguments: argparse.Namespace, answer: Any, summary: str) -> None:
+    """Print the summary, or the answer as JSON; if `--json` names a file, write the answer to it."""
     text = json.dumps(answer, indent=2)
     print(text if arguments.json is True else summary)
     if isinstance(arguments.json, Path):
@@ -56,19 +55,19 @@ def answered(arguments: argparse.Namespace, answer: Any, summary: str) -> None:
 
 
 def say(text: str) -> None:
-    """Tell the user something beside the answer, which a program may read from standard output."""
+    """Print a message to stderr: a program may read the result from stdout."""
     print(text, file=sys.stderr, flush=True)
 
 
 def add_path(
     parser: argparse.ArgumentParser, option: str, metavar: str, text: str, *, required: bool = False
 ) -> None:
-    """Add an option that is a file or a folder, None where it may be left out and is."""
+    """Add an option that is a file or a folder; None if it is not given."""
     parser.add_argument(option, type=Path, required=required, metavar=metavar, help=text)
 
 
 class _Several(argparse.Action):
-    """Each use of the option adds to what those before gave; the first one takes the place of the default."""
+    """Each use of the option adds to the earlier ones; the first one replaces the default."""
 
     def __call__(
         self,
@@ -91,8 +90,7 @@ def add_several(
     kind: Callable[[str], Any] = Path,
     required: bool = False,
 ) -> None:
-    """Add an option that takes one or more files or folders, or what `kind` makes of a word; given again it
-    adds to them."""
+    """Add a repeatable option with one or more values each time: paths, or what `kind` makes of a word."""
     parser.add_argument(
         option,
         action=_Several,
@@ -106,14 +104,14 @@ def add_several(
 
 
 def add_one_of(parser: argparse.ArgumentParser, option: str, names: Sequence[str], text: str) -> None:
-    """Add an option that is one of some names, the first of them by default."""
+    """Add an option that is one of these names; the first one is the default."""
     parser.add_argument(option, choices=names, default=names[0], help=text)
 
 
 def add_some_of(
     parser: argparse.ArgumentParser, option: str, names: Sequence[str], text: str, default: Sequence[str] = ()
 ) -> None:
-    """Add an option that takes some of these names, all of them by default."""
+    """Add an option that takes some of these names; by default those of `default`, or all."""
     parser.add_argument(
         option, action=_Several, nargs="+", choices=names, default=[*(default or names)], help=text
     )
@@ -137,17 +135,17 @@ def add_number(
     unit: str = "N",
     kind: Callable[[str], Any] | None = None,
 ) -> None:
-    """Add an option that is a number of the type of its default, or what `kind` (see `number_of`) allows."""
+    """Add an option that is a number: of the type of its default, or as `kind` (see `number_of`) allows."""
     parser.add_argument(option, type=kind or type(default), default=default, metavar=unit, help=text)
 
 
 def add_from_zero(parser: argparse.ArgumentParser, option: str, text: str) -> None:
-    """Add an option that is a whole number, 0 or more, and 0 by default: a seed, for example."""
+    """Add an option that is a whole number from 0, by default 0: a seed, for example."""
     parser.add_argument(option, type=from_zero, default=0, metavar="N", help=text)
 
 
 def number_of(kind: Callable[[str], N], is_allowed: Callable[[N], bool], expected: str) -> Callable[[str], N]:
-    """The `type` of an option that is a number within limits; expected: these in words."""
+    """The `type` of an option that is a number within limits; expected: the limits in words."""
 
     def number(text: str) -> N:
         with suppress(ValueError):
@@ -165,12 +163,12 @@ _seconds = number_of(float, lambda seconds: seconds > 0.0, "seconds, more than 0
 
 
 def add_seconds(parser: argparse.ArgumentParser, text: str) -> None:
-    """Add `--seconds`: after how many to end, more than 0; None where it is not given."""
+    """Add `--seconds`: the duration, more than 0; None if it is not given."""
     parser.add_argument("--seconds", type=_seconds, metavar="S", help=text)
 
 
 def add_pipeline(parser: argparse.ArgumentParser) -> None:
-    """Add the file that describes a deployment, as `config`."""
+    """Add the argument `config`, a pipeline.yaml."""
     parser.add_argument(
         "config",
         nargs="?",
@@ -205,20 +203,21 @@ def add_unit(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def until_told() -> Callable[[], bool]:
-    """From now on Ctrl-C, SIGTERM and the end of the terminal (SIGHUP, unless nohup has it ignored) end
-    nothing by themselves: the answer is whether one of them came."""
-    told = False
+def catch_stop_signals() -> Callable[[], bool]:
+    """Catch Ctrl-C, SIGTERM and the end of the terminal (SIGHUP, unless nohup ignores it) from now on.
+
+    Returns a function that says whether one of them came."""
+    came = False
 
     def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal told
-        told = True
+        nonlocal came
+        came = True
 
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         signal.signal(signal.SIGHUP, stop)
-    return lambda: told
+    return lambda: came
 
 
 def add_choice(parser: argparse.ArgumentParser) -> None:
@@ -232,8 +231,8 @@ def add_choice(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen(arguments: argparse.Namespace, tell: bool = True) -> Pipeline:
-    """The pipeline that is meant. tell: say which it is where nobody named one, and it is not that of this
-    folder. Raises InputError where it is not clear."""
+    """The pipeline that the options choose. tell: if they name none, and it is not the one of this folder's
+    pipeline.yaml, print which one it is. Raises InputError if the choice is ambiguous."""
     from huepose_services.runtime.config import DEFAULT_FILE
     from huepose_services.runtime.running import pick
 
@@ -245,16 +244,16 @@ def chosen(arguments: argparse.Namespace, tell: bool = True) -> Pipeline:
 
 
 def say_if_unknown(pipeline: Pipeline) -> None:
-    """Say what is waited for where nobody has noted that the pipeline runs: it may all the same."""
+    """If no process has noted that the pipeline runs, print where it is looked for: it may run anyway."""
     if not pipeline.noted:
         say(f"looking for a pipeline at port {pipeline.base_port} ...")
 
 
-def awaited(
+def wait_for_pipeline(
     arguments: argparse.Namespace, stopping: Callable[[], bool], until_s: float = float("inf")
 ) -> bool:
-    """Waits until the pipeline that is meant is noted or heard, and says so; it may be another one by then.
-    until_s: time.monotonic(), at most. Whether it was not there at once."""
+    """Wait until the chosen pipeline is noted or heard; if that takes long, print it. Returns whether it had
+    to wait: then the choice may be another pipeline by now. until_s: time.monotonic() of the end."""
     from huepose_protos.client import Reader
 
     pipeline = chosen(arguments, tell=False)
@@ -272,9 +271,9 @@ def awaited(
     return True
 
 
-def chosen_config(arguments: argparse.Namespace, names_do: bool = False) -> Config:
-    """The configuration of the pipeline that is meant; names and ports alone where its file is not known.
-    names_do: also where the file of one that runs is wrong by now. Raises InputError."""
+def chosen_config(arguments: argparse.Namespace, names_suffice: bool = False) -> Config:
+    """The configuration of the chosen pipeline; only names and ports if its file is not known.
+    names_suffice: also if the pipeline runs, but its file has become invalid. Raises InputError."""
     from msgspec.structs import replace
 
     from huepose_protos.local import FOLDER
@@ -283,7 +282,7 @@ def chosen_config(arguments: argparse.Namespace, names_do: bool = False) -> Conf
 
     pipeline = chosen(arguments)
     if pipeline.folder:
-        # Its sockets may be in another folder than those that this user's own pipelines would have.
+        # Its sockets may be in another folder than those of this user's own pipelines.
         os.environ[FOLDER] = pipeline.folder
     named = Config(
         site=pipeline.site,
@@ -295,6 +294,6 @@ def chosen_config(arguments: argparse.Namespace, names_do: bool = False) -> Conf
     try:
         return load(Path(pipeline.file), pipeline.camera)
     except InputError:
-        if names_do and pipeline.noted:
+        if names_suffice and pipeline.noted:
             return replace(named, workers=WORKERS)
         raise

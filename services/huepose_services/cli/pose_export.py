@@ -1,4 +1,4 @@
-"""`huepose poses --csv` and `--tum`: poses that may be acted on, into files that other programs read."""
+"""`huepose poses --csv` and `--tum`: write TRACKING poses to files that other programs read."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from huepose.support.files import writing
 from huepose_protos.messages import Message, PoseMessage
 
 CSV_COLUMNS = "frame,object,x,y,z,qx,qy,qz,qw,instance,stamp,quality"
-"""stamp: of the capture, on the realtime clock, seconds."""
+"""stamp: capture time on the realtime clock, seconds."""
 
 TUM_COLUMNS = "# timestamp tx ty tz qx qy qz qw"
 
@@ -19,11 +19,11 @@ TUM_COLUMNS = "# timestamp tx ty tz qx qy qz qw"
 class PoseFiles:
     """Writes every TRACKING pose: a row of `csv`, and a line of DIR/OBJECT_INSTANCE.txt (`tum`).
 
-    Stamps are of the capture, on the realtime clock, seconds; poses are T_cam_obj, metres. Of the two
-    quaternions of a rotation the one nearer to that of the row before is written, so that they can be
-    interpolated. A line is in its file at once; without a pose there is no `csv`.
+    Times are capture times on the realtime clock, seconds; poses are T_cam_obj, metres. A rotation has two
+    quaternions: the one nearer to the previous row's is written, so that rows can be interpolated. Each
+    line is in its file at once. Without any pose, `csv` is removed.
 
-    Raises InputError for a file or a folder that has something in it, and for what the disk does not take."""
+    Raises InputError for a file or folder that is not empty, and for disk errors."""
 
     def __init__(self, csv: Path | None, tum: Path | None) -> None:
         self._tum = tum
@@ -42,7 +42,7 @@ class PoseFiles:
                 tum.mkdir(parents=True, exist_ok=True)
 
     def _write(self, path: Path, *lines: str) -> None:
-        """Lines at the end of a file; no empty one stays."""
+        """Append lines to a file; if that fails, an empty file is removed."""
         with writing(path):
             file = self._files.get(path) or path.open("w", buffering=1)
             self._files[path] = file
@@ -57,7 +57,7 @@ class PoseFiles:
                 raise
 
     def take(self, message: Message) -> None:
-        """Write it, where it is a pose that may be acted on."""
+        """Write the message if it is a TRACKING pose."""
         if not isinstance(message, PoseMessage) or message.state != "TRACKING":
             return
         if message.translation is None or message.quaternion is None:
@@ -77,7 +77,7 @@ class PoseFiles:
             self._write(path, *heading, f"{stamp} {' '.join(values)}")
 
     def _continued(self, whose: tuple[str, int], quaternion: tuple[float, ...]) -> tuple[float, ...]:
-        """The same rotation, with the sign that continues the row before."""
+        """The same rotation, with the sign that is nearer to the previous row's quaternion."""
         before = self._turned.get(whose, quaternion)
         if sum(a * b for a, b in zip(before, quaternion, strict=True)) < 0.0:
             quaternion = tuple(-value for value in quaternion)

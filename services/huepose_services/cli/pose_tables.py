@@ -1,4 +1,4 @@
-"""Poses as the command line names them: labels, our estimates, or files of poses."""
+"""The sources of poses that the command line names: labels, our estimates, or files of poses."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ from huepose.support.errors import InputError
 from huepose.tracking import Tracker, TrackerConfig
 
 _FRAME_OF = {"poses_ycb.txt": "posecnn", "poses.txt": "nvdu"}
-"""Model frames of the files that Fast-YCB and ROFT call so."""
+"""The model frame of the poses in files of Fast-YCB and ROFT, by file name."""
 
 
 class PoseSources:
-    """The sources of poses by name: `gt`, `estimate`, or poses in a file, one for all sequences or a folder
-    of them. A CSV is in the reference models' own frame; of DOPE's files the name tells in which they are."""
+    """The sources of poses by name: `gt`, `estimate`, or a path (one file for all sequences, or a folder).
+
+    Poses in a CSV are in the reference models' own frame. The name of a file of DOPE says which frame."""
 
     def __init__(self, models: Mapping[str, ReferenceModel], config: EstimatorConfig) -> None:
         self._models, self._config = models, config
 
     def of(self, name: str, sequence: str, seed: int) -> PoseSource:
-        """Of a sequence. Raises InputError where a file is missing or broken."""
+        """The source for a sequence. Raises InputError if a file is missing or broken."""
         if name == "gt":
             return TruthSource()
         if name == "estimate":
@@ -44,7 +45,7 @@ class PoseSources:
         return estimator
 
     def _table(self, given: Path, sequence: str) -> PoseTable:
-        """The poses of a sequence. Raises InputError, listing where they were looked for."""
+        """The poses of a sequence. Raises InputError that lists where they were looked for."""
         path = self._find(given, sequence)
         ours = path.suffix == ".csv"
         table = read_pose_csv(path) if ours else read_dope_poses(path, object_of(sequence))
@@ -56,7 +57,7 @@ class PoseSources:
         return table if ours else table.moved(self._T_theirs_obj(_FRAME_OF[path.name], table))
 
     def _T_theirs_obj(self, frame: str, table: PoseTable) -> dict[str, Float64]:
-        """By object as the table calls it, from the reference model's frame to the table's (4, 4)."""
+        """Transforms (4, 4) from the reference model's frame to the table's, by the table's object names."""
         called = {name for _, name in table.poses}
         result: dict[str, Float64] = {}
         for model in self._models.values():
@@ -100,7 +101,7 @@ class PoseSources:
 
 
 def warm_tracker(models: Mapping[str, ReferenceModel], config: TrackerConfig) -> Tracker:
-    """Our tracker, ready."""
+    """Our tracker, warmed up."""
     tracker = Tracker(models, config)
     tracker.warm_up()
     return tracker

@@ -1,4 +1,4 @@
-"""`huepose poses`: prints what a pipeline publishes, one message a line, here or through a gateway."""
+"""`huepose poses`: print what a pipeline publishes, one message a line, from this machine or a gateway."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose.support.words import counted, did_you_mean
-from huepose_services.cli.options import add_choice, add_path, awaited, chosen, say, until_told
+from huepose_services.cli.options import (
+    add_choice,
+    add_path,
+    catch_stop_signals,
+    chosen,
+    say,
+    wait_for_pipeline,
+)
 from huepose_services.pem import Credentials
 
 if TYPE_CHECKING:
@@ -26,14 +33,14 @@ _SAY_AFTER_S, _LOOK_EVERY_S = 3.0, 0.1
 
 @dataclass(frozen=True)
 class Gateway:
-    """Where one is, as zenoh writes it, and what it is shown."""
+    """A gateway. endpoint: its address in the format of zenoh; credentials: None without TLS."""
 
     endpoint: str
     credentials: Credentials | None
 
     def messages(self, tail: str, stopping: Callable[[], bool], *more: str) -> Iterator[Message]:
-        """What it shows under a key, and under others beside it, the latest at once, until stopped. Says on
-        stderr what is in the way."""
+        """The messages of a key, and of the keys `more`, until stopped. First come the latest ones. If none
+        arrive, the cause is printed to stderr."""
         from huepose_protos.client import Reader
 
         files = {} if self.credentials is None else self.credentials._asdict()
@@ -64,7 +71,8 @@ class Gateway:
         if connected:
             names = ", or `readers` there does not name this certificate" if self.credentials else ""
             return (
-                f"connected to {self.endpoint}, but nothing is said on {tail}: no pipeline runs there{names}"
+                f"connected to {self.endpoint}, but nothing is published on {tail}: no pipeline runs "
+                f"there{names}"
             )
         if self.credentials is None:
             return why_unreached([self.endpoint], None)
@@ -72,7 +80,7 @@ class Gateway:
 
 
 def gateway_of(arguments: argparse.Namespace) -> Gateway | None:
-    """The gateway that is meant, None for the pipeline of this machine. Raises InputError."""
+    """The gateway that the options name; None for a pipeline on this machine. Raises InputError."""
     from huepose_protos.reach import address_of, endpoint_of
 
     if arguments.gateway is None:
@@ -89,18 +97,18 @@ def gateway_of(arguments: argparse.Namespace) -> Gateway | None:
         raise InputError("--gateway", found=arguments.gateway, expected="HOST or HOST:PORT") from None
     credentials = None if arguments.tls is None else Credentials(*arguments.tls)
     if credentials is not None:
-        credentials.context()  # an error of the files is said before any waiting
+        credentials.context()  # reports wrong files before any waiting
     return Gateway(endpoint, credentials)
 
 
 _POSES = "pose/**"
-# Keys that could be an object's name.
+# Keys that look like an object's name.
 _NAMES = frozenset({"frame", "truth", "camera", "mount", "objects", "control", "correction"})
 _CSV_HELP = (
     "write TRACKING poses to a new file instead, one per row: frame, object, position in "
     "metres, quaternion x y z w (both in the camera's frame), instance, capture time in "
     "seconds, quality. While a recording is played, the time is that of playback, and "
-    "`frame` is the number of the image in the recording; in a loop it goes on counting"
+    "`frame` is the number of the image in the recording; in a loop it keeps counting"
 )
 _HEADING = (
     " frame object/instance state quality   position x y z   rotation as a quaternion x y z w   "
@@ -111,7 +119,7 @@ _SAY_WAITING_AFTER_S = 3.0
 
 
 def add_parser(subparsers: Any) -> None:
-    """Add the verb."""
+    """Add the command."""
     parser = subparsers.add_parser("poses", help="print the poses of a running pipeline")
     parser.add_argument(
         "key",
@@ -151,7 +159,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def _key(text: str) -> str:
-    """The key that is meant: a name that is none is an object's.
+    """The key for the first argument; a name that is not a key means the poses of that object.
 
     >>> _key("mug"), _key("objects"), _key("pose/mug/0")
     ('pose/mug/**', 'objects', 'pose/mug/0')
@@ -162,8 +170,8 @@ def _key(text: str) -> str:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Print until interrupted, or until the pipeline that was seen here is gone."""
-    gateway, stopping = gateway_of(arguments), until_told()
+    """Print until interrupted, or until the pipeline of this machine has ended."""
+    gateway, stopping = gateway_of(arguments), catch_stop_signals()
     if arguments.csv is not None or arguments.tum is not None:
         return _write(arguments, _messages(arguments, gateway, stopping))
     headed = arguments.json or not arguments.key.startswith("pose/")
@@ -177,7 +185,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _write(arguments: argparse.Namespace, messages: Iterator[Message]) -> int:
-    """Into files, until interrupted; exit code 1 where nothing was written."""
+    """Write poses to files until interrupted; exit code 1 if there were none."""
     from huepose_services.cli.pose_export import PoseFiles
 
     beside = [
@@ -203,28 +211,29 @@ def _write(arguments: argparse.Namespace, messages: Iterator[Message]) -> int:
 def _messages(
     arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]
 ) -> Iterator[Message]:
-    """What is asked for, until interrupted, or until the pipeline of this machine is gone."""
-    only = _Only(arguments.key)
+    """The messages of the chosen key, until interrupted, or until the pipeline of this machine has ended."""
+    check = _ObjectCheck(arguments.key)
     if gateway is None:
-        yield from _messages_here(arguments, stopping, only)
+        yield from _messages_here(arguments, stopping, check)
         return
-    for message in gateway.messages(arguments.key, stopping, *only.keys):
-        if not only.looked_up(message):
+    for message in gateway.messages(arguments.key, stopping, *check.keys):
+        if not check.consumes(message):
             yield message
 
 
-class _Only:
-    """The one object whose poses a key asks for, which the pipeline may not look for: a list of its objects
-    tells. `keys`: of that list, none where the key asks for no such poses."""
+class _ObjectCheck:
+    """Checks that the pipeline searches for the object whose poses a key asks for, by its list of objects.
+
+    keys: the key of that list; empty if the key is not for the poses of one object."""
 
     def __init__(self, key: str) -> None:
         match = re.fullmatch(r"pose/([^/*]+)/.+", key)
         self._name = match and match[1]
         self.keys = ("objects",) if match else ()
 
-    def looked_up(self, message: Message) -> bool:
-        """Whether it is such a list, which nobody asked for. Raises InputError where the first one is without
-        the object: what is removed later is no mistake of who asked."""
+    def consumes(self, message: Message) -> bool:
+        """Whether the message is such a list, which is not printed. Raises InputError if the object is not
+        in the first list; it may be missing in later ones, because it can be removed at any time."""
         from huepose_protos.messages import ObjectsMessage
 
         if not (self.keys and isinstance(message, ObjectsMessage)):
@@ -236,24 +245,24 @@ class _Only:
         if name not in known:
             raise InputError(
                 name,
-                found="no object of that name that is looked for",
+                found="no object of that name that is searched for",
                 expected=f"one of {', '.join(known)}" if known else "one that is: none is now",
-                fix=did_you_mean(name, known) or f"Look for it: huepose objects add {name}",
+                fix=did_you_mean(name, known) or f"Search for it: huepose objects add {name}",
             )
         return True
 
 
-_NOT_TOLD = (
-    "poses come, but nobody tells where the camera is: of one that is fixed camera.mount of pipeline.yaml "
-    "does, of one that moves (camera.moving, camera.tf) MountSender of huepose_protos, or /tf by the worker "
-    "ros2 (docs/ros2.md)"
+_NO_CAMERA_POSE = (
+    "poses arrive, but the camera pose is not known. For a fixed camera, set camera.mount in pipeline.yaml. "
+    "For a moving one (camera.moving, camera.tf), send it by MountSender of huepose_protos, or by /tf and "
+    "the worker ros2 (docs/ros2.md)"
 )
 
 
 def _poses_on_robot(
     arguments: argparse.Namespace, gateway: Gateway | None, stopping: Callable[[], bool]
 ) -> Iterator[Message]:
-    """Until interrupted. Raises InputError beside a key of what is no pose."""
+    """Poses in the robot's frame, until interrupted. Raises InputError if another key is given."""
     from huepose_protos.pose_client import PoseClient
 
     if arguments.key != _POSES:
@@ -271,14 +280,14 @@ def _poses_on_robot(
             elif time.monotonic() > say_at:
                 say_at = time.monotonic() + _SAY_WAITING_AFTER_S
                 unplaced = client.latest(max_age_s=_SAY_WAITING_AFTER_S) is not None
-                before, said = said, _NOT_TOLD if unplaced else client.why_silent()
+                before, said = said, _NO_CAMERA_POSE if unplaced else client.why_silent()
                 if said != before:
                     say(said)
 
 
 def _endpoints_of_mounted(arguments: argparse.Namespace) -> list[str]:
-    """Where the workers of the pipeline listen. Raises InputError where by its file nobody will ever tell
-    where the camera is."""
+    """Where the workers of the pipeline listen. Raises InputError if its file has neither a mount nor
+    another source of the camera pose."""
     from huepose_services.runtime.config import load
 
     pipeline = chosen(arguments)
@@ -295,26 +304,26 @@ def _endpoints_of_mounted(arguments: argparse.Namespace) -> list[str]:
 
 
 def _messages_here(
-    arguments: argparse.Namespace, stopping: Callable[[], bool], only: _Only
+    arguments: argparse.Namespace, stopping: Callable[[], bool], check: _ObjectCheck
 ) -> Iterator[Message]:
     import zenoh
 
     from huepose_protos.client import Reader
     from huepose_protos.messages import HealthMessage
 
-    awaited(arguments, stopping)
-    pipeline, said, told = chosen(arguments), "", set[str]()
+    wait_for_pipeline(arguments, stopping)
+    pipeline, said, warned = chosen(arguments), "", set[str]()
     key, health = pipeline.key(arguments.key), pipeline.key("health/**")
     asks_for_health = zenoh.KeyExpr(key).intersects(zenoh.KeyExpr(health))
-    beside = [*([] if asks_for_health else [health]), *map(pipeline.key, only.keys)]
+    beside = [*([] if asks_for_health else [health]), *map(pipeline.key, check.keys)]
     say_at = time.monotonic() + _SAY_WAITING_AFTER_S
     with Reader(pipeline.endpoints, key, *beside) as reader:
         while not stopping() and not _is_over(reader):
             message = reader.next(0.1)
             if isinstance(message, HealthMessage):
-                _warn(message, told)
+                _warn(message, warned)
                 message = message if asks_for_health else None
-            if message is not None and not only.looked_up(message):
+            if message is not None and not check.consumes(message):
                 say_at = float("inf")
                 yield message
             elif time.monotonic() > say_at:
@@ -326,16 +335,16 @@ def _messages_here(
             say(f"{pipeline.name} has ended")
 
 
-def _warn(health: HealthMessage, told: set[str]) -> None:
-    """What a worker warns of, each once: poses that come all the same may be off for it."""
+def _warn(health: HealthMessage, warned: set[str]) -> None:
+    """Print each warning of a worker once: the poses that are printed may be wrong because of it."""
     for text in health.warnings:
-        if text not in told:
-            told.add(text)
+        if text not in warned:
+            warned.add(text)
             say(f"{health.worker}: {text}")
 
 
 _SHOW_ONLY = ("gateway", "viewer", "ros2")
-"""Workers without which poses come here all the same."""
+"""Workers that poses do not depend on here."""
 
 
 def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
@@ -343,7 +352,7 @@ def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
 
     if not reader.seen:
         return f"waiting for a pipeline: {pipeline.absence}"
-    what = f"nothing is said on {key} yet"
+    what = f"nothing is published on {key} yet"
     if "/pose/" in key and pipeline.elsewhere:
         return pipeline.elsewhere
     if "/pose/" in key:
@@ -353,12 +362,12 @@ def _silence(reader: Reader, pipeline: Pipeline, key: str) -> str:
             return f"the pipeline runs without {', '.join(away)}: starting, or ended; its log says which"
         what = "no object has been found yet" if key.endswith(_POSES) else what
     elif key.endswith("/truth"):
-        what = f"nothing is said on {key}: it takes `camera.truth: true`, and a source that knows the truth"
-    return f"the pipeline runs, but {what}; `huepose status` says how it is"
+        what = f"nothing is published on {key}: it needs `camera.truth: true`, and a source with ground truth"
+    return f"the pipeline runs, but {what}; `huepose status` shows its state"
 
 
 def _is_over(reader: Reader) -> bool:
-    """The pipeline was there, and has been gone for a while."""
+    """Whether the pipeline was there, and has been gone for _GONE_AFTER_S."""
     if not reader.seen or reader.live or reader.gone_since is None:
         return False
     return reader.pending == 0 and time.monotonic() - reader.gone_since >= _GONE_AFTER_S

@@ -1,4 +1,4 @@
-"""`huepose record`: what a running pipeline sees, says and takes in, into a file, until Ctrl-C or its end."""
+"""`huepose record`: record frames and messages of a running pipeline to a file, until Ctrl-C or its end."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from huepose_services.cli.options import (
     add_json,
     add_number,
     add_seconds,
-    awaited,
+    catch_stop_signals,
     chosen_config,
     say,
-    until_told,
+    wait_for_pipeline,
 )
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def add_parser(subparsers: Any) -> None:
         action="store_true",
         help="colour as JPEG: a third of the size, but not lossless (no --verify)",
     )
-    add_number(parser, "--part", 2048, "go on in a new file at this size (2048)", "MIB")
+    add_number(parser, "--part", 2048, "start a new file at this size (2048)", "MIB")
     parser.add_argument(
         "--keep",
         type=int,
@@ -51,7 +51,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Record until it ends or is interrupted."""
+    """Record until the pipeline ends, a limit is reached, or the user interrupts."""
     from huepose_services.recording.parts import SUFFIX, Limits, Parts
     from huepose_services.recording.record import Recorder, about_this_machine
     from huepose_services.runtime.bus import Bus
@@ -64,20 +64,20 @@ def call(arguments: argparse.Namespace) -> int:
         raise InputError(
             "--part, --keep, --free",
             found=f"{part}, {'none' if keep is None else keep}, {free}",
-            expected="--part 1 or more, --keep no less than that, --free 0 or more",
+            expected="--part 1 or more, --keep at least --part, --free 0 or more",
         )
-    stopping = until_told()
+    stopping = catch_stop_signals()
     come_first("record")
     limits = Limits(part << 20, None if keep is None else keep << 20, free << 20)
     parts = Parts(
         arguments.out, limits, this_clock().realtime_offset_ns, about_this_machine(), arguments.jpeg
     )
     if parts.path != arguments.out:
-        say(f"{arguments.out} does not end in {SUFFIX}: it is written to {parts.path}")
+        say(f"{arguments.out} does not end in {SUFFIX}: the recording is written to {parts.path}")
     try:
-        awaited(arguments, stopping)
-        config = chosen_config(arguments, names_do=True)
-    except InputError:  # several run now
+        wait_for_pipeline(arguments, stopping)
+        config = chosen_config(arguments, names_suffice=True)
+    except InputError:  # by now several pipelines run
         parts.close()
         parts.path.unlink()
         raise
@@ -96,7 +96,7 @@ def call(arguments: argparse.Namespace) -> int:
             if time.monotonic() >= end_at:
                 break
     except OSError as error:
-        say(f"\nhuepose record: {error.strerror or error}; what was written stays")
+        say(f"\nhuepose record: {error.strerror or error}; what was written is kept")
         code = 1
     recorder.close()
     bus.close()
@@ -107,7 +107,7 @@ def call(arguments: argparse.Namespace) -> int:
         say(f"\nhuepose record: {error.strerror or error}; the end is missing")
         code = 1
     if recorder.span.first_ns is None:
-        say("\nhuepose record: no pipeline said anything, so nothing was recorded")
+        say("\nhuepose record: no pipeline published anything, so nothing was recorded")
         parts.path.unlink(missing_ok=True)
         code = 1
     elif not arguments.json:
@@ -120,8 +120,9 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _answer(recorder: Recorder, parts: Parts) -> dict[str, Any]:
-    """What is in the files, for programs. `frames`: all of them, `frames_before`: those of `before_s`.
-    `lost`: frames and steps of the tracker that came in no way."""
+    """What the files contain, for programs. `frames`: all frames; `frames_before`: those of the `before_s`
+    seconds before the recording began, which the tracker still had. `missed`: frames that arrived but were
+    not written; `lost`: frames and steps of the tracker that did not arrive even on request."""
     span = recorder.span
     return {
         "files": [str(path) for path in parts.paths if path.exists()],
@@ -145,7 +146,7 @@ def _how_far(recorder: Recorder, parts: Parts) -> str:
         size += f" ({parts.size / 1e6 / (span.seconds + span.before_s):.0f} MB/s)"
     if span.older:
         older = counted(span.older, "older frame")
-        size += f", and {older} ({span.before_s:.1f} s) that the tracker still remembers"
-    first, *later = parts.paths  # those that --keep has left
+        size += f", and {older} ({span.before_s:.1f} s) that the tracker still had"
+    first, *later = parts.paths  # those that --keep has not deleted
     files = f"{first} to {later[-1].name}" if later else str(first)
     return f"{files}: {size}{missed}"

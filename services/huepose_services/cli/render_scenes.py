@@ -1,4 +1,4 @@
-"""`huepose render-scenes`: labelled frames of heaps of objects, drawn from their meshes."""
+"""`huepose render-scenes`: labelled frames of heaps of objects, rendered from their meshes."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Read the meshes, draw, say what is there."""
+    """Read the meshes, render the frames, print how many there are."""
     from huepose.datasets.bop import BopScene
     from huepose.datasets.bop_writer import write_models_folder
     from huepose.scenes.rendered import PILES, SceneRanges, write_rendered_set
@@ -70,7 +70,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _builtin(ids: Collection[int] | None, textures: int) -> dict[int, tuple[str, Mesh]]:
-    """The demo's objects, or those of them that are named, by number. Raises InputError."""
+    """Name and mesh of the demo's objects, or of those with these ids, by id. Raises InputError."""
     from huepose.scenes.shapes import demo_objects
 
     every = dict(enumerate(demo_objects(textures).items(), 1))

@@ -1,4 +1,4 @@
-"""`huepose replay`: plays a recording on the bus, computes its poses again, or writes it as a BOP scene."""
+"""`huepose replay`: play a recording on the bus, compute its poses again, or write it as a BOP scene."""
 
 from __future__ import annotations
 
@@ -12,7 +12,14 @@ from typing import TYPE_CHECKING, Any
 
 from huepose.support.errors import InputError
 from huepose.support.progress import Status
-from huepose_services.cli.options import add_number, add_path, answered, number_of, say, until_told
+from huepose_services.cli.options import (
+    add_number,
+    add_path,
+    catch_stop_signals,
+    number_of,
+    print_result,
+    say,
+)
 from huepose_services.runtime.threads import single_threaded
 
 if TYPE_CHECKING:
@@ -33,7 +40,7 @@ def add_parser(subparsers: Any) -> None:
         "let a pipeline estimate new poses in its frames, set camera.source: recording.",
     )
     parser.add_argument(
-        "files", type=Path, nargs="+", metavar="FILE", help="a recording; of several parts in their order"
+        "files", type=Path, nargs="+", metavar="FILE", help="a recording; all its parts in their order"
     )
     add_path(
         parser,
@@ -60,8 +67,8 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Play until the end, or until interrupted; or verify; or export."""
-    # As in the tracker's worker: what a long sum comes to depends on how many threads share it.
+    """Play until the end or until interrupted, or verify, or export."""
+    # As in the tracker's worker: the result of a long sum depends on the number of threads that share it.
     single_threaded()
     from huepose_services.recording.read import Recording
 
@@ -75,7 +82,7 @@ def call(arguments: argparse.Namespace) -> int:
         print(f"{arguments.bop}: {exported.text}")
         _say_cut(recordings)
         if not exported.frames:
-            say("huepose replay: there is no frame in it, so there is no scene (--no-frames records none)")
+            say("huepose replay: the recording has no frames (--no-frames), so no scene is written")
         return 0 if exported.frames else 1
     return _play(arguments, recordings)
 
@@ -95,7 +102,7 @@ def _verify(recordings: list[Recording], arguments: argparse.Namespace) -> int:
 
     report = verify(recordings, arguments.bundles)
     _say_cut(recordings)
-    answered(arguments, asdict(report), report.text)
+    print_result(arguments, asdict(report), report.text)
     return 0 if report.steps and not report.difference else 1
 
 
@@ -110,14 +117,14 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
 
     cameras = _of_cameras(arguments, recordings)
     names = ", ".join(f"{config.site}/{config.camera.name}" for config, _ in cameras)
-    stopping = until_told()
+    stopping = catch_stop_signals()
     with ExitStack() as stack:
         buses = [_bus(config, stack) for config, _ in cameras]
         for config, files in cameras:
-            # No workers: nobody is missing who does not run.
+            # Without workers, because none run, and so none is reported as missing.
             played = replace(described(config, arguments.config or files[0].path), workers=())
             stack.enter_context(noted(played))
-        # Who waits for a pipeline needs a moment to connect.
+        # Commands that wait for a pipeline need a moment to connect.
         time.sleep(_SETTLE_S)
         began_ns, again, status = now_ns(), True, Status()
         while again and not stopping():
@@ -155,7 +162,7 @@ def _play(arguments: argparse.Namespace, recordings: list[Recording]) -> int:
 def _of_cameras(
     arguments: argparse.Namespace, recordings: list[Recording]
 ) -> list[tuple[Config, list[Recording]]]:
-    """Which recordings are played as which camera of the file."""
+    """The cameras of the configuration, each with the recordings that are played as that camera."""
     from huepose_protos.keys import camera_of
     from huepose_services.runtime.config import Config, load, load_all
 
@@ -173,14 +180,14 @@ def _of_cameras(
                 recording.path,
                 found=f"a recording of camera '{camera}'" if camera else "no messages",
                 expected=f"one of {', '.join(of)}, which {arguments.config} has",
-                fix="Say as which camera it is played: --camera NAME.",
+                fix="Choose the camera to play it as: --camera NAME.",
             )
         of[camera].append(recording)
     return [(config, of[config.camera.name]) for config in configs if of[config.camera.name]]
 
 
 def _bus(config: Config, stack: ExitStack) -> Bus:
-    """In the place of a camera's workers, until the stack is left."""
+    """A bus that publishes in place of a camera's workers, until the stack is left."""
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.session import open_player_session
 

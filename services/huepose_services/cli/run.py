@@ -1,4 +1,4 @@
-"""`huepose run WORKER`: one worker in this process."""
+"""`huepose run WORKER`: run one worker in this process."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Run until told to stop."""
+    """Run until a signal stops it."""
     from huepose_services.runtime.tied import SUPERVISOR, end_with
 
     camera, _, worker = arguments.worker.rpartition(".")
-    # Before anything that takes time: whoever started this process may die meanwhile.
+    # Before anything that takes time, because the supervisor may die meanwhile.
     if (supervisor := os.environ.get(SUPERVISOR)) is not None:
         end_with(int(supervisor), ask_first=worker == "camera")
     from huepose_services.runtime.config import WORKERS, load
 
-    # One that comes while it starts is for a file that it has yet to read.
+    # A request to reload that comes during the start is not needed: the file is still to be read.
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     config = load(arguments.config, camera or None).beside(worker)
     if worker not in WORKERS:
@@ -48,9 +48,9 @@ def call(arguments: argparse.Namespace) -> int:
     from huepose_services.runtime.running import described, noted
     from huepose_services.runtime.worker import run_worker
 
-    # Under a supervisor that one has noted the whole pipeline.
+    # If a supervisor started it, that one has already noted the whole pipeline.
     with noted(described(config, arguments.config)) if supervisor is None else nullcontext():
         code = run_worker(worker, config, arguments.config.absolute(), camera or None)
-    # All is closed; taking numba and OpenCV apart would only make stopping take longer.
+    # Everything is closed; unloading numba and OpenCV would only delay the exit.
     sys.stderr.flush()
     os._exit(code)

@@ -1,4 +1,4 @@
-"""`huepose secure`: an authority for the gateway, certificates for readers, and taking them back."""
+"""`huepose secure`: make an authority for the gateway, make certificates of readers, and revoke them."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Do it, and say what to do with it."""
+    """Make or revoke certificates, and print how to use them."""
     from huepose_services.authority import AUTHORITY, GATEWAY, REVOKED, Authority
 
     folder, action = arguments.folder.absolute(), arguments.action
@@ -53,7 +53,7 @@ def call(arguments: argparse.Namespace) -> int:
         Authority.make(folder, hosts, arguments.days)
         files = {"authority": AUTHORITY, "certificate": GATEWAY, "revoked": REVOKED}
         print(f"{folder}: an authority, and the gateway's certificate for {', '.join(hosts)}.")
-        print("Keep the folder here. In pipeline.yaml, with `gateway` among the workers:\n")
+        print("Keep this folder on this computer. In pipeline.yaml, with `gateway` among the workers:\n")
         print("gateway:\n  listen: 0.0.0.0:7447\n  tls:")
         print("\n".join(f"    {key}: {folder / name}.pem" for key, name in files.items()))
         there = "" if arguments.folder == _FOLDER else f" --folder {shlex.quote(str(arguments.folder))}"
@@ -68,24 +68,24 @@ def call(arguments: argparse.Namespace) -> int:
             authority.certificate(arguments.name),
             authority.key(arguments.name),
         ]
-        print(f"Take to {arguments.name}: {' '.join(map(str, files_of_reader))}")
+        print(f"Copy to {arguments.name}: {' '.join(map(str, files_of_reader))}")
         names = " ".join(path.name for path in files_of_reader)
         print(f"There, as a reader: huepose poses --gateway HOST --tls {names}")
         print("There, as the second computer of a pipeline (`hosts`): put them in the folder `link.secure`")
     elif action == "host":
         hosts = authority.add_hosts(arguments.names, arguments.days)
         print(f"{folder}: the gateway's certificate is now for {', '.join(hosts)}.")
-        print("A gateway that runs has noticed within a second. Readers keep their files.")
+        print("A running gateway uses it within a second. Readers keep their files.")
         _note_unreachable(arguments.names)
     else:
         authority.revoke(arguments.name)
-        print(f"{arguments.name} no longer reads: a gateway that runs has noticed within a second.")
+        print(f"{arguments.name} is revoked: a running gateway refuses it within a second.")
     return 0
 
 
 def _note_unreachable(hosts: Iterable[str]) -> None:
     for host in (host for host in hosts if ":" in host):
-        say(f"note: by TLS no reader reaches {host}, an address of IPv6: give a name that stands for it")
+        say(f"note: readers cannot reach the IPv6 address {host} over TLS: give a name for it")
 
 
 def _own_names() -> list[str]:

@@ -1,4 +1,4 @@
-"""`huepose status` and `huepose top`: how a running pipeline is, once and every second."""
+"""`huepose status` and `huepose top`: the state of a running pipeline, once or every second."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_choice, add_seconds, chosen, say, until_told
+from huepose_services.cli.options import add_choice, add_seconds, catch_stop_signals, chosen, say
 
 if TYPE_CHECKING:
     from huepose_protos.messages import HealthMessage, PoseMessage
     from huepose_services.watch import View
 
-# Health comes once a second, and from a worker in the middle of long work later.
+# Health comes once a second; from a worker in the middle of a long task it comes later.
 _LEAST_S, _MOST_S = 1.2, 4.0
 _CLEAR, _EVERY_S = "\x1b[H\x1b[J", 1.0
 
@@ -33,7 +33,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Listen for a moment, print; exit code 1 when nothing runs or a worker is missing."""
+    """Listen for a moment, print; exit code 1 if nothing runs, or a worker is missing or silent."""
     from huepose_services.watch import Watch
 
     pipeline = chosen(arguments, tell=False)  # the first line names it
@@ -50,12 +50,12 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def call_again(arguments: argparse.Namespace) -> int:
-    """Show until interrupted."""
+    """Show the state every second until interrupted."""
     from huepose_services.watch import Watch
 
     pipeline = chosen(arguments, tell=False)  # the first line names it
     until = float("inf") if arguments.seconds is None else time.monotonic() + arguments.seconds
-    stopping = until_told()
+    stopping = catch_stop_signals()
     with Watch(pipeline) as watch:
         shown = ""
         while not stopping() and time.monotonic() < until:
@@ -92,15 +92,15 @@ _COLUMNS = {
     "worker": "<10", "state": "<9", "rate": ">6", "work ms": ">13", "age ms": ">13", "CPU": ">5", "MiB": ">5",
     "locked": ">6", "frames by": ">10", "drops": ">7", "errors": ">6", "restarts": ">8",
 }  # fmt: skip
-"""How each is written."""
+"""The columns, each with its format."""
 
 _HEAD = {name: name for name in _COLUMNS}
 _GO_FIRST = ("locked", "frames by", "MiB", "age ms", "work ms")
-"""Where the terminal is too narrow for all."""
+"""Columns that are left out first if the terminal is too narrow."""
 
 
 def _shown(width: int | None) -> list[str]:
-    """The columns that so many characters have room for."""
+    """The columns that fit into `width` characters; all if it is None."""
     shown = list(_COLUMNS)
     for name in _GO_FIRST:
         if width is None or len(_row(_HEAD, shown)) <= width:
@@ -115,33 +115,33 @@ def _row(cells: Mapping[str, str], shown: Sequence[str]) -> str:
 
 
 def _width() -> int | None:
-    """Of the terminal, in characters; None where the output is none."""
+    """Width of the terminal in characters; None if the output is no terminal."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
 def as_text(view: View, width: int | None = None) -> str:
-    """Several lines without colour: one for each worker, one for each object. width: characters that the
-    table of workers may take, None for all that it needs."""
+    """The state as lines: one for each worker, then one for each object. width: characters that the table of
+    workers may take; None for no limit."""
     from huepose_services.runtime.config import WORKERS
 
     lines = [f"{view.pipeline.name} at port {view.pipeline.base_port}   {view.pipeline.file}".rstrip()]
     if view.pipeline.played:
-        lines.append("a recording that is played: its workers as they were then, none runs now")
+        lines.append("a recording is played: its workers are shown as they were then, none runs now")
     shown = _shown(width)
     lines.append(_row(_HEAD, shown))
     order = [w for w in WORKERS if w in view.health or w in view.missing or w in view.silent]
     for worker in order:
         message = view.health.get(worker)
         if worker in view.missing:
-            lines.append(f"{worker:10s} is not there: it starts, stops or has ended; the log says which")
+            lines.append(f"{worker:10s} is not there: starting, stopping or ended; the log says which")
         elif message is None:
-            lines.append(f"{worker:10s} is there and says nothing")
+            lines.append(f"{worker:10s} is there, but sends no health messages")
         else:
             lines.append(_row(_worker(message, worker in view.silent), shown))
     said: dict[str, str] = {}
     for message in sorted(view.health.values(), key=lambda m: m.worker != "camera"):
         for text in message.warnings:
-            # What others repeat of the camera's stands with the camera.
+            # A warning of the camera that other workers repeat is printed once, as the camera's.
             if text not in said:
                 said[text] = message.worker
                 lines.append(f"  {message.worker}: {text}")
@@ -154,12 +154,12 @@ def as_text(view: View, width: int | None = None) -> str:
     rows = [(_pose(pose), _cause(pose, camera)) for pose in view.poses.values()]
     with_poses = {name for name, _ in view.poses}
     if view.objects == []:
-        lines.append("nothing is looked for; `huepose objects add NAME` changes that")
+        lines.append("no object is searched for; `huepose objects add NAME` adds one")
     for entry in view.objects or []:
         if entry.searching:
             text = f"SEARCHING  {entry.searching} of {entry.max_instances} not found yet"
         elif entry.object not in with_poses:
-            text = "no pose    it was found before, and no pose of it comes now"
+            text = "no pose    it was found before, but no pose of it arrives now"
         else:
             continue
         known = camera.picture if camera is not None and entry.reason else ""
@@ -173,7 +173,9 @@ def as_text(view: View, width: int | None = None) -> str:
 
 
 def _without(said: dict[str, str], reason: str) -> str:
-    """A reason without what stands above already. said: the worker that said it, by text.
+    """A reason in which a warning that was printed above is replaced by a reference to it.
+
+    said: the worker of each printed warning, by its text.
 
     >>> _without({"cam: slow": "camera"}, "No picture comes. cam: slow")
     'No picture comes. See the camera above.'
@@ -215,8 +217,8 @@ def _pose(pose: PoseMessage) -> str:
 
 
 def _cause(pose: PoseMessage, camera: HealthMessage | None) -> str:
-    """What the camera knows of its pictures is the cause of all that is seen in them. Of a later one its pose
-    says itself what the camera knew."""
+    """Why a pose is not TRACKING: the camera's fault (`picture`) if any, because it causes the others.
+    For a frame after the camera's message it is the pose's own reason, which includes such a fault."""
     if not pose.reason or camera is None or pose.capture_ns > camera.publish_ns:
         return pose.reason
     return camera.picture or pose.reason

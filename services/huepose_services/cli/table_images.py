@@ -1,4 +1,4 @@
-"""The runs of `huepose eval tables` over single frames."""
+"""Single frames for `huepose eval tables`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from huepose_services.cli.evaluate_estimate import box_source
 from huepose_services.cli.evaluate_scenes import bop_objects, open_ycbv_folder
 
 METHODS = ("paper", "colorpair", "full")
-"""Of this program; each has a column of that name."""
+"""The methods of this program; each has a column of its name."""
 
 
 def images(
@@ -36,10 +36,10 @@ def images(
     named: Sequence[str] = (),
     equivalent: Path | None = None,
 ) -> tuple[dict[str, list[Entry]], list[str], dict[str, int]]:
-    """Entries by method, notes on what is not in them, labels of the whole set by object name.
+    """Entries by method, notes on what they lack, and the number of labels in the whole set by object name.
 
-    path: of the set, in a layout of YCB-Video; key: of its files in OUT/runs; objects: names or ids that are
-    asked for, None for all; named: `NAME=FILE.csv` of others; equivalent: a file of poses that count, too."""
+    path: the data set, in a layout of YCB-Video; key: prefix of its files in OUT/runs; objects: names or
+    ids, None for all; named: `NAME=FILE.csv` of other methods; equivalent: file of poses that count, too."""
     folder = open_ycbv_folder(path)
     scenes = folder.scenes if arguments.quick is None else spread(folder.scenes, arguments.quick)
     targets = Targets(models, objects)
@@ -51,7 +51,7 @@ def images(
     measured_on = bop_objects(folder.info, models) if folder.info is not None else {}
     submissions = [read_submission(one, set(ids)) for one in named]
     _check_names([submission.name for submission in submissions])
-    # What results depend on: a journal of other settings is not gone on with.
+    # What results depend on: a journal with other settings is not continued.
     common = {name: getattr(arguments, name) for name in ("profile", "boxes", "seed", "objects")} | {
         "version": __version__,
         "models": models_digest(targets.models),
@@ -76,7 +76,7 @@ def images(
             given=submission.poses,
         )
         file = arguments.out / "runs" / f"{key}-submission-{submission.name}.jsonl"
-        file.unlink(missing_ok=True)  # nothing is estimated, and the file may be another one
+        file.unlink(missing_ok=True)  # it costs no estimation, and the CSV may have changed
         entries[submission.name] = run_images(Journal(file, common), scenes, setup, submission.name)
     n = sum(len(scene.image_ids) for scene in scenes)
     notes = [*folder.coverage.lines()]
@@ -101,18 +101,18 @@ def images(
 
 
 def _check_names(submissions: Sequence[str]) -> None:
-    """Raises InputError for results of others that are called as a method is, or as others are."""
+    """Raises InputError if a submission has the name of a method or of another submission."""
     for name in submissions:
         if name in METHODS or submissions.count(name) > 1:
             raise InputError(
                 f"--submission {name}=FILE",
-                found="a name of two columns",
-                expected=f"one of its own, other than {', '.join(METHODS)}",
+                found="one name for two columns",
+                expected=f"a unique name, other than {', '.join(METHODS)}",
             )
 
 
 def left_out(entries: Sequence[Entry]) -> list[str]:
-    """Of the first method; the others see the same files."""
+    """Notes on labels and images that are not measured. One method's entries suffice: all read the same."""
     broken = [entry for entry in entries if "error" in entry]
     without = sum(entry.get("without_model", 0) for entry in entries)
     lines = [f"{without} labels of objects without a reference model are not measured"] if without else []

@@ -1,4 +1,4 @@
-"""The runs of `huepose eval tables` over sequences."""
+"""Sequences for `huepose eval tables`."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from huepose_services.cli.table_images import left_out
 
 @dataclass(frozen=True)
 class TrackSource:
-    """path: in Fast-YCB's layout; key: of its files in OUT/runs; expected: names of the objects that the
-    whole set has sequences of; start: first poses, None for DOPE's where the set has them; objects: names or
-    ids that are asked for, none for all."""
+    """A set of sequences. path: in Fast-YCB's layout; key: prefix of its files in OUT/runs; expected: names
+    of the objects in the whole set; start: first poses, None for DOPE's where the set has them, else
+    labels; objects: names or ids that are asked for, empty for all."""
 
     path: Path
     key: str
@@ -43,14 +43,14 @@ class TrackSource:
     objects: Sequence[str] = ()
 
     def asks(self, name: str) -> bool:
-        """Sequences of an object of that name are asked for."""
+        """Whether sequences of an object of that name are asked for."""
         known = ycb_named(name)
         names = {name} if known is None else {name, str(known.object_id)}
         return not self.objects or not names.isdisjoint(self.objects)
 
     def opened(self, bundles: Path, broken: list[str]) -> tuple[list[Scene], dict[str, ReferenceModel]]:
-        """The sequences that are asked for, with the reference models of their objects; those that cannot be
-        opened are named in `broken`. Raises InputError where none is left."""
+        """The sequences that are asked for, with the reference models of their objects. Errors of sequences
+        that cannot be opened are added to `broken`. Raises InputError if none is left."""
         found = [path for path in labelled_sequences(self.path)[0] if self.asks(object_of(path))]
         if not found:
             raise InputError(
@@ -64,7 +64,7 @@ class TrackSource:
 def tracks(
     arguments: argparse.Namespace, source: TrackSource, bundles: Path
 ) -> tuple[dict[tuple[str, int], list[Entry]], list[str]]:
-    """Entries by method and step, notes on what is not in them."""
+    """Entries by method and frame step, and notes on what they lack."""
     import cv2
 
     cv2.setNumThreads(1)  # as the tracker's worker does
@@ -124,8 +124,8 @@ def tracks(
 
 
 def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) -> AblationResult | None:
-    """The paper's ablation by our closed form (`robust`) and a network as the paper's (`direct`); None where
-    no frames lie far enough apart."""
+    """The paper's ablation with our closed form (`robust`) and a network like the paper's (`direct`); None
+    if no frames are far enough apart."""
     scenes, models = source.opened(bundles, [])
     if arguments.quick is not None:
         scenes = [SomeImages(scene, scene.image_ids[: arguments.quick]) for scene in scenes]
@@ -153,12 +153,12 @@ def ablation(arguments: argparse.Namespace, source: TrackSource, bundles: Path) 
 
 
 def _dope_poses(path: Path) -> list[Path]:
-    """The files of DOPE's poses that a sequence has."""
+    """The files of DOPE's poses of a sequence."""
     places = (path / "dope" / name for name in ("poses_ycb.txt", "poses.txt"))
     return [place for place in places if place.exists()]
 
 
 def _inputs(path: Path, start: str, models: Mapping[str, ReferenceModel]) -> str:
-    """A digest of what a sequence is tracked with: its object's reference model, and DOPE's poses."""
+    """A digest of a sequence's inputs: its object's reference model, and DOPE's poses if they are used."""
     poses = _dope_poses(path) if start == "dope" else []
     return "-".join([models_digest([models[object_of(path)]]), *(digest(file)[:16] for file in poses)])

@@ -1,4 +1,4 @@
-"""`huepose train`: a network learned from what code draws, without a data set. Needs the extra `train`."""
+"""`huepose train`: train a network on generated data, without a data set. Needs the extra `train`."""
 
 from __future__ import annotations
 
@@ -74,31 +74,31 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
 
 
 def train_rotation(arguments: argparse.Namespace) -> int:
-    """Train, and say how good it became."""
+    """Train, and print the report."""
     from huepose.training.rotation import RotationTraining, train
 
     config = RotationTraining(**_common(arguments), kinds=tuple(arguments.kind))
     for kind, report in train(config, arguments.out, arguments.resume).items():
-        _told(arguments.out / f"{kind}.json", report)
+        _print_and_keep(arguments.out / f"{kind}.json", report)
     return 0
 
 
 def train_views(arguments: argparse.Namespace) -> int:
-    """Train, and say how good it became."""
+    """Train, and print the report."""
     from huepose.training.view_codes import NAME, ViewCodeTraining, train
 
     config = ViewCodeTraining(**_common(arguments), room=arguments.room)
-    _told(arguments.out / f"{NAME}.json", train(config, arguments.out, arguments.resume))
+    _print_and_keep(arguments.out / f"{NAME}.json", train(config, arguments.out, arguments.resume))
     return 0
 
 
 def _common(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What both are told."""
+    """The settings that both trainings share."""
     return {key: getattr(arguments, key) for key in ("hours", "seed", "workers", "device")}
 
 
-def _told(file: Path, report: dict[str, Any]) -> None:
-    """Print the report, which is also kept beside the network, with the command that made it."""
+def _print_and_keep(file: Path, report: dict[str, Any]) -> None:
+    """Print the report with the command that made it, and write both beside the network."""
     import sys
 
     whole = {"command": shlex.join(["huepose", *sys.argv[1:]]), **report}

@@ -1,10 +1,9 @@
-"""`huepose units`: systemd units of a pipeline.yaml: a template for all workers, what single ones need beside
-it, a target.
+"""`huepose units`: write systemd units for a pipeline.yaml.
 
-They are generated from pipeline.yaml, so the target starts exactly the workers that the file names, and the
-limits of `restarts` are those of `huepose up`. Every worker is a process of its own under an ordinary user:
-it sees no devices, no homes and no network but loopback, except where its work needs them.
-"""
+These are a template for all workers, additions for single workers, and a target. The target starts exactly
+the workers of the file, and the limits of `restarts` are those of `huepose up`. Each worker is a process of
+an ordinary user. It has no access to devices, home folders or the network, except loopback and what its
+work needs."""
 
 from __future__ import annotations
 
@@ -27,14 +26,14 @@ TEMPLATE, TARGET = "huepose@.service", "huepose.target"
 _FIRST = ("camera", "tracker")
 _FIRST_START = 5
 _SLOW = 4
-"""So many times its patience may a worker be silent that nobody misses at once: systemd neither doubles the
-time after each restart nor leaves out that in which others had the processors, as `huepose up` does."""
+"""Factor of the watchdog time for all workers but camera and tracker. Unlike `huepose up`, systemd does not
+double the time after a restart, and does not exclude the time in which other programs had the processors."""
 
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # noqa: S108  # nothing is written there
-"""What ProtectHome and PrivateTmp hide from the services."""
+"""Folders that ProtectHome and PrivateTmp hide from the services."""
 
 _UNIT = """\
-# Written by `huepose units`; make it again when pipeline.yaml changes.
+# Written by `huepose units`; run it again when pipeline.yaml changes.
 [Unit]
 Description=HuePose worker %i
 PartOf={target}
@@ -45,35 +44,35 @@ StartLimitBurst={burst}
 Type=notify
 NotifyAccess=main
 ExecStart={huepose} run %i {config}
-# Reads pipeline.yaml again, takes over what it can, and says what waits for a restart.
+# Reads pipeline.yaml again, applies what it can, and logs which changes need a restart.
 ExecReload=/bin/kill -HUP $MAINPID
 User={user}
 WorkingDirectory=/var/lib/huepose
 StateDirectory=huepose
 CacheDirectory=huepose
 Environment=XDG_CACHE_HOME=/var/cache/huepose NUMBA_CACHE_DIR=/var/cache/huepose/numba
-# The workers' sockets: nobody but this user opens the folder, which outlives the single worker.
+# The workers' sockets: only this user can open the folder, which outlives single workers.
 RuntimeDirectory=huepose
 RuntimeDirectoryMode=0700
 RuntimeDirectoryPreserve=yes
 Environment=HUEPOSE_RUN=/run/huepose
 Environment=HUEPOSE_NETWORKS=/var/lib/huepose/networks
 Environment={threads}
-# A worker that is ended for hanging says where it hung.
+# A worker that is killed because it hangs logs a stack trace.
 Environment=PYTHONFAULTHANDLER=1 PYTHONUNBUFFERED=1
 LimitCORE=0
 UnsetEnvironment=LD_PRELOAD LD_LIBRARY_PATH PYTHONPATH PYTHONHOME
 
-# Wrong input (2) stays wrong; everything else is tried again.
+# After wrong input (2) a restart is useless; after any other failure the worker is restarted.
 Restart=on-failure
 RestartSec=1
 RestartPreventExitStatus=2
 # The first start compiles its kernels, which takes minutes on a small board.
 TimeoutStartSec={start}
 TimeoutStopSec=5
-# Fed by the loop that works, not by a thread beside it: a worker that hangs is started again.
+# The worker's loop sends the heartbeat, not a separate thread, so a worker that hangs is restarted.
 WatchdogSec={watchdog}
-# Frames travel through shared memory, which is locked in memory.
+# Frames go through shared memory, which is locked.
 LimitMEMLOCK=infinity
 
 NoNewPrivileges=yes
@@ -106,7 +105,7 @@ UMask=0077
 """
 
 _CAMERA = """\
-# The camera's own devices, and news of what is plugged in.
+# The camera's own devices, and events when a device is plugged in.
 PrivateDevices=no
 DeviceAllow=char-usb_device rw
 DeviceAllow=char-video4linux rw
@@ -116,13 +115,13 @@ RestrictAddressFamilies=AF_NETLINK
 """
 
 _GPU = """\
-# The GPU: its devices have no group of one name on all boards.
+# The GPU: its device group has different names on different boards.
 PrivateDevices=no
 DevicePolicy=auto
 """
 
 _NETWORK = """\
-# Other machines may reach it.
+# Other machines can reach this worker.
 IPAddressDeny=
 IPAddressAllow=
 """
@@ -140,15 +139,15 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Write them, and remove what an earlier pipeline had and this one has not."""
+    """Write the units, and remove additions for workers that the pipeline no longer has."""
     from huepose_services.runtime.config import load_all
 
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
     command = (Path(sys.executable).parent / "huepose").absolute()
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_.-]*", arguments.user):
-        raise InputError("--user", found=arguments.user, expected="the name of a user")
+        raise InputError("--user", found=arguments.user, expected="a user name")
     files = units(configs, command, arguments.config.absolute(), arguments.user)
-    with writing(arguments.out, fix="Give another with --out, or run it as root."):
+    with writing(arguments.out, fix="Choose another folder with --out, or run it as root."):
         for old in arguments.out.glob("huepose@*.service.d/needs.conf"):
             if str(old.relative_to(arguments.out)) not in files:
                 old.unlink()
@@ -164,8 +163,8 @@ def call(arguments: argparse.Namespace) -> int:
     hidden = {what: path for what, path in used.items() if _is_hidden(path)}
     if hidden:
         say(
-            f"note: these units cannot work, as services see nothing of {', '.join(_HIDDEN)}. Put elsewhere, "
-            "what they read to /etc/huepose or /var/lib/huepose:"
+            f"note: these units cannot work, because services have no access to {', '.join(_HIDDEN)}. Move "
+            "the following elsewhere (files that the workers read to /etc/huepose or /var/lib/huepose):"
         )
         say("\n".join(f"  {what}: {path}" for what, path in hidden.items()))
     return 0
@@ -191,10 +190,10 @@ def _named(config: Config) -> dict[str, Path]:
 
 
 def units(configs: Sequence[Config], huepose: PurePath, config_path: PurePath, user: str) -> dict[str, str]:
-    """The files by name, relative to the folder of the units.
+    """The contents of the unit files by name, relative to the folder of the units.
 
-    configs: of each camera of pipeline.yaml; huepose: the command,
-    config_path: where pipeline.yaml will be, both absolute; user: whose processes."""
+    configs: one for each camera of pipeline.yaml; huepose: path of the command; config_path: path of
+    pipeline.yaml when the units run; both absolute; user: of the processes."""
     restarts = configs[0].restarts
     files = {
         TEMPLATE: _UNIT.format(
@@ -217,7 +216,7 @@ def units(configs: Sequence[Config], huepose: PurePath, config_path: PurePath, u
 
 
 def _instances(configs: Sequence[Config]) -> Iterator[tuple[Config, str, str]]:
-    """Each worker with its configuration and its unit, named as `huepose run` is told which one it is."""
+    """Each worker with its configuration and its unit; `huepose run` gets the unit's instance name."""
     for config in configs:
         of = f"{config.camera.name}." if len(configs) > 1 else ""
         yield from ((config, worker, f"huepose@{of}{worker}.service") for worker in config.workers)
@@ -230,10 +229,10 @@ def _target(configs: Sequence[Config]) -> str:
 
 
 def _extra(config: Config, worker: str) -> str:
-    """What a worker needs beyond the template; empty when nothing."""
+    """The additions to the template for a worker; empty if it needs none."""
     service = ""
     if worker in _FIRST:
-        service += "# Frames and tracking come first where the cores do not suffice for all.\nNice=-5\n"
+        service += "# Camera and tracker get CPU time first if there are too few cores.\nNice=-5\n"
         service += f"WatchdogSec={config.restarts.patience_s(worker):g}\n"
     if worker == "camera" and config.camera.source in ("realsense", "oak", "python"):
         service += _CAMERA

@@ -1,4 +1,4 @@
-"""`huepose up`: all workers of a pipeline, until Ctrl-C or the end of a recording."""
+"""`huepose up`: run all workers of a pipeline, until Ctrl-C or the end of a recording."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from huepose_services.cli.options import add_host, add_pipeline, say, until_told
+from huepose_services.cli.options import add_host, add_pipeline, catch_stop_signals, say
 
 if TYPE_CHECKING:
     from huepose_services.runtime.supervisor import Supervisor
@@ -23,7 +23,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Run until it ends or is interrupted."""
+    """Run until the pipeline ends or is interrupted."""
     from huepose_services.runtime.config import load_all
     from huepose_services.runtime.prepare import prepare
     from huepose_services.runtime.pulse import notify
@@ -33,7 +33,7 @@ def call(arguments: argparse.Namespace) -> int:
 
     configs = [config.at(arguments.host) for config in load_all(arguments.config)]
     with ExitStack() as notes:
-        # Before it is prepared, which may take minutes: who looks for it is told that it comes.
+        # Before the preparation, which may take minutes: other commands then know that it is starting.
         pipelines = [described(config, arguments.config) for config in configs]
         for pipeline in pipelines:
             notes.enter_context(noted(pipeline))
@@ -41,7 +41,7 @@ def call(arguments: argparse.Namespace) -> int:
             prepare(config)
             if (warning := namesake(pipeline)) is not None:
                 say(warning)
-        stopping, again = until_told(), asked_again()
+        stopping, again = catch_stop_signals(), asked_again()
         supervisors = [
             Supervisor(config, arguments.config, of=config.camera.name if len(configs) > 1 else None)
             for config in configs
@@ -49,15 +49,15 @@ def call(arguments: argparse.Namespace) -> int:
         try:
             for supervisor in supervisors:
                 supervisor.start()
-            told = False
+            notified = False
             while _go_on(supervisors) and not stopping():
                 asked = again()
                 for supervisor in supervisors:
                     supervisor.poll(_POLL_S / len(supervisors))
                     if asked:
                         supervisor.reload()
-                if not told and all(supervisor.ready for supervisor in supervisors):
-                    told = True
+                if not notified and all(supervisor.ready for supervisor in supervisors):
+                    notified = True
                     notify("READY=1")
         finally:
             notify("STOPPING=1")
@@ -69,6 +69,6 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _go_on(supervisors: list[Supervisor]) -> bool:
-    """Until the last camera's workers have come to their end, or one has a wrong configuration."""
+    """Whether the workers of some camera still run, and no configuration is wrong."""
     codes = [supervisor.exit_code for supervisor in supervisors]
     return None in codes and BAD_INPUT not in codes

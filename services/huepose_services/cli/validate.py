@@ -1,4 +1,4 @@
-"""`huepose validate`: whether a pipeline.yaml can be started."""
+"""`huepose validate`: check whether a pipeline.yaml can be started."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from huepose.support.words import first_of
-from huepose_services.cli.options import add_host, add_json, add_pipeline, answered
+from huepose_services.cli.options import add_host, add_json, add_pipeline, print_result
 
 if TYPE_CHECKING:
     from huepose_protos.messages import Mount
     from huepose_services.runtime.config import Config
 
 _FAR_M = 20.0
-"""No robot's camera is mounted farther off: such numbers are millimetres."""
+"""Largest coordinate of a mount without a warning: larger numbers are probably millimetres."""
 _NAMED = 5
-"""So many objects of a folder are named."""
+"""Most objects of a folder that are named."""
 
 
 def add_parser(subparsers: Any) -> None:
@@ -28,7 +28,7 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Read it, look for what it names, say what it is."""
+    """Read the file, check that what it names exists, print a summary."""
     from huepose_services.runtime.config import as_written, for_each_camera, text_of
     from huepose_services.runtime.config_errors import read_yaml
     from huepose_services.runtime.prepare import check, gaps
@@ -45,15 +45,16 @@ def call(arguments: argparse.Namespace) -> int:
             check_source(config)
     answers, summaries = zip(*(_described(config, written, path) for config in configs), strict=True)
     answer = answers[0] if len(answers) == 1 else {"file": str(path), "cameras": list(answers)}
-    note = ["  NOTE     the file is empty: everything is as in the built-in scene"]
+    note = ["  NOTE     the file is empty: all defaults apply, with the built-in scene"]
     lines = [f"{path}: good", *(note if data is None else []), *summaries]
     lines += [f"  WARNING  {gap}" for config in configs for gap in gaps(config)]
-    answered(arguments, answer, "\n".join(lines))
+    print_result(arguments, answer, "\n".join(lines))
     return 0
 
 
 def _described(config: Config, written: Config, path: Path) -> tuple[dict[str, Any], str]:
-    """What a configuration is, for programs and in words. written: what the file itself says."""
+    """A summary of a configuration, for programs and in words. written: the configuration of the file
+    itself, before it is resolved for one camera and computer."""
     import msgspec
 
     from huepose_protos.local import run_folder
@@ -89,7 +90,7 @@ def _described(config: Config, written: Config, path: Path) -> tuple[dict[str, A
     if config.camera.mount is not None:
         summary += f"\n  mount    {mount_in_words(config.camera.mount)}"
         if max(map(abs, config.camera.mount.translation)) > _FAR_M:
-            summary += "\n  WARNING  the mount is metres away: are its numbers millimetres?"
+            summary += f"\n  WARNING  the mount is over {_FAR_M:g} m away: are its numbers millimetres?"
     if config.host is not None:
         summary += f"\n  link     to {config.link.connect} as {config.host}, by TLS ({config.link.secure})"
     elif config.hosts:
@@ -99,7 +100,7 @@ def _described(config: Config, written: Config, path: Path) -> tuple[dict[str, A
 
 
 def _every(config: Config) -> str:
-    """Which objects are looked for where none is named."""
+    """The objects that are searched for if the configuration names none, in words."""
     if config.bundles is None:
         return "the built-in ones"
     from huepose.model.io import model_names
@@ -111,7 +112,7 @@ def _every(config: Config) -> str:
 
 
 def _limited(config: Config) -> list[str]:
-    """What onboarding said of the objects that do not suit, or suit with limits."""
+    """The verdicts of onboarding on the objects that do not suit, or suit with limits."""
     if config.bundles is None or not config.uses_models:
         return []
     from huepose_services import models
@@ -121,7 +122,7 @@ def _limited(config: Config) -> list[str]:
 
 
 def _never_boxed(config: Config) -> list[str]:
-    """A sentence where the detector's network knows only some of the objects."""
+    """A sentence if the detector's network does not know all objects; else nothing."""
     if "detector" not in config.network_workers:
         return []
     from huepose_services import models, networks
@@ -133,7 +134,7 @@ def _never_boxed(config: Config) -> list[str]:
 
 
 def _never_found(config: Config) -> list[str]:
-    """A sentence where a tracker waits for what no worker of the file does."""
+    """A sentence if there is a tracker, but workers that find objects for it are missing; else nothing."""
     if "tracker" not in config.workers:
         return []
     there = (*config.workers, *config.far)
@@ -142,19 +143,19 @@ def _never_found(config: Config) -> list[str]:
 
 
 def _unused(config: Config, written: Config) -> list[str]:
-    """A sentence for each section of a worker that the file sets, where that worker is not started."""
+    """A sentence for each section of the file whose worker is not started."""
     from huepose_services.runtime.config import Config
 
     there, default = (*config.workers, *config.far), Config()
     return [
-        f"the section `{worker}` is set, and {worker} is not among the workers"
+        f"the section `{worker}` is set, but {worker} is not among the workers"
         for worker in ("gateway", "viewer", "ros2")
         if worker not in there and getattr(written, worker) != getattr(default, worker)
     ]
 
 
 def _unread(config: Config) -> list[str]:
-    """A sentence for each key that is set, and that nothing reads with the kind or source that is chosen."""
+    """A sentence for each key that is set, but not used with the chosen kind or source."""
     from huepose_services.runtime.config_perception import DRAWN_SOURCES
 
     camera, detector, segmenter = config.camera, config.detector, config.segmenter
@@ -168,11 +169,12 @@ def _unread(config: Config) -> list[str]:
         why = f"segmenter.kind is {segmenter.kind}; it is for sam"
         groups.append(("segmenter", segmenter, ("encoder", "decoder"), why))
     if camera.source not in DRAWN_SOURCES:
-        groups.append(("camera", camera, ("seed",), f"camera.source is {camera.source}, which draws nothing"))
+        why = f"camera.source is {camera.source}, which renders nothing"
+        groups.append(("camera", camera, ("seed",), why))
     if not camera.once:
         groups.append(("camera", camera, ("first_frame_s",), "camera.once is false"))
     return [
-        f"{name}.{key} is set, and {why}"
+        f"{name}.{key} is set, but {why}"
         for name, section, keys, why in groups
         for key in keys
         if getattr(section, key) != getattr(type(section)(), key)
@@ -180,19 +182,19 @@ def _unread(config: Config) -> list[str]:
 
 
 def _drawn_once(config: Config) -> str:
-    """A sentence where more of an object are looked for than the drawn scene shows; else empty."""
+    """A sentence if more instances of an object are configured than the rendered scene shows; else empty."""
     several = [item.name for item in config.objects if item.max_instances > 1]
     if config.camera.source != "synthetic" or not several:
         return ""
-    return f"the drawn scene shows one of each: a second {several[0]} is looked for and not there"
+    return f"the rendered scene shows one of each: a second {several[0]} is searched for, but is not there"
 
 
 def mount_in_words(mount: Mount) -> str:
-    """Where a camera is and looks, so that metres and the axes of the optical frame can be checked by eye.
+    """The position and viewing direction of a camera, so that units and axes can be checked by eye.
 
     >>> from huepose_protos.messages import Mount
     >>> mount_in_words(Mount(parent="base", translation=(0.5, 0.0, 0.8), quaternion=(0.5, -0.5, 0.5, -0.5)))
-    "at 0.50 0.00 0.80 m in base, looks along 1.00 0.00 0.00, the picture's up is 0.00 0.00 1.00"
+    "at 0.50 0.00 0.80 m in base, looks along 1.00 0.00 0.00, the image's up is 0.00 0.00 1.00"
     """
     import numpy as np
 
@@ -203,7 +205,7 @@ def mount_in_words(mount: Mount) -> str:
         " ".join(f"{x + 0.0:.2f}" for x in np.round(v, 2))
         for v in (mount.translation, R_parent_cam[:, 2], -R_parent_cam[:, 1])
     )
-    return f"at {place} m in {mount.parent}, looks along {ahead}, the picture's up is {up}"
+    return f"at {place} m in {mount.parent}, looks along {ahead}, the image's up is {up}"
 
 
 def _way_of_frames(config: Config) -> str:
@@ -212,10 +214,8 @@ def _way_of_frames(config: Config) -> str:
     limit = lock_limit()
     pool = pool_size(config, limit) / MIB
     if pool == 0:
-        return "by the socket, as bus.frame_pool_mib is 0"
+        return "over the socket, because bus.frame_pool_mib is 0"
     kib = "no limit" if limit is None else f"limit {limit // 1024} KiB"
     if pool_fits(int(pool * MIB), limit):
-        return f"by shared memory, a pool of {pool:g} MiB (ulimit -l: {kib})"
-    return (
-        f"by the socket: a pool of {pool:g} MiB does not fit the memory that may be locked (ulimit -l: {kib})"
-    )
+        return f"through shared memory, a pool of {pool:g} MiB (ulimit -l: {kib})"
+    return f"over the socket: a pool of {pool:g} MiB exceeds the memory that may be locked (ulimit -l: {kib})"

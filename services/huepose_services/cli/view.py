@@ -1,4 +1,4 @@
-"""`huepose view`: what a running pipeline sees and believes, in a window, a browser or a file."""
+"""`huepose view`: show the images and poses of a running pipeline in a window, a browser or a file."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from huepose_services.cli.options import (
     add_choice,
     add_path,
     add_seconds,
-    awaited,
+    catch_stop_signals,
     chosen,
     chosen_config,
     number_of,
     say,
-    until_told,
+    wait_for_pipeline,
 )
 from huepose_services.runtime.threads import single_threaded
 
@@ -54,27 +54,27 @@ def add_parser(subparsers: Any) -> None:
 
 
 def call(arguments: argparse.Namespace) -> int:
-    """Show until told to stop."""
+    """Show until a signal or the time limit ends it."""
     _check_file(arguments.save)
     single_threaded()
     config = chosen_config(arguments)
     recording = _open(arguments, config)
-    stopping = until_told()
+    stopping = catch_stop_signals()
 
     seconds = float("inf") if arguments.seconds is None else arguments.seconds
     if arguments.save is None:
         threading.Thread(target=_end, args=(stopping,), daemon=True).start()
     end = time.monotonic() + seconds
-    if awaited(arguments, stopping, end):
+    if wait_for_pipeline(arguments, stopping, end):
         config = chosen_config(arguments)
-    pictures, spoilt = _run(config, recording, end, stopping, arguments)
+    pictures, failed = _run(config, recording, end, stopping, arguments)
     recording.disconnect()
-    if spoilt:
-        say(f"huepose view: {arguments.save}: {spoilt}; what was written stays")
+    if failed:
+        say(f"huepose view: {arguments.save}: {failed}; what was written is kept")
         return 1
     if arguments.save is not None:
         if not pictures:
-            say("huepose view: no pipeline gave a picture, so nothing was saved")
+            say("huepose view: no image arrived, so nothing was saved")
             arguments.save.unlink(missing_ok=True)
             return 1
         say(f"{arguments.save}: {arguments.save.stat().st_size / 1e6:.1f} MB")
@@ -82,7 +82,7 @@ def call(arguments: argparse.Namespace) -> int:
 
 
 def _check_file(path: Path | None) -> None:
-    """Raises InputError for a file that is there, and for another ending than that of rerun's files."""
+    """Raises InputError for a file that exists, or that does not end in .rrd."""
     if path is None:
         return
     if path.suffix.lower() != ".rrd":
@@ -90,14 +90,14 @@ def _check_file(path: Path | None) -> None:
             f"--save {path}",
             found=f"the ending '{path.suffix}'",
             expected="a file for the rerun viewer, FILE.rrd",
-            fix="`rerun FILE.rrd` shows it; a picture of one frame's poses is `huepose estimate --image`.",
+            fix="`rerun FILE.rrd` shows it. To draw the poses of one frame, use `huepose estimate --image`.",
         )
     if path.exists():
         raise InputError(path, found="a file of that name", expected="a new one")
 
 
 def _end(stopping: Callable[[], bool]) -> None:
-    """Ends the process soon after it was told to stop: a viewer that does not read blocks rerun for good."""
+    """End the process soon after a stop signal: a viewer that does not read blocks rerun forever."""
     while not stopping():
         time.sleep(_LOOK_EVERY_S)
     time.sleep(_STOPPED_AFTER_S)
@@ -125,7 +125,7 @@ def _open(arguments: argparse.Namespace, config: Config) -> Any:
 def _run(
     config: Config, recording: Any, end: float, stopping: Callable[[], bool], arguments: argparse.Namespace
 ) -> tuple[int, str]:
-    """Show until told to stop, or the disk is full: how many pictures came, and why a file is not whole."""
+    """Show until a signal, the end time or a full disk; returns the number of images and an error, or ""."""
     from huepose_services.runtime.bus import Bus
     from huepose_services.runtime.clock import SECOND, now_ns
     from huepose_services.runtime.session import open_reader_session
@@ -148,22 +148,22 @@ def _run(
         arguments.pairs,
         begins_with_picture=arguments.save is not None,
     )
-    flush_at, spoilt = time.monotonic(), ""
-    while not (stopping() or spoilt) and time.monotonic() < end:
+    flush_at, failed = time.monotonic(), ""
+    while not (stopping() or failed) and time.monotonic() < end:
         due_ns = work.due_ns()
         wait_ns = _LONGEST_WAIT_NS if due_ns is None else min(due_ns - now_ns(), _LONGEST_WAIT_NS)
         bus.inbox.wait(wait_ns / SECOND)
         work.step()
         if arguments.save is not None and time.monotonic() > flush_at:
-            flush_at, spoilt = time.monotonic() + _FLUSH_EVERY_S, sinks.flushed(recording)
+            flush_at, failed = time.monotonic() + _FLUSH_EVERY_S, sinks.flushed(recording)
     bus.close()
     session.close()
-    return bus.health.counters.get("pictures", 0), spoilt or sinks.flushed(recording)
+    return bus.health.counters.get("pictures", 0), failed or sinks.flushed(recording)
 
 
 def _drawn(bus: Bus, config: Config, arguments: argparse.Namespace) -> tuple[dict[str, Body], Follower[Body]]:
-    """What is drawn: all objects of a pipeline whose file is known. Of another one, as of a recording that is
-    played, those that are in its list of objects."""
+    """What is drawn: all objects of a pipeline whose file is known; of another one, or of a recording that
+    is played, the objects in its list."""
     from huepose_services import models
     from huepose_services.following import Follower
     from huepose_services.recording import its_models

@@ -19,7 +19,7 @@ from huepose_protos.client import Reader
 from huepose_protos.messages import HealthMessage, Message, PoseMessage, TruthMessage
 from huepose_services.builtin import builtin_bundles
 from huepose_services.camera.synthetic import open_source
-from huepose_services.cli.options import say, until_told
+from huepose_services.cli.options import catch_stop_signals, say
 from huepose_services.demo.score import Score, Yardstick
 from huepose_services.demo.table import Table
 from huepose_services.runtime.clock import SECOND, now_ns
@@ -88,7 +88,7 @@ def run_demo(pipeline: Mapping[str, Any], seconds: float, live: bool) -> dict[st
         log_path = folder / "huepose.log"
         try:
             with log_path.open("w") as log, noted(described(config, path)):
-                stopping = until_told()
+                stopping = catch_stop_signals()
                 health = _observe(config, path, log, score, seconds, live, stopping)
         except DemoError as error:
             tidied.pop_all()  # its log is named

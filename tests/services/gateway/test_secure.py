@@ -55,7 +55,7 @@ def test_an_address_that_no_reader_can_give_is_noted(tmp_path, capsys):
     folder = str(tmp_path / "secure")
     assert main(["secure", "init", "--folder", folder, "--host", "fd00::2", "--host", "10.0.0.7"]) == 0
     assert (
-        "note: by TLS no reader reaches fd00::2, an address of IPv6: give a name" in capsys.readouterr().err
+        "note: readers cannot reach the IPv6 address fd00::2 over TLS: give a name" in capsys.readouterr().err
     )
 
 

@@ -236,7 +236,7 @@ def test_the_mounts_and_epochs_that_it_tells_are_of_the_time_at_which_it_is_play
 def test_it_can_be_stopped_before_it_plays(tmp_path, monkeypatch, capsys):
     path = tmp_path / "pipeline.yaml"
     path.write_text(json.dumps({"bus": {"base_port": free_port_range(20)}}))
-    monkeypatch.setattr("huepose_services.cli.replay.until_told", lambda: lambda: True)
+    monkeypatch.setattr("huepose_services.cli.replay.catch_stop_signals", lambda: lambda: True)
     assert main(["replay", str(written(tmp_path / "out").path), "--config", str(path)]) == 0
     assert "stopped after" in capsys.readouterr().err
 

@@ -262,11 +262,11 @@ def test_what_was_recorded_is_never_deleted(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("huepose_services.recording.record.Recorder", Recorder)
     monkeypatch.setattr("huepose_services.runtime.session.open_recorder_session", lambda config: MagicMock())
     monkeypatch.setattr("huepose_services.runtime.worker.come_first", lambda name: None)
-    monkeypatch.setattr("huepose_services.cli.record.until_told", lambda: lambda: False)
+    monkeypatch.setattr("huepose_services.cli.record.catch_stop_signals", lambda: lambda: False)
     monkeypatch.setattr("huepose_services.cli.record.chosen_config", lambda *_, **__: Config())
-    monkeypatch.setattr("huepose_services.cli.record.awaited", lambda *_: False)
+    monkeypatch.setattr("huepose_services.cli.record.wait_for_pipeline", lambda *_: False)
     assert main(["record", str(tmp_path / "out"), "--free", "0"]) == 1
-    assert "File exists; what was written stays" in capsys.readouterr().err
+    assert "File exists; what was written is kept" in capsys.readouterr().err
     assert len(frames(Recording(tmp_path / "out.mcap").events())) == 1
 
 
@@ -313,7 +313,7 @@ def test_what_is_no_recording_is_refused(tmp_path, content, refused):
 def test_a_recording_without_frames_is_no_scene(tmp_path, capsys):
     path = mcap_of(tmp_path / "x.mcap", data=msgspec.json.encode(POSE))
     assert main(["replay", str(path), "--bop", str(tmp_path / "bop")]) == 1
-    assert "there is no frame in it" in capsys.readouterr().err
+    assert "the recording has no frames" in capsys.readouterr().err
 
 
 def test_a_small_file_does_not_fill_the_memory(tmp_path):

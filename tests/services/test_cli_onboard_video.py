@@ -141,8 +141,8 @@ def test_a_recording_takes_the_place_of_a_mesh(tmp_path: Path, monkeypatch: pyte
     bop_scene(recording, turned())
     jobs = []
 
-    def made(job: object, bundles: Path, settled: bool) -> None:
-        assert settled, "nobody gave its unit, so no unit of theirs is doubted"
+    def made(job: object, bundles: Path, unit_known: bool) -> None:
+        assert unit_known, "nobody gave its unit, so no unit of theirs is doubted"
         jobs.append(job)
         raise KeyboardInterrupt
 

@@ -104,7 +104,7 @@ def test_a_wall_tells_nothing_of_alignment(frames):
         (
             lambda d: np.where(np.arange(d.shape[1]) % 3 == 0, d, 0.0).astype(np.float32),
             "note",
-            "Much is missing",
+            "Much of it is missing",
         ),
     ],
 )

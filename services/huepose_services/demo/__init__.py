@@ -1,1 +1,1 @@
-"""The demo: the whole pipeline on the built-in scene, scored against its truth."""
+"""The demo: the whole pipeline on the built-in scene, scored against ground truth."""

@@ -1,4 +1,4 @@
-"""Runs the real pipeline in a private folder, listens to it as anyone could, and judges what it published."""
+"""Run the real pipeline in a private folder, read its messages like any subscriber, and score its poses."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from huepose_services.runtime.supervisor import Supervisor
 
 _READY_WITHIN_S = 300.0
 _FIRST_FRAME_WITHIN_S = 30.0
-# The last frames of a run are still being worked on when it ends.
+# The last frames of a run are not counted: some are still in work when it ends.
 _LEFT_OUT_NS = SECOND // 2
 _COMPLAINTS = 3
-"""Of a log, said where the demo fails: the reason is among the last."""
+"""Last warnings and errors of the log that are printed if the demo fails; the reason is among them."""
 
 
 class DemoError(RuntimeError):
-    """The pipeline did not run; the text says where its log is, and what it complains of last."""
+    """The pipeline failed; the text names its log, and has the last warnings and errors in it."""
 
 
 def pipeline(
@@ -49,10 +49,10 @@ def pipeline(
     segmenter: str = "depth",
     sam: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """The pipeline.yaml of the demo. bundles: of one's own objects, all or those that are named; None: the
-    built-in ones. sam: the two networks of the segmenter sam, files or names."""
+    """The pipeline.yaml of the demo. bundles: reference models of other objects than the built-in ones;
+    objects: only these, empty for all; sam: the two networks of the segmenter sam, files or names."""
     own = {} if bundles is None else {"bundles": str(bundles.absolute())}
-    # The demo's configuration lies elsewhere: a path from here has to be a whole one.
+    # The configuration is written to another folder, so paths must be absolute.
     files = [str(Path(one).absolute()) if is_network_file(one) else one for one in sam]
     return {
         "site": "demo",
@@ -65,21 +65,21 @@ def pipeline(
 
 
 def run_demo(pipeline: Mapping[str, Any], seconds: float, live: bool) -> dict[str, Any]:
-    """The summary of a run of so many seconds, with the health of each worker at its end.
+    """Run the pipeline for `seconds`; returns the summary, with the health of each worker at the end.
 
-    pipeline: its pipeline.yaml; live: shows a table meanwhile. Until the workers start Ctrl-C ends what is
-    drawn. Raises InputError when the pipeline cannot start, DemoError when it breaks, KeyboardInterrupt
-    when it was told to stop."""
+    pipeline: the content of its pipeline.yaml; live: show a table meanwhile. Before the workers start,
+    Ctrl-C interrupts the rendering. Raises InputError if the pipeline cannot start, DemoError if it fails,
+    KeyboardInterrupt if it was stopped by a signal."""
     names = [item["name"] for item in pipeline["objects"]] or None
     models = load_models(pipeline.get("bundles") or builtin_bundles(pipeline["camera"]["seed"]), names)
     folder = Path(tempfile.mkdtemp(prefix="huepose-demo-"))
     with ExitStack() as tidied:
-        tidied.callback(shutil.rmtree, folder)  # also where nobody reads what it says any more
+        tidied.callback(shutil.rmtree, folder)  # also after a broken output pipe
         path = folder / "pipeline.yaml"
         path.write_text(yaml.safe_dump(dict(pipeline)))
         config = load(path)
         check(config)
-        open_source(config)  # drawn here, with progress, where it is not in the cache folder
+        open_source(config)  # renders the scene here, with progress, unless it is in the cache folder
         yardsticks = {
             name: Yardstick.of(model.eval_points, model.diameter_m, model.equivalents)
             for name, model in models.items()
@@ -91,7 +91,7 @@ def run_demo(pipeline: Mapping[str, Any], seconds: float, live: bool) -> dict[st
                 stopping = catch_stop_signals()
                 health = _observe(config, path, log, score, seconds, live, stopping)
         except DemoError as error:
-            tidied.pop_all()  # its log is named
+            tidied.pop_all()  # the message names the log, so it stays
             raise DemoError(f"{error}; the log is {log_path}{_complaints(log_path.read_text())}") from None
         except InputError:
             sys.stderr.write(log_path.read_text())
@@ -100,13 +100,13 @@ def run_demo(pipeline: Mapping[str, Any], seconds: float, live: bool) -> dict[st
             raise KeyboardInterrupt
         if "again (restart " in log_path.read_text():
             tidied.pop_all()
-            sys.stderr.write(f"a worker ended and was started again; the log is {log_path}\n")
+            sys.stderr.write(f"a worker ended and was restarted; the log is {log_path}\n")
     summary = score.summary(score.last_ns - _LEFT_OUT_NS)
     return {"summary": summary, "workers": {name: _brief(message) for name, message in health.items()}}
 
 
 def _complaints(log: str) -> str:
-    """The last lines of a log that say what went wrong, each on a line; empty where there are none."""
+    """The last warnings and errors of a log, each on a line; empty if there are none."""
     said = [line for line in log.splitlines() if line.split()[1:2] in (["warn"], ["error"])]
     return "".join(f"\n{line}" for line in said[-_COMPLAINTS:])
 
@@ -120,7 +120,7 @@ def _observe(
     live: bool,
     stopping: Callable[[], bool],
 ) -> dict[str, HealthMessage]:
-    """Run the workers, collect what they publish; returns the last health of each."""
+    """Run the workers and collect what they publish; returns the last health message of each."""
     supervisor = Supervisor(config, path, log)
     endpoints = [config.endpoint(worker) for worker in config.workers]
     health: dict[str, HealthMessage] = {}
@@ -129,13 +129,13 @@ def _observe(
     try:
         with Reader(endpoints, config.keys.poses, config.keys.truth, config.keys.health()) as reader:
             _wait_until_ready(supervisor, stopping)
-            # The camera was there long before the last worker, whose kernels a first start compiles.
+            # Frames count from now on: the camera starts long before the last worker, which may compile.
             score.begin(now_ns())
             started = time.monotonic()
             while not stopping():
                 supervisor.poll(0.0)
                 if supervisor.exit_code is not None:
-                    raise DemoError("the pipeline has ended early")
+                    raise DemoError("the pipeline ended early")
                 _take(reader, score, health)
                 if table is not None:
                     table.show(score.latest())
@@ -150,8 +150,8 @@ def _observe(
 
 
 def _wait_until_ready(supervisor: Supervisor, stopping: Callable[[], bool]) -> None:
-    """Says which workers are ready, so that nobody takes a slow start for a standstill."""
-    say("starting the workers; where their kernels are still to be compiled, that takes one to two minutes")
+    """Print each worker that becomes ready, so that a slow start does not look like a hang."""
+    say("starting the workers; if their kernels must be compiled first, this takes one to two minutes")
     started, waiting = time.monotonic(), supervisor.not_ready
     while not supervisor.ready and not stopping():
         supervisor.poll()
@@ -165,7 +165,7 @@ def _wait_until_ready(supervisor: Supervisor, stopping: Callable[[], bool]) -> N
 
 
 def _take(reader: Reader, score: Score, health: dict[str, HealthMessage]) -> None:
-    """Everything that has arrived; waits a little for the first."""
+    """Take in all messages that have arrived; waits 0.1 s for the first."""
     message: Message | None = reader.next(0.1)
     while message is not None:
         if isinstance(message, PoseMessage):

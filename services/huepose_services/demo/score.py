@@ -1,4 +1,4 @@
-"""What a live run was worth: published poses against the truth of the same frames."""
+"""Score of a live run: published poses against ground truth of the same frames."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _CONFIRMED_WITHIN_S = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Yardstick:
-    """points (N, 3) that errors are measured on, the diameter of the object, and the rotations (E, 4, 4)
-    under which it looks the same."""
+    """What errors of an object are measured with: points (N, 3), its diameter, and its equivalent rotations
+    (E, 4, 4)."""
 
     points_obj: Float32
     diameter_m: float
@@ -38,13 +38,13 @@ class Yardstick:
     def of(
         points_obj: Float32, diameter_m: float, equivalents: Float64 | None = None, at_most: int = 2000
     ) -> Yardstick:
-        """Every k-th of the points, at most so many; without rotations but the identity by default."""
+        """From every k-th point, at most `at_most`. equivalents: by default only the identity."""
         points = points_obj[:: max(1, -(-len(points_obj) // at_most))]
         alike = np.eye(4)[None] if equivalents is None else np.asarray(equivalents, np.float64)
         return Yardstick(points, diameter_m, alike, cKDTree(points))
 
     def add(self, T_cam_obj: Float64, truth: Float64) -> float:
-        """ADD of a pose (4, 4) to the nearest of those that look like the true one, metres."""
+        """ADD of a pose (4, 4), metres, to the nearest pose that is equivalent to the true one."""
         return add(self.points_obj, T_cam_obj, nearest_alike(truth, self.equivalents, T_cam_obj))
 
 
@@ -57,7 +57,8 @@ class _Label:
 
 @dataclass(frozen=True)
 class Latest:
-    """How an object stands now, for the table. error_m: ADD of the last pose whose truth is known."""
+    """The present state of an object, for the table. error_m: ADD of its last pose, None if that is
+    unknown."""
 
     state: str = "SEARCHING"
     error_m: float | None = None
@@ -66,7 +67,7 @@ class Latest:
 
 
 class Score:
-    """Collects messages, and judges them when asked. One instance of each object."""
+    """Collects messages of one instance of each object, and scores them on request."""
 
     def __init__(self, yardsticks: Mapping[str, Yardstick]) -> None:
         self._yardsticks = dict(yardsticks)
@@ -77,11 +78,11 @@ class Score:
         self._begin_ns = 0
 
     def begin(self, now_ns: int) -> None:
-        """What was captured before does not count: not all workers were there."""
+        """Ignore frames captured before now: not all workers were running then."""
         self._begin_ns = now_ns
 
     def add_truth(self, truth: TruthMessage) -> None:
-        """Remember where everything was at a frame."""
+        """Keep the true poses of a frame."""
         if truth.capture_ns < self._begin_ns:
             return
         self.first_ns = truth.capture_ns if self.first_ns is None else self.first_ns
@@ -93,7 +94,7 @@ class Score:
                 self._labels[item.object][truth.frame_id] = label
 
     def add_pose(self, pose: PoseMessage) -> None:
-        """Remember what was published; of several tracks of an object the surest counts."""
+        """Keep a published pose; of several tracks of an object, the pose of the highest quality counts."""
         if pose.capture_ns < self._begin_ns:
             return
         mine = self._poses.get(pose.object)
@@ -101,7 +102,7 @@ class Score:
             mine[pose.frame_id] = pose
 
     def latest(self) -> dict[str, Latest]:
-        """The table."""
+        """The rows of the table, by object."""
         return {name: self._latest_of(name) for name in self._yardsticks}
 
     def _latest_of(self, name: str) -> Latest:
@@ -119,11 +120,11 @@ class Score:
         return self._yardsticks[name].add(T_cam_obj, label.T_cam_obj)
 
     def summary(self, until_ns: int) -> dict[str, Any]:
-        """The demo's figures, over the frames captured until then, by the words of the evaluation.
+        """The figures of the demo over the frames captured until `until_ns`, named as in the evaluation.
 
-        Recall and AUC are over the frames from an object's confirmation on, or from 3 s after it became
-        visible if it is not confirmed by then: a frame without a pose counts as wrong. Percent, seconds,
-        milliseconds; a figure that cannot be told is null. `per_object` names the same."""
+        Recall and AUC count frames from an object's confirmation on, or from 3 s after it became visible if
+        it is not confirmed by then; a frame without a pose counts as wrong. Percent, seconds, milliseconds;
+        an unknown figure is null. `per_object` has the same figures for each object."""
         reports, errors = {}, {}
         for name in self._yardsticks:
             reports[name], errors[name] = self._judge(name, until_ns)
@@ -152,14 +153,14 @@ class Score:
         }
 
     def _doubts(self, name: str, until_ns: int) -> dict[str, float]:
-        """Why poses were not TRACKING, the commonest reason first, each with its share of the frames in
+        """The reasons why poses were not TRACKING, most frequent first, each with its share of the poses in
         percent."""
         poses = [pose for pose in self._poses[name].values() if pose.capture_ns <= until_ns]
         reasons = Counter(pose.reason for pose in poses if pose.state != "TRACKING" and pose.reason)
         return {reason: 100.0 * count / len(poses) for reason, count in reasons.most_common()}
 
     def _judge(self, name: str, until_ns: int) -> tuple[StateReport, Float64]:
-        """The report of an object, and rows (ADD, ADD-S, diameter) of its frames that count."""
+        """The state report of an object, and rows (ADD, ADD-S, diameter) of the frames that count."""
         yardstick, moments, rows = self._yardsticks[name], [], []
         appeared_ns: int | None = None
         for frame_id, label in sorted(self._labels[name].items(), key=lambda item: item[1].stamp_ns):
@@ -200,8 +201,8 @@ def _one(states: StateReport, errors: Float64) -> dict[str, Any]:
 
 
 def shortcomings(summary: Mapping[str, Any]) -> list[str]:
-    """What the demo should have shown and has not, the most dangerous first: no pose to act on that is wrong,
-    every object acquired, nine poses of ten right."""
+    """Which expectations the run did not meet, the most dangerous first: no false TRACKING, every object
+    acquired, ADD recall of 90 % or more."""
     out = []
     false = {name: of["false_tracking_frames"] for name, of in summary["per_object"].items()}
     if any(false.values()):

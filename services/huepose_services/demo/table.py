@@ -1,4 +1,4 @@
-"""What the demo shows: a live table, drawn over itself four times a second, and the figures at the end."""
+"""What the demo prints: a live table, updated four times a second, and the figures at the end."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from huepose_services.demo.score import Latest
 
 _PERIOD_S = 0.25
 _MOSTLY = 90.0
-"""Per cent of the frames; an object that is TRACKING in fewer is explained."""
+"""Percent of the frames; for an object that is TRACKING in fewer, the reasons are printed."""
 
 _COLOURS = {"TRACKING": "32", "SUSPECT": "33", "LOST": "31", "SEARCHING": "90"}
 
 
 class Table:
-    """One line an object: state, error against the truth, rate, age."""
+    """One line for each object: state, error against ground truth, rate, age."""
 
     def __init__(self, out: TextIO) -> None:
         self._out = out
@@ -27,7 +27,7 @@ class Table:
         self._lines = 0
 
     def show(self, rows: Mapping[str, Latest]) -> None:
-        """Draw, if it is time."""
+        """Print the table, if the last one is old enough."""
         now = time.monotonic()
         if now < self._next:
             return
@@ -50,7 +50,7 @@ class Table:
 
 
 def report(result: Mapping[str, Any]) -> str:
-    """The end of a demo for people: per object, in total, and what each worker took."""
+    """The printed report: figures of each object and in total, then CPU, memory and times of each worker."""
     summary = result["summary"]
     head = ("object", "acquired s", "confirmed s", "ADD recall %", "median mm", "TRACKING %", "false")
     rows = [
@@ -82,7 +82,7 @@ def report(result: Mapping[str, Any]) -> str:
 
 
 def _why_not(name: str, figures: Mapping[str, Any]) -> str:
-    """Why an object is often not TRACKING; empty where it mostly is."""
+    """Why an object was often not TRACKING; empty if it mostly was."""
     covered = figures["coverage_tracking"] or 0.0
     if covered >= _MOSTLY:
         return ""

@@ -299,7 +299,7 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
     other.send_signal(signal.SIGINT)
     answered, noted = other.communicate(timeout=15.0)
     answer = json.loads(answered)
-    assert f"other does not end in .mcap: it is written to {tmp_path / 'other.mcap'}" in noted
+    assert f"other does not end in .mcap: the recording is written to {tmp_path / 'other.mcap'}" in noted
     assert answer["files"] == [str(tmp_path / "other.mcap")]
     assert answer["frames"] == len(frames(Recording(tmp_path / "other.mcap").events()))
     assert answer["bytes"] == (tmp_path / "other.mcap").stat().st_size

@@ -36,7 +36,7 @@ def advice(turns: Sequence[Float64]) -> str:
     """What to do if most rotation vectors (3,) are along one axis; else empty.
 
     >>> advice([np.array([0.0, 0.0, 3.1]), np.array([0.0, 0.0, -1.0]), np.array([0.0, 2.0, 0.0])])
-    ' If the rotation about z does not matter, onboard it with --symmetric z: then all of them are right.'
+    ' If the rotation about z does not matter, onboard it with --symmetric z: then it is no error.'
     >>> advice([np.array([0.0, 0.0, 3.1]), np.array([0.0, 2.0, 0.0])])
     ''
     """
@@ -44,8 +44,8 @@ def advice(turns: Sequence[Float64]) -> str:
     if axis is None or 2 * count <= len(turns):
         return ""
     return (
-        f" If the rotation about {axis} does not matter, onboard it with --symmetric {axis}: then all of "
-        "them are right."
+        f" If the rotation about {axis} does not matter, onboard it with --symmetric {axis}: then it is no "
+        "error."
     )
 
 

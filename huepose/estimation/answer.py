@@ -31,7 +31,7 @@ from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64, Int64
 from huepose.geometry.box import Box
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.pairs import pair_picture
+from huepose.judge.pairs import pair_image
 from huepose.judge.region import Region
 from huepose.judge.silhouette import projected_box, visible_mask
 from huepose.judge.terms import CLOSE_SAMPLES, score, score_many
@@ -352,7 +352,7 @@ def _terms(model: ReferenceModel, region: Region, ranked: Ranked, largest_gap: f
     if largest_gap is not None:
         gaps = np.concatenate([[min([largest_gap, *gaps[:1]])], gaps[1:]])
     dense, seen = score(model, region, T_cam_obj), texture_evidence(model, region, T_cam_obj)
-    picture = pair_picture(model, region.crop, region.median_depth_m)
+    picture = pair_image(model, region.crop, region.median_depth_m)
     return QualityTerms(
         float(ranked.totals[0]),
         tuple(float(gap) for gap in gaps),

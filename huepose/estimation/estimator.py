@@ -30,7 +30,7 @@ from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.box import Box
 from huepose.geometry.camera import Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.geometry.picture_faults import bad_picture
+from huepose.geometry.image_faults import bad_image
 from huepose.judge.silhouette import projected_box, taken_by
 from huepose.model.types import ReferenceModel, ReferenceModels
 from huepose.perception.embedded import DepthSegmenter
@@ -143,7 +143,7 @@ class Estimator:
         if any(answer.found for answer, _ in answers):
             return answers
         names = {query.object for query in queries}
-        faults = {name: bad_picture(picture, self._models[name].diameter_m) for name in names}
+        faults = {name: bad_image(picture, self._models[name].diameter_m) for name in names}
         return [(replace(a, reason=faults[a.object] or a.reason), explanation) for a, explanation in answers]
 
     def explain(self, frame: RgbdFrame, query: ObjectQuery) -> Answered:

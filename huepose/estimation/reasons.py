@@ -29,7 +29,7 @@ OTHER_ORIENTATION_RAD = np.radians(15.0)
 NO_PROBABILITY = "This method does not say how probable it is that a pose is right."
 
 
-def turned_as_well(answer: PoseEstimate, method: Method) -> bool:
+def only_orientation_in_doubt(answer: PoseEstimate, method: Method) -> bool:
     """Whether only other orientations that fit as well keep an estimate from being `TRACKING`: with their
     probabilities added to its own, it would be."""
     T = answer.T_cam_obj

@@ -13,7 +13,7 @@ import numpy as np
 from huepose.datasets.bop_detections import BopDetections
 from huepose.datasets.boxes import Disturbance, disturbed, projected_box, truth_box
 from huepose.datasets.types import Sample, Scene
-from huepose.estimation.standing import standing_answers, why_none_stands
+from huepose.estimation.accepted import accepted_answers, why_none_accepted
 from huepose.estimation.types import ObjectQuery, PoseEstimate, PosePrior
 from huepose.evaluation.bop_errors import BopErrors, BopObject, BopScore, bop_errors, matched_recalls
 from huepose.evaluation.estimate_rows import EstimateResult, EstimateRow, FalsePose
@@ -219,12 +219,12 @@ class _FrameRun:
             i: ObjectQuery(d.object, box=d.box, instance=i, searched=True) for i, d in enumerate(detections)
         }
         answers = self._estimated(queries)
-        poses = standing_answers(answers)
+        poses = accepted_answers(answers)
 
         def why(name: str) -> str:
             if any(pose.object == name for pose in poses):
                 return "The poses of the object that are kept are at other positions."
-            return why_none_stands(name, answers)
+            return why_none_accepted(name, answers)
 
         taken, spare = assigned(poses, self.labels, self._box_of)
         rows = self._rows(queries, taken, time.perf_counter() - start, why)

@@ -11,8 +11,8 @@ import numpy as np
 
 from huepose.datasets.boxes import disturbed, truth_box
 from huepose.datasets.types import GroundTruth, Sample, Scene
+from huepose.estimation.accepted import accepted_answers
 from huepose.estimation.reasons import overlap
-from huepose.estimation.standing import standing_answers
 from huepose.estimation.types import ObjectQuery, PoseEstimate
 from huepose.evaluation.estimate_protocol import PoseEstimator
 from huepose.evaluation.instances import check_names, has_labels
@@ -115,7 +115,7 @@ class _FrameRun:
         queries = [ObjectQuery(d.object, box=d.box, instance=i, searched=True) for i, d in enumerate(judged)]
         answers = self.estimator.estimate(sample.frame, queries) if queries else []
         seconds = time.perf_counter() - start
-        taken, false = self._assigned(standing_answers(answers))
+        taken, false = self._assigned(accepted_answers(answers))
         rows = [
             self._row(
                 label,

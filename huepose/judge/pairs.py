@@ -62,7 +62,7 @@ class PairArrays(NamedTuple):
     reach: float
 
 
-class PairPicture(NamedTuple):
+class PairImage(NamedTuple):
     """A crop's colours at the scale at which pairs are compared: colors (h, w, 3) float32 opponents; su, sv:
     pixels of the crop per pixel of `colors`, so that (u, v) of the crop is ((u + 0.5) / su - 0.5, ...)
     here."""
@@ -90,7 +90,7 @@ def room_for(pairs: PairArrays) -> PairsRead:
 
 @jit
 def read_pairs(
-    T: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, found: PairsRead
+    T: Float64, region: RegionArrays, pairs: PairArrays, picture: PairImage, found: PairsRead
 ) -> int:
     """Read the image on both sides of all pairs that are visible at a pose (4, 4), into the first rows of
     `found`; returns their number. All pairs in one call: passing so many arrays for each pair costs more than
@@ -155,7 +155,7 @@ def read_pairs(
     return n
 
 
-def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPicture:
+def pair_image(model: ReferenceModel, crop: Crop, depth_m: float) -> PairImage:
     """The crop's colours at the scale of the model's fine reference views, for an object at `depth_m`."""
     h, w = crop.depth.shape
     color = crop.color
@@ -163,7 +163,7 @@ def pair_picture(model: ReferenceModel, crop: Crop, depth_m: float) -> PairPictu
     if scale < 1.0:
         size = (max(round(w * scale), 2), max(round(h * scale), 2))
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return PairPicture(opponents_of_bytes(color), w / color.shape[1], h / color.shape[0])
+    return PairImage(opponents_of_bytes(color), w / color.shape[1], h / color.shape[0])
 
 
 def pair_arrays(reference: PairReference, count: int) -> PairArrays:

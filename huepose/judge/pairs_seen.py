@@ -7,7 +7,7 @@ import numpy as np
 from huepose.geometry import se3
 from huepose.geometry.arrays import Bool, Float, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.pairs import pair_arrays, pair_picture
+from huepose.judge.pairs import pair_arrays, pair_image
 from huepose.judge.region import Region, prepare_crop, smoothed_opponents
 from huepose.judge.silhouette import projected_box
 from huepose.judge.texture_evidence import contrasts
@@ -31,7 +31,7 @@ def pairs_seen(frame: RgbdFrame, model: ReferenceModel, T_cam_obj: Float) -> tup
     size, middle_m = crop.depth.shape, float(se3.apply(T_cam_obj, model.mesh.centre[None])[0, 2])
     colors = smoothed_opponents(crop.color, np.ones(size, np.float32), (1.0, 3.0))
     region = Region.whole(crop, np.zeros(size, bool), colors, model.diameter_m, middle_m)
-    clarity, elsewhere = contrasts(model, region, pair_picture(model, crop, middle_m), T_cam_obj, PAIRS)
+    clarity, elsewhere = contrasts(model, region, pair_image(model, crop, middle_m), T_cam_obj, PAIRS)
     shown = clarity > CLEAR
     points = pair_arrays(model.pairs, PAIRS).points[shown]
     return frame.camera.project(se3.apply(T_cam_obj, points)), elsewhere[shown]

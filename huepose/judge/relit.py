@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from huepose.geometry.arrays import UInt8
-from huepose.geometry.picture_faults import DARK
+from huepose.geometry.image_faults import DARK
 from huepose.judge.region import SATURATED
 
 LEAST = 0.1

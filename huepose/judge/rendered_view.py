@@ -52,7 +52,7 @@ def detail_colors(color: UInt8, weight: Float32) -> Float32:
     return colors
 
 
-def draw_rendered_view(
+def render_view(
     model: ReferenceModel, T_cam_obj: Float, camera: Camera, samples: int, light: Light | None = None
 ) -> RenderedView | None:
     """The rendered view of a pose (4, 4) with at most `samples` samples, in a light if one is given; None if

@@ -29,7 +29,7 @@ from huepose.judge.pairs import (
     CLOSE_PAIRS,
     PAIR_WEIGHTS,
     PairArrays,
-    PairPicture,
+    PairImage,
     pair_arrays,
     read_pairs,
     room_for,
@@ -142,7 +142,7 @@ the pose."""
 
 
 def contrast_disagreement(
-    model: ReferenceModel, region: Region, picture: PairPicture, T_cam_obj: Float
+    model: ReferenceModel, region: Region, picture: PairImage, T_cam_obj: Float
 ) -> float:
     """Share in 0..1 of visible contrasts that point elsewhere at a pose (4, 4); 0 where none is visible."""
     clarity, elsewhere = contrasts(model, region, picture, T_cam_obj, CLOSE_PAIRS)
@@ -150,7 +150,7 @@ def contrast_disagreement(
 
 
 def contrasts(
-    model: ReferenceModel, region: Region, picture: PairPicture, T_cam_obj: Float, pairs: int
+    model: ReferenceModel, region: Region, picture: PairImage, T_cam_obj: Float, pairs: int
 ) -> tuple[Float64, Bool]:
     """For each pair of `pair_arrays` at a pose (4, 4): clarity (N,) of its contrast, 0..1, 0 where not
     visible; and whether it points elsewhere (N,)."""
@@ -178,7 +178,7 @@ def _compare_contrasts(
     T: Float64,
     region: RegionArrays,
     pairs: PairArrays,
-    picture: PairPicture,
+    picture: PairImage,
     clarity: Float64,
     strengths: Float64,
     elsewhere: Bool,
@@ -217,7 +217,7 @@ FEWEST_PAIRS = 5
 """Least number of visible pairs: with fewer there is no evidence."""
 
 
-def agreement_many(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float) -> Float64:
+def agreement_many(model: ReferenceModel, region: Region, picture: PairImage, poses: Float) -> Float64:
     """Sum of the agreeing shares of contrasts and of colours, 0..2 each pose: (M,) for poses (M, 4, 4)."""
     out = np.zeros(len(poses))
     _agree_all(
@@ -232,7 +232,7 @@ def agreement_many(model: ReferenceModel, region: Region, picture: PairPicture, 
 
 @jit
 def _agree_all(
-    poses: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, out: Float64
+    poses: Float64, region: RegionArrays, pairs: PairArrays, picture: PairImage, out: Float64
 ) -> None:
     count = pairs.points.shape[0]
     found, model = room_for(pairs), np.empty((count, 2, 3))

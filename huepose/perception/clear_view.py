@@ -22,7 +22,7 @@ from huepose.perception.embedded import depth_steps
 from huepose.perception.filled import filled
 from huepose.perception.planes import BAND_M, BAND_PER_M, large_planes, standing_clear
 from huepose.perception.stretches import connected, write_values
-from huepose.propose.view_pictures import Pyramid
+from huepose.propose.view_images import Pyramid
 from huepose.support.jit import jit
 
 FAR_M = 9.0

@@ -21,8 +21,8 @@ from huepose.perception.clear_view import ClearView, thin
 from huepose.perception.scouting import visible_pixels
 from huepose.perception.verification import Images, verified
 from huepose.propose.templates import SPAN
-from huepose.propose.view_codes import codes_of_pictures, codes_of_windows
-from huepose.propose.view_pictures import clean_view, window_pictures
+from huepose.propose.view_codes import codes_of_images, codes_of_windows
+from huepose.propose.view_images import clean_view, window_images
 from huepose.propose.views import onto_rays
 
 RIM_SAMPLES = 400
@@ -86,7 +86,7 @@ def alike(
     if not sights:
         return []
     windows, views = windows_and_views(view, models, poses)
-    likeness = (codes_of_pictures(*views) * codes_of_windows(*windows)).sum(1)
+    likeness = (codes_of_images(*views) * codes_of_windows(*windows)).sum(1)
     out = [replace(s, likeness=float(x)) for s, x in zip(sights, likeness, strict=True)]
     if sights[0].verified is None:
         return out
@@ -126,5 +126,5 @@ def windows_and_views(
     middle[:, 2] = np.maximum(middle[:, 2], NEAR_M)
     span_px = SPAN * diameters / middle[:, 2] * view.crop.camera.fx
     place = view.crop.camera.project(middle), middle[:, 2], span_px
-    windows = window_pictures(view.pyramid, view.depth, *place, diameters)
+    windows = window_images(view.pyramid, view.depth, *place, diameters)
     return windows, (np.stack([c.color for c in clean]), np.stack([c.relief for c in clean]))

@@ -19,7 +19,7 @@ from huepose.judge.terms import DEFAULT_WEIGHTS, score_many
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView
 from huepose.perception.nearby import align_in_view
-from huepose.perception.window_table import WindowTable, likest_views, narrowed, promising
+from huepose.perception.window_table import WindowTable, most_similar_views, narrowed, promising
 from huepose.perception.windows import Windows
 from huepose.refine.coordinate_search import search
 from huepose.support.jit import jit
@@ -193,7 +193,9 @@ def _from_views(
 ) -> Found:
     """Poses from the chosen windows (W,), with one effort."""
     chosen, alike = narrowed(table, windows, chosen, effort.at_any_rate)
-    looks = likest_views(table, windows, chosen, alike, view.crop.camera, effort.looks, effort.looks_each)
+    looks = most_similar_views(
+        table, windows, chosen, alike, view.crop.camera, effort.looks, effort.looks_each
+    )
     if not len(looks.poses):
         return Found.nothing()
     region = view.region(model.diameter_m)

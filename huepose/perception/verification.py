@@ -15,7 +15,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, Float64, UInt8
 from huepose.propose.view_codes import BATCH, packaged_session
-from huepose.propose.view_pictures import CHANNELS, STEP, ZERO, network_input
+from huepose.propose.view_images import CHANNELS, STEP, ZERO, network_input
 
 WEIGHTS = Path(__file__).parent / "weights"
 """verification.onnx; verification.json beside it says how it was made."""
@@ -24,7 +24,7 @@ SUREST = 5.0
 """Largest absolute log-odds of a pair: beyond it, the network has seen too few examples."""
 
 Images = tuple[UInt8, Float32]
-"""Colours (N, 64, 64, 3) and relief (N, 64, 64), as `view_pictures` makes them."""
+"""Colours (N, 64, 64, 3) and relief (N, 64, 64), as `view_images` makes them."""
 
 
 def verified(windows: Images, views: Images) -> Float64:

@@ -145,7 +145,7 @@ def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) ->
     return chosen[both[order]], alike[:, order]
 
 
-def likest_views(
+def most_similar_views(
     table: WindowTable,
     windows: Windows,
     chosen: Int64,

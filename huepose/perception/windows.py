@@ -18,7 +18,7 @@ from huepose.perception.memory import KeptWindows, Memory, matched, until
 from huepose.propose.templates import COARSE_SIDE, MILLIMETRES, SPAN
 from huepose.propose.view_codes import CELLS as CODE_CELLS
 from huepose.propose.view_codes import NUMBERS, codes_of_windows
-from huepose.propose.view_pictures import NEAR, window_pictures
+from huepose.propose.view_images import NEAR, window_images
 from huepose.support.jit import jit
 from huepose.support.stages import stage
 
@@ -136,7 +136,7 @@ class Windows:
                 with stage("codes"):
                     places = self.pixels[new], self.depth_m[new], self.span_px[new]
                     view = self._view
-                    pictures = window_pictures(view.pyramid, view.depth, *places, self.diameter_m)
+                    pictures = window_images(view.pyramid, view.depth, *places, self.diameter_m)
                     self._codes[new], self._coded[new] = codes_of_windows(*pictures), True
             return np.asarray(self._codes[index])
 

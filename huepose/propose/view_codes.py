@@ -1,7 +1,7 @@
 """Codes of views: descriptors that compare views of a model with windows of a frame, in any light and for
 any sensor.
 
-One small network encodes a model's clean views and the windows of a frame (`view_pictures`). It gives 16
+One small network encodes a model's clean views and the windows of a frame (`view_images`). It gives 16
 numbers to each of 8 x 8 cells. The likeness of a window and a view is the sum of products over the cells
 that the view covers, so an occluded part costs only its own cells. The network was trained on procedurally
 generated objects and scenes (`huepose.training.view_codes`) and knows none of a user's objects. Local codes
@@ -19,7 +19,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.geometry.mesh import Mesh
-from huepose.propose.view_pictures import SIDE, network_input, turned, unturned_views
+from huepose.propose.view_images import SIDE, network_input, turned, upright_views
 
 CELLS = 8
 """Cells of a code along each side."""
@@ -38,10 +38,10 @@ _SMALLEST = 1e-6
 
 def codes_of_views(mesh: Mesh, diameter_m: float) -> Float32:
     """Codes (N, D) of unit length of all views of a mesh at all rolls (0.3 s)."""
-    return codes_of_pictures(*turned(*unturned_views(mesh, diameter_m)))
+    return codes_of_images(*turned(*upright_views(mesh, diameter_m)))
 
 
-def codes_of_pictures(colors: UInt8, reliefs: Float32) -> Float32:
+def codes_of_images(colors: UInt8, reliefs: Float32) -> Float32:
     """Codes (N, D) of unit length of clean views: colours (N, 64, 64, 3) and relief (N, 64, 64)."""
     codes = _codes(colors, reliefs, clean=True) * in_cells(np.isfinite(reliefs))[:, None]
     return _of_unit_length(codes.reshape(len(codes), -1))

@@ -21,7 +21,7 @@ from huepose.judge.kernel_arrays import model_arrays, region_arrays
 from huepose.judge.likeness import Likeness, Part, likeness
 from huepose.judge.outline import Rim, edge_tensor
 from huepose.judge.region import OUTSIDE_WEIGHT, Region
-from huepose.judge.rendered_view import detail_colors, draw_rendered_view
+from huepose.judge.rendered_view import detail_colors, render_view
 from huepose.judge.terms import ScoreWeights
 from huepose.judge.terms import totals as totals_of
 from huepose.model.types import ReferenceModel
@@ -91,7 +91,7 @@ def close_look(
     arrays = region_arrays(region)._replace(colors=colors)
     refined = poses.copy()
     for k, (T, light) in enumerate(zip(poses, lights, strict=True)):
-        rendered = draw_rendered_view(model, T, region.crop.camera, SAMPLES, light)
+        rendered = render_view(model, T, region.crop.camera, SAMPLES, light)
         if rendered is None:
             return None
         rim = Rim(rendered.rim_points, rendered.rim_inward, edges, RIM_WEIGHT)

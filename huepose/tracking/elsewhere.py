@@ -16,7 +16,7 @@ from huepose.geometry.suppression import first_different
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import clear_view
 from huepose.perception.filled import filled
-from huepose.perception.window_table import WindowTable, compared, likest_views, promising
+from huepose.perception.window_table import WindowTable, compared, most_similar_views, promising
 from huepose.perception.windows import Windows
 from huepose.tracking.motion import Reach
 
@@ -55,7 +55,7 @@ def likeliest_place(
     if not len(some):
         return None
     alike = compared(table, windows, some)
-    poses = likest_views(
+    poses = most_similar_views(
         table, windows, some, alike, view.crop.camera, WINDOWS * LOOKS_EACH, LOOKS_EACH
     ).poses
     centres = poses[:, :3, :3] @ model.mesh.centre + poses[:, :3, 3]

@@ -76,14 +76,14 @@ class _Frames:
         return self._made[epoch, frame_id]
 
 
-def told(tracker: Tracker) -> dict[str, Any]:
+def state_of(tracker: Tracker) -> dict[str, Any]:
     """The state of the tracker as plain values: None, numbers, text, bytes, lists, and dicts with text
     keys."""
     return {name: plain(value, tracker) for name, value in vars(tracker).items() if name not in _GIVEN}
 
 
 def frames_of(memory: Any) -> Iterator[tuple[int, int]]:
-    """(epoch, frame_id) of the frames that a state of `told` names."""
+    """(epoch, frame_id) of the frames that a state of `state_of` names."""
     if isinstance(memory, dict):
         if isinstance(memory.get("frame"), list):
             epoch, frame_id, _ = memory["frame"]

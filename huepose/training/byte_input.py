@@ -1,4 +1,4 @@
-"""Lets the network of view codes read the bytes of `propose.view_pictures.network_input`.
+"""Lets the network of view codes read the bytes of `propose.view_images.network_input`.
 
 A quantised network converts its input to bytes with the channels last, which takes an eighth of its time. The
 caller can write the input in this form at once.
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from huepose.propose.view_pictures import CHANNELS, PLACES, SIDE, STEP, ZERO
+from huepose.propose.view_images import CHANNELS, PLACES, SIDE, STEP, ZERO
 
 
 def read_bytes(file: Path) -> None:

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from huepose.propose.view_codes import CELLS, NUMBERS
-from huepose.propose.view_pictures import CHANNELS, SIDE
+from huepose.propose.view_images import CHANNELS, SIDE
 
 NEIGHBOURS = 12
 """Number of points, itself included, with which each point has an edge."""
@@ -144,7 +144,7 @@ class Block(nn.Module):
 
 
 class ViewCodeNetwork(nn.Module):
-    """Encodes images (N, 6, 64, 64) of `propose.view_pictures` as codes (N, 16, 8, 8)."""
+    """Encodes images (N, 6, 64, 64) of `propose.view_images` as codes (N, 16, 8, 8)."""
 
     def __init__(self) -> None:
         super().__init__()

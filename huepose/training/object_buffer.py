@@ -10,8 +10,8 @@ from torch.nn import functional
 
 from huepose.geometry import icosphere
 from huepose.propose.templates import SPAN
-from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
-from huepose.propose.view_pictures import ROLLS, SIDE, UNTURNED
+from huepose.propose.view_images import LEVEL as VIEW_LEVEL
+from huepose.propose.view_images import ROLLS, SIDE, UPRIGHT_PX
 from huepose.training.windows import PIXELS, WINDOWS, Drawn
 
 
@@ -21,8 +21,8 @@ class ObjectBuffer:
     def __init__(self, room: int, device: str) -> None:
         views = len(icosphere.directions(VIEW_LEVEL))
         byte, half = ({"dtype": kind, "device": device} for kind in (torch.uint8, torch.float16))
-        self.view_colors = torch.zeros(room, views, UNTURNED, UNTURNED, 3, **byte)
-        self.view_reliefs = torch.zeros(room, views, UNTURNED, UNTURNED, **half)
+        self.view_colors = torch.zeros(room, views, UPRIGHT_PX, UPRIGHT_PX, 3, **byte)
+        self.view_reliefs = torch.zeros(room, views, UPRIGHT_PX, UPRIGHT_PX, **half)
         self.colors = torch.zeros(room, WINDOWS, PIXELS, PIXELS, 3, **byte)
         self.reliefs = torch.zeros(room, WINDOWS, PIXELS, PIXELS, **half)
         self.rotations = torch.zeros(room, WINDOWS, 3, 3, device=device)
@@ -46,11 +46,11 @@ class ObjectBuffer:
 
     def views_of(self, objects: Tensor, numbers: Tensor) -> tuple[Tensor, Tensor]:
         """Colours (M, 3, 64, 64) from 0 to 1 and relief (M, 64, 64), NaN beside the object, of views of
-        objects (M,). numbers (M,): in the order of `view_pictures.turned`."""
+        objects (M,). numbers (M,): in the order of `view_images.turned`."""
         view, roll = numbers // ROLLS, numbers % ROLLS
         angle = 2.0 * math.pi * roll / ROLLS
         c, s, zero = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle)
-        share = SIDE / UNTURNED
+        share = SIDE / UPRIGHT_PX
         rows = torch.stack([c * share, s * share, zero]), torch.stack([-s * share, c * share, zero])
         to_image = torch.stack(rows).permute(2, 0, 1)
         return _resampled(self.view_colors[objects, view], self.view_reliefs[objects, view], to_image)

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from huepose.propose.view_pictures import NEAR, SIDE
+from huepose.propose.view_images import NEAR, SIDE
 
 MOST_VEILED = 0.45
 """Largest share of one colour that is blended over a whole window: cameras show black as grey and red as
@@ -102,7 +102,7 @@ def _widened(relief: Tensor) -> Tensor:
 
 
 def network_input(rgb: Tensor, relief: Tensor, *, clean: bool) -> Tensor:
-    """As `view_pictures.network_input`, but from colours 0 to 1 and as floats (N, 6, 64, 64)."""
+    """As `view_images.network_input`, but from colours 0 to 1 and as floats (N, 6, 64, 64)."""
     known = torch.isfinite(relief)
     level = torch.where(known, relief, 0.0)
     colors = (2.0 * rgb - 1.0) * (known[:, None] if clean else 1.0)

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from huepose.propose.view_codes import CELLS
-from huepose.propose.view_pictures import CHANNELS, SIDE
+from huepose.propose.view_images import CHANNELS, SIDE
 from huepose.training.network import VerificationNetwork
 from huepose.training.object_buffer import ObjectBuffer
 from huepose.training.sensing import REPRINTED, SHINY, network_input, recolored, reprinted, sensed, shone_on

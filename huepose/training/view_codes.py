@@ -23,8 +23,8 @@ from torch.utils.data import DataLoader
 from huepose.drawing.plots import line_plot
 from huepose.geometry import icosphere
 from huepose.propose.templates import view_rotations
-from huepose.propose.view_pictures import LEVEL as VIEW_LEVEL
-from huepose.propose.view_pictures import ROLLS
+from huepose.propose.view_images import LEVEL as VIEW_LEVEL
+from huepose.propose.view_images import ROLLS
 from huepose.support.files import write_picture
 from huepose.training.byte_input import read_bytes
 from huepose.training.network import (
@@ -302,7 +302,7 @@ def _ranks(net: ViewCodeNetwork, buffer: ObjectBuffer, k: int) -> Tensor:
 def export(nets: Networks, buffer: ObjectBuffer, config: ViewCodeTraining, out: Path) -> None:
     """Write both networks as ONNX with a free batch size, quantised to 8 bits: half the CPU time; the cosine
     between quantised and exact codes is 0.999. Activations are calibrated on objects of the buffer. The
-    network of codes reads the bytes of `view_pictures.network_input`."""
+    network of codes reads the bytes of `view_images.network_input`."""
     with torch.no_grad():
         batches = [batch(buffer, config) for _ in range(CALIBRATED)]
         similar = [_code_loss(nets.coding.eval(), drawn)[1] for drawn in batches]

@@ -17,7 +17,7 @@ import numpy as np
 from huepose.geometry import Camera, Mesh, se3
 from huepose.geometry.arrays import Bool, Float32, Float64, Rng, UInt8
 from huepose.propose.templates import SPAN
-from huepose.propose.view_pictures import SIDE, Pyramid, clean_view, unturned_views, window_pictures
+from huepose.propose.view_images import SIDE, Pyramid, clean_view, upright_views, window_images
 from huepose.propose.views import onto_rays
 from huepose.rendering.render import Rendering, render
 from huepose.scenes.camera import COLOR, STEREO
@@ -101,7 +101,7 @@ def draw_object(rng: Rng, props: Props) -> Drawn | None:
             break
     else:
         return None
-    colors, reliefs = unturned_views(mesh, diameter_m)
+    colors, reliefs = upright_views(mesh, diameter_m)
     return Drawn(colors, reliefs.astype(np.float16), *(np.stack(part) for part in zip(*windows, strict=True)))
 
 
@@ -134,8 +134,8 @@ def _window(
     place = middle[None], np.array([median]), np.array([span_px])
     shown = np.where(inside[..., None], color, 0).astype(np.uint8)
     picture = Pyramid(shown)
-    colors, reliefs = window_pictures(picture, depth, *place, diameter_m, wide=WIDE)
-    _, owns = window_pictures(picture, np.where(own, alone, np.float32(0.0)), *place, diameter_m, wide=WIDE)
+    colors, reliefs = window_images(picture, depth, *place, diameter_m, wide=WIDE)
+    _, owns = window_images(picture, np.where(own, alone, np.float32(0.0)), *place, diameter_m, wide=WIDE)
     R_ray = onto_rays(camera.rays(middle[None]))[0]
     along_ray = R_ray.T @ R
     near = cv2.Rodrigues(np.radians(TURNED_DEG) * rng.normal(size=3))[0] @ along_ray

@@ -17,7 +17,7 @@ import numpy as np
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
 from huepose.geometry.camera import depth_noise_m
-from huepose.geometry.picture_faults import NO_COLOUR, all_grey, dark, readings, same, why_nothing_is_found
+from huepose.geometry.image_faults import NO_COLOUR, all_grey, dark, readings, same, why_nothing_is_found
 from huepose.judge.open_region import PreparedSurface
 from huepose.tracking.history import CLOSE_S, WIDE_S
 from huepose.tracking.types import Applied, Doubt, TrackedPose

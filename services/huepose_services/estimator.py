@@ -8,7 +8,7 @@ from dataclasses import replace
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, RgbdFrame
-from huepose.geometry.picture_faults import why_nothing_is_found
+from huepose.geometry.image_faults import why_nothing_is_found
 from huepose.model import ReferenceModel
 from huepose.profiles import profile
 from huepose.reinit.looking import query_of

@@ -9,7 +9,7 @@ from typing import Literal
 
 from huepose.believe.state import State
 from huepose.estimation.types import PoseEstimate
-from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
+from huepose.geometry.image_faults import IF_IN_PLAIN_VIEW
 from huepose.model import ReferenceModel
 from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
 from huepose.reinit.newest_frame import Began, NewestFrame

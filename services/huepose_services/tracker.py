@@ -207,7 +207,7 @@ class TrackerWork(Work):
     def memory(self) -> MemoryMessage:
         """The whole memory of the tracker and of this worker."""
         own = msgspec.to_builtins(self._own, order="deterministic")
-        tracking, plain = memory.plain(self._believed, self._tracker), memory.told(self._tracker)
+        tracking, plain = memory.plain(self._believed, self._tracker), memory.state_of(self._tracker)
         return MemoryMessage(
             publish_ns=now_ns(),
             seq=self._seq,

@@ -9,8 +9,8 @@ import pytest
 
 from huepose.believe.quality import features, quality_fits
 from huepose.estimation import Estimator, ObjectQuery
+from huepose.estimation.accepted import PRESENT
 from huepose.estimation.present import OTHER_TEXTURE, PresenceIn
-from huepose.estimation.standing import PRESENT
 from huepose.estimation.types import PoseEstimate
 from tests.boxes import box_of
 

@@ -9,7 +9,14 @@ import pytest
 
 from huepose.estimation import Estimator, ObjectQuery
 from huepose.estimation.explanation import Explanation
-from huepose.estimation.reasons import covering, displacement, overlap, reasons, turned_as_well, why_absent
+from huepose.estimation.reasons import (
+    covering,
+    displacement,
+    only_orientation_in_doubt,
+    overlap,
+    reasons,
+    why_absent,
+)
 from huepose.estimation.types import PoseEstimate
 from huepose.geometry import Box, RgbdFrame, se3
 from huepose.model.types import ReferenceModel
@@ -101,7 +108,7 @@ def test_a_turn_is_the_doubt_only_where_nothing_else_is(standing: np.ndarray) ->
 
     def doubted(quality: float, *others: tuple[np.ndarray, float]) -> bool:
         answer = PoseEstimate("tea_box", T_cam_obj=standing, quality=quality, alternatives=others)
-        return turned_as_well(answer, "full")
+        return only_orientation_in_doubt(answer, "full")
 
     assert doubted(0.5, (over, 0.45))
     assert not doubted(0.1, (over, 0.09)), "none of them fits"

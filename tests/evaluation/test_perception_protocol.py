@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from huepose.datasets.types import Sample
-from huepose.estimation.standing import standing_answers, why_none_stands
+from huepose.estimation.accepted import accepted_answers, why_none_accepted
 from huepose.estimation.types import PoseEstimate
 from huepose.evaluation import pictures
 from huepose.evaluation.perception_protocol import PerceptionOptions, evaluate_perception
@@ -17,7 +17,7 @@ from huepose.evaluation.pictures import draw_perception
 from huepose.evaluation.result_files import plain
 from huepose.evaluation.targets import Targets
 from huepose.geometry import Box
-from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
+from huepose.geometry.image_faults import IF_IN_PLAIN_VIEW
 from huepose.perception.types import Detection
 from huepose.support.errors import InputError
 
@@ -165,8 +165,8 @@ def test_one_surface_stands_for_one_pose() -> None:
 
     better, worse = answer("box", LEFT, 0.95), answer("brick", LEFT, 0.9)
     beside, doubtful = answer("brick", RIGHT, 0.7), answer("can", NOWHERE, 0.3)
-    assert standing_answers([worse, doubtful, beside, better]) == [better, beside]
-    assert standing_answers([worse, PoseEstimate("box", present=1.0)]) == [worse]
+    assert accepted_answers([worse, doubtful, beside, better]) == [better, beside]
+    assert accepted_answers([worse, PoseEstimate("box", present=1.0)]) == [worse]
 
 
 def test_why_none_of_an_object_stands() -> None:
@@ -174,19 +174,19 @@ def test_why_none_of_an_object_stands() -> None:
         return replace(PoseEstimate("brick"), found=True, mask=mask_of(LEFT), present=present)
 
     nowhere = "The detector found no place in the frame that looks like the object."
-    assert why_none_stands("box", [found(0.9)]) == f"{nowhere} {IF_IN_PLAIN_VIEW}"
-    assert why_none_stands("box", [found(0.9)], advise=False) == nowhere
-    assert why_none_stands("brick", [found(0.2), found(0.31)]) == (
+    assert why_none_accepted("box", [found(0.9)]) == f"{nowhere} {IF_IN_PLAIN_VIEW}"
+    assert why_none_accepted("box", [found(0.9)], advise=False) == nowhere
+    assert why_none_accepted("brick", [found(0.2), found(0.31)]) == (
         "At the best of 2 places the object is there with a probability of 0.31, which is under 0.60."
     )
-    assert "of 0.59, which is under 0.60" in why_none_stands("brick", [found(0.598)])
-    assert why_none_stands("brick", [found(0.2)], ["its texture is not seen there"]).endswith(
+    assert "of 0.59, which is under 0.60" in why_none_accepted("brick", [found(0.598)])
+    assert why_none_accepted("brick", [found(0.2)], ["its texture is not seen there"]).endswith(
         "under 0.60: its texture is not seen there."
     )
-    assert why_none_stands("brick", [found(0.9)]) == (
+    assert why_none_accepted("brick", [found(0.9)]) == (
         "Another object explains the surface at the only place better."
     )
-    assert why_none_stands("brick", [PoseEstimate("brick", reason="Nothing.")]) == "Nothing."
+    assert why_none_accepted("brick", [PoseEstimate("brick", reason="Nothing.")]) == "Nothing."
 
 
 def test_what_stands_is_there_however_sure_its_pose_is(models, scene) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from huepose.geometry import Box, RgbdFrame
 from huepose.geometry.arrays import Bool
-from huepose.judge.pairs import PairPicture, pair_picture
+from huepose.judge.pairs import PairImage, pair_image
 from huepose.judge.region import Region, prepare_believed, prepare_crop
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.pair_score import pair_score_many
@@ -40,7 +40,7 @@ class PairScore(NamedTuple):
 def pair_score(
     model: ReferenceModel,
     region: Region,
-    picture: PairPicture,
+    picture: PairImage,
     T: np.ndarray,
     pairs: int = 600,
     samples: int = 300,
@@ -54,7 +54,7 @@ def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:
     return region_in(frame, render_depth(model.mesh, T, frame.camera) > 0, model.diameter_m)
 
 
-def seen_by_pairs(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> tuple[Region, PairPicture]:
+def seen_by_pairs(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> tuple[Region, PairImage]:
     """That region, and the picture of its pairs."""
     region = region_of(frame, model, T)
-    return region, pair_picture(model, region.crop, region.median_depth_m)
+    return region, pair_image(model, region.crop, region.median_depth_m)

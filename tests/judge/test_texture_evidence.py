@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.judge.pairs import PairPicture
+from huepose.judge.pairs import PairImage
 from huepose.judge.region import Region
 from huepose.judge.texture_evidence import agreement_many, contrast_disagreement
 from huepose.model.types import ReferenceModel
@@ -66,7 +66,7 @@ def out_of_date(model: ReferenceModel, share: float) -> ReferenceModel:
 
 
 @pytest.fixture(scope="module")
-def view(tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame) -> tuple[Region, PairPicture]:
+def view(tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame) -> tuple[Region, PairImage]:
     return seen_by_pairs(tea_box, box_frame, standing)
 
 
@@ -84,7 +84,7 @@ def test_the_right_pose_agrees_nearly_wholly_in_any_light(
 
 
 def test_what_is_out_of_date_takes_away_its_own_share_and_no_more(
-    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     old = out_of_date(tea_box, 0.3)
     before, after = (float(agreement_many(m, *view, standing[None])[0]) for m in (tea_box, old))
@@ -96,7 +96,7 @@ def test_what_is_out_of_date_takes_away_its_own_share_and_no_more(
 
 
 def test_without_pairs_in_sight_nothing_agrees(
-    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     away = standing.copy()
     away[2, 3] += 1.0

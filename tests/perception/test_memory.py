@@ -15,7 +15,7 @@ from huepose.perception.memory import FEWEST, MOST, KeptWindows, features_of, ma
 from huepose.perception.stillness import TILE_PX, Tiles, changed_shares
 from huepose.perception.view_detector import ViewDetector
 from huepose.propose.features import Sift
-from huepose.propose.view_pictures import Pyramid
+from huepose.propose.view_images import Pyramid
 from tests.conftest import TakePicture
 from tests.perception.conftest import noisy
 

@@ -12,7 +12,7 @@ from huepose.geometry import RgbdFrame, se3
 from huepose.model.types import ReferenceModel
 from huepose.perception.clear_view import ClearView, clear_view
 from huepose.perception.presence import agreeing_pixels, sights_of, windows_and_views
-from huepose.propose.view_pictures import NEAR
+from huepose.propose.view_images import NEAR
 from huepose.rendering.render import render
 from tests.conftest import TakePicture
 

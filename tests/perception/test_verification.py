@@ -12,7 +12,7 @@ from huepose.geometry import icosphere
 from huepose.geometry.arrays import Float32, UInt8
 from huepose.model.types import ReferenceModel
 from huepose.perception.verification import SUREST, WEIGHTS, verified
-from huepose.propose.view_pictures import clean_view
+from huepose.propose.view_images import clean_view
 
 LOOKS = [icosphere.look_at(d) for d in icosphere.directions(1)[:10]]
 

@@ -7,7 +7,7 @@ import pytest
 from huepose.geometry import Camera, icosphere, se3
 from huepose.model.types import ReferenceModel, ViewTemplates
 from huepose.propose.templates import build_templates
-from huepose.propose.view_pictures import unturned_views
+from huepose.propose.view_images import upright_views
 from huepose.rendering.render import render
 from tests.onboarding import solids
 
@@ -78,7 +78,7 @@ def test_a_sheet_that_is_seen_from_its_edge_has_an_empty_template() -> None:
     assert covered.max() > 100.0
     assert np.isfinite(made.origins).all()
     assert np.isfinite(made.planes).all()
-    colors, reliefs = unturned_views(sheet, 0.36)
+    colors, reliefs = upright_views(sheet, 0.36)
     assert np.isnan(reliefs).all((1, 2)).any()
     assert (colors[np.isnan(reliefs).all((1, 2))] == 0).all()
 

@@ -13,7 +13,7 @@ from huepose.geometry import icosphere, se3
 from huepose.geometry.arrays import Float32
 from huepose.model.types import ReferenceModel
 from huepose.propose.view_codes import WEIGHTS, codes_of_views, codes_of_windows
-from huepose.propose.view_pictures import (
+from huepose.propose.view_images import (
     MAX_STEP,
     NEAR,
     ROLLS,
@@ -25,8 +25,8 @@ from huepose.propose.view_pictures import (
     clean_view,
     network_input,
     turned,
-    unturned_views,
-    window_pictures,
+    upright_views,
+    window_images,
 )
 from huepose.propose.views import onto_rays
 from tests.conftest import TakePicture
@@ -52,7 +52,7 @@ def test_a_view_is_as_wide_as_it_says_and_its_middle_is_where_it_says(tea_box: R
 
 def test_a_roll_turns_a_view_clockwise(tea_box: ReferenceModel) -> None:
     R = icosphere.look_at(icosphere.directions(1)[7])
-    _, reliefs = turned(*unturned_views(tea_box.mesh, tea_box.diameter_m))
+    _, reliefs = turned(*upright_views(tea_box.mesh, tea_box.diameter_m))
     rolled = se3.rotation_exp(np.array([0.0, 0.0, 2 * np.pi * 2 / ROLLS])) @ R
     afresh = clean_view(tea_box.mesh, tea_box.diameter_m, rolled).relief
     there = np.isfinite(reliefs[7 * ROLLS + 2]), np.isfinite(afresh)
@@ -65,7 +65,7 @@ def test_a_window_is_read_at_metric_scale_and_unknown_depth_says_so() -> None:
     depth = np.full((100, 120), 0.6, np.float32)
     depth[:50] = 0.0
     middle = np.array([[59.5, 49.5]])
-    colors, reliefs = window_pictures(Pyramid(color), depth, middle, np.array([0.5]), np.array([64.0]), 0.2)
+    colors, reliefs = window_images(Pyramid(color), depth, middle, np.array([0.5]), np.array([64.0]), 0.2)
     assert colors[0, 10, [5, -5], 0].tolist() == [0, 200]
     assert np.isnan(reliefs[0, :30]).all()
     assert reliefs[0, 34:] == pytest.approx(0.5)
@@ -101,7 +101,7 @@ def test_windows_read_the_nearest_depth_and_the_picture_halved_until_its_steps_a
     depth = rng.uniform(0.4, 0.6, (120, 160)).astype(np.float32)
     depth[rng.random(depth.shape) < 0.2] = 0.0
     pixels, span_px = rng.uniform(-10.0, 170.0, (40, 2)), rng.uniform(20.0, 200.0, 40)
-    colors, reliefs = window_pictures(Pyramid(color), depth, pixels, np.full(40, 0.5), span_px, 0.25)
+    colors, reliefs = window_images(Pyramid(color), depth, pixels, np.full(40, 0.5), span_px, 0.25)
     half, (size, flags) = cv2.pyrDown(color), ((SIDE, SIDE), cv2.WARP_INVERSE_MAP)
     for k, step in enumerate(span_px / SIDE):
         middle = (SIDE - 1) / 2.0 * step
@@ -129,7 +129,7 @@ def test_the_likest_view_of_an_object_on_a_table_is_one_of_those_nearest_to_its_
     )
     span_px = SPAN * tea_box.diameter_m / middle[2] * frame.camera.fx
     place = frame.camera.project(middle)[None], middle[2:], np.array([span_px])
-    window = codes_of_windows(*window_pictures(Pyramid(frame.color), frame.depth, *place, tea_box.diameter_m))
+    window = codes_of_windows(*window_images(Pyramid(frame.color), frame.depth, *place, tea_box.diameter_m))
     best = np.argsort(-(codes @ window[0]))[:3]
     looks = np.stack([icosphere.look_at(d) for d in icosphere.directions(1)])
     angles = []

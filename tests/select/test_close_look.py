@@ -12,7 +12,7 @@ from huepose.geometry import RgbdFrame, se3
 from huepose.judge.kernel_arrays import region_arrays
 from huepose.judge.outline import PRIOR, Rim, edge_tensor, rim_agreement
 from huepose.judge.region import Region
-from huepose.judge.rendered_view import SHARP_PX, detail_colors, draw_rendered_view
+from huepose.judge.rendered_view import SHARP_PX, detail_colors, render_view
 from huepose.model.types import ReferenceModel
 from huepose.rendering.render import render_depth
 from huepose.select.near_ties import close_look
@@ -40,7 +40,7 @@ def test_samples_of_a_portrait_lie_where_the_object_is_seen(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     camera = region.crop.camera
-    drawn = draw_rendered_view(tea_box, standing, camera, 500)
+    drawn = render_view(tea_box, standing, camera, 500)
     assert drawn is not None
     arrays = drawn.arrays
     assert len(arrays.visible) == arrays.offsets[1] == 500
@@ -75,7 +75,7 @@ def test_detail_is_without_the_colour_of_the_light() -> None:
 def test_an_outline_agrees_where_the_object_is_and_not_beside_it(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
-    drawn = draw_rendered_view(tea_box, standing, region.crop.camera, 200)
+    drawn = render_view(tea_box, standing, region.crop.camera, 200)
     assert drawn is not None
     arrays = region_arrays(region)
     rim = Rim(drawn.rim_points, drawn.rim_inward, edge_tensor(region.crop.color), 1.0)
@@ -90,7 +90,7 @@ def test_an_outline_agrees_where_the_object_is_and_not_beside_it(
 
 
 def test_a_hidden_outline_says_nothing(region: Region, tea_box: ReferenceModel, standing: np.ndarray) -> None:
-    drawn = draw_rendered_view(tea_box, standing, region.crop.camera, 200)
+    drawn = render_view(tea_box, standing, region.crop.camera, 200)
     assert drawn is not None
     rim = Rim(drawn.rim_points, drawn.rim_inward, edge_tensor(region.crop.color), 1.0)
     wall = replace(region, crop=replace(region.crop, depth=np.full_like(region.crop.depth, 0.3)))
@@ -122,7 +122,7 @@ def test_of_what_is_too_near_or_out_of_view_there_is_no_portrait(
 ) -> None:
     camera = region.crop.camera
     behind = se3.compose(se3.make(np.eye(3), [0.0, 0.0, -2.0]), standing)
-    assert draw_rendered_view(tea_box, behind, camera, 200) is None
+    assert render_view(tea_box, behind, camera, 200) is None
     assert close_look(tea_box, region, behind[None], [None]) is None
 
 

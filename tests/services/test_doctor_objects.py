@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame
-from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
+from huepose.geometry.image_faults import IF_IN_PLAIN_VIEW
 from huepose.model.types import ReferenceModel
 from huepose_services.doctor import pictures
 from huepose_services.doctor.pictures import objects_in

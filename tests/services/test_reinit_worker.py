@@ -5,7 +5,7 @@ from dataclasses import asdict
 import msgspec
 import pytest
 
-from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
+from huepose.geometry.image_faults import IF_IN_PLAIN_VIEW
 from huepose.reinit import ReinitConfig, ReinitLoop
 from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError

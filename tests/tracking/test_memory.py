@@ -7,7 +7,7 @@ import pytest
 
 from huepose.support.errors import InputError
 from huepose.tracking import Correction, Tracker, Verdict
-from huepose.tracking.memory import checksum, frames_of, taken_over, told
+from huepose.tracking.memory import checksum, frames_of, state_of, taken_over
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_another_tracker_goes_on_as_the_first_does(tea_box, film, path, told_aft
         assert poses[0] == poses[-1]
         assert len({checksum(tracker) for tracker in trackers}) == 1
         if k == told_after:
-            memory = told(first)
+            memory = state_of(first)
             assert set(frames_of(memory)) <= set(kept)
             taken_over(other, memory, lambda epoch, frame_id: kept.get((epoch, frame_id)))
     assert len(poses[0]) == 1
@@ -79,7 +79,7 @@ def test_a_checksum_tells_a_bit(tea_box, film, path):
 )
 def test_what_is_no_memory_is_refused_and_changes_nothing(tea_box, damage):
     tracker = Tracker({"tea_box": tea_box})
-    before = told(tracker)
+    before = state_of(tracker)
     with pytest.raises(InputError, match="the tracker's memory"):
         taken_over(tracker, damage(before), lambda epoch, frame_id: None)
-    assert told(tracker) == before
+    assert state_of(tracker) == before

@@ -12,7 +12,7 @@ from huepose.believe.state import State
 from huepose.geometry import Box, Camera, Mesh, RgbdFrame, se3
 from huepose.geometry.arrays import Float64
 from huepose.tracking import Tracker, TrackerConfig
-from huepose.tracking.memory import checksum, taken_over, told
+from huepose.tracking.memory import checksum, state_of, taken_over
 from huepose.tracking.odometry import Odometry
 from tests.tracking.conftest import correction, errors
 
@@ -226,7 +226,7 @@ def test_another_tracker_goes_on_from_where_the_camera_is(tea_box, walked) -> No
                 tracker.correct(correction(frames[1, number - 2], walked(number - 2)[1], number))
             tracker.step(frame)
         if number == 8:
-            taken_over(other, told(first), lambda epoch, frame_id: frames.get((epoch, frame_id)))
+            taken_over(other, state_of(first), lambda epoch, frame_id: frames.get((epoch, frame_id)))
         if number >= 8:
             assert checksum(first) == checksum(other)
     assert errors(other.poses()[0], T_cam_box)[0] < 3.0

@@ -12,7 +12,7 @@ import pytest
 from onnx import helper, numpy_helper
 from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
 
-from huepose.propose.view_pictures import NEAR, SIDE, network_input
+from huepose.propose.view_images import NEAR, SIDE, network_input
 from huepose.training.byte_input import read_bytes
 
 

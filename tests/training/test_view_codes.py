@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from huepose.geometry import icosphere
-from huepose.propose import view_pictures
+from huepose.propose import view_images
 from huepose.propose.templates import view_rotations
 from huepose.training.network import info_nce, view_codes, window_codes
 from huepose.training.object_buffer import ObjectBuffer
@@ -26,14 +26,14 @@ def drawn() -> Drawn:
 
 
 def test_views_come_as_the_detector_makes_them(drawn):
-    colors, reliefs = view_pictures.turned(drawn.view_colors, drawn.view_reliefs.astype(np.float32))
+    colors, reliefs = view_images.turned(drawn.view_colors, drawn.view_reliefs.astype(np.float32))
     buffer = ObjectBuffer(1, "cpu")
     buffer.add(drawn)
     numbers = torch.tensor([0, 7, 12 * 20 + 3, 503])
     rgb, relief = buffer.views_of(torch.zeros_like(numbers), numbers)
-    theirs = view_pictures.network_input(colors[numbers.numpy()], reliefs[numbers.numpy()], clean=True)
+    theirs = view_images.network_input(colors[numbers.numpy()], reliefs[numbers.numpy()], clean=True)
     ours = network_input(rgb, relief, clean=True).numpy()
-    theirs = (theirs.astype(np.float32) - view_pictures.ZERO) * view_pictures.STEP
+    theirs = (theirs.astype(np.float32) - view_images.ZERO) * view_images.STEP
     # Both turn pictures, by other libraries: pixels at edges may differ, and hardly anything else.
     assert np.mean(np.abs(ours - theirs.transpose(0, 3, 1, 2)[:, :6]) > 0.05) < 0.02
 
@@ -49,7 +49,7 @@ def test_a_window_that_is_not_moved_is_the_middle_of_what_was_drawn(drawn):
 
 
 def test_the_turns_of_the_views_are_rolls_of_looks_from_all_around():
-    turns = view_rotations(icosphere.directions(view_pictures.LEVEL), view_pictures.ROLLS)
+    turns = view_rotations(icosphere.directions(view_images.LEVEL), view_images.ROLLS)
     assert turns.shape == (504, 3, 3)
     assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-9)
     roll = turns[1] @ turns[0].T

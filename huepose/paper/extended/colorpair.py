@@ -15,7 +15,7 @@ import numpy as np
 
 from huepose.geometry.arrays import Bool, Float64
 from huepose.geometry.frame import RgbdFrame
-from huepose.judge.pairs import CLOSE_PAIRS, PairPicture, pair_picture
+from huepose.judge.pairs import CLOSE_PAIRS, PairImage, pair_image
 from huepose.judge.region import Region
 from huepose.judge.texture_evidence import agreement_many
 from huepose.model.types import ReferenceModel
@@ -100,7 +100,7 @@ def estimate_by_pairs(
     """
     region = evidence.region
     with stage("picture"):
-        picture = pair_picture(model, region.crop, region.median_depth_m)
+        picture = pair_image(model, region.crop, region.median_depth_m)
     poses = proposed_by_pairs(model, evidence, picture, config, rng)
     if not len(poses):
         return NONE
@@ -130,7 +130,7 @@ def estimate_by_pairs(
 def proposed_by_pairs(
     model: ReferenceModel,
     evidence: Evidence,
-    picture: PairPicture,
+    picture: PairImage,
     config: ColorpairPathConfig,
     rng: np.random.Generator,
 ) -> Float64:
@@ -146,7 +146,7 @@ def _proposed(
     model: ReferenceModel,
     part: RgbdFrame,
     region: Region,
-    picture: PairPicture,
+    picture: PairImage,
     source: Bool,
     points_cam: Float64,
     rng: np.random.Generator,
@@ -177,7 +177,7 @@ def _proposed(
 
 
 def _with_near_symmetries(
-    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64
+    model: ReferenceModel, region: Region, picture: PairImage, poses: Float64
 ) -> Float64:
     """The best different poses among poses (N, 4, 4) and the near-symmetric rotations of the best ones."""
     totals = pair_score_many(model, region, picture, poses, COARSE_PAIRS, COARSE_SAMPLES)[:, 0]
@@ -191,7 +191,7 @@ def _with_near_symmetries(
 
 
 def _decided(
-    model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64, terms: Float64
+    model: ReferenceModel, region: Region, picture: PairImage, poses: Float64, terms: Float64
 ) -> Ranked:
     """Different poses (K, 4, 4) with their terms (K, 5), ordered by correlation and by agreement."""
     totals, geometry = terms[:, 0], terms[:, 1]
@@ -200,6 +200,6 @@ def _decided(
     return Ranked.of(poses, totals, weighed)
 
 
-def _judge(model: ReferenceModel, region: Region, picture: PairPicture, poses: Float64) -> Float64:
+def _judge(model: ReferenceModel, region: Region, picture: PairImage, poses: Float64) -> Float64:
     """Terms (M, 5) of `pair_score_many` of poses (M, 4, 4), with more pairs and samples."""
     return pair_score_many(model, region, picture, poses, CLOSE_PAIRS, CLOSE_PAIR_SAMPLES)

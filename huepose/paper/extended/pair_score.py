@@ -19,7 +19,7 @@ from huepose.judge.kernel_arrays import ModelArrays, RegionArrays, model_arrays,
 from huepose.judge.pairs import (
     PAIR_WEIGHTS,
     PairArrays,
-    PairPicture,
+    PairImage,
     PairWeights,
     pair_arrays,
     read_pairs,
@@ -49,7 +49,7 @@ class Judged(NamedTuple):
     samples: int
     geometry: ScoreWeights
     pairs: PairArrays
-    picture: PairPicture
+    picture: PairImage
     weights: PairWeights
 
 
@@ -96,7 +96,7 @@ def pair_kernel(T: Float64, on: Judged, work: PairScratch, needed: float) -> flo
 
 @jit
 def _read_pairs(
-    T: Float64, region: RegionArrays, pairs: PairArrays, picture: PairPicture, moments: Float64
+    T: Float64, region: RegionArrays, pairs: PairArrays, picture: PairImage, moments: Float64
 ) -> int:
     """Add sums over the visible pairs to `moments` (6, 5): rows 0..2 for the channels of both sides (weight,
     model, image and so on as below), rows 3..5 for the differences between the sides. Returns the number of
@@ -147,7 +147,7 @@ def _correlation(moments: Float64, first: int, weights: PairWeights) -> float:
 def pair_score_many(
     model: ReferenceModel,
     region: Region,
-    picture: PairPicture,
+    picture: PairImage,
     poses: Float,
     pairs: int,
     samples: int,
@@ -167,7 +167,7 @@ def pair_score_many(
 def judged_on(
     model: ReferenceModel,
     region: Region,
-    picture: PairPicture,
+    picture: PairImage,
     pairs: int,
     samples: int,
 ) -> Judged:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from huepose.geometry.arrays import Float, Float64
-from huepose.judge.pairs import PairPicture
+from huepose.judge.pairs import PairImage
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.pair_score import Judged, PairScratch, judged_on, pair_kernel, scratch
@@ -19,7 +19,7 @@ from huepose.support.jit import jit
 def search_pairs(
     model: ReferenceModel,
     region: Region,
-    picture: PairPicture,
+    picture: PairImage,
     poses: Float,
     steps_deg: Sequence[float],
     pairs: int = 300,

@@ -13,7 +13,7 @@ from collections import deque
 import numpy as np
 
 from huepose.geometry import Camera
-from huepose.geometry.picture_faults import DARK, LEAST_DEPTH, all_dark, all_grey, depth_share, readings
+from huepose.geometry.image_faults import DARK, LEAST_DEPTH, all_dark, all_grey, depth_share, readings
 from huepose.support.words import rounded
 from huepose_services.camera.live import Shot
 from huepose_services.runtime.clock import SECOND

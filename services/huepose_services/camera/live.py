@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeVar
 from huepose.datasets.types import GroundTruth
 from huepose.geometry import Camera
 from huepose.geometry.arrays import Float32, Float64, UInt8
-from huepose.geometry.picture_faults import same
+from huepose.geometry.image_faults import same
 from huepose.support.errors import InputError
 from huepose.support.extras import install_command
 

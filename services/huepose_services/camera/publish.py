@@ -11,7 +11,7 @@ import msgspec
 from huepose.datasets.types import GroundTruth
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Float64
-from huepose.geometry.picture_faults import camera_doubted
+from huepose.geometry.image_faults import camera_doubted
 from huepose_protos.buffers import pack
 from huepose_protos.fields import Quaternion, Vector3
 from huepose_protos.messages import (

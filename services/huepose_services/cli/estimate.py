@@ -193,9 +193,9 @@ def _searched_again(
 ) -> dict[str, list[Float64]]:
     """The objects that are searched for once more, each with the poses found so far: those of which the
     answers from `before` on found an instance, and all answers together fewer than `most`."""
-    from huepose.estimation.standing import standing_answers
+    from huepose.estimation.accepted import accepted_answers
 
-    standing = standing_answers(answers)
+    standing = accepted_answers(answers)
     new = {a.object for a in standing if any(a is one for one in answers[before:])}
     poses: dict[str, list[Float64]] = {name: [] for name in names if name in new}
     for answer in standing:
@@ -224,7 +224,7 @@ def _against(
 def _doubts(frame: RgbdFrame, models: Mapping[str, ReferenceModel], answers: list[PoseEstimate]) -> list[str]:
     """What else may be wrong with the frame itself, judged by the answers."""
     from huepose.estimation.depth_offset import depth_offset
-    from huepose.geometry.picture_faults import camera_doubted, depth_doubted
+    from huepose.geometry.image_faults import camera_doubted, depth_doubted
     from huepose.perception.exchanged import order_of_channels
     from huepose.perception.view_detector import ViewDetector
 
@@ -272,7 +272,7 @@ def _explain(
 
 def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, method: Method) -> PoseEstimate:
     """The answer; if it is `SUSPECT`, with the reason."""
-    from huepose.estimation.reasons import NO_PROBABILITY, turned_as_well
+    from huepose.estimation.reasons import NO_PROBABILITY, only_orientation_in_doubt
     from huepose.judge.open_region import PreparedSurface
     from huepose.tracking.types import Doubt
     from huepose_services.doubts import why_doubted
@@ -281,7 +281,7 @@ def _doubted(frame: RgbdFrame, model: ReferenceModel, answer: PoseEstimate, meth
         return answer
     if answer.terms is None:
         return replace(answer, reason=NO_PROBABILITY)
-    turned = Doubt.TURN if turned_as_well(answer, method) else None
+    turned = Doubt.TURN if only_orientation_in_doubt(answer, method) else None
     return replace(answer, reason=why_doubted(PreparedSurface.of(model), frame, answer.T_cam_obj, turned))
 
 
@@ -293,14 +293,14 @@ def _final_answers(
     answers: list[PoseEstimate],
     proposed: list[Detection],
 ) -> tuple[list[PoseEstimate], dict[str, UInt8]]:
-    """The accepted poses at the proposed places (`standing_answers`); for an object without any, an answer
+    """The accepted poses at the proposed places (`accepted_answers`); for an object without any, an answer
     that says why it was not found. Also the pages of --explain about such objects, by name."""
+    from huepose.estimation.accepted import accepted_answers, why_none_accepted
     from huepose.estimation.present import PresenceIn
-    from huepose.estimation.standing import standing_answers, why_none_stands
     from huepose.estimation.types import PoseEstimate
-    from huepose.geometry.picture_faults import bad_picture
+    from huepose.geometry.image_faults import bad_image
 
-    poses = standing_answers(answers)
+    poses = accepted_answers(answers)
     advise = not any(pose.state == "TRACKING" for pose in poses)
     presence = None
     out: list[PoseEstimate] = []
@@ -315,7 +315,7 @@ def _final_answers(
         placed = [(name, a.T_cam_obj) for a in mine if a.T_cam_obj is not None]
         doubts = iter([doubt for _, doubt in presence.places(placed)])
         said = ["" if a.T_cam_obj is None else next(doubts) for a in mine]
-        why = bad_picture(frame, models[name].diameter_m) or why_none_stands(name, mine, said, advise)
+        why = bad_image(frame, models[name].diameter_m) or why_none_accepted(name, mine, said, advise)
         out.append(PoseEstimate(name, reason=why))
         if arguments.explain:
             from huepose_services.cli.explain import draw_places

@@ -17,7 +17,7 @@ from huepose.estimation.apparent_size import doubted_in
 from huepose.estimation.frame_offset import frame_offset
 from huepose.geometry import RgbdFrame
 from huepose.geometry.arrays import Bool, Float32, Float64
-from huepose.geometry.picture_faults import (
+from huepose.geometry.image_faults import (
     IF_IN_PLAIN_VIEW,
     LEAST_DEPTH,
     all_grey,

@@ -7,7 +7,7 @@ import pytest
 
 from huepose.estimation import Estimator, EstimatorConfig, ObjectQuery
 from huepose.geometry import Box, RgbdFrame, se3
-from huepose.judge.pairs import CLOSE_PAIRS, pair_picture
+from huepose.judge.pairs import CLOSE_PAIRS, pair_image
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.colorpair import ColorpairPathConfig, estimate_by_pairs
 from huepose.paper.extended.hypotheses import HypothesesConfig
@@ -64,7 +64,7 @@ def test_totals_are_scores_and_behind_says_how_far_the_others_are(
 ) -> None:
     found = estimate_by_pairs(tea_box, evidence, ColorpairPathConfig(), np.random.default_rng(0))
     region = evidence.region
-    picture = pair_picture(tea_box, region.crop, region.median_depth_m)
+    picture = pair_image(tea_box, region.crop, region.median_depth_m)
     first = pair_score(tea_box, region, picture, found.poses[0], CLOSE_PAIRS, CLOSE_PAIR_SAMPLES)
     assert found.totals[0] == pytest.approx(first.total, abs=1e-12)
     assert len(found) > 1

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import RgbdFrame, se3
-from huepose.judge.pairs import PairPicture, pair_arrays
+from huepose.judge.pairs import PairImage, pair_arrays
 from huepose.judge.region import Region
 from huepose.model.types import ReferenceModel
 from huepose.paper.extended.pair_score import judged_on, pair_kernel, pair_score_many, scratch
@@ -18,12 +18,12 @@ from tests.judge.regions import pair_score, seen_by_pairs
 
 
 @pytest.fixture(scope="module")
-def view(tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame) -> tuple[Region, PairPicture]:
+def view(tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame) -> tuple[Region, PairImage]:
     return seen_by_pairs(tea_box, box_frame, standing)
 
 
 def test_the_right_pose_nearly_correlates_fully(
-    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     score = pair_score(tea_box, *view, standing)
     assert score.visible > 50
@@ -33,7 +33,7 @@ def test_the_right_pose_nearly_correlates_fully(
 
 
 def test_light_is_normalised_at_the_pose(
-    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture, view: tuple[Region, PairPicture]
+    tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture, view: tuple[Region, PairImage]
 ) -> None:
     white = pair_score(tea_box, *view, standing)
     for light in ((0.9, 0.6, 0.4), (0.45, 0.5, 0.6)):
@@ -46,7 +46,7 @@ def test_light_is_normalised_at_the_pose(
 
 
 def test_an_offset_of_all_colours_changes_nothing(
-    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     region, picture = view
     shifted = picture._replace(colors=picture.colors + np.array([5.0, -20.0, 12.0], np.float32))
@@ -56,7 +56,7 @@ def test_an_offset_of_all_colours_changes_nothing(
 
 
 def test_inverted_colours_anticorrelate(
-    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     region, picture = view
     score = pair_score(tea_box, region, picture._replace(colors=-picture.colors), standing)
@@ -65,7 +65,7 @@ def test_inverted_colours_anticorrelate(
 
 
 def test_hidden_pairs_are_not_read(
-    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     region, picture = view
     behind = se3.perturb(standing, np.array([0.0, 0.0, 0.1, 0.0, 0.0, 0.0]))
@@ -78,7 +78,7 @@ def test_hidden_pairs_are_not_read(
 
 
 def test_many_poses_are_judged_as_one_by_one(
-    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     poses = np.stack([se3.perturb(standing, d) for d in np.diag([0.004] * 3 + [0.05] * 3)])
     table = pair_score_many(tea_box, *view, poses, 600, 300)
@@ -87,7 +87,7 @@ def test_many_poses_are_judged_as_one_by_one(
 
 
 def test_search_climbs_back(
-    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     rng = np.random.default_rng(0)
     turns, shifts = rng.normal(size=(6, 3)), rng.normal(size=(6, 3))
@@ -104,7 +104,7 @@ def test_search_climbs_back(
 
 
 def test_a_needed_total_decides_as_the_whole_total_does(
-    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairPicture]
+    tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     region, picture = view
     on, room = judged_on(tea_box, region, picture, 300, 150), scratch(150)

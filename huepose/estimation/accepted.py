@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from huepose.estimation.reasons import under
 from huepose.estimation.types import PoseEstimate
-from huepose.geometry.picture_faults import IF_IN_PLAIN_VIEW
+from huepose.geometry.image_faults import IF_IN_PLAIN_VIEW
 from huepose.select.distinct import pixels, standing
 
 PRESENT = 0.6
@@ -19,7 +19,7 @@ PRESENT = 0.6
 the rendered set `choose` of studies.presence (docs/detection_measured.md)."""
 
 
-def standing_answers(answers: Sequence[PoseEstimate]) -> list[PoseEstimate]:
+def accepted_answers(answers: Sequence[PoseEstimate]) -> list[PoseEstimate]:
     """The estimates that are kept, most probable first.
 
     Estimates without a pose are left out. One without a mask claims no pixels, so it conflicts with no
@@ -33,12 +33,12 @@ def standing_answers(answers: Sequence[PoseEstimate]) -> list[PoseEstimate]:
     return [likely[i] for i in standing(surfaces, [answer.chance for answer in likely])]
 
 
-def why_none_stands(
+def why_none_accepted(
     name: str, answers: Sequence[PoseEstimate], doubts: Sequence[str] = (), advise: bool = True
 ) -> str:
     """Why no pose of an object is kept, in words: the reason of its most probable estimate, if it has any.
 
-    answers: as for `standing_answers`, of all objects of the frame; doubts: for each estimate, the strongest
+    answers: as for `accepted_answers`, of all objects of the frame; doubts: for each estimate, the strongest
     evidence against its object (`estimation.present`); advise: nothing else in the frame is sure, so the data
     of its camera may be wrong."""
     doubts = doubts or [""] * len(answers)

@@ -157,7 +157,7 @@ def depth_doubted(frame: RgbdFrame) -> str | None:
     return f"{nearer}: is this right, or is the depth scale wrong?"
 
 
-def bad_picture(frame: RgbdFrame, diameter_m: float) -> str | None:
+def bad_image(frame: RgbdFrame, diameter_m: float) -> str | None:
     """What is wrong with a frame for the search of an object of that diameter; None if nothing is."""
     if depth_share(frame.depth) < LEAST_DEPTH:
         return (
@@ -195,7 +195,7 @@ def why_nothing_is_found(frame: RgbdFrame, diameters_m: Sequence[float]) -> str 
     if nothing is, or if some of the objects could be found in it."""
     if not diameters_m:
         return None
-    smallest, largest = bad_picture(frame, min(diameters_m)), bad_picture(frame, max(diameters_m))
+    smallest, largest = bad_image(frame, min(diameters_m)), bad_image(frame, max(diameters_m))
     return smallest if smallest and largest else depth_doubted(frame)
 
 

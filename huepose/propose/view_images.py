@@ -38,7 +38,7 @@ there."""
 STEP, ZERO = np.float32(4.0 * NEAR) / np.float32(255.0), 128
 """A byte of the input means the number (byte - ZERO) * STEP, -1.2 to 1.2."""
 
-UNTURNED = 92
+UPRIGHT_PX = 92
 """Side of an unrolled view, pixels: sqrt(2) * SIDE plus a margin, so that a view at any roll can be cut from
 it."""
 
@@ -55,17 +55,17 @@ MAX_STEP = 1.7
 """Largest sampling step, pixels: a coarser step takes the next level of the image pyramid."""
 
 
-def unturned_views(mesh: Mesh, diameter_m: float) -> tuple[UInt8, Float32]:
+def upright_views(mesh: Mesh, diameter_m: float) -> tuple[UInt8, Float32]:
     """The views of a mesh from all directions, without roll: colours (V, 92, 92, 3) uint8, black outside the
     object, and relief (V, 92, 92) in diameters from the median depth, NaN outside."""
     looks = [icosphere.look_at(direction) for direction in icosphere.directions(LEVEL)]
-    views = [clean_view(mesh, diameter_m, R, UNTURNED) for R in looks]
+    views = [clean_view(mesh, diameter_m, R, UPRIGHT_PX) for R in looks]
     return np.stack([view.color for view in views]), np.stack([view.relief for view in views])
 
 
 @dataclass(frozen=True, eq=False)
 class CleanView:
-    """One rendered view: color (n, n, 3), relief (n, n), as of `unturned_views`; middle_m (3,): from the
+    """One rendered view: color (n, n, 3), relief (n, n), as of `upright_views`; middle_m (3,): from the
     mesh's centre to the centre of the view at median depth, camera axes."""
 
     color: UInt8
@@ -105,7 +105,7 @@ def turned(colors: UInt8, reliefs: Float32) -> tuple[UInt8, Float32]:
     for r, angle in enumerate(2 * np.pi * np.arange(ROLLS) / ROLLS):
         c, s = np.cos(angle), np.sin(angle)
         A = np.array([[c, s], [-s, c]])
-        back = np.column_stack([A, (UNTURNED - 1) / 2.0 - A @ np.full(2, (SIDE - 1) / 2.0)])
+        back = np.column_stack([A, (UPRIGHT_PX - 1) / 2.0 - A @ np.full(2, (SIDE - 1) / 2.0)])
         for v in range(len(colors)):
             out_colors[v, r] = _resampled(colors[v], back, SIDE, cv2.INTER_LINEAR)
             out_reliefs[v, r] = _resampled(reliefs[v], back, SIDE, cv2.INTER_NEAREST, np.nan)
@@ -126,7 +126,7 @@ class Pyramid:
             return self._levels[times]
 
 
-def window_pictures(
+def window_images(
     image: Pyramid,
     depth: Float32,
     pixels: Float64,

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera, RgbdFrame
-from huepose.geometry.picture_faults import (
+from huepose.geometry.image_faults import (
     NO_COLOUR,
     all_grey,
-    bad_picture,
+    bad_image,
     camera_doubted,
     depth_doubted,
     depth_share,
@@ -30,9 +30,9 @@ def good() -> RgbdFrame:
 
 
 def test_a_good_frame_has_nothing_wrong_with_it(good: RgbdFrame) -> None:
-    assert bad_picture(good, DIAMETER_M) is None
+    assert bad_image(good, DIAMETER_M) is None
     mostly_holes = np.where(np.arange(160) % 10 == 0, good.depth, np.float32(0.0))
-    assert bad_picture(replace(good, depth=mostly_holes), DIAMETER_M) is None
+    assert bad_image(replace(good, depth=mostly_holes), DIAMETER_M) is None
 
 
 @pytest.mark.parametrize("period", [2, 3, 4])
@@ -45,14 +45,14 @@ def test_depth_in_every_second_row_or_column_is_depth(good: RgbdFrame, period: i
         some[axis] = slice(read, None, period)
         kept[tuple(some)] = good.depth[tuple(some)]
         assert depth_share(kept) == pytest.approx(1.0 / period, abs=0.05)
-        assert bad_picture(replace(good, depth=kept), DIAMETER_M) is None
+        assert bad_image(replace(good, depth=kept), DIAMETER_M) is None
 
 
 def test_no_depth_and_depth_of_another_unit_are_named(good: RgbdFrame) -> None:
-    empty = bad_picture(replace(good, depth=np.zeros_like(good.depth)), DIAMETER_M)
-    far = bad_picture(replace(good, depth=10.0 * good.depth), DIAMETER_M)
+    empty = bad_image(replace(good, depth=np.zeros_like(good.depth)), DIAMETER_M)
+    far = bad_image(replace(good, depth=10.0 * good.depth), DIAMETER_M)
     near, nearer = (
-        bad_picture(replace(good, depth=good.depth / np.float32(k)), DIAMETER_M) for k in (10, 1000)
+        bad_image(replace(good, depth=good.depth / np.float32(k)), DIAMETER_M) for k in (10, 1000)
     )
     assert empty is not None
     assert empty.startswith("The frame has no depth")
@@ -97,8 +97,8 @@ def test_a_picture_without_colour_is_told_from_a_grey_scene_and_from_what_shows_
 
 
 def test_black_and_grey_pictures_are_named(good: RgbdFrame) -> None:
-    black = bad_picture(replace(good, color=good.color // np.uint8(40)), DIAMETER_M)
-    grey = bad_picture(replace(good, color=np.repeat(good.color[..., :1], 3, axis=2)), DIAMETER_M)
+    black = bad_image(replace(good, color=good.color // np.uint8(40)), DIAMETER_M)
+    grey = bad_image(replace(good, color=np.repeat(good.color[..., :1], 3, axis=2)), DIAMETER_M)
     assert black is not None
     assert black.startswith("The image is black")
     assert grey is not None

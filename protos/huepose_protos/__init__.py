@@ -17,7 +17,7 @@ __all__ = ["VERSION", "PoseClient", "WireError", "decode", "encode", "to_json"]
 
 
 def __getattr__(name: str) -> Any:
-    # The client brings the bus, which who only reads and writes bytes does not need.
+    # Imported on use: it imports zenoh, which a program that only encodes and decodes does not need.
     if name == "PoseClient":
         from huepose_protos.pose_client import PoseClient
 

@@ -1,5 +1,5 @@
-"""Messages with pixels: the payload is the buffers back to back, the header goes beside it as attachment; and
-masks as run lengths."""
+"""Messages with pixels (the payload is the buffers back to back, the header is its attachment), and masks as
+run lengths."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def pack(arrays: Mapping[str, Array]) -> tuple[list[BufferSpec], bytes]:
     offset = 0
     for name, array in arrays.items():
         little = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
-        kind = cast(Any, array.dtype.name)  # The spec says which there are.
+        kind = cast(Any, array.dtype.name)  # BufferSpec lists the types.
         specs.append(BufferSpec(name=name, dtype=kind, shape=list(array.shape), offset=offset))
         parts.append(little.data)
         offset += little.nbytes
@@ -47,7 +47,7 @@ def unpack(specs: Sequence[BufferSpec], payload: bytes) -> dict[str, Array]:
         flat = np.frombuffer(payload, dtype, math.prod(spec.shape), at)
         try:
             arrays[spec.name] = flat.reshape(spec.shape)
-        except ValueError as error:  # without an element, and with sides that are too long all the same
+        except ValueError as error:  # no elements, but sides that are too long
             raise WireError(f"buffer {spec.name}: {error}") from None
         at += size
     if at != len(payload):
@@ -56,7 +56,7 @@ def unpack(specs: Sequence[BufferSpec], payload: bytes) -> dict[str, Array]:
 
 
 def frame_images(header: FrameHeader, payload: bytes) -> tuple[Array, Array]:
-    """color (H, W, 3) uint8 and depth (H, W) uint16 of a frame. Raises WireError where they do not fit."""
+    """color (H, W, 3) uint8 and depth (H, W) uint16 of a frame. Raises WireError if they do not fit."""
     arrays = unpack(header.buffers, payload)
     size = (header.intrinsics.height, header.intrinsics.width)
     for name, shape, dtype in (("color", (*size, 3), "uint8"), ("depth", size, "uint16")):
@@ -68,20 +68,20 @@ def frame_images(header: FrameHeader, payload: bytes) -> tuple[Array, Array]:
 
 
 def runs_of(mask: NDArray[np.bool_]) -> MaskRuns:
-    """Run lengths of a mask (H, W): row by row, the first run outside of it, maybe of length 0, then in turn.
+    """Run lengths of a mask (H, W), row by row: outside (may be 0), inside, outside, ...
 
     >>> runs_of(np.array([[True, False], [True, True]])).runs
     [0, 1, 1, 2]
     """
     flat = np.ravel(mask)
-    last = np.flatnonzero(flat[1:] != flat[:-1])  # of each run but the last one
+    last = np.flatnonzero(flat[1:] != flat[:-1])  # last pixel of each run but the last one
     runs = np.diff(last, prepend=-1, append=flat.size - 1).tolist()
     return MaskRuns(width=mask.shape[1], height=mask.shape[0], runs=[0, *runs] if flat[0] else runs)
 
 
 def mask_of(mask: MaskRuns, image_size: tuple[int, int] | None = None) -> NDArray[np.bool_]:
-    """Mask (H, W) of run lengths; MaskRuns has checked that they add up. image_size: height and width that it
-    must have. Raises WireError for another size, before memory is taken."""
+    """Mask (H, W) of run lengths; MaskRuns has checked their sum. image_size: height and width that it must
+    have. Raises WireError for another size, before memory is allocated."""
     if image_size not in (None, (mask.height, mask.width)):
         raise WireError(f"a mask of {mask.width} x {mask.height} pixels has not the size of its frame")
     inside = np.arange(len(mask.runs)) % 2 == 1

@@ -1,4 +1,4 @@
-"""The light client: a subscriber to any machine's messages with nothing but zenoh, msgspec and numpy.
+"""A light client: it reads the messages of any machine, with nothing but zenoh, msgspec and numpy.
 
 >>> with Reader(["tcp/127.0.0.1:17448"], "huepose/*/*/pose/**") as reader:    # doctest: +SKIP
 ...     while (message := reader.next(1.0)) is not None:
@@ -42,11 +42,11 @@ Hear = Callable[[zenoh.Sample], None]
 
 _ASK_TIMEOUT_S = 2.0
 _OPEN_WITHIN_MS = 2_000
-"""For a new link of one that only reads. Where the other side is mute, as one that hangs or has no TLS, who
-ends a session waits for as long; zenoh's own are ten seconds."""
+"""For a new link of a session that only reads. If the other side does not answer, because it hangs or has no
+TLS, closing the session takes this long; zenoh's default is ten seconds."""
 _ROOM = 65_536  # samples that may wait for a busy program before the bus does
 _WAITING = 16_384
-"""Messages that a Reader keeps for a busy program: of five objects at 30 Hz two minutes, some 20 MB."""
+"""Messages that a Reader keeps for a busy program: two minutes of five objects at 30 Hz, some 20 MB."""
 _KINDS: dict[str, type[Message]] = {
     "pose": PoseMessage,
     "health": HealthMessage,
@@ -63,7 +63,7 @@ _KINDS: dict[str, type[Message]] = {
 
 
 def kind_of(key: str) -> type[Message] | None:
-    """The message that a key carries; None for keys with pixels and unknown ones."""
+    """The type of the messages under a key; None for keys with pixels and unknown ones."""
     tail = tail_of(key)
     return next((kind for head, kind in _KINDS.items() if tail == head or tail.startswith(head + "/")), None)
 
@@ -79,8 +79,8 @@ def configured(settings: Mapping[str, object]) -> zenoh.Config:
 def peer(
     connect: Sequence[str], listen: Sequence[str] = (), more: Mapping[str, object] | None = None
 ) -> zenoh.Config:
-    """One that listens and connects where it is told, and looks for nobody else; it goes on trying to reach
-    its endpoints, now and after they were gone. more: settings beside these."""
+    """A configuration for a session that listens and connects at these endpoints only, without discovery. It
+    keeps trying to connect, at first and after a link was lost. more: further settings."""
     settings: dict[str, object] = {
         "mode": "peer",
         "scouting/multicast/enabled": False,
@@ -102,7 +102,7 @@ def peer(
 def tls_files(
     authority: Path | str | None, certificate: Path | str | None, key: Path | str | None
 ) -> dict[str, object]:
-    """The settings of who connects by TLS, with files in PEM."""
+    """The settings to connect by TLS, with files in PEM."""
     files = {"root_ca_certificate": authority, "connect_certificate": certificate, "connect_private_key": key}
     settings: dict[str, object] = {"transport/link/tls/enable_mtls": certificate is not None}
     for name, path in files.items():
@@ -119,27 +119,28 @@ def open_session(
     certificate: Path | str | None = None,
     key: Path | str | None = None,
 ) -> zenoh.Session:
-    """A session that listens nowhere and goes on trying to reach its endpoints, now and after they were gone.
+    """A session that listens nowhere and keeps trying to connect to its endpoints, at first and after a link
+    was lost.
 
-    endpoints: as `reach.endpoint_of` takes them. The files, in PEM, are for those with TLS
-    (`tls/HOST:PORT`): who signed the other side's certificate, and the reader's own certificate and key.
-    Raises ValueError for endpoints and files that zenoh cannot use."""
-    meant = [endpoint_of(one, tls=authority is not None) for one in endpoints]
+    endpoints: as `reach.endpoint_of` takes them. The files, in PEM, are for endpoints with TLS
+    (`tls/HOST:PORT`): the authority that signed the other side's certificate, and the reader's own
+    certificate and key. Raises ValueError for endpoints and files that zenoh cannot use."""
+    addresses = [endpoint_of(one, tls=authority is not None) for one in endpoints]
     try:
-        return zenoh.open(peer(meant, more=tls_files(authority, certificate, key)))
+        return zenoh.open(peer(addresses, more=tls_files(authority, certificate, key)))
     except zenoh.ZError as error:
-        said = re.sub(r" at \S+\.rs:\d+\.?", "", " ".join(str(error).split()))[:200]
-        raise ValueError(f"{', '.join(meant)} cannot be used: {said}") from None
+        why = re.sub(r" at \S+\.rs:\d+\.?", "", " ".join(str(error).split()))[:200]
+        raise ValueError(f"{', '.join(addresses)} cannot be used: {why}") from None
 
 
 C = TypeVar("C", bound="Client")
 
 
 class Client:
-    """A session that listens until it is closed; one that is left open, until the program's end.
+    """A session that listens until it is closed, at the latest when the program ends.
 
-    Given a callback, zenoh itself makes a thread that keeps a program for ever that leaves its session open,
-    as after Ctrl-C. The threads here are daemons. `refused`: how many messages could not be read."""
+    Its threads are daemons. (With a callback, zenoh makes a thread that keeps a program alive for ever if its
+    session is left open, for example after Ctrl-C.) `refused`: how many messages could not be decoded."""
 
     def __init__(self, session: zenoh.Session) -> None:
         self.refused = 0
@@ -150,8 +151,8 @@ class Client:
     def _listen(
         self, declare: Callable[..., Iterable[zenoh.Sample]], key: str, hear: Hear, **more: bool
     ) -> None:
-        """Call `hear` with each sample on a key. declare: a session's `declare_subscriber`; more: what else
-        it takes."""
+        """Call `hear` with each sample on a key. declare: a session's `declare_subscriber`; more: its further
+        arguments."""
         subscriber = declare(key, zenoh.handlers.FifoChannel(_ROOM), **more)
 
         def move() -> None:
@@ -163,7 +164,7 @@ class Client:
         thread.start()
 
     def _decoded(self, key: str, data: bytes) -> Message | None:
-        """The message of a key; None, and counted, for bytes that are none."""
+        """The message of a key; None for bytes that are none, which are counted, and for an unknown key."""
         kind = kind_of(key)
         try:
             return None if kind is None else decode(data, kind)
@@ -173,11 +174,11 @@ class Client:
 
     @property
     def connected(self) -> bool:
-        """Whether there is a link to any of the endpoints now."""
+        """Whether there is a link to any endpoint now."""
         return bool(self._session.info.peers_zid())
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Disconnect from the bus."""
         atexit.unregister(self.close)
         self._session.close()
         for thread in self._threads:
@@ -192,12 +193,13 @@ class Client:
 
 
 class Reader(Client):
-    """Messages on key expressions from workers, or a gateway, at the given endpoints, as soon as these are
-    there. The files are those of `open_session`.
+    """Messages on key expressions from workers, or a gateway, at the given endpoints, as soon as these can
+    be reached. The files are those of `open_session`.
 
-    `seen`: a worker was there since the start; `live`: keys of the workers that are there now; `gone_since`:
-    when the last of them went (time.monotonic), None while one is there: a gateway shows none of this.
-    `missed`: messages that were dropped, the oldest first, because `next` was not called for too long."""
+    `seen`: whether a worker was there since the start; `live`: keys of the workers that are there now;
+    `gone_since`: when the last of them ended (time.monotonic), None while one is there. A gateway shows
+    none of this. `missed`: messages that were dropped, the oldest first, because `next` was not called for
+    too long."""
 
     def __init__(
         self,
@@ -237,7 +239,8 @@ class Reader(Client):
                 self._came.notify()
 
     def ask(self) -> None:
-        """Ask a gateway for the latest message of every key that does not speak by itself meanwhile."""
+        """Ask a gateway for the latest message of every key; the answer is left out if a message comes by
+        itself before it."""
         self._heard.clear()
         for expression in self._keys:
             self._session.get(expression, self._on_reply, timeout=_ASK_TIMEOUT_S)
@@ -252,7 +255,7 @@ class Reader(Client):
         return len(self._messages)
 
     def next(self, timeout_s: float | None = None) -> Message | None:
-        """The next message that can be read, or None after the timeout; None waits for ever."""
+        """The next message that can be decoded, or None after the timeout; timeout_s None: wait for ever."""
         while True:
             with self._came:
                 if not self._came.wait_for(lambda: self._messages, timeout_s):

@@ -52,7 +52,7 @@ def decode(data: bytes, kind: type[M]) -> M:
 
 
 def _foreign_version(data: bytes) -> str:
-    """Says so if the bytes are of another major version: the likely reason why they do not fit."""
+    """The error for bytes of another major version, the likely reason why they do not fit; else empty."""
     try:
         version = _version_decoder.decode(data).version
         major = int(str(version).split(".")[0])

@@ -1,4 +1,4 @@
-"""One example of every message, with known numbers: `golden/NAME.json`, of which the bytes there are made."""
+"""One example of every message, with known numbers: `golden/NAME.json`, from which `NAME.bin` is made."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ GOLDEN = Path(__file__).parent / "golden"
 
 
 def messages() -> list[Message]:
-    """One of each kind, a frame first."""
+    """One example of each kind, a frame first."""
     return [example(kind) for kind in MESSAGES]
 
 
 def example(kind: type[M]) -> M:
-    """The one of a kind."""
+    """The example of a kind."""
     return msgspec.json.decode((GOLDEN / f"{kind.__name__}.json").read_bytes(), type=kind)
 
 

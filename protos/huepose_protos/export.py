@@ -1,7 +1,7 @@
-"""Writes what readers in other languages need: `python -m huepose_protos.export protos`.
+"""Writes the files for subscribers in other languages: `python -m huepose_protos.export protos`.
 
-`schemas/NAME.json`: the JSON Schema of each message; `huepose_protos/golden/NAME.bin`: the example that is
-beside it in JSON, as it is on the wire. A field that a message has got since then is added to that JSON.
+`schemas/NAME.json`: the JSON Schema of each message; `huepose_protos/golden/NAME.bin`: the example of
+`NAME.json` beside it, as sent. New fields of a message are added to that JSON.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from huepose_protos.examples import messages
 
 
 def json_schema(kind: type) -> dict[str, Any]:
-    """The JSON Schema of a message. Its regular expressions are those of ECMA 262: there `$` is what `\\Z` is
-    to Python."""
+    """The JSON Schema of a message. Its regular expressions are those of ECMA 262, where `$` means what `\\Z`
+    means in Python."""
     text = json.dumps(msgspec.json.schema(kind)).replace(r"\\Z", "$")
     return dict(json.loads(text))
 

@@ -1,7 +1,7 @@
 """Field types that several messages share, and the checks that a type alone cannot express.
 
-Numbers are finite everywhere. Lengths are metres, angles radians, stamps nanoseconds of CLOCK_MONOTONIC on
-the machine named by `clock_id`. A pose is the translation and the unit quaternion (x, y, z, w) that take a
+Numbers are finite everywhere. Lengths are metres, angles radians, timestamps nanoseconds of CLOCK_MONOTONIC
+on the machine named by `clock_id`. A pose is the translation and the unit quaternion (x, y, z, w) that take a
 point from the object's frame to the camera's: x right, y down, z forward.
 """
 
@@ -26,7 +26,7 @@ Text = Annotated[str, Meta(max_length=2000)]
 Stamp = Annotated[int, Meta(ge=0, le=2**63 - 1, description="nanoseconds, CLOCK_MONOTONIC of clock_id")]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Index = Annotated[int, Meta(ge=0, le=2**31 - 1)]
-Epoch = Annotated[int, Meta(ge=0, le=2**63 - 1, description="random number, drawn when a camera is opened")]
+Epoch = Annotated[int, Meta(ge=0, le=2**63 - 1, description="random number, chosen when a camera is opened")]
 Size = Annotated[int, Meta(ge=1, le=16384, description="pixels")]
 Positive = Annotated[float, Meta(gt=0.0)]
 Fraction = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -50,12 +50,12 @@ HealthState = Literal["starting", "ready", "waiting", "ended", "stopping"]
 
 
 def is_name(text: str) -> bool:
-    """Whether a site, camera, object or worker may be called so."""
+    """Whether a site, camera, object or worker may have this name."""
     return re.fullmatch(_NAME, text) is not None
 
 
 _FARTHEST_M = 1e8
-"""Ten times what a map of the earth has: with much more no computer could do its sums."""
+"""Ten times the largest coordinate on a map of the earth; computations with much larger numbers fail."""
 
 
 def check_finite(**groups: float | Iterable[float] | None) -> None:
@@ -96,4 +96,4 @@ def check_box(box: tuple[float, float, float, float] | None) -> None:
 
 
 class WireError(ValueError):
-    """Bytes from the bus that cannot be believed; why, in one short line for the log."""
+    """Bytes from the bus that are refused; the text says why, in one short line for the log."""

@@ -10,7 +10,7 @@ ROOT = "huepose"
 
 
 class _Key:
-    """A key that always ends the same."""
+    """A key with a fixed end."""
 
     def __init__(self, tail: str) -> None:
         self._tail = tail
@@ -21,7 +21,7 @@ class _Key:
 
 @dataclass(frozen=True)
 class Keys:
-    """The keys of one camera. `*` as site or camera makes them expressions that match any.
+    """The keys of one camera. With `*` as site or camera they are expressions that match any.
 
     >>> Keys("lab", "cam0").pose("mustard", 1)
     'huepose/lab/cam0/pose/mustard/1'
@@ -38,13 +38,13 @@ class Keys:
     frame = _Key("frame")
     """Frames with pixels: FrameHeader."""
     camera_info = _Key("camera")
-    """CameraMessage: the camera's intrinsics and clock, for readers that take no frames."""
+    """CameraMessage: the camera's intrinsics, clock and mount, for readers without frames."""
     mount = _Key("mount")
-    """MountMessage: where a camera that moves is, told from outside of the pipeline."""
+    """MountMessage: the pose of a moving camera, from a program outside the pipeline."""
     request = _Key("perception/request")
     """PerceptionRequest."""
     look = _Key("perception/look")
-    """Requests with the pixels to look at, where the detector runs on another computer."""
+    """Look: requests with their pixels, if the detector runs on another computer."""
     detections = _Key("perception/detections")
     """Detections with the pixels that they were found in."""
     masks = _Key("perception/masks")
@@ -56,9 +56,9 @@ class Keys:
     objects = _Key("objects")
     """ObjectsMessage."""
     control = _Key("control")
-    """Queryable on loopback: ControlRequest, answered by ControlReply."""
+    """Queryable on the pipeline's own machine: ControlRequest, answered by ControlReply."""
     truth = _Key("truth")
-    """TruthMessage, from sources that know it and are told to say it."""
+    """TruthMessage, if the source knows the truth and `camera.truth` is set."""
     poses = _Key("pose/**")
     """All poses."""
     hypotheses = _Key("tracker/hypotheses")
@@ -66,14 +66,14 @@ class Keys:
     intake = _Key("tracker/intake")
     """IntakeMessage, while somebody listens."""
     memory = _Key("tracker/memory")
-    """MemoryMessage, now and then while somebody listens to the intake."""
+    """MemoryMessage, every few seconds while somebody listens to the intake."""
     again = _Key("tracker/again")
     """Queryable of the tracker: AgainRequest, answered by the frames and the IntakeMessages."""
     remote = _Key("remote/**")
-    """All that the gateway shows to other machines; each of these can be asked for, too."""
+    """All that the gateway shows to other machines; each of these can be queried, too."""
 
     def of_tail(self, tail: str) -> str:
-        """The key that ends so: what `tail_of` gives, back under this site and camera."""
+        """The key with this end, as `tail_of` gives it, under this site and camera."""
         return f"{ROOT}/{self.site}/{self.camera}/{tail}"
 
     def pose(self, object_name: str, instance: int) -> str:
@@ -85,11 +85,11 @@ class Keys:
         return self.of_tail(f"health/{worker}")
 
     def live(self, worker: str = "*") -> str:
-        """Liveliness token of a worker: there while the worker is."""
+        """Liveliness token of a worker: there while the worker runs."""
         return self.of_tail(f"live/{worker}")
 
     def outside(self, key: str) -> str:
-        """The name under which the gateway shows one of the keys above.
+        """The key under which the gateway shows one of the keys above.
 
         >>> Keys("lab", "cam0").outside("huepose/lab/cam0/objects")
         'huepose/lab/cam0/remote/objects'
@@ -97,11 +97,11 @@ class Keys:
         return self.of_tail("remote/" + tail_of(key))
 
     def up(self, key: str) -> str:
-        """The name of one of the keys above on its way to the other computer of the pipeline."""
+        """The key for messages of one of the keys above on their way to the pipeline's other computer."""
         return self.of_tail("up/" + tail_of(key))
 
     def down(self, key: str) -> str:
-        """The same on its way back."""
+        """The same on the way back."""
         return self.of_tail("down/" + tail_of(key))
 
 

@@ -1,5 +1,5 @@
 """Where the workers of a pipeline are reached on this machine: sockets in a folder that only their user can
-open. Nobody else can say or hear anything there; other users and machines read through the gateway.
+open. Nobody else can send or read anything there; other users and machines read through the gateway.
 
 The folder is `$HUEPOSE_RUN`, else `huepose` in `$XDG_RUNTIME_DIR`, else `/tmp/huepose-UID`.
 """
@@ -18,16 +18,16 @@ from typing import NamedTuple
 
 FOLDER = "HUEPOSE_RUN"
 BASE_PORT = 17447
-"""The first port where `bus.base_port` says nothing else."""
+"""The default of `bus.base_port`."""
 _LOOK_EVERY_NS = 1_000_000_000
-"""For the pipeline of a camera, which may be started later or again."""
+"""How often the pipeline of a camera is looked up: it may be started later, or restarted."""
 _START_TIME = 19
-"""Of the fields after a process's name in /proc/PID/stat: `starttime` (proc(5), number 22), in clock ticks
-since the boot."""
+"""Place of `starttime` (proc(5), number 22) among the fields after a process's name in /proc/PID/stat, in
+clock ticks since the boot."""
 
 
 def run_folder() -> Path:
-    """The folder of this user; it need not be there."""
+    """The folder of this user; it may be missing."""
     if own := os.environ.get(FOLDER):
         return Path(own)
     base = os.environ.get("XDG_RUNTIME_DIR")
@@ -44,11 +44,12 @@ def endpoint(port: int, folder: Path | str | None = None) -> str:
 
 
 def pose_endpoints(base_port: int | None = None, folder: Path | str | None = None) -> list[str]:
-    """Where poses are read on the pipeline's own machine, by its own user: at the tracker, and at the camera,
-    which says where it is.
+    """Where poses are read on the pipeline's own machine, by its own user: at the tracker, and at the
+    camera, which sends its mount.
 
-    base_port: its first port; without it that of the only pipeline that runs, where none does the usual one:
-    of several cameras that are started later it is the first one's. Raises ValueError where several run.
+    base_port: the pipeline's first port. Without it: the port of the only pipeline that runs, or the
+    default if none runs (of several cameras that are started later, the first one has it). Raises
+    ValueError if several run.
 
     >>> pose_endpoints(folder="/run/huepose")
     ['unixsock-stream//run/huepose/17448', 'unixsock-stream//run/huepose/17447']
@@ -70,8 +71,8 @@ def _only_port(folder: Path) -> int:
 
 
 def born_of(number: int) -> str:
-    """Which of all processes that ever have this number has it now: `BOOT/TICKS`, when it was started. Empty
-    where none has it, or nobody says."""
+    """Which process has this number now, as numbers are used again: `BOOT/TICKS`, its start time. Empty if
+    none has it, or the kernel does not say."""
     try:
         said = Path(f"/proc/{number}/stat").read_text(errors="replace")
     except OSError:
@@ -80,8 +81,8 @@ def born_of(number: int) -> str:
 
 
 def writer_runs(note: Path) -> bool:
-    """Whether the process that noted which pipeline it runs is there: the note's name begins with its
-    number. `born` in it says which process of that number; where it is missing, any counts."""
+    """Whether the process that wrote a note about its pipeline still runs. The note's name begins with the
+    process's number; `born` in the note says which process of that number; without it, any counts."""
     number = note.stem.partition("-")[0]
     if not number.isdigit():
         return False
@@ -98,17 +99,17 @@ def writer_runs(note: Path) -> bool:
 
 
 class _Note(NamedTuple):
-    """A pipeline that runs, as it notes itself."""
+    """A running pipeline, from its note."""
 
     base_port: int
     site: str
     camera: str
     file: str
     elsewhere: bool = False
-    """Whether its camera is at another computer, and so are poses and objects."""
+    """Whether its camera, and so its poses and objects, are at another computer."""
 
     def is_of(self, site: str, camera: str) -> bool:
-        """Whether it is this camera's; `*` is any."""
+        """Whether it is the pipeline of this camera; `*` is any."""
         return site in ("*", self.site) and camera in ("*", self.camera)
 
 
@@ -117,8 +118,8 @@ def _listed(notes: Iterable[_Note]) -> str:
 
 
 def _noted(folder: Path) -> Iterator[_Note]:
-    """The pipelines that run with their sockets there; one whose workers run by themselves comes once for
-    each."""
+    """The pipelines that run with their sockets in a folder; a pipeline whose workers were started one by one
+    comes once for each."""
     for path in sorted(folder.glob("*.json")):
         with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
             said, port = json.loads(path.read_bytes()), int(path.stem.rpartition("-")[2])
@@ -129,35 +130,35 @@ def _noted(folder: Path) -> Iterator[_Note]:
 
 
 class Whereabouts:
-    """Where the pipeline of a camera runs on this machine as this user, by what it notes of itself; it may be
-    started later or again. A second camera's pipeline has another port.
+    """Where the pipeline of a camera runs on this machine as this user, from its note; it may be started
+    later, or restarted. A second camera's pipeline has another port.
 
-    site, camera: `*` is any. `port`: its first; where no pipeline runs at all the usual one, None where only
-    others do. Raises ValueError where several pipelines are meant."""
+    site, camera: `*` is any. `port`: the pipeline's first port; the default if no pipeline runs at all,
+    None if only others run. Raises ValueError if several pipelines match."""
 
     def __init__(self, site: str, camera: str) -> None:
         self._site, self._camera = site, camera
         self.port: int | None = None
         self._look()
-        if self.port is None and self._meant():
-            fix = f"Say which: by site and camera, or by its port, as {self._meant()[0].base_port}"
+        if self.port is None and self._matching():
+            fix = f"Say which: by site and camera, or by its port, as {self._matching()[0].base_port}"
             raise ValueError(f"{self.absence()}; expected one. {fix}")
 
     def has_moved(self) -> bool:
-        """Whether it runs at another port now; looks once a second."""
+        """Whether its port has changed since the last call; looks at most once a second."""
         before = self.port
         if time.monotonic_ns() >= self._look_ns:
             self._look()
         return self.port != before
 
     def absence(self) -> str | None:
-        """That other pipelines run here, or several that are meant, in words, as of the last look; None where
-        that is not what is in the way."""
-        meant, name = self._meant(), f"{self._site}/{self._camera}"
-        ports = {note.base_port for note in meant}
+        """That only other pipelines run here, or that several match, in words, as of the last look; else
+        None."""
+        matching, name = self._matching(), f"{self._site}/{self._camera}"
+        ports = {note.base_port for note in matching}
         if len(ports) > 1 and self.port not in ports:
-            return f"{len(ports)} pipelines of {name} run here: {_listed(meant)}"
-        if meant or (self.port is not None and not self._running):
+            return f"{len(ports)} pipelines of {name} run here: {_listed(matching)}"
+        if matching or (self.port is not None and not self._running):
             return None
         others = f", only {_listed(self._running)}" if self._running else ""
         return f"no pipeline of {name} runs here{others}"
@@ -165,19 +166,19 @@ class Whereabouts:
     def _look(self) -> None:
         self._look_ns = time.monotonic_ns() + _LOOK_EVERY_NS
         self._running = sorted(set(_noted(run_folder())))
-        ports = {note.base_port for note in self._meant()}
+        ports = {note.base_port for note in self._matching()}
         if len(ports) == 1:
             (self.port,) = ports
         elif self.port is None and not self._running:
             self.port = BASE_PORT
 
-    def _meant(self) -> list[_Note]:
+    def _matching(self) -> list[_Note]:
         return [note for note in self._running if note.is_of(self._site, self._camera)]
 
 
-def why_noted_alone(base_port: int, folder: Path) -> str | None:
-    """Why nobody answers where a process says that it runs a pipeline, in a sentence; None where none says
-    so."""
+def why_only_noted(base_port: int, folder: Path) -> str | None:
+    """Why nothing answers although a note says that a pipeline runs there, in a sentence; None without such a
+    note."""
     note = next((note for note in _noted(folder) if note.base_port == base_port), None)
     if note is None:
         return None
@@ -188,13 +189,13 @@ def why_noted_alone(base_port: int, folder: Path) -> str | None:
 
 
 def perception_alone(name: str) -> str:
-    """What to say of SITE/CAMERA at its second computer to who looks for poses or objects."""
-    return f"here {name} has perception alone: ask the camera's computer for poses and objects"
+    """The message at the second computer of SITE/CAMERA to a user who looks for poses or objects."""
+    return f"here {name} has perception only: ask the camera's computer for poses and objects"
 
 
 @cache
 def boot_id() -> str:
-    """Which boot of which machine this is, and so whose monotonic clock; empty where nobody says."""
+    """The identifier of this boot of this machine, and so of its monotonic clock; empty if not known."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
     except OSError:

@@ -1,6 +1,6 @@
-"""The messages. The types are the schema: what a type cannot say is checked when a message is made,
-so by the sender as well as by the receiver. Readers ignore fields that they do not know; within a major
-version fields are only added, with defaults.
+"""The messages. The types are the schema. What a type cannot express is checked when a message is made, so
+by the sender and by the receiver. Subscribers ignore unknown fields; within a major version fields are only
+added, with defaults.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ from huepose_protos.parts import TruthObject as TruthObject
 
 class FrameHeader(Message, frozen=True, kw_only=True):
     """Attachment of a frame. Buffers `color` (H, W, 3) uint8 RGB and `depth` (H, W) uint16: times
-    depth_scale_m metres, 0 for no reading, in the pixels of the colour image. `picture`: what its camera
-    knows to be wrong with the picture, so that nothing is seen in it; `camera`: what it knows against all
-    its pictures, and so against every pose; `camera_translation`, `camera_quaternion`: where a camera that
-    moves took the picture, in a frame that does not move, null where nobody told."""
+    depth_scale_m metres, 0 for no reading, in the pixels of the colour image. `picture`: a fault of this
+    image because of which nothing can be found in it; `camera`: a fault of all images, and so of every
+    pose; both empty without a fault. `camera_translation`, `camera_quaternion`: the pose of a moving camera
+    when it took the image, in a frame that does not move; null if it was not known in time."""
 
     camera_epoch: Epoch
     frame_id: Count
@@ -73,9 +73,9 @@ class FrameHeader(Message, frozen=True, kw_only=True):
 
 
 class CameraMessage(Message, frozen=True, kw_only=True):
-    """The camera that is open, once a second: what a frame's header says, for readers without frames.
-    `mount`: where it is, null where nobody said it; `mount_ns`: when it was there, of a camera that moves,
-    null for one that is fixed. That of a camera that moves is said whenever it is told."""
+    """The open camera, for subscribers without frames: sent once a second, and for a moving camera with each
+    new pose of it. `mount`: the camera's extrinsics, null if not known; `mount_ns`: the time of this mount if
+    the camera moves, null if it is fixed."""
 
     camera_epoch: Epoch
     clock: Clock
@@ -86,17 +86,17 @@ class CameraMessage(Message, frozen=True, kw_only=True):
 
 
 class MountMessage(Message, frozen=True, kw_only=True):
-    """Where a camera that moves, or the part of a robot that it is fixed to, was at a time of this machine's
-    CLOCK_MONOTONIC: what the robot's program tells the camera."""
+    """The pose of a moving camera, or of the part of the robot that it is fixed to, at a time of this
+    machine's CLOCK_MONOTONIC. A program of the robot sends it to the camera."""
 
     capture_ns: Stamp
     mount: Mount
 
 
 class RequestedObject(Struct, frozen=True, kw_only=True):
-    """An object to look at: a tracked instance (with its prior), or, with instance null, up to `wanted` new
-    ones anywhere in the image. `known`: the instance is TRACKING; of any other it is not sure that it is the
-    object. `others`: instances of it that are TRACKING, where a new one is not."""
+    """An object to look at: a tracked instance (with its prior) or, with instance null, up to `wanted` new
+    instances anywhere in the image. `known`: the instance is TRACKING; if false, it is checked whether it is
+    the object at all. `others`: the object's TRACKING instances; a new one is not searched for on them."""
 
     object: Name
     instance: Index | None
@@ -109,8 +109,8 @@ class RequestedObject(Struct, frozen=True, kw_only=True):
 class PerceptionRequest(Message, frozen=True, kw_only=True):
     """Which objects to look at in the newest frame. `seq` counts requests; camera_epoch is that of the
     newest tracked frame, null before the first. An answer after deadline_ns is not waited for. `seen`: epoch
-    and number of a frame about which all was answered: where it is still the newest, wait for the next.
-    `waiting`: what else is missing; it is looked for where something new looks like it."""
+    and number of a frame for which all of this was answered; while it is the newest, perception waits for the
+    next. `waiting`: other missing objects, which are also searched for if something new looks like them."""
 
     max_bytes: ClassVar[int] = 1024 * KIB
     seq: Count
@@ -122,8 +122,7 @@ class PerceptionRequest(Message, frozen=True, kw_only=True):
 
 
 class Look(Message, frozen=True, kw_only=True):
-    """A request that brings the frame to look at, for a detector on another computer; the payload is that
-    frame's."""
+    """A request with its frame, for a detector on another computer; the payload is the frame's."""
 
     max_bytes: ClassVar[int] = 1024 * KIB
     request: PerceptionRequest
@@ -131,7 +130,7 @@ class Look(Message, frozen=True, kw_only=True):
 
 
 class DetectedObject(Struct, frozen=True, kw_only=True):
-    """A requested object and the box to look for it in."""
+    """A requested object and the box to search for it in."""
 
     request: RequestedObject
     box: BoxXYWH
@@ -142,8 +141,8 @@ class DetectedObject(Struct, frozen=True, kw_only=True):
 
 
 class Detections(Message, frozen=True, kw_only=True):
-    """Boxes in one frame; the payload is that frame's. `request_ns`: when the request was published;
-    `camera`: what the picture says against this camera."""
+    """Boxes in one frame; the payload is the frame's. `request_ns`: when the request was published;
+    `camera`: evidence in the image against this camera's settings, empty if there is none."""
 
     max_bytes: ClassVar[int] = 1024 * KIB
     request_seq: Count
@@ -154,14 +153,14 @@ class Detections(Message, frozen=True, kw_only=True):
 
 
 class MaskedObject(Struct, frozen=True, kw_only=True):
-    """A detected object and its candidate outlines, most likely first; none where there was nothing."""
+    """A detected object and its candidate masks, most likely first; none if nothing was segmented."""
 
     detection: DetectedObject
     masks: Annotated[list[MaskRuns], Meta(max_length=8)]
 
 
 class Masks(Message, frozen=True, kw_only=True):
-    """Masks in one frame; the payload is that frame's. `camera`: as in Detections."""
+    """Masks in one frame; the payload is the frame's. `camera`: as in Detections."""
 
     max_bytes: ClassVar[int] = 1024 * KIB
     request_seq: Count
@@ -175,12 +174,12 @@ class Masks(Message, frozen=True, kw_only=True):
 
 
 class EstimatedObject(Struct, frozen=True, kw_only=True):
-    """The estimator's answer for one requested object; instance as it was requested.
+    """The estimator's answer for one requested object; instance as requested.
 
-    score judges the pose, prior_score the refined prior on the same pixels; prior_translation and
-    prior_quaternion are that refined prior. quality: the probability that the pose is right; present: that
-    the object is there at all, null where nobody asked.
-    reason: why nothing was found; of what was found, why it is not to be acted on, else empty."""
+    score: of the pose; prior_score: of the refined prior on the same pixels, which is prior_translation and
+    prior_quaternion. quality: the probability that the pose is right; present: the probability that the
+    object is there at all, null if not asked. reason: why nothing was found, or why the pose must not be
+    acted on; else empty."""
 
     object: Name
     instance: Index | None
@@ -211,9 +210,9 @@ class EstimatedObject(Struct, frozen=True, kw_only=True):
 
 
 class Estimates(Message, frozen=True, kw_only=True):
-    """Answers to one request, all computed on one frame. `picture`: what is wrong with that frame as such,
-    where nothing was found in it; `camera`: what pictures and poses say against this camera, and so against
-    every pose."""
+    """Answers to one request, all computed on one frame. `picture`: a fault of that frame because of which
+    nothing was found in it; `camera`: evidence in images and poses against this camera's settings, and so
+    against every pose; both else empty."""
 
     max_bytes: ClassVar[int] = 1024 * KIB
     request_seq: Count
@@ -226,9 +225,9 @@ class Estimates(Message, frozen=True, kw_only=True):
 
 
 class CorrectionMessage(Message, frozen=True, kw_only=True):
-    """A verdict of the re-initialisation loop on one instance at one past frame. `seq`: the time at
-    which it was made, ns; it grows for each instance. `camera`: why no pose of this camera is to be acted on,
-    as in Estimates; `reason`: why none of this instance is, and `present`, as in its estimate."""
+    """A verdict of the re-initialisation loop on one instance in one past frame. `seq`: the time at which it
+    was made, ns; it grows for each instance. `camera`: as in Estimates, why no pose of this camera may be
+    acted on; `reason`: of the estimate, why no pose of this instance may be; `present`: of the estimate."""
 
     object: Name
     instance: Index
@@ -251,8 +250,8 @@ class CorrectionMessage(Message, frozen=True, kw_only=True):
 class PoseMessage(Message, frozen=True, kw_only=True):
     """One object at one frame. Pose, velocity and covariance are null while SEARCHING or LOST.
 
-    reason: a sentence for people on why it is not TRACKING, empty where it is; centre: of the object, in its
-    own frame: the point that goes on straight while it turns."""
+    reason: a sentence for people, why it is not TRACKING, else empty; centre: the object's centre in its own
+    frame; to predict, this point moves on a straight line while the object rotates about it."""
 
     max_bytes: ClassVar[int] = 4 * KIB
     object: Name
@@ -285,21 +284,21 @@ class PoseMessage(Message, frozen=True, kw_only=True):
 
     @property
     def age_ms(self) -> float:
-        """From the capture of its frame until it was published."""
+        """Milliseconds from the capture of its frame until it was published."""
         return (self.publish_ns - self.capture_ns) * 1e-6
 
 
 class HealthMessage(Message, frozen=True, kw_only=True):
-    """How a worker is, once a second.
+    """The state of a worker, once a second.
 
-    rate_hz: work done a second; frame_id: the last frame that it had, null before the first;
-    work_ms and age_ms: median and 99th percentile over the last seconds of the time for one piece of work and
-    of the time from capture to its end; shared_memory: whether the last frame came that way, null before
-    the first; locked_mib: memory that is locked, most of it shared memory for frames; drops: messages that
-    arrived and were replaced by newer ones, or lost, before they were read; errors: exceptions in its work
-    and messages that it refused; last_error: the newest of them; counters only grow;
-    restarts: how often the worker was started again since its pipeline began; picture: of a camera, why
-    nothing can be found in its pictures, or why none comes, empty where nothing is wrong."""
+    rate_hz: of its work; frame_id: the last frame that it had, null before the first; work_ms and age_ms:
+    median and 99th percentile over the last seconds of the time to process one message, and of the time from
+    capture to the end of that; shared_memory: whether the last frame came through it, null before the first;
+    locked_mib: locked memory, most of it shared memory for frames; drops: messages that arrived and were
+    replaced by newer ones, or lost, before they were read; errors: number of exceptions and refused messages;
+    last_error: the newest of them; counters only grow; restarts: how often the worker was restarted since its
+    pipeline began; picture: for a camera, why nothing can be found in its images, or why no image comes, else
+    empty."""
 
     worker: Name
     pid: Count
@@ -347,10 +346,10 @@ class TruthMessage(Message, frozen=True, kw_only=True):
 
 
 class IntakeMessage(Message, frozen=True, kw_only=True):
-    """What the tracker took in one step, in this order: changes, corrections, a frame (null: none); and the
-    times that it read meanwhile. With these and the frame its poses can be computed again, bit by bit.
+    """All inputs of one step of the tracker, in this order: changes, corrections, a frame (null: none); and
+    the times that it read. From these and the frame its poses can be computed again, bit by bit.
 
-    `seq` counts the steps that took something since the tracker began."""
+    `seq` counts the steps with an input since the tracker started."""
 
     max_bytes: ClassVar[int] = 4096 * KIB
     seq: Count
@@ -363,10 +362,10 @@ class IntakeMessage(Message, frozen=True, kw_only=True):
 
 
 class MemoryMessage(Message, frozen=True, kw_only=True):
-    """All that the tracker believes after step `seq`, for whoever computes its poses again from there.
+    """The whole state of the tracker after step `seq`, from which its poses can be computed again.
 
     `config`: the pipeline's configuration in JSON; `objects`: those that it knows; `memory`: MessagePack, for
-    the same version of the library only; `frames`: those that it remembers, by camera epoch and number."""
+    the same version of HuePose only; `frames`: those that it keeps, by camera epoch and number."""
 
     max_bytes: ClassVar[int] = 16 * 1024 * KIB
     seq: Count
@@ -377,7 +376,7 @@ class MemoryMessage(Message, frozen=True, kw_only=True):
 
 
 class AgainRequest(Message, frozen=True, kw_only=True):
-    """What a recorder has not got of what the tracker took: frames by camera epoch and number, and steps."""
+    """Inputs of the tracker that a recorder has not received: frames (camera epoch, number), and steps."""
 
     frames: Annotated[list[tuple[Epoch, Count]], Meta(max_length=64)]
     steps: Annotated[list[Count], Meta(max_length=256)]

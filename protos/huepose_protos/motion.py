@@ -1,8 +1,8 @@
-"""Where an object is at a time for which there is no pose: between two poses, or a little after the last.
+"""The pose of an object at a time without a message: between two poses, or a little after the last.
 
 Poses are translations (3,) in metres and quaternions (4,) xyzw; twists (6,) and covariances (6, 6) have the
-order tx ty tz rx ry rz, along the camera's axes, about the object's origin. What goes on straight while the
-object turns is its centre: an origin far from that moves on an arc.
+order tx ty tz rx ry rz, along the camera's axes, about the object's origin. While the object rotates, its
+centre moves on a straight line; an origin far from the centre moves on an arc.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from huepose_protos.messages import Mount, PoseMessage
 Array = NDArray[np.float64]
 SECOND = 1_000_000_000
 MAX_AHEAD_NS = SECOND // 10
-# Two poses that are further apart in time say nothing of what was between them.
+# Two poses that are further apart in time are not interpolated.
 _MAX_GAP_NS = SECOND // 5
-# Two that are nearer in time say little of how fast it went: what is measured has noise, and stamps have.
+# Two that are nearer in time give no good velocity: measured poses and timestamps have noise.
 _BASELINE_NS = SECOND // 50
-# One sigma of what a hand or an arm does: how wrong a published velocity is, how fast it changes, how fast
-# things move of which no velocity is known. Metres and radians.
+# One sigma of the motion of a hand or an arm: the error of a published velocity, the acceleration, and the
+# velocity if none is published. Metres and radians.
 _VELOCITY = np.repeat([0.02, 0.2], 3)
 _ACCELERATION = np.repeat([1.0, 8.0], 3)
 _UNKNOWN_VELOCITY = np.repeat([0.3, 3.0], 3)
@@ -36,11 +36,10 @@ _WORST_LAST: tuple[StateName, ...] = ("TRACKING", "SUSPECT", "SEARCHING", "LOST"
 
 @dataclass(frozen=True, eq=False)
 class PoseAt:
-    """A pose at a time. `ahead_s`: how far it was predicted beyond the newest pose; 0 for one in between.
+    """A pose at a time. `ahead_s`: how far it is predicted beyond a pose message; 0 if it is interpolated.
 
-    covariance: that of the pose, grown by what may have happened since; None where the pose has none.
-    basis: the newest message that it was made of. mount: where the camera is at that time, None where that
-    is not known."""
+    covariance: that of the pose, plus the motion that is possible since; None if the pose has none. basis:
+    the newest message that it was computed from. mount: of the camera at that time, None if not known."""
 
     translation: Array
     quaternion: Array
@@ -58,17 +57,17 @@ class PoseAt:
 
     @property
     def T_parent_obj(self) -> Array | None:
-        """The same in the frame `mount.parent`, that of the robot for example; None without a mount."""
+        """The pose in the frame `mount.parent`, for example the robot's; None without a mount."""
         if self.mount is None:
             return None
         return _matrix(self.mount.translation, np.array(self.mount.quaternion)) @ self.T_cam_obj
 
 
 def pose_at(poses: Sequence[PoseMessage], stamp_ns: int) -> PoseAt | None:
-    """The pose at a stamp of the poses' own clock; poses are of one instance, oldest first.
+    """The pose at a timestamp of the poses' own clock; poses are of one instance, oldest first.
 
-    Between two poses it is interpolated, after the newest it is predicted with its velocity, for 100 ms.
-    None where that says nothing: before the first, later than that, in a gap, while there is no pose."""
+    Between two poses it is interpolated; after the newest, or in a gap of more than 200 ms, it is predicted
+    with the velocity for 100 ms. None later than that, before the first, and while there is no pose."""
     after = next((p for p in poses if p.capture_ns >= stamp_ns), None)
     before = next((p for p in reversed(poses) if p.capture_ns <= stamp_ns), None)
     if before is None or before.translation is None:
@@ -83,58 +82,60 @@ def pose_at(poses: Sequence[PoseMessage], stamp_ns: int) -> PoseAt | None:
     return _between(before, after, (stamp_ns - before.capture_ns) / gap_ns if gap_ns else 1.0)
 
 
-def mount_at(told: Sequence[tuple[int, Mount]], stamp_ns: int) -> Mount | None:
-    """Where a camera that moves was at a stamp, of stamps and places, oldest first.
+def mount_at(mounts: Sequence[tuple[int, Mount]], stamp_ns: int) -> Mount | None:
+    """The mount of a moving camera at a timestamp; mounts: with their timestamps, oldest first.
 
-    Between two it is interpolated, after the newest it goes on as since one at least 20 ms before, for 100
-    ms. None where that says nothing: before the first, later than that, in a gap, with a single one."""
-    after = min(bisect_left(told, stamp_ns, key=_stamp), len(told) - 1)
-    if not told or (after == 0 and told[0][0] != stamp_ns):
+    Between two it is interpolated; after the newest it is extrapolated for 100 ms, with the motion since an
+    older one at least 20 ms before. None later than that, before the first, in a gap of more than 200 ms, and
+    after a single one."""
+    after = min(bisect_left(mounts, stamp_ns, key=_stamp), len(mounts) - 1)
+    if not mounts or (after == 0 and mounts[0][0] != stamp_ns):
         return None
-    end_ns, end = told[after]
+    end_ns, end = mounts[after]
     if stamp_ns == end_ns:
         return end
     before = after - 1
-    while stamp_ns > end_ns and before > 0 and end_ns - told[before][0] < _BASELINE_NS:
+    while stamp_ns > end_ns and before > 0 and end_ns - mounts[before][0] < _BASELINE_NS:
         before -= 1
-    start_ns, start = told[before]
+    start_ns, start = mounts[before]
     if end_ns - start_ns > _MAX_GAP_NS or stamp_ns - end_ns > MAX_AHEAD_NS or end.parent != start.parent:
         return None
     share = (stamp_ns - start_ns) / (end_ns - start_ns)
-    return mount_of(end.parent, *_way_between(start, end, share))
+    return mount_of(end.parent, *_interpolated(start, end, share))
 
 
-def _stamp(told: tuple[int, Mount]) -> int:
-    return told[0]
+def _stamp(mount: tuple[int, Mount]) -> int:
+    return mount[0]
 
 
 def composed(outer: Mount, inner: Mount) -> Mount:
-    """A mount in the frame that another one is in."""
+    """The mount `inner`, which is given in the frame that `outer` places, in the parent of `outer`."""
     R = rotation_matrix(np.array(outer.quaternion))
-    place = R @ np.array(inner.translation) + np.array(outer.translation)
-    return mount_of(outer.parent, place, multiply(np.array(outer.quaternion), np.array(inner.quaternion)))
+    translation = R @ np.array(inner.translation) + np.array(outer.translation)
+    quaternion = multiply(np.array(outer.quaternion), np.array(inner.quaternion))
+    return mount_of(outer.parent, translation, quaternion)
 
 
 def carried(pose: PoseMessage, mount: Mount, still: bool) -> PoseMessage:
     """The same message in the frame that its camera is mounted in: pose, covariance and velocity along its
-    axes, `frame` its name. still: whether the camera is; of one that moves the velocity, which is relative to
-    the camera, is left out."""
+    axes, `frame` its name. still: whether the camera is fixed; if it moves, the velocity, which is relative
+    to the camera, is left out."""
     if pose.translation is None or pose.quaternion is None:
         return msgspec.structs.replace(pose, frame=mount.parent)
-    seen = Mount(parent=pose.frame, translation=pose.translation, quaternion=pose.quaternion)
-    there = composed(mount, seen)
+    in_camera = Mount(parent=pose.frame, translation=pose.translation, quaternion=pose.quaternion)
+    in_parent = composed(mount, in_camera)
     R = rotation_matrix(np.array(mount.quaternion))
     linear, angular, covariance = pose.velocity_linear, pose.velocity_angular, None
     if pose.covariance is not None:
         both = np.kron(np.eye(2), R)
-        turned = both @ _covariance(pose) @ both.T
-        np.fill_diagonal(turned, np.maximum(np.diag(turned), 0.0))  # rounding makes no variance negative
-        covariance = turned.ravel().tolist()
+        rotated = both @ _covariance(pose) @ both.T
+        np.fill_diagonal(rotated, np.maximum(np.diag(rotated), 0.0))  # rounding makes no variance negative
+        covariance = rotated.ravel().tolist()
     return msgspec.structs.replace(
         pose,
         frame=mount.parent,
-        translation=there.translation,
-        quaternion=there.quaternion,
+        translation=in_parent.translation,
+        quaternion=in_parent.quaternion,
         velocity_linear=tuple((R @ linear).tolist()) if still and linear is not None else None,
         velocity_angular=tuple((R @ angular).tolist()) if still and angular is not None else None,
         covariance=covariance,
@@ -142,36 +143,36 @@ def carried(pose: PoseMessage, mount: Mount, still: bool) -> PoseMessage:
 
 
 def inverted(mount: Mount, parent: str) -> Mount:
-    """The pose of the frame `mount.parent` in the one that is mounted there, which is called `parent`."""
+    """The inverse: the pose of the frame `mount.parent` in the mounted frame, which is named `parent`."""
     q = _inverse(np.array(mount.quaternion))
     return mount_of(parent, -rotation_matrix(q) @ np.array(mount.translation), q)
 
 
 def rigid(T: ArrayLike) -> Array:
-    """The transform (4, 4) in float64. Raises ValueError for what is no rigid motion: a quaternion could not
-    show that it was mirrored, scaled or sheared."""
-    told = np.asarray(T, dtype=np.float64)
+    """The transform (4, 4) in float64. Raises ValueError if it is no rigid motion: a quaternion cannot show
+    that a matrix is mirrored, scaled or sheared."""
+    matrix = np.asarray(T, dtype=np.float64)
     found = ""
-    if told.shape != (4, 4):
-        found = f"shape {told.shape}"
-    elif not np.isfinite(told).all():
+    if matrix.shape != (4, 4):
+        found = f"shape {matrix.shape}"
+    elif not np.isfinite(matrix).all():
         found = "numbers that are not finite"
-    elif np.abs(told[3] - (0.0, 0.0, 0.0, 1.0)).max() > _ROTATION:
-        found = f"the last row {told[3].tolist()}"
-    elif np.abs(told[:3, :3] @ told[:3, :3].T - np.eye(3)).max() > _ROTATION:
+    elif np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > _ROTATION:
+        found = f"the last row {matrix[3].tolist()}"
+    elif np.abs(matrix[:3, :3] @ matrix[:3, :3].T - np.eye(3)).max() > _ROTATION:
         found = "a rotation that is scaled or sheared"
-    elif np.linalg.det(told[:3, :3]) < 0.0:
+    elif np.linalg.det(matrix[:3, :3]) < 0.0:
         found = "a rotation that is mirrored"
     if found:
         raise ValueError(
             f"the pose is no rigid motion: found {found}; expected a (4, 4) matrix of a rotation, a "
             "translation in metres and the last row 0 0 0 1"
         )
-    return told
+    return matrix
 
 
 def mount_of(parent: str, translation: Array, quaternion: Array) -> Mount:
-    """From arrays (3,) and xyzw (4,)."""
+    """The mount of a translation (3,) and a quaternion (4,) xyzw."""
     x, y, z = translation.tolist()
     qx, qy, qz, qw = _normal(quaternion).tolist()
     return Mount(parent=parent, translation=(x, y, z), quaternion=(qx, qy, qz, qw))
@@ -202,10 +203,10 @@ def _between(before: PoseMessage, after: PoseMessage, share: float) -> PoseAt:
     covariance = None
     if before.covariance is not None and after.covariance is not None:
         covariance = (1.0 - share) * _covariance(before) + share * _covariance(after)
-    place, quaternion = _way_between(before, after, share)
+    origin, quaternion = _interpolated(before, after, share)
     start, end = (_to_centre(before, np.array(pose.quaternion)) for pose in (before, after))
     return PoseAt(
-        place + (1.0 - share) * start + share * end - _to_centre(before, quaternion),
+        origin + (1.0 - share) * start + share * end - _to_centre(before, quaternion),
         quaternion,
         covariance,
         max(before.state, after.state, key=_WORST_LAST.index),
@@ -216,18 +217,18 @@ def _between(before: PoseMessage, after: PoseMessage, share: float) -> PoseAt:
 
 
 def _to_centre(pose: PoseMessage, quaternion: Array) -> Array:
-    """From the object's origin to its centre (3,), turned so."""
+    """The vector (3,) from the object's origin to its centre, in this orientation."""
     return np.asarray(rotation_matrix(quaternion) @ np.array(pose.centre))
 
 
-def _way_between(
+def _interpolated(
     before: Mount | PoseMessage, after: Mount | PoseMessage, share: float
 ) -> tuple[Array, Array]:
-    """Translation and quaternion at a share of the way from one pose to another."""
+    """Translation and quaternion at a share of the way from one pose to another; more than 1 extrapolates."""
     a, b = np.array(before.quaternion), np.array(after.quaternion)
-    turn = rotation_vector(multiply(b, _inverse(a)))
-    place = (1.0 - share) * np.array(before.translation) + share * np.array(after.translation)
-    return place, _normal(multiply(quaternion_of(share * turn), a))
+    rotation = rotation_vector(multiply(b, _inverse(a)))
+    translation = (1.0 - share) * np.array(before.translation) + share * np.array(after.translation)
+    return translation, _normal(multiply(quaternion_of(share * rotation), a))
 
 
 def _matrix(translation: ArrayLike, quaternion: Array) -> Array:
@@ -257,7 +258,7 @@ def _normal(q: Array) -> Array:
 def quaternion_of(rotation_vector: Array) -> Array:
     """xyzw of a rotation vector (3,) in radians."""
     angle = float(np.linalg.norm(rotation_vector))
-    # sin(x / 2) / x, which numpy's sinc has without a division by zero.
+    # sin(x / 2) / x; numpy's sinc avoids the division by zero.
     return np.append(0.5 * np.sinc(angle / (2.0 * np.pi)) * rotation_vector, np.cos(0.5 * angle))
 
 
@@ -272,7 +273,7 @@ def rotation_vector(q: Array) -> Array:
 
 
 def quaternion_from(R: Array) -> Array:
-    """xyzw of a rotation matrix (3, 3): the eigenvector of its largest agreement (Bar-Itzhack)."""
+    """xyzw of a rotation matrix (3, 3): the eigenvector of K's largest eigenvalue (Bar-Itzhack)."""
     K = np.array(
         [
             [R[0, 0] - R[1, 1] - R[2, 2], 0.0, 0.0, 0.0],

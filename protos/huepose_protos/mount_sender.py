@@ -1,4 +1,4 @@
-"""Tells a pipeline where its camera is that moves, on the pipeline's own machine and as its user.
+"""Sends a pipeline the pose of its moving camera, on the pipeline's own machine and as its user.
 
 >>> with MountSender("base_link") as sender:                # doctest: +SKIP
 ...     while True:
@@ -20,15 +20,15 @@ from huepose_protos.messages import MountMessage
 from huepose_protos.motion import SECOND, mount_of, quaternion_from, rigid
 
 _OLDEST_NS = 10 * SECOND
-"""What is told of an arm is a few milliseconds old: an older stamp is of another clock."""
+"""The pose of an arm is sent a few milliseconds old; a much older timestamp is of another clock."""
 
 
 class MountSender:
-    """To the camera of a pipeline that says `camera.moving`; it may be made before that one runs.
+    """Sends to the camera of a pipeline with `camera.moving`; it may be made before the pipeline runs.
 
-    parent: the frame of the robot or room that the transforms are in; site, camera: whose pipeline;
+    parent: the frame of the robot or room that the transforms are in; site, camera: of the pipeline;
     base_port: its `bus.base_port`, by default that of the pipeline of this camera that runs here, looked up
-    again every second. Raises ValueError where several of that name run."""
+    again every second. Raises ValueError if several of that name run."""
 
     def __init__(
         self, parent: str, site: str = "local", camera: str = "cam0", base_port: int | None = None
@@ -38,9 +38,9 @@ class MountSender:
         self._session = _session_at(base_port if self._place is None else self._place.port)
 
     def tell(self, T_parent: ArrayLike, stamp_ns: int | None = None) -> None:
-        """The pose (4, 4) in `parent` of what `camera.mount` is fixed to, or without that of the camera's
-        optical frame; stamp_ns: when, on this machine's CLOCK_MONOTONIC, by default now. Raises ValueError
-        for what is no rigid motion, and for the stamp of another clock."""
+        """Send the pose (4, 4) in `parent` of the frame `camera.mount.parent`, or, without `camera.mount`,
+        of the camera's optical frame. stamp_ns: its time on this machine's CLOCK_MONOTONIC, by default now.
+        Raises ValueError if it is no rigid motion, and for a timestamp of another clock."""
         T, now = rigid(T_parent), time.monotonic_ns()
         stamp_ns = now if stamp_ns is None else stamp_ns
         if not now - _OLDEST_NS <= stamp_ns <= now + SECOND:
@@ -56,7 +56,7 @@ class MountSender:
         self._session.put(self._key, encode(message))
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Disconnect from the bus."""
         self._session.close()
 
     def __enter__(self) -> MountSender:

@@ -1,5 +1,5 @@
-"""What several messages are made of: what all of them have, masks, arrays, cameras, clocks; and the messages
-about the objects that the pipeline looks for, and what a person may say about them."""
+"""Parts of several messages (common fields, masks, arrays, cameras, clocks), and the messages about the
+objects that the pipeline searches for and the tracker's hypotheses."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ KIB = 1024
 
 
 class Message(Struct, frozen=True, kw_only=True):
-    """What every message on a key has. More than `max_bytes` is refused before anything is decoded."""
+    """The fields of every message. More than `max_bytes` is refused before anything is decoded."""
 
     max_bytes: ClassVar[int] = 64 * KIB
     version: Version = VERSION
@@ -44,11 +44,11 @@ class Message(Struct, frozen=True, kw_only=True):
 
 
 MAX_FRAME_PIXELS = 64 * 1024 * KIB // 5
-"""A pixel of a frame takes five bytes, colour and depth, of at most 64 MiB."""
+"""A frame has at most 64 MiB, and five bytes a pixel for colour and depth."""
 
 
 class MaskRuns(Struct, frozen=True, kw_only=True):
-    """A mask of the size of its image: runs of pixels row by row, the first of them outside, then in turn."""
+    """A mask of the size of its image as run lengths, row by row: outside the mask, inside, outside, ..."""
 
     width: Size
     height: Size
@@ -62,12 +62,12 @@ class MaskRuns(Struct, frozen=True, kw_only=True):
 
 
 MAX_CANDIDATE_PIXELS = 2**28
-"""Of all masks of a message: 8 candidates each of 16 objects in a picture of 1920 x 1080."""
+"""Of all masks of a message: 8 candidates for each of 16 objects in an image of 1920 x 1080."""
 
 
 def check_masks(masks: Iterable[MaskRuns]) -> None:
-    """Raise ValueError for masks of a message that would take too much memory: a few bytes can stand for
-    much."""
+    """Raise ValueError if the masks of a message would take too much memory: a few bytes of run lengths can
+    describe very large masks."""
     if sum(mask.width * mask.height for mask in masks) > MAX_CANDIDATE_PIXELS:
         raise ValueError(f"the masks have more than {MAX_CANDIDATE_PIXELS} pixels together")
 
@@ -99,12 +99,12 @@ class Intrinsics(Struct, frozen=True, kw_only=True):
 
 
 _ROUNDED = 0.02
-"""By so much the length of a quaternion may differ from 1 where a person wrote it with few digits."""
+"""How far the length of a quaternion may be from 1 if a person wrote it with few digits."""
 
 
 class Mount(Struct, frozen=True, kw_only=True):
-    """Where a camera is fixed: the pose of its optical frame in the frame `parent` of a robot or a room. A
-    quaternion of nearly unit length, as people write it, is made one."""
+    """A camera's extrinsics: the pose of its optical frame in the frame `parent` of a robot or a room. A
+    quaternion of nearly unit length, as people write it, is normalised."""
 
     parent: Annotated[str, Meta(min_length=1, max_length=64)]
     translation: Vector3
@@ -119,14 +119,14 @@ class Mount(Struct, frozen=True, kw_only=True):
 
 
 class Clock(Struct, frozen=True, kw_only=True):
-    """Which machine's monotonic clock the stamps are of; add realtime_offset_ns to get Unix time."""
+    """The machine whose monotonic clock gave the timestamps; add realtime_offset_ns to get Unix time."""
 
     clock_id: Annotated[str, Meta(min_length=1, max_length=64)]
     realtime_offset_ns: Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
 
 
 class Prior(Struct, frozen=True, kw_only=True):
-    """A tracked pose at a stamp, to be predicted to the frame that is looked at.
+    """A tracked pose and its timestamp; perception predicts it to the time of its frame.
 
     Velocity: linear of the object's origin in m/s, angular in rad/s, along the camera's axes."""
 
@@ -144,7 +144,8 @@ class Prior(Struct, frozen=True, kw_only=True):
 
 
 class TruthObject(Struct, frozen=True, kw_only=True):
-    """An object as the source knows it; null where it does not. `visib_fract`: visible part, 0..1."""
+    """The ground truth of an object, null where the source does not know it. `visib_fract`: visible share,
+    0..1."""
 
     object: Name | None
     object_id: Index | None
@@ -160,13 +161,12 @@ class TruthObject(Struct, frozen=True, kw_only=True):
 
 
 class ObjectEntry(Struct, frozen=True, kw_only=True):
-    """An object that the pipeline looks for; `searching`: how many of its instances were never seen yet.
+    """An object that the pipeline searches for; `searching`: how many of its instances were never seen yet.
 
-    `added`: which addition to the running list it is, counted, 0 for what was there from the beginning;
-    `resets`: how often it was told to be searched for anew; `retired`: [camera epoch, number], instances of
-    that epoch below that number are over for that reason, null when there are none; `box`: where it was said
-    to be at the last time, null when nothing was said; `reason`: why it is not seen, as far as camera and
-    perception know, empty when all of it is."""
+    `added`: the number of its addition to the running list, 0 if it was there from the beginning; `resets`:
+    how often it was reset; `retired`: [camera epoch, number]: instances of that epoch below that number ended
+    by a reset, null if there are none; `box`: the box given at the last reset or addition, null without one;
+    `reason`: why it is not seen, as far as camera and perception know, empty if all instances are seen."""
 
     object: Name
     max_instances: Annotated[int, Meta(ge=1, le=64)]
@@ -182,31 +182,30 @@ class ObjectEntry(Struct, frozen=True, kw_only=True):
 
 
 class ObjectChange(Struct, frozen=True, kw_only=True):
-    """What the tracker was told about an object that it looks for, or no longer."""
+    """A change of the tracker's list of objects."""
 
     action: Literal["add", "remove", "reset"]
     entry: ObjectEntry
 
 
 class StageMark(Struct, frozen=True, kw_only=True):
-    """A checksum of what the tracker believes after a stage of a step."""
+    """A checksum of the tracker's state after a stage of a step."""
 
     stage: Annotated[str, Meta(max_length=32)]
     checksum: Annotated[int, Meta(ge=0, lt=2**32)]
 
 
 class ObjectsMessage(Message, frozen=True, kw_only=True):
-    """The objects that the pipeline looks for, once a second and when the list changes."""
+    """The objects that the pipeline searches for, once a second and when the list changes."""
 
     objects: Annotated[list[ObjectEntry], Meta(max_length=256)]
 
 
 class ControlRequest(Message, frozen=True, kw_only=True):
-    """A query on `control`: what a person on the pipeline's machine wants of its list of objects.
+    """A query on `control`, from the pipeline's own machine: list or change the objects that it searches for.
 
-    `list` names no object. `add` looks for one (up to max_instances of it), `remove` for it no longer,
-    `reset` forgets where it was and searches anew; `box`: where it is in the image, as a hint for the
-    detector."""
+    `list` names no object. `add` searches for one (up to max_instances of it), `remove` no longer does,
+    `reset` forgets its poses and searches again; `box`: its box in the image, a hint for the detector."""
 
     action: Literal["list", "add", "remove", "reset"]
     object: Name | None = None
@@ -220,7 +219,7 @@ class ControlRequest(Message, frozen=True, kw_only=True):
 
 
 class ControlReply(Message, frozen=True, kw_only=True):
-    """The answer: whether it was done, else why not; `objects` is the list as it is now."""
+    """The answer: whether it was done, what was done or why not, and the list of objects as it is now."""
 
     done: bool
     text: Text
@@ -228,8 +227,8 @@ class ControlReply(Message, frozen=True, kw_only=True):
 
 
 class HeldHypothesis(Struct, frozen=True, kw_only=True):
-    """Where the tracker holds an instance to be. share: part of its belief in this one, 1 for all of them;
-    source: which start led there."""
+    """A hypothesis for the pose of an instance. share: its probability, with the sum 1 for an instance;
+    source: what proposed it."""
 
     translation: Vector3
     quaternion: Quaternion
@@ -241,7 +240,7 @@ class HeldHypothesis(Struct, frozen=True, kw_only=True):
 
 
 class HeldObject(Struct, frozen=True, kw_only=True):
-    """One instance and its hypotheses, best first: the first one is its pose."""
+    """One instance and its hypotheses, best first; the first is the published pose."""
 
     object: Name
     instance: Index
@@ -249,7 +248,7 @@ class HeldObject(Struct, frozen=True, kw_only=True):
 
 
 class HypothesesMessage(Message, frozen=True, kw_only=True):
-    """All hypotheses of the tracker in one frame, for people who look at it."""
+    """All hypotheses of the tracker in one frame, for display."""
 
     camera_epoch: Epoch
     frame_id: Count

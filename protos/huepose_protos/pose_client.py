@@ -1,4 +1,5 @@
-"""Poses for a program that acts on them: typed, the newest at once, at any time, and never silently stale.
+"""Poses for a program that acts on them: typed, the newest one, or the pose at any time; never an old one as
+if it were current.
 
 >>> with PoseClient("tcp/127.0.0.1:7447") as client:        # doctest: +SKIP
 ...     for pose in client:                                 # every pose, as it comes
@@ -27,40 +28,40 @@ from huepose_protos.messages import CameraMessage, Message, Mount, ObjectsMessag
 from huepose_protos.motion import PoseAt, carried, mount_at, pose_at
 from huepose_protos.reach import endpoint_of, why_unreached
 
-_KEPT, _TOLD = 64, 512
+_KEPT, _KEPT_MOUNTS = 64, 512
 _WAITING = 1024
 _LOOK_EVERY_S = 0.1
 _ASK_TIMEOUT_S = 2.0
 _FORGET_S = 60.0
 _SETTLES_S = 1.0
-"""A new client has its link, and the latest poses, after a fraction of this."""
+"""A new client is connected and has the latest poses after a fraction of this."""
 
 Instance = tuple[str, str, int]
 """SITE/CAMERA, the object, the instance."""
 
 
 @dataclass
-class _Place:
-    """Where a camera is while it is open: fixed, or, as it was told, at stamps of its clock. heard: when it
-    last said so, time.monotonic()."""
+class _Mounts:
+    """The mount of a camera epoch: fixed, or, if the camera moves, with timestamps of its clock. heard: when
+    the last message came, time.monotonic()."""
 
     fixed: Mount | None = None
-    told: deque[tuple[int, Mount]] = field(default_factory=lambda: deque(maxlen=_TOLD))
+    timed: deque[tuple[int, Mount]] = field(default_factory=lambda: deque(maxlen=_KEPT_MOUNTS))
     heard: float = 0.0
 
 
 class PoseClient(Client):
     """Subscribes to poses at a gateway or, on the pipeline's own machine, at `local.pose_endpoints()`.
 
-    endpoints: `HOST`, `HOST:PORT`, `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS the files in PEM of
-    `open_session`. None: on this machine where the pipeline of `site` and `camera` runs, which is looked up
-    again every second. It may be made before the pipeline runs, and finds it again when it was gone; each
-    time it asks for the latest poses. Where none come, `why_silent()` says what is in the way. Left open,
-    it is closed at the program's end.
-    site, camera: the only one whose poses are read, else all, each for itself: `pose.frame` says which
-    camera's a pose is; where two sites have a camera of one name, make a client for each site. object: the
-    only one that is of interest, else all. Can be used from several threads.
-    Raises ValueError for endpoints or files that cannot be used and where several pipelines are meant,
+    endpoints: `HOST`, `HOST:PORT`, `tcp/HOST:PORT` or `tls/HOST:PORT`; for TLS with the PEM files of
+    `open_session`. None: the pipeline of `site` and `camera` on this machine, which is looked up again every
+    second. The client may be made before the pipeline runs, and connects again when it restarts; each time
+    it asks for the latest poses. If no poses come, `why_silent()` says why. A client that is left open is
+    closed when the program ends.
+    site, camera: read the poses of this one only, else of all, each kept separately. `pose.frame` names the
+    camera of a pose; if cameras of two sites have the same name, make one client for each site. object: read
+    the poses of this object only, else of all. Several threads may use one client.
+    Raises ValueError for endpoints or files that cannot be used and if several pipelines match,
     FileNotFoundError for a missing file.
 
     `missed`: poses that were dropped because the iterator was not read for too long (`latest` and `at` always
@@ -83,10 +84,10 @@ class PoseClient(Client):
         self._history: dict[Instance, deque[PoseMessage]] = {}
         self._arrived: dict[Instance, float] = {}
         self._camera_said: CameraMessage | None = None
-        self._places: dict[int, _Place] = {}  # by camera epoch: names and stamps may come again
+        self._mounts: dict[int, _Mounts] = {}  # by camera epoch: names and timestamps may come again
         self._made = time.monotonic()
         self._closed = threading.Event()
-        self._asker = threading.Thread(target=self._ask_whoever_is_new, daemon=True)
+        self._asker = threading.Thread(target=self._ask_new_peers, daemon=True)
         keys = Keys(site, camera)
         inside = keys.poses if object is None else keys.poses.replace("**", f"{object}/*")
         self._outside = (keys.outside(inside), keys.outside(keys.camera_info))
@@ -110,14 +111,14 @@ class PoseClient(Client):
             self._listen(self._session.declare_subscriber, expression, self._on_sample)
 
     def _follow(self, place: Whereabouts) -> None:
-        """To where the pipeline runs now."""
+        """Connect to where the pipeline runs now."""
         self._endpoints = _endpoints_of(place)
         before, self._session = self._session, open_session(self._endpoints)
         before.close()
         self._threads = [thread for thread in self._threads if thread.is_alive()]
         self._subscribe()
 
-    def _ask_whoever_is_new(self) -> None:
+    def _ask_new_peers(self) -> None:
         known: set[str] = set()
         while not self._closed.wait(_LOOK_EVERY_S):
             if self._place is not None and self._place.has_moved():
@@ -136,7 +137,7 @@ class PoseClient(Client):
         return self._decoded(str(sample.key_expr), sample.payload.to_bytes())
 
     def _on_sample(self, sample: zenoh.Sample, stored: bool = False) -> None:
-        """stored: it is the latest that a gateway has, and may be old."""
+        """stored: the sample is the latest that a gateway keeps, and may be old."""
         message = self._read(sample)
         if isinstance(message, PoseMessage):
             age_ns = time.time_ns() - _offset_ns(message) - message.capture_ns if stored else 0
@@ -149,21 +150,21 @@ class PoseClient(Client):
         with self._changed:
             self._camera_said = camera
             self._changed.notify_all()
-            if camera.camera_epoch not in self._places:
+            if camera.camera_epoch not in self._mounts:
                 self._forget_old()
-            place = self._places.setdefault(camera.camera_epoch, _Place())
-            place.heard = time.monotonic()
+            mounts = self._mounts.setdefault(camera.camera_epoch, _Mounts())
+            mounts.heard = time.monotonic()
             if camera.mount is None or camera.mount_ns is None:
-                place.fixed = camera.mount
-            elif not place.told or camera.mount_ns > place.told[-1][0]:
-                place.told.append((camera.mount_ns, camera.mount))
+                mounts.fixed = camera.mount
+            elif not mounts.timed or camera.mount_ns > mounts.timed[-1][0]:
+                mounts.timed.append((camera.mount_ns, camera.mount))
 
     def _mount(self, camera_epoch: int, stamp_ns: int) -> tuple[Mount | None, bool]:
-        """Where a camera is at a time of its own clock, and whether it is fixed there."""
+        """The mount of a camera at a time of its own clock, and whether the camera is fixed."""
         with self._changed:
-            place = self._places.get(camera_epoch, _Place())
-            fixed, told = place.fixed, list(place.told)
-        return fixed or mount_at(told, stamp_ns), fixed is not None
+            mounts = self._mounts.get(camera_epoch, _Mounts())
+            fixed, timed = mounts.fixed, list(mounts.timed)
+        return fixed or mount_at(timed, stamp_ns), fixed is not None
 
     def _add(self, camera: str, pose: PoseMessage, arrived: float) -> None:
         instance = (camera, pose.object, pose.instance)
@@ -173,10 +174,10 @@ class PoseClient(Client):
             history = self._history.setdefault(instance, deque(maxlen=_KEPT))
             if history and history[-1].camera_epoch != pose.camera_epoch:
                 history.clear()
-            if history and _says_again(pose, history[-1]):
-                history.pop()  # the newest word about a frame is what holds of it
+            if history and _is_update(pose, history[-1]):
+                history.pop()  # the newest message about a frame counts
             elif history and pose.capture_ns <= history[-1].capture_ns:
-                return  # asked for and heard as well
+                return  # it came twice, as an answer and by itself
             history.append(pose)
             self._arrived[instance] = max(arrived, self._arrived.get(instance, arrived))
             if len(self._waiting) == _WAITING:
@@ -186,16 +187,16 @@ class PoseClient(Client):
             self._changed.notify_all()
 
     def _forget_old(self) -> None:
-        """Instances and cameras come and go; those that are long gone are not kept for ever."""
+        """Drop instances and cameras of which nothing came for long."""
         long_ago = time.monotonic() - _FORGET_S
         for old in [instance for instance, arrived in self._arrived.items() if arrived < long_ago]:
             del self._arrived[old], self._history[old]
-        for closed in [epoch for epoch, place in self._places.items() if place.heard < long_ago]:
-            del self._places[closed]
+        for closed in [epoch for epoch, mounts in self._mounts.items() if mounts.heard < long_ago]:
+            del self._mounts[closed]
 
     def why_silent(self) -> str:
-        """Why no pose comes, in a sentence, as far as this can be found out here; may take seconds. Of a
-        client that was just made it waits for a pose, up to a second, before it says that none comes."""
+        """Why no pose comes, in a sentence, as far as this machine can find out; may take seconds. A client
+        that was just made first waits for a pose for up to a second."""
         if self._place is not None and (absence := self._place.absence()) is not None:
             return f"waiting for a pipeline: {absence}"
         with self._changed:
@@ -221,10 +222,10 @@ class PoseClient(Client):
     def _why_none_is_seen(self) -> str:
         names = self.looked_for()
         if names is None:
-            return "no tracker answers, or it is only starting"
+            return "no tracker answers, or it is still starting"
         if not names:
-            return "nothing is looked for"
-        return f"of what is looked for ({', '.join(names)}) nothing is seen"
+            return "no object is searched for"
+        return f"none of the objects that are searched for ({', '.join(names)}) is seen"
 
     def next(self, timeout_s: float | None = None) -> PoseMessage | None:
         """The next pose that was not returned yet; None after the timeout, or when the client is closed."""
@@ -233,27 +234,27 @@ class PoseClient(Client):
             return self._waiting.popleft() if self._waiting else None
 
     def camera(self, timeout_s: float | None = None) -> CameraMessage | None:
-        """What a camera said last: its intrinsics, and where it is on the robot. It says so once a second:
+        """The newest message of a camera: its intrinsics, and its mount on the robot. One comes every second:
         waits for the first. None after the timeout, or when the client is closed."""
         with self._changed:
             self._changed.wait_for(lambda: self._camera_said or self._closed.is_set(), timeout_s)
             return self._camera_said
 
     def looked_for(self, timeout_s: float = _ASK_TIMEOUT_S) -> list[str] | None:
-        """The names of the objects that are looked for now, seen or not yet; asks the tracker or the gateway.
-        None where nobody answers in time."""
+        """The names of the objects that are searched for now, seen or not yet; asks the tracker or the
+        gateway. None if neither answers in time."""
         replies = (reply for key in self._lists for reply in self._session.get(key, timeout=timeout_s))
         answers = [self._read(reply.ok) for reply in replies if reply.ok is not None]
         lists = [one for one in answers if isinstance(one, ObjectsMessage)]
         return sorted({entry.object for one in lists for entry in one.objects}) if lists else None
 
     def mount(self, pose: PoseMessage) -> Mount | None:
-        """Where the camera was when it took the picture of a pose; None where that was not told."""
+        """The camera's mount when it took the image of a pose; None if it is not known."""
         return self._mount(pose.camera_epoch, pose.capture_ns)[0]
 
     def on_robot(self, pose: PoseMessage) -> PoseMessage | None:
-        """The same message in the frame that its camera is mounted in (`motion.carried`); None where that was
-        not told."""
+        """The same message in the frame that its camera is mounted in (`motion.carried`); None if the mount
+        is not known."""
         mount, still = self._mount(pose.camera_epoch, pose.capture_ns)
         return None if mount is None else carried(pose, mount, still)
 
@@ -265,11 +266,11 @@ class PoseClient(Client):
     def latest(
         self, object: str | None = None, instance: int | None = None, max_age_s: float = float("inf")
     ) -> PoseMessage | None:
-        """The newest pose message of an instance; None where there is none, or it came longer ago. One that a
-        gateway had stored counts as come when its picture was taken.
+        """The newest pose message of an instance; None if there is none, or it came more than max_age_s ago.
+        For a message that a gateway had stored, the time at which its image was taken counts instead.
 
-        Without an instance that of the object, without an object of all, that was heard last, by whichever
-        camera."""
+        Without an instance: of the object's instances; without an object: of all objects; from whichever
+        camera, the one that was heard last."""
         with self._changed:
             which = self._which(object, instance)
             if which is None or time.monotonic() - self._arrived[which] > max_age_s:
@@ -285,13 +286,13 @@ class PoseClient(Client):
     def at(
         self, unix_ns: int | None = None, object: str | None = None, instance: int | None = None
     ) -> PoseAt | None:
-        """Where an instance (see `latest`) was or is at a time, by default now; nanoseconds since 1970.
+        """The pose of an instance (see `latest`) at a time, by default now; nanoseconds since 1970.
 
-        Between two poses of the last two seconds it is interpolated; after the newest it is predicted by its
-        velocity for up to 100 ms, with a covariance that grows. None where that says nothing: no pose, LOST,
-        stale. Where the camera's place is configured, or told as it moves, `T_parent_obj` is the same in the
-        robot's frame; None at a time for which it was not told (`motion.mount_at`).
-        On another machine it is as right as the two wall clocks agree (NTP: some milliseconds)."""
+        Between two poses of the last two seconds it is interpolated; after the newest it is predicted with
+        its velocity for up to 100 ms, with a covariance that grows. None if there is no pose then, it is
+        LOST, or the newest is too old. If the camera's mount is configured, or given as the camera moves,
+        `T_parent_obj` is the pose in the robot's frame; None at a time without a mount (`motion.mount_at`).
+        On another machine it is as accurate as the two wall clocks agree (NTP: some milliseconds)."""
         with self._changed:
             which = self._which(object, instance)
             poses = [] if which is None else list(self._history[which])
@@ -307,7 +308,7 @@ class PoseClient(Client):
         return max(known, key=lambda key: self._arrived[key], default=None)
 
     def close(self) -> None:
-        """Leave; whoever waits for a pose gets None."""
+        """Disconnect; whoever waits for a pose gets None."""
         self._closed.set()
         with self._changed:
             self._changed.notify_all()
@@ -316,16 +317,16 @@ class PoseClient(Client):
         super().close()
 
 
-def _says_again(pose: PoseMessage, last: PoseMessage) -> bool:
-    """Whether a message says something new about the frame of the last one: that no newer one came, or what a
-    correction changed."""
+def _is_update(pose: PoseMessage, last: PoseMessage) -> bool:
+    """Whether a message changes what the last one said about the same frame: its state, because no newer
+    frame came, or what a correction changed."""
     same = pose.capture_ns == last.capture_ns and pose.publish_ns > last.publish_ns
     return same and (pose.state, pose.applied_correction_seq) != (last.state, last.applied_correction_seq)
 
 
 def _offset_ns(pose: PoseMessage) -> int:
-    """What to add to the pose's stamps for Unix time: of this machine's own clocks where it is the same one,
-    so that a wall clock that was set in between does no harm."""
+    """What to add to the pose's timestamps for Unix time. On the same machine this is read from its clocks
+    now, so that a wall clock that was set in between does no harm."""
     if pose.clock_id == boot_id():
         return time.time_ns() - time.monotonic_ns()
     return pose.realtime_offset_ns

@@ -1,4 +1,4 @@
-"""Where a gateway or a worker is, and why it is not reached: zenoh itself says only nothing."""
+"""The address of a gateway or a worker, and why it is not reached: zenoh itself does not say."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from huepose_protos.local import why_noted_alone
+from huepose_protos.local import why_only_noted
 
 Files = tuple[Path | str, Path | str, Path | str]
 """Authority, certificate and key, in PEM."""
 
 PORT = 7447
-"""Of a gateway, where nothing else is said."""
+"""The default port of a gateway."""
 _LOCAL = "unixsock-stream/"
 _WITHIN_S, _REFUSED_WITHIN_S = 3.0, 0.5
 _ROUNDS = 3
-"""In which both sides of TLS have said all that belongs to a handshake."""
+"""Rounds after which both sides have sent all messages of a TLS handshake."""
 
 
 def address_of(text: str) -> tuple[str, int]:
@@ -38,7 +38,7 @@ def address_of(text: str) -> tuple[str, int]:
 
 
 def endpoint_of(text: str, tls: bool = False) -> str:
-    """As zenoh writes it; tls: whether a bare host is meant to speak TLS. Raises ValueError.
+    """An address as a zenoh endpoint; tls: whether a bare host means TLS. Raises ValueError.
 
     >>> endpoint_of("robot.local"), endpoint_of("tls/[::1]:7000"), endpoint_of("unixsock-stream//run/x")
     ('tcp/robot.local:7447', 'tls/[::1]:7000', 'unixsock-stream//run/x')
@@ -54,11 +54,11 @@ def endpoint_of(text: str, tls: bool = False) -> str:
 def why_unreached(
     endpoints: Sequence[str], context: ssl.SSLContext | None, shown: Files | None = None
 ) -> str:
-    """What is in the way to the first of these, in words; may take seconds. context: what a reader shows to
-    one with TLS; shown: the files that it is of, which are looked at by themselves as well."""
+    """Why the first of these endpoints is not reached, in words; may take seconds. context: the reader's, for
+    TLS; shown: the files that the context was made from, which are also checked alone."""
     why = _why_not_reached(endpoints, context)
     fault = None if shown is None else fault_of(*shown)
-    return why if shown is None or fault is None else f"{why}. Of {shown[1]} by itself: {fault}"
+    return why if shown is None or fault is None else f"{why}. A check of {shown[1]} alone: {fault}"
 
 
 def _why_not_reached(endpoints: Sequence[str], context: ssl.SSLContext | None) -> str:
@@ -72,24 +72,24 @@ def _why_not_reached(endpoints: Sequence[str], context: ssl.SSLContext | None) -
     secure = first.startswith("tls/")
     why = why_unreachable(host, port, context if secure else None)
     if why is None and secure and ":" in host:
-        why = "by TLS zenoh reaches no address of IPv6: give the gateway's name in its place"
+        why = "zenoh cannot connect to an IPv6 address by TLS: give the gateway's name instead"
     return f"waiting for a gateway at {first}: {why or 'it does not answer as one'}"
 
 
 def _why_none_runs(first: str, endpoints: Sequence[str]) -> str:
     socket_of = Path(first.removeprefix(_LOCAL))
     port = int(socket_of.name) if socket_of.name.isdigit() else 0
-    for base_port in (port, port - 1):  # where poses are read: at the camera, and at the tracker
-        if (why := why_noted_alone(base_port, socket_of.parent)) is not None:
+    for base_port in (port, port - 1):  # the port is the camera's, or the tracker's
+        if (why := why_only_noted(base_port, socket_of.parent)) is not None:
             return why
-    camera = socket_of.with_name(str(port - 1))  # whose port is the one that people know
+    camera = socket_of.with_name(str(port - 1))  # the camera's port is `bus.base_port`, which users know
     known = camera if f"{_LOCAL}{camera}" in endpoints else socket_of
     return f"none runs at {known}; `huepose up` starts one"
 
 
 def why_unreachable(host: str, port: int, context: ssl.SSLContext | None) -> str | None:
-    """What is in the way to a gateway, in words; None where nothing is found. context: what a reader shows;
-    None without TLS."""
+    """Why a gateway cannot be reached, in words; None if no reason is found. context: the reader's; None
+    without TLS."""
     try:
         link = socket.create_connection((host, port), timeout=_WITHIN_S)
     except socket.gaierror:
@@ -106,7 +106,7 @@ def why_unreachable(host: str, port: int, context: ssl.SSLContext | None) -> str
         try:
             return _refusal(link, host, context)
         except ssl.SSLCertVerificationError as error:
-            if error.verify_code not in _OF_ANOTHER_HOST:
+            if error.verify_code not in _OTHER_HOST:
                 return f"its certificate is not accepted: {why_not_accepted(error)}"
     return _for_other_names(host, port, context)
 
@@ -122,36 +122,38 @@ def _speaks_tls(link: socket.socket) -> str | None:
 
 
 def _is_kept(secured: ssl.SSLSocket) -> bool:
-    """Whether the other side holds the link: it says nothing before it is spoken to, and does not end it."""
+    """Whether the other side keeps the link open. Raises TimeoutError if it does and sends nothing, as a
+    gateway does before it is sent something."""
     try:
         return bool(secured.recv(1))
     except ConnectionError:
         return False
 
 
-_OF_ANOTHER = (7, 18, 19, 20)
-"""X509_V_ERR_CERT_SIGNATURE_FAILURE and those of a certificate whose authority is not known (OpenSSL,
+_UNKNOWN_AUTHORITY = (7, 18, 19, 20)
+"""X509_V_ERR_CERT_SIGNATURE_FAILURE and the codes for a certificate of an unknown authority (OpenSSL,
 x509_vfy.h)."""
 
 
-_OF_ANOTHER_HOST = (62, 64)
+_OTHER_HOST = (62, 64)
 """X509_V_ERR_HOSTNAME_MISMATCH and X509_V_ERR_IP_ADDRESS_MISMATCH."""
 
 
 def why_not_accepted(error: ssl.SSLCertVerificationError) -> str:
     """What is wrong with a certificate, in words."""
-    return "another authority signed it" if error.verify_code in _OF_ANOTHER else error.verify_message
+    return "another authority signed it" if error.verify_code in _UNKNOWN_AUTHORITY else error.verify_message
 
 
 def _refusal(link: socket.socket, host: str, context: ssl.SSLContext) -> str | None:
-    """Raises SSLCertVerificationError where it is the other side's certificate that is not accepted."""
+    """Why the other side ends the link; None if it does not. Raises SSLCertVerificationError if it is the
+    other side's certificate that is not accepted."""
     try:
         with context.wrap_socket(link, server_hostname=host) as secured:
-            # With TLS 1.3 a refusal of our certificate comes after the handshake, otherwise there is silence.
+            # With TLS 1.3 our certificate is refused after the handshake; if it is accepted, nothing is sent.
             secured.settimeout(_REFUSED_WITHIN_S)
             with suppress(TimeoutError):
                 if not _is_kept(secured):
-                    return "it does not accept this certificate, or has no place for it: its log says why"
+                    return "it does not accept this certificate, or has too many readers: its log says why"
     except ssl.SSLCertVerificationError:
         raise
     except ssl.SSLError as error:
@@ -165,17 +167,17 @@ def _refusal(link: socket.socket, host: str, context: ssl.SSLContext) -> str | N
 
 
 def _for_other_names(host: str, port: int, context: ssl.SSLContext) -> str:
-    """What to do about a certificate that has not the name by which its computer was reached."""
+    """What to do about a certificate without the name by which its computer was reached."""
     names = ", ".join(_names_at(host, port, context)) or "other names"
     return (
-        f"its certificate is for {names}, not for {host}: use such a name, or say `huepose secure host "
+        f"its certificate is for {names}, not for {host}: use such a name, or run `huepose secure host "
         f"{host}` on the gateway's computer"
     )
 
 
 def _names_at(host: str, port: int, context: ssl.SSLContext) -> list[str]:
-    """The names and addresses in the certificate of a gateway, which our authority signed; none where it does
-    not come."""
+    """The names and addresses in the certificate of a gateway, which our authority signed; none if the
+    certificate does not come."""
     context.check_hostname = False
     try:
         with socket.create_connection((host, port), _WITHIN_S) as link, context.wrap_socket(link) as secured:
@@ -189,19 +191,19 @@ def _names_at(host: str, port: int, context: ssl.SSLContext) -> list[str]:
 
 def _without_tls(said: str) -> str:
     return (
-        f"it does not answer by TLS ({said}): one that has none is read without authority, certificate and "
-        "key (in a shell: without --tls)"
+        f"it does not answer by TLS ({said}): if it has none, read it without authority, certificate and key "
+        "(in a shell: without --tls)"
     )
 
 
 def fault_of(authority: Path | str, certificate: Path | str, key: Path | str) -> str | None:
-    """Why a gateway of this authority would not accept a certificate, by this computer's clock; None where it
-    would. A gateway itself only ends the link. Raises OSError for files that are no PEM, or do not fit."""
+    """Why a gateway with this authority would not accept a certificate, by this computer's clock; None if it
+    would. (A gateway itself only ends the link.) Raises OSError for files that are no PEM, or do not fit."""
     ours = ssl.create_default_context(cafile=authority)
     ours.check_hostname, ours.verify_mode = False, ssl.CERT_NONE
     theirs = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=authority)
     theirs.verify_mode = ssl.CERT_REQUIRED
-    for end in (ours, theirs):  # any will do for the gateway's own
+    for end in (ours, theirs):  # the gateway's own certificate may be any
         end.load_cert_chain(certificate, key)
     forth, back = ssl.MemoryBIO(), ssl.MemoryBIO()
     ends = ours.wrap_bio(back, forth), theirs.wrap_bio(forth, back, server_side=True)

@@ -95,7 +95,7 @@ def test_cameras_that_are_long_gone_are_not_kept_for_ever(client, monkeypatch):
         client._on_sample(camera("lab", epoch, 1.0))
     monkeypatch.setattr("huepose_protos.pose_client._FORGET_S", -1.0)
     client._on_sample(camera("lab", 3, 1.0))
-    assert list(client._places) == [3]
+    assert list(client._mounts) == [3]
 
 
 def test_a_reader_that_is_not_read_keeps_the_newest_messages_and_counts_the_others(monkeypatch):

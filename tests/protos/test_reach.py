@@ -87,7 +87,7 @@ def test_at_the_second_computer_the_camera_s_is_named(tmp_path):
     path = tmp_path / f"{os.getpid()}-17447.json"
     with PoseClient(pose_endpoints(17447, folder=tmp_path)) as client:
         path.write_text(json.dumps(note))
-        alone = "here lab/left has perception alone: ask the camera's computer for poses and objects"
+        alone = "here lab/left has perception only: ask the camera's computer for poses and objects"
         assert client.why_silent() == f"waiting for a pipeline: {alone}"
         path.write_text(json.dumps(note | {"far": ["estimator", "downlink"]}))  # as the camera's says it
         assert "is being started or stopped" in client.why_silent()

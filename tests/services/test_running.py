@@ -294,7 +294,7 @@ def test_the_second_computer_of_a_pipeline_says_that_poses_and_objects_are_at_th
     config = Config(hosts={"desk": ("estimator",)}, link=LinkConfig(connect="robot:7448"))
     desk, robot = (described(config.at(host), tmp_path / "pipeline.yaml") for host in ("desk", None))
     assert robot.elsewhere == ""
-    there = "here local/cam0 has perception alone: ask the camera's computer for poses and objects"
+    there = "here local/cam0 has perception only: ask the camera's computer for poses and objects"
     with noted(desk):
         assert main(["objects", "list"]) == 1
         assert f"huepose objects: {there}" in capsys.readouterr().err

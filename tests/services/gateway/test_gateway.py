@@ -182,8 +182,8 @@ def test_by_tls_an_address_of_ipv6_needs_a_name_and_the_client_says_so(start, au
     files = credentials(authority, "robot1")
     with PoseClient(f"tls/[::1]:{one.port}", **files) as client:
         assert client.why_silent() == (
-            f"waiting for a gateway at tls/[::1]:{one.port}: by TLS zenoh reaches no address of IPv6: give "
-            "the gateway's name in its place"
+            f"waiting for a gateway at tls/[::1]:{one.port}: zenoh cannot connect to an IPv6 address by TLS: "
+            "give the gateway's name instead"
         )
     with PoseClient(f"tls/localhost:{one.port}", **files) as client:
         one.say_until(lambda: client.latest() is not None)
@@ -203,11 +203,12 @@ def test_a_tracker_that_starts_is_told_from_objects_that_are_not_in_view(start, 
     one = start()
     with PoseClient(f"localhost:{one.port}") as client:
         wait_until(lambda: client.connected)
-        assert "no tracker answers, or it is only starting" in client.why_silent()
+        assert "no tracker answers, or it is still starting" in client.why_silent()
         names = [entry.object for entry in example(ObjectsMessage).objects]
         one.tracker.put(one.tracker.keys.objects, example(ObjectsMessage))
         wait_until(lambda: client.looked_for() == sorted(names))
-        said = f"connected, but of what is looked for ({', '.join(sorted(names))}) nothing is seen: "
+        listed = ", ".join(sorted(names))
+        said = f"connected, but none of the objects that are searched for ({listed}) is seen: "
         assert client.why_silent() == said + "`huepose status` says why"
 
 

@@ -111,7 +111,7 @@ def test_another_name_of_the_gateway_gets_a_certificate_that_readers_accept(tmp_
     kept = {path: path.read_bytes() for path in folder.iterdir() if path.stem != "gateway"}
     with _listens(folder) as port:
         assert why_unreachable("127.0.0.1", port, reader.context()) == (
-            "its certificate is for robot.local, 10.0.0.7, not for 127.0.0.1: use such a name, or say "
+            "its certificate is for robot.local, 10.0.0.7, not for 127.0.0.1: use such a name, or run "
             "`huepose secure host 127.0.0.1` on the gateway's computer"
         )
     assert main(["secure", "host", "127.0.0.1", "10.0.0.7", "--folder", str(folder)]) == 0

@@ -91,7 +91,7 @@ def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monke
     address = f"localhost:{one.port}"
     for given, files, found in (
         (f"tls/{address}", credentials(authority, "stranger"), "does not accept this certificate"),
-        (f"tls/{address}", credentials(authority, "stranger"), "by itself: another authority signed it"),
+        (f"tls/{address}", credentials(authority, "stranger"), "alone: another authority signed it"),
         (f"tcp/{address}", {}, "give authority, certificate and key"),
     ):
         with PoseClient(given, **files) as client:

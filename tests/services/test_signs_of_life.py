@@ -170,7 +170,7 @@ def test_locked_memory_that_has_piled_up_is_a_warning():
     health.much_locked_mib = -1.0
     health.message()
     assert len(health.message().warnings) == 1
-    assert "start this worker again" in health.message().warnings[0]
+    assert "restart this worker" in health.message().warnings[0]
 
 
 def test_health_counts_what_failed_and_keeps_the_last_of_it():

@@ -116,7 +116,7 @@ def test_the_log_of_a_worker_is_read_on_where_it_cannot_be_written():
         [b"12:00:00.000 info  camera    ready\n", b"of a library\n", b"12:00:01.000 info  the last\n"]
     )
     child = object.__new__(Child)
-    child._says, child._out = "camera", FullDisk()
+    child._log_name, child._out = "camera", FullDisk()
     child.process = SimpleNamespace(stdout=lines)
     child._copy_log()
     assert next(lines, None) is None
@@ -125,7 +125,7 @@ def test_the_log_of_a_worker_is_read_on_where_it_cannot_be_written():
 def test_why_a_worker_has_ended_is_an_error_of_its_own(monkeypatch):
     monkeypatch.delenv("HUEPOSE_LOG", raising=False)
     child = object.__new__(Child)
-    child._says, child._out = "camera", io.StringIO()
+    child._log_name, child._out = "camera", io.StringIO()
     child.process = SimpleNamespace(stdout=[b"of a library\n", b"huepose run: desk/rgb: found no folder.\n"])
     child._copy_log()
     said = [line.split(maxsplit=1)[1] for line in child._out.getvalue().splitlines()]
@@ -242,7 +242,7 @@ def test_a_killed_worker_that_does_not_end_is_started_again_when_it_has(alone):
     supervisor._children["tracker"] = child
     for _ in range(3):
         supervisor.poll(0.0)
-    assert child.process.kills == out.getvalue().count("does not end: the kernel holds it") == 1
+    assert child.process.kills == out.getvalue().count("does not end: it waits in the kernel") == 1
     assert supervisor.not_ready == {"tracker"}
     assert supervisor._records["tracker"].restart_at is None
     child.process.code = -9

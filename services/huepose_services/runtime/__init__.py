@@ -1,1 +1,1 @@
-"""What every worker stands on: configuration, zenoh session, loop, health, supervisor."""
+"""What every worker uses: configuration, zenoh session, loop, health, supervisor."""

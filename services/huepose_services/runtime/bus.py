@@ -24,7 +24,7 @@ _FOREIGN_FRAMES = (
 
 
 class FrameStamp(msgspec.Struct):
-    """Which frame a header is of: all that has to be known of one that is not decoded yet."""
+    """The epoch, number and capture time of a frame: all that is read of a header before it is decoded."""
 
     camera_epoch: int
     frame_id: int
@@ -35,7 +35,7 @@ _stamp_decoder = msgspec.msgpack.Decoder(FrameStamp)
 
 
 def stamp_of(header: bytes) -> FrameStamp | None:
-    """The stamp of a frame's header; None for bytes that are none."""
+    """The FrameStamp of a frame's header; None for bytes that are no header."""
     try:
         return _stamp_decoder.decode(header)
     except (msgspec.MsgspecError, RecursionError):
@@ -43,7 +43,7 @@ def stamp_of(header: bytes) -> FrameStamp | None:
 
 
 def bytes_of(data: zenoh.ZBytes | None) -> bytes:
-    """A payload or an attachment as bytes; empty where there is none."""
+    """A payload or an attachment as bytes; empty if there is none."""
     return b"" if data is None else data.to_bytes()
 
 
@@ -74,26 +74,26 @@ class Bus:
         self._out_of_order = 0
 
     def frames(self, wakes: bool = True) -> Place:
-        """The newest frame of the camera; those of a second one beside it, and older ones that come
-        later, are counted and left out."""
+        """The newest frame of the camera. Frames of a second camera under the same key, and frames older than
+        one that came before, are counted and left out."""
         return self.inbox.ring(self.keys.frame, wakes, self._is_news)
 
     def _is_news(self, sample: zenoh.Sample) -> bool:
-        said = stamp_of(bytes_of(sample.attachment))
-        if said is None:
-            return True  # no header at all: refused and counted where it is taken
+        stamp = stamp_of(bytes_of(sample.attachment))
+        if stamp is None:
+            return True  # no header: it is refused and counted when it is taken
         now = now_ns()
-        if not self._camera.accepts(said.camera_epoch, said.capture_ns, now):
+        if not self._camera.accepts(stamp.camera_epoch, stamp.capture_ns, now):
             return False
-        if said.camera_epoch == self._newest[0] and said.capture_ns < self._newest[1]:
+        if stamp.camera_epoch == self._newest[0] and stamp.capture_ns < self._newest[1]:
             self._out_of_order += 1
             return False
-        # A stamp of the future is the newest until then, and no longer.
-        self._newest = (said.camera_epoch, min(said.capture_ns, now))
+        # A timestamp in the future counts as now: else it would keep out all frames before it.
+        self._newest = (stamp.camera_epoch, min(stamp.capture_ns, now))
         return True
 
     def take(self, place: Place, kind: type[M], foreign: bool = False) -> M | None:
-        """The next good message there, or None. foreign: its stamps may be of another computer's clock."""
+        """The next good message there, or None. foreign: its timestamps may be of another clock."""
         while (sample := place.take()) is not None:
             message = self._decoded(str(sample.key_expr), sample.payload.to_bytes(), kind, foreign)
             if message is not None:
@@ -130,21 +130,21 @@ class Bus:
 
     @staticmethod
     def take_begun(tokens: Place) -> str | None:
-        """The next worker that has begun, of those that liveliness tokens tell; None for no more."""
+        """The next worker that has started, by its liveliness token; None if there are no more."""
         while (sample := tokens.take()) is not None:
             if sample.kind == zenoh.SampleKind.PUT:
                 return last(str(sample.key_expr))
         return None
 
     def refuse(self, key: str, error: WireError) -> None:
-        """Count a bad message, and say so once a second at most."""
+        """Count a bad message, and log it; repeats are held back."""
         text = f"dropped a message on {key}: {error}"
         self.health.count("wire_errors")
         self.health.failed(text)
         self.log.seldom("wire", text)
 
     def say_health(self) -> None:
-        """Publish how the worker is."""
+        """Publish the worker's health."""
         self.health.drops = self.inbox.drops
         if self._camera.refused:
             self._say_foreign_frames()
@@ -154,7 +154,8 @@ class Bus:
         self.log.flush()
 
     def _say_foreign_frames(self) -> None:
-        """A camera that is opened anew has a few before the old one counts as silent; more are no chance."""
+        """Warn only if such frames go on: a camera that is opened again sends a few before its old epoch
+        counts as silent."""
         refused = self._camera.refused
         self.health.counters["frames_of_another_camera"] = refused
         go_on = refused > self._foreign[1] > self._foreign[0]
@@ -162,11 +163,11 @@ class Bus:
         self.health.warn_while("foreign frames", _FOREIGN_FRAMES if go_on else None)
 
     def put(self, key: str, message: Message) -> None:
-        """Publish a message that may be lost on a reader that does not read, but waits for nobody."""
+        """Publish a message without waiting for any reader; a reader that is behind may lose it."""
         self._publisher(key, zenoh.Priority.REAL_TIME).put(encode(message))
 
     def put_aside(self, key: str, message: Message) -> None:
-        """Publish a message that is in no hurry: others go before it."""
+        """Publish a message that is not urgent: others go before it."""
         self._publisher(key).put(encode(message))
 
     def is_heard(self, key: str) -> bool:
@@ -179,7 +180,7 @@ class Bus:
         self._publisher(key, zenoh.Priority.REAL_TIME, block).put(encode(message))
 
     def put_pixels(self, key: str, header: Message, payload: bytes) -> None:
-        """Publish pixels with their header beside them; a reader that is behind loses them."""
+        """Publish pixels with their header as attachment; a reader that is behind loses them."""
         self._publisher(key).put(payload, attachment=encode(header))
 
     def _publisher(

@@ -1,4 +1,5 @@
-"""The one clock: CLOCK_MONOTONIC of this machine, how it relates to the wall's, and what cannot be of it."""
+"""The clock of all workers: CLOCK_MONOTONIC of this machine, its offset to the wall clock, and checks of
+timestamps."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ SECOND = 1_000_000_000
 
 
 def this_clock() -> Clock:
-    """The clock of this boot, and its offset to Unix time now: the wall's clock may be set at any time."""
+    """The clock of this boot, and its offset to Unix time now: the wall clock may be set at any time."""
     return Clock(clock_id=boot_id() or "unknown", realtime_offset_ns=time.time_ns() - time.monotonic_ns())
 
 
@@ -22,14 +23,15 @@ TOLERANCE_NS = SECOND
 
 
 def check_stamps(message: Message, now_ns: int) -> None:
-    """Raises WireError for a message that was sent, or is of a frame that was captured, later than now: this
-    pipeline, whose workers share one clock, did not say it, and it would be the newest for ever."""
+    """Raises WireError for a message that was sent, or whose frame was captured, later than now. The workers
+    share one clock, so it is not from this pipeline, and it would stay the newest message for long."""
     for name in ("publish_ns", "capture_ns"):
         _check(name, getattr(message, name, None), now_ns)
 
 
 def check_number(message: CorrectionMessage | PoseMessage, now_ns: int) -> None:
-    """The same for the number of the correction that it is, or that a pose contains."""
+    """The same for the number of a correction (the time when it was made), or of the one that a pose
+    contains."""
     if isinstance(message, CorrectionMessage):
         _check("seq", message.seq, now_ns)
     else:

@@ -1,7 +1,7 @@
-"""A worker whose kernel has to be compiled in the middle of its work tells those who watch over it: that
-takes seconds, on a busy or small computer many, and who is ended then only begins anew.
+"""A worker that has to compile a kernel in the middle of its work tells its supervisor. Compiling takes
+seconds, on a slow or busy computer many, and a worker that is killed meanwhile has to begin again.
 
-All that is needed is compiled before a worker is ready, so this should never happen; it is counted in health.
+All kernels are compiled before a worker is ready, so this should never happen; it is counted in health.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ _WORTH_A_LINE_S = 0.5
 
 
 class LateCompiling(event.Listener):  # type: ignore[misc]  # numba has no types
-    """Tells pulse, health and log of every kernel that is compiled from now on. Numba calls it under its
-    lock, for the kernels that a kernel calls within the call for that one."""
+    """Reports every kernel that is compiled from now on to pulse, health and log. Numba calls it under its
+    lock; the calls for kernels that a kernel calls are nested in the call for that kernel."""
 
     def __init__(self, pulse: Pulse, health: Health, log: Log) -> None:
         self._pulse, self._health, self._log = pulse, health, log
         self._depth, self._started = 0, 0.0
 
     def on_start(self, event: Any) -> None:
-        """A kernel, or one that it calls, begins to be compiled."""
+        """The compilation of a kernel, or of one that it calls, begins."""
         if self._depth == 0:
             self._started = time.monotonic()
             self._pulse.compiling()
         self._depth += 1
 
     def on_end(self, event: Any) -> None:
-        """One is compiled, or could not be."""
+        """The compilation has ended or failed."""
         self._depth -= 1
         if self._depth:
             return
@@ -47,5 +47,5 @@ class LateCompiling(event.Listener):  # type: ignore[misc]  # numba has no types
 
 
 def tell_of_late_compiling(pulse: Pulse, health: Health, log: Log) -> None:
-    """From now on, in this process."""
+    """Report the compilation of kernels in this process from now on."""
     event.register("numba:compile", LateCompiling(pulse, health, log))

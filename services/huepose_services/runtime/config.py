@@ -60,9 +60,9 @@ WorkerName = Literal[
     "uplink",
     "downlink",
 ]
-# Those that poses need; the others look at them.
+# The workers that are needed for poses; the others only read.
 CHAIN: tuple[WorkerName, ...] = ("camera", "tracker", "reinit", *PERCEPTION)
-# The order gives each worker its port: base_port plus its place. New workers go to the end.
+# The order gives each worker its port: base_port plus its index. New workers go to the end.
 WORKERS: tuple[WorkerName, ...] = get_args(WorkerName)
 
 
@@ -188,7 +188,7 @@ class RestartConfig(Section, frozen=True, kw_only=True):
     hung_after_s: Annotated[float, Meta(ge=0.5, le=600.0)] = 2.0
 
     def patience_s(self, worker: str) -> float:
-        """For how long a worker may be silent: one piece of work of others than these three takes longer."""
+        """How long a worker may be silent. Workers other than these three take longer for one message."""
         return self.hung_after_s * (1.0 if worker in ("camera", "tracker", "reinit") else 3.0)
 
 
@@ -196,9 +196,9 @@ Processors = Annotated[list[Annotated[int, Meta(ge=0, le=1023)]], Meta(min_lengt
 
 
 class Config(Section, frozen=True, kw_only=True):
-    """A whole deployment. cpus: the processors that a worker keeps to; others go where they like. hosts:
-    which workers run on another computer. cameras: several instead of `camera`; of each is made a
-    configuration of its own, with workers of its own."""
+    """A whole deployment. cpus: the processors that a worker runs on; workers that are not named run on any.
+    hosts: which workers run on another computer. cameras: several instead of `camera`; each gets a
+    configuration and workers of its own."""
 
     site: Name = "local"
     workers: tuple[WorkerName, ...] = CHAIN
@@ -229,7 +229,7 @@ class Config(Section, frozen=True, kw_only=True):
 
     @property
     def other_host(self) -> str | None:
-        """The name of the second computer, where there is one."""
+        """The name of the second computer, if there is one."""
         return next(iter(self.hosts), None)
 
     @property
@@ -239,11 +239,12 @@ class Config(Section, frozen=True, kw_only=True):
 
     @property
     def host(self) -> str | None:
-        """Which computer's part this is; None: the camera's, or all."""
+        """The computer whose part this is; None: the camera's, or the only one."""
         return self.other_host if "downlink" in self.workers else None
 
     def at(self, host: str | None) -> Config:
-        """The part of one computer; None: the camera's. Raises InputError for one that is not in `hosts`."""
+        """The part of one computer; None: the camera's. Raises InputError for a host that is not in
+        `hosts`."""
         if host is not None and host not in self.hosts:
             known = ", ".join(self.hosts) or "none: `hosts` is empty"
             raise InputError("--host", found=host, expected=f"one of: {known}")
@@ -277,8 +278,8 @@ class Config(Section, frozen=True, kw_only=True):
 
 
 def load(path: Path, camera: str | None = None) -> Config:
-    """The configuration of a file; where it has several cameras, that of the one that is named. Raises
-    InputError that names the key, the value and what is allowed."""
+    """The configuration of a file; of the named camera, if the file has several. Raises InputError that names
+    the key, the value and what is allowed."""
     configs = load_all(path)
     of_camera = [config for config in configs if config.camera.name == camera]
     if len(configs) == 1 or of_camera:
@@ -298,7 +299,7 @@ def load_all(path: Path) -> list[Config]:
 
 
 def text_of(path: Path) -> str:
-    """What a file says. Raises InputError for one that cannot be read, or is too long."""
+    """The text of a file. Raises InputError if it cannot be read, or is too long."""
     try:
         with path.open("rb") as file:
             data = file.read(_MAX_BYTES + 1)
@@ -318,15 +319,15 @@ def text_of(path: Path) -> str:
 
 
 def parse_all(text: str, path: Path) -> list[Config]:
-    """The configurations in a text, one for each camera; `path` names it in errors and is where relative
-    paths start."""
+    """The configurations in a text, one for each camera; `path` names it in errors, and relative paths are
+    relative to its folder."""
     data = read_yaml(text, path)
     return for_each_camera(as_written(data, path), data, path)
 
 
 def for_each_camera(written: Config, data: Any, path: Path) -> list[Config]:
-    """The configurations of what stands in a file, checked, one for each camera. written: `as_written` of
-    `data`. Raises InputError."""
+    """The checked configurations of a file, one for each camera. written: `as_written` of `data`. Raises
+    InputError."""
 
     def refuse(key: str, found: str, expected: str, fix: str) -> None:
         raise InputError(f"{path}: {key}", found=found, expected=expected, fix=fix)
@@ -343,18 +344,18 @@ def for_each_camera(written: Config, data: Any, path: Path) -> list[Config]:
 
 
 def as_written(data: Any, path: Path) -> Config:
-    """The values of a file as they stand there: before each camera gets ports of its own, and paths are made
-    whole. Raises InputError for a key or a value that is wrong by itself."""
+    """The values of a file as they are written: before each camera gets ports of its own, and paths become
+    absolute. Raises InputError for a key or a value that is wrong by itself."""
     try:
         return msgspec.convert(data if data is not None else {}, Config)
     except msgspec.ValidationError as error:
         raise explain(error, data, Config, path) from None
     except RecursionError:
-        raise InputError(f"configuration {path}", found="values within values without an end") from None
+        raise InputError(f"configuration {path}", found="values that are nested too deeply") from None
 
 
 def _check(config: Config, refuse: Refuse) -> None:
-    """What one key alone cannot tell."""
+    """Check keys against each other."""
     names = [o.name for o in config.objects]
     camera, detector = config.camera, config.detector
     if len(set(names)) != len(names):

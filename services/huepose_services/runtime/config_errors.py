@@ -1,5 +1,5 @@
-"""The text of pipeline.yaml as plain values, and what is wrong with it as a sentence: path, value, what is
-allowed, hint. What YAML would pass over in silence is an error too."""
+"""Reads the text of pipeline.yaml into plain values, and turns what is wrong with it into a sentence: key,
+value, what is allowed, hint. Mistakes that YAML ignores are errors too."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from huepose.support.words import did_you_mean
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML itself lets the last of several equal keys win, and takes 1e-4 for a text."""
+    """Unlike YAML itself, refuses a key that is there twice, and reads 1e-4 as a number."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -36,7 +36,7 @@ _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _SCIENTIFIC, list("-+.0
 
 
 def read_yaml(text: str, path: Path) -> Any:
-    """The values in a text. Raises InputError that names the line, also where a key is there twice."""
+    """The values in a text. Raises InputError that names the line, also if a key is there twice."""
     try:
         return _Loader(text).get_single_data()
     except yaml.YAMLError as error:
@@ -56,17 +56,17 @@ def read_yaml(text: str, path: Path) -> Any:
             fix=fix,
         ) from None
     except Exception as error:
-        # Brackets in brackets in brackets; a date that is none; a number of thousands of digits: what YAML
-        # reads it makes into values by Python's own functions, and their errors come through.
+        # Deeply nested brackets, an impossible date, a number of thousands of digits: the YAML reader makes
+        # values with Python's own functions, whose errors come out here.
         deep = isinstance(error, RecursionError)
-        found = "values within values without an end" if deep else f"no valid YAML ({error})"[:200]
+        found = "values that are nested too deeply" if deep else f"no valid YAML ({error})"[:200]
         raise InputError(f"configuration {path}", found=found, expected="a pipeline's keys") from None
 
 
 _AT = re.compile(r"^(?P<text>.*?)(?: - at (?P<of_key>`key` in )?`(?P<at>[^`]*)`)?$", re.DOTALL)
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>.*)`")
 _MISSING = re.compile(r"Object missing required field `(?P<key>.*)`")
-# msgspec's words, and ours.
+# The wording of msgspec, and ours.
 _WORDS = (
     (r"^\[a-z0-9_-\]\{1,64\}$", "1 to 64 of a-z, 0-9, _ and -"),
     (r"^quaternion is not of unit length$", "a quaternion of unit length, x y z w"),
@@ -82,7 +82,7 @@ _WORDS = (
     (r" < ([\d.]+?)(?:\.0)?$", r" under \1"),
 )
 
-# What to write for keys of a section that are needed, where there is nothing to say.
+# What to write for required keys of a section if there is nothing special to say.
 _IF_NONE = {
     ("FixedMount", "translation"): "Write [0.0, 0.0, 0.0] for a camera at the origin of `parent`.",
     ("FixedMount", "quaternion"): "Write [0.0, 0.0, 0.0, 1.0] for a camera that is not rotated: it looks "
@@ -96,7 +96,8 @@ _SHORT.maxlevel = 3
 
 
 def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path) -> InputError:
-    """The error for a person; `data` is what the file says, `config` the type that it should be."""
+    """The error in words for the user; `data`: the values of the file, `config`: the type that they should
+    have."""
     match = _AT.match(str(error))
     assert match is not None
     text = match["text"]
@@ -118,7 +119,7 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
         kind, _ = _kinds_of_map(kind)
         found = next(key for key in found if not _is(key, kind))
         shown = f"the key {_shown(found)}"
-    if text == "quaternion is not of unit length":  # said of the mount that it belongs to
+    if text == "quaternion is not of unit length":  # the error is about the mount that it belongs to
         at, shown = f"{at}.quaternion", _with_length(found["quaternion"])
     word = found[: _SHORT.maxstring] if isinstance(found, str) else ""
     meant = did_you_mean(word, [str(name) for name in _literals(kind)])
@@ -133,7 +134,7 @@ def explain(error: msgspec.ValidationError, data: Any, config: type, path: Path)
 def _mended(at: str, found: Any, kind: Any) -> str:
     """What to write instead, as far as it is known."""
     for section in _parts(kind):
-        # `camera: bop`: the section's name with what is the value of one of its keys.
+        # `camera: bop`: a section's name with a value of one of its keys.
         keys = msgspec.structs.fields(section) if hasattr(section, "__struct_fields__") else ()
         for key in (key.name for key in keys if found in _literals(key.type)):
             return f"Write {{{key}: {found}}} there, with what else it needs."
@@ -145,7 +146,7 @@ def _mended(at: str, found: Any, kind: Any) -> str:
 
 
 def _allowed(text: str, kind: Any) -> str:
-    """`Expected X, got Y` without the part that is said elsewhere; names are listed."""
+    """X of `Expected X, got Y`, in our words; allowed names are listed."""
     names = [str(name) for name in _literals(kind)]
     if text.startswith("Invalid enum value"):
         text = f"Expected one of {', '.join(names)}" + (", or a number" if float in _parts(kind) else "")
@@ -158,7 +159,7 @@ def _allowed(text: str, kind: Any) -> str:
 
 
 def _form(kind: Any) -> str:
-    """What a text has to look like, in words; empty where anything goes, or no words are known."""
+    """The required form of a text, in words; empty if there is none, or it has no description."""
     for part in (kind, *typing.get_args(kind)):
         for said in typing.get_args(part)[1:] if typing.get_origin(part) is typing.Annotated else ():
             if isinstance(said, msgspec.Meta) and said.pattern:
@@ -185,8 +186,8 @@ def _steps(at: str) -> list[str]:
 
 
 def _followed(data: Any, kind: Any, at: str) -> tuple[str, Any, Any]:
-    """What stands at a path, and the type of what belongs there. The path comes back with the keys of maps,
-    each of which is `[...]` to msgspec: the first whose value is wrong."""
+    """The path, its value, and the type that belongs there. msgspec writes `[...]` for the key of a map; in
+    the returned path it is replaced by the first key whose value is wrong."""
     named = ""
     for step in _steps(at):
         if step == "[...]":
@@ -198,7 +199,7 @@ def _followed(data: Any, kind: Any, at: str) -> tuple[str, Any, Any]:
             kind = typing.get_args(next(lists))[0]
             named, data = named + step, data[int(step[1:-1])]
         else:
-            # A section that may be left out is a union with None.
+            # An optional section is a union with None.
             section = next(part for part in _parts(kind) if part is not type(None))
             kind = typing.get_type_hints(section, include_extras=True)[step]
             named, data = f"{named}.{step}", data.get(step)
@@ -221,7 +222,7 @@ def _is(value: Any, kind: Any) -> bool:
 
 
 def _shown(value: Any) -> str:
-    # Never all of it: aliases make a few lines stand for more than any memory holds.
+    # Never all of it: with aliases a few lines can describe more than memory can hold.
     text = "null" if value is None else _SHORT.repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
 

@@ -1,4 +1,4 @@
-"""A file for several cameras, or for two computers: what each part of it is."""
+"""Parts of a configuration: of each camera if there are several, of each computer if there are two."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Far = Literal["detector", "segmenter", "estimator"]
 Hosts = Annotated[dict[Name, tuple[Far, ...]], Meta(max_length=1)]
 
 PERCEPTION: tuple[Far, ...] = get_args(Far)
-"""The workers that may run on a second computer, each after the one whose answers it needs."""
+"""The workers that may run on a second computer, each after the one whose results it needs."""
 
 _LAST_PORT = 65_535
 
 _ANY = ("0.0.0.0", "[::]")  # noqa: S104  # every address of the computer
 
 PORTS_OF_A_CAMERA = 20
-"""Between the first ports of two cameras of a file: room for workers to come."""
+"""Between the first ports of two cameras of a file; more than there are workers, for later ones."""
 
 
 def of_cameras(config: Config, has_camera: bool, refuse: Refuse) -> list[Config]:
-    """For each camera what it would be alone: with ports of its own, and a namespace in ROS 2. has_camera:
-    whether the file has the key `camera`, which it may have in the place of `cameras` only."""
+    """A configuration for each camera, as if it were alone: with its own ports, and its own namespace in
+    ROS 2. has_camera: whether the file has the key `camera`, which is not allowed beside `cameras`."""
     if not config.cameras:
         return [config]
     names = [camera.name for camera in config.cameras]
@@ -66,15 +66,15 @@ def of_cameras(config: Config, has_camera: bool, refuse: Refuse) -> list[Config]
 
 
 def ros_token(name: str, kind: str) -> str:
-    """A name of ours as part of a topic's name, where ROS 2 takes letters, digits and underscores, and no
-    digit first: `tea-box` is tea_box, and the object (kind) `003_box` is object_003_box."""
+    """A name of ours as part of a topic's name, for which ROS 2 allows letters, digits and underscores, and
+    no digit first: `tea-box` becomes tea_box, and the object (kind) `003_box` object_003_box."""
     plain = name.replace("-", "_")
     return f"{kind}_{plain}" if plain[0].isdigit() else plain
 
 
 def check_ports(config: Config, refuse: Refuse) -> None:
-    """Each address has a port, and the gateway does not listen where the router of ROS 2 does: both have 7447
-    by default."""
+    """Check that each address has a port, and that the gateway does not listen at the port of the ROS 2
+    router: both have 7447 by default."""
     addresses = {
         "gateway.listen": config.gateway.listen,
         "link.listen": config.link.listen,
@@ -100,7 +100,7 @@ def check_ports(config: Config, refuse: Refuse) -> None:
 
 
 def check_listeners(configs: Sequence[Config], refuse: Refuse) -> None:
-    """Nobody listens where another does, of all cameras of a file."""
+    """Check that no two workers of all cameras of a file listen at the same address."""
     taken: list[tuple[str, str]] = []
     for config in configs:
         of_which = f" of {config.camera.name}" if len(configs) > 1 else ""
@@ -114,7 +114,7 @@ def check_listeners(configs: Sequence[Config], refuse: Refuse) -> None:
 
 
 def listeners(config: Config) -> Iterator[tuple[str, str]]:
-    """The keys by which the workers listen, and where each does."""
+    """The keys that say where workers listen, with their addresses."""
     if "gateway" in config.workers:
         yield "gateway.listen", config.gateway.listen
     if "viewer" in config.workers:
@@ -125,7 +125,7 @@ def listeners(config: Config) -> Iterator[tuple[str, str]]:
 
 
 def _meet(one: str, other: str) -> bool:
-    """Whether only one can listen at these addresses: the port is the same, and an address of both."""
+    """Whether two addresses exclude each other: the same port, and a common host address."""
     (host, port), (other_host, other_port) = (
         address.replace("localhost", "127.0.0.1").rsplit(":", 1) for address in (one, other)
     )
@@ -134,7 +134,7 @@ def _meet(one: str, other: str) -> bool:
 
 
 def check_ros2(config: Config, refuse: Refuse) -> None:
-    """The router has a port, and ROS 2 can tell the objects apart."""
+    """Check that the router has a port, and that the objects' names differ in ROS 2."""
     port = config.ros2.connect.rpartition(":")[2]
     if port.isdigit() and not 0 < int(port) <= _LAST_PORT:
         fix = "rmw_zenoh's router listens on 7447."
@@ -148,18 +148,18 @@ def check_ros2(config: Config, refuse: Refuse) -> None:
 
 
 def check_hosts(config: Config, refuse: Refuse) -> None:
-    """What of `hosts` one key alone cannot tell."""
+    """Check `hosts` against other keys."""
     perception = tuple(worker for worker in PERCEPTION if worker in config.workers)
     if linked := {"uplink", "downlink"} & set(config.workers):
         refuse("workers", ", ".join(sorted(linked)), "other workers", "They run where `hosts` says so.")
     for host, workers in config.hosts.items():
         if not workers or workers != perception[-len(workers) :]:
             ends = " or ".join(", ".join(perception[i:]) for i in range(len(perception)))
-            fix = "What follows on the first of them runs there too: the pixels go there once."
+            fix = "The workers after the first of them run there too, so that pixels are sent there once."
             refuse(f"hosts.{host}", ", ".join(workers) or "none", ends or "perception in `workers`", fix)
         if config.link.connect is None:
             expected = f"address and port by which {host} reaches the camera's computer"
             refuse("link.connect", "null", expected, "Set it: robot.local:7448.")
         elif config.link.connect.startswith("["):
-            fix = "By TLS zenoh reaches no address of IPv6: give the computer's name."
+            fix = "zenoh cannot connect to an IPv6 address by TLS: give the computer's name."
             refuse("link.connect", config.link.connect, "a name, or an address of IPv4", fix)

@@ -1,4 +1,4 @@
-"""The sections of pipeline.yaml about cameras and networks, and what their keys must have in common."""
+"""The sections of pipeline.yaml about cameras and networks, and checks of their keys against each other."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ FrameName = Annotated[str, Meta(pattern=_FRAME_NAME, description=FRAME_NAME_IN_W
 
 
 def is_frame_name(text: str) -> bool:
-    """Whether a coordinate frame may be called so."""
+    """Whether a coordinate frame may have this name."""
     return re.fullmatch(_FRAME_NAME, text) is not None
 
 
@@ -104,7 +104,7 @@ class CameraConfig(Section, frozen=True, kw_only=True):
 
     @property
     def told(self) -> bool:
-        """Whether somebody tells, again and again, where it is."""
+        """Whether the camera's pose is given again and again, because it moves: by a program or by /tf."""
         return self.moving or self.tf is not None
 
 
@@ -145,7 +145,7 @@ PATHS = frozenset(
 )
 """The keys that are paths, relative to the folder of the file."""
 NETWORKS = frozenset({"detector.model", "segmenter.encoder", "segmenter.decoder"})
-"""Those that are a path, or a name of `huepose models`."""
+"""The keys that are a path, or a name of `huepose models`."""
 
 
 def is_network_file(text: str) -> bool:
@@ -154,8 +154,8 @@ def is_network_file(text: str) -> bool:
 
 
 def absolute(section: S, folder: Path, name: str = "") -> S:
-    """A section, or the whole, with paths that hold anywhere. Raises ValueError or RuntimeError for what can
-    be none."""
+    """A section, or the whole configuration, with absolute paths. Raises ValueError or RuntimeError for a
+    text that cannot be a path."""
     changes: dict[str, object] = {}
     for field in section.__struct_fields__:
         key, value = f"{name}{field}", getattr(section, field)
@@ -179,11 +179,11 @@ _PATH_IS = {
 
 
 _LONGEST_FRAME: int = get_args(get_type_hints(FrameHeader, include_extras=True)["frame"])[1].max_length
-"""Characters that the wire allows for the name of a coordinate frame."""
+"""The largest length of a coordinate frame's name in messages."""
 
 
 def check_camera(camera: CameraConfig, workers: Collection[str], refuse: Refuse) -> None:
-    """Raises by `refuse` what the keys of the camera's section cannot be together, or with those workers."""
+    """Calls `refuse` for keys of the camera's section that contradict each other, or the workers."""
     source, live = camera.source, camera.source in LIVE_SOURCES
     if (over := len(camera.frame) - _LONGEST_FRAME) > 0:
         most = len(camera.name) - over
@@ -221,9 +221,7 @@ def _check_tf(camera: CameraConfig, tf: TfConfig, workers: Collection[str], refu
     if tf.parent == tf.child:
         refuse("camera.tf", names, "two frames", "parent: the robot's base; child: what holds the camera.")
     if camera.mount is not None and camera.mount.parent != tf.child:
-        fix = (
-            "`mount` is where the camera is in the frame `tf.child`; leave it out where that is the camera's."
-        )
+        fix = "`mount` is the camera's pose in the frame `tf.child`; leave it out if that is the camera."
         refuse("camera.mount.parent", camera.mount.parent, f"{tf.child}, as camera.tf.child", fix)
     if camera.mount is not None and tf.child == camera.frame:
         refuse("camera.mount", "one", f"none beside the camera's own frame, {tf.child}", "Take it out.")
@@ -241,7 +239,7 @@ def check_detector(detector: DetectorConfig, names: Collection[str], refuse: Ref
 
 
 def check_segmenter(segmenter: SegmenterConfig, refuse: Refuse) -> None:
-    """The same for the segmenter: its two networks are named both, or neither."""
+    """The same for the segmenter: both of its networks are named, or neither."""
     if (segmenter.encoder is None) != (segmenter.decoder is None):
         key = "encoder" if segmenter.encoder is None else "decoder"
         fix = "`huepose models list` shows the names."

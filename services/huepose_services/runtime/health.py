@@ -1,4 +1,4 @@
-"""What a worker knows of itself: how much it does, how long that takes, how old its results are."""
+"""What a worker reports about itself: its rate, its processing time, the age of its results."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from huepose_services.runtime.text import encodable
 _WINDOW_S = 5.0
 _LONGEST_TEXT = 500
 LOCKED_TEXT = (
-    "much memory is locked: each restart of the camera leaves its pool of frames behind in those that read "
-    "it (eclipse-zenoh/zenoh#2787); start this worker again to free it"
+    "much memory is locked: after each restart of the camera its readers keep the old pool of frames locked "
+    "(eclipse-zenoh/zenoh#2787); restart this worker to free it"
 )
 
 
 class Health:
-    """Counters and timings of a worker; `message()` is what it says once a second."""
+    """Counters and timings of a worker; `message()` is what it publishes once a second."""
 
     def __init__(self, worker: str) -> None:
         self.worker = worker
@@ -35,7 +35,7 @@ class Health:
         self.drops = self.errors = 0
         self.last_error = ""
         self.picture = ""
-        """Of a camera: why nothing can be found in its pictures, or why none comes."""
+        """For a camera: why nothing can be found in its images, or why no image comes."""
         self.much_locked_mib = 128.0
         self.camera_epoch: int | None = None
         self.frame_id: int | None = None
@@ -49,20 +49,20 @@ class Health:
         self.counters[name] = self.counters.get(name, 0) + by
 
     def failed(self, text: str) -> None:
-        """An exception in the work, or a message that was refused."""
+        """Count an exception in the work, or a refused message."""
         self.errors += 1
         self.last_error = encodable(text)[:_LONGEST_TEXT]
 
     def warn_while(self, what: str, text: str | None) -> None:
-        """A warning that holds until this is called with None, or with another text."""
+        """Set a warning; it lasts until this is called with None, or with another text."""
         if text is None:
             self._warnings.pop(what, None)
         else:
             self._warnings[what] = encodable(text)[:_LONGEST_TEXT]
 
     def worked_on(self, started_ns: int, what: FrameHeader | PoseMessage | Estimates) -> None:
-        """A piece of work that began at started_ns is done, on a frame or on what was computed from it. The
-        age of the result is known only if the frame's stamp is of this computer's clock."""
+        """Note that the work on a frame, or on a result computed from it, which began at started_ns, is done.
+        The age of the result is known only if the frame's timestamp is of this computer's clock."""
         self.camera_epoch, self.frame_id = what.camera_epoch, what.frame_id
         if self._first_work_ns is None:
             self._first_work_ns = started_ns
@@ -74,7 +74,7 @@ class Health:
             self._work.popleft()
 
     def message(self) -> HealthMessage:
-        """The state of the worker now."""
+        """The worker's health now."""
         now = now_ns()
         locked_mib = _status_mib("VmLck")
         if locked_mib > self.much_locked_mib:

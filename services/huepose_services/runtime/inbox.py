@@ -1,9 +1,9 @@
 """Incoming messages for a single-threaded loop: ring buffers of one for frames, queues for messages that must
 not be lost.
 
-A thread for each subscription moves samples from zenoh's channel to a place that the loop looks at, and
-wakes the loop. A newer frame replaces the one that lies there: the age of what the loop takes is bounded by
-its own work, never by a queue.
+For each subscription a thread moves samples from zenoh's channel to a `Place` that the loop reads, and wakes
+the loop. A newer frame replaces an older one there: how old a frame is when the loop takes it depends on the
+loop's own work only, never on a queue.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ Accepts = Callable[[zenoh.Sample], bool]
 
 
 class Place:
-    """The newest samples of a subscription, in order: of frames one, of all else so many that only a stuck
-    loop loses some. What `accepts` refuses replaces none. `skipped`: how many were replaced by newer ones
-    before they were taken; `failed`: how many there was no memory to take."""
+    """The newest samples of a subscription, in order: one frame, or so many other messages that only a stuck
+    loop loses some. A sample that `accepts` refuses replaces none. `skipped`: how many were replaced by newer
+    ones before they were taken; `failed`: how many were lost by an exception, as for want of memory."""
 
     def __init__(
         self, ready: threading.Condition, capacity: int, wakes: bool = True, accepts: Accepts | None = None
@@ -33,7 +33,7 @@ class Place:
         self._samples: deque[zenoh.Sample] = deque(maxlen=capacity)
         self.skipped = self.failed = 0
         self.all_count = wakes or capacity > 1
-        """Whether the loop means to take each."""
+        """Whether the loop is to take every sample."""
 
     def _put(self, sample: zenoh.Sample) -> None:
         if self._accepts is not None and not self._accepts(sample):
@@ -69,10 +69,11 @@ class Inbox:
         accepts: Accepts | None = None,
         session: zenoh.Session | None = None,
     ) -> Place:
-        """Subscribe for the newest only; `wakes` False: the loop need not look at it when it arrives;
-        `accepts`: called in the subscription's thread with each, None for all; session: another one."""
+        """Subscribe to the newest sample only. `wakes` False: its arrival does not wake the loop; `accepts`:
+        called in the subscription's thread with each sample, None accepts all; session: another one than the
+        inbox's."""
         ring = Place(self._ready, 1, wakes, accepts)
-        # Room for one that is refused beside one that counts.
+        # Room for one that is refused and one that is accepted.
         channel: Any = zenoh.handlers.RingChannel(1 if accepts is None else 2)
         self._start((session or self._session).declare_subscriber(key, channel), ring)
         return ring
@@ -80,7 +81,8 @@ class Inbox:
     def queue(
         self, key: str, wakes: bool = True, session: zenoh.Session | None = None, own: bool = True
     ) -> Place:
-        """Subscribe for everything; session: another one; own: also to what that session publishes itself."""
+        """Subscribe to all samples; session: another one than the inbox's; own: also to what that session
+        publishes itself."""
         queue = Place(self._ready, _QUEUE_CAPACITY, wakes)
         channel: Any = zenoh.handlers.FifoChannel(256)
         origin = zenoh.Locality.ANY if own else zenoh.Locality.REMOTE
@@ -89,7 +91,7 @@ class Inbox:
         return queue
 
     def history(self, key: str, session: zenoh.Session) -> Place:
-        """Subscribe to what advanced publishers of a session keep, and will say; also of those to come."""
+        """Subscribe to what advanced publishers keep and will publish, now or when they appear later."""
         from zenoh import ext
 
         queue = Place(self._ready, _QUEUE_CAPACITY)
@@ -99,7 +101,7 @@ class Inbox:
         return queue
 
     def liveliness(self, key: str) -> Place:
-        """Subscribe to liveliness tokens, those that are there already first. They wake nobody."""
+        """Subscribe to liveliness tokens, first those that are there already. They do not wake the loop."""
         queue = Place(self._ready, _QUEUE_CAPACITY, wakes=False)
         tokens = self._session.liveliness()
         self._start(tokens.declare_subscriber(key, zenoh.handlers.FifoChannel(256), history=True), queue)
@@ -116,20 +118,20 @@ class Inbox:
         while True:
             try:
                 place._put(channel.recv())
-            except zenoh.ZError:  # noqa: PERF203  # nothing beside what a message costs
+            except zenoh.ZError:  # noqa: PERF203  # cheap beside the cost of a message
                 return  # the subscription has ended
             except Exception:
-                # A thread that ends for want of memory would be a worker that hears nothing any more.
+                # If this thread ended, as for want of memory, the worker would receive nothing any more.
                 place.failed += 1
 
     @property
     def drops(self) -> int:
-        """Samples that were replaced or dropped before the loop took them, where it means to take each."""
+        """Samples that were lost, or replaced before the loop took them, if it is to take every one."""
         places = list(self._subscriptions)
         return sum(place.failed + (place.skipped if place.all_count else 0) for place in places)
 
     def wait(self, timeout_s: float) -> None:
-        """Until something is there to take, at most so long."""
+        """Wait until there is something to take, or the timeout."""
         with self._ready:
             if timeout_s > 0 and not any(self._subscriptions):
                 self._ready.wait(timeout_s)

@@ -1,7 +1,7 @@
 """The log: one line per event on stderr, with time, level and worker. Repeats are held back.
 
-As text (`14:03:21.512 warn  tracker   ...`), as JSON lines where HUEPOSE_LOG is `json`, and with systemd's
-level prefixes where stderr goes to its journal, which knows the time itself.
+As text (`14:03:21.512 warn  tracker   ...`), as JSON lines if HUEPOSE_LOG is `json`, or with systemd's level
+prefixes and without the time if stderr goes to its journal.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Literal, TextIO, get_args
 _FIRST_S, _FACTOR, _LONGEST_S, _QUIET_S = 1.0, 4.0, 300.0, 60.0
 _MOST_KINDS = 256
 _LONG_AGO_S = 2.0
-"""What was held back for longer says so: it may not be so any more."""
+"""A line that was held back for longer says how long: it may no longer be true."""
 
 
 @dataclass
@@ -34,11 +34,11 @@ class _Kind:
 
 
 class Repeats:
-    """What is said again and again is said rarer and rarer, each time with how often it was: a flooded log
-    hides what matters. On a clock that is passed in, in seconds.
+    """Holds back repeated lines, more and more, so that they do not flood the log; each line that is written
+    says how many were not. The time is an argument, in seconds.
 
-    The second line of a kind comes after a second, the third after four more, then 16, 64, 256 and every five
-    minutes. What has not come for a minute, or for twice the wait, begins anew.
+    The second line of a kind is written after a second, the third after four more, then 16, 64, 256 and every
+    five minutes. A kind that has not come for a minute, or for twice the wait, begins again.
 
     >>> repeats = Repeats()
     >>> repeats.offer("late", "late", 0.0), repeats.offer("late", "late", 0.5), repeats.due(1.0)
@@ -49,7 +49,7 @@ class Repeats:
         self._kinds: dict[str, _Kind] = {}
 
     def offer(self, kind: str, text: str, now_s: float) -> str | None:
-        """What is to be written now, with the number of those that were not; None: nothing."""
+        """The line to write now, with the number of lines that were held back; None: nothing."""
         known = self._kinds.get(kind)
         if known is None or now_s - known.last_s > max(_QUIET_S, 2.0 * known.wait_s):
             self._make_room()
@@ -62,7 +62,7 @@ class Repeats:
         return self._written(known, now_s)
 
     def due(self, now_s: float) -> list[tuple[str, str]]:
-        """Kind and text of what was held back for long enough, although none of it came since."""
+        """Kind and text of lines that were held back for long enough, without waiting for another one."""
         ripe = [(kind, known) for kind, known in self._kinds.items() if known.held and now_s >= known.until_s]
         return [(kind, self._written(known, now_s)) for kind, known in ripe]
 
@@ -76,7 +76,7 @@ class Repeats:
         return text
 
     def _make_room(self) -> None:
-        """Lines that are each another one are not remembered for ever."""
+        """Forget the oldest kind if there are many."""
         if len(self._kinds) >= _MOST_KINDS:
             oldest = min(self._kinds, key=lambda kind: self._kinds[kind].last_s)
             del self._kinds[oldest]
@@ -88,8 +88,8 @@ _OWN_LINE = re.compile(r'\d\d:\d\d:\d\d\.\d{3} (info |warn |error) |\{"time": ')
 
 
 def write(out: TextIO, text: str) -> None:
-    """Write a line at once. Where it cannot be written (a full disk, a reader that is gone) it is lost, and
-    the work goes on."""
+    """Write a line at once. If it cannot be written (a full disk, a closed pipe), it is lost and the work
+    goes on."""
     with suppress(OSError):
         out.write(text)
         out.flush()
@@ -105,12 +105,12 @@ class Log:
         self._lock = threading.Lock()
 
     def say(self, text: str, level: Level = "info") -> None:
-        """Write a line; each line of a longer text gets the same beginning."""
+        """Write a text; each of its lines gets the same prefix."""
         lines = "".join(_formatted(line, level, self._worker) for line in text.splitlines())
         write(self._out or sys.stderr, lines)
 
     def warn(self, text: str) -> None:
-        """Write a line about something that is not as it should be, while the work goes on."""
+        """Write a line about a problem with which the work goes on."""
         self.say(text, "warn")
 
     def error(self, text: str) -> None:
@@ -118,14 +118,14 @@ class Log:
         self.say(text, "error")
 
     def seldom(self, kind: str, text: str, level: Level = "warn") -> None:
-        """Write a line of a kind, the more seldom the more often it comes, with how many were held back."""
+        """Write a line of a kind; repeats are held back and counted (`Repeats`)."""
         with self._lock:
-            said = self._repeats[level].offer(kind, text, time.monotonic())
-        if said is not None:
-            self.say(said, level)
+            line = self._repeats[level].offer(kind, text, time.monotonic())
+        if line is not None:
+            self.say(line, level)
 
     def flush(self) -> None:
-        """Write the number of lines that are held back and have waited long enough; to be called often."""
+        """Write the lines that were held back for long enough; to be called often."""
         with self._lock:
             due = [(level, repeats.due(time.monotonic())) for level, repeats in self._repeats.items()]
         for level, lines in due:
@@ -134,23 +134,23 @@ class Log:
 
 
 class StateChanges:
-    """One line when something changes its state for more than a moment, and at most one a second about each:
-    a flicker is not told, and what changes often is told as where it stands then."""
+    """Logs changes of state: a state must last for `moment_s`, and there is at most one line in `every_s` for
+    each name, with the state at that time."""
 
     def __init__(self, log: Log, every_s: float = 1.0, moment_s: float = 0.2) -> None:
         self._log, self._every_s, self._moment_s = log, every_s, moment_s
         self._now: dict[str, tuple[str, str, float]] = {}
-        self._told: dict[str, tuple[str, float]] = {}
+        self._logged: dict[str, tuple[str, float]] = {}
 
     def note(self, name: str, state: str, detail: str = "") -> None:
-        """The state that it has now."""
+        """Set the present state."""
         before = self._now.get(name)
         since = time.monotonic() if before is None or before[0] != state else before[2]
         self._now[name] = (state, detail, since)
 
     def forget(self, under: str) -> None:
-        """All whose names are below this one, `under/...`, are over."""
-        for known in (self._now, self._told):
+        """Forget all names below this one, `under/...`."""
+        for known in (self._now, self._logged):
             for name in [name for name in known if name.startswith(f"{under}/")]:
                 del known[name]
 
@@ -158,22 +158,22 @@ class StateChanges:
         """Write what is due; to be called often."""
         now = time.monotonic()
         for name, (state, detail, since) in self._now.items():
-            told, when = self._told.get(name, ("", -1e9))
-            if state == told or now - since < self._moment_s or now - when < self._every_s:
+            logged, when = self._logged.get(name, ("", -1e9))
+            if state == logged or now - since < self._moment_s or now - when < self._every_s:
                 continue
-            self._told[name] = (state, now)
-            before = f"{told} > " if told else ""
+            self._logged[name] = (state, now)
+            before = f"{logged} > " if logged else ""
             self._log.say(f"{name} {before}{state}" + (f" ({detail})" if detail else ""))
 
 
 def is_log_line(line: str) -> bool:
-    """Whether a line was written by a Log; others come from libraries."""
+    """Whether a Log wrote a line; others come from libraries."""
     return _OWN_LINE.match(line) is not None
 
 
 @cache
 def _to_journal() -> bool:
-    """Whether stderr is the stream that systemd says leads to its journal."""
+    """Whether stderr is the stream that systemd connected to its journal (JOURNAL_STREAM)."""
     try:
         status = os.fstat(2)
     except OSError:

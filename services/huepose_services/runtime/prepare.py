@@ -1,4 +1,4 @@
-"""What must hold before workers are started: the objects are there, the source opens, the ports are free."""
+"""Checks before workers are started: the objects are there, the source opens, the ports are free."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from huepose.model import ReferenceModel
 
 _PACKAGES = {"ros2": "rosbags", "viewer": "rerun"}
-"""What a worker imports that only its extra installs."""
+"""Workers, and the package of their extra that they import."""
 
 _FOLDERS = ("bop", "fast_ycb")
-"""Sources that are folders of pictures."""
+"""Sources that are folders of images."""
 
 
 def prepare(config: Config) -> None:
-    """Check it all, and make what the built-in scene needs at its first use. Raises InputError."""
+    """Check everything, and make what the built-in scene needs at its first use. Raises InputError."""
     check(config)
     check_ports(config)
     own_models = config.bundles is None and config.uses_models
@@ -45,9 +45,9 @@ def prepare(config: Config) -> None:
 
 
 def check(config: Config) -> None:
-    """Whether a configuration can be started, as far as that is known before workers are; changes nothing.
+    """Check whether a configuration can be started, as far as that can be known before; changes nothing.
 
-    Raises InputError, and ModuleNotFoundError where the extra of a worker is not installed."""
+    Raises InputError, and ModuleNotFoundError if the extra of a worker is not installed."""
     from huepose_services import models
 
     for worker in config.workers:
@@ -57,7 +57,7 @@ def check(config: Config) -> None:
     if config.bundles is None and config.objects:
         _check_builtin(config)
     elif config.bundles is not None and (config.objects or config.uses_models):
-        # Once: else each worker would find, and say, that one is missing or damaged.
+        # Once here: else each worker would report a missing or damaged model.
         known = models.load(config)
         if config.estimator.method != "full" and "estimator" in config.workers:
             _check_tables(config.estimator.method, known.values())
@@ -68,12 +68,12 @@ def check(config: Config) -> None:
         if config.camera.source in _FOLDERS:
             from huepose_services.convert import check_size
 
-            # What its pictures lack, all of them mostly do: no depth, 8 bits, a packed form.
+            # A fault of one image (no depth, 8 bits, a packed form) is mostly a fault of all.
             check_size(source.frame(source.image_ids[0]).camera)
     if config.network_workers:
         from huepose_services import networks
 
-        # Once: a worker must not be the first to find that one is damaged.
+        # Once here: a damaged network must not be found only by a worker.
         networks.check(config)
     if "gateway" in config.workers:
         from huepose_services.gateway_door import check_door
@@ -86,7 +86,7 @@ def check(config: Config) -> None:
 
 
 def gaps(config: Config) -> list[str]:
-    """What is missing in a folder of pictures that was checked and is played here, in sentences."""
+    """What is missing in a checked folder of images that is played here, in sentences."""
     if config.camera.source not in _FOLDERS or "camera" not in config.workers:
         return []
     from huepose_services.camera.sources import open_source
@@ -122,7 +122,7 @@ def _check_builtin(config: Config) -> None:
 
 
 def check_ports(config: Config) -> None:
-    """Raises InputError when a worker's port is taken, or one that it opens to other programs."""
+    """Raises InputError if a port of a worker, or one that it opens to other programs, is taken."""
     folder = make_folder()
     for worker in config.workers:
         if is_taken(folder, config.port(worker)):

@@ -1,9 +1,9 @@
-"""The watchdog signal of a worker. Only the loop that does the work sends it: a worker that hangs is silent,
-and its supervisor (`huepose up` or systemd) restarts it.
+"""The heartbeat of a worker. Only the loop that does the work sends it: a worker that hangs is silent, and
+its supervisor (`huepose up` or systemd) restarts it.
 
-Under `huepose up` it goes through a pipe (HUEPOSE_READY_FD): a dot now and then from when the loop runs, a
-`c` when it has to wait for the compiler, and the line `ready` once. For systemd a worker has started when
-its loop runs: a camera that is not plugged in must not hold up the start of the computer.
+Under `huepose up` it goes through a pipe (HUEPOSE_READY_FD): dots while the loop runs, a `c` when it has to
+wait for the compiler, and the line `ready` once. For systemd a worker has started when its loop runs: a
+camera that is not plugged in must not delay the start of the computer.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from huepose_services.runtime.text import encodable
 
 
 def notify(*assignments: str) -> bool:
-    """Tell systemd, where it listens (sd_notify(3)), what it wants to hear of a service of Type=notify:
-    assignments such as `READY=1`, `WATCHDOG=1`, `STATUS=waiting for the camera`, `STOPPING=1`.
+    """Send systemd (sd_notify(3)) the state of a service of Type=notify: assignments such as `READY=1`,
+    `WATCHDOG=1`, `STATUS=waiting for the camera`, `STOPPING=1`.
 
-    Returns whether there was someone to tell. Never raises: a service manager that is gone ends no worker."""
+    Returns whether systemd listens. Never raises: a service manager that is gone must end no worker."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address.startswith(("/", "@")):
         return False
@@ -34,7 +34,7 @@ def notify(*assignments: str) -> bool:
 
 
 def watchdog_s() -> float | None:
-    """After how many seconds without `WATCHDOG=1` systemd takes this process for hung; None: never."""
+    """After how many seconds without `WATCHDOG=1` this process counts as hung for systemd; None: never."""
     text = os.environ.get("WATCHDOG_USEC", "")
     meant = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
     return int(text) * 1e-6 if meant and text.isdigit() and int(text) > 0 else None
@@ -42,16 +42,16 @@ def watchdog_s() -> float | None:
 
 READY_FD = "HUEPOSE_READY_FD"
 BEAT_S = 0.2
-"""A worker that works gives a sign of life about so often."""
+"""The interval of heartbeats of a worker that works."""
 
 COMPILING = b"c"
 COMPILING_S = 300.0
-"""For so long systemd waits for a kernel that is compiled in the middle of the work."""
+"""How long systemd waits for a kernel that is compiled in the middle of the work."""
 
 
 class Pulse:
-    """`running()` when the loop begins, `ready()` once, `beat()` after every piece of work, `compiling()` and
-    `compiled()` round a kernel that is compiled within one, `stopping()` at the end."""
+    """`running()` when the loop begins, `ready()` once, `beat()` after every step, `compiling()` and
+    `compiled()` around a kernel that is compiled within one, `stopping()` at the end."""
 
     def __init__(self) -> None:
         text = os.environ.get(READY_FD, "")
@@ -64,16 +64,16 @@ class Pulse:
         self._next_ns = 0
 
     def running(self) -> None:
-        """It has all that it needs of this computer, and begins to work."""
+        """The worker has all that it needs of this computer, and its loop begins."""
         notify("READY=1")
 
     def ready(self) -> None:
-        """Its first result can come: a camera has a good frame."""
+        """The worker can give results: for a camera, it has a good frame."""
         self._write(b"ready\n")
         notify("STATUS=ready")
 
     def beat(self) -> None:
-        """It still works; said at most five times a second."""
+        """The worker still works; sent at most five times a second."""
         now = now_ns()
         if now < self._next_ns:
             return
@@ -83,19 +83,19 @@ class Pulse:
             notify("WATCHDOG=1")
 
     def compiling(self) -> None:
-        """It will be silent for as long as the compiler takes."""
+        """The worker will be silent for as long as the compiler takes."""
         self._write(COMPILING)
         if self._watched_us is not None:
             notify(f"WATCHDOG_USEC={COMPILING_S * 1e6:.0f}")
 
     def compiled(self) -> None:
-        """It goes on with its work."""
+        """The worker goes on."""
         self._write(b".")
         if self._watched_us is not None:
             notify(f"WATCHDOG_USEC={self._watched_us}")
 
     def stopping(self) -> None:
-        """It was told to stop, or has nothing left to do."""
+        """The worker was asked to stop, or has nothing left to do."""
         notify("STOPPING=1")
 
     def _write(self, data: bytes) -> None:

@@ -1,6 +1,7 @@
-"""pipeline.yaml is read again while all runs (SIGHUP): what is taken over then, what waits for a new start.
+"""Read pipeline.yaml again while the pipeline runs (SIGHUP): which changes take effect at once, and which at
+the next start.
 
-Each worker looks at what concerns it. A file that is wrong changes nothing.
+Each worker takes the changes that concern it. A file with an error changes nothing.
 """
 
 from __future__ import annotations
@@ -27,18 +28,18 @@ LIVE: dict[str, frozenset[str]] = {
     ),
     "huepose": frozenset(f"restarts.{name}" for name in RestartConfig.__struct_fields__),
 }
-"""What a worker, or the supervisor ("huepose"), takes over while it runs; other workers are told by it, where
-they have to know."""
+"""The keys whose changes a worker, or the supervisor ("huepose"), takes over while it runs; where other
+workers need them, it informs these."""
 
 _OF_ALL = ("site", "bundles", "profile", "networks", "bus", "cpus", "camera.name", "hosts", "link")
 
 TakeOver = Callable[[Config], list[str]]
-"""Called with a configuration that was read again: sentences on what of it cannot be done."""
+"""Called with the new configuration: returns sentences on changes that cannot be made."""
 
 
 def asked_again() -> Callable[[], bool]:
-    """From now on SIGHUP ends nothing: the answer is whether one came since the last call. But one that says
-    that the terminal is gone is a SIGTERM."""
+    """From now on SIGHUP does not end this process: the returned function says whether one came since its
+    last call. But a SIGHUP because the terminal was closed acts as SIGTERM."""
     came, had_terminal = False, _has_terminal()
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -65,7 +66,7 @@ def _has_terminal() -> bool:
 
 
 def changed(before: Any, after: Any, name: str = "") -> Iterator[tuple[str, str]]:
-    """Keys of a configuration that differ, each with both values in words."""
+    """Keys of a configuration that differ, each with a text with both values."""
     if isinstance(before, msgspec.Struct) and type(before) is type(after):
         for field in before.__struct_fields__:
             key = f"{name}.{field}" if name else field
@@ -80,7 +81,7 @@ def _words(value: Any) -> str:
 
 
 class Reload:
-    """Of one worker, or of the supervisor."""
+    """Reads the configuration again, for one worker or the supervisor."""
 
     def __init__(
         self, worker: str, path: Path, config: Config, log: Log, health: Health | None = None
@@ -89,28 +90,28 @@ class Reload:
         self._started = self._now = config
 
     def take_over(self, take_over: TakeOver) -> Config | None:
-        """Read the file, take over what can be, and say what was and what was not. None: it is wrong."""
+        """Read the file, take over what can be, and log what was and what was not. None: it has an error."""
         try:
             new = load(self._path, self._started.camera.name).at(self._started.host)
         except InputError as error:
-            self._tell(f"{self._path} is not taken over: {error}")
+            self._warn(f"{self._path} is not taken over: {error}")
             return None
         now = new
         if bool(self._started.objects) != bool(new.objects):
-            # From all models to some, or back: whoever has the list of objects says that it waits.
+            # From all models to some, or back: the worker with the list of objects reports that it waits.
             now = msgspec.structs.replace(new, objects=self._now.objects)
         live = {key: text for key, text in changed(self._now, now) if self._is_live(key)}
         waits = [text for key, text in changed(self._started, new) if self._waits(key)]
         self._now = now
-        # Also where nothing has changed: a worker that was started anew may lack what the file has.
+        # Also if nothing has changed: a restarted worker may lack changes that were made meanwhile.
         refused = take_over(new) if self._worker in LIVE else []
         if live:
             self._log.say(f"{self._path} was read again: {', '.join(live.values())}")
         later = f"changes that wait for the next start: {', '.join(waits)}" if waits else ""
-        self._tell("; ".join([*refused, *([later] if later else [])]))
+        self._warn("; ".join([*refused, *([later] if later else [])]))
         return new
 
-    def _tell(self, problem: str) -> None:
+    def _warn(self, problem: str) -> None:
         if problem:
             self._log.warn(problem)
         if self._health is not None:

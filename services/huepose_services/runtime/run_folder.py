@@ -1,7 +1,7 @@
 """The folder of this user's pipelines: their sockets, and notes of what runs. Only its user can open it.
 
-What a service manager runs has `/run/huepose`, which only root could have made; root and its own user find
-the pipeline there.
+Pipelines of a service manager have `/run/huepose`, which only root can have made; root and their own user
+find them there.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _LONGEST_PATH = 100
 
 
 def is_private(folder: Path) -> bool:
-    """Whether it is a folder of this user, and nobody else can open it."""
+    """Whether a folder belongs to this user, and nobody else can open it."""
     try:
         status = folder.lstat()
     except OSError:
@@ -29,7 +29,7 @@ def is_private(folder: Path) -> bool:
 
 
 def make_folder() -> Path:
-    """The folder, made when it is not there. Raises InputError where it cannot be, or is somebody else's."""
+    """The folder, made if it is missing. Raises InputError if it cannot be made, or is another user's."""
     folder = run_folder().absolute()
     found = ""
     try:
@@ -51,7 +51,7 @@ def make_folder() -> Path:
 
 
 def known_folders() -> list[Path]:
-    """Where pipelines may be noted that this user may look at."""
+    """The folders with notes of pipelines that this user may read."""
     own = run_folder()
     folders = [own] if is_private(own) else []
     if own != SYSTEM_FOLDER and os.access(SYSTEM_FOLDER, os.R_OK | os.X_OK):
@@ -60,13 +60,13 @@ def known_folders() -> list[Path]:
 
 
 def is_taken(folder: Path, port: int) -> bool:
-    """Whether somebody listens on the socket of that name."""
+    """Whether a process listens on the socket of this port."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:
             probe.connect(str(folder / str(port)))
         except BlockingIOError:
-            return True  # it listens, and has no time
+            return True  # it listens, but is busy
         except OSError:
             return False
         return True

@@ -1,7 +1,7 @@
-"""Which pipelines this user runs on this machine, so that `huepose poses` and the like find them.
+"""The pipelines that this user runs on this machine, so that `huepose poses` and other commands find them.
 
-`huepose up`, and `huepose run` by hand, note what they run in a folder that only the user can write; a note
-whose process is gone is ignored and removed.
+`huepose up`, and `huepose run` by hand, write a note of what they run into a folder that only the user can
+write. A note whose process has ended is ignored and removed.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from huepose_services.runtime.text import encodable
 
 
 class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
-    """A pipeline that may be running. site and camera are `*` where nothing is known of it."""
+    """A pipeline that may be running. site and camera are `*` if nothing is known of it."""
 
     base_port: int
     site: str = "*"
@@ -31,11 +31,11 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
     workers: tuple[str, ...] = ()
     file: str = ""
     folder: str = ""
-    """Where its sockets are; empty: in the folder of whoever looks."""
+    """Where its sockets are; empty: in this user's folder, and no process has noted that it runs it."""
     far: tuple[str, ...] = ()
-    """Of the workers, those on the other computer."""
+    """The workers of these that run on the other computer."""
     host: str = ""
-    """What that one is called."""
+    """The other computer's name."""
     frame_pool_mib: float = BusConfig().frame_pool_mib
 
     @property
@@ -45,37 +45,36 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def noted(self) -> bool:
-        """Whether a process says that it runs it."""
+        """Whether a process has noted that it runs it."""
         return bool(self.folder)
 
     @property
     def place(self) -> tuple[str, int, str]:
-        """Where its workers listen, and under which names they speak."""
+        """Where its workers listen, and the name in their keys."""
         return (self.folder or str(run_folder().absolute()), self.base_port, self.name)
 
     @property
     def played(self) -> bool:
-        """Whether a recording stands in for it: nobody runs its workers."""
+        """Whether a recording is played in its place: no workers run."""
         return self.noted and not self.workers
 
     @property
     def recorded(self) -> bool:
-        """Whether its file is a recording that is played, and no configuration."""
+        """Whether its file is a recording instead of a configuration."""
         return self.file.endswith(".mcap")
 
     @property
     def elsewhere(self) -> str:
-        """Where poses and objects are, in a sentence, of a pipeline whose camera is at another computer; else
-        empty."""
+        """If its camera is at another computer: a sentence on where poses and objects are; else empty."""
         if "downlink" not in self.workers or "downlink" in self.far:
             return ""
         return perception_alone(self.name)
 
     @property
     def absence(self) -> str:
-        """What to say where nothing is heard of it."""
+        """The message if nothing comes from it."""
         if self.played:
-            return f"{self.name} is a recording that is played, {self.file}: there is nothing to steer"
+            return f"{self.name} is a recording that is played, {self.file}: there is nothing to control"
         if self.noted:
             return f"{self.name} is being started or stopped, from {self.file}; its log says how far it is"
         return f"no pipeline runs at port {self.base_port}; `huepose up` starts one"
@@ -86,13 +85,13 @@ class Pipeline(msgspec.Struct, frozen=True, kw_only=True):
         return [endpoint(self.base_port + place, self.folder) for place in range(len(WORKERS))]
 
     def key(self, tail: str) -> str:
-        """A key, or an expression for it, of this pipeline."""
+        """The key of this pipeline with this end, or an expression for it."""
         return f"huepose/{self.name}/{tail}"
 
 
 def described(config: Config, path: Path) -> Pipeline:
     """The pipeline of a configuration."""
-    # At the camera's computer those of the other one are seen as well.
+    # At the camera's computer, the workers of the other one are reached as well.
     far = () if config.host is not None or not config.hosts else (*config.far, "downlink")
     return Pipeline(
         base_port=config.bus.base_port,
@@ -108,15 +107,16 @@ def described(config: Config, path: Path) -> Pipeline:
 
 @contextmanager
 def noted(pipeline: Pipeline) -> Iterator[None]:
-    """While a pipeline runs in this process. Without a folder to write, nobody finds it: that is all."""
+    """Keep a note while a pipeline runs in this process. If no note can be written, the pipeline runs all the
+    same, and commands do not find it."""
     folder = run_folder()
     note = folder / f"{os.getpid()}-{pipeline.base_port}.json"
     with suppress(OSError, InputError):
         make_folder()
         with whole(note) as part:
             here = {"folder": str(folder.absolute()), "file": encodable(pipeline.file)}
-            said = msgspec.structs.asdict(pipeline) | here | {"born": born_of(os.getpid())}
-            part.write_bytes(msgspec.json.encode(said))
+            values = msgspec.structs.asdict(pipeline) | here | {"born": born_of(os.getpid())}
+            part.write_bytes(msgspec.json.encode(values))
     try:
         yield
     finally:
@@ -125,7 +125,7 @@ def noted(pipeline: Pipeline) -> Iterator[None]:
 
 
 def running(without_this: bool = False) -> list[Pipeline]:
-    """The pipelines that run now, each once; perhaps without what this process has noted."""
+    """The pipelines that run now, each once; without_this: leave out those that this process has noted."""
     found = {}
     for note in [note for folder in known_folders() for note in sorted(folder.glob("*.json"))]:
         if not writer_runs(note):
@@ -141,7 +141,7 @@ def running(without_this: bool = False) -> list[Pipeline]:
 
 
 def namesake(pipeline: Pipeline) -> str | None:
-    """The warning about another pipeline that runs here under the same name; None where there is none."""
+    """The warning about another pipeline that runs here under the same name; None if there is none."""
     others = [p for p in running(without_this=True) if p.name == pipeline.name and p.workers]
     if not others:
         return None
@@ -152,7 +152,7 @@ def namesake(pipeline: Pipeline) -> str | None:
 
 
 def occupant(config: Config, worker: str) -> str:
-    """Who holds a worker's port that is taken: a pipeline that is noted, else some program."""
+    """Who holds a worker's port that is taken, in words: a noted pipeline, else another program."""
     others = (p for p in running(without_this=True) if p.base_port == config.bus.base_port)
     other = next(others, None)
     if other is not None and other.recorded:
@@ -163,7 +163,7 @@ def occupant(config: Config, worker: str) -> str:
 
 
 def port_taken(config: Config, worker: str, found: str = "") -> InputError:
-    """The error of a worker's port that is held; found: what is in the way, by default who holds it."""
+    """The error for a worker's port that is taken; found: the reason, by default who holds it."""
     return InputError(
         f"port {config.port(worker)} of worker {worker}",
         found=found or occupant(config, worker),
@@ -173,10 +173,9 @@ def port_taken(config: Config, worker: str, found: str = "") -> InputError:
 
 
 def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
-    """The pipeline that is meant: that of a configuration, else the one that runs, else the usual place.
+    """The pipeline for a command: that of a configuration, else the one that runs, else the `usual` one.
 
-    which: SITE/CAMERA, or one of the two, or the first port. Raises InputError where several run and it is
-    not said which one, or none is the one that was said."""
+    which: SITE/CAMERA, or one of the two, or the first port. Raises InputError if several match, or none."""
     found = running()
     if path is not None:
         of_file = [described(config.at(None), path) for config in load_all(path)]
@@ -190,7 +189,7 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
             )
         (wanted,) = meant
         same = [p for p in found if (p.base_port, p.name) == (wanted.base_port, wanted.name)]
-        # It may run in a folder that is not this user's.
+        # It may run with its sockets in another folder than this user's.
         return msgspec.structs.replace(same[0], file=wanted.file) if same else wanted
     if which is not None:
         meant = [p for p in found if which in (p.name, p.site, p.camera, str(p.base_port))]
@@ -206,7 +205,7 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
         first = found[0]
         alone = "*" not in first.name and [p.name for p in found].count(first.name) == 1
         which = f"{first.base_port} (or {first.name})" if alone else f"{first.base_port}"
-        one_file = len({p.file for p in found}) == 1  # of several cameras: it names none
+        one_file = len({p.file for p in found}) == 1  # a file of several cameras names none of them
         file = shlex.quote(first.file) if first.file else "PIPELINE.yaml"
         which += "" if one_file else f", or --config {file}"
         raise InputError(
@@ -219,7 +218,7 @@ def pick(path: Path | None = None, which: str | None = None) -> Pipeline:
 
 
 def usual() -> Pipeline:
-    """Where a pipeline would be: as the configuration in this folder says, else at the default port."""
+    """The pipeline of the configuration in this folder, else one at the default port."""
     default = Path(DEFAULT_FILE)
     if default.exists():
         return described(load_all(default)[0].at(None), default)

@@ -1,9 +1,9 @@
-"""The zenoh session of a worker: peers by sockets that only their user can open, explicit endpoints, shared
-memory where it is safe.
+"""The zenoh session of a worker: a peer with explicit endpoints, on sockets that only their user can open,
+with shared memory where it is safe.
 
-A worker listens on its own port and connects to the workers before it in the list, so there is one link
-for each pair and each may start, die and come back at any time. Only the camera makes a pool of shared
-memory; a reader that may not lock that pool would lose frames silently, so it turns shared memory off.
+A worker listens on its own port and connects to the workers before it in the list. So there is one link for
+each pair, and each worker may start, die and restart at any time. Only the camera makes a pool of shared
+memory. A reader that may not lock that pool would lose frames silently, so it turns shared memory off.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from huepose_services.runtime.running import port_taken
 
 RESTARTS = "HUEPOSE_RESTARTS"
 MIB = 1024 * 1024
-# What zenoh locks beside a pool, and for the links (measured with zenoh 1.10).
+# Memory that zenoh locks beside a pool, and for the links (measured with zenoh 1.10).
 _POOL_OVERHEAD = 1280 * 1024
 _LINK_OVERHEAD = 24 * 1024
-# Of 64 KiB, for each priority that is used; the most that zenoh allows.
+# Batches of 64 KiB for each priority in use; the most that zenoh allows.
 _BATCHES = 16
 FRAME_WORKERS = ("camera", "tracker", "detector", "viewer", "uplink")
 
@@ -49,20 +49,20 @@ def _may_lock_anything() -> bool:
 
 
 def pool_fits(pool_bytes: int, limit: int | None, pools: int = 1) -> bool:
-    """Whether a process with that limit can lock so many pools of frames."""
+    """Whether a process with this limit can lock that many pools of frames."""
     return limit is None or pools * (pool_bytes + _POOL_OVERHEAD) + _LINK_OVERHEAD <= limit
 
 
 def pool_size(config: Config, limit: int | None) -> int:
-    """Bytes of the camera's pool: as configured, which serves two readers of frames; half as much again for
-    each further one where a process may lock as much as it likes."""
+    """Bytes of the camera's pool: as configured, which is enough for two readers of frames. If locked memory
+    has no limit, half of that is added for each further reader."""
     configured = int(config.bus.frame_pool_mib * MIB)
     readers = sum(worker in config.workers for worker in FRAME_WORKERS if worker != "camera")
     return configured if limit is not None else configured * max(2, readers) // 2
 
 
 def restarts() -> int:
-    """How often the supervisor has started this worker again."""
+    """How often the supervisor has restarted this worker."""
     text = os.environ.get(RESTARTS, "")
     return int(text) if text.isdigit() else 0
 
@@ -75,12 +75,12 @@ def zenoh_config(
     pool_bytes: int = 0,
     more: dict[str, object] | None = None,
 ) -> zenoh.Config:
-    """A peer that reaches exactly the given endpoints. pool_bytes > 0: large puts go by shared memory; more:
-    settings of zenoh beside these."""
+    """The configuration of a peer with exactly these endpoints. pool_bytes > 0: large puts go by shared
+    memory; more: further settings of zenoh."""
     settings: dict[str, object] = {
         "transport/link/rx/max_message_size": 64 * MIB,
-        # A process that has to wait for its turn must not lose what is said meanwhile: the default of two
-        # batches overflows with the poses of one frame.
+        # A process that waits for a processor must not lose messages meanwhile: the default of two batches
+        # overflows with the poses of one frame.
         "transport/link/tx/queue/size": {"real_time": _BATCHES, "data": _BATCHES},
         "transport/shared_memory/enabled": shared_memory,
         "transport/shared_memory/transport_optimization/enabled": pool_bytes > 0,
@@ -91,7 +91,8 @@ def zenoh_config(
 
 
 def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, str | None]:
-    """The session of a worker, and a warning for its health. Raises InputError when its port is taken."""
+    """The session of a worker, and a warning for its health or None. Raises InputError if its port is
+    taken."""
     warning, limit = None, lock_limit()
     pool = pool_size(config, limit)
     shared = pool > 0 and worker in FRAME_WORKERS
@@ -123,12 +124,12 @@ def open_worker_session(config: Config, worker: str) -> tuple[zenoh.Session, str
 
 
 def _other_than_held(error: zenoh.ZError) -> str:
-    """What zenoh could not do; empty where somebody holds the socket."""
+    """Zenoh's error; empty if another process holds the socket."""
     return "" if "acquire lock" in str(error) else " ".join(str(error).split())[:200]
 
 
 def open_recorder_session(config: Config) -> zenoh.Session:
-    """A session that takes every frame, by shared memory where it may: sockets lose some where much runs."""
+    """A session for every frame, by shared memory if that is allowed: on a busy machine sockets lose some."""
     limit = lock_limit()
     shared = pool_fits(pool_size(config, limit), limit)
     endpoints = [config.endpoint(worker) for worker in config.workers]
@@ -136,13 +137,13 @@ def open_recorder_session(config: Config) -> zenoh.Session:
 
 
 def open_reader_session(endpoints: Sequence[str]) -> zenoh.Session:
-    """A session that only looks: it listens nowhere and takes no shared memory."""
+    """A session that only reads: it listens nowhere and uses no shared memory."""
     return zenoh.open(zenoh_config([], endpoints))
 
 
 def open_player_session(config: Config) -> zenoh.Session:
-    """A session in the place of a pipeline's workers: it listens on their ports, so that who looks for one of
-    them finds it. Raises InputError when one of them is taken."""
+    """A session in the place of a pipeline's workers: it listens on their ports, so that readers of any
+    worker find it. Raises InputError if a port is taken."""
     make_folder()
     try:
         return zenoh.open(zenoh_config([config.endpoint(worker) for worker in config.workers], []))

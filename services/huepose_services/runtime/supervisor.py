@@ -1,8 +1,8 @@
 """Starts the workers as processes, keeps them running, and stops them. Knows nothing of what they do.
 
-A worker that dies, that is not ready in time or that gives no sign of life is ended and started again, later
-and later, and given up after too many times in a window. One worker's end never ends another. The end of a
-camera that plays a recording once is the end of the pipeline.
+A worker that dies, does not start in time, or gives no sign of life is killed and restarted, after a delay
+that grows; after too many times in a window it is given up. One worker's end never ends another. The end of
+a camera that plays a recording once is the end of the pipeline.
 """
 
 from __future__ import annotations
@@ -32,48 +32,48 @@ from huepose_services.runtime.threads import THREAD_VARIABLES
 from huepose_services.runtime.tied import SUPERVISOR
 from huepose_services.runtime.worker import TELL_WHERE
 
-# What systemd told the supervisor is not meant for its workers.
+# Variables that systemd sets for the supervisor, and its workers must not have.
 _NOT_FOR_WORKERS = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
 _TIME_TO_TELL_S = 0.15
 _GONE_WITHIN_S = 0.5
-"""A killed process has ended by then, unless the kernel has it wait for a device."""
+"""A killed process has ended by then, unless it waits for a device in the kernel."""
 _DRAIN_S = 1.5
 _STOP_WITHIN_S = 1.8
 _HEAD_START_S = 0.1
-"""In which each worker may stop before those that it reads from are told to stop as well."""
+"""The time for each worker to stop before those that it reads from are stopped as well."""
 _BACKOFF_S, _BACKOFF_MAX_S = 0.25, 8.0
 _STANDSTILL_S = 0.5
 _FAILED, _BAD_INPUT = 1, 2
 _HELD = (
-    "does not end: the kernel holds it, as for a device that does not answer. It is started again after that"
+    "does not end: it waits in the kernel, as for a device that does not answer. It is restarted when it ends"
 )
 _MAPPED = (
     " (SIGBUS: a file that it uses was overwritten in place, such as a reference model; put a new one there "
     "by renaming it, docs/running.md)"
 )
 _WHY_IT_ENDED = "huepose run: "
-"""With which the command line begins what it says of an error."""
+"""How the command line begins the line of an error."""
 _SILENT_S = 0.5
-"""A worker of which nothing was heard for so long is asked what it waits for."""
+"""After this time of silence, it is measured how long a worker waits for a processor."""
 
 
 class Starved:
-    """How long a process has had to wait for a processor, as the kernel counts it: on a busy computer a
-    worker is silent for longer, and hangs no more than before. pid: its number."""
+    """How long a process has waited for a processor, from the kernel's statistics: on a busy computer a
+    worker is silent for longer without hanging. pid: its number."""
 
     def __init__(self, pid: int) -> None:
         self._tasks = Path(f"/proc/{pid}/task")
         self._before = self._waits_ns()
 
     def since_last_s(self) -> float:
-        """Seconds since this was last asked, or made, that the one of its threads which waited longest could
-        have run and did not. 0 where the kernel does not count it; a stopped or sleeping thread waits for
-        nothing."""
+        """Seconds since the last call (or creation) in which a thread of the process was ready to run but
+        had no processor; of the thread that waited longest. 0 if the kernel does not count it; a stopped or
+        sleeping thread does not wait."""
         before, self._before = self._before, self._waits_ns()
         return max((now - before.get(thread, now) for thread, now in self._before.items()), default=0) * 1e-9
 
     def _waits_ns(self) -> dict[str, int]:
-        """Of each thread, the second figure of its schedstat (Linux, Documentation/scheduler/sched-stats)."""
+        """The second figure of each thread's schedstat (Linux, Documentation/scheduler/sched-stats)."""
         waits = {}
         # Threads end while this looks, and the process may be gone.
         with suppress(OSError):
@@ -84,13 +84,14 @@ class Starved:
 
 
 class Child:
-    """A worker's process. `ready`: it said so; `runs`: its loop gave a sign of life; `heard`: when it was
-    started or last gave one; `compiling`: that it waits for the compiler is the last that it said; `killed`:
-    from here. Raises OSError or RuntimeError where the computer has no room for another process."""
+    """A worker's process. `ready`: it reported that it is ready; `runs`: its loop gave a sign of life;
+    `heard`: when it was started or last gave one; `compiling`: it last reported that it waits for the
+    compiler; `killed`: by the supervisor. Raises OSError or RuntimeError if another process cannot be
+    started."""
 
     def __init__(self, worker: str, path: Path, out: TextIO, restarts: int, camera: str | None) -> None:
         self.worker, self._out = worker, out
-        self._says = f"{camera}/{worker}" if camera else worker
+        self._log_name = f"{camera}/{worker}" if camera else worker
         self.ready = self.runs = self.compiling = self.killed = False
         self.started = self.heard = time.monotonic()
         read_end, write_end = os.pipe()
@@ -111,7 +112,7 @@ class Child:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 pass_fds=(write_end,),
-                # A Ctrl-C at the terminal reaches the supervisor alone, which then stops all in its order.
+                # Ctrl-C at the terminal reaches the supervisor alone, which then stops the workers in order.
                 start_new_session=True,
             )
         except OSError:
@@ -130,10 +131,10 @@ class Child:
             raise
 
     def _copy_log(self) -> None:
-        """Its log lines as they are; what libraries print as lines of the worker, repeats held back; why it
-        has ended as an error."""
+        """Copy its log lines as they are, lines of libraries as lines of the worker with repeats held back,
+        and the reason of its end as an error."""
         assert self.process.stdout is not None
-        foreign = Log(self._says, self._out)
+        foreign = Log(self._log_name, self._out)
         for raw in self.process.stdout:
             line = raw.decode(errors="replace")
             if is_log_line(line):
@@ -144,24 +145,24 @@ class Child:
                 foreign.seldom(line, line.rstrip())
 
     def listen(self) -> None:
-        """Take in what came through the pipe."""
+        """Read what came through the pipe."""
         if self.pipe is None:
             return
         try:
-            said = os.read(self.pipe, 4096)
+            data = os.read(self.pipe, 4096)
         except BlockingIOError:
             return
-        if not said:
+        if not data:
             self._close_pipe()
             return
         self.heard = time.monotonic()
         self._starved = None
         self.runs = True
-        self.compiling = said.endswith(COMPILING)
-        self.ready = self.ready or b"ready" in said
+        self.compiling = data.endswith(COMPILING)
+        self.ready = self.ready or b"ready" in data
 
     def forgive_starving(self) -> None:
-        """Its silence, and its start, are as much shorter as it has had to wait for a processor in them."""
+        """Do not count the time in which it waited for a processor in its silence, or in its start."""
         now = time.monotonic()
         if self._starved is not None:
             waited_s = self._starved.since_last_s()
@@ -170,15 +171,14 @@ class Child:
             self._starved = Starved(self.process.pid)
 
     def ended_within(self, seconds: float) -> bool:
-        """Wait for its end, at most so long."""
+        """Wait for its end, for at most this time; whether it has ended."""
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(max(0.0, seconds))
             return True
         return False
 
     def kill(self, ask_where: bool = False) -> bool:
-        """End it at once, and whether it has ended; `ask_where`: first let it write to the log what it is
-        doing."""
+        """Kill it; returns whether it has ended. `ask_where`: first let it write a stack trace to the log."""
         self.killed, self.ready = True, False
         if ask_where:
             self.process.send_signal(TELL_WHERE)
@@ -186,8 +186,8 @@ class Child:
         self.process.kill()
         return self.ended_within(_GONE_WITHIN_S)
 
-    def bury(self, patience_s: float) -> None:
-        """After its end: let go of its pipe and read the rest of its log."""
+    def clean_up(self, patience_s: float) -> None:
+        """After its end: close its pipe and read the rest of its log."""
         self._close_pipe()
         self._reader.join(patience_s)
 
@@ -203,7 +203,7 @@ class _Record:
 
     deaths: deque[float] = field(default_factory=deque)
     silences: deque[float] = field(default_factory=deque)
-    """Those of the deaths that were for giving no sign of life."""
+    """The deaths because it gave no sign of life."""
     restart_at: float | None = None
     restarts: int = 0
 
@@ -211,7 +211,7 @@ class _Record:
 class Supervisor:
     """All workers of one configuration. Call `start`, then `poll` often, then `stop`.
 
-    of: the camera that they are of, where the file has several; the log then says so."""
+    of: their camera, for the log, if the file has several."""
 
     def __init__(self, config: Config, path: Path, out: TextIO | None = None, of: str | None = None) -> None:
         self._config, self._path = config, path
@@ -231,12 +231,12 @@ class Supervisor:
 
     @property
     def not_ready(self) -> set[str]:
-        """The workers that do not run, or have not said yet that they are ready."""
+        """The workers that do not run, or have not reported yet that they are ready."""
         return {w for w in self._records if w not in self._children or not self._children[w].ready}
 
     @property
     def ready(self) -> bool:
-        """Whether every worker is running and has said that it is ready."""
+        """Whether every worker runs and has reported that it is ready."""
         return not self.not_ready
 
     def start(self) -> None:
@@ -253,7 +253,7 @@ class Supervisor:
             self._put_off(worker, f"could not be started ({error})")
 
     def reload(self) -> None:
-        """Read the configuration again, and have every worker do so, at last when it is ready."""
+        """Read the configuration again, and have every worker do so, as soon as it is ready."""
         new = self._reload.take_over(lambda _: [])
         if new is not None:
             over = [worker for worker in self._records if self._is_given_up(worker)]
@@ -266,9 +266,9 @@ class Supervisor:
         return worker not in self._children and self._records[worker].restart_at is None
 
     def poll(self, timeout_s: float = 0.1) -> None:
-        """Look after the workers for a while: readiness, signs of life, deaths, restarts, the end."""
+        """Supervise the workers for timeout_s: readiness, signs of life, deaths, restarts, the end."""
         pipes = [c.pipe for c in self._children.values() if c.pipe is not None]
-        select.select(pipes, [], [], timeout_s)  # until one says something, or closes its pipe by dying
+        select.select(pipes, [], [], timeout_s)  # until one writes, or its pipe closes because it died
         self._forgive_standstill(timeout_s)
         for child in list(self._children.values()):
             child.listen()
@@ -278,11 +278,11 @@ class Supervisor:
                 child.process.send_signal(signal.SIGHUP)
             code = child.process.poll()
             if code is not None:
-                self._bury(child, None if child.killed else code)
+                self._on_end(child, None if child.killed else code)
             elif not child.killed and (fault := self._fault(child)) is not None:
                 self._log.error(f"{child.worker} {fault}: killed")
                 if child.kill(ask_where=True):
-                    self._bury(child, None)
+                    self._on_end(child, None)
                 else:
                     self._log.error(f"{child.worker} {_HELD}")
         if self.ready and not self._was_ready:
@@ -300,17 +300,17 @@ class Supervisor:
             self.exit_code = 1 if self.exit_code is None else self.exit_code
 
     def _forgive_standstill(self, timeout_s: float) -> None:
-        """Where this process did not run, its workers may not have run either: that time does not count."""
+        """Do not count a time in which this process did not run: its workers may not have run either."""
         now = time.monotonic()
-        stood_s = now - self._polled - timeout_s
+        standstill_s = now - self._polled - timeout_s
         self._polled = now
-        if stood_s > _STANDSTILL_S:
+        if standstill_s > _STANDSTILL_S:
             for child in self._children.values():
-                child.started += stood_s
-                child.heard += stood_s
+                child.started += standstill_s
+                child.heard += standstill_s
 
     def _fault(self, child: Child) -> str | None:
-        """What is wrong with a worker that runs; None when nothing is."""
+        """What is wrong with a running worker; None if nothing is."""
         limits, now = self._config.restarts, time.monotonic()
         if not child.runs:
             late = now - child.started > limits.start_within_s
@@ -321,7 +321,7 @@ class Supervisor:
         silences = self._records[child.worker].silences
         while silences and now - silences[0] > limits.window_s:
             silences.popleft()
-        # Twice the patience after each time: what was slow only once comes to its end.
+        # Twice the patience after each time, so that work which is only slow can end.
         patience_s = limits.patience_s(child.worker) * 2 ** len(silences)
         silent_s = now - child.heard
         if silent_s <= patience_s:
@@ -329,14 +329,13 @@ class Supervisor:
         silences.append(now)
         return f"has given no sign of life for {silent_s:.1f} s"
 
-    def _bury(self, child: Child, code: int | None) -> None:
-        """A worker has ended (code None: it was killed here): the end of the pipeline, or something to be
-        started again."""
+    def _on_end(self, child: Child, code: int | None) -> None:
+        """A worker has ended (code None: it was killed here): end the pipeline, or restart the worker."""
         del self._children[child.worker]
-        child.bury(1.0)
+        child.clean_up(1.0)
         now, record = time.monotonic(), self._records[child.worker]
         if code == _BAD_INPUT and not child.ready and record.restarts == 0:
-            # It has said what is wrong with its input, which another start would not change.
+            # It has reported what is wrong with its input, which a restart would not change.
             self.exit_code = _BAD_INPUT
             return
         if child.worker == "camera" and code in (0, _BAD_INPUT) and self._config.camera.once:
@@ -350,7 +349,7 @@ class Supervisor:
         self._put_off(child.worker, how)
 
     def _put_off(self, worker: str, how: str) -> None:
-        """A worker has died, or could not be started: start it again later, unless that was too often."""
+        """A worker has died, or could not be started: restart it later, unless that was too often."""
         now, record = time.monotonic(), self._records[worker]
         window, limit = self._config.restarts.window_s, self._config.restarts.limit
         record.deaths.append(now)
@@ -364,7 +363,7 @@ class Supervisor:
         self._log.warn(f"{worker} {how}: starting it again in {wait_s:g} s")
 
     def stop(self) -> None:
-        """Stop every worker within two seconds, those that read before those that they read from."""
+        """Stop every worker within two seconds, readers before the workers that they read from."""
         deadline = time.monotonic() + _STOP_WITHIN_S
         children = [self._children[w] for w in reversed(self._records) if w in self._children]
         for child in children:
@@ -374,5 +373,5 @@ class Supervisor:
             if not child.ended_within(deadline - time.monotonic()):
                 self._log.error(f"{child.worker} does not stop: killed")
                 child.kill()
-            child.bury(0.2)
+            child.clean_up(0.2)
         self._children.clear()

@@ -1,8 +1,8 @@
-"""What a process takes of the computer: the processors that it may use, and one thread of the numeric
-libraries, because six workers share few cores and waiting threads spin.
+"""The processors that a process may use, and one thread for the numeric libraries: six workers share few
+cores, and waiting threads of these libraries spin.
 
-The estimator's two objects at a time are threads of its own, above the libraries. (With two BLAS threads its
-work takes twice the CPU time.)
+The estimator works on two objects at a time with threads of its own. (With two BLAS threads its work takes
+twice the CPU time.)
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from collections.abc import Collection
 
 from huepose.support.errors import InputError
 
-# Read by the libraries when they are imported.
+# The libraries read these when they are imported.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 def single_threaded() -> None:
-    """Before numpy is imported; what the user has set holds."""
+    """To be called before numpy is imported; values that the user has set are kept."""
     for variable in THREAD_VARIABLES:
         os.environ.setdefault(variable, "1")
 
 
 def check_processors(processors: Collection[int]) -> None:
-    """Raises InputError for one that this process may not use."""
+    """Raises InputError for processors that this process may not use."""
     allowed = os.sched_getaffinity(0)
-    if strange := sorted(set(processors) - allowed):
+    if forbidden := sorted(set(processors) - allowed):
         raise InputError(
             "cpus",
-            found=", ".join(map(str, strange)),
+            found=", ".join(map(str, forbidden)),
             expected=f"processors of this computer that the pipeline may use: {sorted(allowed)}",
         )

@@ -1,4 +1,4 @@
-"""What a worker does, as its process sees it (`runtime.worker`); the requests that perception works on."""
+"""The interface of a worker's work to its process (`runtime.worker`), and the requests to perception."""
 
 from __future__ import annotations
 
@@ -9,40 +9,41 @@ from huepose_services.runtime.clock import SECOND, now_ns
 from huepose_services.runtime.config import Config
 
 _SOON_NS = SECOND // 50
-"""How often to look for a frame that does not wake the loop, while something waits for it."""
+"""How often to look for a frame, whose arrival does not wake the loop, while a request waits for it."""
 
 
 class Work:
-    """Made by `make(bus, config)` of a worker's module, warmed up when that returns."""
+    """Made by `make(bus, config)` of a worker's module, which warms it up."""
 
     finished = False
     """Set when there is nothing left to do: the worker then ends, with exit code 0 if there is no `fault`."""
     fault: InputError | None = None
-    """Why it has come to no good end, where it is finished: what was given to it does not work."""
+    """If it is finished because of an error: what is wrong with its input."""
     ready = True
-    """Looked at after every step: as long as it is False, the worker does not say that it is ready (a camera
-    before its first good frame)."""
+    """Read after every step: while it is False, the worker does not report that it is ready (a camera before
+    its first good frame)."""
 
     def step(self) -> None:
-        """Do what is due: called when something arrived, when `due_ns` has come, and now and then."""
+        """Do what is due: called when something has arrived, at `due_ns`, and from time to time."""
         raise NotImplementedError
 
     def due_ns(self) -> int | None:
-        """When to be called at the latest; None to be called for arrivals only."""
+        """The latest time for the next call of `step`; None: only when something arrives."""
         return None
 
     def reload(self, config: Config) -> list[str]:
-        """Take over what of a changed configuration can be (`reload.LIVE`): sentences on what cannot."""
+        """Take over changes of the configuration (`reload.LIVE`); returns sentences on those that cannot
+        be."""
         return []
 
     def close(self) -> None:
-        """Let go of all that is not on the bus: a camera that is not has to be plugged in anew."""
+        """Release all that is not on the bus: a camera that is not released has to be plugged in again."""
         return None
 
 
 class Requests:
-    """What perception is asked for, each with the newest frame, which may be looked at again when the camera
-    stands still. looks: a request may also come with a frame of its own, from another computer."""
+    """The requests to perception, each with the newest frame, which may be the same again if the camera has
+    stopped. looks: a request may also come with its frame, from another computer."""
 
     def __init__(self, bus: Bus, looks: bool) -> None:
         self._bus = bus
@@ -57,13 +58,13 @@ class Requests:
         return None if self._waiting is None else now_ns() + _SOON_NS
 
     def take(self) -> tuple[PerceptionRequest, FrameHeader, bytes] | None:
-        """The newest request, once, with a frame and its pixels; None where there is none, or it waits for a
-        frame, or for a newer one."""
+        """The newest request, once, with a frame and its pixels; None if there is no request, or it waits
+        for a frame or a newer one."""
         while (newer := self._bus.take(self._requests, PerceptionRequest)) is not None:
             self._waiting = newer
-        brought = None if self._looks is None else self._bus.take_with_payload(self._looks, Look)
-        if brought is not None:
-            look, payload = brought
+        with_frame = None if self._looks is None else self._bus.take_with_payload(self._looks, Look)
+        if with_frame is not None:
+            look, payload = with_frame
             self._waiting, self._frame = look.request, (look.frame, payload)
         if (request := self._waiting) is None:
             return None

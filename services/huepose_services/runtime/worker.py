@@ -1,6 +1,7 @@
-"""One worker process: open the session, make the work, then wait, step and say how it is, until told to stop.
+"""One worker process: open the session, make the work, then wait, step and publish health, until it is
+stopped.
 
-Under a supervisor the pulse goes through a pipe, under systemd it is READY=1 and WATCHDOG=1.
+Under a supervisor the heartbeat goes through a pipe, under systemd it is READY=1 and WATCHDOG=1.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ from huepose_services.runtime.work import Work
 
 TELL_WHERE = signal.SIGUSR2
 
-# Frames and tracking come first where the cores do not suffice. To raise a priority needs the right to
-# do so (root, LimitNICE of a unit); to lower that of perception and of what only looks needs none.
-# A recorder that does not come at once holds the places that the camera has for frames, until none is left.
+# Frames and tracking come first if there are too few cores. Raising a priority needs permission (root,
+# LimitNICE of a unit); lowering that of perception and of workers that only read does not. A slow recorder
+# would hold the camera's frame buffers until none is left.
 _NICENESS = {
     **{"camera": -5, "tracker": -5, "record": -5, "reinit": -2},
     **{"detector": 3, "segmenter": 3, "estimator": 3},
@@ -48,7 +49,7 @@ _ERRORS_IN_A_ROW = 10
 
 
 class _Stop:
-    """The request to stop, from SIGTERM or SIGINT; a second later work that did not notice is cut off."""
+    """The request to stop, from SIGTERM or SIGINT; a worker that does not stop within a second is ended."""
 
     def __init__(self, log: Log) -> None:
         self.requested = False
@@ -62,30 +63,30 @@ class _Stop:
         signal.setitimer(signal.ITIMER_REAL, _FORCED_STOP_AFTER_S)
 
     def _force(self, number: int, frame: FrameType | None) -> None:
-        # Nothing is lost: the bus notices that the links close, and other threads may not be waited for.
+        # Nothing is lost: the bus notices that the links close; other threads may never end, so do not wait.
         self._log.say("stopped; what it was working on is dropped")
         os._exit(0)
 
 
 def home_of(worker: str) -> str:
-    """The module with a worker's `make`."""
+    """The name of the module with a worker's `make`."""
     return "huepose_services." + ("camera.ingest" if worker == "camera" else worker)
 
 
 def come_first(worker: str) -> None:
-    """This process comes before or after others as this worker does, where it has the right to."""
+    """Give this process the priority of this worker, as far as it is permitted."""
     with suppress(PermissionError):
         os.nice(_NICENESS.get(worker, _NICENESS_OF_OTHERS))
-    # Where the kernel shares time among sessions (sched_autogroup), that counts within a session alone, and
-    # the session's own against others. In this one there is nobody else.
+    # If the kernel shares time among sessions (sched_autogroup), niceness counts only within a session, and
+    # the session's own value against others. This session has no other process.
     if os.getsid(0) == os.getpid():
         with suppress(OSError):
             Path("/proc/self/autogroup").write_text(str(os.nice(0)))
 
 
 def keep_to(processors: Collection[int]) -> None:
-    """This process and its threads to come run on these processors only; on any where there are none. Raises
-    InputError for one that it may not use."""
+    """Run this process and its later threads on these processors only; if there are none, on any. Raises
+    InputError for a processor that it may not use."""
     check_processors(processors)
     if processors:
         os.sched_setaffinity(0, processors)
@@ -93,14 +94,14 @@ def keep_to(processors: Collection[int]) -> None:
 
 def run_worker(worker: str, config: Config, path: Path, of: str | None) -> int:
     """Run a worker until SIGTERM, SIGINT, its supervisor's end or its own; path: of the configuration, which
-    is read again at SIGHUP; of: its camera, where the file has several, for the log. Returns the exit code.
+    is read again at SIGHUP; of: its camera, if the file has several, for the log. Returns the exit code.
 
-    Raises InputError for what the configuration names and is not there or does not work, or a port that is
+    Raises InputError if something that the configuration names is missing or does not work, or a port is
     taken."""
     log, health = Log(f"{of}/{worker}" if of else worker), Health(worker)
     health.much_locked_mib = max(health.much_locked_mib, 10.0 * config.bus.frame_pool_mib)
     stop, again = _Stop(log), asked_again()
-    # The supervisor asks a worker that hangs where it is before it ends it.
+    # Before the supervisor kills a worker that hangs, it asks for a stack trace.
     faulthandler.register(TELL_WHERE, file=sys.stderr, all_threads=True)
     come_first(worker)
     keep_to(config.cpus.get(cast(WorkerName, worker), ()))
@@ -115,8 +116,8 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None) -> int:
         bus.say_health()
         work = _made(worker, bus, config)
         try:
-            # All that is loaded by now stays. To look through it for rubbish now and then would hold the work
-            # up, the estimator's by a sixth of a second.
+            # All that is loaded by now stays. Garbage collection that looks through it would delay the work,
+            # the estimator's by a sixth of a second.
             gc.collect()
             gc.freeze()
             if "numba" in sys.modules:
@@ -126,7 +127,7 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None) -> int:
             _loop(bus, work, stop, pulse, lambda: again() and reload.take_over(work.reload))
         finally:
             pulse.stopping()
-            _let_go(work, log)
+            _close(work, log)
         health.state = "ended" if work.finished else "stopping"
         bus.say_health()
         token.undeclare()
@@ -139,8 +140,9 @@ def run_worker(worker: str, config: Config, path: Path, of: str | None) -> int:
     return 0
 
 
-def _let_go(work: Work, log: Log) -> None:
-    """Close it, however its loop has ended: what goes wrong with that does not hide why it has."""
+def _close(work: Work, log: Log) -> None:
+    """Close the work, however its loop has ended; an error in closing is logged, so that it does not hide the
+    error that ended the loop."""
     try:
         work.close()
     except Exception:
@@ -148,7 +150,7 @@ def _let_go(work: Work, log: Log) -> None:
 
 
 def _made(worker: str, bus: Bus, config: Config) -> Work:
-    """Its work, warmed up; the log says when it has to compile kernels for that."""
+    """The worker's work, warmed up; the log says if kernels have to be compiled for that."""
     home = import_module(home_of(worker))
     telling: AbstractContextManager[object] = nullcontext()
     if "numba" in sys.modules:
@@ -181,9 +183,9 @@ def _loop(bus: Bus, work: Work, stop: _Stop, pulse: Pulse, reload: Callable[[], 
             errors += 1
             bus.health.count("errors")
             bus.health.failed(f"{type(error).__name__}: {error}")
-            # What is wrong with an input is said in its own words.
-            told = f" {error}" if isinstance(error, InputError) else f"\n{traceback.format_exc()}"
-            bus.log.seldom("error", f"error in its work, going on:{told}", level="error")
+            # An InputError says itself what is wrong; other errors need a stack trace.
+            details = f" {error}" if isinstance(error, InputError) else f"\n{traceback.format_exc()}"
+            bus.log.seldom("error", f"error in its work, going on:{details}", level="error")
             if errors >= _ERRORS_IN_A_ROW:
                 raise
         pulse.beat()

@@ -1,1 +1,2 @@
-"""Recordings of a running pipeline as MCAP: what it saw, said and took in; played and computed again."""
+"""Recordings of a running pipeline as MCAP: its frames, messages and inputs of the tracker; played, and
+verified by computing the poses again."""

@@ -1,7 +1,7 @@
-"""What arrives under several keys, in the order in which it came, for a loop that may be slow.
+"""Messages under several keys, in the order in which they came, for a loop that may be slow.
 
-A copy is made as it comes, so that no shared memory is held. What the tracker took and did not come is asked
-for; where too much waits, frames that the tracker passed over go first.
+Each is copied as it comes, so that no shared memory is held. Inputs of the tracker that did not come are
+requested from it. If too much waits, frames that the tracker skipped are dropped first.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from huepose_services.runtime.bus import stamp_of
 
 FRAMES_AT_ONCE, STEPS_AT_ONCE = 4, 64
 _PATIENCE_S, _ASK_EVERY_S, _TIMES = 0.15, 0.5, 4
-"""What was sent comes soon after; what does not come when it was asked for so often is gone."""
+"""A message comes soon after it was sent; if it does not come after this many requests, it is lost."""
 _KNOWN = 4096
 
 FrameKey = tuple[int, int]
@@ -36,9 +36,9 @@ def frame_taken(step: IntakeMessage) -> FrameKey | None:
 
 
 class Taken:
-    """What the tracker says that it took, and which of it is not here yet: a recording must hold all of it.
-    Called from several threads. `lost`: how much of it was asked for in vain; frames from before the first
-    that came do not count."""
+    """The inputs that the tracker reports, and which of them have not come: a recording must hold all of
+    them. Called from several threads. `lost`: how many did not come on request; frames from before the
+    first one that came do not count."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -47,12 +47,12 @@ class Taken:
         self._taken: dict[FrameKey, None] = {}
         self._newest: FrameKey | None = None
         self._step: IntakeMessage | None = None
-        # What is missing, when to ask for it next, and how often that was done.
+        # What is missing, when to request it next, and how often that was done.
         self._missing: dict[FrameKey | int, tuple[float, int]] = {}
         self.lost = 0
 
     def frame(self, header: bytes) -> FrameKey | None:
-        """A frame came; which one, if it has a header."""
+        """Note a frame that came; returns its key, if it has a header."""
         frame = stamp_of(header)
         if frame is None:
             return None
@@ -64,14 +64,14 @@ class Taken:
         return key
 
     def dropped(self, key: FrameKey) -> None:
-        """It came, and was not kept."""
+        """Note that a frame came and was not kept."""
         with self._lock:
             self._here.pop(key, None)
             if key in self._taken:
                 self._miss(key)
 
     def message(self, key: str, data: bytes) -> None:
-        """A message came."""
+        """Note a message that came."""
         tail = tail_of(key)
         try:
             if tail == "tracker/memory":
@@ -91,7 +91,7 @@ class Taken:
         if last is None or message.publish_ns > last.publish_ns:
             self._step = message
             if last is not None:
-                # A tracker that was started again counts anew.
+                # A tracker that was restarted counts from the beginning.
                 for seq in range(max(last.seq + 1, message.seq - STEPS_AT_ONCE), message.seq):
                     self._miss(seq)
             self._newest = frame or self._newest
@@ -108,19 +108,19 @@ class Taken:
         self._missing.setdefault(what, (time.monotonic() + _PATIENCE_S, 0))
 
     def _from_before(self, what: FrameKey | int) -> bool:
-        """Whether it is a frame from before the recording began, which the tracker still remembers."""
+        """Whether it is a frame from before the recording, which the tracker still keeps."""
         first = self._first
         if first is None or not isinstance(what, tuple):
             return False
         return what[0] == first[0] and what[1] < first[1]  # epochs are random numbers
 
     def passed_over(self, key: FrameKey) -> bool:
-        """Whether the tracker took a later frame, and not this one."""
+        """Whether the tracker took a later frame, but not this one."""
         newest = self._newest
         return newest is not None and key[0] == newest[0] and key[1] < newest[1] and key not in self._taken
 
     def wanted(self, now: float) -> tuple[list[FrameKey], list[int]]:
-        """What to ask for now (time.monotonic()), steps first."""
+        """What to request now (time.monotonic()): frames and steps."""
         frames: list[FrameKey] = []
         steps: list[int] = []
         with self._lock:
@@ -153,7 +153,7 @@ Ask = Callable[[list[FrameKey], list[int]], Iterable[zenoh.Sample]]
 
 @dataclass(frozen=True)
 class Arrived:
-    """A message's bytes, or a header's with those of its pixels."""
+    """The bytes of a message, or of a header with those of its pixels."""
 
     key: str
     header: bytes
@@ -162,8 +162,8 @@ class Arrived:
 
 
 class Arrivals:
-    """Subscriptions to these keys. What has pixels is `missed` where more than `most_bytes` wait; ask: for
-    frames and steps again, None: nobody can be asked."""
+    """Subscriptions to these keys. A message with pixels is dropped, and counted in `missed`, if more than
+    `most_bytes` would wait. ask: requests frames and steps; None: nothing is requested."""
 
     def __init__(
         self, session: zenoh.Session, keys: Iterable[str], most_bytes: int, ask: Ask | None = None
@@ -215,7 +215,7 @@ class Arrivals:
             self._ready.notify()
 
     def _has_room(self, size: int) -> bool:
-        """Whether there is, if need be for frames that nobody computes anything from."""
+        """Whether there is room; if not, first drops waiting frames that the tracker skipped."""
         if self._bytes + size > self._most_bytes:
             for one in [o for o in self._waiting if o.frame is not None and self.taken.passed_over(o.frame)]:
                 self._waiting.remove(one)
@@ -231,7 +231,7 @@ class Arrivals:
             self.taken.dropped(arrived.frame)
 
     def take(self) -> Arrived | None:
-        """The oldest; None when there is none."""
+        """The oldest message; None if there is none."""
         with self._ready:
             if not self._waiting:
                 return None
@@ -240,13 +240,13 @@ class Arrivals:
             return arrived
 
     def wait(self, timeout_s: float) -> None:
-        """Until something is there to take, at most so long."""
+        """Wait until there is something to take, or the timeout."""
         with self._ready:
             if not self._waiting:
                 self._ready.wait(timeout_s)
 
     def close(self) -> None:
-        """Subscribe to nothing any more."""
+        """End all subscriptions."""
         self._closed.set()
         for subscriber, thread in self._subscriptions:
             subscriber.undeclare()

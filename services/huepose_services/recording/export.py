@@ -1,5 +1,5 @@
-"""A recording as a BOP scene: `rgb`, `depth`, `scene_camera.json`, where the truth is known `scene_gt.json`
-and `scene_gt_info.json`, and its poses in `poses.jsonl`."""
+"""A recording as a BOP scene: `rgb`, `depth`, `scene_camera.json`, the poses in `poses.jsonl`, and, if the
+truth is known, `scene_gt.json` and `scene_gt_info.json`."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
 @dataclass(frozen=True)
 class Exported:
-    """How many frames were written, of how many the truth, and of how many it could not be."""
+    """How many frames were written, how many of them with labels, and how many had their labels left out."""
 
     frames: int
     labelled: int
@@ -38,23 +38,23 @@ class Exported:
 
     @property
     def text(self) -> str:
-        """In words."""
-        said = [counted(self.frames, "frame")]
+        """The counts in words."""
+        parts = [counted(self.frames, "frame")]
         if self.labelled or self.left_out:
-            said.append(f"the truth of {self.labelled}")
+            parts.append(f"the truth of {self.labelled}")
         if self.left_out:
             why = "in which an object has no pose, or neither name nor number"
-            said.append(f"that of {self.left_out} left out, {why}")
-        return "; ".join(said)
+            parts.append(f"that of {self.left_out} left out, {why}")
+        return "; ".join(parts)
 
 
 def export_bop(events: Iterable[Event], folder: Path) -> Exported:
-    """Write them to a new or empty folder. Frames keep their numbers; those of a camera that was opened anew
-    go on counting, and all poses name the first epoch. Labels name their objects; those without a BOP number
-    get free ones.
+    """Write a recording to a new or empty folder. Frames keep their numbers; if the camera was opened
+    again, its numbers continue, and all poses name the first epoch. Labels name their objects; objects
+    without a BOP number get free ones.
 
-    Interrupted it leaves the folder empty, or none where it made it. Raises InputError for one that has
-    something in it, or cannot be made."""
+    If it is interrupted, it empties the folder, or removes one that it made. Raises InputError for a folder
+    that is not empty, or cannot be made."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(folder, found="something there", expected="a new or empty folder")
     made = not folder.exists()
@@ -78,7 +78,7 @@ def _exported(events: Iterable[Event], folder: Path) -> Exported:
     cameras: dict[str, Any] = {}
     truths: dict[str, list[Any]] = {}
     details: dict[str, list[Any]] = {}
-    # Numbers of images are those of frames, moved on where a camera's epoch begins.
+    # Image numbers are frame numbers plus an offset for each camera epoch.
     begins: dict[int, int] = {}
     following = 0
     left_out = set[str]()
@@ -133,7 +133,7 @@ def _is_label(one: TruthObject) -> bool:
 
 
 def _number_objects(labels: list[dict[str, Any]]) -> None:
-    """BOP has numbers, and a pipeline may have names alone."""
+    """Give numbers to objects that have only a name: BOP needs numbers."""
     highest = max((label["obj_id"] for label in labels if label["obj_id"] is not None), default=0)
     names = sorted({label["object"] for label in labels if label["obj_id"] is None})
     for label in labels:

@@ -1,4 +1,4 @@
-"""The reference models of a recording's objects, where the pipeline that was recorded had them."""
+"""The reference models of a recording's objects, from where the recorded pipeline had them."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ class _Camera(msgspec.Struct):
 
 
 class _Recorded(msgspec.Struct):
-    """Of a recorded configuration where the models are; it may have keys that this version does not know."""
+    """The keys of a recorded configuration that say where the models are; the configuration may have keys
+    that this version does not know."""
 
     bundles: str | None = None
     camera: _Camera = msgspec.field(default_factory=_Camera)
 
 
 def load_one(path: Path, name: str) -> ReferenceModel:
-    """The model of an object of a recording; of one that does not say where they are, as one without frames,
-    a built-in object. Raises InputError where it is not there."""
+    """The reference model of an object of a recording; if the recording does not say where the models are, as
+    one without frames, a built-in object. Raises InputError if it is missing."""
     try:
         return models.load_one(_config_of(path), name)
     except InputError as error:
@@ -45,7 +46,7 @@ def load_one(path: Path, name: str) -> ReferenceModel:
 
 @cache
 def _config_of(path: Path) -> Config:
-    """As much of the configuration with which it was recorded as models are found by."""
+    """A configuration with those recorded values by which models are found."""
     recording = Recording(path)
     for _, chunk in recording.chunks():
         for event in recording.inside(chunk, pixels=False):

@@ -1,10 +1,10 @@
-"""A recording in MCAP (mcap.dev): files one after the other, each of limited size, all together too, on a
-disk that is not filled.
+"""Writes a recording in MCAP (mcap.dev): a series of files, with limits for the size of each, for the size
+of all, and for the free space on the disk.
 
-Each can be read by itself, here and in Foxglove and rerun. Our own messages are there as JSON with their
-schemas, under the keys that they have on the wire. Pictures, poses and intrinsics are there for viewers as
-well, in Foxglove's messages, under the camera's name. A frame is three messages of one sequence number:
-colour, depth, and last its header.
+Each file can be read by itself, here and in Foxglove and rerun. Our own messages are stored as JSON with
+their schemas, under their keys. Images, poses and intrinsics are stored for viewers as well, in Foxglove's
+messages, under the camera's name. A frame is three messages with the same sequence number: colour, depth,
+and last its header.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ from huepose_protos.messages import FrameHeader, Message, PoseMessage
 
 COLOR, DEPTH = "color", "depth"
 GIVEN = "tracker/frame"
-"""The end of the key of frames that the tracker gave again, late and some from before the recording."""
+"""The end of the key of frames that the tracker gave on request: late, and some from before the recording."""
 JPEG_QUALITY = 90
 SUFFIX = ".mcap"
 _LOOK_EVERY_S = 1.0
 _CHUNK_BYTES, _CHUNK_S = 8 * 1024 * 1024, 0.5
-"""A chunk is on the disk for good when it is as large, or as old; what comes after it may be lost."""
+"""A chunk is written to the disk when it is this large, or this old; what came after it may be lost."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """In bytes: of one file, of all together (None: no limit; else the oldest files are deleted), and what is
-    left free on the disk."""
+    """In bytes: of one file, of all together (None: no limit; else the oldest files are deleted), and the
+    space that stays free on the disk."""
 
     part: int
     keep: int | None
@@ -60,15 +60,15 @@ class Limits:
 
 
 class DiskFullError(OSError):
-    """There is not more free than is to be left."""
+    """The disk has less free space than `Limits.free`."""
 
 
 class Parts:
-    """Takes frames and messages; `commit` makes them last when it is time. `name.mcap` first, then
-    `name_0001.mcap` and so on. offset_ns: from stamps to Unix time; about: what is noted in each file.
+    """Takes frames and messages; `commit` writes them to the disk when it is time. The files are `name.mcap`,
+    `name_0001.mcap` and so on. offset_ns: from timestamps to Unix time; about: notes for each file.
 
-    Raises InputError where the first file cannot be made, or it or a later one is there already. All of it
-    raises OSError where the disk does not take it."""
+    Raises InputError if the first file cannot be made, or it or a later one exists already. All methods raise
+    OSError if the disk does not accept the data."""
 
     def __init__(self, path: Path, limits: Limits, offset_ns: int, about: dict[str, str], jpeg: bool) -> None:
         self.path = path if path.suffix == SUFFIX else path.with_name(path.name + SUFFIX)
@@ -89,27 +89,27 @@ class Parts:
         self._begin()
 
     def _begin(self) -> None:
-        """The next file."""
+        """Begin the next file."""
         number = f"_{self._number:04d}" if self._number else ""
         path = self.path.with_name(f"{self.path.stem}{number}{SUFFIX}")
         file = None
         try:
             self._check_free()
             file = path.open("xb")
-            if self._number:  # the file before is whole
+            if self._number:  # the file before is complete
                 self._done.append((self._path, self._size))
                 self._bytes_done += self._size
             self._path, self._file, self._closed_at = path, file, 0
             self._channels: dict[str, int] = {}
             self._schemas: dict[type, int] = {}
             self._pending, self._due = 0, time.monotonic() + _CHUNK_S
-            # LZ4 takes a third of zstd's time, and images are most of it.
+            # LZ4 takes a third of the time of zstd, and most of the data are images.
             self._writer = Writer(self._file, chunk_size=2**40, compression=CompressionType.LZ4)
             self._writer.start(library="huepose")
             self._notes["huepose"]["part"] = str(self._number)
             for name, values in self._notes.items():
                 self._writer.add_metadata(name, values)
-            self._writer.flush()  # from the beginning on it says what it is
+            self._writer.flush()  # so that the notes are in the file from the beginning
         except OSError as error:
             if self._number:
                 raise
@@ -128,22 +128,22 @@ class Parts:
 
     @property
     def size(self) -> int:
-        """Bytes of all files, with those that were deleted since."""
+        """Bytes of all files, including those that were deleted since."""
         return self._bytes_done + self._size
 
     @property
     def paths(self) -> list[Path]:
-        """The files that were not deleted since, in their order."""
+        """The files that were not deleted since, in order."""
         return [*(path for path, _ in self._done), self._path]
 
     def note(self, name: str, values: dict[str, str]) -> None:
-        """Something about the recording itself, for this file and those to come."""
+        """Add a note about the recording itself, to this file and later ones."""
         self._notes[name] = self._notes.get(name, {}) | values
         self._writer.flush()
         self._writer.add_metadata(name, values)
 
     def frame(self, header: FrameHeader, color: Array, depth: Array, key: str) -> None:
-        """A frame; key: where it came on the wire."""
+        """Add a frame; key: under which it came."""
         stamps = (header.capture_ns, header.publish_ns)
         camera, name, at = camera_of(key), header.frame, self._time(header.capture_ns)
         i = header.intrinsics
@@ -151,22 +151,22 @@ class Parts:
         calibration.K[:] = [i.fx, 0.0, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0]
         calibration.R[:] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
         calibration.P[:] = [i.fx, 0.0, i.cx, 0.0, 0.0, i.fy, i.cy, 0.0, 0.0, 0.0, 1.0, 0.0]
-        self._show(f"/{camera}/calibration", calibration, *stamps)
+        self._add_for_viewers(f"/{camera}/calibration", calibration, *stamps)
         if self._jpeg:
             bgr = cv2.cvtColor(color, cv2.COLOR_RGB2BGR)
             data = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-            picture: Any = CompressedImage(timestamp=at, frame_id=name, data=data, format="jpeg")
+            image: Any = CompressedImage(timestamp=at, frame_id=name, data=data, format="jpeg")
         else:
-            picture = _raw(at, name, color, "rgb8")
-        self._show(f"/{camera}/{COLOR}", picture, *stamps)
-        self._show(f"/{camera}/{DEPTH}", _raw(at, name, depth, "16UC1"), *stamps)
-        self._say(key, header, *stamps)
+            image = _raw(at, name, color, "rgb8")
+        self._add_for_viewers(f"/{camera}/{COLOR}", image, *stamps)
+        self._add_for_viewers(f"/{camera}/{DEPTH}", _raw(at, name, depth, "16UC1"), *stamps)
+        self._add_own(key, header, *stamps)
         self.frames += 1
 
     def message(self, key: str, message: Message) -> None:
-        """A message without pixels."""
+        """Add a message without pixels."""
         stamp_ns = message.publish_ns
-        self._say(key, message, stamp_ns, stamp_ns)
+        self._add_own(key, message, stamp_ns, stamp_ns)
         if isinstance(message, PoseMessage) and message.translation and message.quaternion:
             camera, at = camera_of(key), self._time(message.capture_ns)
             name = f"{message.object}/{message.instance}"
@@ -175,27 +175,27 @@ class Parts:
             pose = PoseInFrame(timestamp=at, frame_id=message.frame)
             pose.pose.position.CopyFrom(t)
             pose.pose.orientation.CopyFrom(q)
-            turned = FrameTransform(
+            transform = FrameTransform(
                 timestamp=at, parent_frame_id=message.frame, child_frame_id=name, translation=t, rotation=q
             )
-            for topic, shown in ((f"/{camera}/pose/{name}", pose), ("/tf", turned)):
-                self._show(topic, shown, message.capture_ns, stamp_ns)
+            for topic, shown in ((f"/{camera}/pose/{name}", pose), ("/tf", transform)):
+                self._add_for_viewers(topic, shown, message.capture_ns, stamp_ns)
 
     def _time(self, stamp_ns: int) -> Timestamp:
         at = Timestamp()
         at.FromNanoseconds(stamp_ns + self._offset_ns)
         return at
 
-    def _say(self, key: str, message: Message, stamp_ns: int, publish_ns: int) -> None:
+    def _add_own(self, key: str, message: Message, stamp_ns: int, publish_ns: int) -> None:
         self._open(key, "json", type(message))
         self._add(key, to_json(message).encode(), stamp_ns, publish_ns)
 
-    def _show(self, topic: str, shown: Any, stamp_ns: int, publish_ns: int) -> None:
+    def _add_for_viewers(self, topic: str, shown: Any, stamp_ns: int, publish_ns: int) -> None:
         self._open(topic, "protobuf", type(shown))
         self._add(topic, shown.SerializeToString(), stamp_ns, publish_ns)
 
     def _open(self, topic: str, encoding: str, kind: type) -> None:
-        """A channel for messages of a kind, where it is not there yet."""
+        """Make a channel for messages of a kind, if it does not exist yet."""
         if topic in self._channels:
             return
         if kind not in self._schemas and encoding == "json":
@@ -217,8 +217,8 @@ class Parts:
         self._pending += len(data)
 
     def commit(self) -> None:
-        """Where it is time, end the chunk and wait until the disk has it; begin a new file, delete old ones.
-        Raises DiskFullError before the disk is."""
+        """If it is time, end the chunk and wait until it is on the disk; begin a new file and delete old
+        ones if necessary. Raises DiskFullError before the disk is full."""
         if not self._pending or (self._pending < _CHUNK_BYTES and time.monotonic() < self._due):
             return
         self._writer.flush()
@@ -241,11 +241,11 @@ class Parts:
         free, left = shutil.disk_usage(self.path.parent).free, self._limits.free
         if free < left:
             raise DiskFullError(
-                f"{free >> 20} MiB are free on the disk, and {left >> 20} are to be left (--free)"
+                f"{free >> 20} MiB are free on the disk, and {left >> 20} must stay free (--free)"
             )
 
     def close(self) -> None:
-        """Write the index, and all that is left; nothing where that is done."""
+        """Write all that is left, and the index; nothing if that is done already."""
         if self._file.closed:
             return
         try:
@@ -254,7 +254,7 @@ class Parts:
             os.fsync(self._file.fileno())
         finally:
             try:
-                self._file.close()  # which on a full disk fails as well
+                self._file.close()  # fails as well on a full disk
             finally:
                 self._closed_at = self._path.stat().st_size
 

@@ -1,7 +1,7 @@
-"""Plays a recording back on the bus: frames, poses and messages at their times, as if the pipeline ran.
+"""Plays a recording on the bus: frames, poses and other messages at their times, as if the pipeline ran.
 
-Stamps are moved to now, together, so that ages and intervals are those of the recording. `huepose poses`,
-`view` and every subscriber take it for a pipeline; each camera epoch of each pass has a number of its own.
+All timestamps are shifted to now together, so that ages and intervals are those of the recording. For
+`huepose poses`, `view` and all subscribers it looks like a pipeline. Each pass gets new camera epochs.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _REORDER_NS = SECOND // 2
 
 
 def in_order(events: Iterable[Event]) -> Iterator[Event]:
-    """Events by the times at which they were said; they are written only nearly so."""
+    """Events in the order of their publish times; in the file they are only nearly in that order."""
     waiting: list[tuple[int, int, Event]] = []
     for number, event in enumerate(events):
         stamp_ns = event.message.publish_ns
@@ -47,7 +47,7 @@ def _is_for_verify(event: Event) -> bool:
 
 
 class Player:
-    """One pass through a recording. Say when it begins, ask `due_ns`, then call `play`."""
+    """One pass through a recording. Call `begin`, then `play` for each event when it is due (`due_ns`)."""
 
     def __init__(self, events: Iterable[Event], bus: Bus, speed: float) -> None:
         self._events = in_order(event for event in events if not _is_for_verify(event))
@@ -58,16 +58,17 @@ class Player:
 
     @property
     def finished(self) -> bool:
-        """Whether all was played."""
+        """Whether all events were played."""
         return self._next is None
 
     @property
     def next_ns(self) -> int:
-        """When its next event was said, in the recording."""
+        """When the next event was published, in the recording; 0 at the end."""
         return 0 if self._next is None else self._next.message.publish_ns
 
     def begin(self, start_ns: int, recorded_ns: int) -> None:
-        """What was said at `recorded_ns` is played at `start_ns`: the same for all that play together."""
+        """Play at `start_ns` what was published at `recorded_ns`: the same times for all that play
+        together."""
         self._start_ns, self._recorded_ns = start_ns, recorded_ns
 
     def due_ns(self) -> int:
@@ -90,7 +91,7 @@ class Player:
             self._bus.put(key, message)
 
     def _now(self, message: Message) -> Message:
-        """The message with its stamps moved, on this machine's clock and of this pass's camera."""
+        """The message with its timestamps shifted to this machine's clock, and the epoch of this pass."""
         changes: dict[str, Any] = {"publish_ns": self._moved(message.publish_ns)}
         for name in ("capture_ns", "mount_ns"):
             stamp_ns = getattr(message, name, None)
@@ -110,7 +111,7 @@ class Player:
         return msgspec.structs.replace(message, **changes)
 
     def _epoch(self, recorded: int) -> int:
-        """The epoch of this pass that stands for a recorded one."""
+        """The epoch of this pass for a recorded one."""
         return self._epochs.setdefault(recorded, secrets.randbits(62))
 
     def _entry(self, entry: ObjectEntry) -> ObjectEntry:

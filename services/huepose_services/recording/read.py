@@ -1,4 +1,4 @@
-"""Reads a recording from its beginning to its end, or to where it was cut off. Only InputError comes out."""
+"""Reads a recording from its beginning to its end, or to where it was cut off. It raises InputError only."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from huepose_protos.messages import FrameHeader, Message
 from huepose_services.recording.parts import COLOR, DEPTH
 
 _MAX_RECORD = 256 * 1024 * 1024
-"""Of a chunk before and after it is unpacked: a file of a few bytes must not fill the memory."""
+"""Bytes of a chunk, before and after it is unpacked: a small file must not fill the memory."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Event:
 
 
 def is_of_ros(path: Path) -> bool:
-    """Whether an MCAP file says of itself that it is of a bag of ROS 2. No file, or a broken one, is none."""
+    """Whether an MCAP file has the profile of ROS 2. False if it is missing or broken."""
     try:
         with path.open("rb") as file:
             first = next(iter(StreamReader(file, record_size_limit=_MAX_RECORD).records), None)
@@ -56,9 +56,9 @@ def is_of_ros(path: Path) -> bool:
 
 
 class Recording:
-    """`events()`: all of it, in the order in which it was written. Afterwards `cut` says why it ended early
-    (empty: it did not), and `notes` what it says of itself, by subject. Raises InputError at once for what is
-    no recording."""
+    """`events()` gives all events, in the order in which they were written. Afterwards `cut` says why the
+    file ended early (empty: it did not), and `notes` has the notes about the recording, by subject. Raises
+    InputError at once for a file that is no recording."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -70,16 +70,17 @@ class Recording:
 
     @property
     def exact(self) -> bool:
-        """Whether its pictures are those that the pipeline had."""
+        """Whether its images are exactly those that the pipeline had."""
         return self.notes.get("huepose", {}).get("color") == "exact"
 
     def events(self) -> Iterator[Event]:
-        """Frames and messages. Raises InputError for what is no recording, or has something else in it."""
+        """Frames and messages. Raises InputError for a file that is no recording, or has wrong messages in
+        it."""
         for _, chunk in self.chunks():
             yield from self.inside(chunk)
 
     def chunks(self) -> Iterator[tuple[int, Chunk]]:
-        """Whole chunks, with their places in the file."""
+        """Complete chunks, with their positions in the file."""
         try:
             with self.path.open("rb") as file:
                 yield from self._chunks(file)
@@ -113,10 +114,10 @@ class Recording:
                     self.cut = ""
                 place = file.tell()
         except (McapError, struct.error, ValueError, OverflowError, MemoryError):
-            return  # what is left is no whole record
+            return  # the rest is no complete record
 
     def chunk(self, place: int) -> Chunk:
-        """The chunk at a place that `chunks` gave."""
+        """The chunk at a position that `chunks` gave."""
         with self.path.open("rb") as file:
             file.seek(place)
             reader = StreamReader(file, skip_magic=True, emit_chunks=True, record_size_limit=_MAX_RECORD)
@@ -126,8 +127,7 @@ class Recording:
         return record
 
     def inside(self, chunk: Chunk, pixels: bool = True) -> Iterator[Event]:
-        """What a chunk holds; nothing where its bytes are not those that were written. Without pixels:
-        headers alone."""
+        """The events in a chunk; none if the chunk is damaged. pixels False: headers only."""
         try:
             records = breakup_chunk(_unpacked(chunk), validate_crc=True)
         except (McapError, RuntimeError, zstandard.ZstdError, struct.error, ValueError) as error:
@@ -150,7 +150,7 @@ class Recording:
             return None
         kind = FrameHeader if topic.endswith("/frame") else kind_of(topic)
         if kind is None or channel.message_encoding != "json" or topic.count("/") < 3:
-            return None  # another program may have added something
+            return None  # another program may have added it
         try:
             message = msgspec.json.decode(record.data, type=kind)
             if not (pixels and isinstance(message, FrameHeader)):
@@ -171,7 +171,7 @@ class Recording:
             ) from None
 
     def _frame(self, key: str, header: FrameHeader, sequence: int) -> Event:
-        """A frame, whose images came right before its header."""
+        """A frame from its header; its images came right before."""
         images = {name: one for name, one in self._images.items() if one.sequence == sequence}
         if set(images) != {COLOR, DEPTH}:
             raise ValueError("a frame without its images")
@@ -205,13 +205,13 @@ def _unpacked(chunk: Chunk) -> Chunk:
 def _color(data: bytes, exact: bool, size: tuple[int, int]) -> Array:
     if exact:
         return _pixels(data, np.dtype(np.uint8), (*size, 3))
-    picture = CompressedImage.FromString(data).data
-    width, height = picture_size(picture) or (0, 0)
+    jpeg = CompressedImage.FromString(data).data
+    width, height = picture_size(jpeg) or (0, 0)
     if (height, width) != size:
-        raise ValueError(f"a picture of {width} x {height}, not {size[1]} x {size[0]}")
-    image = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_COLOR)
+        raise ValueError(f"an image of {width} x {height}, not {size[1]} x {size[0]}")
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        raise ValueError("no picture that can be decoded")
+        raise ValueError("no image that can be decoded")
     return np.ascontiguousarray(image[..., ::-1])
 
 

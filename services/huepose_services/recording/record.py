@@ -1,4 +1,4 @@
-"""Listens to a running pipeline and writes what it hears, until the pipeline's end."""
+"""Records the messages of a running pipeline, until its end."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _GONE_AFTER_S = 1.0
 _ANSWER_WITHIN_S = 2.0
 _LOOK_EVERY_S = 0.5
 _MOST_WAITING = 256 * 1024 * 1024
-"""Bytes of pixels that a slow disk may leave waiting, six seconds at 640 x 480."""
+"""Bytes of pixels that may wait for a slow disk: six seconds at 640 x 480."""
 _PACKAGES = ("huepose", "numpy", "numba", "opencv-python-headless")
 
 
 def about_this_machine() -> dict[str, str]:
-    """What poses may depend on in their last bits."""
+    """The properties of this machine on which the last bits of poses may depend."""
     about = {"python": platform.python_version(), "machine": platform.machine(), "cpu": _cpu()}
     return about | {name: installed_version(name) or "not installed" for name in _PACKAGES}
 
@@ -45,15 +45,16 @@ def _cpu() -> str:
 
 
 class Span:
-    """From when to when a recording is, by the stamps of what is in it. `older`: frames from before it, for
-    which the tracker was asked."""
+    """The time that a recording covers, by the timestamps of its messages. `older`: frames from before the
+    recording, which were requested from the tracker."""
 
     def __init__(self) -> None:
         self.first_ns: int | None = None
         self.older = self._began_ns = self._last_ns = 0
 
     def saw(self, stamp_ns: int, now_ns: int, asked_for: bool = False) -> None:
-        """Something of that stamp is recorded now; asked_for: a frame for which the tracker was asked."""
+        """A message with this timestamp is recorded now; asked_for: a frame that was requested from the
+        tracker."""
         if self.first_ns is None:
             self._began_ns = now_ns
         self.first_ns = stamp_ns if self.first_ns is None else min(self.first_ns, stamp_ns)
@@ -62,29 +63,29 @@ class Span:
 
     @property
     def seconds(self) -> float:
-        """From when the first thing came to the last one's stamp."""
+        """From the arrival of the first message to the last timestamp."""
         return max(self._last_ns - self._began_ns, 0) * 1e-9
 
     @property
     def before_s(self) -> float:
-        """So much older is the oldest thing: the tracker remembers it, and who computes the poses again needs
-        it."""
+        """How much older the oldest message is than the recording: the tracker keeps such frames, and they
+        are needed to compute the poses again."""
         return 0.0 if self.first_ns is None else max(self._began_ns - self.first_ns, 0) * 1e-9
 
 
 class Recorder:
-    """One recording. `finished` says why it is over: the pipeline is gone."""
+    """One recording. `finished` says why it has ended: the pipeline is gone; else it is empty."""
 
     def __init__(self, bus: Bus, parts: Parts, with_frames: bool) -> None:
         self._bus, self._parts = bus, parts
         keys = bus.keys
-        said = (
+        recorded = (
             *(keys.truth, keys.camera_info, keys.request, keys.estimates, keys.correction, keys.objects),
             *(keys.poses, keys.health()),
             *((keys.frame, keys.intake, keys.memory) if with_frames else ()),
         )
-        # In the order in which it comes: what the tracker took in then stands after the frame that it took.
-        self._arrivals = Arrivals(bus.session, said, _MOST_WAITING, self._ask if with_frames else None)
+        # In the order of arrival, so that the log of a tracker's step comes after the frame of that step.
+        self._arrivals = Arrivals(bus.session, recorded, _MOST_WAITING, self._ask if with_frames else None)
         self._live = bus.inbox.liveliness(keys.live())
         self._there: set[str] = set()
         self._gone_since: float | None = None
@@ -100,7 +101,7 @@ class Recorder:
 
     @property
     def lost(self) -> int:
-        """Frames and steps of the tracker that came neither by themselves nor when it was asked for them."""
+        """Frames and steps of the tracker that came neither by themselves nor on request."""
         return self._arrivals.taken.lost
 
     def _ask(self, frames: list[FrameKey], steps: list[int]) -> Iterator[zenoh.Sample]:
@@ -111,7 +112,8 @@ class Recorder:
                 yield reply.ok
 
     def step(self, timeout_s: float) -> None:
-        """Write what arrived; waits so long for the first. Raises OSError for a full disk."""
+        """Write what has arrived; waits up to timeout_s for the first message. Raises OSError for a full
+        disk."""
         self._arrivals.wait(timeout_s)
         while (arrived := self._arrivals.take()) is not None:
             try:
@@ -123,10 +125,10 @@ class Recorder:
                 break
         self._parts.commit()
         self._look_at = time.monotonic() + _LOOK_EVERY_S
-        self._look_who_is_there()
+        self._check_workers()
 
     def close(self) -> None:
-        """Listen no longer."""
+        """End the subscriptions."""
         self._arrivals.close()
 
     def _write(self, arrived: Arrived) -> None:
@@ -147,7 +149,7 @@ class Recorder:
             self.span.saw(message.publish_ns, now_ns())
 
     def _note_models(self, message: MemoryMessage) -> None:
-        """Who computes the poses again needs the same reference models."""
+        """Note the digests of the reference models: computing the poses again needs the same models."""
         fresh = [name for name in message.objects if name not in self._digests]
         if fresh:
             try:
@@ -158,7 +160,7 @@ class Recorder:
                 self._bus.log.warn(f"reference models are not noted: {error}")
             self._parts.note("models", self._digests)
 
-    def _look_who_is_there(self) -> None:
+    def _check_workers(self) -> None:
         while (sample := self._live.take()) is not None:
             key = str(sample.key_expr)
             if sample.kind == zenoh.SampleKind.PUT:

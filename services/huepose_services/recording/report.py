@@ -1,4 +1,4 @@
-"""What came out when the poses of a recording were computed again."""
+"""The result of computing the poses of a recording again."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class Report:
         elif self.steps and self.skipped_first:
             lines.append(
                 f"not checked: the {self.skipped_first} steps before {self.from_s:.2f} s. The tracker ran "
-                "already when the recording began, and remembered pictures from before; its state is "
-                "recorded every five seconds, and this is the first that rests on recorded pictures alone"
+                "already when the recording began, and kept images from before; its state is recorded every "
+                "five seconds, and this is the first state that depends on recorded images alone"
             )
         if later := self.skipped - self.skipped_first:
             lines.append(

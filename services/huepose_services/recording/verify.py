@@ -63,7 +63,7 @@ def verify(recordings: list[Recording], bundles: Path | None = None) -> Report:
     """Verify recordings of one run, in their order. bundles: the folder of the reference models, if they
     moved.
 
-    Raises InputError for a recording that cannot be verified: inexact pictures, other reference models."""
+    Raises InputError for a recording that cannot be verified: inexact images, other reference models."""
     cv2.setNumThreads(1)  # as in the worker
     verifier = _Verifier(recordings, bundles)
     for recording in recordings:
@@ -71,7 +71,7 @@ def verify(recordings: list[Recording], bundles: Path | None = None) -> Report:
             if isinstance(event.message, FrameHeader) and not recording.exact:
                 raise InputError(
                     recording.path,
-                    found="pictures as JPEG",
+                    found="images as JPEG",
                     expected="exact ones",
                     fix="Record without --jpeg.",
                 )
@@ -131,7 +131,7 @@ class _Verifier:
         replay = self._replay
         if replay is not None and replay.seq == message.seq:
             if replay.work.memory().memory != message.memory:
-                self._differs(None, "memory", "what it believes, beside the poses")
+                self._differs(None, "memory", "the tracker's state, beside the poses")
                 return
             self.report.memories += 1
             if replay.recorded_config == message.config:
@@ -177,8 +177,9 @@ class _Verifier:
         return expected is not None
 
     def _unnoted_models(self) -> list[str]:
-        """Those of which no recording says whether they were used, once all that is noted is read: of an
-        object that was added, the note comes later than the object. Raises InputError for other ones."""
+        """The models for which no recording has noted a digest. All notes are read first: for an object
+        that was added, the note comes later than the object. Raises InputError for another model than
+        noted."""
         for recording in self._recordings:
             for _ in recording.chunks():
                 pass
@@ -224,10 +225,10 @@ class _Verifier:
         self.report.without_pose += not poses
         for before, after in zip(was.marks, [*now.marks, *[None] * len(was.marks)], strict=False):
             if before != after:
-                self._differs(was, before.stage, error or "what is believed after it")
+                self._differs(was, before.stage, error or "the tracker's state after it")
                 return
         if (was.clock_ns, len(was.marks)) != (now.clock_ns, len(now.marks)):
-            self._differs(was, "publish", error or "how often it looked at the clock")
+            self._differs(was, "publish", error or "how often it read the clock")
             return
         for pose in poses:
             recorded = self._poses.pop((pose.object, pose.instance, pose.publish_ns), None)

@@ -168,7 +168,7 @@ def test_it_goes_on_in_new_files_and_deletes_the_oldest(tmp_path):
 
 def test_it_ends_before_the_disk_is_full(tmp_path):
     with pytest.raises(
-        InputError, match=r"out\.mcap: found \d+ MiB are free on the disk, and \d+ are to be left"
+        InputError, match=r"out\.mcap: found \d+ MiB are free on the disk, and \d+ must stay free"
     ):
         parts(tmp_path / "out", Limits(2**40, None, free=2**60))
     assert not list(tmp_path.iterdir())
@@ -176,7 +176,7 @@ def test_it_ends_before_the_disk_is_full(tmp_path):
     out._limits = Limits(2**40, None, free=2**60)
     out.frame(*tiny_frame(0), KEY + "frame")
     out._due = 0.0
-    with pytest.raises(DiskFullError, match="are to be left"):
+    with pytest.raises(DiskFullError, match="must stay free"):
         out.commit()
     out.close()
     assert len(list(Recording(out.path).events())) == 1

@@ -1,1 +1,1 @@
-"""Faults in a running pipeline: what is broken, what must hold all the same, and what subscribers saw."""
+"""Injects faults into a running pipeline, and checks what must hold and what subscribers received."""

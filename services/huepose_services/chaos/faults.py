@@ -1,6 +1,6 @@
-"""The faults of a running pipeline, each with what must hold before, while and after it is there.
+"""The faults that can be injected into a running pipeline, each with the checks of its own.
 
-What must hold in all of them is in `outcome`. The numbers are those of docs/reliability.md.
+The checks that all have in common are in `outcome`. The numbers are those of docs/reliability.md.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from huepose_services.cli.objects import ask
 from huepose_services.runtime.clock import now_ns
 
 _LONGER_THAN_KEPT_S = 6.0
-"""At 30 pictures a second, by the configuration as it comes."""
+"""Longer than the tracker keeps frames, at 30 images a second and with the default configuration."""
 
 Strike = Callable[[LivePipeline], AbstractContextManager[list[str]]]
-"""Breaks something as long as it is entered; the list takes what did not hold, in words."""
+"""A context in which the fault is there; the list gets checks that failed, in words."""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """number: in the table; worker: the only one that may die of it; said: what the log must say (a pattern),
-    where it has to be noticed; seconds: for so long it is there; refused: it puts messages on the bus that no
-    reader can read."""
+    """number: in the table; worker: the only one that may die of it; said: a pattern that log or health must
+    show, if the fault has to be noticed; seconds: its duration; refused: it puts messages on the bus that no
+    reader can decode."""
 
     number: int
     name: str
@@ -62,7 +62,7 @@ def _ordered(system: LivePipeline, orders: dict[str, object]) -> Iterator[list[s
 
 
 def camera(number: int, name: str, said: str = "", seconds: float = 4.0, **orders: object) -> Fault:
-    """A fault of the camera, which is all right afterwards."""
+    """A fault of the camera, which works again afterwards."""
     return Fault(number, name, partial(_ordered, orders=orders), said, seconds)
 
 
@@ -74,7 +74,7 @@ def _signalled(worker: str, number: signal.Signals, system: LivePipeline) -> Ite
 
 @contextmanager
 def _without_memory(worker: str, system: LivePipeline) -> Iterator[list[str]]:
-    """Whatever it asks the system for from now on is refused."""
+    """The system refuses all further memory to a worker."""
     pid = system.pids()[worker]
     fields = dict(line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines())
     taken = int(fields["VmSize"].split()[0]) * 1024
@@ -87,7 +87,7 @@ def _without_memory(worker: str, system: LivePipeline) -> Iterator[list[str]]:
 
 @contextmanager
 def _throttled(system: LivePipeline, workers: tuple[str, ...]) -> Iterator[list[str]]:
-    """They run for a third of the time: as a processor that has become too hot."""
+    """These workers run for a third of the time, as on a processor that is too hot."""
     pids = [system.pids()[worker] for worker in workers]
     stopping = threading.Event()
 
@@ -135,18 +135,18 @@ def _flooded(system: LivePipeline) -> Iterator[list[str]]:
 def _intruded(system: LivePipeline, what: str) -> Iterator[list[str]]:
     key = system.pipeline.key
     name = sorted(system.tracking_now() or {"tea_box"})[0]
-    say, rate_hz = {
-        "old frames": (lambda s, f: intruder.say_old_frames(s, f, key("frame")), 30.0),
-        "camera": (lambda s, f: intruder.say_frames_of_another_camera(s, f, key("frame")), 10.0),
-        "masks": (lambda s, f: intruder.say_bad_masks(s, f, key("perception/masks"), name), 5.0),
+    send, rate_hz = {
+        "old frames": (lambda s, f: intruder.send_old_frames(s, f, key("frame")), 30.0),
+        "camera": (lambda s, f: intruder.send_frames_of_another_camera(s, f, key("frame")), 10.0),
+        "masks": (lambda s, f: intruder.send_bad_masks(s, f, key("perception/masks"), name), 5.0),
         "corrections": (
-            lambda s, f: intruder.say_late_corrections(
+            lambda s, f: intruder.send_late_corrections(
                 s, system.corrections, key("correction"), _LONGER_THAN_KEPT_S * system.slow
             ),
             5.0,
         ),
     }[what]
-    with intruder.repeating(system, rate_hz, say):
+    with intruder.repeating(system, rate_hz, send):
         yield []
 
 
@@ -162,8 +162,8 @@ def _gateway_killed(system: LivePipeline) -> Iterator[list[str]]:
 
 
 class Relay:
-    """A cable between a reader and a gateway: listens on `port` of this machine and passes everything on to
-    another, unless `cut`. What is sent then is held, and no end is told."""
+    """A cable between a reader and a gateway: listens on `port` of this machine and forwards everything to
+    another port, unless it is `cut`. Then it holds back what is sent, and closes no connection."""
 
     def __init__(self, to_port: int) -> None:
         self.cut = False
@@ -209,7 +209,7 @@ class Relay:
 
 @contextmanager
 def _cable_cut(system: LivePipeline) -> Iterator[list[str]]:
-    """Nothing passes between gateway and reader for three seconds, and no end is told."""
+    """Nothing passes between gateway and reader for three seconds, and no connection is closed."""
     broken: list[str] = []
     with Relay(system.gateway_port) as relay, PoseClient(f"tcp/127.0.0.1:{relay.port}") as client:
         _expect(broken, "a reader gets poses", lambda: client.latest(max_age_s=1.0) is not None)
@@ -224,11 +224,11 @@ def _cable_cut(system: LivePipeline) -> Iterator[list[str]]:
 
 @contextmanager
 def _many_objects(system: LivePipeline) -> Iterator[list[str]]:
-    """Ten of each are looked for, where there is one."""
+    """Ten instances of each object are searched for, while only one is there."""
     names = {entry.object for entry in _answered(system, "list")}
     for name in names:
         _answered(system, "add", name, 10)
-    yield [] if names else ["no object is looked for"]
+    yield [] if names else ["no object is searched for"]
     for name in names:
         _answered(system, "add", name)
 
@@ -255,7 +255,7 @@ NO_DEPTH = "no depth:"
 _SILENT = "has given no sign of life"
 
 FAULTS: tuple[Fault, ...] = (
-    # What the scene itself gives: once round its loop.
+    # The scene without a fault, once through its loop.
     camera(0, "nothing is broken", seconds=30.0),
     camera(1, "camera unplugged", "the connection is lost", 3.0, unplugged=True),
     camera(2, "last picture for ever", "no new picture for 2 s", 4.0, frozen="stamps"),
@@ -296,7 +296,7 @@ FAULTS: tuple[Fault, ...] = (
         seconds=8.0,
     ),
     Fault(
-        # In the log, which may be silent for minutes where it said so before, or in the tracker's health.
+        # In the log, where repeats may be held back for minutes, or in the tracker's health.
         21,
         "corrections older than what is kept",
         partial(_intruded, what="corrections"),

@@ -1,7 +1,7 @@
-"""Who sits on the bus and should not: repeats what he hears, older, twice, or as another camera's; and says
-on every key what no reader can read.
+"""An intruder on the bus: it sends received messages again, late, twice or as another camera's, and messages
+that no reader can decode, on every key.
 
-Only a program of the same user can; what such a one may do is what a broken worker may.
+Only a program of the same user can do this; it does what a broken worker could do.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ _KEPT = 30
 
 @contextmanager
 def repeating(
-    system: LivePipeline, rate_hz: float, say: Callable[[zenoh.Session, deque[Frame]], None]
+    system: LivePipeline, rate_hz: float, send: Callable[[zenoh.Session, deque[Frame]], None]
 ) -> Iterator[None]:
-    """A session that hears the last second of frames, and says something so often."""
+    """A session that keeps the last second of frames, and calls `send` with them at rate_hz."""
     session = open_reader_session(system.endpoints)
     frames: deque[Frame] = deque(maxlen=_KEPT)
 
@@ -60,7 +60,7 @@ def repeating(
     def work() -> None:
         while not stopping.wait(1.0 / rate_hz):
             if len(frames) == _KEPT:
-                say(session, frames)
+                send(session, frames)
 
     session.declare_subscriber(system.pipeline.key("frame"), hear)
     thread = threading.Thread(target=work, daemon=True)
@@ -73,14 +73,14 @@ def repeating(
         session.close()
 
 
-def say_old_frames(session: zenoh.Session, frames: deque[Frame], key: str) -> None:
-    """One of half a second ago, and the newest a second time."""
+def send_old_frames(session: zenoh.Session, frames: deque[Frame], key: str) -> None:
+    """Send a frame of half a second ago, and the newest a second time."""
     for header, payload in (frames[_KEPT // 2], frames[-1]):
         session.put(key, payload, attachment=encode(header), congestion_control=zenoh.CongestionControl.DROP)
 
 
-def say_frames_of_another_camera(session: zenoh.Session, frames: deque[Frame], key: str) -> None:
-    """The newest, mirrored, as if a second camera had it."""
+def send_frames_of_another_camera(session: zenoh.Session, frames: deque[Frame], key: str) -> None:
+    """Send the newest frame, mirrored, as if a second camera had captured it."""
     header, payload = frames[-1]
     color, depth = frame_images(header, payload)
     _, mirrored = pack({"color": np.fliplr(color), "depth": np.fliplr(depth)})
@@ -88,8 +88,8 @@ def say_frames_of_another_camera(session: zenoh.Session, frames: deque[Frame], k
     session.put(key, mirrored, attachment=encode(foreign), congestion_control=zenoh.CongestionControl.DROP)
 
 
-def say_bad_masks(session: zenoh.Session, frames: deque[Frame], key: str, name: str) -> None:
-    """A mask without a pixel, and one that has not the frame's size."""
+def send_bad_masks(session: zenoh.Session, frames: deque[Frame], key: str, name: str) -> None:
+    """Send a mask without a pixel, and one of another size than the frame's."""
     header, payload = frames[-1]
     i = header.intrinsics
     empty = MaskRuns(width=i.width, height=i.height, runs=[i.width * i.height])
@@ -108,10 +108,10 @@ def say_bad_masks(session: zenoh.Session, frames: deque[Frame], key: str, name: 
         session.put(key, payload, attachment=encode(message))
 
 
-def say_late_corrections(
+def send_late_corrections(
     session: zenoh.Session, corrections: deque[CorrectionMessage], key: str, older_than_s: float
 ) -> None:
-    """Those of long ago with new numbers, and elsewhere than it was right."""
+    """Send corrections of long ago with new numbers, and 0.3 m beside the right position."""
     old = [c for c in list(corrections) if now_ns() - c.capture_ns > older_than_s * 1e9]
     for correction in old[-3:]:
         x, y, z = correction.translation
@@ -121,7 +121,7 @@ def say_late_corrections(
 
 @contextmanager
 def slow_reader(system: LivePipeline, delay_s: float) -> Iterator[list[str]]:
-    """A subscriber that takes so long for each frame and each pose."""
+    """A subscriber that takes delay_s for each frame and each pose."""
     with open_reader_session(system.endpoints) as session:
         for tail in ("frame", "pose/**"):
             session.declare_subscriber(system.pipeline.key(tail), lambda sample: time.sleep(delay_s))
@@ -130,10 +130,10 @@ def slow_reader(system: LivePipeline, delay_s: float) -> Iterator[list[str]]:
 
 @contextmanager
 def hoarder(system: LivePipeline) -> Iterator[list[str]]:
-    """A reader by shared memory that never lets a frame go, so that the camera's pool has no room left."""
+    """A reader by shared memory that never releases a frame, so that the camera's pool has no room left."""
     kept: list[Any] = []
     with zenoh.open(zenoh_config([], [system.endpoints[0]], shared_memory=True)) as session:
-        # Two hundred frames are more than any pool holds, and not the whole of this computer's memory.
+        # Two hundred frames are more than any pool holds, but do not fill this computer's memory.
         session.declare_subscriber(
             system.pipeline.key("frame"), lambda sample: kept.append(sample) if len(kept) < 200 else None
         )
@@ -147,7 +147,7 @@ _OVER_EVERY_CAP = 2 * 1024 * 1024
 
 
 def bad_bytes(good: bytes) -> list[bytes]:
-    """Ways in which the bytes of a message can be wrong: no message may be read from any."""
+    """Variants of the bytes of a message that are wrong: none may be decoded."""
     tree = msgspec.msgpack.decode(good)
     nan, infinite = float("nan"), float("inf")
     reflected = [0.5, 0.5, 0.5, 0.6]  # no unit quaternion: not the rotation of a rigid body
@@ -175,17 +175,17 @@ def bad_bytes(good: bytes) -> list[bytes]:
         )
         if name in tree
     ]
-    spoilt = [msgspec.msgpack.encode(change) for change in changes]
-    return [b"", b"\xc1", b"\xff" * 100, good[:-1], good[: len(good) // 2], good + b"\x00", *spoilt]
+    changed = [msgspec.msgpack.encode(change) for change in changes]
+    return [b"", b"\xc1", b"\xff" * 100, good[:-1], good[: len(good) // 2], good + b"\x00", *changed]
 
 
 _FLOOD_HZ = 1000.0
 
 
 def flood(endpoints: Sequence[str], keys: Keys, seconds: float) -> int:
-    """Send bad messages on every key in turn, from a session of its own; returns how many."""
+    """Send bad messages on every key in turn, from a separate session; returns how many."""
     with open_reader_session(endpoints) as session:
-        time.sleep(0.5)  # the links come up
+        time.sleep(0.5)  # until the links are there
         stream = _stream(keys)
         start, sent = time.monotonic(), 0
         while (passed := time.monotonic() - start) < seconds:
@@ -201,7 +201,8 @@ def flood(endpoints: Sequence[str], keys: Keys, seconds: float) -> int:
 
 
 def _stream(keys: Keys) -> Iterator[tuple[str, bytes, bytes | None]]:
-    """(key, payload, attachment) for ever; now and then one that is over every cap."""
+    """(key, payload, attachment), without end; every 500th is followed by one that is too large for any
+    key."""
     kinds: dict[str, Message] = {type(m).__name__: m for m in messages()}
     small = {
         keys.request: "PerceptionRequest",
@@ -225,7 +226,7 @@ def _stream(keys: Keys) -> Iterator[tuple[str, bytes, bytes | None]]:
     for key, kind in pixels.items():
         good = encode(kinds[kind])
         out += [(key, payload, data) for data in bad_bytes(good)]
-        # A good header with pixels that are not there, too few, or without any header.
+        # A good header with no pixels or too few, and pixels without a header.
         out += [(key, b"", good), (key, payload[:-1], good), (key, payload, None)]
     for number, item in enumerate(cycle(out)):
         yield item

@@ -1,4 +1,4 @@
-"""Memory of the workers over time, as their health says it."""
+"""Memory of the workers over time, from their health."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from huepose_protos.messages import HealthMessage
 Said = Sequence[tuple[float, HealthMessage]]
 _SETTLED_S = 60.0
 _LEAST_S = 300.0
-"""Less than this says nothing of an hour."""
+"""The rate for an hour is not computed from less than this."""
 _JUMPS = 20
-"""At so many of the largest changes a step is tried."""
+"""A step is tried at this many of the largest changes."""
 
 
 @dataclass(frozen=True)
 class Growth:
-    """Memory of a worker while its longest process ran; mib_per_hour: None where that was too short."""
+    """Memory of a worker during its longest process; mib_per_hour: None if that was too short."""
 
     minutes: float
     first_mib: float
@@ -29,16 +29,16 @@ class Growth:
     mib_per_hour: float | None
 
     def __str__(self) -> str:
-        """In words."""
+        """The growth in words."""
         rate = "" if self.mib_per_hour is None else f", {self.mib_per_hour:+.1f} MiB an hour"
         return f"{self.first_mib:.0f} to {self.last_mib:.0f} MiB in {self.minutes:.1f} minutes{rate}"
 
 
 def growth(said: Said, start_s: float, until_s: float) -> dict[str, Growth]:
-    """By worker, of the process that lived longest; a start is none of it.
+    """The growth of each worker, for the process that lived longest, without the time of its start.
 
-    The rate is that of a line with one step in it: what is taken once, at the first large request, is no
-    growth; what is taken again and again is.
+    The rate is the slope of a line with one step: memory that is taken once, at the first large request, is
+    no growth.
     """
     out = {}
     for worker in sorted({m.worker for _, m in said}):
@@ -57,7 +57,7 @@ def growth(said: Said, start_s: float, until_s: float) -> dict[str, Growth]:
 
 
 def _slope(t: Float64, y: Float64) -> float:
-    """Slope of the line with one step that fits best."""
+    """The slope of the line with one step that fits best."""
     fits = []
     for place in np.argsort(-np.abs(np.diff(y)))[:_JUMPS]:
         columns = np.column_stack([t, np.ones_like(t), t > t[place]])

@@ -1,12 +1,12 @@
-"""What became of a fault, and whether what must hold held.
+"""Injects a fault, and checks what must hold.
 
-In every fault: before it, objects are TRACKING. Nobody gets a pose that is not a rigid motion (it could not
-be read), one as TRACKING of a camera that is none, or one as TRACKING that was older than
-`tracker.max_age_ms` when it was published. A pose that is wrong (error over a tenth of the diameter) is
-TRACKING for no more frames than the evaluation of states gives the tracker to notice it, and there are no
-more of these than the poses themselves say, whose quality is the chance of being right. No other worker
-dies. What should be noticed is said, in the log or in the camera's health. Afterwards all workers work and
-objects are TRACKING again. Who reads beside a slow reader gets poses as soon as before.
+For every fault: before it, objects are TRACKING. No subscriber gets a pose that is not a rigid motion (it
+could not be decoded), a TRACKING pose of another camera epoch, or a TRACKING pose that was older than
+`tracker.max_age_ms` when it was published. A wrong pose (error over a tenth of the diameter) is TRACKING
+for no more frames in a row than the evaluation of states allows the tracker to notice it. There are no more
+wrong TRACKING poses than their qualities predict, which are the probabilities of being right. No other
+worker dies. If the fault should be noticed, the log or the workers' health shows it. Afterwards all workers
+work and objects are TRACKING again. With a slow reader, the other readers get poses as soon as before.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from huepose_services.chaos.system import (
 STEADY_OBJECTS = 3
 _AWAY_S = 0.3
 _LATER = 4.0
-"""Times as late as before and after: the median a reader gets beside a fault. A computer that is busy for a
-moment is later by less, a queue that grows by far more."""
+"""How many times later than before and after the fault a reader may get poses in the median. A computer
+that is busy for a moment causes less, a queue that grows far more."""
 
 
 @dataclass
 class Outcome:
-    """Seconds from the fault on; None: it did not come about. tracking_s: 0 when poses that may be acted on
-    were never away for longer than 0.3 s. broken: what did not hold."""
+    """Times are seconds from the fault on; None: it did not happen. tracking_s: until TRACKING poses came
+    again; 0 if they were never missing for longer than 0.3 s. broken: the checks that failed."""
 
     number: int
     fault: str
@@ -52,10 +52,10 @@ class Outcome:
     wrong_tracking: int = 0
     wrong_in_a_row: int = 0
     may_be_wrong: int = 0
-    """As many may be wrong by the quality that they state."""
+    """How many TRACKING poses may be wrong by their quality."""
     of_no_camera: int = 0
     worst: str = ""
-    """Of the wrong ones: its object, its error over the diameter, when it was."""
+    """Of the TRACKING pose with the largest error: object, error over the diameter, time."""
     too_old_tracking: int = 0
     unreadable: int = 0
     others_died: int = 0
@@ -64,7 +64,7 @@ class Outcome:
 
 
 def strike(system: LivePipeline, fault: Fault, patience_s: float, steady_s: float = 2.0) -> Outcome:
-    """Break it, watch, mend it, watch on until all is well again, and judge. steady_s: for so long all has to
+    """Inject the fault, watch, end it, watch until all is well again, and check. steady_s: how long all must
     be well before."""
     outcome = Outcome(fault.number, fault.name)
     if not system.wait_until_steady(STEADY_OBJECTS, patience_s, steady_s):
@@ -102,7 +102,7 @@ def strike(system: LivePipeline, fault: Fault, patience_s: float, steady_s: floa
     outcome.unreadable = 0 if fault.refused else system.reader.refused - refused
     now = system.pids()
     outcome.others_died = sum(now.get(w) != pid for w, pid in before.items() if w != fault.worker)
-    # A computer that is busy meanwhile is so before or after as well, mostly.
+    # A computer that is busy during the fault is mostly busy before or after it as well.
     calm_ms = max(calm_ms, _late_ms([p for p in seen if p.at > end]))
     outcome.broken = [*broken, *_broken(outcome, fault, steady, calm_ms)]
     return outcome
@@ -118,14 +118,14 @@ def _notice(outcome: Outcome, fault: Fault, system: LivePipeline, log_length: in
 
 def _broken(o: Outcome, fault: Fault, steady: bool, calm_ms: float) -> list[str]:
     found = [
-        (o.unreadable > 0, f"{o.unreadable} messages of its own could not be read"),
+        (o.unreadable > 0, f"{o.unreadable} messages of the pipeline could not be decoded"),
         (
             o.wrong_in_a_row > SUSPECT_WITHIN_FRAMES,
             f"{o.wrong_in_a_row} wrong TRACKING poses in a row (worst: {o.worst})",
         ),
         (
             o.wrong_tracking > o.may_be_wrong,
-            f"{o.wrong_tracking} wrong TRACKING poses, {o.may_be_wrong} by what they say (worst: {o.worst})",
+            f"{o.wrong_tracking} wrong TRACKING poses, {o.may_be_wrong} by their quality (worst: {o.worst})",
         ),
         (o.of_no_camera > 0, f"{o.of_no_camera} TRACKING poses were of another camera"),
         (o.too_old_tracking > 0, f"{o.too_old_tracking} TRACKING poses were too old"),
@@ -145,7 +145,8 @@ def _late_ms(poses: Sequence[SeenPose]) -> float:
 
 
 def back_after(tracking: Iterable[SeenPose], start: float, end: float) -> float | None:
-    """When TRACKING poses came again after they had been away; 0 when they never were."""
+    """When the last gap in TRACKING poses ended, in seconds from start; 0 without a gap, None if it did not
+    end."""
     times = [start, *sorted({p.at for p in tracking}), end]
     away = [(a, b) for a, b in pairwise(times) if b - a > _AWAY_S]
     if not away:
@@ -167,13 +168,13 @@ _HEAD = (
 
 
 def table(outcomes: Iterable[Outcome]) -> str:
-    """As Markdown."""
+    """The table in Markdown."""
     head, *rows = (f"| {' | '.join(row)} |" for row in (_HEAD, *map(cells, outcomes)))
     return "\n".join([head, "|---" * len(_HEAD) + "|", *rows])
 
 
 def cells(o: Outcome) -> tuple[str, ...]:
-    """One row."""
+    """One row of the table."""
 
     def seconds(value: float | None) -> str:
         return "-" if value is None else "never away" if value == 0.0 else f"{value:.1f} s"

@@ -1,7 +1,7 @@
-"""A pipeline on the built-in scene as its operator and its subscribers see it: for soaks and for faults.
+"""A pipeline on the built-in scene, as its operator and its subscribers see it: for soak tests and faults.
 
-It is started by `huepose up` in a folder of its own and listened to over the bus like by anyone; what it says
-of itself is read in its log and its health. Its camera does wrong what it is ordered to.
+`huepose up` starts it in a temporary folder. Its messages are read over the bus as by any subscriber,
+together with its log and its health. Its camera has the faults that it is ordered to have.
 """
 
 from __future__ import annotations
@@ -49,20 +49,20 @@ from huepose_services.runtime.running import Pipeline, pick
 
 _OLD_CORRECTIONS = 400
 
-_TIED_UP = """
+_UP_TIED_TO_PARENT = """
 import sys
 from huepose_services.runtime.tied import end_with
 end_with(int(sys.argv[1]), ask_first=True)
 from huepose_services.cli.main import main
 sys.exit(main(["up", sys.argv[2]]))
 """
-"""`huepose up` that ends with the process that started it, however that one ended."""
+"""`huepose up` that ends with the process that started it, in whatever way that one ended."""
 
 
 @dataclass(frozen=True)
 class SeenPose:
-    """A pose message as it arrived: `age_ms` when it was published, `late_ms` when it arrived; `error` is
-    ADD over the diameter, None without pose or truth; `quality`: how sure it says it is."""
+    """A pose message as it arrived. `age_ms`, `late_ms`: milliseconds from capture to publication and to
+    arrival; `error`: ADD over the diameter, None without pose or truth; `quality`: of the message."""
 
     at: float
     age_ms: float
@@ -76,13 +76,13 @@ class SeenPose:
 
 
 class LivePipeline:
-    """Runs as long as the `with` block. All times are time.monotonic() seconds."""
+    """A pipeline that runs as long as the `with` block. All times are time.monotonic() seconds."""
 
     def __init__(self, *, live: bool = False, slow: float = 1.0) -> None:
-        """live: by a live camera that does wrong what `order` says; else as a recording is played. slow: so
-        many times fewer pictures a second, and as much more time for everything."""
+        """live: with a live camera with the faults of `order`; else the scene is played like a recording.
+        slow: how many times fewer images a second, and how many times longer the time limits."""
         bundles = builtin_bundles(0)
-        SyntheticScene(0)  # computed here where it is not in the cache
+        SyntheticScene(0)  # computed here if it is not in the cache
         self.slow, self.max_age_ms = slow, 300.0 * slow
         self._yardsticks = {
             name: Yardstick.of(model.eval_points, model.diameter_m, model.equivalents, at_most=500)
@@ -106,7 +106,7 @@ class LivePipeline:
                     "tracker": {"max_age_ms": self.max_age_ms},
                     "reinit": {"deadline_ms": int(600 * slow)},
                     "gateway": {"listen": f"127.0.0.1:{self.gateway_port}"},
-                    # Each fault is one death: none shall be given up for having died in the faults before.
+                    # Each fault is one death: no worker may be given up for its deaths in earlier faults.
                     "restarts": {"limit": 100, "hung_after_s": 2.0 * slow},
                     "bus": {"base_port": self.base_port},
                 }
@@ -118,7 +118,7 @@ class LivePipeline:
         self.estimates: list[float] = []
         self.truths: list[float] = []
         self.epochs: set[int] = set()
-        """Of the camera of this pipeline, as it says itself."""
+        """Camera epochs of this pipeline, from its ground truth messages."""
         self.corrections: deque[CorrectionMessage] = deque(maxlen=_OLD_CORRECTIONS)
         self._truth: dict[tuple[int, int, str], TruthObject] = {}
         self._stopping = False
@@ -127,7 +127,7 @@ class LivePipeline:
         with ExitStack() as opened:
             opened.callback(shutil.rmtree, self._folder, ignore_errors=True)
             log = opened.enter_context((self._folder / "log").open("w+"))
-            command = [sys.executable, "-c", _TIED_UP, str(os.getpid()), str(self.path)]
+            command = [sys.executable, "-c", _UP_TIED_TO_PARENT, str(os.getpid()), str(self.path)]
             process = subprocess.Popen(command, stderr=log, stdout=log)
             opened.callback(process.wait, 10.0)
             opened.callback(process.send_signal, signal.SIGTERM)
@@ -137,7 +137,7 @@ class LivePipeline:
             listener = threading.Thread(target=self._listen, daemon=True)
             listener.start()
             opened.callback(listener.join, 2.0)
-            # What was opened is closed by __exit__ from here on, and by this block where it is left before.
+            # From here on __exit__ closes what was opened; if this block ends before, it does so itself.
             self._opened = opened.pop_all()
         return self
 
@@ -152,16 +152,16 @@ class LivePipeline:
 
     @property
     def pipeline(self) -> Pipeline:
-        """As the commands that attach to it know it."""
+        """The pipeline, as commands find it."""
         return pick(self.path)
 
     def order(self, **changes: object) -> None:
-        """What the camera shall do wrong from now on; nothing: without changes."""
+        """Set the camera's faults from now on; without changes: none."""
         with whole(self._orders) as part:
             part.write_bytes(msgspec.json.encode(msgspec.convert(changes, Orders)))
 
     def forget(self) -> None:
-        """What subscribers saw until now."""
+        """Forget the messages that came until now."""
         for seen in (self.poses, self.truths, self.estimates):
             seen.clear()
 
@@ -171,7 +171,7 @@ class LivePipeline:
         return {last(key) for key in list(self.reader.live)}
 
     def pids(self) -> dict[str, int]:
-        """Process numbers of the workers, as they say themselves."""
+        """Process numbers of the workers, from their health."""
         return {worker: message.pid for worker, message in self.health.items()}
 
     def log(self) -> str:
@@ -219,8 +219,8 @@ class LivePipeline:
         return {p.name for p in self.poses[-200:] if p.at > since and p.state == "TRACKING"}
 
     def wait_until_steady(self, objects: int, within_s: float, for_s: float = 2.0) -> bool:
-        """Until all workers said that they work, and so many objects were TRACKING for a while; whether that
-        came about."""
+        """Wait until all workers have reported that they work, and this many objects were TRACKING for for_s.
+        Returns whether that happened."""
         start = time.monotonic()
         until, since = start + within_s, None
         while time.monotonic() < until:
@@ -234,9 +234,9 @@ class LivePipeline:
         return False
 
     def _all_work(self, start: float) -> bool:
-        """Whether each worker is there, and said since then that it works: its loop does, or it could not."""
-        said = {w for w, m in self.health.items() if m.publish_ns > start * 1e9 and m.state == "ready"}
-        return len(self.live) == len(self.workers) and said >= set(self.workers)
+        """Whether each worker is there and has reported since `start` that it is ready: so its loop runs."""
+        ready = {w for w, m in self.health.items() if m.publish_ns > start * 1e9 and m.state == "ready"}
+        return len(self.live) == len(self.workers) and ready >= set(self.workers)
 
 
 def gaps_s(poses: list[SeenPose], start: float, end: float) -> list[float]:
@@ -254,19 +254,20 @@ def _is_wrong(pose: SeenPose) -> bool:
 
 
 def wrong(poses: list[SeenPose]) -> int:
-    """TRACKING poses that are not right."""
+    """The number of TRACKING poses that are wrong."""
     return sum(map(_is_wrong, poses))
 
 
 def may_be_wrong(poses: list[SeenPose]) -> int:
-    """How many TRACKING poses may be wrong if each is right as often as its quality says: more come about
-    once in a thousand times (Poisson, which is a little more than the sum of unequal chances has)."""
-    told = [1.0 - p.quality for p in poses if p.state == "TRACKING" and p.error is not None]
-    return int(poisson.ppf(0.999, sum(told))) if told else 0
+    """How many TRACKING poses may be wrong if the quality of each is its probability of being right: the
+    probability of more is one in a thousand (Poisson, which is slightly wider than a sum of unequal
+    chances)."""
+    chances = [1.0 - p.quality for p in poses if p.state == "TRACKING" and p.error is not None]
+    return int(poisson.ppf(0.999, sum(chances))) if chances else 0
 
 
 def longest_wrong(poses: list[SeenPose]) -> int:
-    """The most messages in a row of one instance that were TRACKING and not right."""
+    """The most messages in a row of one instance that were TRACKING and wrong."""
     runs: dict[tuple[str, int, int], int] = {}
     longest = 0
     for p in poses:
@@ -277,5 +278,6 @@ def longest_wrong(poses: list[SeenPose]) -> int:
 
 
 def too_old(poses: list[SeenPose], max_age_ms: float) -> int:
-    """TRACKING poses published at more than their age limit; a millisecond for the encoding."""
+    """The number of TRACKING poses that were older than the limit when published; 1 ms is allowed for
+    encoding."""
     return sum(p.state == "TRACKING" and p.age_ms > max_age_ms + 1.0 for p in poses)

@@ -1,4 +1,4 @@
-"""What several tests of meshes look at."""
+"""A textured box for the mesh tests."""
 
 from __future__ import annotations
 

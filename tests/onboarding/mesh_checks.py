@@ -1,4 +1,4 @@
-"""How meshes that were read are compared, and their colours looked up."""
+"""Compare meshes and look up their colours."""
 
 from __future__ import annotations
 

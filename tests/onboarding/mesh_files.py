@@ -83,7 +83,7 @@ def write_colored_ply(path: Path, vertices: np.ndarray, colors: np.ndarray, face
 
 
 def glb(tree: dict, chunk: bytes) -> bytes:
-    """A binary glTF of its parts."""
+    """A binary glTF with this JSON tree and this binary chunk."""
     text = json.dumps(tree).encode()
     text += b" " * (-len(text) % 4)
     chunk += b"\0" * (-len(chunk) % 4)
@@ -98,7 +98,7 @@ def glb(tree: dict, chunk: bytes) -> bytes:
 
 
 class GlbWriter:
-    """Collects arrays and pictures into one buffer."""
+    """Collects arrays and images in one buffer."""
 
     def __init__(self) -> None:
         self.chunk = b""
@@ -153,8 +153,8 @@ def write_glb(
     sampler: dict | None = None,
     material: dict | None = None,
 ) -> None:
-    """A textured mesh in metres, under one node; its texture's sampler, and another material than with that
-    texture as base colour."""
+    """Write a textured mesh in metres under one node. `sampler` is that of the texture; `material` replaces
+    the material whose base colour is the texture."""
     w = GlbWriter()
     attributes = w.corners(mesh)
     indices = w.accessor(np.arange(3 * len(mesh.faces)).astype("<u2"), "SCALAR")
@@ -168,8 +168,8 @@ def write_glb(
 
 
 def write_gltf(folder: Path, mesh: Mesh, uv: tuple[str, np.ndarray] | None = None, **changes: object) -> Path:
-    """A .gltf with buffer m.bin and texture print.png beside it; uv: another name and other values (N, 2) of
-    the texture coordinates; `changes` replace parts of its tree."""
+    """A .gltf with buffer m.bin and texture print.png beside it; `uv`: the attribute name and
+    the values (N, 2) of other texture coordinates; `changes` replace parts of the JSON tree."""
     w = GlbWriter()
     attributes = w.corners(mesh)
     if uv is not None:

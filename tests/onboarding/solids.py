@@ -17,8 +17,8 @@ SIDES = {  # outward axis, and the two axes that span the side so that their cro
 
 
 def box(extents: tuple[float, float, float], pictures: dict[str, np.ndarray] | None = None) -> Mesh:
-    """A box about its centre; each side shows its picture (64, 64, 3), columns along the first spanning axis
-    and rows along the second; grey where there is none."""
+    """A box about its centre; each side shows its image (64, 64, 3), columns along the first spanning axis
+    and rows along the second. A side without an image is grey."""
     half = np.array(extents) / 2.0
     size = 64
     vertices, faces, uv = [], [], []
@@ -39,14 +39,14 @@ def box(extents: tuple[float, float, float], pictures: dict[str, np.ndarray] | N
 
 
 def printed_box(extents: tuple[float, float, float], seed: int = 0) -> Mesh:
-    """A box whose sides are all of noise: every texel is used."""
+    """A box with random texture on all sides: every texel is used."""
     rng = np.random.default_rng(seed)
     return box(extents, {side: rng.integers(0, 256, (64, 64, 3)).astype(np.uint8) for side in SIDES})
 
 
 def lathe(profile: list[tuple[float, float]], texture: np.ndarray, segments: int = 64) -> Mesh:
-    """A profile of (radius, z) turned about z, from the bottom to the top, the texture wrapped round it:
-    columns are angles, rows go along the profile. Ends of zero radius close it."""
+    """The surface of revolution of a profile of (radius, z) from bottom to top, with the texture wrapped
+    round it: columns are angles, rows go along the profile. Ends of zero radius close it."""
     angles = 2 * np.pi * np.arange(segments + 1) / segments
     p = np.array(profile)
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
@@ -87,12 +87,12 @@ def cylinder(radius: float, height: float, texture: np.ndarray | None = None) ->
 
 
 def plain(color: tuple[int, int, int] = (180, 60, 50), size: int = 64) -> np.ndarray:
-    """A picture of one colour."""
+    """An image of one colour."""
     return np.full((size, size, 3), color, np.uint8)
 
 
 def joined(*meshes: Mesh) -> Mesh:
-    """Meshes that share the first one's texture, as one."""
+    """One mesh of several; all use the texture of the first."""
     offsets = np.cumsum([0] + [len(m.vertices) for m in meshes])
     return Mesh(
         np.concatenate([m.vertices for m in meshes]),

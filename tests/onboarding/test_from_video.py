@@ -1,4 +1,4 @@
-"""A mesh from a recording: drawn sequences of an object that turns, with exact truth."""
+"""A mesh from a recording: rendered sequences of a rotating object, with exact ground truth."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from huepose.scenes.shapes import demo_objects
 from huepose.support.errors import InputError
 
 pytest.importorskip("open3d")
-LEARN = import_module("huepose.onboarding.from_video.learn")  # the function of that name hides it
-pytestmark = pytest.mark.timeout(400)  # the first that asks makes the mesh, for all
+LEARN = import_module("huepose.onboarding.from_video.learn")  # the package exports a function of this name
+pytestmark = pytest.mark.timeout(400)  # the first test makes the mesh for all
 
 CAMERA = Camera(330.0, 330.0, 159.5, 119.5, 320, 240)
 MIDDLE_CAM = np.array([0.0, 0.0, 0.5])
@@ -45,7 +45,7 @@ def pose(angle: float) -> Float64:
     return se3.make(upright(angle), MIDDLE_CAM)
 
 
-def drawn(T_cam_obj: Float64, number: int, *, hand: tuple[Mesh, Float64] | None = None) -> RgbdFrame:
+def rendered(T_cam_obj: Float64, number: int, *, hand: tuple[Mesh, Float64] | None = None) -> RgbdFrame:
     ground = se3.make(upright(0.0), MIDDLE_CAM + float(BOX.vertices[:, 2].min()) * UP_ROOM)
     scene = [(BOX, T_cam_obj), (table(), ground)] + ([] if hand is None else [hand])
     seen = render(scene, CAMERA)
@@ -71,34 +71,34 @@ def off_m(points: Float64) -> Float64:
 @cache
 def learned() -> Learned:
     poses = [pose(np.radians(STEP_DEG * k)) for k in range(FRAMES)]
-    return learn((drawn(T, k) for k, T in enumerate(poses)), box_of(poses[0]))
+    return learn((rendered(T, k) for k, T in enumerate(poses)), box_of(poses[0]))
 
 
-def test_the_surface_that_was_seen_is_the_true_one() -> None:
+def test_the_seen_surface_is_the_true_one() -> None:
     made = learned()
     T_true_made = se3.inverse(pose(np.radians(STEP_DEG * (FRAMES // 2)))) @ made.T_cam_obj[FRAMES // 2]
     off = off_m(se3.apply(T_true_made, made.mesh.vertices[made.seen]))
     assert off.mean() < 0.001
     assert np.percentile(off, 90) < 0.003
     assert np.abs(np.ptp(made.mesh.vertices, axis=0) - np.ptp(BOX.vertices, axis=0)).max() < 0.02
-    assert 0.5 < made.surface < 0.9  # not the underside, nor the side that faced away
+    assert 0.5 < made.surface < 0.9  # without the underside and the side that faced away
 
 
-def test_its_frame_is_in_the_middle_and_upright() -> None:
+def test_the_origin_is_in_the_middle_and_z_points_up() -> None:
     vertices = learned().mesh.vertices
     assert np.allclose((vertices.min(0) + vertices.max(0)) / 2, 0.0, atol=1e-4)
     up = learned().T_cam_obj[0][:3, 2]
     assert np.degrees(np.arccos(up @ UP_ROOM)) < 2.0
 
 
-def test_the_poses_follow_the_turn() -> None:
+def test_the_poses_follow_the_rotation() -> None:
     made = learned()
     assert len(made.T_cam_obj) == made.frames == FRAMES
     turned = [se3.rotation_angle(made.T_cam_obj[0][:3, :3], T[:3, :3]) for T in made.T_cam_obj.values()]
     assert np.allclose(np.degrees(turned), STEP_DEG * np.arange(FRAMES), atol=1.5)
 
 
-def test_the_print_is_where_it_was() -> None:
+def test_the_texture_is_in_the_right_place() -> None:
     made, number = learned(), FRAMES // 2
     now = render([(made.mesh, made.T_cam_obj[number])], CAMERA)
     true = render([(BOX, pose(np.radians(STEP_DEG * number)))], CAMERA)
@@ -113,15 +113,15 @@ def test_the_first_mask_is_the_object_above_the_table(how: str) -> None:
     T = pose(0.4)
     true = render([(BOX, T)], CAMERA, color=False).depth > 0
     selection = box_of(T) if how == "box" else Selection(click=(160.0, 118.0))
-    mask, _, ground = first_mask(drawn(T, 0), selection)
+    mask, _, ground = first_mask(rendered(T, 0), selection)
     assert (mask & true).sum() > 0.9 * true.sum()
     assert (mask & ~true).sum() < 0.02 * true.sum()
     assert ground is not None
     assert np.degrees(np.arccos(ground[:3] @ UP_ROOM)) < 1.0
 
 
-def test_the_table_and_holes_are_refused_as_an_object() -> None:
-    frame = drawn(pose(0.0), 0)
+def test_a_selection_of_the_table_or_without_depth_is_refused() -> None:
+    frame = rendered(pose(0.0), 0)
     with pytest.raises(InputError, match=r"a surface over \d+ % of the image"):
         first_mask(frame, Selection(click=(40.0, 200.0)))
     blind = RgbdFrame(frame.color, np.zeros_like(frame.depth), CAMERA)
@@ -137,15 +137,17 @@ def test_the_table_and_holes_are_refused_as_an_object() -> None:
         (Selection(click=(-1.0, 10.0)), "--click -1 10: expected X Y"),
     ],
 )
-def test_what_points_outside_of_the_picture_is_told_its_size(selection: Selection, given: str) -> None:
+def test_a_selection_outside_the_image_is_refused_with_the_image_size(
+    selection: Selection, given: str
+) -> None:
     with pytest.raises(InputError) as error:
-        first_mask(drawn(pose(0.0), 0), selection)
+        first_mask(rendered(pose(0.0), 0), selection)
     assert str(error.value).startswith(given)
     assert f"in the image of {CAMERA.width} x {CAMERA.height}" in str(error.value)
 
 
-def test_a_wall_that_was_clicked_is_refused_as_an_object() -> None:
-    """One seen at a slant covers a third of the picture, and is as wide as it is far."""
+def test_a_click_on_a_wall_is_refused() -> None:
+    """An oblique wall that covers a third of the image and is as wide as it is far away."""
     depth = np.tile(1.0 / np.linspace(0.4, 2.0, CAMERA.height), (CAMERA.width, 1)).T.astype(np.float32)
     depth[:, 110:] = 0.0
     wall = RgbdFrame(np.full((*depth.shape, 3), 128, np.uint8), depth, CAMERA)
@@ -153,24 +155,24 @@ def test_a_wall_that_was_clicked_is_refused_as_an_object() -> None:
         learn([wall, wall], Selection(click=(50.0, 120.0)))
 
 
-def test_an_object_that_stands_still_is_refused() -> None:
+def test_an_object_that_does_not_move_is_refused() -> None:
     with pytest.raises(InputError, match="rotated by less than 5 degrees"):
-        learn((drawn(pose(0.0), k) for k in range(3)), box_of(pose(0.0)))
+        learn((rendered(pose(0.0), k) for k in range(3)), box_of(pose(0.0)))
 
 
-def test_an_object_that_leaves_is_refused_with_the_reason() -> None:
+def test_an_object_that_leaves_the_image_is_refused_with_the_reason() -> None:
     gone = se3.make(np.eye(3), np.array([0, 0, 5.0]))
-    frames = [drawn(pose(0.0), 0), *(drawn(gone, k) for k in range(1, 5))]
+    frames = [rendered(pose(0.0), 0), *(rendered(gone, k) for k in range(1, 5))]
     with pytest.raises(InputError, match=r"tracked in only 1 of 5 frames; .*Turn it more slowly"):
         learn(frames, box_of(pose(0.0)))
 
 
 def turning(count: int, step_deg: float = 6.0) -> list[RgbdFrame]:
-    return [drawn(pose(np.radians(step_deg * k)), k) for k in range(count)]
+    return [rendered(pose(np.radians(step_deg * k)), k) for k in range(count)]
 
 
 def scaled(frame: RgbdFrame, factor: float) -> RgbdFrame:
-    """A frame as a camera of another resolution gives it."""
+    """The frame at another resolution of the camera."""
     camera = frame.camera.scaled(factor)
     size = (camera.width, camera.height)
     color = np.asarray(cv2.resize(frame.color, size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -179,7 +181,7 @@ def scaled(frame: RgbdFrame, factor: float) -> RgbdFrame:
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
-def test_pictures_whose_size_changes_are_followed_and_no_flow_is_sought_between_two_sizes(
+def test_tracking_survives_a_change_of_image_size_without_flow_across_it(
     factor: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     frames, pairs = turning(4), []
@@ -198,7 +200,7 @@ def test_pictures_whose_size_changes_are_followed_and_no_flow_is_sought_between_
     assert np.degrees(turned) == pytest.approx(18.0, abs=1.0)
 
 
-def test_an_object_that_is_all_rim_is_refused_and_how_to_record_it_is_said() -> None:
+def test_a_too_thin_object_is_refused_with_how_to_record_it() -> None:
     across = np.array([0.14, 0.004, 0.004]) / np.ptp(BOX.vertices, axis=0)
     pencil = replace(BOX, vertices=(BOX.vertices * across).astype(np.float32))
     T = se3.make(upright(0.0), MIDDLE_CAM)
@@ -211,7 +213,7 @@ def test_an_object_that_is_all_rim_is_refused_and_how_to_record_it_is_said() -> 
         learn([frame, frame], Selection(box.grown(0.08)))
 
 
-def test_a_view_of_the_rim_alone_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_view_that_shows_only_rims_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     view_at = LEARN.view_at
 
     def narrow(frame: RgbdFrame, *about: object) -> View:
@@ -225,10 +227,10 @@ def test_a_view_of_the_rim_alone_is_not_kept(monkeypatch: pytest.MonkeyPatch) ->
     assert (made.views, len(made.T_cam_obj)) == (2, 3)
 
 
-def test_the_poses_of_frames_move_with_their_views_when_a_loop_is_closed(
+def test_poses_of_frames_move_with_their_views_when_a_loop_is_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As there, views of before move when a later one comes; the mesh is made of them where they are then."""
+    """Closing a loop moves earlier views; the mesh is made from the views at their final poses."""
     views: list[View] = []
 
     def closed(track: LEARN._Track) -> bool:
@@ -250,7 +252,7 @@ def test_the_poses_of_frames_move_with_their_views_when_a_loop_is_closed(
         np.testing.assert_allclose(made.T_cam_obj[number], view.T_cam_obj @ T_old_new, atol=1e-9)
 
 
-def test_a_view_that_shows_nothing_after_all_leaves_the_poses_of_the_others(
+def test_a_view_whose_mask_becomes_empty_leaves_the_other_poses_as_they_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     masks = LEARN.object_mask
@@ -267,12 +269,12 @@ def test_a_view_that_shows_nothing_after_all_leaves_the_poses_of_the_others(
     assert np.allclose(np.degrees(turned), [0.0, 6.0, 12.0], atol=1.0)
 
 
-def test_what_holds_the_object_elsewhere_later_is_seen_through() -> None:
-    """A view in which the place of a finger was free says so; one that looks at its front does not."""
+def test_a_finger_that_is_gone_later_is_a_free_space_violation() -> None:
+    """Of two views, one shows the finger, the other shows free space there: one vote each."""
     T = pose(0.0)
     finger = sheet(0.02, 0.02, np.full((8, 8, 3), 180, np.uint8))
     at = se3.make(upright(0.0) @ se3.rotation_exp(np.array([np.pi / 2, 0, 0])), MIDDLE_CAM - [0, 0, 0.07])
-    frame, free = drawn(T, 0, hand=(finger, at)), drawn(T, 1)
+    frame, free = rendered(T, 0, hand=(finger, at)), rendered(T, 1)
     everywhere, nowhere = np.ones(frame.depth.shape, bool), np.zeros(frame.depth.shape, bool)
     held, bare = (View(f, everywhere, nowhere, T, None) for f in (frame, free))
     place = se3.apply(se3.inverse(T), at[:3, 3][None])
@@ -281,13 +283,13 @@ def test_what_holds_the_object_elsewhere_later_is_seen_through() -> None:
 
 
 def ring(count: int) -> list[View]:
-    frame = drawn(pose(0.0), 0)
+    frame = rendered(pose(0.0), 0)
     mask = np.zeros(frame.depth.shape, bool)
     return [View(frame, mask, mask, pose(2 * np.pi * k / count), None) for k in range(count)]
 
 
-def test_a_closed_turn_shares_out_its_error() -> None:
-    """Each step of twelve errs by half a degree: the last view is almost six degrees off before."""
+def test_loop_closure_distributes_the_drift() -> None:
+    """Each step drifts by half a degree: before loop closure, the last of 12 views is off by 5.5 degrees."""
     views, drift = ring(12), np.radians(0.5)
     drifted = [v.at(v.T_cam_obj @ se3.make(upright_z(drift * k), np.zeros(3))) for k, v in enumerate(views)]
     edges = [Edge(k, k + 1, edge(drifted[k], drifted[k + 1]), False) for k in range(11)]
@@ -297,7 +299,7 @@ def test_a_closed_turn_shares_out_its_error() -> None:
     assert off_deg(closed[6], views[6]) < off_deg(drifted[6], views[6])
 
 
-def test_a_wrong_closing_is_left_out() -> None:
+def test_a_wrong_loop_closure_is_rejected() -> None:
     views = ring(12)
     edges = [Edge(k, k + 1, edge(views[k], views[k + 1]), False) for k in range(11)]
     right = Edge(0, 11, edge(views[0], views[11]), True)

@@ -1,4 +1,4 @@
-"""Files that are no textured mesh are named, with what to do."""
+"""The error for a file that is no textured mesh names the file and says what to do."""
 
 from __future__ import annotations
 
@@ -106,10 +106,10 @@ def test_a_mesh_without_any_colour_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("library", ["mtllib gone.mtl\n", ""])
 @pytest.mark.parametrize("colors", [("1 0 0", "0 0 1"), ("1 1 1", "1 1 1")])
-def test_a_lost_material_file_is_noted_where_the_vertices_have_colours(
+def test_a_missing_material_file_is_noted_if_the_vertices_have_colours(
     tmp_path: Path, library: str, colors: tuple[str, str]
 ) -> None:
-    """White at all of them is what exporters write where there are none."""
+    """Exporters write white at all vertices if there are no colours."""
     places = ("0 0 0", "30 0 0", "0 30 0", "0 0 30")
     vertices = "".join(f"v {place} {colors[k % 2]}\n" for k, place in enumerate(places))
     (tmp_path / "m.obj").write_text(f"{library}{vertices}usemtl print\nf 1 2 3\nf 1 2 4\n")
@@ -124,7 +124,7 @@ def test_a_lost_material_file_is_noted_where_the_vertices_have_colours(
     assert all("the material file gone.mtl, which the mesh names, is missing;" in n for n in notes)
 
 
-def test_a_texture_under_colours_of_a_gltf_is_refused(tmp_path: Path, printed_box: Mesh) -> None:
+def test_a_gltf_with_texture_and_vertex_colours_is_refused(tmp_path: Path, printed_box: Mesh) -> None:
     w = files.GlbWriter()
     attributes = w.corners(printed_box) | {
         "COLOR_0": w.accessor(np.tile(np.array([[0, 1, 0]], "<f4"), (36, 1)), "VEC3"),
@@ -136,10 +136,10 @@ def test_a_texture_under_colours_of_a_gltf_is_refused(tmp_path: Path, printed_bo
 
 
 @pytest.mark.parametrize("away_mm", [5e5, 5e6])
-def test_a_mesh_in_the_coordinates_of_a_map_is_refused(
+def test_a_mesh_kilometres_from_its_origin_is_refused(
     tmp_path: Path, printed_box: Mesh, away_mm: float
 ) -> None:
-    """80 mm at half a kilometre are rounded by 0.03 mm, at 5 km by half a millimetre."""
+    """Half a kilometre away, a coordinate is rounded by 0.03 mm, 5 km away by half a millimetre."""
     files.write_obj(tmp_path / "m.obj", printed_box)
     lines = (tmp_path / "m.obj").read_text().splitlines()
     moved = [f"v {float(x.split()[1]) + away_mm} {' '.join(x.split()[2:])}" for x in lines if x[:2] == "v "]
@@ -202,7 +202,7 @@ def test_extensions_that_change_the_mesh_are_refused_by_name(
         ("m.3mf", b"<!doctype html><html>", "found a web page (HTML); expected the mesh. The download"),
     ],
 )
-def test_a_file_that_is_no_mesh_is_named_for_what_it_is(
+def test_the_type_of_a_file_that_is_no_mesh_is_named(
     tmp_path: Path, name: str, content: bytes, said: str
 ) -> None:
     (tmp_path / name).write_bytes(content)
@@ -211,10 +211,10 @@ def test_a_file_that_is_no_mesh_is_named_for_what_it_is(
     assert str(caught.value).startswith(f"{tmp_path / name}: {said}")
 
 
-def test_more_coloured_triangles_than_there_are_texels_are_refused_with_how_to_have_fewer(
+def test_too_many_coloured_triangles_are_refused_with_how_to_simplify(
     tmp_path: Path,
 ) -> None:
-    """One more than 1024 x 1024, as a strip between two lines of vertices."""
+    """One triangle more than 1024 x 1024, in a strip between two lines of vertices."""
     count = 1024**2 + 1
     k = np.arange(count + 2)
     vertices = np.stack([k // 2, k % 2, np.zeros(len(k))], 1) * 1e-3
@@ -235,7 +235,7 @@ def test_more_coloured_triangles_than_there_are_texels_are_refused_with_how_to_h
 
 
 @pytest.mark.parametrize("faces", ["", "element face 0\nproperty list uchar int vertex_indices\n"])
-def test_a_cloud_of_points_is_called_one(tmp_path: Path, faces: str) -> None:
+def test_a_point_cloud_is_refused_as_one(tmp_path: Path, faces: str) -> None:
     header = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\n"
     (tmp_path / "m.ply").write_text(f"{header}{faces}end_header\n0 0 0\n1 0 0\n")
     with pytest.raises(InputError, match=r"found 2 points and no faces; .*Screened Poisson.*--from-video"):

@@ -1,4 +1,4 @@
-"""Meshes from anywhere: what they name, how much they take, and what is wrong with them."""
+"""Mesh files from untrusted sources: files that they name, limits of size, damaged content."""
 
 from __future__ import annotations
 
@@ -75,13 +75,13 @@ def test_only_files_under_the_mesh_folder_are_read(
         read_mesh(path)
 
 
-def test_the_folders_of_the_exporting_machine_are_forgiven(tmp_path: Path, printed_box: Mesh) -> None:
+def test_wrong_folders_and_case_in_file_names_are_ignored(tmp_path: Path, printed_box: Mesh) -> None:
     for kind, good in zip(KINDS, ("print.png", "m.mtl", "m.png", "print.png", "m.bin"), strict=True):
         for folder in ("/home/somebody/", "../", "sub/", "C:\\Users\\somebody\\", ""):
             read_mesh(naming(tmp_path, printed_box, kind, folder + good.upper()))
 
 
-def test_a_folder_of_links_is_read(tmp_path: Path) -> None:
+def test_a_folder_of_symbolic_links_is_read(tmp_path: Path) -> None:
     store, shown = tmp_path / "store", tmp_path / "shown"
     store.mkdir()
     shown.mkdir()
@@ -106,15 +106,15 @@ def test_only_regular_files_are_read(tmp_path: Path, what: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["m.obj", "m.mtl", "print.png"])
-def test_files_are_measured_before_they_are_read(tmp_path: Path, name: str) -> None:
+def test_the_size_of_a_file_is_checked_before_it_is_read(tmp_path: Path, name: str) -> None:
     path = write_obj(tmp_path)
-    os.truncate(tmp_path / name, 3 * 2**30)  # takes no room on the disk
+    os.truncate(tmp_path / name, 3 * 2**30)  # a sparse file
     with pytest.raises(InputError, match=rf"{name}: found 3221 MB; expected at most 1074 MB"):
         read_mesh(path)
 
 
 def png_of(width: int, height: int) -> bytes:
-    """A PNG whose header announces that size, and which has no pixels."""
+    """A PNG whose header announces this size, without pixels."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -137,7 +137,9 @@ def test_pictures_are_measured_before_they_are_decoded(
         read_mesh(path)
 
 
-def test_all_pictures_of_a_mesh_are_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_size_limit_counts_all_textures_of_a_mesh(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = write_obj(
         tmp_path, "newmtl p\nmap_Kd print.png\nnewmtl q\nmap_Kd other.png\n", FACES + "usemtl q\n" + FACES
     )
@@ -190,7 +192,7 @@ def test_a_small_glb_cannot_show_its_mesh_without_end(
         )
 
 
-def test_rows_of_a_buffer_cannot_lie_over_each_other(tmp_path: Path, printed_box: Mesh) -> None:
+def test_a_byte_stride_of_0_is_refused(tmp_path: Path, printed_box: Mesh) -> None:
     path = files.write_gltf(tmp_path, printed_box)
     tree = json.loads(path.read_text())
     tree["bufferViews"][0]["byteStride"] = 0
@@ -200,7 +202,7 @@ def test_rows_of_a_buffer_cannot_lie_over_each_other(tmp_path: Path, printed_box
         read_mesh(path)
 
 
-def test_more_materials_than_fit_into_a_picture_are_refused(tmp_path: Path) -> None:
+def test_more_materials_than_fit_into_a_texture_are_refused(tmp_path: Path) -> None:
     names = [f"c{i}" for i in range(11_000)]
     body = "".join(f"usemtl {n}\nf 1 2 3\n" for n in names)
     path = write_obj(tmp_path, "".join(f"newmtl {n}\nKd 1 0 0\n" for n in names), body)
@@ -208,15 +210,13 @@ def test_more_materials_than_fit_into_a_picture_are_refused(tmp_path: Path) -> N
         read_mesh(path)
 
 
-def test_triangles_that_cover_a_picture_many_times_are_not_all_drawn() -> None:
+def test_triangles_that_cover_a_texture_many_times_are_not_all_rasterised() -> None:
     whole = np.tile(np.array([[0, 0], [1, 0], [0, 1]], np.float32), (128, 1, 1))
     assert not used_texels(whole, 64, 64).all()
     assert used_texels(np.concatenate([whole, whole]), 64, 64).all()
 
 
-def test_a_large_texture_that_repeats_is_made_smaller(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_large_repeating_texture_is_reduced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = np.zeros((64, 64, 3), np.uint8)
     picture[:, :32] = 200
     mesh = solids.box((0.08, 0.06, 0.04))
@@ -229,7 +229,7 @@ def test_a_large_texture_that_repeats_is_made_smaller(
     np.testing.assert_allclose(read.uv.max((0, 1)), 1.0)
 
 
-def test_an_option_without_a_texture_is_an_error(tmp_path: Path) -> None:
+def test_a_texture_option_without_a_file_name_is_an_error(tmp_path: Path) -> None:
     for options in ("-clamp", "-clamp on", "-s 1 1", "-o", "-unknown"):
         path = write_obj(tmp_path, mtl=f"newmtl p\nmap_Kd {options}\n")
         with pytest.raises(InputError, match=r"m.mtl: found map_Kd -.*expected the name of a texture"):
@@ -250,7 +250,7 @@ def test_damaged_faces_are_named_by_their_line(tmp_path: Path, how: str) -> None
 
 
 @pytest.mark.parametrize("color", ["Kd inf 0 0", "Kd nan 0 0", "Kd red green blue", "Kd 1e999 0 0"])
-def test_colours_that_are_none_are_refused(tmp_path: Path, color: str) -> None:
+def test_invalid_colours_are_refused(tmp_path: Path, color: str) -> None:
     with pytest.raises(InputError, match=r"m.mtl: found Kd .*expected Kd r g b"):
         read_mesh(write_obj(tmp_path, mtl=f"newmtl p\n{color}\n"))
 

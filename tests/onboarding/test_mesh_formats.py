@@ -1,4 +1,4 @@
-"""OBJ, PLY and glTF files of known meshes are read as these meshes."""
+"""Known meshes written as OBJ, PLY and glTF are read back the same."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_all_formats_of_one_box_read_alike(tmp_path: Path, printed_box: Mesh) ->
 
 
 @pytest.mark.parametrize("face", ["1/1 2/2 3/3 4/4", "1/1/1 2/2/1 3/3/1 4/4/1", "-8/-4 -7/-3 -6/-2 -5/-1"])
-def test_forms_of_obj_faces(tmp_path: Path, face: str) -> None:
+def test_all_forms_of_obj_faces_are_read(tmp_path: Path, face: str) -> None:
     corners = ["0 0 0", "50 0 0", "50 30 0", "0 30 0", "0 0 20", "50 0 20", "50 30 20", "0 30 20"]
     lines = ["mtllib m.mtl", "usemtl p", *(f"v {c}" for c in corners), "vn 0 0 1"]
     lines += ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1", f"f {face}", "f 5/1 6/2 7/3"]
@@ -51,7 +51,7 @@ def test_forms_of_obj_faces(tmp_path: Path, face: str) -> None:
     assert high[0] > 240 > 10 > high[2]
 
 
-def test_the_words_of_a_material_may_be_of_large_letters(tmp_path: Path, printed_box: Mesh) -> None:
+def test_keywords_of_a_material_file_may_be_upper_case(tmp_path: Path, printed_box: Mesh) -> None:
     files.write_obj(tmp_path / "m.obj", printed_box)
     plain = read_mesh(tmp_path / "m.obj")
     text = (tmp_path / "m.mtl").read_text()
@@ -59,7 +59,7 @@ def test_the_words_of_a_material_may_be_of_large_letters(tmp_path: Path, printed
     assert_same(read_mesh(tmp_path / "m.obj"), plain)
 
 
-def test_a_material_may_name_its_picture_as_that_of_its_ambient_colour(
+def test_the_texture_of_the_ambient_colour_is_used_if_it_is_the_only_one(
     tmp_path: Path, printed_box: Mesh
 ) -> None:
     files.write_obj(tmp_path / "m.obj", printed_box)
@@ -70,7 +70,7 @@ def test_a_material_may_name_its_picture_as_that_of_its_ambient_colour(
     assert notes == []
 
 
-def test_a_material_whose_pictures_do_not_show_its_colour_is_noted(tmp_path: Path, printed_box: Mesh) -> None:
+def test_a_material_whose_textures_are_not_of_its_colour_is_noted(tmp_path: Path, printed_box: Mesh) -> None:
     files.write_obj(tmp_path / "m.obj", printed_box)
     lines = "map_Bump -bm 0.5 m.png\nmap_aat on\nnewmtl other\nmap_d m.png\n"
     (tmp_path / "m.mtl").write_text(f"newmtl print\nKd 1 0 0\n{lines}")
@@ -98,7 +98,7 @@ def test_one_line_of_an_obj_may_name_several_material_files(tmp_path: Path, prin
 
 @pytest.mark.parametrize("base", [{}, {"metallicFactor": 0.0}, {"baseColorFactor": [1.0, 0.0, 0.0, 1.0]}])
 def test_a_gltf_may_have_a_diffuse_texture(tmp_path: Path, printed_box: Mesh, base: dict) -> None:
-    """KHR_materials_pbrSpecularGlossiness; a base colour without texture beside it is for other programs."""
+    """In KHR_materials_pbrSpecularGlossiness. Its diffuse texture is used, whatever the base colour is."""
     files.write_glb(tmp_path / "m.glb", printed_box)
     plain = read_mesh(tmp_path / "m.glb")
     material = {"pbrMetallicRoughness": base}
@@ -114,7 +114,7 @@ def test_a_gltf_may_have_a_diffuse_texture(tmp_path: Path, printed_box: Mesh, ba
 
 
 @pytest.mark.parametrize("light", [{}, {"emissiveFactor": [1.0, 1.0, 1.0]}])
-def test_a_black_gltf_shows_the_texture_of_its_light(tmp_path: Path, printed_box: Mesh, light: dict) -> None:
+def test_the_emissive_texture_of_a_black_gltf_is_used(tmp_path: Path, printed_box: Mesh, light: dict) -> None:
     files.write_glb(tmp_path / "m.glb", printed_box)
     plain = read_mesh(tmp_path / "m.glb")
     base = {"baseColorFactor": [0.0, 0.0, 0.0, 1.0]}
@@ -147,7 +147,7 @@ def test_a_binary_ply_may_mix_polygons(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
-def test_names_may_be_of_any_letters(tmp_path: Path, printed_box: Mesh, encoding: str) -> None:
+def test_names_may_be_non_ascii(tmp_path: Path, printed_box: Mesh, encoding: str) -> None:
     files.write_obj(tmp_path / "m.obj", printed_box)
     files.write_ply(tmp_path / "m.ply", printed_box, binary=True, lists=False)
     (tmp_path / "m.png").rename(tmp_path / "Körper.png")
@@ -242,13 +242,15 @@ def test_gltf_may_be_in_parts(tmp_path: Path, printed_box: Mesh) -> None:
         read_mesh(path)
 
 
-def test_a_gltf_may_require_lights_and_looks_that_change_no_colour(tmp_path: Path, printed_box: Mesh) -> None:
+def test_required_gltf_extensions_that_change_no_colour_are_accepted(
+    tmp_path: Path, printed_box: Mesh
+) -> None:
     names = ["clearcoat", "emissive_strength", "variants", "sheen", "transmission", "volume", "unlit"]
     required = ["KHR_lights_punctual", *(f"KHR_materials_{name}" for name in names)]
     assert_same(read_mesh(files.write_gltf(tmp_path, printed_box, extensionsRequired=required)), printed_box)
 
 
-def test_a_gltf_texture_may_be_scaled_turned_and_moved(tmp_path: Path, printed_box: Mesh) -> None:
+def test_a_gltf_texture_may_be_scaled_rotated_and_shifted(tmp_path: Path, printed_box: Mesh) -> None:
     """KHR_texture_transform: half and double scale, a quarter turn ((a, b) to (b, -a)), then (0, 1)."""
     u, v = printed_box.uv.reshape(-1, 2).T
     transform = {"scale": [0.5, 2.0], "rotation": np.pi / 2, "offset": [0.0, 1.0], "texCoord": 1}

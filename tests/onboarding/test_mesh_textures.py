@@ -1,4 +1,4 @@
-"""Whatever has colours becomes one texture that shows them."""
+"""All colours of a mesh (textures, materials, vertices) become one texture."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.onboarding.mesh_checks import assert_well_formed, colors_at
 CAMERA = Camera(600.0, 600.0, 159.5, 119.5, 320, 240)
 
 
-def test_faces_without_texture_coordinates(tmp_path: Path) -> None:
+def test_faces_without_texture_coordinates_have_the_material_colour(tmp_path: Path) -> None:
     head = "v 0 0 0 1 0 0\nv 30 0 0 0 1 0\nv 0 30 0 0 0 1\nv 0 0 30 1 1 1\n"
     (tmp_path / "m.obj").write_text(head + "vn 0 0 1\nf 1//1 2//1 3//1\nf 1 2 4\n")
     mesh = read_mesh(tmp_path / "m.obj")
@@ -75,7 +75,7 @@ def test_several_materials_become_one_texture(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("colored", [False, True])
 def test_a_ply_of_several_textures_may_have_faces_without_one(tmp_path: Path, colored: bool) -> None:
-    """They are of the number -1, and have the colours of their vertices, or are grey."""
+    """Faces with texnumber -1 have the colours of their vertices, or are grey."""
     text = "ply\nformat ascii 1.0\ncomment TextureFile red.png\ncomment TextureFile blue.png\n"
     text += "element vertex 4\n" + "".join(f"property float {name}\n" for name in "xyz")
     text += "".join(f"property uchar {name}\n" for name in ("red", "green", "blue")) if colored else ""
@@ -98,12 +98,12 @@ def test_a_ply_of_several_textures_may_have_faces_without_one(tmp_path: Path, co
 
 
 @pytest.mark.parametrize("materials", [1, 3])
-def test_what_has_colours_and_no_texture_is_drawn_in_them(tmp_path: Path, materials: int) -> None:
-    """Near by and from so far away that the coarsest levels of the texture are read."""
+def test_faces_without_a_texture_are_rendered_in_the_material_colour(tmp_path: Path, materials: int) -> None:
+    """Near the camera, and so far away that the coarsest texture levels are read."""
     colors = [(51, 76, 204), (230, 26, 26), (26, 204, 51)][:materials]
     lines = ["mtllib m.mtl"]
     for k in range(materials):
-        # A fan of small triangles for each, side by side.
+        # One fan of small triangles for each material, side by side.
         x, start = 0.05 * k, 42 * k + 1
         lines += [f"usemtl m{k}", f"v {x:g} 0 0"]
         lines += [f"v {x + 0.02 * np.cos(a):g} {0.02 * np.sin(a):g} 0" for a in np.linspace(0, 2 * np.pi, 41)]
@@ -122,7 +122,7 @@ def test_what_has_colours_and_no_texture_is_drawn_in_them(tmp_path: Path, materi
 
 def test_large_textures_are_reduced_without_their_background(tmp_path: Path) -> None:
     mesh = solids.box((0.08, 0.06, 0.04))
-    uv = (0.3 + 0.4 * mesh.uv).astype(np.float32)  # the texture fills the middle; round it lies magenta
+    uv = (0.3 + 0.4 * mesh.uv).astype(np.float32)  # the middle of the texture is used; the rest is magenta
     size = 2560
     picture = np.full((size, size, 3), (255, 0, 255), np.uint8)
     a, b = int(0.3 * size), int(0.7 * size)
@@ -147,7 +147,7 @@ def test_textures_that_repeat_are_unrolled(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("width", [16, 100])
 @pytest.mark.parametrize("tile", [0, 1, -2])
-def test_a_palette_is_read_in_every_tile(tmp_path: Path, width: int, tile: int) -> None:
+def test_a_palette_texture_is_read_in_every_tile(tmp_path: Path, width: int, tile: int) -> None:
     palette = np.random.default_rng(width).integers(0, 256, (1, width, 3)).astype(np.uint8)
     texels = np.linspace(1, width - 1, 12).astype(int)
     uv = np.full((12, 3, 2), 0.5, np.float32)
@@ -158,7 +158,7 @@ def test_a_palette_is_read_in_every_tile(tmp_path: Path, width: int, tile: int) 
 
 
 def shown(wrap: int | None, u: float) -> float:
-    """The place in a texture that is shown at `u`."""
+    """The texture coordinate in [0, 1] that is shown at `u`."""
     if wrap == 33071:
         return min(max(u, 0.0), 1.0)
     return abs((u + 1) % 2 - 1) if wrap == 33648 else u % 1
@@ -197,8 +197,8 @@ def test_a_texture_of_an_obj_may_be_clamped(tmp_path: Path, option: str, value: 
 
 
 @pytest.mark.parametrize("whites", [False, True])
-def test_colors_of_vertices_beside_a_texture(tmp_path: Path, whites: bool) -> None:
-    """White ones beside a texture leave the colour of the material."""
+def test_vertex_colours_are_used_for_faces_without_a_texture(tmp_path: Path, whites: bool) -> None:
+    """If all vertices are white, the faces without a texture keep the material colour."""
     ends = ["1 1 1"] * 4 if whites else ["1 0 0", "0 1 0", "0 0 1", "1 0 1"]
     places = ("0 0 0", "60 0 0", "0 60 0", "0 0 60")
     text = "mtllib m.mtl\n" + "".join(f"v {v} {c}\n" for v, c in zip(places, ends, strict=True))
@@ -229,10 +229,10 @@ _WHITE, _MESHLAB, _RED = "1 1 1", "0.752941 0.752941 0.752941", "1 0 0"
         (_RED, ("Kd 0 1 0", "Kd 0 0 1"), [(255, 0, 0), (255, 0, 0)]),
     ],
 )
-def test_one_grey_at_all_vertices_leaves_the_materials_their_colours(
+def test_uniform_grey_vertex_colours_do_not_replace_material_colours(
     ends: str, kinds: tuple[str, str], shown: list[tuple[int, int, int]], tmp_path: Path
 ) -> None:
-    """It is what exporters write where there are no colours; another colour is one."""
+    """Exporters write one grey or white if there are no vertex colours; any other colour counts."""
     places = ("0 0 0", "60 0 0", "0 60 0", "0 0 60")
     text = "mtllib m.mtl\n" + "".join(f"v {v} {ends}\n" for v in places)
     (tmp_path / "m.obj").write_text(text + "usemtl a\nf 1 2 3\nusemtl b\nf 1 4 2\n")
@@ -241,7 +241,7 @@ def test_one_grey_at_all_vertices_leaves_the_materials_their_colours(
     np.testing.assert_allclose(colors, shown, atol=1)
 
 
-def test_a_colored_part_of_a_gltf_beside_a_texture(tmp_path: Path) -> None:
+def test_a_gltf_may_mix_textured_and_vertex_coloured_parts(tmp_path: Path) -> None:
     box = solids.box((0.08, 0.06, 0.04))
     w = files.GlbWriter()
     at = w.accessor(box.vertices[box.faces].reshape(-1, 3).astype("<f4"), "VEC3")

@@ -1,4 +1,4 @@
-"""In which unit a mesh is: told by its size, by the format or by the user."""
+"""The unit of a mesh: from its size, the file format or the user."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from tests.onboarding import solids
 
 
 @pytest.mark.parametrize(("size", "expected"), [(0.2, 0.2), (200.0, 0.2), (1.5, 1.5), (15.0, 0.015)])
-def test_units_are_found_where_the_size_tells(tmp_path: Path, size: float, expected: float) -> None:
+def test_the_unit_is_inferred_from_a_clear_size(tmp_path: Path, size: float, expected: float) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((1.0, 0.5, 0.5)), scale=size)
     np.testing.assert_allclose(np.ptp(read_mesh(tmp_path / "m.obj").vertices[:, 0]), expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("mm", 0.015), ("cm", 0.15), ("in", 0.381)])
-def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, metres: float) -> None:
+def test_the_unit_can_be_given(tmp_path: Path, unit: Unit, metres: float) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((15.0, 8.0, 6.0)), scale=1.0)
     assert np.ptp(read_mesh(tmp_path / "m.obj", unit).vertices[:, 0]) == pytest.approx(metres)
 
@@ -55,7 +55,7 @@ def test_what_the_size_does_not_tell_can_be_said(tmp_path: Path, unit: Unit, met
         (4000.0, None, "No --unit (mm, cm, m, in, ft) gives that size: scale the mesh."),
     ],
 )
-def test_implausible_sizes_are_refused_with_all_units_that_make_an_object_of_it(
+def test_implausible_sizes_are_refused_with_all_plausible_units(
     tmp_path: Path, size: float, unit: Unit | None, said: str
 ) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((1.0, 0.5, 0.5)), scale=size)
@@ -66,10 +66,10 @@ def test_implausible_sizes_are_refused_with_all_units_that_make_an_object_of_it(
 
 
 @pytest.mark.parametrize("write", [files.write_obj, files.write_glb])
-def test_sizes_are_looked_at_without_decoding_a_texture(
+def test_sizes_are_read_without_decoding_a_texture(
     tmp_path: Path, write: Callable[[Path, Mesh], None]
 ) -> None:
-    """One of 8192 texels a side takes seconds."""
+    """Decoding a texture with 8192 texels a side takes seconds."""
     texture = np.full((4096, 4096, 3), 90, np.uint8)
     path = tmp_path / f"m.{'obj' if write is files.write_obj else 'glb'}"
     write(path, replace(solids.box((0.2, 0.1, 0.1)), texture=texture))
@@ -82,20 +82,20 @@ def test_sizes_are_looked_at_without_decoding_a_texture(
 
 
 @pytest.mark.parametrize("unit", [None, "mm"])
-def test_a_mesh_whose_points_are_in_one_place_has_no_size(tmp_path: Path, unit: Unit | None) -> None:
+def test_a_mesh_whose_points_coincide_has_no_size(tmp_path: Path, unit: Unit | None) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((1.0, 0.5, 0.5)), scale=0.0)
     with pytest.raises(InputError, match=r"m\.obj: .*all its points are in one place") as caught:
         read_mesh(tmp_path / "m.obj", unit)
     assert "unit" not in str(caught.value)
 
 
-def test_feet_can_be_said(tmp_path: Path) -> None:
+def test_feet_can_be_given(tmp_path: Path) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((0.4, 0.3, 0.2)), scale=1.0)
     assert look_at(tmp_path / "m.obj").sizes == pytest.approx({"m": 0.4, "ft": 0.12192, "in": 0.01016})
     assert np.ptp(read_mesh(tmp_path / "m.obj", "ft").vertices[:, 0]) == pytest.approx(0.12192)
 
 
-def test_gltf_is_metres_unless_told(tmp_path: Path) -> None:
+def test_gltf_is_in_metres_unless_a_unit_is_given(tmp_path: Path) -> None:
     files.write_glb(tmp_path / "m.glb", solids.box((80.0, 60.0, 40.0)))
     with pytest.raises(
         InputError, match=r"8 cm if it is in millimetres or 80 cm if it is in centi.*--unit mm or --unit cm"

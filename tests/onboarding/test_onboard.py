@@ -32,12 +32,12 @@ def arrays_of(part: object, prefix: str = "") -> dict[str, np.ndarray]:
     return out
 
 
-def test_onboarding_is_deterministic_says_its_stages_and_makes_tables_only_when_asked_for(
+def test_onboarding_is_deterministic_reports_its_stages_and_makes_tables_on_request_only(
     tea_box: ReferenceModel,
 ) -> None:
     stages: list[str] = []
     bare = onboard_mesh(tea_box.mesh, "tea_box", report=stages.append)
-    assert stages == list(STAGES[1:])  # reading a mesh is the first
+    assert stages == list(STAGES[1:])  # the first stage is to read the mesh
     assert bare.tables is None
     with_tables, without = arrays_of(tea_box), arrays_of(bare)
     assert without.keys() == {name for name in with_tables if not name.startswith("tables.")}
@@ -46,7 +46,7 @@ def test_onboarding_is_deterministic_says_its_stages_and_makes_tables_only_when_
         np.testing.assert_array_equal(array, with_tables[name], err_msg=name)
 
 
-def test_a_model_is_whole(tea_box: ReferenceModel) -> None:
+def test_a_model_has_all_parts(tea_box: ReferenceModel) -> None:
     assert tea_box.diameter_m == pytest.approx(np.linalg.norm([0.09, 0.06, 0.15]), rel=1e-3)
     assert len(tea_box.surface.points) == 2000
     assert tea_box.surface.directions.shape == (642, 3)
@@ -58,7 +58,7 @@ def test_a_model_is_whole(tea_box: ReferenceModel) -> None:
     np.testing.assert_array_equal(tea_box.symmetries, np.eye(4)[None])
 
 
-def test_what_is_known_of_an_object_is_kept() -> None:
+def test_given_symmetries_diameter_and_offset_are_kept() -> None:
     half_turn = np.diag([1.0, -1.0, -1.0, 1.0])
     half_turn[1, 3] = 8.0
     info = {"diameter": 72.0, "symmetries_discrete": [half_turn.reshape(-1).tolist()]}
@@ -81,7 +81,7 @@ def test_what_is_known_of_an_object_is_kept() -> None:
     np.testing.assert_array_equal(model.frame_offset_m, [0.001, 0, -0.002])
 
 
-def test_long_meshes_are_judged_on_a_stride_of_vertices() -> None:
+def test_the_diameter_is_measured_and_flat_meshes_are_refused() -> None:
     rng = np.random.default_rng(0)
     ball = solids.sphere(0.05)
     assert diameter_of(ball) == pytest.approx(0.1, rel=1e-5)
@@ -96,7 +96,7 @@ def test_long_meshes_are_judged_on_a_stride_of_vertices() -> None:
 
 
 def bop_folder(folder: Path) -> Path:
-    """Two boxes, one as PLY and one as OBJ, and what BOP and we say of them."""
+    """Two boxes, one as PLY and one as OBJ, with BOP's and our metadata."""
     folder.mkdir()
     small, tall = solids.printed_box((0.08, 0.06, 0.04)), solids.printed_box((0.05, 0.05, 0.09))
     files.write_ply(folder / "obj_000003.ply", small, binary=True, lists=False)

@@ -1,4 +1,4 @@
-"""The reference database of a box: pairs on its surface, seen by several views, two scales, small enough."""
+"""The colour pairs of a box: on its surface, from several views, at two scales, not too many."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_views_are_needed_but_texture_is_not() -> None:
     assert len(tables.triangle_keys) == len(tables.ppf_keys) == len(tables.cloud_points) == 0
 
 
-def test_the_same_pair_seen_thrice_is_one() -> None:
+def test_a_pair_seen_in_three_views_is_stored_once() -> None:
     f = np.float32
     one = SurfacePairs(
         np.array([[0, 0, 0]], f),

@@ -16,7 +16,7 @@ def assert_apart(layout: PatchLayout) -> None:
     owner = np.full((layout.size, layout.size), -1)
     for k, ((x, y), side) in enumerate(zip(layout.corners, layout.sides, strict=True)):
         assert side & (side - 1) == 0  # a power of two at a multiple of itself:
-        assert x % side == 0  # halving the picture never mixes patches before it must
+        assert x % side == 0  # halving the texture never mixes patches too early
         assert y % side == 0
         assert (owner[y : y + side, x : x + side] == -1).all()
         owner[y : y + side, x : x + side] = k
@@ -41,8 +41,8 @@ def test_patches_do_not_overlap(count: int) -> None:
     assert (fitting.sides.astype(float) ** 2).sum() > 0.2 * min(1024**2, count * 512**2)
 
 
-def test_neighbours_on_the_surface_are_neighbours_in_the_picture() -> None:
-    """Coarser levels of a baked picture keep its colours apart: red above, blue below."""
+def test_neighbours_on_the_surface_are_neighbours_in_the_texture() -> None:
+    """Coarser levels of a baked texture keep its colours apart: red above, blue below."""
     ball = solids.sphere(0.05)
     layout = equal_patches(ball.vertices, ball.faces)
     assert layout is not None
@@ -81,6 +81,6 @@ def test_dense_meshes_are_simplified_and_keep_their_texture() -> None:
         assert np.median(np.abs(a.color.astype(int) - b.color)[both]) <= 2
 
 
-def test_lean_meshes_stay_as_they_are() -> None:
+def test_small_meshes_stay_as_they_are() -> None:
     ball = solids.sphere(0.05)
     assert simplified(ball) is ball

@@ -13,11 +13,11 @@ from huepose.support.errors import InputError
 from tests.onboarding import mesh_files as files
 
 L = np.array([[0, 0], [120, 0], [120, 30], [45, 30], [45, 90], [0, 90]], float)
-"""Of 6,300 square millimetres; no triangle of its fan leaves it from corner 0, one does from corner 1."""
+"""6,300 square millimetres. The fan from corner 0 stays inside; the fan from corner 1 does not."""
 RING = np.array(
     [[0, 0], [90, 0], [90, 90], [0, 90], [0, 0], [30, 30], [30, 60], [60, 60], [60, 30], [30, 30]], float
 )
-"""A square with a square hole, cut open between their first corners."""
+"""A square with a square hole, joined by a cut between their first corners."""
 
 
 def _area(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -26,17 +26,17 @@ def _area(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("points", "area"), [(L, 6300.0), (RING, 7200.0)])
-@pytest.mark.parametrize("turned", range(6))
-def test_ears_cover_a_polygon_from_whichever_corner_it_begins(
-    points: np.ndarray, area: float, turned: int
+@pytest.mark.parametrize("first", range(6))
+def test_triangulation_covers_a_polygon_from_every_first_corner(
+    points: np.ndarray, area: float, first: int
 ) -> None:
-    points = np.roll(points, turned, 0)
+    points = np.roll(points, first, 0)
     for axes in ([0, 1, 2], [1, 2, 0], [2, 0, 1], [1, 0, 2]):
         there = np.c_[points, np.full(len(points), 7.0)][:, axes]
         triangles = polygons.ears(there, Path("m.obj"))
         areas = _area(points, triangles)
         assert len(triangles) == len(points) - 2
-        assert (areas >= 0).all(), "each turns as the polygon does"
+        assert (areas >= 0).all(), "all triangles have the winding of the polygon"
         assert areas.sum() == pytest.approx(area)
 
 
@@ -52,8 +52,8 @@ def test_a_star_of_a_thousand_corners_is_covered() -> None:
 
 
 @pytest.mark.parametrize("form", ["obj", "ply"])
-def test_a_bracket_keeps_its_recess_whatever_its_polygons_begin_with(form: str, tmp_path: Path) -> None:
-    """As modelling programs write it that are not told to write triangles: two L and six rectangles."""
+def test_a_bracket_keeps_its_recess(form: str, tmp_path: Path) -> None:
+    """Modelling programs write it without triangulation: two L shapes and six rectangles."""
     vertices = np.r_[np.c_[L, np.zeros(6)], np.c_[L, np.full(6, 35.0)]]
     top, bottom = [(k + 1) % 6 + 6 for k in range(6)], [5, 4, 3, 2, 1, 0]
     faces = [top, bottom, *([k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(6))]
@@ -67,7 +67,7 @@ def test_a_bracket_keeps_its_recess_whatever_its_polygons_begin_with(form: str, 
     a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(float) for k in range(3))
     areas = np.cross(b - a, c - a) / 2.0
     assert np.linalg.norm(areas, axis=1).sum() == pytest.approx(2 * 0.0063 + 0.42 * 0.035, rel=1e-5)
-    assert (a * areas).sum() / 3.0 == pytest.approx(0.0063 * 0.035, rel=1e-5), "its volume"
+    assert (a * areas).sum() / 3.0 == pytest.approx(0.0063 * 0.035, rel=1e-5), "the volume"
 
 
 def test_corners_keep_their_texture_coordinates(tmp_path: Path) -> None:
@@ -82,4 +82,4 @@ def test_corners_keep_their_texture_coordinates(tmp_path: Path) -> None:
     mesh = read_mesh(tmp_path / "m.obj", "mm")
     at = mesh.vertices[mesh.faces[:-1]][..., :2] * 1000.0 / [120, 90]
     wide = mesh.uv[:-1] - np.c_[at[..., :1], 1.0 - at[..., 1:]].reshape(-1, 3, 2)
-    assert np.abs(wide).max() < 0.02, "within a texel or two of the printed place"
+    assert np.abs(wide).max() < 0.02, "off by a texel or two at most"

@@ -1,4 +1,4 @@
-"""A band round a prism, each side with a place of its own in the texture, in another order than round it."""
+"""A band round a prism; the texture holds its sides in a different order."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIDES, TEXELS, HEIGHT = 8, 16, 40
 
 
 def band(prints: str) -> RawMesh:
-    """prints: "round" is a picture that goes on from side to side, "apart" a color for each, "plain" one."""
+    """prints: "round" continues from side to side, "apart" has a colour for each side, "plain" one colour."""
     rng = np.random.default_rng(3)
     places = rng.permutation(SIDES)
     texture = rng.integers(0, 256, (HEIGHT, SIDES * TEXELS, 3)).astype(np.uint8)
@@ -47,23 +47,23 @@ def band(prints: str) -> RawMesh:
     )
 
 
-def turned_over(mesh: RawMesh) -> RawMesh:
+def flipped(mesh: RawMesh) -> RawMesh:
     assert mesh.uv is not None
     return replace(mesh, uv=np.float32([0.0, 1.0]) + mesh.uv * np.float32([1.0, -1.0]))
 
 
-def test_colours_that_meet_along_seams_tell_a_texture_that_is_upside_down():
+def test_a_texture_that_continues_across_seams_shows_whether_it_is_upside_down():
     assert not upside_down(band("round"))
-    assert upside_down(turned_over(band("round")))
+    assert upside_down(flipped(band("round")))
 
 
 @pytest.mark.parametrize("prints", ["apart", "plain"])
-def test_without_a_picture_that_goes_on_over_seams_nothing_is_told(prints: str):
+def test_a_texture_that_does_not_continue_across_seams_is_not_called_upside_down(prints: str):
     assert not upside_down(band(prints))
-    assert not upside_down(turned_over(band(prints)))
+    assert not upside_down(flipped(band(prints)))
 
 
-def test_a_mesh_without_a_texture_tells_nothing():
+def test_a_mesh_without_a_texture_is_not_called_upside_down():
     mesh = band("round")
     assert not upside_down(replace(mesh, uv=None))
     assert not upside_down(replace(mesh, materials=(Material("grey"),)))

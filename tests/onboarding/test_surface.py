@@ -27,7 +27,8 @@ def ball() -> Surface:
 
 def test_normals_of_a_ball_are_its_radii(ball: Surface) -> None:
     assert len(ball.points) == 2000
-    np.testing.assert_allclose(np.linalg.norm(ball.points, axis=1), RADIUS, rtol=6e-3)  # facets lie deeper
+    # Facets lie inside the sphere.
+    np.testing.assert_allclose(np.linalg.norm(ball.points, axis=1), RADIUS, rtol=6e-3)
     radii = ball.points / np.linalg.norm(ball.points, axis=1, keepdims=True)
     cosines = np.einsum("nd,nd->n", radii, ball.normals)
     assert cosines.min() > np.cos(np.radians(3.0))
@@ -42,10 +43,10 @@ def test_every_prefix_is_evenly_spaced(ball: Surface, count: int) -> None:
     assert nearest.min() > 0.40 * hexagonal
     assert nearest.mean() > 0.70 * hexagonal
     everywhere = solids.sphere(RADIUS).vertices
-    assert cKDTree(points).query(everywhere)[0].max() < 1.0 * hexagonal  # and no hole
+    assert cKDTree(points).query(everywhere)[0].max() < 1.0 * hexagonal  # no hole
 
 
-def test_random_points_would_fail_that_measure() -> None:
+def test_random_points_are_not_evenly_spaced() -> None:
     rng = np.random.default_rng(0)
     points = rng.normal(size=(1000, 3))
     points *= RADIUS / np.linalg.norm(points, axis=1, keepdims=True)
@@ -53,7 +54,7 @@ def test_random_points_would_fail_that_measure() -> None:
     assert cKDTree(points).query(points, k=2)[0][:, 1].min() < 0.2 * hexagonal
 
 
-def test_sides_of_a_thin_sheet_are_sampled_as_if_alone() -> None:
+def test_each_side_of_a_thin_sheet_is_evenly_sampled() -> None:
     rng = np.random.default_rng(1)
     xy = rng.uniform(0, 1, (4000, 2))
     points = np.concatenate([np.c_[xy, np.zeros(4000)], np.c_[xy, np.full(4000, 1e-3)]])
@@ -72,7 +73,7 @@ def test_share_of_a_box_side_is_its_share_of_area() -> None:
     flat = np.abs(surface.normals).max(1) > 0.999
     for k in range(3):
         np.testing.assert_allclose((axis == k).mean(), area[k] / area.sum(), atol=0.02)
-    assert flat.mean() > 0.8  # only within 3 mm of an edge are normals bent
+    assert flat.mean() > 0.8  # normals are bent only within 3 mm of an edge
     inner = (np.abs(surface.points) < np.array(extents) / 2 - 0.004).sum(1) == 2
     assert flat[inner].all()
 
@@ -86,11 +87,11 @@ def test_a_ball_shows_the_cap_that_faces_the_camera(ball: Surface) -> None:
         cosines = ball.normals @ ball.directions[v]
         shown = np.zeros(len(cosines), bool)
         shown[indices] = True
-        assert shown[cosines > 0.25].all()  # the rest is hidden by perspective from six diameters, or grazing
+        assert shown[cosines > 0.25].all()  # the rest is grazing, or hidden by perspective at six diameters
         assert not shown[cosines < 0.1].any()
 
 
-def test_what_stands_behind_is_hidden() -> None:
+def test_surfaces_behind_others_are_occluded() -> None:
     low, high = solids.box((0.1, 0.02, 0.1)), solids.moved(solids.box((0.1, 0.02, 0.1)), (0.0, 0.06, 0.0))
     mesh = solids.joined(low, high)
     views = depth_views(mesh, float(np.linalg.norm([0.1, 0.08, 0.1])))
@@ -103,8 +104,8 @@ def test_what_stands_behind_is_hidden() -> None:
     assert mask[sideways & (along < 0), 1].all()
 
 
-def test_points_are_looked_at_in_parts_and_each_counts_as_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In one part, a large object would not hear Ctrl-C for seconds."""
+def test_visibility_in_batches_equals_visibility_of_single_points(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In one batch, a large object would block Ctrl-C for seconds."""
     mesh = solids.joined(solids.box((0.1, 0.02, 0.1)), solids.moved(solids.sphere(0.02), (0.0, 0.04, 0.0)))
     views = depth_views(mesh, 0.15)
     points = np.concatenate([mesh.vertices, mesh.vertices * 0.5])
@@ -127,8 +128,8 @@ def test_points_are_looked_at_in_parts_and_each_counts_as_alone(monkeypatch: pyt
     assert visibility.votes(views, points, normals, enough=2).tolist() == np.minimum(counted, 2).tolist()
 
 
-def test_inner_walls_are_left_out_and_inverted_faces_turned() -> None:
-    """Once as a closed solid, once torn open and with every other face the wrong way round."""
+def test_inner_walls_are_left_out_and_inverted_faces_are_corrected() -> None:
+    """A closed solid with all faces inverted, and an open one with every other face inverted."""
     outside, core = solids.box((0.05, 0.05, 0.05)), solids.box((0.02, 0.02, 0.02))
     surface = surface_of(solids.joined(outside, core), 0.05 * np.sqrt(3))
     assert np.abs(surface.points).max(1).min() > 0.0249

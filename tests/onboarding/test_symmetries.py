@@ -29,7 +29,8 @@ def surface_of(mesh: Mesh) -> tuple[float, Cloud, Surface]:
 
 
 def analysed(mesh: Mesh) -> Analysed:
-    """Near-symmetries and equivalent rotations of a mesh, and its rotations about a named axis."""
+    """Near-symmetric and equivalent rotations of a mesh, and a function of an axis name: the rotations
+    about it."""
     diameter, cloud, surface = surface_of(mesh)
     near = near_symmetries(surface, build_grid(surface.points, diameter), diameter)
     equivalents = equivalent_rotations(surface, cloud, near, diameter)
@@ -69,14 +70,14 @@ def test_a_printed_box_has_flips_of_its_shape_only(bricks) -> None:
     np.testing.assert_array_equal(equivalents[0], np.eye(4))
 
 
-def test_how_a_box_is_turned_about_an_axis_need_not_matter(bricks) -> None:
+def test_a_printed_box_has_a_half_turn_about_its_own_y_axis(bricks) -> None:
     turns = bricks[0][2]("y")
     assert len(turns) == 2
     np.testing.assert_array_equal(turns[0], np.eye(4))
     assert angles_to(turns[1:], half_turn(1))[0] < 1.5
 
 
-def test_a_shape_that_has_no_such_rotation_says_so() -> None:
+def test_a_shape_without_a_rotation_about_the_axis_is_refused() -> None:
     near = NearSymmetries(np.eye(4)[None])
     with pytest.raises(InputError, match=r"no rotation about the object's z axis .* a file can declare"):
         rotations_about_own(None, near, 0.1, "z")
@@ -89,11 +90,11 @@ def test_a_blank_box_has_equivalent_flips(bricks) -> None:
         assert angles_to(equivalents, half_turn(axis)).min() < 1.5
 
 
-def test_turns_do_not_depend_on_the_texture(bricks) -> None:
+def test_near_symmetric_rotations_do_not_depend_on_the_texture(bricks) -> None:
     np.testing.assert_array_equal(bricks[0][0].transforms, bricks[1][0].transforms)
 
 
-def test_a_cube_has_its_24_turns() -> None:
+def test_a_cube_has_24_rotations() -> None:
     near, equivalents, _ = analysed(solids.box((0.07, 0.07, 0.07)))
     assert len(near.transforms) == 24
     assert len(equivalents) == 24
@@ -102,7 +103,7 @@ def test_a_cube_has_its_24_turns() -> None:
     np.testing.assert_allclose(near.transforms[:, :3, :3], rounded, atol=0.05)
 
 
-def test_a_plain_cylinder_turns_about_its_axis_and_flips() -> None:
+def test_a_plain_cylinder_has_rotations_about_its_axis_and_flips() -> None:
     near, equivalents, _ = analysed(solids.moved(solids.cylinder(0.03, 0.1), (0.0, 0.04, 0.0)))
     assert near.axis is not None
     assert near.offset is not None
@@ -118,7 +119,7 @@ def test_a_plain_cylinder_turns_about_its_axis_and_flips() -> None:
 
 
 def label(repeats: int) -> np.ndarray:
-    """A wrapper that repeats round the can, upper and lower half alike in nothing."""
+    """A wrapper that repeats round the can; its upper and lower halves differ."""
     columns = np.arange(360) % (360 // repeats)
     picture = np.full((64, 360, 3), (200, 200, 40), np.uint8)
     picture[20:32, columns < 360 // repeats // 3] = (20, 30, 160)
@@ -126,7 +127,7 @@ def label(repeats: int) -> np.ndarray:
     return picture
 
 
-def test_a_printed_can_is_unlike_itself_turned() -> None:
+def test_a_printed_can_has_no_equivalent_rotation() -> None:
     near, equivalents, about = analysed(solids.cylinder(0.03, 0.1, label(1)))
     assert len(near.transforms) == 48
     assert len(equivalents) == 1
@@ -136,7 +137,7 @@ def test_a_printed_can_is_unlike_itself_turned() -> None:
     assert len(about("x")) == 2
 
 
-def test_a_ball_turns_about_every_axis() -> None:
+def test_a_ball_has_rotations_about_every_axis() -> None:
     angles = np.linspace(-np.pi / 2, np.pi / 2, 33)
     profile = [(0.03 * max(np.cos(a), 0.0), 0.03 * np.sin(a)) for a in angles]
     profile[0], profile[-1] = (0.0, -0.03), (0.0, 0.03)
@@ -150,14 +151,14 @@ def test_a_ball_turns_about_every_axis() -> None:
         np.testing.assert_allclose(se3.apply(turns[18], [0.0, 0.05, 0.0]), [0.0, 0.05, 0.0], atol=1e-3)
 
 
-def test_a_wrapper_that_repeats_thrice_looks_the_same_thrice() -> None:
+def test_a_wrapper_that_repeats_three_times_has_three_equivalent_rotations() -> None:
     _, equivalents, _ = analysed(solids.cylinder(0.03, 0.1, label(3)))
     assert len(equivalents) == 3
     turns = np.sort(np.degrees(np.arctan2(equivalents[:, 1, 0], equivalents[:, 0, 0])) % 360)
     np.testing.assert_allclose(turns, [0, 120, 240], atol=0.5)
 
 
-def test_a_handle_breaks_the_sameness_of_a_plain_mug() -> None:
+def test_a_handle_breaks_the_symmetry_of_a_plain_mug() -> None:
     body = solids.cylinder(0.035, 0.09)
     handle = solids.moved(solids.box((0.03, 0.012, 0.05)), (0.05, 0.0, 0.0))
     _, equivalents, _ = analysed(solids.joined(body, handle))
@@ -167,7 +168,7 @@ def test_a_handle_breaks_the_sameness_of_a_plain_mug() -> None:
     assert np.abs(turned[upright]).max() < 1  # only the mirror-like half turn about the handle may remain
 
 
-def test_rotations_cover_all_turns() -> None:
+def test_even_rotations_cover_all_orientations() -> None:
     rotations = even_rotations(1500)
     np.testing.assert_allclose(
         rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (1500, 1, 1)), atol=1e-12

@@ -6,7 +6,7 @@ from huepose.onboarding.winding import outward_sign
 from tests.onboarding import solids
 
 
-def test_closed_meshes_tell_their_outside() -> None:
+def test_inverted_closed_meshes_are_detected() -> None:
     for mesh in (solids.box((1, 2, 3)), solids.sphere(1.0), solids.moved(solids.box((1, 1, 1)), (9, 9, 9))):
         assert outward_sign(mesh.vertices, mesh.faces) == 1
         assert outward_sign(mesh.vertices, mesh.faces[:, ::-1]) == -1

@@ -1,4 +1,4 @@
-"""Small scenes written to disk in the layouts that the readers read, with all that they hold."""
+"""Small complete scenes on disk in the layouts that the readers support."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ OFFSET_M = np.array([0.01, -0.02, 0.03])
 
 
 def color_of(number: int) -> np.ndarray:
-    """A picture whose channels differ: red counts columns, green rows, blue is the number."""
+    """An image with different channels: red counts columns, green rows, blue is the number."""
     image = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     image[..., 0], image[..., 1], image[..., 2] = (
         np.arange(WIDTH) * 10,
@@ -35,7 +35,7 @@ def depth_of(number: int) -> np.ndarray:
 
 
 def mask_of(instance: int) -> np.ndarray:
-    """A block of the picture for each instance."""
+    """A block of the image for each instance."""
     mask = np.zeros((HEIGHT, WIDTH), np.uint8)
     mask[2:6, 3 + instance : 8 + instance] = 255
     return mask
@@ -49,7 +49,7 @@ def pose_of(number: int, instance: int) -> np.ndarray:
 
 
 def write(path: Path, image: np.ndarray) -> None:
-    """Write a picture given in RGB or one channel."""
+    """Write an RGB or one-channel image."""
     path.parent.mkdir(parents=True, exist_ok=True)
     assert cv2.imwrite(str(path), image[..., ::-1] if image.ndim == 3 else image)
 

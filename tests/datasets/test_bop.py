@@ -1,4 +1,4 @@
-"""BOP scenes: what was written is read; what is broken is named."""
+"""BOP scenes are read as they were written; errors name what is broken."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ def test_images_are_listed_in_numeric_order_and_only_those_on_disk(bop_scene: Pa
     assert scene.name == "000003"
 
 
-def test_a_scene_of_grey_pictures_is_called_one(bop_scene: Path) -> None:
+def test_a_scene_with_grey_images_is_refused(bop_scene: Path) -> None:
     (bop_scene / "rgb").rename(bop_scene / "gray")
     with pytest.raises(InputError, match=r"found grey images, gray/ and no rgb/; .*HuePose needs colour"):
         BopScene(bop_scene)
 
 
-def test_a_frame_is_what_was_written(bop_scene: Path) -> None:
+def test_a_frame_is_read_as_it_was_written(bop_scene: Path) -> None:
     sample = Sample.of(BopScene(bop_scene), 10)
     np.testing.assert_array_equal(sample.frame.color, color_of(10))
     np.testing.assert_allclose(sample.frame.depth, depth_of(10) * 1e-4, atol=1e-7)
@@ -58,7 +58,7 @@ def test_labels_are_in_metres_with_their_masks(bop_scene: Path) -> None:
         assert not truth.gone
 
 
-def test_the_entries_of_a_long_scene_are_told_briefly(bop_scene: Path) -> None:
+def test_the_error_lists_the_entries_of_a_long_scene_as_ranges(bop_scene: Path) -> None:
     path = bop_scene / "scene_camera.json"
     edit(path, lambda r: (r.update({str(i): r["2"] for i in range(1000)}), r.pop("10")))
     with pytest.raises(InputError) as error:
@@ -66,7 +66,7 @@ def test_the_entries_of_a_long_scene_are_told_briefly(bop_scene: Path) -> None:
     assert str(error.value) == f"{path}: found keys 0 to 9, 11 to 999; expected the key '10'."
 
 
-def test_an_image_without_an_entry_is_not_one_that_shows_nothing(bop_scene: Path) -> None:
+def test_an_image_without_an_entry_has_no_labels(bop_scene: Path) -> None:
     edit(bop_scene / "scene_gt.json", lambda r: (r.pop("2"), r.update({"10": []})))
     (bop_scene / "scene_gt_info.json").unlink()
     scene = BopScene(bop_scene)
@@ -74,14 +74,14 @@ def test_an_image_without_an_entry_is_not_one_that_shows_nothing(bop_scene: Path
     assert [scene.has_labels(image) for image in scene.image_ids] == [False, True, True]
 
 
-def test_time_stamps_are_the_scenes_own_else_30_hz(bop_scene: Path) -> None:
+def test_timestamps_are_those_of_the_scene_or_30_hz(bop_scene: Path) -> None:
     assert BopScene(bop_scene).stamp_ns(2) == round(2e9 / 30)
     stamp = 1581120424148532296  # more digits than a double holds
     edit(bop_scene / "scene_camera.json", lambda r: r["10"].update(timestamp_ns=stamp))
     assert BopScene(bop_scene).frame(10).stamp_ns == stamp
 
 
-def test_jpeg_images_and_scenes_without_details_or_masks(bop_scene: Path) -> None:
+def test_jpeg_images_and_scenes_without_details_or_masks_are_read(bop_scene: Path) -> None:
     path = bop_scene / "rgb" / "000002.png"
     cv2.imwrite(str(path.with_suffix(".jpg")), cv2.imread(str(path)), [cv2.IMWRITE_JPEG_QUALITY, 100])
     path.unlink()
@@ -168,13 +168,13 @@ def depth_of_8_bits(scene: Path) -> None:
         (edited("scene_gt_info.json", lambda r: r["2"].pop()), "scene_gt_info.json"),
     ],
 )
-def test_what_is_broken_is_named(bop_scene: Path, breakage, named: str) -> None:
+def test_the_error_names_what_is_broken(bop_scene: Path, breakage, named: str) -> None:
     breakage(bop_scene)
     with pytest.raises(InputError, match=named.replace(".", r"\.")):
         Sample.of(BopScene(bop_scene), 2)
 
 
-def test_the_name_is_that_of_the_folder_as_it_is_given(
+def test_the_scene_has_the_name_of_the_folder_as_given(
     bop_scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     link = tmp_path / "000048"
@@ -190,9 +190,7 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("place", ["000048", "test/000048"])
-def test_the_folder_of_scenes_is_answered_with_their_names(
-    bop_scene: Path, tmp_path: Path, place: str
-) -> None:
+def test_the_error_for_a_folder_of_scenes_names_them(bop_scene: Path, tmp_path: Path, place: str) -> None:
     scene = tmp_path / "set" / place
     scene.parent.mkdir(parents=True)
     bop_scene.rename(scene)
@@ -204,14 +202,14 @@ def test_the_folder_of_scenes_is_answered_with_their_names(
     )
 
 
-def test_a_folder_without_cameras_is_answered_with_what_to_write(bop_scene: Path) -> None:
+def test_the_error_for_a_folder_without_cameras_says_what_to_write(bop_scene: Path) -> None:
     (bop_scene / "scene_camera.json").unlink()
     with pytest.raises(InputError, match=r'no such file\. The folder of a scene has rgb/.*"cam_K": \[fx, 0'):
         BopScene(bop_scene)
 
 
-def test_what_is_missing_of_pictures_is_said_with_its_first_number(bop_scene: Path) -> None:
-    assert BopScene(bop_scene).gaps() == [], "of a picture that is not on disk the labels may speak"
+def test_gaps_name_the_first_image_that_is_incomplete(bop_scene: Path) -> None:
+    assert BopScene(bop_scene).gaps() == [], "labels may name an image that is not on disk"
     for number in (10, 100):
         (bop_scene / "depth" / f"{number:06d}.png").unlink()
     write(bop_scene / "depth" / "000007.png", depth_of(7))
@@ -225,7 +223,7 @@ def test_what_is_missing_of_pictures_is_said_with_its_first_number(bop_scene: Pa
     ]
 
 
-def test_depth_of_another_name_than_its_picture_is_missing(bop_scene: Path) -> None:
+def test_depth_with_another_file_name_than_colour_counts_as_missing(bop_scene: Path) -> None:
     (bop_scene / "depth" / "000010.png").rename(bop_scene / "depth" / "10.png")
     assert "1 of 3 images are not in depth/, the first is number 10" in BopScene(bop_scene).gaps()[0]
     with pytest.raises(InputError, match=r"000010\.png"):

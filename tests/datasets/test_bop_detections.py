@@ -34,13 +34,13 @@ def test_detections_are_sorted_by_score(tmp_path: Path) -> None:
         (json.dumps([{k: v for k, v in ENTRY.items() if k != "category_id"}]), "category_id"),
     ],
 )
-def test_what_is_broken_is_named(tmp_path: Path, text: str, named: str) -> None:
+def test_the_error_names_what_is_broken(tmp_path: Path, text: str, named: str) -> None:
     path = tmp_path / "boxes.json"
     path.write_text(text)
     with pytest.raises(InputError, match=named):
         read_detections(path)
 
 
-def test_a_file_that_is_not_there_is_no_matter_of_json(tmp_path: Path) -> None:
+def test_a_missing_file_is_not_reported_as_broken_json(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere\.json: found no such file\. Check the path\.$"):
         read_detections(tmp_path / "nowhere.json")

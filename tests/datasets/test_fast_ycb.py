@@ -1,4 +1,4 @@
-"""Fast-YCB sequences: layout, model frame, time stamps, broken files."""
+"""Fast-YCB sequences: layout, model frame, timestamps, broken files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from huepose.support.errors import InputError
 from .conftest import HEIGHT, OFFSET_M, WIDTH, color_of, depth_of, mask_of, pose_of
 
 
-def test_a_frame_is_what_was_written(fast_sequence: Path) -> None:
+def test_a_frame_is_read_as_it_was_written(fast_sequence: Path) -> None:
     sequence = FastYcbSequence(fast_sequence, OFFSET_M)
     assert sequence.image_ids == (0, 1, 2)
     frame = sequence.frame(1)
@@ -28,7 +28,9 @@ def test_a_frame_is_what_was_written(fast_sequence: Path) -> None:
     np.testing.assert_array_equal(sequence.truths(2)[0].mask(), mask_of(2) > 0)
 
 
-def test_the_object_is_the_folder_less_real_and_poses_are_in_the_reference_frame(fast_sequence: Path) -> None:
+def test_the_object_has_the_folder_name_without_real_and_poses_are_in_the_reference_frame(
+    fast_sequence: Path,
+) -> None:
     sequence = FastYcbSequence(fast_sequence, OFFSET_M)
     (truth,) = sequence.truths(1)
     assert truth.object == "006_mustard_bottle"
@@ -51,18 +53,18 @@ def test_without_an_offset_or_poses_nothing_is_labelled(fast_sequence: Path) -> 
     assert FastYcbSequence(fast_sequence, OFFSET_M).truths(0)[0].T_cam_obj is None
 
 
-def test_stamps_come_from_data_txt(fast_sequence: Path) -> None:
+def test_timestamps_come_from_data_txt(fast_sequence: Path) -> None:
     sequence = FastYcbSequence(fast_sequence, OFFSET_M)
     assert [sequence.stamp_ns(i) for i in sequence.image_ids] == [0, 33_333_000, 81_000_000]
 
 
 @pytest.mark.parametrize("text", ["0\n1\n2\n", "5.0\n5.0\n5.0\n", "a\nb\nc\n", "0.1\n"])
-def test_without_usable_stamps_30_hz_is_taken(fast_sequence: Path, text: str) -> None:
+def test_without_valid_timestamps_30_hz_is_assumed(fast_sequence: Path, text: str) -> None:
     (fast_sequence / "data.txt").write_text(text)
     assert FastYcbSequence(fast_sequence, OFFSET_M).stamp_ns(2) == round(2e9 / 30)
 
 
-def test_axis_angle_rows_are_rotation_vectors(tmp_path: Path) -> None:
+def test_axis_angle_rows_are_converted_to_rotations(tmp_path: Path) -> None:
     path = tmp_path / "poses.txt"
     path.write_text("0.1 0.2 0.3 0 0 2 1.5707963267948966\n0 0 1 0 0 0 0\n")
     poses = axis_angle_poses(path)
@@ -93,20 +95,20 @@ def packed_depth(sequence: Path) -> None:
         (lambda s: (s / "data.txt").unlink(), "data.txt"),
     ],
 )
-def test_what_is_broken_is_named(fast_sequence: Path, breakage, named: str) -> None:
+def test_the_error_names_what_is_broken(fast_sequence: Path, breakage, named: str) -> None:
     breakage(fast_sequence)
     with pytest.raises(InputError, match=named):
         Sample.of(FastYcbSequence(fast_sequence, OFFSET_M), 1)
 
 
-def test_a_camera_of_another_size_is_named(fast_sequence: Path) -> None:
+def test_the_error_names_a_camera_file_with_another_image_size(fast_sequence: Path) -> None:
     path = fast_sequence / "cam_K.json"
     path.write_text(path.read_text().replace('"width": 16', '"width": 32'))
     with pytest.raises(InputError, match=r"cam_K\.json"):
         FastYcbSequence(fast_sequence, OFFSET_M).frame(0)
 
 
-def test_what_is_missing_of_pictures_is_said_with_its_first_number(fast_sequence: Path) -> None:
+def test_gaps_name_the_first_image_that_is_incomplete(fast_sequence: Path) -> None:
     assert FastYcbSequence(fast_sequence, None).gaps() == []
     packed_depth(fast_sequence)
     assert FastYcbSequence(fast_sequence, None).with_depth == (0, 2)

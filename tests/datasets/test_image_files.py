@@ -78,7 +78,8 @@ def test_every_form_of_intrinsics_gives_the_same_frame(files, form: dict) -> Non
         ({**OWN, "fx": "wide"}, "fx"),
         ({**OWN, "fx": -1.0}, "fx"),
         ({**OWN, "distortion_model": "fisheye", "distortion": [1]}, "fisheye"),
-        ({**OWN, "distortion_model": "fisheye", "distortion": [0.0] * 4}, "fisheye"),  # bent all the same
+        # Without coefficients, a fisheye lens is still no pinhole.
+        ({**OWN, "distortion_model": "fisheye", "distortion": [0.0] * 4}, "fisheye"),
         (
             {**OWN, "distortion_model": "inverse_brown_conrady", "distortion": [0.1, 0, 0, 0, 0]},
             "'inverse_brown_conrady'.*librealsense: rs2_project_point_to_pixel",
@@ -105,14 +106,14 @@ def test_every_form_of_intrinsics_gives_the_same_frame(files, form: dict) -> Non
         ),
     ],
 )
-def test_a_wrong_camera_file_is_named_with_its_key(files, form: dict, named: str) -> None:
+def test_the_error_names_the_wrong_key_of_a_camera_file(files, form: dict, named: str) -> None:
     color, depth, camera = files
     camera.write_text(json.dumps(form))
     with pytest.raises(InputError, match=named):
         read_frame(color, depth, camera)
 
 
-def test_a_camera_file_of_ros_is_answered_with_the_forms_that_are_read(tmp_path: Path) -> None:
+def test_the_error_for_a_ros_camera_file_lists_the_supported_forms(tmp_path: Path) -> None:
     path = tmp_path / "ros.yaml"
     path.write_text("image_width: 640\ncamera_matrix:\n  data: [20.0, 0.0, 7.5]\n")
     with pytest.raises(
@@ -121,7 +122,7 @@ def test_a_camera_file_of_ros_is_answered_with_the_forms_that_are_read(tmp_path:
         read_camera(path)
 
 
-def test_the_name_of_ros_for_a_distortion_means_the_same(files) -> None:
+def test_the_ros_name_of_a_distortion_model_means_the_same(files) -> None:
     frames = []
     for model in ("brown_conrady", "plumb_bob"):
         record = {**OWN, "distortion_model": model, "distortion": [0.2, 0.05, 0.0, 0.0, 0.0]}
@@ -139,21 +140,21 @@ def test_the_name_of_ros_for_a_distortion_means_the_same(files) -> None:
         (np.ones((HEIGHT, WIDTH, 3), np.uint8), "depth.png", r"3 channels; .*coloured image"),
     ],
 )
-def test_depth_of_another_type_is_answered_with_what_to_save(files, values, name: str, says: str) -> None:
+def test_the_error_for_depth_of_another_type_says_what_to_save(files, values, name: str, says: str) -> None:
     depth = files[1].with_name(name)
     write(depth, values)
     with pytest.raises(InputError, match=says):
         read_frame(files[0], depth, files[2])
 
 
-def test_an_array_of_numpy_is_answered_with_what_to_save(files) -> None:
+def test_the_error_for_a_numpy_file_says_what_to_save(files) -> None:
     depth = files[1].with_name("depth.npy")
     np.save(depth, np.ones((HEIGHT, WIDTH), np.float32))
     with pytest.raises(InputError, match=r"array of numpy; .*\(depth \* 1000\)\.astype"):
         read_frame(files[0], depth, files[2])
 
 
-def test_missing_and_mismatched_pictures_are_named(files, tmp_path: Path) -> None:
+def test_the_error_names_missing_and_mismatched_images(files, tmp_path: Path) -> None:
     color, depth, camera = files
     with pytest.raises(InputError, match=r"gone\.png"):
         read_frame(tmp_path / "gone.png", depth, camera)
@@ -170,7 +171,7 @@ def test_missing_and_mismatched_pictures_are_named(files, tmp_path: Path) -> Non
     ],
 )
 def test_rectified_pixels_lie_on_the_pinhole_rays(model: str, coefficients: list[float]) -> None:
-    """Spots drawn where the distorted lens would show points of space land where the pinhole shows them."""
+    """Rectification moves spots from their distorted projections to their pinhole projections."""
     camera = Camera(200.0, 210.0, 159.5, 119.5, 320, 240)
     points = np.array([[x, y, 1.0] for x in (-0.5, 0.0, 0.5) for y in (-0.35, 0.0, 0.35)])
     seen, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), camera.K, np.array(coefficients))
@@ -200,7 +201,7 @@ def test_distorted_files_are_rectified(files) -> None:
     assert not np.array_equal(frame.color, color_of(4))
 
 
-def test_a_file_with_its_size_missing_takes_that_of_the_picture(files) -> None:
+def test_a_camera_file_without_a_size_takes_that_of_the_image(files) -> None:
     camera = files[2]
     camera.write_text(json.dumps(MATRIX))
     assert read_camera(camera).camera(32, 20, files[0]).width == 32
@@ -214,13 +215,13 @@ def test_depth_in_wrong_units_is_an_error(files, scale_m: float) -> None:
         read_frame(color, depth, camera)
 
 
-def test_depth_in_the_place_of_colour_is_an_error(files) -> None:
+def test_a_depth_image_given_as_colour_is_an_error(files) -> None:
     _, depth, camera = files
     with pytest.raises(InputError, match=r"found uint16 values; expected a colour image with 8 bit values"):
         read_frame(depth, depth, camera)
 
 
-def test_a_picture_without_any_depth_is_an_error(files) -> None:
+def test_a_depth_image_without_any_reading_is_an_error(files) -> None:
     color, depth, camera = files
     write(depth, np.zeros((HEIGHT, WIDTH), np.uint16))
     with pytest.raises(InputError, match=r"depth.png: found no depth in any pixel"):
@@ -230,7 +231,7 @@ def test_a_picture_without_any_depth_is_an_error(files) -> None:
 @pytest.mark.parametrize(
     "text", ["[" * 100_000, '{"fx": ' + "9" * 5000 + "}", '{"distortion": 7, "cam_K": 1}']
 )
-def test_whatever_a_camera_file_says_it_is_an_input_error(tmp_path, text):
+def test_any_invalid_camera_file_is_an_input_error(tmp_path, text):
     (tmp_path / "camera.json").write_text(text)
     with pytest.raises(InputError):
         read_camera(tmp_path / "camera.json")
@@ -243,7 +244,7 @@ def test_whatever_a_camera_file_says_it_is_an_input_error(tmp_path, text):
         b"\xff\xd8\xff\xe0\x00\x04\x00\x00\xff\xc0\x00\x11\x08\x40\x00\x40\x00\x03" + bytes(20),
     ],
 )
-def test_a_picture_of_too_many_pixels_is_refused_before_it_is_unpacked(tmp_path, data):
+def test_an_image_with_too_many_pixels_is_refused_before_it_is_decoded(tmp_path, data):
     (tmp_path / "large.png").write_bytes(data)
     with pytest.raises(InputError, match="16384 x 16384 pixels"):
         read_color(tmp_path / "large.png")
@@ -260,7 +261,7 @@ def test_a_picture_of_too_many_pixels_is_refused_before_it_is_unpacked(tmp_path,
         ("color_1.png", {"frame_id": 0, "stamp_ns": 0}, 0, 0),
     ],
 )
-def test_a_frame_has_the_number_of_its_name_and_its_time_at_30_hz_unless_they_are_said(
+def test_a_frame_has_the_number_in_its_name_and_the_time_at_30_hz_unless_given(
     files, name: str, said: dict[str, int], frame_id: int, stamp_ns: int
 ) -> None:
     color, depth, camera = files

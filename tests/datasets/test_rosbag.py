@@ -1,4 +1,4 @@
-"""Bags written here by rosbags, of ROS 1 and of ROS 2, and what is read back."""
+"""ROS 1 and ROS 2 bags, written here with rosbags and read back."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ BAGS = ("desk.bag", "desk_db3", "desk_mcap")
 
 
 class Ros:
-    """Messages of one of the two, which differ in their headers and in how they write CameraInfo."""
+    """Messages of ROS 1 or ROS 2, which differ in headers and in CameraInfo."""
 
     def __init__(self, name: str) -> None:
         self.is1 = name.endswith(".bag")
@@ -74,7 +74,7 @@ class Ros:
         )  # fmt: skip
 
     def write(self, path: Path, messages: Iterable[tuple[str, int, Any]]) -> Path:
-        """A bag of (topic, when it was recorded, message)."""
+        """Write a bag of (topic, recording time, message)."""
         writer = Writer1(path) if self.is1 else Writer2(path, version=9, storage_plugin=self.plugin)
         dump = self.store.serialize_ros1 if self.is1 else self.store.serialize_cdr
         with writer:
@@ -88,13 +88,13 @@ class Ros:
 
 
 def stamps_ns(number: int) -> tuple[int, int]:
-    """Of colour and depth; the third depth is more than half a frame away from every colour."""
+    """Timestamps of colour and depth; the third depth is more than half a frame away from every colour."""
     color = START_NS + number * STEP_NS
     return color, color + (20_000_000 if number == 2 else 3_000_000)
 
 
 def desk(ros: Ros, d: Iterable[float] = (), **made: Any) -> list[tuple[str, int, Any]]:
-    """Messages of a bag with everything; `made`: makes other pictures of colour or depth, or leaves out."""
+    """Messages of a complete bag; `made` replaces the images or the topics of colour and depth."""
     color = made.get("color", lambda n, ns: ros.image(COLORS[n], "rgb8", ns))
     depth = made.get("depth", lambda n, ns: ros.image(DEPTHS_MM[n], "16UC1", ns, fill=6))
     messages: list[tuple[str, int, Any]] = []
@@ -116,7 +116,7 @@ def refusal(path: Path, topics: Topics | None = ANY) -> str:
     return str(error.value)
 
 
-def test_unaligned_depth_of_a_realsense_is_refused_unless_it_is_named_or_of_the_sensor_of_colour(
+def test_unaligned_realsense_depth_is_refused_unless_named_or_from_the_colour_sensor(
     tmp_path: Path,
 ) -> None:
     ros, unaligned = Ros("desk.bag"), "/cam/depth/image_rect_raw"
@@ -131,11 +131,11 @@ def test_unaligned_depth_of_a_realsense_is_refused_unless_it_is_named_or_of_the_
 
 
 @pytest.mark.parametrize("name", BAGS)
-def test_frames_are_what_was_written(name: str, tmp_path: Path) -> None:
+def test_frames_are_read_as_they_were_written(name: str, tmp_path: Path) -> None:
     ros = Ros(name)
     scene = RosbagScene(ros.write(tmp_path / name, desk(ros)))
     assert scene.topics == Topics(COLOR, DEPTH, INFO)
-    assert scene.image_ids == (0, 1, 2)  # the third of four colour pictures has no depth of its time
+    assert scene.image_ids == (0, 1, 2)  # the third of four colour images has no depth near its timestamp
     written = [0, 1, 3]
     for image in [0, 1, 2, 1, 0]:  # forwards, and back
         frame, n = scene.frame(image), written[image]
@@ -147,7 +147,7 @@ def test_frames_are_what_was_written(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", BAGS)
-def test_a_lens_is_rectified_as_everywhere(name: str, tmp_path: Path) -> None:
+def test_distorted_images_are_rectified(name: str, tmp_path: Path) -> None:
     ros = Ros(name)
     frame = RosbagScene(ros.write(tmp_path / name, desk(ros, BARREL))).frame(0)
     rectifier = Rectifier.of(CAMERA, np.array(BARREL))
@@ -157,7 +157,7 @@ def test_a_lens_is_rectified_as_everywhere(name: str, tmp_path: Path) -> None:
     assert not np.array_equal(frame.color, COLORS[0])
 
 
-def test_pictures_that_are_rectified_already_have_the_intrinsics_of_p(tmp_path: Path) -> None:
+def test_rectified_images_have_the_intrinsics_in_p(tmp_path: Path) -> None:
     ros = Ros("a")
     messages = desk(ros, BARREL, color_topic="/cam/color/image_rect_color")
     for _, _, message in messages:
@@ -171,15 +171,15 @@ def test_pictures_that_are_rectified_already_have_the_intrinsics_of_p(tmp_path: 
 @pytest.mark.parametrize(
     ("encoding", "order"), [("bgr8", [2, 1, 0]), ("rgba8", [0, 1, 2, 0]), ("bgra8", [2, 1, 0, 0])]
 )
-def test_other_orders_of_colours_are_brought_to_rgb(encoding: str, order: list[int], tmp_path: Path) -> None:
+def test_other_channel_orders_are_converted_to_rgb(encoding: str, order: list[int], tmp_path: Path) -> None:
     ros = Ros("a")
     messages = desk(ros, color=lambda n, ns: ros.image(COLORS[n][..., order], encoding, ns, fill=5))
     np.testing.assert_array_equal(RosbagScene(ros.write(tmp_path / "a", messages)).frame(1).color, COLORS[1])
 
 
 @pytest.mark.parametrize("kind", ["png", "rgb8; png compressed bgr8", "rgb8; png compressed "])
-def test_compressed_pictures_are_read(kind: str, tmp_path: Path) -> None:
-    """The last is what a sender says that gave RGB to the codec as if it were BGR."""
+def test_compressed_images_are_read(kind: str, tmp_path: Path) -> None:
+    """A sender that gave RGB to the codec as if it were BGR writes the last format."""
     ros = Ros("a")
     order = [0, 1, 2] if kind.endswith(" ") else [2, 1, 0]
 
@@ -206,7 +206,7 @@ def test_depth_in_metres_has_0_where_there_is_no_reading(tmp_path: Path) -> None
     np.testing.assert_array_equal(read[1:], metres[0, 1:])
 
 
-def test_of_several_pairs_one_is_named(tmp_path: Path) -> None:
+def test_with_several_pairs_of_topics_one_must_be_named(tmp_path: Path) -> None:
     ros = Ros("a")
     other = [(t, ns, m) for t, ns, m in desk(ros, color_topic="/rear/image_raw") if t == "/rear/image_raw"]
     path = ros.write(tmp_path / "a", [*desk(ros), *other])
@@ -218,7 +218,7 @@ def test_of_several_pairs_one_is_named(tmp_path: Path) -> None:
     assert "camera.info_topic /x: found no CameraInfo" in refusal(path, Topics(color=COLOR, info="/x"))
 
 
-def test_a_compressed_picture_that_no_memory_holds_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+def test_a_compressed_image_that_is_too_large_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
     ros = Ros("a")
     large = bytearray(cv2.imencode(".png", COLORS[0])[1].tobytes())
     large[16:24] = struct.pack(">II", 100_000, 100_000)
@@ -230,7 +230,7 @@ def test_a_compressed_picture_that_no_memory_holds_is_refused_before_it_is_decod
         RosbagScene(path, Topics(color=f"{COLOR}/compressed")).frame(0)
 
 
-def test_of_a_picture_that_is_there_compressed_too_the_other_is_taken(tmp_path: Path) -> None:
+def test_the_uncompressed_image_is_preferred(tmp_path: Path) -> None:
     ros = Ros("a")
     jpeg = ros.compressed(cv2.imencode(".jpg", COLORS[0])[1].tobytes(), "jpeg", START_NS)
     path = ros.write(tmp_path / "a", [*desk(ros), (f"{COLOR}/compressed", START_NS, jpeg)])
@@ -238,7 +238,7 @@ def test_of_a_picture_that_is_there_compressed_too_the_other_is_taken(tmp_path: 
     assert RosbagScene(path, Topics(color=f"{COLOR}/compressed")).image_ids == (0,)
 
 
-def test_depth_that_is_not_in_the_pixels_of_colour_is_refused(tmp_path: Path) -> None:
+def test_depth_that_is_not_aligned_to_colour_is_refused(tmp_path: Path) -> None:
     ros = Ros("a")
     half = desk(ros, depth=lambda n, ns: ros.image(DEPTHS_MM[n, ::2, ::2].copy(), "16UC1", ns))
     said = refusal(ros.write(tmp_path / "half", half))
@@ -253,7 +253,7 @@ def test_depth_that_is_not_in_the_pixels_of_colour_is_refused(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("name", BAGS)
-def test_a_camera_that_changes_midway_is_refused_with_the_time(name: str, tmp_path: Path) -> None:
+def test_a_camera_that_changes_during_the_bag_is_refused_with_the_time(name: str, tmp_path: Path) -> None:
     def changing(named: str, **fields: Any) -> Path:
         ros, messages = Ros(name), desk(Ros(name), BARREL)
         for place, (topic, log_ns, _) in enumerate(messages):
@@ -265,7 +265,7 @@ def test_a_camera_that_changes_midway_is_refused_with_the_time(name: str, tmp_pa
 
     assert RosbagScene(changing("same")).image_ids == (0, 1, 2)
     focused = changing("focus", camera=Camera(40.1, 41.0, 15.5, 11.0, WIDTH, HEIGHT))
-    assert RosbagScene(focused).frame(2).camera == CAMERA, "a tenth of a pixel is none"
+    assert RosbagScene(focused).frame(2).camera == CAMERA, "a tenth of a pixel is no change"
     zoomed = changing("zoom", camera=Camera(60.0, 61.5, 15.5, 11.0, WIDTH, HEIGHT))
     told = f"{INFO}: found another K 0.07 s after its first message (stamp 1700000000.189); expected one"
     assert told in refusal(zoomed)
@@ -274,7 +274,7 @@ def test_a_camera_that_changes_midway_is_refused_with_the_time(name: str, tmp_pa
     assert f"found another size ({2 * WIDTH} x {2 * HEIGHT}) 0.07 s" in refusal(larger)
 
 
-def test_what_cannot_be_used_is_said(tmp_path: Path) -> None:
+def test_the_error_says_what_cannot_be_used(tmp_path: Path) -> None:
     ros = Ros("a")
     mono = desk(ros, color=lambda n, ns: ros.image(COLORS[n, ..., 0].copy(), "mono8", ns))
     assert "'mono8'; expected rgb8, bgr8" in refusal(ros.write(tmp_path / "mono", mono))
@@ -285,7 +285,7 @@ def test_what_cannot_be_used_is_said(tmp_path: Path) -> None:
     others = [(f"/{k}/camera_info", START_NS, ros.info()) for k in "ab"]
     path = ros.write(tmp_path / "others", [*none, *others])
     assert "Name another: camera.info_topic, or record" in refusal(path)
-    assert "camera.info_topic" not in refusal(path, None), "who cannot name it is not told to"
+    assert "camera.info_topic" not in refusal(path, None), "not mentioned where a topic cannot be named"
     flat = [(t, ns, m) for t, ns, m in desk(ros) if t != DEPTH]
     assert f"no depth images, but {COLOR} (rgb8)" in refusal(ros.write(tmp_path / "flat", flat))
     unset = desk(ros, color=lambda n, ns: ros.image(COLORS[n], "rgb8", 0))
@@ -331,12 +331,12 @@ def test_a_broken_bag_is_one_paragraph_and_exit_code_2(
     assert "gone.bag: found no such file" in capsys.readouterr().err
 
 
-def test_who_gives_a_film_is_told_what_to_record_instead(tmp_path: Path) -> None:
+def test_the_error_for_a_video_says_what_to_record_instead(tmp_path: Path) -> None:
     (tmp_path / "turned.mp4").write_bytes(b"\0\0\0\x20ftypisom")
     assert "A video has no depth" in refusal(tmp_path / "turned.mp4")
 
 
-def test_a_recording_of_huepose_is_told_from_a_bag(tmp_path: Path) -> None:
+def test_a_huepose_recording_is_not_taken_for_a_bag(tmp_path: Path) -> None:
     from mcap.writer import Writer
 
     with (tmp_path / "run.mcap").open("wb") as file:

@@ -1,4 +1,4 @@
-"""The words for visibility."""
+"""When a label counts as visible and as gone."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from huepose.datasets.types import GroundTruth
         (0.09, False, True),
     ],
 )
-def test_visible_and_gone(fraction: float | None, visible: bool, gone: bool) -> None:
+def test_visible_and_gone_depend_on_the_visible_fraction(
+    fraction: float | None, visible: bool, gone: bool
+) -> None:
     truth = GroundTruth(0, np.eye(4), visib_fract=fraction)
     assert (truth.visible, truth.gone) == (visible, gone)

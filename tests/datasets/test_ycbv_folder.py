@@ -1,4 +1,4 @@
-"""Downloads of YCB-Video and Fast-YCB as they are, whole and in part."""
+"""Downloads of YCB-Video and Fast-YCB, complete and in part."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .conftest import OFFSET_M
 
 @pytest.fixture
 def bop_download(tmp_path: Path, bop_scene: Path) -> Path:
-    """Scene 3 of two that the targets name, with images 2, 10 and 100 of four; object 7 in image 2 alone."""
+    """Scene 3 of two scenes in the targets, with images 2, 10 and 100 of four; object 7 in image 2 only."""
     root = tmp_path / "ycbv"
     (root / "test").mkdir(parents=True)
     bop_scene.rename(root / "test" / "000003")
@@ -43,15 +43,15 @@ def test_the_targets_say_which_images_and_labels_count(bop_download: Path) -> No
     ]
 
 
-def test_grey_pictures_are_called_so(bop_download: Path) -> None:
+def test_grey_images_are_refused(bop_download: Path) -> None:
     scene = bop_download / "test" / "000003"
     (scene / "rgb").rename(scene / "gray")
     with pytest.raises(InputError, match=r"000003: found grey images, gray/ and no rgb/; .*needs colour"):
         open_ycbv(bop_download)
 
 
-def test_of_alike_objects_those_count_that_show_most() -> None:
-    """Two are asked for, of three that show 30, 90 and 60 %."""
+def test_of_several_instances_the_most_visible_count() -> None:
+    """Two of three instances are requested; 30, 90 and 60 % of them are visible."""
 
     class Three:
         name, image_ids, stamp_ns = "000048", (1,), None
@@ -70,7 +70,7 @@ def test_without_targets_all_images_count(bop_download: Path) -> None:
     assert folder.coverage.lines()[0].startswith("no list of test images: all 3 images of 1 scenes")
 
 
-def test_other_folders_are_named(tmp_path: Path, bop_download: Path) -> None:
+def test_the_error_names_a_wrong_folder(tmp_path: Path, bop_download: Path) -> None:
     (tmp_path / "other" / "images").mkdir(parents=True)
     with pytest.raises(InputError, match="images"):
         open_ycbv(tmp_path / "other")
@@ -83,7 +83,7 @@ def test_other_folders_are_named(tmp_path: Path, bop_download: Path) -> None:
         open_ycbv(bop_download)
 
 
-def test_a_sample_is_spread_over_scenes_and_within_them(bop_download: Path) -> None:
+def test_a_sample_is_spread_evenly_over_and_within_scenes(bop_download: Path) -> None:
     (bop_download / "test_targets_bop19.json").unlink()
     shutil.copytree(bop_download / "test" / "000003", bop_download / "test" / "000007")
     scenes = open_ycbv(bop_download).scenes
@@ -92,7 +92,7 @@ def test_a_sample_is_spread_over_scenes_and_within_them(bop_download: Path) -> N
     assert [s.image_ids for s in spread(scenes, 100)] == [(2, 10, 100)] * 2
 
 
-def test_fast_ycb_is_found_below_a_folder_and_what_is_missing_is_said(fast_sequence: Path) -> None:
+def test_fast_ycb_is_found_below_a_folder_and_missing_parts_are_named(fast_sequence: Path) -> None:
     root = fast_sequence.parent
     unlabelled = root / "003_cracker_box_real"
     shutil.copytree(fast_sequence, unlabelled)

@@ -1,4 +1,4 @@
-"""Small stand-ins for YCB-Video and Fast-YCB: even light, and little is hidden."""
+"""Small stand-ins for YCB-Video and Fast-YCB: even light and little occlusion."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from huepose.scenes.rendered import SceneRanges
 from huepose.scenes.shapes import demo_objects
 
 APART_M = np.array([0.003, -0.002, 0.008])
-"""Between the frames of BOP and PoseCNN, times the id; the real ones lie as far apart."""
+"""Offset between the model frames of BOP and PoseCNN, times the id; the real offsets are of this size."""
 
 EASY = SceneRanges(
     objects=(4, 6),
@@ -29,7 +29,7 @@ HALF_TURN = {"symmetries_discrete": [[-1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0, 0, 0
 
 
 def stand_in_objects(count: int) -> list[SetObject]:
-    """The first of the demo's objects, with ids from 1."""
+    """The first `count` demo objects, with ids from 1."""
     named = list(demo_objects().items())[:count]
     return [SetObject(i, name, mesh, i * APART_M, HALF_TURN) for i, (name, mesh) in enumerate(named, 1)]
 
@@ -37,7 +37,7 @@ def stand_in_objects(count: int) -> list[SetObject]:
 def write_stand_ins(
     root: Path, objects: list[SetObject], images: int, sequences: int, frames: int, seed: int
 ) -> None:
-    """`root/ycbv` with one scene, and `root/fast`, whose stand-in for DOPE misses the second frame."""
+    """`root/ycbv` with one scene, and `root/fast`, whose DOPE poses lack the second frame."""
     write_bop_ycbv(root / "ycbv", objects, 1, images, seed, EASY)
     write_fast_ycb_set(root / "fast", objects, sequences, frames, seed)
     for folder in (root / "fast").iterdir():

@@ -1,4 +1,4 @@
-"""The built-in scene: truth agrees with pictures, the loop closes, the cache holds or is made anew."""
+"""The built-in scene: labels agree with the images, the loop closes, a broken cache is rendered again."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ def scene(folder: Path) -> SyntheticScene:
 
 @pytest.fixture
 def tiny(folder: Path, monkeypatch: pytest.MonkeyPatch) -> SyntheticScene:
-    """Drawn in a moment, by the first plan that there is, for what does not look at its pictures."""
+    """A scene that is rendered fast, by the first plan, for tests that do not need its images."""
     monkeypatch.setattr("huepose.scenes.plan._ATTEMPTS", 1)
     return SyntheticScene(3, 1.0, ONE, TINY, cache=folder)
 
 
-def test_frames_are_what_every_reader_yields(scene: SyntheticScene) -> None:
+def test_frames_have_numbers_timestamps_and_labels_and_repeat(scene: SyntheticScene) -> None:
     assert len(scene) == 30
     samples = list(scene)
     assert [s.frame.frame_id for s in samples] == list(range(30))
@@ -55,7 +55,7 @@ def test_frames_are_what_every_reader_yields(scene: SyntheticScene) -> None:
     assert samples[0].frame.color.std() > 20
 
 
-def test_depth_agrees_with_the_rendered_truth(scene: SyntheticScene) -> None:
+def test_depth_agrees_with_the_ground_truth(scene: SyntheticScene) -> None:
     for i in (0, 13, 29):
         frame, truths = scene.frame(i), scene.truths(i)
         for truth in truths:
@@ -78,7 +78,7 @@ def test_depth_agrees_with_the_rendered_truth(scene: SyntheticScene) -> None:
             assert truth.box_visib.y1 == rows.max() + 1
 
 
-def test_a_second_opening_reads_the_file_and_a_broken_file_is_made_anew(
+def test_a_second_opening_reads_the_file_and_a_broken_file_is_rendered_again(
     tiny: SyntheticScene, folder: Path
 ) -> None:
     color, file = tiny.frame(7).color, tiny.path.stat().st_ino
@@ -121,7 +121,7 @@ def test_wrong_requests_are_explained(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_the_plan_of_the_demo_is_clear_at_first_and_lively_later(seed: int) -> None:
+def test_the_plan_of_the_demo_shows_all_objects_first_and_occludes_them_later(seed: int) -> None:
     stage = plan(OBJECTS, seed, 240, CAMERA)
     rough = CAMERA.scaled(0.25)
     seen = np.array([labels(stage, i, rough).visib_fract for i in range(0, 240, 6)])
@@ -134,7 +134,7 @@ def test_the_plan_of_the_demo_is_clear_at_first_and_lively_later(seed: int) -> N
 
 
 def test_motion_blur_is_centred_on_the_true_pose() -> None:
-    """A white square that moves 12 px a frame: its blurred edges are symmetric about where it truly is."""
+    """A white square that moves 12 px a frame: its blurred edges are symmetric about its true position."""
     camera = Camera(600.0, 600.0, 159.5, 119.5, 320, 240)
     white, grey = (np.full((8, 8, 3), v, np.uint8) for v in (230, 60))
     turn = se3.rotation_exp(np.array([np.pi, 0, 0]))
@@ -161,7 +161,7 @@ def test_motion_blur_is_centred_on_the_true_pose() -> None:
     assert shot.labels.box_visib[0].w == 60
 
 
-def test_silhouette_counts_what_lies_outside_the_image() -> None:
+def test_the_silhouette_counts_pixels_outside_the_image() -> None:
     mesh = OBJECTS["soup_can"]
     half_out = se3.make(np.eye(3), CAMERA.backproject(np.array([0.0, 240.0]), np.array(0.7)))
     inside = se3.make(np.eye(3), CAMERA.backproject(np.array([320.0, 240.0]), np.array(0.7)))

@@ -1,4 +1,4 @@
-"""Charts of blocks and of surfaces of revolution: areas, volumes, textures the right way round."""
+"""Charts of blocks and of surfaces of revolution: areas, volumes, unmirrored textures."""
 
 from __future__ import annotations
 

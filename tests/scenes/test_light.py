@@ -34,7 +34,7 @@ def lit(scene: list, light: Light, gloss: int = 0) -> np.ndarray:
 
 
 def facing_camera(depth_m: float, size_m: float) -> tuple:
-    turn = se3.rotation_exp(np.array([np.pi, 0, 0]))  # a sheet's picture is seen from its +z
+    turn = se3.rotation_exp(np.array([np.pi, 0, 0]))  # the texture of a sheet is visible from its +z side
     return sheet(size_m, size_m, WHITE), se3.make(turn, np.array([0, 0, depth_m]))
 
 
@@ -46,7 +46,7 @@ def test_lambert(angle_deg: float) -> None:
     np.testing.assert_allclose(total[120, 160], 0.8 * np.cos(a) * light.gain, rtol=1e-4)
 
 
-def test_the_sky_lights_what_looks_up() -> None:
+def test_skylight_depends_on_the_angle_to_the_vertical() -> None:
     total = lit([facing_camera(1.0, 0.5)], Light(UP_ROOM, 0.0, 0.5, np.ones(3)))
     np.testing.assert_allclose(total[120, 160], 0.5 * (0.65 + 0.35 * -UP_ROOM[2]), rtol=1e-4)
 
@@ -65,14 +65,14 @@ def test_shadow_falls_opposite_the_light() -> None:
     assert 0.6 * (0.1 * 300) ** 2 < shaded < (0.1 * 300) ** 2 + hidden_by_square
 
 
-def test_highlight_only_on_glossy_things() -> None:
+def test_highlights_only_on_glossy_objects() -> None:
     light = Light(np.array([0, 0, -1.0]), 0.5, 0.0, np.ones(3), gloss=0.2)
     scene = [facing_camera(1.0, 0.5)]
     assert lit(scene, light, 1)[119, 159, 0] == pytest.approx(0.7, abs=0.01)
     assert lit(scene, light, 0)[119, 159, 0] == pytest.approx(0.5, abs=0.01)
 
 
-def test_light_moves_smoothly_and_closes() -> None:
+def test_light_changes_smoothly_also_where_the_loop_closes() -> None:
     row = lights(Timing.of(240), np.random.default_rng(0))
     gains = np.array([light.gain for light in row])
     directions = np.array([light.towards_room for light in row])

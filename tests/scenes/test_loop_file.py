@@ -1,4 +1,4 @@
-"""The loop's file: what goes in comes out, and what is not whole is not opened."""
+"""The file of a loop is read back as written; a damaged file is not opened."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_round_trip(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "damage", ["flip a bit of a picture", "flip a bit of the index", "cut", "empty", "other"]
 )
-def test_what_is_not_whole_is_not_opened(tmp_path: Path, damage: str) -> None:
+def test_a_damaged_file_is_not_opened(tmp_path: Path, damage: str) -> None:
     path = tmp_path / "a.loop"
     write_loop(path, frames())
     data = bytearray(path.read_bytes())
@@ -67,7 +67,7 @@ def test_what_is_not_whole_is_not_opened(tmp_path: Path, damage: str) -> None:
     assert open_loop(path) is None
 
 
-def test_nothing_is_left_when_drawing_fails(tmp_path: Path) -> None:
+def test_a_failed_rendering_leaves_no_file(tmp_path: Path) -> None:
     def broken():
         yield frames()[0]
         raise KeyboardInterrupt
@@ -78,26 +78,26 @@ def test_nothing_is_left_when_drawing_fails(tmp_path: Path) -> None:
     assert open_loop(tmp_path / "a.loop") is None
 
 
-def not_asked_for(path: Path, days: float) -> None:
+def unused_for(path: Path, days: float) -> None:
     os.utime(path, (time.time() - days * 86400,) * 2)
 
 
-def test_a_loop_that_nobody_asks_for_goes_and_one_that_plays_stays(tmp_path: Path) -> None:
+def test_unused_loops_are_deleted_and_those_in_use_stay(tmp_path: Path) -> None:
     paths = [tmp_path / f"{name}.loop" for name in ("old", "asked_for", "playing", "young")]
     for path in paths:
         write_loop(path, frames(1))
     (tmp_path / "notes.txt").write_text("not a loop")
     playing = open_loop(paths[2])
     for path in (*paths[:3], tmp_path / "notes.txt"):
-        not_asked_for(path, UNUSED_DAYS + 1)
-    not_asked_for(paths[3], UNUSED_DAYS - 1)
+        unused_for(path, UNUSED_DAYS + 1)
+    unused_for(paths[3], UNUSED_DAYS - 1)
     kept_loop(paths[1], list)
     write_loop(tmp_path / "new.loop", frames(1))
     left = {p.name for p in tmp_path.iterdir()}
     assert left == {"asked_for.loop", "playing.loop", "young.loop", "new.loop", "notes.txt"}
 
     del playing
-    not_asked_for(paths[2], UNUSED_DAYS + 1)
+    unused_for(paths[2], UNUSED_DAYS + 1)
     write_loop(tmp_path / "new.loop", frames(1))
     assert not paths[2].exists()
 
@@ -117,7 +117,7 @@ write_loop(Path(sys.argv[1]), drawn())
 """
 
 
-def test_the_part_of_a_killed_writer_goes_and_that_of_a_living_one_stays(tmp_path: Path) -> None:
+def test_the_partial_file_of_a_killed_writer_is_deleted_that_of_a_running_one_stays(tmp_path: Path) -> None:
     call = [sys.executable, "-c", _WRITES_ITS_FIRST_FRAME, str(tmp_path / "slow.loop")]
     with subprocess.Popen(call, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as writer:
         assert writer.stdout is not None
@@ -130,7 +130,7 @@ def test_the_part_of_a_killed_writer_goes_and_that_of_a_living_one_stays(tmp_pat
     assert [p.name for p in tmp_path.iterdir()] == ["other.loop"]
 
 
-def test_a_folder_that_cannot_be_written_is_explained(tmp_path: Path) -> None:
+def test_the_error_for_an_unwritable_folder_names_xdg_cache_home(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(InputError, match="XDG_CACHE_HOME"):
         write_loop(tmp_path / "file" / "a.loop", frames())

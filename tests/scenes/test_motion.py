@@ -1,4 +1,4 @@
-"""Closed paths: smooth also at the wrap, at the stated speeds, apart from each other and over the table."""
+"""Closed paths: smooth also where they close, at the given speeds, without collisions, over the table."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def paths(request: pytest.FixtureRequest) -> np.ndarray:
     return object_paths(RADII, CAMERA, TIMING, np.random.default_rng(request.param))
 
 
-def test_spline_of_equal_controls_stands_still_and_of_a_line_moves_evenly() -> None:
+def test_a_spline_of_equal_controls_is_constant_and_of_a_line_has_constant_speed() -> None:
     phase = np.linspace(0, 1, 50, endpoint=False)
     np.testing.assert_allclose(positions(np.ones((6, 3)), phase), 1.0)
     # Far from the wrap, equally spaced controls give an even motion through the middle ones.
@@ -49,7 +49,7 @@ def test_paths_are_smooth_also_where_the_loop_closes(paths: np.ndarray) -> None:
         linear, angular = speeds(track)
         assert 0.34 < linear.max() < 0.61
         assert np.radians(60) < angular.max() < np.radians(371)
-        # No jump: the speed of the step over the wrap is like that of its neighbours.
+        # No jump: the speed of the step over the wrap is close to that of its neighbours.
         assert abs(linear[-1] - linear[-2]) < 0.02
         assert abs(angular[-1] - angular[-2]) < 0.15
         assert linear[:20].max() < 0.35 * 0.61
@@ -80,7 +80,7 @@ def test_too_many_objects_are_refused() -> None:
         object_paths(np.full(12, 0.16), CAMERA, Timing.of(60), np.random.default_rng(0))
 
 
-def test_the_camera_sways_a_little_and_comes_back() -> None:
+def test_the_camera_moves_a_little_and_returns() -> None:
     sway = camera_sway(TIMING, np.random.default_rng(1))
     linear, angular = speeds(sway)
     assert np.abs(sway[:, :3, 3]).max() < 0.03
@@ -88,7 +88,7 @@ def test_the_camera_sways_a_little_and_comes_back() -> None:
     assert angular.max() < np.radians(3)
 
 
-def test_the_bar_is_out_of_view_at_the_beginning_and_crosses_twice() -> None:
+def test_the_bar_is_out_of_view_at_first_and_crosses_the_image_twice() -> None:
     bar = passing(TIMING, np.random.default_rng(2), 0.42, 0.36)
     x = CAMERA.project(bar[:, :3, 3])[:, 0]
     inside = (x > 0) & (x < CAMERA.width)

@@ -1,4 +1,4 @@
-"""Drawn frames in the layouts of the official data sets: read back, they hold what was drawn."""
+"""Rendered frames in the layouts of the official data sets are read back as they were rendered."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def root(objects, tmp_path_factory) -> Path:
     return folder
 
 
-def test_the_stand_in_for_bops_download_holds_its_images_meshes_and_frames(root: Path, objects) -> None:
+def test_the_stand_in_for_the_bop_download_has_images_meshes_and_model_frames(root: Path, objects) -> None:
     (scene,) = open_ycbv(root / "ycbv").scenes
     assert (scene.name, scene.image_ids) == ("000048", (0, 1))
     assert all(len(scene.truths(image)) >= 2 for image in scene.image_ids)
@@ -52,7 +52,7 @@ def test_the_stand_in_for_bops_download_holds_its_images_meshes_and_frames(root:
     assert tea_box["diameter"] == pytest.approx(np.linalg.norm([90, 60, 150]), abs=0.1)
 
 
-def test_sequences_have_labels_where_the_object_is_drawn(root: Path, objects) -> None:
+def test_labels_of_sequences_agree_with_the_rendered_object(root: Path, objects) -> None:
     found, notes = labelled_sequences(root / "fast")
     assert ([p.name for p in found], notes) == (
         [o.name for o in sorted(objects[:2], key=lambda o: o.name)],

@@ -37,13 +37,13 @@ def test_depth_is_lost_in_the_dark_and_in_glare_only() -> None:
         assert 1.0 - bad.mean() == pytest.approx(LOST_SHARE, abs=0.1)
 
 
-def test_shifted_depth_lies_beside_the_picture() -> None:
+def test_depth_is_shifted_against_colour() -> None:
     depth = np.arange(1.0, 13.0, dtype=np.float32).reshape(3, 4)
     moved = shifted(depth, 1, -1)
     assert moved.tolist() == [[0.0, 5.0, 6.0, 7.0], [0.0, 9.0, 10.0, 11.0], [0.0, 0.0, 0.0, 0.0]]
 
 
-def test_a_pile_has_its_labels_where_depth_says_and_the_same_pixels_again() -> None:
+def test_labels_of_a_pile_agree_with_depth_and_it_is_deterministic() -> None:
     ranges = replace(PILES, others=(1, 1), exposure=(0.0, 0.0))
     numbers = [k for k in range(4) if np.random.default_rng([5, k, 63]).random() < 0.5]
     drawn = rendered_frame(MESHES, 5, numbers[0], ranges)
@@ -51,7 +51,7 @@ def test_a_pile_has_its_labels_where_depth_says_and_the_same_pixels_again() -> N
     np.testing.assert_array_equal(drawn.shot.color, again.shot.color)
     np.testing.assert_array_equal(drawn.shot.depth, again.shot.depth)
     plain = rendered_frame(MESHES, 5, numbers[0], replace(ranges, pile=False))
-    assert drawn.shot.owner.max() > plain.shot.owner.max()  # the box around comes after all else
+    assert drawn.shot.owner.max() > plain.shot.owner.max()  # the open box around has the last number
     for k, name in enumerate(drawn.names):
         seen = (drawn.shot.owner == k) & (drawn.shot.depth > 0)
         true = render_depth(MESHES[name], drawn.shot.labels.T_cam_obj[k], drawn.camera)

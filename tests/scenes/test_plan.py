@@ -1,4 +1,4 @@
-"""Which objects have room in the drawn scene, and that they move about their own middles there."""
+"""Which objects have room in the rendered scene; they rotate about their own centres."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ BOX = demo_objects(0)["tea_box"]
 
 
 def sized(diameter_m: float, cornered: bool = False) -> Mesh:
-    """The tea box of that diameter, its origin in the middle or in a corner."""
+    """The tea box scaled to this diameter, its origin in the middle or in a corner."""
     vertices = BOX.vertices * (diameter_m / np.linalg.norm(np.ptp(BOX.vertices, axis=0)))
     return replace(BOX, vertices=vertices - vertices.min(0) if cornered else vertices)
 
 
-def test_objects_of_everyday_sizes_have_room_wherever_their_origins_are() -> None:
+def test_objects_of_usual_sizes_have_room_wherever_their_origins_are() -> None:
     three = {"small": sized(0.12), "middle": sized(0.2), "large": sized(0.26, cornered=True)}
     check_scene(three)
     check_scene(three | {"fourth": sized(0.24, cornered=True), "fifth": sized(0.26)})
@@ -32,7 +32,7 @@ def test_objects_of_everyday_sizes_have_room_wherever_their_origins_are() -> Non
 
 @pytest.fixture
 def first_draft(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What holds of every draft of a plan is looked for in the first, instead of in the best of twelve."""
+    """Use the first draft of a plan instead of the best of twelve; the tests hold for every draft."""
     monkeypatch.setattr("huepose.scenes.plan._ATTEMPTS", 1)
 
 
@@ -48,8 +48,8 @@ def test_an_object_with_its_origin_in_a_corner_moves_about_its_middle() -> None:
 
 
 @pytest.mark.usefixtures("first_draft")
-def test_within_a_frame_time_an_object_moves_alike_wherever_its_origin_is() -> None:
-    """Between two frames an origin 42 m off moves on an arc of some millimetres."""
+def test_motion_between_frames_does_not_depend_on_the_origin() -> None:
+    """Between two frames, an origin 42 m away moves on an arc, some millimetres off a straight line."""
     near, away = sized(0.2), np.array([25.0, 33.75, 0.0])
     far = replace(near, vertices=(near.vertices.astype(np.float64) + away).astype(np.float32))
     stages = [plan({"box": mesh}, 0, 60, CAMERA) for mesh in (near, far)]
@@ -58,7 +58,7 @@ def test_within_a_frame_time_an_object_moves_alike_wherever_its_origin_is() -> N
         np.testing.assert_allclose(se3.apply(T_far, away), T_near[:3, 3], atol=2e-5)
 
 
-def test_a_check_refuses_what_a_plan_refuses_with_the_same_words() -> None:
+def test_the_check_gives_the_same_error_as_the_plan() -> None:
     huge = {"huge": sized(1.2)}
     with pytest.raises(InputError, match=r"1 objects of 120 to 120 cm") as of_plan:
         plan(huge, 0, 30, CAMERA)

@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_what_is_read_back_is_what_was_drawn(folder: Path) -> None:
+def test_a_rendered_set_is_read_back_as_it_was_rendered(folder: Path) -> None:
     scene = BopScene(folder)
     assert scene.image_ids == (0, 1)
     for image in scene.image_ids:
@@ -35,7 +35,7 @@ def test_what_is_read_back_is_what_was_drawn(folder: Path) -> None:
         assert [t.object_id for t in truths] == [IDS[name] for name in drawn.names]
         np.testing.assert_allclose(frame.depth, np.clip(drawn.shot.depth, 0, 6.5535), atol=6e-5)
         difference = frame.color.astype(int) - drawn.shot.color.astype(int)
-        assert np.abs(difference).mean() < 6  # JPEG on a noisy picture
+        assert np.abs(difference).mean() < 6  # JPEG of a noisy image
         np.testing.assert_allclose(frame.camera.K, drawn.camera.K, atol=1e-9)
         for k, truth in enumerate(truths):
             assert truth.T_cam_obj is not None
@@ -46,8 +46,8 @@ def test_what_is_read_back_is_what_was_drawn(folder: Path) -> None:
             assert truth.visib_fract == pytest.approx(drawn.shot.labels.visib_fract[k])
 
 
-def test_labels_fit_the_pictures(folder: Path) -> None:
-    """Where the mask says that an object is seen, depth is that of the object at its pose."""
+def test_labels_agree_with_depth(folder: Path) -> None:
+    """In the mask of an object, depth is that of the object at its pose."""
     scene = BopScene(folder)
     for truth in scene.truths(1):
         frame, mask = scene.frame(1), truth.mask()
@@ -60,7 +60,7 @@ def test_labels_fit_the_pictures(folder: Path) -> None:
         assert np.median(np.abs(frame.depth[seen] - true[seen])) < 0.004
 
 
-def test_an_interrupted_set_goes_on_and_another_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_an_interrupted_set_continues_and_a_different_set_is_refused(folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "heaps"
     write_rendered_set(path, MESHES, IDS, 1, 7, RANGES)
     stamp = (path / "depth" / "000000.png").stat().st_mtime_ns
@@ -81,7 +81,7 @@ def test_an_interrupted_set_goes_on_and_another_is_refused(folder: Path, tmp_pat
         write_rendered_set(tmp_path, MESHES, IDS, 2, 7, RANGES)
 
 
-def test_an_outline_counts_what_is_beyond_the_image() -> None:
+def test_the_outline_counts_pixels_beyond_the_image() -> None:
     mesh = MESHES["tea_box"]
     camera = Camera(500.0, 500.0, 99.5, 99.5, 200, 200)
     inside = se3.make(np.eye(3), np.array([0.0, 0.0, 1.0]))
@@ -110,7 +110,7 @@ def test_meshes_written_as_a_models_folder_are_read_back(tmp_path: Path) -> None
         assert np.abs(now.color.astype(int) - was.color.astype(int)).mean() < 1.0
 
 
-def test_too_large_a_mesh_is_named() -> None:
+def test_the_error_names_a_mesh_that_is_too_large() -> None:
     mesh = MESHES["tea_box"]
     large = type(mesh)(mesh.vertices * 4, mesh.faces, mesh.uv, mesh.texture)
     with pytest.raises(InputError, match="object 'house'"):

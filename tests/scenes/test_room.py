@@ -1,4 +1,4 @@
-"""The room: clutter stands on the table, behind the objects; textures have detail."""
+"""The room: clutter on the table behind the objects; textures have detail."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_the_room_fills_the_image_and_is_seen_from_the_right_side() -> None:
     assert seen.color[table].astype(float).std() > 15
 
 
-def test_things_are_small_and_follow_their_seed() -> None:
+def test_clutter_is_small_and_depends_on_the_seed() -> None:
     for seed in range(12):
         mesh, again = (clutter(np.random.default_rng(seed)) for _ in range(2))
         assert 0.04 < np.ptp(mesh.vertices, 0).max() < 0.17

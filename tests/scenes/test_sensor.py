@@ -34,7 +34,7 @@ def test_noise_of_a_wall_has_the_stated_rms_and_no_bias(depth_m: float) -> None:
     assert abs(error.mean()) < 0.12 * expected
 
 
-def test_noise_is_blotchy_over_the_window_and_white_beyond() -> None:
+def test_noise_is_correlated_within_the_matching_window_only() -> None:
     seen = stereo_depth(flat(0.8), FACING, CAMERA, SURE, np.random.default_rng(1))
     e = np.where(seen > 0, seen - 0.8, 0.0)
     power = float((e * e).mean())
@@ -55,7 +55,7 @@ def test_holes_grow_with_distance_and_at_grazing_angles() -> None:
     assert lost(0.5, slanted) > 0.25
 
 
-def test_the_shadow_is_left_of_the_nearer_thing_as_wide_as_the_jump_of_disparity() -> None:
+def test_the_stereo_shadow_left_of_a_near_object_is_as_wide_as_the_disparity_step() -> None:
     depth = flat(1.0)
     depth[60:180, 150:220] = 0.5
     seen = stereo_depth(depth, FACING, CAMERA, SURE, np.random.default_rng(4))
@@ -68,7 +68,7 @@ def test_the_shadow_is_left_of_the_nearer_thing_as_wide_as_the_jump_of_disparity
     assert np.median(inner[inner > 0]) == pytest.approx(0.5, abs=0.001)
 
 
-def test_edges_are_ragged_within_three_pixels_and_some_pixels_fly() -> None:
+def test_depth_edges_are_ragged_and_have_flying_pixels() -> None:
     depth = flat(1.0)
     depth[60:180, 150:220] = 0.5
     seen = stereo_depth(depth, FACING, CAMERA, replace(SURE, flying=0.3), np.random.default_rng(4))
@@ -82,13 +82,13 @@ def test_edges_are_ragged_within_three_pixels_and_some_pixels_fly() -> None:
     assert between.sum() > 20
 
 
-def test_nothing_is_measured_where_there_is_nothing() -> None:
+def test_without_a_surface_there_is_no_depth() -> None:
     depth = flat(0.8)
     depth[:, 200:] = 0
     assert not stereo_depth(depth, FACING, CAMERA, SURE, np.random.default_rng(0))[:, 206:].any()
 
 
-def test_colour_noise_is_that_of_photons_and_dark_is_dark() -> None:
+def test_colour_noise_is_shot_noise_and_black_stays_dark() -> None:
     linear = np.full((200, 200, 3), 0.5, np.float32)
     sharp = replace(COLOR, blur_px=0.1)
     image = expose(linear, sharp, np.random.default_rng(0)).astype(float)
@@ -99,7 +99,7 @@ def test_colour_noise_is_that_of_photons_and_dark_is_dark() -> None:
     assert expose(np.zeros((50, 50, 3), np.float32), sharp, np.random.default_rng(0)).mean() < 12
 
 
-def test_gaussian_is_normal() -> None:
+def test_gaussian_samples_are_normally_distributed() -> None:
     x = gaussian(np.random.default_rng(0), (300, 1000))
     assert x.mean() == pytest.approx(0, abs=0.01)
     assert x.std() == pytest.approx(1, abs=0.01)

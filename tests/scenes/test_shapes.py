@@ -1,4 +1,4 @@
-"""The demonstration objects: closed, of the stated size, and printed so that no turn looks the same."""
+"""The demo objects: closed, of the stated size, and with a texture that makes no rotation look the same."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OBJECTS = demo_objects(0)
 
 
 @pytest.mark.parametrize("name", OBJECTS)
-def test_closed_outward_centred_and_small(name: str) -> None:
+def test_objects_are_closed_face_outward_are_centred_and_small(name: str) -> None:
     mesh = OBJECTS[name]
     assert is_closed(mesh.vertices, mesh.faces)
     v = mesh.vertices.astype(np.float64)[mesh.faces]
@@ -30,7 +30,7 @@ def test_closed_outward_centred_and_small(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", OBJECTS)
-def test_charts_lie_inside_the_texture_apart_from_each_other(name: str) -> None:
+def test_charts_lie_inside_the_texture_and_do_not_overlap(name: str) -> None:
     mesh = OBJECTS[name]
     assert mesh.uv.min() >= 0
     assert mesh.uv.max() <= 1
@@ -62,7 +62,7 @@ def view(mesh: Mesh, turn: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("name", OBJECTS)
 @pytest.mark.parametrize("angle_deg", [90, 180, 270])
-def test_the_texture_tells_turns_about_the_vertical_apart(name: str, angle_deg: int) -> None:
+def test_the_texture_distinguishes_rotations_about_the_vertical(name: str, angle_deg: int) -> None:
     mesh = OBJECTS[name]
     turn = se3.rotation_exp(np.array([0, 0, np.radians(angle_deg)]))
     one, two = view(mesh, np.eye(3)), view(mesh, turn)

@@ -19,7 +19,7 @@ ARTS = {
 
 @pytest.mark.parametrize("name", ARTS)
 @pytest.mark.parametrize("size", [(240, 320), (300, 90), (40, 37)])
-def test_art_fills_its_size_repeats_by_seed_and_has_contrast(name: str, size: tuple[int, int]) -> None:
+def test_art_has_the_given_size_is_deterministic_and_has_contrast(name: str, size: tuple[int, int]) -> None:
     p = textures.palette(0.3, np.random.default_rng(1))
     one = ARTS[name](np.random.default_rng(5), *size, p)
     two = ARTS[name](np.random.default_rng(5), *size, p)
@@ -48,7 +48,7 @@ def test_clouds_span_their_range() -> None:
     assert 0.35 < noise.mean() < 0.65
 
 
-def test_mixed_goes_from_one_colour_to_the_other() -> None:
+def test_mixed_interpolates_between_two_colours() -> None:
     share = np.array([[0.0, 0.5, 1.0]], np.float32)
     assert textures.mixed((0, 10, 200), (100, 30, 0), share)[0].tolist() == [
         [0, 10, 200],

@@ -36,7 +36,7 @@ def of(charts: list) -> Mesh:
 
 
 def test_a_loft_has_the_volume_of_its_shape() -> None:
-    """A cylinder, an elliptic cone cut off, a block, and half a ring, as polygons of SEGMENTS corners."""
+    """A cylinder, a truncated elliptic cone, a block and half a ring, as polygons of SEGMENTS corners."""
     angle = np.linspace(0, 2 * np.pi, SEGMENTS + 1)
 
     def ellipse_m2(a: float, b: float) -> float:
@@ -55,7 +55,7 @@ def test_a_loft_has_the_volume_of_its_shape() -> None:
 
 
 @pytest.mark.parametrize("number", range(COUNT))
-def test_closed_outward_centred_printed(family: Family, number: int) -> None:
+def test_objects_are_closed_face_outward_are_centred_and_textured(family: Family, number: int) -> None:
     mesh = family[number].mesh
     assert is_closed(mesh.vertices, mesh.faces)
     assert volume_m3(mesh) > 5e-5
@@ -66,7 +66,7 @@ def test_closed_outward_centred_printed(family: Family, number: int) -> None:
 
 
 def contrast(mesh: Mesh) -> float:
-    """Of 255: mean step of brightness from pixel to pixel inside the object, over four sides."""
+    """Mean brightness step (0 to 255) between neighbouring pixels inside the object, over four sides."""
     camera, steps = Camera(600, 600, 79.5, 79.5, 160, 160), []
     for quarter in range(4):
         turn = se3.rotation_exp(np.array([0, 0, quarter * np.pi / 2]))
@@ -86,7 +86,7 @@ def test_a_third_has_little_texture(family: Family) -> None:
     assert max(plain) < np.median(textured)
 
 
-def test_another_family_than_the_demos_the_same_at_every_call(family: Family) -> None:
+def test_the_family_differs_from_the_demo_and_is_deterministic(family: Family) -> None:
     names = [obj.name for obj in family]
     assert len(set(names)) == len(names) == COUNT
     assert not set(names) & set(demo_objects(0))
@@ -97,7 +97,7 @@ def test_another_family_than_the_demos_the_same_at_every_call(family: Family) ->
         assert not np.array_equal(a.mesh.texture, c.mesh.texture)
 
 
-def test_ids_do_not_meet_those_of_ycb(family: Family, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ids_differ_from_those_of_ycb(family: Family, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(official_sets, "unseen_objects", lambda seed: family)
     ids = [obj.object_id for obj in official_sets.unseen_set()]
     assert ids == list(range(101, 125))

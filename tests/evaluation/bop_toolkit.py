@@ -1,6 +1,6 @@
 """Errors and average recall of the BOP challenge by bop_toolkit's own functions.
 
-Both sides get the same poses, depth images and meshes; our renderer draws the depth of objects for both.
+Both sides get the same poses, depth images and meshes; our renderer renders the depth of objects for both.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _SYMMETRY_STEP = 0.01
 
 
 class Toolkit:
-    """bop_toolkit's modules, of a checkout."""
+    """The modules of a checkout of bop_toolkit."""
 
     def __init__(self, folder: Path) -> None:
         sys.path.insert(0, str(folder))
@@ -53,7 +53,7 @@ class Toolkit:
 
 @dataclass(frozen=True, eq=False)
 class _Renderer:
-    """What the toolkit asks of a renderer; millimetres."""
+    """The renderer interface of the toolkit; millimetres."""
 
     objects: Mapping[int, BopObject]
     camera: Camera
@@ -65,8 +65,8 @@ class _Renderer:
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """scenes: with all labels, named by numbers; wanted: how many of which object count in (scene, image);
-    objects, infos: what is measured on, and the entries of models_info.json (millimetres), by id."""
+    """scenes: with all labels, named by numbers; wanted: the counted instances of each object in (scene,
+    image); objects, infos: the measured objects and the entries of models_info.json (millimetres), by id."""
 
     scenes: Sequence[Scene]
     wanted: Mapping[tuple[int, int], Mapping[int, int]]
@@ -76,7 +76,7 @@ class Question:
     poses: BopDetections
 
     def images(self) -> Iterator[tuple[Scene, int, int, Mapping[int, int]]]:
-        """Scene, its number, image, and what is asked for of objects that can be measured."""
+        """Scene, its number, image, and the wanted instances of objects that can be measured."""
         for scene in self.scenes:
             number = int(scene.name)
             for image in scene.image_ids:
@@ -88,8 +88,8 @@ class Question:
 
 @dataclass(eq=False)
 class Comparison:
-    """apart: the largest difference of an error (VSD, MSSD over the diameter, MSPD in pixels) of any of the
-    `measured` poses; ours, theirs: `ar` and its parts, percent."""
+    """apart: the largest difference between both sides in an error (VSD, MSSD over the diameter, MSPD in
+    pixels) over the `measured` poses; ours, theirs: `ar` and its parts, percent."""
 
     measured: int = 0
     apart: dict[str, float] = field(default_factory=lambda: dict.fromkeys(KINDS, 0.0))
@@ -113,7 +113,7 @@ def compare(toolkit: Toolkit, question: Question) -> Comparison:
         frame, labels = scene.frame(image), scene.truths(image)
         rows = setup.image(TargetImages(scene, {image: asked}), image).rows
         for row in rows:
-            assert row.bop is not None  # only objects that are measured are asked for
+            assert row.bop is not None  # only objects that can be measured are wanted
             own.append(row.bop.as_json())
             if row.T_cam_obj is not None and isinstance(row.object, int):
                 errors = their.errors(row.object, row.T_cam_obj, labels[row.instance], frame)
@@ -148,7 +148,7 @@ class _Theirs:
         self.found: dict[int, list[dict[str, Any]]] = {}
 
     def errors(self, number: int, T: Float64, label: GroundTruth, frame: RgbdFrame) -> BopErrors:
-        """Of a pose against a label, by the toolkit's functions."""
+        """Errors of a pose against a label, by the toolkit's functions."""
         assert label.T_cam_obj is not None
         info, measured = self.question.infos[str(number)], self.question.objects[number]
         poses = [x for M in (T, label.T_cam_obj) for x in (M[:3, :3], 1000.0 * M[:3, 3:])]
@@ -177,7 +177,8 @@ class _Theirs:
         labels: Sequence[GroundTruth],
         frame: RgbdFrame,
     ) -> None:
-        """An image: its labels, those that count, and the surest poses against all labels of their object."""
+        """Add an image: its labels, which of them count, and the errors of the most confident poses against
+        all labels of their object."""
         left = dict(asked)
         valid = [False] * len(labels)
         for i in sorted(range(len(labels)), key=lambda i: labels[i].visib_fract or 0.0, reverse=True):
@@ -203,7 +204,7 @@ class _Theirs:
                 self.found.setdefault(scene, []).append(found)
 
     def average_recalls(self) -> dict[str, float]:
-        """As eval_bop19_pose.py has them, percent."""
+        """As in eval_bop19_pose.py, percent."""
         parts = {
             "ar_vsd": [
                 self._recall(lambda e, k=k: e.vsd[k], limit)

@@ -66,7 +66,7 @@ def reference_model(
 
 @dataclass(frozen=True, eq=False)
 class MemoryScene:
-    """A scene whose labels are given; its pictures are empty."""
+    """A scene whose labels are given; its images are empty."""
 
     name: str
     labels: Mapping[int, tuple[GroundTruth, ...]]
@@ -93,7 +93,7 @@ class MemoryScene:
 
 
 class PartlyLabelled(MemoryScene):
-    """Nothing is known of what images without a label show."""
+    """A scene in which an image without labels counts as unlabelled, not as empty."""
 
     def has_labels(self, image: int) -> bool:
         return bool(self.labels[image])
@@ -102,7 +102,7 @@ class PartlyLabelled(MemoryScene):
 def estimate_of(
     query: ObjectQuery, T: np.ndarray | None, quality: float = 0.9, score: float = 0.8
 ) -> PoseEstimate:
-    """An answer with that pose."""
+    """An estimate with this pose."""
     state = "LOST" if T is None else "TRACKING" if quality > 0.8 else "SUSPECT"
     return PoseEstimate(
         query.object, query.instance, T is not None, T, quality, state, score, 0.2, None, None, query.box,
@@ -112,7 +112,7 @@ def estimate_of(
 
 @dataclass(eq=False)
 class ScriptedEstimator:
-    """Answers each query by a function of frame and query, and remembers what it was asked."""
+    """Answers each query with a function of frame and query; keeps the queries in `asked`."""
 
     answer: Callable[[RgbdFrame, ObjectQuery], PoseEstimate]
     asked: list[tuple[int, ObjectQuery]] = field(default_factory=list)
@@ -124,7 +124,7 @@ class ScriptedEstimator:
 
 @pytest.fixture
 def models() -> dict[str, ReferenceModel]:
-    """A box with id 5 and a smaller one with id 7 that looks the same after a half turn."""
+    """A box with id 5, and a smaller one with id 7 that looks the same after a half turn."""
     return {
         "box": reference_model("box", 5),
         "brick": reference_model("brick", 7, (0.05, 0.08, 0.1), [HALF_TURN]),
@@ -144,5 +144,5 @@ def truth(
 
 
 def pose_at(x: float, y: float = 0.0, z: float = 0.6, turn: float = 0.3) -> np.ndarray:
-    """A pose before the camera."""
+    """A pose in front of the camera."""
     return se3.make(se3.rotation_exp([0.4, turn, -0.2]), [x, y, z])

@@ -11,7 +11,7 @@ PLAIN = QualityTerms(
 
 
 def judged(terms: list[QualityTerms], which: np.ndarray, per_frame: int = 5) -> Judged:
-    """Poses as the evaluation judges them; which: the index of the right candidate, -1 for none."""
+    """Judged poses in the form of the evaluation; which: the index of the right candidate, -1 for none."""
     n = len(terms)
     return Judged(
         terms,

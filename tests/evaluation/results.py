@@ -15,18 +15,18 @@ from huepose.geometry import se3
 
 DIAMETER_M = 0.2
 RIGHT_M, WRONG_M = 0.01, 0.05
-"""ADD of poses that are right and wrong: AUC 90 and 50."""
+"""ADD of a right and of a wrong pose: AUC 90 and 50."""
 
 Answers = Mapping[tuple[int, int], bool | None]
 
 
 def pose(x_m: float = 0.0, turn: float = 0.0) -> np.ndarray:
-    """A pose before the camera, moved along x and turned about z."""
+    """A pose in front of the camera, moved along x and rotated about z."""
     return se3.make(se3.rotation_exp([0.0, 0.0, turn]), [x_m, 0.0, 0.6])
 
 
 def error_of(right: bool | None) -> PoseError:
-    """Of a pose that is right, wrong, or not there."""
+    """The error of a right, wrong or missing pose."""
     if right is None:
         return PoseError.missing()
     return (
@@ -42,8 +42,8 @@ def write_estimates(
     x_m: float = 0.0,
     turn: float = 0.0,
 ) -> Path:
-    """answers: whether the pose is right, None without one, by (instance, seed), four instances a frame;
-    false: (frame, seed) of poses that are no label's."""
+    """answers: is the pose right (None: no pose), by (instance, seed), four instances a frame;
+    false: (frame, seed) of poses without a label."""
     rows = [
         EstimateRow(
             scene="000001" if instance < 20 else "000002",
@@ -72,7 +72,7 @@ def write_estimates(
 def write_track(
     path: Path, right: Sequence[bool], states: Sequence[str], sequences: int = 1, phantoms: int = 0
 ) -> Path:
-    """One object over frames at 30 Hz, all alike in so many sequences; right: is the pose of each frame."""
+    """One object at 30 Hz, the same in all sequences; right: is the pose of each frame right."""
     rows = [
         TrackRow(
             sequence=f"run{k}",

@@ -1,4 +1,4 @@
-"""The ablation of flow correspondences: known motions, known errors, and the shape of its results."""
+"""The ablation of flow correspondences: known motions, known errors, the form of its results."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ WHOLE = Box(0.0, 0.0, CAMERA.width, CAMERA.height)
 
 
 def pose(k: int) -> np.ndarray:
-    """2 mm and 1.4 degrees a frame; still after the sixth."""
+    """Moves by 2 mm and 1.4 degrees a frame; static from frame 6 on."""
     k = min(k, 6)
     turn = se3.rotation_exp(np.array([0.0, 0.02 * k, 0.014 * k])) @ se3.rotation_exp(
         np.array([1.9, 0.3, 0.4])
@@ -45,7 +45,7 @@ def pose(k: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Film:
-    """Nine frames of a printed box before a wall."""
+    """Nine frames of a printed box in front of a wall."""
 
     model: ReferenceModel
     name: str = "film"
@@ -66,10 +66,10 @@ class Film:
         return RgbdFrame(color, depth, CAMERA, image, self.stamp_ns(image))
 
 
-def test_every_variant_of_every_pair_that_moves(tea_box, monkeypatch) -> None:
+def test_every_variant_is_measured_on_every_pair_with_motion(tea_box, monkeypatch) -> None:
     monkeypatch.setattr(ablation, "GAP", 2)
     result = evaluate_ablation([Film(tea_box)], Targets({tea_box.name: tea_box}))
-    assert (result.pairs, result.left_out) == (7, 1), "the last pair stands still"
+    assert (result.pairs, result.left_out) == (7, 1), "the last pair is static"
     record = result.as_json()
     assert set(record["rows"][0]) >= {
         "sequence", "frame", "object", "variant", "rotation_error_rel", "translation_error_rel", "epe_px"
@@ -92,14 +92,14 @@ def test_every_variant_of_every_pair_that_moves(tea_box, monkeypatch) -> None:
         evaluate_ablation([Film(tea_box)], Targets({tea_box.name: tea_box}))
 
 
-def test_errors_are_shares_of_the_true_motion() -> None:
+def test_errors_are_relative_to_the_true_motion() -> None:
     T_a, T_b = pose(0), pose(5)
     exact = se3.compose(T_b, se3.inverse(T_a))
     np.testing.assert_allclose(errors(exact, T_a, T_b), (0.0, 0.0), atol=1e-7)
     np.testing.assert_allclose(errors(np.eye(4), T_a, T_b), (1.0, 1.0), atol=1e-9)
 
 
-def test_the_endpoint_error_of_flow_that_is_off_by_a_known_length(tea_box) -> None:
+def test_the_endpoint_error_of_flow_with_a_known_offset(tea_box) -> None:
     surface = render([(tea_box.mesh, pose(0))], CAMERA, color=False).depth
     rows, columns = np.nonzero(surface[::9, ::9] > 0)
     a = np.stack([columns, rows], 1) * 9.0
@@ -112,7 +112,7 @@ def test_the_endpoint_error_of_flow_that_is_off_by_a_known_length(tea_box) -> No
     assert endpoint_error_px(beside, surface, CAMERA, motion) is None
 
 
-def test_wrong_matches_spoil_the_plain_fit_only(tea_box) -> None:
+def test_wrong_matches_disturb_only_the_fit_without_outlier_rejection(tea_box) -> None:
     film = Film(tea_box)
     a, b = Sample.of(film, 0), Sample.of(film, 2)
     flow = compute(a.frame.color, b.frame.color, WHOLE)
@@ -131,7 +131,7 @@ def test_wrong_matches_spoil_the_plain_fit_only(tea_box) -> None:
     assert plain_kabsch(few) is None
 
 
-def test_a_pair_without_a_motion_counts_as_standing_still() -> None:
+def test_a_pair_without_an_estimated_motion_counts_as_zero_motion() -> None:
     rows = [
         AblationRow("s", 0, 3, "flow/kabsch", 0.5, 0.25, 2.0, 50),
         AblationRow("s", 1, 3, "flow/kabsch", None, None, None, 2),
@@ -145,7 +145,7 @@ def test_a_pair_without_a_motion_counts_as_standing_still() -> None:
 
 
 @pytest.mark.parametrize(("kind", "degrees"), [("residual", 0.5), ("direct", 1.5)])
-def test_the_networks_in_the_package_find_a_turn_of_true_matches(kind, degrees):
+def test_the_packaged_networks_find_the_rotation_of_true_matches(kind, degrees):
     rng = np.random.default_rng(0)
     aside = rng.uniform(-0.05, 0.05, (150, 2))
     bulge = np.sqrt(0.08**2 - (aside**2).sum(1))

@@ -1,4 +1,4 @@
-"""Percentiles, and what the bench of perception measures: all asked for, two, one that is absent, masks."""
+"""Percentiles, and the perception bench: all objects, two objects, an absent one, masks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from huepose.rendering.render import render_depth
 
 
 class Still:
-    """A scene of a single picture."""
+    """A scene with a single image."""
 
     def __init__(self, frame, truth) -> None:
         self._frame, self._truth = frame, truth
@@ -28,7 +28,7 @@ class Still:
         return (self._truth,)
 
 
-def test_every_stage_is_measured_and_the_missing_object_is_missing(tea_box, box_frame, standing) -> None:
+def test_every_stage_is_measured_and_the_absent_object_is_not_found(tea_box, box_frame, standing) -> None:
     mask = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     truth = GroundTruth(0, standing, object="tea_box", box_visib=Box.of_mask(mask), mask_loader=lambda: mask)
     stages = {s.name: s for s in bench_perception(Still(box_frame, truth), {"tea_box": tea_box}, frames=2)}

@@ -6,7 +6,7 @@ import pytest
 from huepose.evaluation.bootstrap import Share, difference_intervals, frame_intervals, sign_test
 
 
-def test_the_interval_of_independent_frames_is_that_of_the_mean() -> None:
+def test_the_interval_of_independent_frames_equals_that_of_the_mean() -> None:
     rng = np.random.default_rng(0)
     values = rng.normal(50.0, 20.0, 400)
     low, high = frame_intervals({"x": values}, list(range(400)))["x"]
@@ -21,14 +21,14 @@ def test_instances_of_one_frame_count_as_one_draw() -> None:
     assert together[1] - together[0] == pytest.approx(np.sqrt(10) * (alone[1] - alone[0]), rel=0.15)
 
 
-def test_fewer_than_two_frames_tell_nothing() -> None:
+def test_fewer_than_two_frames_have_no_interval() -> None:
     assert frame_intervals({"x": np.zeros(0)}, []) == {"x": None}
     assert frame_intervals({"x": np.array([1.0, 2.0])}, ["a", "a"]) == {"x": None}
 
 
 @pytest.mark.parametrize("frames", [5, 8, 40])
-def test_the_interval_of_few_frames_holds_the_true_mean_about_as_often_as_it_says(frames: int) -> None:
-    """In 95 % of draws; of five frames in 92 %, where plain percentiles would in 85 %."""
+def test_intervals_of_few_frames_cover_the_true_mean_about_as_often_as_stated(frames: int) -> None:
+    """In 95 % of draws; with five frames in 92 %, with plain percentiles in 85 %."""
     rng, held = np.random.default_rng(1), 0
     for _ in range(500):
         low, high = frame_intervals({"x": rng.normal(50.0, 20.0, frames)}, range(frames))["x"]
@@ -39,16 +39,16 @@ def test_the_interval_of_few_frames_holds_the_true_mean_about_as_often_as_it_say
 def paired_world(
     rng: np.random.Generator, units: int, boxes: int, shift: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Rows before and after, `boxes` of each unit: the units vary, what changes varies by unit and by box."""
+    """Rows before and after, `boxes` of each unit. The units vary; the change varies by unit and by box."""
     hard = rng.normal(50.0, 30.0, (units, 1)) + rng.normal(0.0, 5.0, (units, boxes))
     changed = shift + rng.normal(0.0, 6.0, (units, 1)) + rng.normal(0.0, 3.0, (units, boxes))
     return hard.ravel(), (hard + changed).ravel()
 
 
-def share_held(
+def coverage_of(
     worlds: int, rng: np.random.Generator, units: int, boxes: int, drawn: Sequence[int], shift: float = -2.0
 ) -> float:
-    """Of so many worlds, the share whose interval holds the true change; `drawn`: the unit of each row."""
+    """The share of simulated worlds whose interval covers the true change; `drawn`: the unit of each row."""
     held = 0
     for world in range(worlds):
         before, after = paired_world(rng, units, boxes, shift)
@@ -59,45 +59,45 @@ def share_held(
 
 
 @pytest.mark.parametrize(("units", "least"), [(5, 0.88), (8, 0.92), (40, 0.92)])
-def test_intervals_of_a_change_hold_the_true_one_about_as_often_as_they_say(units: int, least: float) -> None:
-    """In 95 % of draws; of five units in 92 %, where plain percentiles would in 85 %."""
+def test_intervals_of_a_change_cover_the_true_one_about_as_often_as_stated(units: int, least: float) -> None:
+    """In 95 % of draws; with five units in 92 %, with plain percentiles in 85 %."""
     number = np.repeat(np.arange(units), 3).tolist()
-    assert least < share_held(500, np.random.default_rng(units), units, 3, number) < 0.98
+    assert least < coverage_of(500, np.random.default_rng(units), units, 3, number) < 0.98
 
 
-def test_boxes_drawn_as_if_they_were_independent_promise_too_much() -> None:
-    assert share_held(200, np.random.default_rng(3), 12, 5, range(60)) < 0.75
+def test_intervals_are_too_narrow_if_boxes_are_drawn_as_independent() -> None:
+    assert coverage_of(200, np.random.default_rng(3), 12, 5, range(60)) < 0.75
 
 
-def test_what_both_share_does_not_widen_the_interval_of_the_change() -> None:
+def test_variation_common_to_both_does_not_widen_the_interval_of_the_change() -> None:
     before = np.random.default_rng(0).normal(50.0, 30.0, 50)
     low, high = difference_intervals({"x": (Share.of(before), Share.of(before + 1.5))}, range(50))["x"]
     assert (low, high) == (pytest.approx(1.5), pytest.approx(1.5))
 
 
-def test_without_any_true_change_a_recall_is_called_worse_once_in_forty() -> None:
-    """One row in twenty turns over, either way: rare steps are what a percentile interval is worst at."""
+def test_an_unchanged_recall_is_called_worse_about_once_in_forty() -> None:
+    """One row in twenty flips, either way: percentile intervals are worst for rare steps."""
     rng, units, worlds = np.random.default_rng(9), 60, 500
     worse = 0
     for world in range(worlds):
-        turned, up = rng.random(units) < 0.05, rng.random(units) < 0.5
-        pairs = {"x": (Share.of(100.0 * (turned & ~up)), Share.of(100.0 * (turned & up)))}
+        flipped, up = rng.random(units) < 0.05, rng.random(units) < 0.5
+        pairs = {"x": (Share.of(100.0 * (flipped & ~up)), Share.of(100.0 * (flipped & up)))}
         _, high = difference_intervals(pairs, range(units), resamples=1000, seed=world)["x"]
         worse += high < 0.0
     assert 0.005 < worse / worlds < 0.045
 
 
-def test_a_share_with_other_wholes_before_and_after() -> None:
-    """Coverage: of 4 frames 2 count before, 3 after."""
+def test_a_share_may_count_different_rows_before_and_after() -> None:
+    """Coverage, for example: of 4 frames, 2 count before and 3 after."""
     before = Share.of(np.array([100.0, 100.0, 0.0, 0.0]), np.array([True, True, False, False]))
     after = Share.of(np.array([100.0, 0.0, 100.0, 0.0]), np.array([True, True, True, False]))
     assert (before.value, after.value) == (100.0, pytest.approx(200.0 / 3.0))
     low, high = difference_intervals({"x": (before, after)}, ["a", "a", "a", "b"])["x"]
-    # Either the first unit is drawn, and gives the difference, or nothing counts.
+    # Draws without the first unit have no row that counts; all others give this difference.
     assert (low, high) == (pytest.approx(-100.0 / 3.0), pytest.approx(-100.0 / 3.0))
 
 
-def test_one_unit_tells_nothing() -> None:
+def test_one_unit_has_no_interval() -> None:
     rows = Share.of(np.array([1.0, 2.0]))
     assert difference_intervals({"x": (rows, rows)}, ["a", "a"]) == {"x": None}
     none = Share.of(np.array([1.0, 2.0]), np.array([False, False]))
@@ -108,6 +108,6 @@ def test_one_unit_tells_nothing() -> None:
 @pytest.mark.parametrize(
     ("wins", "losses", "p"), [(0, 0, 1.0), (1, 0, 1.0), (5, 0, 0.0625), (0, 6, 0.03125), (2, 8, 0.109375)]
 )
-def test_signs_are_tested_by_the_binomial_distribution(wins: int, losses: int, p: float) -> None:
+def test_the_sign_test_uses_the_binomial_distribution(wins: int, losses: int, p: float) -> None:
     assert sign_test(wins, losses) == pytest.approx(p)
     assert sign_test(losses, wins) == pytest.approx(p)

@@ -24,7 +24,7 @@ LONG = Camera(1e5, 1e5, 4.5, 4.5, 10, 10)
 
 
 def at(x: float, y: float, z: float, angle: float = 0.0) -> np.ndarray:
-    """T_cam_obj, turned about the camera's z axis."""
+    """T_cam_obj, rotated about the camera's z axis."""
     return se3.make(se3.rotation_exp([0, 0, angle]), [x, y, z])
 
 
@@ -35,30 +35,30 @@ def flat(depth_m: float, columns: slice = slice(None)) -> np.ndarray:
 
 
 def test_vsd_counts_pixels_that_are_farther_apart_than_the_tolerance() -> None:
-    """20.1 mm of a diameter of 100 mm: wrong at 5, 10, 15 and 20 %, right from 25 % on."""
+    """20.1 mm at a diameter of 100 mm: wrong at 5, 10, 15 and 20 %, right from 25 % on."""
     errors = vsd(flat(1.0201), flat(1.0), flat(0.0), LONG, 0.1)
     np.testing.assert_allclose(errors, [1, 1, 1, 1, 0, 0, 0, 0, 0, 0])
 
 
-def test_vsd_counts_pixels_of_one_surface_alone() -> None:
-    """Of the 10 columns of the label the estimate covers 6, and 2 of these are 30 mm too far: 4/10, 6/10."""
+def test_vsd_counts_pixels_that_only_one_surface_covers() -> None:
+    """The estimate covers 6 of the label's 10 columns; 2 of these are 30 mm too far: 4/10, 6/10."""
     estimate = flat(1.0, slice(0, 6))
     estimate[:, :2] = 1.0301
     errors = vsd(estimate, flat(1.0), flat(1.0), LONG, 0.1)
     np.testing.assert_allclose(errors, [0.6] * 6 + [0.4] * 4)
 
 
-def test_vsd_leaves_out_what_is_hidden_and_keeps_what_has_no_depth() -> None:
-    """3 columns are hidden by a thing 20 mm nearer, 2 have no depth; the estimate lacks one visible one."""
+def test_vsd_leaves_out_occluded_pixels_and_keeps_those_without_depth() -> None:
+    """3 columns are occluded by a surface 20 mm nearer, 2 have no depth; 1 visible column is missing."""
     measured = flat(1.0)
     measured[:, :3], measured[:, 8:] = 0.98, 0.0
     estimate = flat(1.0, slice(0, 9))
     np.testing.assert_allclose(vsd(estimate, flat(1.0), measured, LONG, 0.1), [1 / 7] * 10)
-    measured[:, :3] = 0.986  # within 15 mm: not hidden
+    measured[:, :3] = 0.986  # within 15 mm: not occluded
     np.testing.assert_allclose(vsd(estimate, flat(1.0), measured, LONG, 0.1), [1 / 10] * 10)
 
 
-def test_vsd_of_nothing_visible_is_one() -> None:
+def test_vsd_without_visible_pixels_is_one() -> None:
     np.testing.assert_array_equal(vsd(flat(0.0), flat(0.0), flat(1.0), LONG, 0.1), np.ones(10))
 
 
@@ -91,7 +91,7 @@ def test_an_object_takes_symmetries_and_diameter_from_the_data_set() -> None:
 
 
 def alone(errors: BopErrors) -> dict[str, object]:
-    """The file form of the only label of an object."""
+    """The record of the only label of an object, as in the result file."""
     return BopScore(errors, matched_recalls([[errors]])[0]).as_json()
 
 
@@ -116,24 +116,24 @@ def test_an_error_at_the_threshold_is_too_large() -> None:
     assert matched_recalls([[BopErrors((0.0,) * 10, 0.0, 45.0)]]) == [(1.0, 1.0, pytest.approx(0.1))]
 
 
-def test_poses_of_alike_objects_choose_their_labels_the_surest_first() -> None:
-    """The figures of bop_toolkit's pose_matching.match_poses. Two poses that were asked for crosswise are
-    right; one that is surer takes the label to which it is nearer, and leaves the other pose the rest."""
+def test_instances_are_matched_to_labels_the_most_confident_pose_first() -> None:
+    """As in bop_toolkit's pose_matching.match_poses. Two right poses whose order is exchanged are right. The
+    more confident pose takes its nearest label; the other pose gets the rest."""
     a, b, c = (mssd_of(error) for error in (0.02, 0.12, 0.32))
     crossed = matched_recalls([[BopErrors.missing(), a], [a, BopErrors.missing()]])
     assert crossed == [(1.0, 1.0, 1.0)] * 2
-    # From 5 % on the surer pose has the first label; the other would have been at 12 % there, is at 32 % now.
-    surer = matched_recalls([[a, b], [b, c]])
-    assert [s[1] for s in surer] == [pytest.approx(1.0), pytest.approx(0.4)]
-    # The surer is worse: up to 10 % it has no label, and the other one has the first; then it takes it away.
-    worse = matched_recalls([[b, c], [a, c]])
-    assert [s[1] for s in worse] == [pytest.approx(1.0), pytest.approx(0.4)]
+    # From 5 % on, the more confident pose has the first label. The other is 32 % from the label that is left.
+    confident_first = matched_recalls([[a, b], [b, c]])
+    assert [s[1] for s in confident_first] == [pytest.approx(1.0), pytest.approx(0.4)]
+    # The more confident pose is worse: up to 10 % the other one has the first label, then this one takes it.
+    confident_worse = matched_recalls([[b, c], [a, c]])
+    assert [s[1] for s in confident_worse] == [pytest.approx(1.0), pytest.approx(0.4)]
     # Both poses lie on one label: the other label is missed.
     same = matched_recalls([[a, BopErrors.missing()], [b, BopErrors.missing()]])
     assert [s[1] for s in same] == [1.0, 0.0]
 
 
-def test_errors_do_not_change_when_the_world_is_turned_with_the_camera() -> None:
+def test_errors_do_not_change_if_the_scene_is_rolled_about_the_optical_axis() -> None:
     points = box_mesh((0.1, 0.2, 0.3)).vertices
     T, other = at(0.02, 0.0, 0.6, 0.3), at(0.03, 0.01, 0.62, 0.4)
     roll = se3.make(se3.rotation_exp([0, 0, 1.1]), np.zeros(3))

@@ -1,4 +1,4 @@
-"""Errors and average recall beside bop_toolkit's own functions, of a checkout that BOP_TOOLKIT names."""
+"""Errors and average recall compared with bop_toolkit's own functions. BOP_TOOLKIT names a checkout."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ INFOS = {
 
 @dataclass(frozen=True, eq=False)
 class DepthScene(MemoryScene):
-    """Depth is that of the labelled objects, of a wall, and has holes."""
+    """Depth of the labelled objects and of a wall, with holes."""
 
     def frame(self, image: int) -> RgbdFrame:
         depth = np.full((120, 160), 0.9, np.float32)
@@ -46,8 +46,8 @@ class DepthScene(MemoryScene):
 
 
 @pytest.mark.skipif(not CHECKOUT, reason="BOP_TOOLKIT names no checkout of bop_toolkit")
-def test_errors_and_average_recall_are_those_of_bop_toolkit() -> None:
-    """Up to three of an object in an image, turned and shifted poses, missing ones and one too many."""
+def test_errors_and_average_recall_equal_those_of_bop_toolkit() -> None:
+    """Up to three instances of an object in an image; rotated, shifted, missing and surplus poses."""
     rng = np.random.default_rng(3)
     scenes, wanted, poses = [], {}, {}
     for number in (1, 2):

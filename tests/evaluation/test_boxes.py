@@ -1,4 +1,4 @@
-"""Boxes: the documented generator, number by number; where a true box comes from."""
+"""The documented generator of perturbed boxes, number by number; the source of a true box."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_perturbed_boxes_follow_the_documented_draws() -> None:
     assert disturbed(box, "gt", 3, "000002", 17, 4, VGA) == box
 
 
-def test_a_recorded_box_stays_what_it_was() -> None:
+def test_recorded_boxes_do_not_change() -> None:
     """Pins the generator: results of different versions are comparable only while this holds."""
     got = disturbed(Box(186, 132, 139, 191), "perturbed", 11, "000000", 1, 0, VGA)
     assert got == pytest.approx(PINNED, abs=1e-6)
@@ -50,7 +50,7 @@ def test_seed_scene_image_and_instance_all_matter() -> None:
     assert len(boxes) == len(args)
 
 
-def test_the_true_box_is_the_sets_else_of_the_mask_else_of_the_mesh(models) -> None:
+def test_the_true_box_is_from_the_data_set_or_the_mask_or_the_mesh(models) -> None:
     mask = np.zeros((120, 160), bool)
     mask[30:40, 50:75] = True
     T = pose_at(0.0)

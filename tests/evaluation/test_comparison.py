@@ -1,4 +1,4 @@
-"""Comparing two result files whose wins and losses are known."""
+"""Two result files with known wins and losses are compared."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def answers(wrong: set[int], instances: int = 40, seeds: int = 1) -> dict[tuple[
     return {(i, seed): i not in wrong for seed in range(seeds) for i in range(instances)}
 
 
-def test_the_same_file_is_the_same(tmp_path: Path) -> None:
+def test_a_file_compared_with_itself_is_the_same(tmp_path: Path) -> None:
     path = write_estimates(tmp_path / "a.json", answers({3, 7}))
     comparison, changes = compared(path, path)
     assert comparison.paired == comparison.units == 40
@@ -32,7 +32,7 @@ def test_the_same_file_is_the_same(tmp_path: Path) -> None:
     assert (comparison.won, comparison.lost, comparison.moved.same) == ([], [], 40)
 
 
-def test_wins_losses_and_changes_are_those_that_were_made(tmp_path: Path) -> None:
+def test_wins_losses_and_changes_are_counted_correctly(tmp_path: Path) -> None:
     before = write_estimates(tmp_path / "a.json", answers({0, 1, 2}))
     after = write_estimates(tmp_path / "b.json", answers({2, 25}))
     comparison, changes = compared(before, after)
@@ -44,7 +44,7 @@ def test_wins_losses_and_changes_are_those_that_were_made(tmp_path: Path) -> Non
     # ADD is 10 mm where right and 50 mm where wrong; ADD-S is 10 mm in both.
     assert changes["auc_add"].change == pytest.approx(100.0 * (0.05 - 0.01) / 0.1 / 40)
     assert (changes["recall_adds"].wins, changes["recall_adds"].losses) == (0, 0)
-    # Quality is 0.9 throughout: it is as good as the share that is right.
+    # Quality is always 0.9, so its mean does not change.
     assert changes["quality"].change == 0.0
     assert changes["brier"].change == pytest.approx((0.01 - 0.81) / 40)
     assert comparison.won == [("000001", 0, 0, 5, 0), ("000001", 0, 1, 5, 0)]
@@ -54,7 +54,7 @@ def test_wins_losses_and_changes_are_those_that_were_made(tmp_path: Path) -> Non
     assert (groups["000002"].wins, groups["000002"].losses, groups["000002"].change) == (0, 1, -5.0)
 
 
-def test_many_losses_are_worse_and_the_other_way_round_better(tmp_path: Path) -> None:
+def test_many_losses_are_worse_and_many_wins_are_better(tmp_path: Path) -> None:
     good = write_estimates(tmp_path / "a.json", answers({0}))
     bad = write_estimates(tmp_path / "b.json", answers({0, *range(10, 18)}))
     comparison, changes = compared(good, bad)
@@ -77,7 +77,7 @@ def test_the_boxes_of_an_instance_are_one_unit(tmp_path: Path) -> None:
     assert add.interval95[1] == 0.0
 
 
-def test_a_missing_pose_is_wrong_and_counts_nothing_in_auc(tmp_path: Path) -> None:
+def test_a_missing_pose_is_wrong_and_counts_zero_in_auc(tmp_path: Path) -> None:
     before = write_estimates(tmp_path / "a.json", answers(set()))
     after = write_estimates(tmp_path / "b.json", {**answers(set()), (4, 0): None})
     comparison, changes = compared(before, after)
@@ -85,7 +85,7 @@ def test_a_missing_pose_is_wrong_and_counts_nothing_in_auc(tmp_path: Path) -> No
     assert (comparison.moved.both, comparison.moved.found, comparison.moved.states) == (39, 1, 1)
 
 
-def test_rows_of_one_file_only_are_named(tmp_path: Path) -> None:
+def test_rows_that_only_one_file_has_are_listed(tmp_path: Path) -> None:
     before = write_estimates(tmp_path / "a.json", answers(set(), 10))
     after = write_estimates(tmp_path / "b.json", {(i, 0): True for i in range(2, 11)}, method="colorpair")
     comparison, _ = compared(before, after)
@@ -94,7 +94,7 @@ def test_rows_of_one_file_only_are_named(tmp_path: Path) -> None:
     assert comparison.only_after == [("000001", 2, 2, 5, 0)]
 
 
-def test_how_far_poses_moved(tmp_path: Path) -> None:
+def test_the_motion_of_poses_between_files_is_measured(tmp_path: Path) -> None:
     before = write_estimates(tmp_path / "a.json", answers(set(), 10))
     after = write_estimates(tmp_path / "b.json", answers(set(), 10), x_m=0.002, turn=0.01)
     moved = compared(before, after)[0].moved
@@ -112,7 +112,7 @@ def test_false_poses_are_counted_by_frame_and_as_a_mean_over_seeds(tmp_path: Pat
 
 
 def test_false_tracking_is_counted_from_the_states(tmp_path: Path) -> None:
-    """Two seconds; from one second on the pose is wrong, and only the second tracker says so."""
+    """Two seconds. From one second on the pose is wrong; only the second tracker reports SUSPECT."""
     right = [i < 30 for i in range(60)]
     before = write_track(tmp_path / "a.json", right, ["TRACKING"] * 60, sequences=3)
     after = write_track(tmp_path / "b.json", right, ["TRACKING"] * 30 + ["SUSPECT"] * 30, sequences=3)
@@ -129,7 +129,7 @@ def test_false_tracking_is_counted_from_the_states(tmp_path: Path) -> None:
     assert list(comparison.groups) == ["run0", "run1", "run2"]
 
 
-def test_many_sequences_are_the_units_themselves(tmp_path: Path) -> None:
+def test_many_sequences_are_the_units_of_resampling(tmp_path: Path) -> None:
     right, states = [True] * 60, ["TRACKING"] * 60
     path = write_track(tmp_path / "a.json", right, states, sequences=10)
     comparison, _ = compared(path, path)
@@ -147,13 +147,13 @@ def test_one_file_and_two_draw_the_same_units(tmp_path: Path, sequences: int, dr
     assert (comparison.unit, comparison.units) == (units.one, len(set(units.of)))
 
 
-def test_half_seconds_begin_with_a_sequence() -> None:
-    """Whenever the computer was started."""
+def test_half_seconds_are_counted_from_the_first_frame_of_a_sequence() -> None:
+    """Timestamps may start at any value."""
     rows = [{"sequence": "run", "stamp_ns": 1_900_000_000 + i * 100_000_000} for i in range(10)]
     assert len(set(unit_of(rows).of)) == 2
 
 
-def test_a_track_without_pose_is_lost_and_phantoms_are_said(tmp_path: Path) -> None:
+def test_a_track_without_pose_is_lost_and_phantoms_are_reported(tmp_path: Path) -> None:
     right = [True] * 60
     before = write_track(tmp_path / "a.json", right, ["TRACKING"] * 60)
     after = write_track(tmp_path / "b.json", right, ["TRACKING"] * 59 + ["LOST"], phantoms=4)
@@ -162,7 +162,7 @@ def test_a_track_without_pose_is_lost_and_phantoms_are_said(tmp_path: Path) -> N
     assert comparison.phantoms == (0.0, 4.0)
 
 
-def test_perception(tmp_path: Path) -> None:
+def test_changes_of_perception_are_compared(tmp_path: Path) -> None:
     before = write_perception(tmp_path / "a.json", [True] * 10 + [False] * 2, [0])
     after = write_perception(tmp_path / "b.json", [True] * 9 + [False, True, False], [0, 1, 1])
     comparison, changes = compared(before, after)
@@ -182,7 +182,7 @@ def test_perception(tmp_path: Path) -> None:
         ('{"rows": [{"scene": "1", "add_m": 0.1}]}', "an incomplete row"),
     ],
 )
-def test_other_files_are_named(tmp_path: Path, content: str, found: str) -> None:
+def test_the_error_names_a_file_that_is_no_result(tmp_path: Path, content: str, found: str) -> None:
     path = tmp_path / "other.json"
     path.write_text(content)
     with pytest.raises(InputError, match=found) as error:
@@ -190,7 +190,7 @@ def test_other_files_are_named(tmp_path: Path, content: str, found: str) -> None
     assert "other.json" in str(error.value)
 
 
-def test_two_rows_of_one_instance_are_named(tmp_path: Path) -> None:
+def test_the_error_names_two_rows_of_one_instance(tmp_path: Path) -> None:
     path = write_perception(tmp_path / "a.json", [True, True])
     record = json.loads(path.read_text())
     path.write_text(json.dumps({**record, "rows": record["rows"] * 2}))
@@ -198,7 +198,7 @@ def test_two_rows_of_one_instance_are_named(tmp_path: Path) -> None:
         read_measured(path)
 
 
-def test_nothing_in_common_and_other_kinds_are_named(tmp_path: Path) -> None:
+def test_files_without_common_rows_or_of_different_kinds_are_refused(tmp_path: Path) -> None:
     first = write_estimates(tmp_path / "a.json", {(1, 0): True})
     second = write_estimates(tmp_path / "b.json", {(2, 0): True})
     with pytest.raises(InputError, match="no row in common"):

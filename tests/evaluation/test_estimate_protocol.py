@@ -1,4 +1,4 @@
-"""The single-frame protocol, with an estimator that answers what it is told to."""
+"""The single-frame protocol, with an estimator that returns given poses."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def scene() -> MemoryScene:
 
 
 def answering(scene: MemoryScene, shift_m: float = 0.0, quality: float = 0.9) -> ScriptedEstimator:
-    """Returns the labelled pose of the instance that is asked for, moved by `shift_m`."""
+    """Returns the labelled pose of the requested instance, shifted by `shift_m`."""
 
     def answer(frame, query):
         T = scene.truths(frame.frame_id)[query.instance].T_cam_obj
@@ -94,7 +94,7 @@ def test_hardly_visible_labels_can_be_left_out(models, scene) -> None:
     ]  # unknown counts as visible
 
 
-def test_a_pose_not_found_is_null_wrong_and_worth_nothing(models, scene) -> None:
+def test_a_pose_that_was_not_found_is_null_and_wrong_and_scores_zero(models, scene) -> None:
     def answer(frame, query):
         return estimate_of(
             query, None if query.object == "brick" else scene.truths(frame.frame_id)[0].T_cam_obj
@@ -109,9 +109,9 @@ def test_a_pose_not_found_is_null_wrong_and_worth_nothing(models, scene) -> None
     assert result.summary()["ece"] is None
 
 
-def test_boxes_of_a_file_are_looked_at_as_often_as_the_object_is_labelled(models, scene) -> None:
-    """Image 3 has a box of object 5 at its label, a worse one, and one of an object without a model; none
-    of object 7. Image 8 has none at all."""
+def test_as_many_boxes_of_a_file_are_used_as_the_object_has_labels(models, scene) -> None:
+    """Image 3 has a box of object 5 at its label, a less confident one, one of an object without a model, and
+    none of object 7. Image 8 has no box."""
     right = truth_box(scene.truths(3)[0], models["box"].mesh, CAMERA)
     found = [BopDetection(5, right, 0.9), BopDetection(16, right, 0.8), BopDetection(5, Box(0, 0, 5, 5), 0.7)]
     estimator = ScriptedEstimator(lambda frame, query: estimate_of(query, scene.truths(3)[0].T_cam_obj))
@@ -128,7 +128,7 @@ def test_boxes_of_a_file_are_looked_at_as_often_as_the_object_is_labelled(models
     assert result.summary()["recall_add"] == 25.0
 
 
-def test_true_masks_are_handed_on_and_missing_ones_named(models, scene) -> None:
+def test_true_masks_are_passed_on_and_the_error_names_missing_ones(models, scene) -> None:
     estimator = answering(scene)
     options = EstimateOptions(masks="gt", min_visib=0.5)
     only_masked = MemoryScene("000001", {8: scene.labels[8]})
@@ -138,7 +138,7 @@ def test_true_masks_are_handed_on_and_missing_ones_named(models, scene) -> None:
         evaluate_estimates([scene], Targets(models), estimator, options)
 
 
-def test_an_empty_mask_is_not_asked_for_and_counts_as_not_found(models) -> None:
+def test_an_empty_mask_is_not_estimated_and_counts_as_not_found(models) -> None:
     empty = MemoryScene("s", {0: (truth(0, 5, pose_at(0.0), mask_loader=lambda: MASK & False),)})
     estimator = answering(empty)
     result = evaluate_estimates([empty], Targets(models), estimator, EstimateOptions(masks="gt"))
@@ -146,10 +146,10 @@ def test_an_empty_mask_is_not_asked_for_and_counts_as_not_found(models) -> None:
     assert result.rows[0].T_cam_obj is None
 
 
-def test_several_seeds_are_averaged_and_kept(models, scene) -> None:
+def test_results_of_several_seeds_are_averaged_and_listed(models, scene) -> None:
     estimator = answering(scene)
 
-    def answer(frame, query):  # right in the boxes of one seed, missing in the other's
+    def answer(frame, query):  # right in the boxes of the first seed, missing in those of the second
         first = len(estimator.asked) <= 2
         return estimate_of(query, scene.truths(frame.frame_id)[query.instance].T_cam_obj if first else None)
 
@@ -165,7 +165,7 @@ def test_several_seeds_are_averaged_and_kept(models, scene) -> None:
     assert len({q.box for _, q in estimator.asked}) == 4
 
 
-def test_equivalent_poses_count_but_not_officially(models, scene) -> None:
+def test_equivalent_poses_are_right_but_not_in_the_official_score(models, scene) -> None:
     def answer(frame, query):
         return estimate_of(query, scene.truths(frame.frame_id)[query.instance].T_cam_obj @ HALF_TURN)
 
@@ -196,7 +196,7 @@ def test_detected_poses_are_assigned_one_to_one_by_quality(models) -> None:
     box = Box(10, 10, 20, 20)
     detector = Boxes(*(Detection("box", box, 0.5) for _ in range(5)))
     near_left = se3.perturb(left, np.array([0.01, 0, 0, 0, 0, 0]))
-    # The fourth: another object's place. The last is too doubtful to stand where nothing is known to be.
+    # The fourth is at another object's position. The last has a quality too low to be kept without a label.
     poses = [(near_left, 0.95), (left, 0.86), (right, 0.88), (far, 0.9), (far, 0.4)]
     estimator = ScriptedEstimator(lambda frame, query: estimate_of(query, *poses[query.instance]))
     options = EstimateOptions(boxes="detect")
@@ -212,7 +212,7 @@ def test_detected_poses_are_assigned_one_to_one_by_quality(models) -> None:
     assert result.summary()["ece"] == pytest.approx((0.05 + 0.12 + 0.9 + 0.86) / 4)
 
 
-def test_a_pose_of_a_label_left_out_is_not_false(models) -> None:
+def test_a_pose_of_a_label_that_is_left_out_is_not_false(models) -> None:
     hidden = MemoryScene("s", {0: (truth(0, 5, pose_at(-0.1), 0.05), truth(1, 7, pose_at(0.2), 1.0))})
     detector = Boxes(Detection("box", Box(10, 10, 20, 20), 0.5))
     options = EstimateOptions(boxes="detect", min_visib=0.3)
@@ -220,7 +220,7 @@ def test_a_pose_of_a_label_left_out_is_not_false(models) -> None:
     assert (len(result.rows), len(result.false)) == (1, 0)
 
 
-def test_boxes_that_hardly_overlap_are_not_assigned(models) -> None:
+def test_a_pose_that_hardly_overlaps_the_label_is_not_assigned(models) -> None:
     scene = MemoryScene("s", {0: (truth(0, 5, pose_at(0.0)),)})
     moved = se3.perturb(pose_at(0.0), np.array([0.2, 0, 0, 0, 0, 0]))
     detector = Boxes(Detection("box", Box(10, 10, 20, 20), 0.5))
@@ -231,22 +231,22 @@ def test_boxes_that_hardly_overlap_are_not_assigned(models) -> None:
     assert result.rows[0].reason == "The poses of the object that are kept are at other positions."
 
 
-def test_nothing_to_assign() -> None:
+def test_no_poses_and_no_labels_give_no_assignment() -> None:
     assert assigned([], [], lambda name, T: None) == ({}, [])
 
 
 @pytest.mark.parametrize("objects", [[16], [3]])
-def test_without_any_label_of_an_onboarded_object_it_says_so(models, scene, objects) -> None:
+def test_without_labels_of_onboarded_objects_there_is_an_error(models, scene, objects) -> None:
     with pytest.raises(InputError, match="Onboard"):
         evaluate_estimates([scene], Targets(models, objects), answering(scene), EstimateOptions())
 
 
-def test_two_scenes_of_one_name_are_refused(models, scene) -> None:
+def test_two_scenes_with_the_same_name_are_refused(models, scene) -> None:
     with pytest.raises(InputError, match="scene '000001': found two folders"):
         evaluate_estimates([scene, scene], Targets(models), answering(scene), EstimateOptions())
 
 
-def test_ar_is_given_where_all_rows_were_measured(models, scene) -> None:
+def test_ar_is_given_only_if_all_rows_have_scores(models, scene) -> None:
     rows = evaluate_estimates([scene], Targets(models), answering(scene), EstimateOptions()).as_json()["rows"]
     score = {"bop": {"recalls": [1.0, 1.0, 0.4]}}
     whole = summary_of([row | score for row in rows])

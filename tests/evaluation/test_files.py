@@ -1,4 +1,4 @@
-"""Files in and out: JSON, BOP's CSV, poses made elsewhere, equivalent poses."""
+"""Reading and writing files: JSON, BOP's CSV, poses of other programs, equivalent poses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from huepose.support.errors import InputError
 T = se3.make(se3.rotation_exp([0.3, -1.2, 2.0]), [0.12, -0.034, 0.987])
 
 
-def test_json_holds_no_nan_and_reads_back(tmp_path: Path) -> None:
+def test_json_has_no_nan_and_is_read_back(tmp_path: Path) -> None:
     value = {
         "summary": {5: np.float32(1.5), "x": np.nan},
         "rows": [{"T": T, "e": np.inf}, {"n": np.int64(3)}],
@@ -42,17 +42,17 @@ def test_json_holds_no_nan_and_reads_back(tmp_path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["result.json"]
 
 
-def test_plain_keeps_truth_values_and_text() -> None:
+def test_plain_keeps_booleans_and_text() -> None:
     assert plain((np.bool_(True), "a", None, 2, {"k": float("-inf")})) == [True, "a", None, 2, {"k": None}]
 
 
-def test_a_file_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_the_error_names_a_file_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file/result"):
         write_json(tmp_path / "file" / "result.json", {})
 
 
-def test_bop_csv_is_millimetres_row_by_row_and_reads_back(tmp_path: Path) -> None:
+def test_bop_csv_is_in_millimetres_row_by_row_and_is_read_back(tmp_path: Path) -> None:
     path = tmp_path / "huepose_ycbv-test.csv"
     write_bop_csv(path, [BopResult("000048", 36, 5, 0.75, T, 0.25), BopResult("box", 1, 2, 1.0, np.eye(4))])
     header, line, named = path.read_text().splitlines()
@@ -91,7 +91,7 @@ def test_bop_csv_that_a_spreadsheet_saved_is_read(tmp_path: Path, header: str) -
         "48,36,5,0.75,1 1 1 1 1 1 1 1 1,1 2 3,0.1",
     ],
 )
-def test_a_broken_line_of_bop_csv_is_named(tmp_path: Path, line: str) -> None:
+def test_the_error_names_a_broken_line_of_bop_csv(tmp_path: Path, line: str) -> None:
     path = tmp_path / "x.csv"
     path.write_text(f"scene_id,im_id,obj_id,score,R,t,time\n{line}\n")
     with pytest.raises(InputError, match=r"x\.csv, line 2"):
@@ -99,7 +99,7 @@ def test_a_broken_line_of_bop_csv_is_named(tmp_path: Path, line: str) -> None:
 
 
 @pytest.mark.parametrize("header", ["frame,object,x,y,z,qx,qy,qz,qw\n", ""])
-def test_pose_csv(tmp_path: Path, header: str) -> None:
+def test_a_pose_csv_is_read(tmp_path: Path, header: str) -> None:
     q = se3.quaternion_from_rotation(T[:3, :3])
     row = ",".join(str(v) for v in (*T[:3, 3], *q))
     path = tmp_path / "poses.csv"
@@ -112,7 +112,7 @@ def test_pose_csv(tmp_path: Path, header: str) -> None:
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-def test_pose_csv_of_a_spreadsheet(tmp_path: Path, end: str) -> None:
+def test_a_pose_csv_of_a_spreadsheet_is_read(tmp_path: Path, end: str) -> None:
     path, row = tmp_path / "poses.csv", ",0,0,1,0,0,0,1,3,1700000000.5,0.9"
     lines = ["frame,object,x,y,z,qx,qy,qz,qw,instance,stamp,quality", f"4,box{row}", f"5,box{row}"]
     path.write_bytes(b"\xef\xbb\xbf" + (end.join(lines) + end).encode())
@@ -133,14 +133,14 @@ def test_pose_csv_of_a_spreadsheet(tmp_path: Path, end: str) -> None:
         "a,box,0,0,1,0,0,0,1\n",
     ],
 )
-def test_a_broken_pose_csv_is_named(tmp_path: Path, text: str) -> None:
+def test_the_error_names_a_broken_pose_csv(tmp_path: Path, text: str) -> None:
     path = tmp_path / "p.csv"
     path.write_text("frame,object,x,y,z,qx,qy,qz,qw\n" + text)
     with pytest.raises(InputError, match=r"p\.csv"):
         read_pose_csv(path)
 
 
-def test_numbers_of_frames_may_be_written_as_pandas_does(tmp_path: Path) -> None:
+def test_frame_numbers_may_be_floats_as_pandas_writes_them(tmp_path: Path) -> None:
     path = tmp_path / "poses.csv"
     path.write_text("100.0,box,0,0,1,0,0,0,1,2.0\n101.0,box,0,0,1,0,0,0,1,2.0\n")
     assert [(row.frame, row.instance) for row in read_pose_rows(path)] == [(100, 2), (101, 2)]
@@ -150,8 +150,8 @@ def test_numbers_of_frames_may_be_written_as_pandas_does(tmp_path: Path) -> None
             read_pose_rows(path)
 
 
-def test_dope_poses_are_taken_through_both_frames(tmp_path: Path) -> None:
-    """A point known in the reference frame lands where DOPE's pose puts it by way of its own frame."""
+def test_dope_poses_are_converted_to_the_reference_frame(tmp_path: Path) -> None:
+    """A point in the reference model's frame lands where DOPE's pose puts it in DOPE's model frame."""
     R, t, offset = (
         se3.rotation_exp([1.2, 0.4, -0.9]),
         np.array([0.01, -0.02, 0.003]),
@@ -171,7 +171,7 @@ def test_dope_poses_are_taken_through_both_frames(tmp_path: Path) -> None:
     )
 
 
-def test_equivalents(tmp_path: Path) -> None:
+def test_a_file_of_equivalent_poses_is_read(tmp_path: Path) -> None:
     path = tmp_path / "alternatives.json"
     path.write_text(json.dumps({"000001/0/3": {"object": 19, "T_obj_obj": [np.eye(4).tolist(), T.tolist()]}}))
     (key,) = read_equivalents(path)
@@ -189,7 +189,7 @@ def test_equivalents(tmp_path: Path) -> None:
         {"s/0/1": {"T_obj_obj": [(np.eye(4) * 2).tolist()]}},
     ],
 )
-def test_a_broken_entry_of_equivalents_is_named(tmp_path: Path, record: dict) -> None:
+def test_the_error_names_a_broken_entry_of_equivalent_poses(tmp_path: Path, record: dict) -> None:
     path = tmp_path / "alternatives.json"
     path.write_text(json.dumps(record))
     with pytest.raises(InputError, match=r"alternatives\.json, '"):

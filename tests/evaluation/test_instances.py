@@ -1,4 +1,4 @@
-"""Which pose is judged against which label."""
+"""Which published pose is compared with which label."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def tracks(chosen) -> list[int | None]:
     return [None if pose is None else pose.track for pose in chosen]
 
 
-def test_counts_are_the_most_labels_of_a_frame(models) -> None:
+def test_an_object_has_as_many_instances_as_labels_in_one_frame_at_most(models) -> None:
     scene = MemoryScene(
         "s",
         {
@@ -33,30 +33,30 @@ def test_counts_are_the_most_labels_of_a_frame(models) -> None:
     assert instance_counts(scene, [0], Targets(models, [7])) == {}
 
 
-def test_poses_go_to_the_nearest_labels_together(models) -> None:
-    here = places((truth(0, 5, LEFT), truth(1, 5, RIGHT)), Targets(models), {"box": 2})
-    chosen, phantoms = match(here, [published(4, pose_at(0.12)), published(9, pose_at(-0.02))])
+def test_poses_are_matched_jointly_to_the_nearest_labels(models) -> None:
+    wanted = places((truth(0, 5, LEFT), truth(1, 5, RIGHT)), Targets(models), {"box": 2})
+    chosen, phantoms = match(wanted, [published(4, pose_at(0.12)), published(9, pose_at(-0.02))])
     assert tracks(chosen) == [9, 4]
     assert phantoms == []
 
 
-def test_a_track_without_a_pose_speaks_for_the_label_that_is_left(models) -> None:
-    here = places((truth(0, 5, LEFT), truth(1, 5, RIGHT)), Targets(models), {"box": 2})
-    chosen, _ = match(here, [published(1, None), published(2, LEFT)])
+def test_a_track_without_a_pose_is_matched_to_the_remaining_label(models) -> None:
+    wanted = places((truth(0, 5, LEFT), truth(1, 5, RIGHT)), Targets(models), {"box": 2})
+    chosen, _ = match(wanted, [published(1, None), published(2, LEFT)])
     assert tracks(chosen) == [2, 1]
 
 
-def test_a_pose_of_an_object_without_label_takes_the_absent_place_then_is_a_phantom(models) -> None:
-    here = places((truth(0, 5, LEFT),), Targets(models), {"box": 1, "brick": 1})
-    spare = published(3, RIGHT)
-    chosen, phantoms = match(here, [published(1, LEFT), spare, published(0, LEFT, "brick")])
+def test_an_unlabelled_pose_takes_an_absent_instance_and_a_further_one_is_a_phantom(models) -> None:
+    wanted = places((truth(0, 5, LEFT),), Targets(models), {"box": 1, "brick": 1})
+    unlabelled = published(3, RIGHT)
+    chosen, phantoms = match(wanted, [published(1, LEFT), unlabelled, published(0, LEFT, "brick")])
     assert tracks(chosen) == [1, 0]
-    assert here[1].truth is None
-    assert phantoms == [spare]
+    assert wanted[1].truth is None
+    assert phantoms == [unlabelled]
 
 
-def test_objects_do_not_mix(models) -> None:
-    here = places((truth(0, 5, LEFT), truth(1, 7, RIGHT)), Targets(models), {"box": 1, "brick": 1})
-    chosen, phantoms = match(here, [published(0, RIGHT), published(0, LEFT, "brick")])
+def test_poses_are_matched_to_labels_of_their_object_only(models) -> None:
+    wanted = places((truth(0, 5, LEFT), truth(1, 7, RIGHT)), Targets(models), {"box": 1, "brick": 1})
+    chosen, phantoms = match(wanted, [published(0, RIGHT), published(0, LEFT, "brick")])
     assert [pose.object for pose in chosen] == ["box", "brick"]
     assert phantoms == []

@@ -1,4 +1,4 @@
-"""Late estimates are judged as by the live loop."""
+"""Late estimates are judged as in the live re-initialisation loop."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_estimates_are_judged_against_the_tracked_pose(models, pose, before, ver
     assert LoopJudge(models)(late(models, **pose), before) is verdict
 
 
-def test_labels_and_files_are_taken_as_they_are(models) -> None:
+def test_labels_and_poses_of_files_are_accepted_without_judging(models) -> None:
     pose = SourcedPose(Place(models["box"], 0, None), moved(0.3), 1.0)
     assert LoopJudge(models)(pose, tracked(T)) is Verdict.CORRECT
     assert LoopJudge(models)(pose, None) is Verdict.ACQUIRE

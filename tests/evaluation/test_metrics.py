@@ -1,4 +1,4 @@
-"""Errors of known movements, areas known in closed form, invariances."""
+"""Errors of known motions, areas under curves in closed form, invariances."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ def test_add_of_a_translation_is_its_length(t: tuple[float, float, float]) -> No
     assert metrics.add(POINTS, T_estimate, T_truth) == pytest.approx(np.linalg.norm(t), abs=1e-12)
 
 
-def test_add_of_a_turn_is_the_mean_chord() -> None:
+def test_add_of_a_rotation_is_the_mean_chord() -> None:
     angle = 0.7
     radius = np.linalg.norm(POINTS[:, :2], axis=1)
     T = se3.make(se3.rotation_exp([0, 0, angle]), [0, 0, 0])
     assert metrics.add(POINTS, T, np.eye(4)) == pytest.approx(2 * np.sin(angle / 2) * radius.mean())
 
 
-def test_adds_of_a_symmetric_object_turned_on_itself_is_zero() -> None:
+def test_adds_of_a_symmetric_object_rotated_onto_itself_is_zero() -> None:
     square = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]) * 0.1
     quarter = se3.make(se3.rotation_exp([0, 0, np.pi / 2]), [0, 0, 0])
     T = se3.make(se3.rotation_exp([0.3, 0.4, 0.5]), [0, 0, 1])
@@ -38,8 +38,8 @@ def test_adds_of_a_symmetric_object_turned_on_itself_is_zero() -> None:
     assert metrics.add(square, T @ quarter, T) == pytest.approx(0.1 * math.sqrt(2))
 
 
-def test_adds_takes_the_points_of_the_truth_to_the_nearest_of_the_estimate() -> None:
-    """An uneven cloud tells the two directions apart: compared with all distances, one by one."""
+def test_adds_goes_from_points_of_the_truth_to_the_nearest_of_the_estimate() -> None:
+    """An uneven cloud, for which the two directions differ. The expected value is by brute force."""
     rng = np.random.default_rng(3)
     points = np.concatenate([rng.normal(0, 0.02, (60, 3)), [[0.2, 0, 0], [0, 0.3, 0]]])
     T_truth = se3.make(se3.rotation_exp(rng.normal(size=3)), rng.normal(size=3))
@@ -52,7 +52,7 @@ def test_adds_takes_the_points_of_the_truth_to_the_nearest_of_the_estimate() -> 
 
 @settings(deadline=None)
 @given(st.tuples(small, small, small), st.tuples(small, small, small))
-def test_both_errors_ignore_how_the_world_is_turned(w: tuple, t: tuple) -> None:
+def test_both_errors_are_invariant_to_rigid_motions_of_the_scene(w: tuple, t: tuple) -> None:
     T_world = se3.make(se3.rotation_exp(np.array(w)), np.array(t))
     T_a, T_b = se3.exp(np.array([0.1, 0, 0.2, 0.3, 0.1, 0])), se3.exp(np.array([0.12, 0, 0.2, 0.1, 0.4, 0]))
     for error in (metrics.add, metrics.adds):
@@ -79,7 +79,7 @@ def test_auc_is_the_area_under_the_accuracy_curve() -> None:
     assert auc(errors) == pytest.approx(metrics.accuracy_curve(errors, thresholds).mean(), abs=0.01)
 
 
-def test_voc_area_by_hand() -> None:
+def test_voc_auc_equals_a_hand_computed_value() -> None:
     # Steps: 0..0.02 at 1/4, 0.02..0.06 at 2/4, 0.06..0.1 at 2/4 (the accuracy of the last finite error).
     expected = 100 / 0.1 * (0.02 * 0.25 + 0.04 * 0.5 + 0.04 * 0.5)
     assert metrics.auc_voc([0.06, 0.2, 0.02, np.inf]) == pytest.approx(expected)
@@ -87,12 +87,12 @@ def test_voc_area_by_hand() -> None:
     assert metrics.auc_voc([0.2, np.inf]) == 0.0
 
 
-def test_voc_area_comes_close_to_the_other_one_for_many_poses() -> None:
+def test_voc_auc_approaches_the_plain_auc_for_many_poses() -> None:
     errors = np.random.default_rng(2).exponential(0.03, 5000)
     assert 0 < metrics.auc_voc(errors) - auc(errors) < 0.05
 
 
-def test_calibration_error_of_honest_and_of_boastful_quality() -> None:
+def test_calibration_error_of_calibrated_and_of_overconfident_quality() -> None:
     rng = np.random.default_rng(0)
     quality = rng.uniform(0, 1, 40000)
     right = rng.uniform(0, 1, 40000) < quality
@@ -103,10 +103,10 @@ def test_calibration_error_of_honest_and_of_boastful_quality() -> None:
 
 
 def test_calibration_bins_have_equal_counts() -> None:
-    """Nine tenths of the poses at quality 0.5: bins of equal width would hide the wrong ones among them."""
+    """Nine tenths of the poses at quality 0.5: bins of equal width would hide the wrong poses."""
     quality = np.concatenate([np.full(90, 0.5), np.full(10, 1.0)])
     right = np.concatenate([np.ones(45, bool), np.zeros(45, bool), np.ones(10, bool)])
-    # Of ten bins of ten, four are all right at 0.5, one is half right, four all wrong; the last is honest.
+    # Of ten bins of ten, four are all right at 0.5, one is half right, four all wrong; the last is exact.
     assert metrics.expected_calibration_error(quality, right) == pytest.approx(8 * 0.5 / 10)
 
 

@@ -1,4 +1,4 @@
-"""The protocol of perception, with a detector, a segmenter and an estimator that answer as told."""
+"""The perception protocol, with a detector, a segmenter and an estimator that return given results."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ class UpperHalf:
         return [mask_of(Box(box.x, box.y, box.w, box.h / 2))]
 
 
-def seen(qualities: dict[tuple[str, Box], float], present: bool = False) -> ScriptedEstimator:
-    """Finds what it is asked for in the box, as sure as told (0.9 in a box that is not listed). present: it
-    says, too, that the object is there, the surer the less sure its pose is."""
+def estimator_with(qualities: dict[tuple[str, Box], float], present: bool = False) -> ScriptedEstimator:
+    """Finds every requested object in its box, with the listed quality (0.9 for a box that is not listed).
+    present: it also returns a presence of one minus the quality."""
 
     def answer(frame, query) -> PoseEstimate:
         quality = qualities.get((query.object, query.box), 0.9)
@@ -76,19 +76,19 @@ def run(scene, models, detections, qualities, **options):
         Targets(models),
         Boxes(*detections),
         UpperHalf(),
-        seen(qualities),
+        estimator_with(qualities),
         PerceptionOptions(**options),
     )
 
 
-def test_recall_counts_the_first_proposals_and_what_stands_in_the_end(models, scene) -> None:
+def test_recall_counts_the_first_proposals_and_the_accepted_answers(models, scene) -> None:
     detections = [Detection("box", LEFT, 0.9), Detection("brick", LEFT, 0.8), Detection("brick", RIGHT, 0.7)]
     result = run(scene, models, detections, {("box", LEFT): 0.99, ("brick", LEFT): 0.95})
     record = json.loads(json.dumps(plain(result.as_json())))
     summary = record["summary"]
     assert summary["instances"] == 2
     assert summary["recall_at"] == {"1": 50.0, "5": 100.0, "20": 100.0}
-    # The brick's first place is the box's, which explains it better: it falls, and the second one stands.
+    # The brick's first proposal is on the box, which explains the surface better. The second one is accepted.
     assert summary["recall_iou50"] == 100.0
     assert summary["false_boxes_per_frame"] == 0.0
     assert [(r["name"], r["rank"], r["found"]) for r in record["rows"]] == [
@@ -98,13 +98,13 @@ def test_recall_counts_the_first_proposals_and_what_stands_in_the_end(models, sc
     assert summary["confusion"] == {"box": {"box": 1}, "brick": {"brick": 1}}
 
 
-def test_only_so_many_proposals_are_judged(models, scene) -> None:
+def test_the_number_of_judged_proposals_is_limited(models, scene) -> None:
     detections = [Detection("brick", LEFT, 0.8), Detection("brick", RIGHT, 0.7)]
     result = run(scene, models, detections, {("brick", LEFT): 0.2}, judged=1)
     assert result.as_json()["summary"]["recall_iou50"] == 0.0
 
 
-def test_false_boxes_say_what_is_there_instead(models, scene) -> None:
+def test_false_boxes_name_the_object_that_is_there(models, scene) -> None:
     detections = [Detection("brick", LEFT, 0.9), Detection("box", Box(60, 5, 20, 20), 0.9)]
     record = run(scene, models, detections, {}).as_json()
     assert record["summary"]["false_boxes_per_frame"] == 2.0
@@ -119,7 +119,7 @@ def test_a_hardly_visible_instance_is_neither_missed_nor_false(models, scene) ->
     assert record["summary"]["instances"] == 2
 
 
-def test_masks_are_measured_in_disturbed_boxes(models, scene) -> None:
+def test_masks_are_measured_in_perturbed_boxes(models, scene) -> None:
     summary = run(scene, models, [], {}).as_json()["summary"]
     assert 0.35 < summary["mask_iou"] < 0.6
     assert 0.6 < summary["final_mask_iou"] < 1.0
@@ -136,21 +136,23 @@ def test_the_picture_shows_found_missed_and_false(models, scene) -> None:
 
 
 def test_false_boxes_count_in_all_labelled_frames(models, scene) -> None:
-    """Frame 4 shows another object; of frame 5 nothing is known."""
+    """Frame 4 shows another object; frame 5 is unlabelled."""
     other = truth(0, 7, pose_at(0.1), 0.8, RIGHT, mask_loader=lambda: mask_of(RIGHT))
     three = PartlyLabelled("s", {3: scene.labels[3], 4: (other,), 5: ()})
     found = Detection("box", NOWHERE, 0.9)
     options = PerceptionOptions()
-    result = evaluate_perception([three], Targets(models, [5]), Boxes(found), UpperHalf(), seen({}), options)
+    result = evaluate_perception(
+        [three], Targets(models, [5]), Boxes(found), UpperHalf(), estimator_with({}), options
+    )
     record = result.as_json()
     assert [(f["image"], f["shown"]) for f in record["false"]] == [(3, None), (4, None)]
     assert (record["summary"]["frames"], record["summary"]["instances"]) == (2, 1)
 
 
-def test_two_scenes_of_one_name_are_refused(models, scene) -> None:
+def test_two_scenes_with_the_same_name_are_refused(models, scene) -> None:
     with pytest.raises(InputError, match="scene '000001': found two folders"):
         evaluate_perception(
-            [scene, scene], Targets(models), Boxes(), UpperHalf(), seen({}), PerceptionOptions()
+            [scene, scene], Targets(models), Boxes(), UpperHalf(), estimator_with({}), PerceptionOptions()
         )
 
 
@@ -159,7 +161,7 @@ def test_nothing_labelled_is_an_error(models) -> None:
         run(MemoryScene("000001", {0: ()}), models, [], {})
 
 
-def test_one_surface_stands_for_one_pose() -> None:
+def test_one_surface_is_accepted_for_one_pose_only() -> None:
     def answer(name: str, box: Box, present: float) -> PoseEstimate:
         return replace(PoseEstimate(name), found=True, mask=mask_of(box), present=present)
 
@@ -169,7 +171,7 @@ def test_one_surface_stands_for_one_pose() -> None:
     assert accepted_answers([worse, PoseEstimate("box", present=1.0)]) == [worse]
 
 
-def test_why_none_of_an_object_stands() -> None:
+def test_the_reason_why_no_answer_of_an_object_is_accepted() -> None:
     def found(present: float) -> PoseEstimate:
         return replace(PoseEstimate("brick"), found=True, mask=mask_of(LEFT), present=present)
 
@@ -189,15 +191,16 @@ def test_why_none_of_an_object_stands() -> None:
     assert why_none_accepted("brick", [PoseEstimate("brick", reason="Nothing.")]) == "Nothing."
 
 
-def test_what_stands_is_there_however_sure_its_pose_is(models, scene) -> None:
-    """Presence decides where it is asked; proposals that are worth nothing are not looked at."""
+def test_presence_decides_acceptance_whatever_the_quality_is(models, scene) -> None:
+    """The brick with the lower quality is accepted, because its presence is higher. A proposal below
+    `least` is not estimated."""
     detections = [Detection("brick", LEFT, 0.8), Detection("brick", RIGHT, 0.7), Detection("box", LEFT, 0.1)]
     result = evaluate_perception(
         [scene],
         Targets(models),
         Boxes(*detections),
         UpperHalf(),
-        seen({("brick", LEFT): 0.9, ("brick", RIGHT): 0.1}, present=True),
+        estimator_with({("brick", LEFT): 0.9, ("brick", RIGHT): 0.1}, present=True),
         PerceptionOptions(least=0.2),
     )
     record = result.as_json()

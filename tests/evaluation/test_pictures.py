@@ -1,4 +1,4 @@
-"""Pictures of results: right is green, wrong is red, and the files are where they are said to be."""
+"""Plots of results: right is green, wrong is red; the files are in the documented folders."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def has(picture: np.ndarray, color: tuple[int, int, int]) -> bool:
 
 
 def shifted(frame, query) -> object:
-    """Exact for the box, 4 cm off for the brick."""
+    """The exact pose for the box, a pose 4 cm off for the brick."""
     T = SCENE.truths(frame.frame_id)[query.instance].T_cam_obj
     return estimate_of(query, se3.perturb(T, np.array([0.04 * query.instance, 0, 0, 0, 0, 0])))
 
@@ -49,9 +49,9 @@ def test_right_is_green_and_wrong_is_red_beside_the_label(models) -> None:
     right, wrong = draw_rows(sample, rows[:1], targets), draw_rows(sample, rows[1:], targets)
     assert (has(right, RIGHT), has(right, WRONG)) == (True, False)
     assert (has(wrong, RIGHT), has(wrong, WRONG), has(wrong, TRUTH)) == (False, True, True)
-    assert right.shape[0] > 120  # the list stands below the picture
+    assert right.shape[0] > 120  # the list is below the image
     assert right.shape[1:] == (160, 3)
-    assert not sample.frame.color.any()  # the frame itself is left alone
+    assert not sample.frame.color.any()  # the frame itself does not change
 
 
 def test_files_of_an_estimation(models, tmp_path: Path) -> None:
@@ -66,7 +66,7 @@ def test_files_of_an_estimation(models, tmp_path: Path) -> None:
 
 
 class Resting:
-    """Publishes the labels of the first frame, and loses the brick on the second."""
+    """A tracker that publishes the corrected poses and loses the brick on the second frame."""
 
     def __init__(self) -> None:
         self.corrections = []
@@ -96,7 +96,7 @@ def test_files_of_a_tracking_run(models, tmp_path: Path) -> None:
     assert names == ["000001_000000_s0.png", "000001_000004_s0.png", "errors_000001.png"]
 
 
-def test_a_folder_that_cannot_be_made_is_named(models, tmp_path: Path) -> None:
+def test_the_error_names_a_folder_that_cannot_be_made(models, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     frames = estimated(models)
     with pytest.raises(InputError, match="file/plots"):

@@ -1,4 +1,4 @@
-"""Published poses scored against the scene that was played."""
+"""Published poses are scored against the scene that was played."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SCENE = MemoryScene("000001", {i: (truth(0, 5, motion(i)),) for i in range(10)})
 
 
 def message(i: int, T: np.ndarray | None, state: str = "TRACKING", **changes: object) -> dict:
-    """A message as the wire has it; frame i is captured at second 50 + i / 30, published 20 ms later."""
+    """A message in the wire format. Frame i is captured at second 50 + i / 30 and published 20 ms later."""
     capture = 50_000_000_000 + round(i * 1e9 / 30)
     return {
         "object": "box", "instance": 3, "camera_epoch": 77, "frame_id": i, "capture_ns": capture,
@@ -60,7 +60,7 @@ def test_a_run_is_scored_by_frame_number(models, tmp_path: Path) -> None:
     assert summary["frames"] == 10
 
 
-def test_an_image_of_which_nothing_is_known_has_no_row(models, tmp_path: Path) -> None:
+def test_an_image_without_labels_has_no_row(models, tmp_path: Path) -> None:
     sparse = PartlyLabelled("s", {i: SCENE.labels[i] if i in (0, 9) else () for i in SCENE.image_ids})
     messages = read_messages(written(tmp_path, *(message(i, motion(i)) for i in range(10))))
     result = evaluate_poses(messages, sparse, Targets(models))
@@ -89,7 +89,7 @@ def test_a_first_pass_with_gaps_is_not_filled_from_the_second(tmp_path: Path) ->
     assert len(first_pass(messages, SCENE.image_ids)) == 4
 
 
-def test_poses_of_unknown_objects_are_passed_over_and_phantoms_are_false(models, tmp_path: Path) -> None:
+def test_poses_of_unknown_objects_are_ignored_and_phantoms_are_false(models, tmp_path: Path) -> None:
     messages = []
     for i in range(10):
         messages += [
@@ -102,7 +102,7 @@ def test_poses_of_unknown_objects_are_passed_over_and_phantoms_are_false(models,
     assert summary["recall_add"] == 100.0
 
 
-def test_a_line_cut_short_at_the_end_is_passed_over(tmp_path: Path) -> None:
+def test_a_truncated_last_line_is_ignored(tmp_path: Path) -> None:
     path = written(tmp_path, message(0, motion(0)))
     path.write_text(path.read_text() + '{"object": "bo')
     assert len(read_messages(path)) == 1
@@ -120,14 +120,14 @@ def test_a_line_cut_short_at_the_end_is_passed_over(tmp_path: Path) -> None:
         (json.dumps({**message(0, None, "LOST"), "frame_id": "0"}), "frame_id"),
     ],
 )
-def test_what_is_broken_is_named(tmp_path: Path, text: str, named: str) -> None:
+def test_the_error_names_what_is_broken(tmp_path: Path, text: str, named: str) -> None:
     path = tmp_path / "poses.jsonl"
     path.write_text(text)
     with pytest.raises(InputError, match=named):
         read_messages(path)
 
 
-def test_a_recording_is_answered_with_how_to_have_its_poses(tmp_path: Path) -> None:
+def test_the_error_for_a_recording_says_how_to_get_its_poses(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(b"\x89MCAP0\r\n\x01\x04\x00" * 9)
     with pytest.raises(InputError, match=r"run.mcap: found bytes that are no text; .*DIR/poses.jsonl\.$"):

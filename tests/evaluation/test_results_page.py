@@ -1,4 +1,4 @@
-"""The page of results, and where a result comes from."""
+"""The page of results, and the origin of a result."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_the_origin_names_the_command_without_folders() -> None:
     assert "numpy " in facts["versions"]
 
 
-def test_results_of_one_name_are_told_apart_by_their_folders() -> None:
+def test_results_with_the_same_name_are_distinguished_by_their_folders() -> None:
     paths = [Path("a/x/results.json"), Path("b/x/results.json"), Path("a/y.json")]
     assert result_names(paths[::2]) == ["x", "y"]
     assert result_names(paths) == ["a-x", "b-x", "a-y"]
@@ -57,8 +57,8 @@ def test_results_of_all_kinds_are_shown_with_their_origin() -> None:
         assert line in page.splitlines()
 
 
-def test_the_interval_of_tracks_stands_below_the_figure_that_it_is_of() -> None:
-    """That of all frames, not the mean over sequences."""
+def test_the_interval_of_tracks_is_below_its_figure() -> None:
+    """The interval is of the figure over all frames, not of the mean over sequences."""
     summary = {
         "instances": 40, "recall_add": 55.0, "interval95": {"recall_add": [70.0, 80.0]},
         "interval95_over": "half seconds", "frame_weighted": {"instances": 40, "recall_add": 75.0},
@@ -71,13 +71,13 @@ def test_the_interval_of_tracks_stands_below_the_figure_that_it_is_of() -> None:
     ]
 
 
-def test_where_there_are_too_few_units_for_an_interval_there_is_none() -> None:
+def test_with_too_few_units_there_is_no_interval() -> None:
     summary = {"instances": 1, "recall_add": 100.0, "interval95": {"recall_add": None}}
     page = results_page({"estimate": {"origin": ORIGIN, "summary": summary}})
     assert "| 95 % of draws |  | - |" in page.splitlines()
 
 
-def test_a_marked_table_is_cut_from_the_first_result_of_the_tables() -> None:
+def test_the_marked_table_is_an_extract_of_the_first_table_result() -> None:
     heads = (Head("paper, published", "ADD", measured=False), Head("", "n"), Head("full", "ADD"))
     rows = (("002_can", (1.0, 2, 3.0)), ("All labels", (4.0, 5, 66.66)))
     tables = [Table("table1", "Table I", heads, rows).as_json(), Table("other", "O", heads, rows).as_json()]
@@ -91,8 +91,8 @@ def test_a_marked_table_is_cut_from_the_first_result_of_the_tables() -> None:
         with_cut(whole, {"estimate": {}})
 
 
-def test_what_the_documents_say_is_what_the_result_files_say() -> None:
-    """Else: `huepose eval results docs/results/*.json --out docs/results.md --readme README.md`."""
+def test_documents_agree_with_the_result_files() -> None:
+    """If this fails: `huepose eval results docs/results/*.json --out docs/results.md --readme README.md`."""
     records = {path.stem: read_json(path) for path in sorted((ROOT / "docs" / "results").glob("*.json"))}
     assert records
     assert (ROOT / "docs" / "results.md").read_text() == results_page(records)

@@ -1,4 +1,4 @@
-"""ROFT's errors of a track on motions worked by hand."""
+"""ROFT's errors of a track, on motions with hand-computed values."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ def test_a_true_track_has_no_error() -> None:
     assert all(v == pytest.approx(0.0, abs=1e-6) for v in figures.values())
 
 
-def test_an_offset_and_a_turn_are_counted_and_cost_no_velocity() -> None:
-    """30 mm beside in half of the frames and 0.2 rad in all: sqrt(9 / 2) cm, 11.46 degrees."""
+def test_an_offset_and_a_rotation_are_measured() -> None:
+    """30 mm off in half of the frames and 0.2 rad in all frames: sqrt(9 / 2) cm, 11.46 degrees."""
     poses = [at(0.02 * i + 0.03 * (i % 2), 0.1 * i + 0.2) for i in range(6)]
     figures = roft_figures(poses, TRUTHS, STAMPS)
     assert figures["rmse_cm"] == pytest.approx(np.sqrt(4.5))
@@ -33,15 +33,15 @@ def test_an_offset_and_a_turn_are_counted_and_cost_no_velocity() -> None:
     assert figures["rmse_cm_s"] == pytest.approx(30.0)  # 3 cm to and fro in a tenth of a second
 
 
-def test_a_published_velocity_is_what_counts() -> None:
-    """The truth moves at 20 cm/s and 1 rad/s; published are 25 cm/s and no turn."""
+def test_a_published_velocity_is_used() -> None:
+    """The truth moves at 20 cm/s and 1 rad/s; 25 cm/s and no rotation are published."""
     published = [np.array([0.25, 0, 0, 0, 0, 0])] * 6
     figures = roft_figures(TRUTHS, TRUTHS, STAMPS, published)
     assert figures["rmse_cm_s"] == pytest.approx(5.0)
     assert figures["rmse_deg_s"] == pytest.approx(np.degrees(1.0))
 
 
-def test_missing_poses_are_held_and_those_before_the_first_left_out() -> None:
+def test_missing_poses_repeat_the_last_and_frames_before_the_first_are_left_out() -> None:
     poses = [None, TRUTHS[1], None, None, TRUTHS[4], TRUTHS[5]]
     figures = roft_figures(poses, TRUTHS, STAMPS)
     assert figures["rmse_cm"] == pytest.approx(np.sqrt((2**2 + 4**2) / 5))  # 2 and 4 cm behind, of 5 frames

@@ -1,8 +1,8 @@
-"""The words about states, on timelines small enough to count by hand.
+"""Figures about states, on timelines small enough to count by hand.
 
-A timeline is written a letter a frame: T, S, L, N are TRACKING, SUSPECT, LOST, SEARCHING with a right pose
-where there is one, t and s the same with a wrong pose, '-' nothing published. Below it: '.' visible, 'p'
-partly hidden (10 to 30 %), 'g' gone.
+A timeline has one letter a frame: T, S, L, N are TRACKING, SUSPECT, LOST, SEARCHING with a right pose (if
+there is one); t and s the same with a wrong pose; '-' nothing published. The second string is the
+visibility: '.' visible, 'p' partly occluded (10 to 30 % visible), 'g' gone.
 """
 
 from __future__ import annotations
@@ -48,20 +48,20 @@ def test_times_count_from_the_first_visible_frame() -> None:
     assert r.confirmed_after_s == pytest.approx(0.1)
 
 
-def test_never_confirmed_is_no_coverage_at_all() -> None:
+def test_coverage_is_zero_if_never_confirmed() -> None:
     r = judged("NSSS")
     assert (r.coverage_tracking, r.confirmed_after_s, r.never_confirmed) == (0.0, None, 1)
     assert r.acquired_after_s == pytest.approx(0.1)
 
 
-def test_an_object_that_was_never_there() -> None:
+def test_an_object_that_was_never_there_has_no_coverage() -> None:
     r = judged("NNTN", "gggg")
     assert r.coverage_tracking is None
     assert r.never_confirmed == 0
-    assert r.false_tracking_frames == 0  # its pose is right and it has been gone for three frames only
+    assert r.false_tracking_frames == 0  # the pose is right, and the object gone for three frames only
 
 
-def test_losing_a_visible_object_counts_against_coverage() -> None:
+def test_losing_a_visible_object_lowers_coverage() -> None:
     r = judged("TTTTLLLLST")
     assert r.coverage_tracking == pytest.approx(50.0)
     assert r.lost_frames == 4
@@ -69,9 +69,9 @@ def test_losing_a_visible_object_counts_against_coverage() -> None:
     assert r.declared_lost_after_frames == 0
 
 
-def test_waiting_for_a_gone_object_does_not() -> None:
+def test_losing_a_gone_object_does_not_lower_coverage() -> None:
     r = judged("TTTSSLLLLLSTT", "...gggggg....")
-    # Frames 0 to 2 and, from the next confirmation on, 11 and 12.
+    # Counted: frames 0 to 2, and 11 and 12 after the next confirmation.
     assert r.coverage_tracking == 100.0
     assert r.lost_frames == 1  # visible again at 9, still LOST
     assert r.reacquired_after_s == pytest.approx(0.1)
@@ -116,7 +116,7 @@ def test_frames_without_a_message_are_not_covered() -> None:
     assert judged("TT-T").coverage_tracking == 75.0
 
 
-def test_several_instances_add_up_and_times_are_the_worst() -> None:
+def test_frames_of_several_instances_add_up_and_times_are_the_worst() -> None:
     r = combined([judged("NTTT"), judged("NNTtLLLT"), judged("NNNN", "gggg")])
     assert r.frames == 16
     assert r.confirmed_after_s == pytest.approx(0.2)

@@ -1,4 +1,4 @@
-"""Whether an object suits: what trials say, and a self-test of one that does."""
+"""The suitability of an object from trials, and a self-test of an object that suits."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_an_object_that_is_always_right_suits_without_reasons(tea_box: Reference
 
 
 @pytest.mark.parametrize(("state", "verdict"), [("SUSPECT", "suits"), ("TRACKING", "suits with limits")])
-def test_an_object_with_a_wrong_pose_that_is_taken_as_sure_suits_with_limits_at_best(
+def test_an_object_with_a_wrong_tracking_pose_suits_with_limits_at_best(
     tea_box: ReferenceModel, state: str, verdict: str
 ) -> None:
     found = suitability_of(tea_box, [*[trial(True)] * 15, trial(False, state=state, shape=False)])
@@ -47,7 +47,7 @@ def test_an_object_with_a_wrong_pose_that_is_taken_as_sure_suits_with_limits_at_
 
 
 @pytest.mark.parametrize(("wrong", "verdict"), [(1, "suits with limits"), (2, "does not suit")])
-def test_an_object_that_is_often_wrong_and_sure_does_not_suit_however_often_it_is_right(
+def test_an_object_with_several_wrong_tracking_poses_does_not_suit(
     tea_box: ReferenceModel, wrong: int, verdict: str
 ) -> None:
     found = suitability_of(tea_box, [*[trial(True)] * (16 - wrong), *[trial(False, shape=False)] * wrong])
@@ -56,7 +56,7 @@ def test_an_object_that_is_often_wrong_and_sure_does_not_suit_however_often_it_i
 
 
 @pytest.mark.parametrize(("sure", "verdict"), [(3, "does not suit"), (4, "suits")])
-def test_an_object_that_is_seldom_right_and_sure_does_not_suit_however_often_it_is_right(
+def test_an_object_that_is_seldom_right_and_tracking_does_not_suit(
     tea_box: ReferenceModel, sure: int, verdict: str
 ) -> None:
     found = suitability_of(tea_box, [*[trial(True)] * sure, *[trial(True, state="SUSPECT")] * (16 - sure)])
@@ -65,20 +65,20 @@ def test_an_object_that_is_seldom_right_and_sure_does_not_suit_however_often_it_
     assert found.reasons[0].startswith(said) == (verdict == "does not suit")
 
 
-def test_the_size_is_not_blamed_where_smaller_ones_are_right(tea_box: ReferenceModel) -> None:
-    """A jar that is seen from above looks alike from all sides, near and far."""
+def test_image_size_is_no_reason_if_smaller_images_are_right(tea_box: ReferenceModel) -> None:
+    """For example a jar from above: its rotation is ambiguous at any distance."""
     wrong = [trial(False, size, state="SUSPECT") for size in (138.0, 120.0, 70.0)]
     found = suitability_of(tea_box, [*wrong, *(trial(True, 50.0 + 10.0 * k) for k in range(12))])
     assert found.smallest_px == 50.0
     assert not any("pixels large" in reason for reason in found.reasons)
 
 
-def test_wrong_sides_and_small_pictures_are_said(tea_box: ReferenceModel) -> None:
+def test_wrong_rotations_and_small_images_are_reported(tea_box: ReferenceModel) -> None:
     trials = [*(trial(True, 100.0 + k) for k in range(9)), *(trial(False, 30.0 + k) for k in range(4))]
     found = suitability_of(tea_box, trials)
     assert found.verdict == "does not suit"
     assert found.false_tracking == 4
-    # Nine right ones and then one wrong one are 90 %.
+    # Nine right poses and then one wrong pose are 90 %.
     assert found.smallest_px == 33.0
     assert found.turned == 4
     assert any(
@@ -96,8 +96,8 @@ def test_wrong_sides_and_small_pictures_are_said(tea_box: ReferenceModel) -> Non
     )
 
 
-def test_right_answers_from_farther_away_than_it_should_be_are_counted(tea_box: ReferenceModel) -> None:
-    """They stand beside that sentence on the sheet."""
+def test_right_poses_beyond_the_recommended_distance_are_counted(tea_box: ReferenceModel) -> None:
+    """The sheet names their number beside the recommended distance."""
     near, far = [trial(True, 60.0 + k) for k in range(9)], [trial(k == 2, 40.0 + k) for k in range(5)]
     (size,) = [
         reason for reason in suitability_of(tea_box, [*near, *far]).reasons if "pixels large" in reason
@@ -119,7 +119,7 @@ def about_z(degrees: float) -> np.ndarray:
         (0.04, "suits", None),
     ],
 )
-def test_what_is_too_small_for_the_errors_of_depth_is_said(
+def test_objects_too_small_for_the_depth_noise_are_reported(
     tea_box: ReferenceModel, diameter_m: float, verdict: str, said: str | None
 ) -> None:
     scale = diameter_m / tea_box.diameter_m
@@ -132,7 +132,7 @@ def test_what_is_too_small_for_the_errors_of_depth_is_said(
     assert [reason[reason.index(said) :] for reason in found.reasons if said] == ([said] if said else [])
 
 
-def test_a_turned_pose_is_a_wrong_one(tea_box: ReferenceModel, standing: np.ndarray) -> None:
+def test_a_rotated_pose_is_wrong(tea_box: ReferenceModel, standing: np.ndarray) -> None:
     right, shape_right, turn = judge(tea_box, standing @ about_z(180.0), standing)
     assert (right, shape_right) == (False, True)
     assert turn is not None
@@ -143,10 +143,10 @@ def test_a_turned_pose_is_a_wrong_one(tea_box: ReferenceModel, standing: np.ndar
     assert judge(tea_box, beside, standing) == (False, False, None)
 
 
-def test_a_thin_thing_that_is_turned_about_its_length_is_wrong_unless_it_looks_the_same(
+def test_a_rod_rotated_about_its_axis_is_wrong_unless_it_looks_the_same(
     tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
-    """A rod of 15 cm and 4 mm: turned by 90 degrees all of it is within 6 mm of where it was."""
+    """A rod of 15 cm length and 4 mm thickness: a rotation by 90 degrees moves no point by more than 6 mm."""
     rod = replace(tea_box, eval_points=tea_box.eval_points * np.array([0.03, 0.03, 1.0], np.float32))
     right, shape_right, turn = judge(rod, standing @ about_z(90.0), standing)
     assert (right, shape_right) == (False, True)
@@ -161,7 +161,7 @@ def test_an_object_whose_poses_are_wrong_does_not_suit(tea_box: ReferenceModel) 
     assert found.reasons
 
 
-def test_one_colour_is_said_and_limits_what_the_object_suits_for(tea_box: ReferenceModel) -> None:
+def test_an_object_of_one_colour_suits_with_limits(tea_box: ReferenceModel) -> None:
     grey = replace(tea_box.surface, lab=np.full_like(tea_box.surface.lab, 50.0))
     found = suitability_of(replace(tea_box, surface=grey), [trial(True)])
     assert found.reasons[0].startswith("It is of one colour (its colours differ by 0.0")
@@ -184,8 +184,8 @@ def test_the_self_test_and_its_sheet(tea_box: ReferenceModel) -> None:
     assert sheet(tea_box, found).shape[2] == 3
 
 
-def test_in_the_views_of_a_plain_part_its_step_is_seen(tea_box: ReferenceModel) -> None:
-    """Two grey boxes, the small one on the large one, from above: their tops look alike but for the edge."""
+def test_views_of_a_grey_part_show_its_edges(tea_box: ReferenceModel) -> None:
+    """A small grey box on a large one, from above: their tops differ only by the edge between them."""
     low, high = solids.box((0.12, 0.1, 0.04)), solids.box((0.05, 0.04, 0.08))
     part = Mesh(
         np.vstack([low.vertices, high.vertices]),
@@ -201,8 +201,8 @@ def test_in_the_views_of_a_plain_part_its_step_is_seen(tea_box: ReferenceModel) 
     assert counts[levels < 100].sum() > 100
 
 
-def test_the_views_show_the_way_to_an_origin_that_is_not_in_them(tea_box: ReferenceModel) -> None:
-    """42 m along x: in four views aside, in two behind and before the object."""
+def test_views_show_the_direction_to_an_origin_outside_them(tea_box: ReferenceModel) -> None:
+    """The origin is 42 m away along x: beside the object in four views, behind and in front of it in two."""
 
     def ink(away_m: float) -> list[np.ndarray]:
         moved = replace(tea_box.mesh, vertices=tea_box.mesh.vertices + np.float32([away_m, 0.0, 0.0]))
@@ -218,12 +218,12 @@ def test_the_views_show_the_way_to_an_origin_that_is_not_in_them(tea_box: Refere
     assert all(len(where) for where in ink(0.0))
     far = ink(42.0)
     assert all(len(where) for where in far)
-    # From +y the object's x axis is to the left: the origin, which is against it, to the right.
+    # From +y, the x axis points left. The origin lies in the direction -x, so to the right.
     assert (far[1][:, 1] > 0.9 * suitability.VIEW_PX).any()
     assert (far[4][:, 1] > 0.9 * suitability.VIEW_PX).sum() == 0
 
 
-def test_where_there_is_no_pose_the_sheet_shows_where_the_object_is(
+def test_without_a_pose_the_sheet_shows_the_true_outline(
     tea_box: ReferenceModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(suitability, "RANGES", SceneRanges(distance_m=(9.0, 9.4)))
@@ -231,17 +231,17 @@ def test_where_there_is_no_pose_the_sheet_shows_where_the_object_is(
     assert lost.state == "LOST"
     outline = np.abs(lost.crop.astype(int) - suitability.BLUE).sum(2) < 60
     rows, columns = np.nonzero(outline)
-    # It stands in the middle of the picture.
+    # The outline is in the middle of the crop.
     assert abs(np.mean([rows.min(), rows.max()]) - lost.crop.shape[0] / 2) < 0.1 * lost.crop.shape[0]
     assert abs(np.mean([columns.min(), columns.max()]) - lost.crop.shape[1] / 2) < 0.1 * lost.crop.shape[1]
 
 
-def test_the_same_seed_asks_the_same(tea_box: ReferenceModel) -> None:
+def test_the_same_seed_gives_the_same_trials(tea_box: ReferenceModel) -> None:
     one, two = (self_test(tea_box, count=1, seed=4) for _ in range(2))
     assert [(t.distance_m, t.quality) for t in one.trials] == [(t.distance_m, t.quality) for t in two.trials]
 
 
-def test_what_is_too_large_for_the_table_is_refused(tea_box: ReferenceModel) -> None:
+def test_an_object_too_large_for_the_table_is_refused(tea_box: ReferenceModel) -> None:
     large = replace(tea_box.mesh, vertices=tea_box.mesh.vertices * np.float32(10.0))
     with pytest.raises(ValueError, match="largest side") as refused:
         self_test(replace(tea_box, mesh=large), count=1)

@@ -1,4 +1,4 @@
-"""Means that leave unknown figures out, groups in order, tables."""
+"""Means without unknown figures, ordered groups."""
 
 from __future__ import annotations
 

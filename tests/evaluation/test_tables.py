@@ -1,4 +1,4 @@
-"""The paper's tables beside measured rows whose figures are known."""
+"""The paper's tables beside measured rows with known figures."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def scene() -> MemoryScene:
 
 
 def moved(scene: MemoryScene, shift_m: float) -> ScriptedEstimator:
-    """Answers with the label moved by so much; pudding boxes of image 2 are not found."""
+    """Returns the label shifted by `shift_m`; finds no pudding box in image 2."""
 
     def answer(frame, query):
         T = scene.truths(frame.frame_id)[query.instance].T_cam_obj
@@ -71,8 +71,8 @@ def rows_by_name(table: Table) -> dict[str, dict[tuple[str, str], object]]:
     }
 
 
-def test_published_averages_are_those_of_their_columns() -> None:
-    """But FoundationPose's ADD-S, and those of Table II that are weighted by frames."""
+def test_published_averages_equal_the_means_of_their_columns() -> None:
+    """The exception is FoundationPose's ADD-S."""
     for key, within in (("table1", 0.06), ("table2", 0.11)):
         for head, values, average in published(key).columns:
             apart = abs(np.mean(list(values.values())) - average)
@@ -137,8 +137,8 @@ def test_unseen_objects_have_rows_and_averages_of_their_own(models, scene, tmp_p
     assert everything["full, all labels of unseen, textured"]["", "n"] == 3
 
 
-def test_labels_of_which_a_quarter_shows_have_a_row_of_their_own(models, tmp_path: Path) -> None:
-    """Of four labels the two that show little are lost; of one it is not known."""
+def test_labels_at_least_a_quarter_visible_have_rows_of_their_own(models, tmp_path: Path) -> None:
+    """Of four labels, the two below a quarter are not found; the visibility of one is unknown."""
     shares = (0.1, 0.24, 0.25, None)
     labels = tuple(truth(k, 5, pose_at(0.0), visib) for k, visib in enumerate(shares))
     seen = MemoryScene("000048", {1: labels})
@@ -195,12 +195,12 @@ def test_table_two_averages_sequences_and_all_frames(models, tmp_path: Path) -> 
     assert rows["All frames"]["", "frames"] == 6
     errors = rows_by_name(everything)["full, average"]
     assert errors["RMSE", "cm"] == pytest.approx((2.0 + 1.0) / 2)  # the missing pose is held
-    # 20 mm are more than a tenth of the diameter, so the first track is never confirmed.
+    # 20 mm is more than a tenth of the diameter, so the first track is never confirmed.
     assert errors["state", "TRACKING"] == pytest.approx((0 + 50) / 2)
     drawn = rows_by_name(everything)["full, all frames, 95 % of draws of half seconds"]
     assert drawn["recall", "ADD"] == "0 to 50"
 
-    # The same tracks as those of unseen objects: below, and of no weight in the averages.
+    # The second track as one of unseen objects: in rows below, and not in the averages.
     runs = {("full", 1): [entries[0]]}
     unseen = Unseen({}, {("full", 1): [entries[1]]}, {}, {"tea_box"})
     rows = rows_by_name(tracking_tables(runs, [], unseen)[0])
@@ -250,7 +250,9 @@ def test_reference_models_of_other_files_have_another_digest(models) -> None:
     assert models_digest(others) != again
 
 
-def test_what_cannot_be_read_is_kept_with_its_reason_and_tried_again(models, scene, tmp_path: Path) -> None:
+def test_unreadable_images_are_recorded_with_the_reason_and_tried_again(
+    models, scene, tmp_path: Path
+) -> None:
     class Broken(MemoryScene):
         def frame(self, image):
             if image == 2:
@@ -271,7 +273,7 @@ def test_what_cannot_be_read_is_kept_with_its_reason_and_tried_again(models, sce
     assert [len(entry["rows"]) for entry in whole] == [2, 3]
 
 
-def test_a_journal_survives_being_cut_off_and_refuses_other_settings(tmp_path: Path) -> None:
+def test_a_truncated_journal_is_read_and_other_settings_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "runs" / "j.jsonl"
     journal = Journal(path, {"boxes": "paper"})
     journal.add("a", {"x": np.float64(1.5)})
@@ -298,7 +300,7 @@ TABLE = Table(
 )
 
 
-def test_a_table_in_all_its_forms() -> None:
+def test_a_table_is_written_in_all_formats() -> None:
     assert TABLE.text().splitlines()[2:6] == [
         "         Theirs         ours_x",
         "            ADD    ADD       n",
@@ -314,7 +316,7 @@ def test_a_table_in_all_its_forms() -> None:
     assert Table.of_json(plain(TABLE.as_json())) == TABLE
 
 
-def test_the_page_holds_tables_and_pictures_and_nothing_from_elsewhere(models, scene, tmp_path: Path) -> None:
+def test_the_page_has_tables_and_plots_and_no_external_links(models, scene, tmp_path: Path) -> None:
     entries = entries_of(models, scene, tmp_path, "full", 0.01)
     track = plain(track_of(models["tea_box"], "tea_box", [0.01, None, 0.02]).as_json())["rows"]
     tables = assemble.single_frame_tables({"full": entries}, NAMES, {}, [])
@@ -325,7 +327,7 @@ def test_the_page_holds_tables_and_pictures_and_nothing_from_elsewhere(models, s
     assert 'src="data:' in text
 
 
-def test_on_a_full_disk_a_journal_is_named(tmp_path: Path) -> None:
+def test_the_error_on_a_full_disk_names_the_journal(tmp_path: Path) -> None:
     journal = Journal(tmp_path / "j.jsonl", {})
     with full_disk(10), pytest.raises(InputError, match=r"j\.jsonl: found File too large"):
         journal.add("a", {"rows": [1.0] * 100})

@@ -52,7 +52,7 @@ def test_a_declared_equivalent_counts_in_add_but_not_officially(models) -> None:
     assert not Targets(models).error(models["box"], T @ HALF_TURN, T).right
 
 
-def test_a_turn_that_looks_the_same_is_right_though_add_is_plain(models) -> None:
+def test_an_equivalent_rotation_is_right_though_add_counts_it(models) -> None:
     T = pose_at(0.0)
     error = Targets(models).error(models["brick"], T @ HALF_TURN, T)
     assert error.right

@@ -1,6 +1,6 @@
-"""The tracking protocol, with a tracker whose increments are the true ones (and may drift on purpose).
+"""The tracking protocol, with a tracker that moves poses by the true motion, plus a given drift.
 
-With such a tracker the protocol has a known answer: a late pose that is right makes all that follows right.
+With such a tracker the result is known: after a right late pose, all poses are right.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def sequence(
 
 
 class IncrementTracker:
-    """Carries poses by the labels' own motion plus `drift_m` along x a frame; replays corrections."""
+    """Moves poses by the motion of the labels plus `drift_m` along x per frame; replays corrections."""
 
     def __init__(self, scene: MemoryScene, objects: Mapping[str, int], drift_m: float = 0.0) -> None:
         self.scene, self.objects, self.drift_m = scene, objects, drift_m
@@ -129,23 +129,23 @@ def test_free_drifts_by_exactly_the_drift(run) -> None:
     assert result.summary()["auc_add"] == pytest.approx(100 * (1 - 0.015 / 0.1))
 
 
-def test_roft_delivers_the_result_of_six_frames_ago_at_every_sixth(run) -> None:
+def test_roft_delivers_the_result_of_six_frames_ago_at_every_sixth_frame(run) -> None:
     _, tracker = run(sequence(), TrackOptions("roft"), TRUTH)
-    # (newest stepped frame at delivery, corrected frame): before the step of the frame it is delivered with.
+    # (newest frame before delivery, corrected frame): the correction is applied before the step of its frame.
     assert [(when, c.frame_id) for when, c in tracker.taken] == [
         (None, 0), (5, 0), (11, 6), (17, 12), (23, 18), (29, 24),
     ]  # fmt: skip
     assert [c.seq for _, c in tracker.taken] == [1, 2, 3, 4, 5, 6]
 
 
-def test_roft_bounds_the_drift_to_what_gathers_between_look_and_next_delivery(run) -> None:
+def test_roft_bounds_the_drift_by_periodic_corrections(run) -> None:
     result, _ = run(sequence(turn=0.0), TrackOptions("roft"), TRUTH, drift_m=0.001)
-    # Right at the looked-at frame, six steps old when it is delivered, eleven before the next one comes.
+    # A correction is exact at its frame, six frames old when delivered, eleven before the next one.
     expected = [i if i < 6 else i - (i // 6 - 1) * 6 for i in range(31)]
     assert [r.error.add_m for r in result.rows] == pytest.approx([0.001 * e for e in expected], abs=1e-9)
 
 
-def test_every_fifth_frame_keeps_numbers_and_stamps(run) -> None:
+def test_every_fifth_frame_keeps_its_number_and_timestamp(run) -> None:
     result, tracker = run(sequence(), TrackOptions("roft", every=5), TRUTH)
     assert [r.frame for r in result.rows] == [0, 5, 10, 15, 20, 25, 30]
     assert tracker.frames == [0, 5, 10, 15, 20, 25, 30]
@@ -153,7 +153,7 @@ def test_every_fifth_frame_keeps_numbers_and_stamps(run) -> None:
     assert [(when, c.frame_id) for when, c in tracker.taken][:3] == [(None, 0), (5, 0), (10, 5)]
 
 
-def test_the_estimator_is_asked_in_perturbed_boxes_of_the_frames_it_looks_at(run) -> None:
+def test_the_estimator_gets_perturbed_boxes_of_the_scheduled_frames(run) -> None:
     scene = sequence(14)
     estimator = ScriptedEstimator(
         lambda f, q: estimate_of(q, scene.truths(f.frame_id)[q.instance].T_cam_obj, 0.7)
@@ -164,13 +164,13 @@ def test_the_estimator_is_asked_in_perturbed_boxes_of_the_frames_it_looks_at(run
         return Sources(source, source)
 
     _, tracker = run(scene, TrackOptions("roft"), sources)
-    # Frame 0 once, though it is delivered twice; frame 12 not at all: its result would come too late.
+    # Frame 0 is estimated once, though it is delivered twice. The result of frame 12 would come too late.
     assert [frame for frame, _ in estimator.asked] == [0, 6]
     assert all(query.box is not None and query.prior is None for _, query in estimator.asked)
     assert [c.quality for _, c in tracker.taken] == [0.7] * 3
 
 
-def test_what_is_not_found_at_the_start_is_missing_throughout_free(run) -> None:
+def test_free_has_no_pose_at_all_if_the_object_is_not_found_at_the_start(run) -> None:
     nothing = ScriptedEstimator(lambda f, q: estimate_of(q, None))
     result, tracker = run(sequence(5), TrackOptions(), Sources(EstimatorSource(nothing, 0)))
     assert tracker.taken == []
@@ -181,7 +181,7 @@ def test_what_is_not_found_at_the_start_is_missing_throughout_free(run) -> None:
     assert all(row.state is None for row in result.rows)
 
 
-def test_an_object_that_appears_later_is_started_when_it_does(run) -> None:
+def test_an_object_that_appears_later_is_initialised_then(run) -> None:
     scene = sequence(6)
     labels = {i: (truth(0, 5, motion(i), 0.0 if i < 3 else 0.8),) for i in range(6)}
     result, tracker = run(MemoryScene("s", labels), TrackOptions(), TRUTH)
@@ -190,7 +190,7 @@ def test_an_object_that_appears_later_is_started_when_it_does(run) -> None:
     assert result.summary()["instances"] == 3  # gone frames are left out of recall and AUC
 
 
-def test_a_frame_of_which_nothing_is_known_is_fed_and_has_no_row(models) -> None:
+def test_an_unlabelled_frame_is_tracked_and_has_no_row(models) -> None:
     whole = sequence(31)
     sparse = PartlyLabelled("s", {i: whole.labels[i] if i % 10 == 0 else () for i in whole.image_ids})
     tracker = IncrementTracker(whole, {"box": 0})
@@ -203,7 +203,7 @@ def test_a_frame_of_which_nothing_is_known_is_fed_and_has_no_row(models) -> None
     assert (summary["recall_add"], summary["false_tracking_frames"]) == (100.0, 0)
 
 
-def test_several_objects_of_one_scene(run) -> None:
+def test_several_objects_of_one_scene_are_tracked(run) -> None:
     scene = sequence(4, ids=(7, 5))
     result, _ = run(scene, TrackOptions(), TRUTH, objects={"brick": 0, "box": 1})
     assert [(r.frame, r.object, r.gt_instance, r.track) for r in result.rows[:2]] == [
@@ -213,33 +213,33 @@ def test_several_objects_of_one_scene(run) -> None:
     assert result.summary()["recall_add"] == 100.0
 
 
-def test_poses_from_a_file_and_a_judge_that_refuses(run) -> None:
+def test_a_judge_can_reject_poses_from_a_file(run) -> None:
     scene = sequence(20)
     wrong = pose_at(0.3)
     table = PoseTable({(0, "box"): motion(0), (6, "5"): wrong})
-    judge_saw = []
+    judged = []
 
     def judge(pose, tracked):
-        judge_saw.append((pose.T_cam_obj[0, 3], None if tracked is None else tracked.frame_id))
+        judged.append((pose.T_cam_obj[0, 3], None if tracked is None else tracked.frame_id))
         return Verdict.REJECT if pose.T_cam_obj is wrong else Verdict.AGREE
 
     source = FileSource(table)
     result, tracker = run(scene, TrackOptions("roft"), Sources(source, source), judge=judge)
-    assert judge_saw == [(motion(0)[0, 3], 0), (0.3, 6)]
+    assert judged == [(motion(0)[0, 3], 0), (0.3, 6)]
     assert [(c.frame_id, c.verdict) for _, c in tracker.taken] == [(0, Verdict.ACQUIRE), (0, Verdict.AGREE)]
     assert result.summary()["recall_add"] == 100.0
     trusting, _ = run(scene, TrackOptions("roft"), Sources(source, source))
     assert trusting.summary()["recall_add"] == pytest.approx(100 * 12 / 20)  # wrong from frame 12 on
 
 
-def test_a_file_that_begins_later_is_waited_for(run) -> None:
+def test_tracking_starts_at_the_first_pose_of_a_file(run) -> None:
     source = FileSource(PoseTable({(3, "box"): motion(3)}))
     result, tracker = run(sequence(5), TrackOptions(), Sources(source))
     assert [c.frame_id for _, c in tracker.taken] == [3]
     assert result.summary()["recall_add"] == pytest.approx(100 * 2 / 5)
 
 
-def test_sequences_count_alike_whatever_their_length(models) -> None:
+def test_sequences_have_equal_weight_whatever_their_length(models) -> None:
     scenes = [sequence(30, "long"), sequence(10, "short")]
     by_name = {s.name: s for s in scenes}
     trackers = iter(
@@ -284,12 +284,12 @@ def test_the_result_file_has_the_documented_keys(run) -> None:
         (MemoryScene("frozen", sequence(3).labels, dict.fromkeys(range(3), 5)), "timestamp"),
     ],
 )
-def test_sequences_that_cannot_be_tracked_are_named(run, scene, named) -> None:
+def test_the_error_names_a_sequence_that_cannot_be_tracked(run, scene, named) -> None:
     with pytest.raises(InputError, match=named):
         run(scene, TrackOptions(), TRUTH)
 
 
-def test_two_folders_of_one_name_are_refused(models) -> None:
+def test_two_sequences_with_the_same_name_are_refused(models) -> None:
     with pytest.raises(InputError, match="box_run"):
         evaluate_tracking(
             [sequence(2), sequence(2)], Targets(models), lambda known: None, lambda s, seed: TRUTH,

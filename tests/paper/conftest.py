@@ -1,4 +1,4 @@
-"""Classified clouds made by code, and what a camera sees of them."""
+"""Synthetic classified clouds, and their points that face a camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SeenFrom = Callable[..., ClassifiedCloud]
 
 
 def on_a_box(each: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """So many points on each face of a box of 8 x 6 x 12 cm (diameter 15.6 cm), and their normals."""
+    """`each` points on every face of a box of 8 x 6 x 12 cm (diameter 15.6 cm), and their normals."""
     half = np.array([0.04, 0.03, 0.06])
     points, normals = [], []
     for axis in range(3):
@@ -39,7 +39,7 @@ def painted() -> ClassifiedCloud:
 
 
 def bare_tables(cloud: ClassifiedCloud, **filled: object) -> PaperTables:
-    """Tables of which only the cloud is filled, and what is given."""
+    """Tables that have only the cloud and the given fields."""
     empty = PaperTables(
         centers=np.zeros((int(cloud.classes.max()) + 1, 3), np.float32),
         side_classes=np.zeros((0, 2), np.uint8),

@@ -1,4 +1,4 @@
-"""Who estimates by `full`, or tracks, loads nothing of the paper's room; a method loads it when chosen."""
+"""The method `full` and the tracker load nothing of the package `paper`; its methods load it when chosen."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ print(*sorted(name for name in sys.modules if name.split(".")[:2] == ["huepose",
 
 
 def loaded(code: str) -> set[str]:
-    """Modules of the paper's room that a fresh process has loaded after some code."""
+    """Modules of the package `paper` that a new process has loaded after running the code."""
     done = subprocess.run(
         [sys.executable, "-c", code + LOADED], capture_output=True, text=True, check=True, timeout=110
     )
     return set(done.stdout.split())
 
 
-def test_live_workers_load_nothing_of_it() -> None:
+def test_live_workers_load_nothing_of_the_papers_method() -> None:
     assert loaded(LIVE + METHOD.format(method="full")) == set()
 
 
@@ -41,5 +41,5 @@ def test_a_method_is_loaded_when_it_is_chosen(method: str, module: str) -> None:
     assert module in loaded(METHOD.format(method=method))
 
 
-def test_the_papers_method_has_nothing_of_what_was_added() -> None:
+def test_the_papers_method_does_not_load_its_extension() -> None:
     assert not any(".extended" in name for name in loaded(METHOD.format(method="paper")))

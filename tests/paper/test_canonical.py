@@ -1,4 +1,4 @@
-"""Canonical features: known frames, invariance to where the object stands, and the way back."""
+"""Canonical features: known frames, invariance to direction and scale, and the inverse."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_the_look_at_frame_of_the_paper() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_line_of_sight_along_the_up_vector_takes_the_limit(side: float) -> None:
+def test_a_line_of_sight_along_the_up_vector_has_the_limit_frame(side: float) -> None:
     there, near = look_at(np.array([0.0, side, 0.0])), look_at(np.array([0.0, side, 1e-6]))
     assert se3.is_rigid(se3.make(there, np.zeros(3)))
     np.testing.assert_allclose(there, near, atol=1e-5)
@@ -44,8 +44,8 @@ def test_a_line_of_sight_along_the_up_vector_takes_the_limit(side: float) -> Non
 
 @settings(max_examples=40, deadline=None)
 @given(places, places, turns, st.floats(0.3, 4.0))
-def test_where_the_object_stands_changes_nothing(cloud, here, there, turn, size) -> None:
-    """The same two views of an object, in another direction, at the same distance; or all of it scaled."""
+def test_features_do_not_depend_on_direction_and_scale(cloud, here, there, turn, size) -> None:
+    """The same two views of an object in another direction at the same distance, and everything scaled."""
     there_b = there / np.linalg.norm(there) * np.linalg.norm(here) * 1.1
     there = there / np.linalg.norm(there) * np.linalg.norm(here)
     seen_a, seen_b = cloud, cloud @ se3.rotation_exp(turn).T
@@ -61,7 +61,7 @@ def test_where_the_object_stands_changes_nothing(cloud, here, there, turn, size)
 
 @settings(max_examples=40, deadline=None)
 @given(places, turns, places)
-def test_a_motion_goes_there_and_back(cloud, place, turn, end) -> None:
+def test_a_rotation_is_converted_to_the_canonical_frame_and_back(cloud, place, turn, end) -> None:
     R_b_a = se3.rotation_exp(turn)
     a = cloud + place
     seen = canonical(a, cloud @ R_b_a.T + end)
@@ -75,7 +75,7 @@ def test_a_motion_goes_there_and_back(cloud, place, turn, end) -> None:
     np.testing.assert_allclose(f[:, 6:8], f[:, :2] / (1.0 + f[:, 2:3] / d), atol=1e-5)
 
 
-def test_far_off_matches_do_not_move_the_centroid(cloud) -> None:
+def test_outlier_matches_do_not_move_the_centroid(cloud) -> None:
     spoiled = np.concatenate([cloud, [[0.0, 0.0, 3.0]]])
     np.testing.assert_allclose(centroid(spoiled), cloud.mean(0), atol=1e-9)
     weights = np.concatenate([np.ones(40), [0.0]])
@@ -89,7 +89,7 @@ def test_features_need_three_different_matches(cloud) -> None:
         canonical(np.ones((5, 3)), np.ones((5, 3)))
 
 
-def test_translation_survives_wrong_matches(cloud) -> None:
+def test_the_translation_is_robust_to_wrong_matches(cloud) -> None:
     R, t = se3.rotation_exp(np.array([0.2, -0.3, 0.1])), np.array([0.03, -0.01, 0.02])
     a = cloud + np.array([0.1, 0.0, 0.6])
     b = a @ R.T + t
@@ -97,7 +97,7 @@ def test_translation_survives_wrong_matches(cloud) -> None:
     np.testing.assert_allclose(translation_given(R, a, b, np.ones(40), 0.006), t, atol=1e-9)
 
 
-def test_rotation_first_with_a_regressor_that_knows(cloud) -> None:
+def test_rotation_first_with_the_true_rotation_gives_the_true_motion(cloud) -> None:
     T = se3.make(se3.rotation_exp(np.array([0.3, 0.4, -0.2])), np.array([0.05, 0.02, -0.04]))
     a = cloud + np.array([0.2, -0.1, 0.7])
     b = se3.apply(T, a)
@@ -113,7 +113,7 @@ def test_rotation_first_with_a_regressor_that_knows(cloud) -> None:
     assert rotation_first(knows, LiftedMatches(a[:5], b[:5], weights[:5])) is None
 
 
-def test_what_a_network_turns_comes_on_top_of_the_closed_form(cloud) -> None:
+def test_the_residual_rotation_is_added_to_the_closed_form(cloud) -> None:
     T = se3.make(se3.rotation_exp(np.array([0.1, 0.2, -0.1])), np.array([0.01, 0.02, -0.01]))
     a = cloud + np.array([0.1, -0.1, 0.6])
     b = se3.apply(T, a)

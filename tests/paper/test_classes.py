@@ -1,4 +1,4 @@
-"""Scene pairs get the classes of the model pairs that they look like, and doubt where two are alike."""
+"""Scene pairs get the classes of similar model pairs, with low confidence if two classes are similar."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def textures(count: int, seed: int, spread: float = 2.0) -> tuple[np.ndarray, np
     return (INKS[which] + rng.normal(0, spread, (count, 2, 3))).astype(np.float32), which
 
 
-def test_sides_get_their_classes_in_their_order() -> None:
+def test_both_sides_of_a_pair_get_their_classes() -> None:
     model, _ = textures(400, 0)
     scene, truth = textures(200, 1)
     classes, confidence = classify(scene, model, nearest_class(model, INKS), 5)
@@ -38,7 +38,7 @@ def test_confidence_falls_with_ambiguity_and_distance() -> None:
     assert c[2] < 0.1
 
 
-def test_the_cloud_has_both_sides_of_the_sure_ones() -> None:
+def test_the_cloud_has_both_sides_of_confident_pairs() -> None:
     model, _ = textures(400, 0)
     scene, truth = textures(50, 1, spread=0.5)
     scene[25:] = [[50, -60, 60], [50, 60, -60]]
@@ -57,7 +57,7 @@ def test_the_cloud_has_both_sides_of_the_sure_ones() -> None:
     np.testing.assert_allclose(cloud.points[:, 0], np.repeat([-0.002, 0.002], 25), atol=1e-7)
 
 
-def test_empty_sides() -> None:
+def test_no_pairs_have_no_classes() -> None:
     classes, confidence = classify(
         np.zeros((0, 2, 3), np.float32), INKS[None, :2], np.zeros((1, 2), np.uint8), 1
     )

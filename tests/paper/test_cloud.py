@@ -1,4 +1,4 @@
-"""Classes are the colours that are there; the cloud's points lie beside the edge, evenly."""
+"""Classes are the colours of an object; the points of the cloud lie evenly beside the edge."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_one_colour_is_one_class() -> None:
     assert len(color_classes(colors, 8)) == 1
 
 
-def test_both_sides_stand_off_the_edge() -> None:
+def test_points_of_both_sides_are_beside_the_edge() -> None:
     f = np.float32
     cloud = decoupled(
         np.array([[0, 0, 1]], f),
@@ -41,7 +41,7 @@ def test_both_sides_stand_off_the_edge() -> None:
     np.testing.assert_allclose(cloud.weights, [0.5, 0.7])
 
 
-def test_sparse_keeps_the_heaviest_of_each_class() -> None:
+def test_sparse_keeps_the_point_of_largest_weight_of_each_class() -> None:
     f = np.float32
     points = np.array([[0, 0, 0], [0.001, 0, 0], [0.001, 0, 0], [0.02, 0, 0]], f)
     normals = np.tile(np.array([0, 0, 1], f), (4, 1))
@@ -50,4 +50,4 @@ def test_sparse_keeps_the_heaviest_of_each_class() -> None:
     )
     assert sparse(cloud, 0.005).tolist() == [1, 2, 3]
     back = ClassifiedCloud(points, normals * np.array([[1], [-1], [1], [1]], f), cloud.classes, cloud.weights)
-    assert len(sparse(back, 0.005)) == 4  # the other face of a thin wall stays
+    assert len(sparse(back, 0.005)) == 4  # the other face of a thin wall is kept

@@ -1,4 +1,4 @@
-"""From flow to motion: each link against a known answer."""
+"""From flow to motion: each step is compared with a known result."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def texture(seed: int = 0) -> np.ndarray:
 
 
 def shifted(du: int, dv: int) -> tuple[np.ndarray, np.ndarray]:
-    """Two pictures of 200 x 160; what is at (u, v) in the first is at (u + du, v + dv) in the second."""
+    """Two images of 200 x 160; the point (u, v) of the first is at (u + du, v + dv) in the second."""
     t = texture()
     return t[20:180, 20:220].copy(), t[20 - dv : 180 - dv, 20 - du : 220 - du].copy()
 
 
 @pytest.mark.parametrize(("du", "dv"), [(0, 0), (3, 0), (0, -4), (7, 5), (-12, 9)])
-def test_flow_of_a_pure_translation(du: int, dv: int) -> None:
+def test_the_flow_of_a_pure_translation_is_found(du: int, dv: int) -> None:
     a, b = shifted(du, dv)
     flow = optical_flow.compute(a, b, ALL)
     assert flow is not None
@@ -39,7 +39,7 @@ def test_flow_of_a_pure_translation(du: int, dv: int) -> None:
     assert flow.consistent[inner].mean() > 0.85
 
 
-def test_flow_in_a_window_speaks_of_frame_pixels() -> None:
+def test_flow_in_a_window_has_pixel_coordinates_of_the_frame() -> None:
     a, b = shifted(4, 2)
     flow = optical_flow.compute(a, b, Box(60, 40, 90, 80))
     assert flow is not None
@@ -49,12 +49,12 @@ def test_flow_in_a_window_speaks_of_frame_pixels() -> None:
     assert good.tolist() == [True, True, False]
 
 
-def test_no_flow_without_room() -> None:
+def test_a_window_that_is_too_small_has_no_flow() -> None:
     a, b = shifted(0, 0)
     assert optical_flow.compute(a, b, Box(190, 10, 60, 60)) is None
 
 
-def test_a_mask_goes_with_the_flow() -> None:
+def test_a_mask_moves_with_the_flow() -> None:
     a, b = shifted(6, -3)
     mask = np.zeros((160, 200), bool)
     mask[60:100, 70:120] = True
@@ -65,14 +65,14 @@ def test_a_mask_goes_with_the_flow() -> None:
     assert (moved & expected).sum() / (moved | expected).sum() > 0.93
 
 
-def test_consistency_of_known_fields() -> None:
+def test_forward_backward_consistency_of_known_fields() -> None:
     forward = np.zeros((40, 60, 2), np.float32)
     forward[..., 0] = 6.0
     backward = np.zeros_like(forward)
     backward[:, :30, 0] = -6.0
     good = optical_flow.consistency(forward, backward)
-    assert good[:, :23].all(), "there and back again"
-    assert not good[:, 25:].any(), "it does not come back"
+    assert good[:, :23].all(), "the backward flow returns to the pixel"
+    assert not good[:, 25:].any(), "the backward flow does not return"
     assert not good[:, 54:].any(), "out of the window"
 
 
@@ -102,13 +102,13 @@ def test_unknown_depth_stays_unknown() -> None:
     camera = Camera(500.0, 500.0, 9.5, 9.5, 20, 20)
     depth = np.full((20, 20), 0.8, np.float32)
     depth[5, 5], depth[10, 10] = 0.0, np.nan
-    depth[15, 15] = 0.3  # a flying pixel: nobody confirms it
+    depth[15, 15] = 0.3  # a flying pixel: no neighbour confirms it
     pixels = np.array([[5.0, 5.0], [10.0, 10.0], [15.0, 15.0], [-2.0, 3.0], [np.nan, 3.0], [19.0, 19.0]])
     _, known = lift(depth, camera, pixels)
     assert known.tolist() == [False, False, False, False, False, True]
 
 
-def test_relative_pose_with_a_third_of_wrong_matches() -> None:
+def test_the_relative_pose_is_robust_to_a_third_of_wrong_matches() -> None:
     rng = np.random.default_rng(3)
     T = se3.make(se3.rotation_exp(np.array([0.2, -0.4, 0.1])), np.array([0.05, -0.02, 0.03]))
     a = rng.uniform([-0.05, -0.05, 0.55], [0.05, 0.05, 0.65], (90, 3))
@@ -119,13 +119,13 @@ def test_relative_pose_with_a_third_of_wrong_matches() -> None:
     np.testing.assert_allclose(motion, T, atol=1e-9)
 
 
-def test_no_relative_pose_from_nothing() -> None:
+def test_too_few_matches_have_no_relative_pose() -> None:
     few = np.zeros((4, 3))
     assert robust_kabsch(LiftedMatches(few, few, np.ones(4))) is None
 
 
 def test_colour_pairs_drop_matches_whose_texture_changed() -> None:
-    """Half of the picture gets another hue: flow (on lightness) follows, colour pairs object."""
+    """Half of the image gets another hue: flow (on lightness) still matches there, colour pairs do not."""
     a, b = shifted(3, 1)
     lab = cv2.cvtColor(b, cv2.COLOR_RGB2LAB)
     left = lab[:, :100].astype(np.int32)
@@ -144,14 +144,14 @@ def test_colour_pairs_drop_matches_whose_texture_changed() -> None:
 
     assert 0.3 < share_left(plain.pixels_a) < 0.7
     assert share_left(paired.pixels_a) < 0.25
-    assert len(paired) > 100, "ridge points come on top of the grid"
+    assert len(paired) > 100, "ridge points are added to the grid"
     inner = paired.pixels_a[:, 0] > 105
     offsets = (paired.pixels_b - paired.pixels_a)[inner]
     np.testing.assert_allclose(np.median(offsets, axis=0), [3, 1], atol=0.2)
 
 
 def test_matches_of_a_moved_plane_give_its_motion() -> None:
-    """A printed plane 0.5 m away moves by 6 x 4 mm: seen, matched, lifted, registered."""
+    """A printed plane 0.5 m away moves by 6 x 4 mm: flow, matching, lifting and registration."""
     camera = Camera(400.0, 400.0, 99.5, 79.5, 200, 160)
     a, b = shifted(5, 3)
     depth = np.full((160, 200), 0.5, np.float32)

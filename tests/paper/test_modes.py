@@ -1,4 +1,4 @@
-"""Modes are the weighted chordal means of their supporters, whatever the signs of quaternions."""
+"""A mode is the weighted chordal mean of its votes, whatever the signs of quaternions are."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_a_mode_is_the_chordal_mean_of_votes_of_any_sign() -> None:
     centres = rng.normal(size=(60, 3)) * 1e-4
     f = np.float32
     weights, features = rng.uniform(0.5, 1.0, 60).astype(f), np.arange(60, dtype=np.int32)
-    # a radius so wide that all votes weigh as they are
+    # a radius so wide that the weights of votes do not change
     scores, means, places = modes_of(q[None].astype(f), centres.astype(f), weights, features, 1e3, 3.0, 30, 5)
     assert len(scores) == 1
     expected = Rotation.from_matrix(np.stack(turns)).mean(weights).as_matrix()
@@ -27,7 +27,7 @@ def test_a_mode_is_the_chordal_mean_of_votes_of_any_sign() -> None:
     np.testing.assert_allclose(places[0], np.average(centres, axis=0, weights=weights), atol=1e-6)
 
 
-def test_modes_nearer_than_both_limits_are_one_and_so_are_equals() -> None:
+def test_modes_within_both_limits_are_merged_also_up_to_equivalent_rotations() -> None:
     def quaternion(degrees: float) -> np.ndarray:
         return np.array([0.0, 0.0, np.sin(np.radians(degrees / 2)), np.cos(np.radians(degrees / 2))])
 

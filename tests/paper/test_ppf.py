@@ -1,4 +1,4 @@
-"""Point pair features: identity, known motion, noise, and a wrong scene that is turned down."""
+"""Point pair features: identity, known motion, noise, and few votes for a wrong scene."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def found(scene: ClassifiedCloud, tables: PaperTables) -> tuple[np.ndarray, np.n
     return cluster(votes, np.zeros(3), DIAMETER)
 
 
-def test_frames_take_normals_to_x() -> None:
+def test_frames_rotate_normals_to_x() -> None:
     rng = np.random.default_rng(0)
     for n in [*rng.normal(size=(20, 3)), np.array([-1.0, 0, 0]), np.array([1.0, 0, 0])]:
         n = n / np.linalg.norm(n)
@@ -45,14 +45,14 @@ def test_frames_take_normals_to_x() -> None:
         assert np.linalg.det(R) == pytest.approx(1.0)
 
 
-def test_identity(painted: ClassifiedCloud, tables: PaperTables) -> None:
+def test_the_model_itself_has_the_identity_pose(painted: ClassifiedCloud, tables: PaperTables) -> None:
     best = found(painted, tables)[0][0]
     assert np.degrees(se3.rotation_angle(best, np.eye(4))) < 4.0
     assert np.linalg.norm(best[:3, 3]) < 0.005
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.001, 0.002])
-def test_a_known_motion_with_noise(
+def test_a_known_motion_is_found_with_noise(
     painted: ClassifiedCloud, tables: PaperTables, seen_from: Callable[..., ClassifiedCloud], noise: float
 ) -> None:
     best = found(seen_from(painted, T, noise), tables)[0][0]
@@ -85,7 +85,7 @@ def test_a_wrong_scene_gets_few_votes(
     assert wrong.max(initial=0.0) < 0.35 * right[0]
 
 
-def test_one_plane_of_one_class_tells_nothing(painted: ClassifiedCloud) -> None:
+def test_one_plane_of_one_class_has_no_point_pairs(painted: ClassifiedCloud) -> None:
     top = painted[painted.normals[:, 2] > 0.5]
     even = ClassifiedCloud(top.points, top.normals, np.zeros(len(top), np.uint8), top.weights)
     assert len(build_ppf(even, DIAMETER)[0]) == 0

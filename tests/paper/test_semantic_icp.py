@@ -1,4 +1,4 @@
-"""Semantic ICP on classified clouds made by code: it finds the motion that made them; the classes matter."""
+"""Semantic ICP on synthetic classified clouds: it finds the known motion; the classes matter."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ def semantic_icp(
     weights: np.ndarray,
     T_cam_obj: np.ndarray,
 ) -> np.ndarray:
-    """From one pose."""
+    """Align from one start pose."""
     scene = ClassifiedCloud(points_cam, np.zeros_like(points_cam), classes, weights)
     return semantic_icp_many(reference, scene, T_cam_obj[None])[0]
 
 
 def bare_reference(points: np.ndarray, normals: np.ndarray, classes: np.ndarray) -> PaperTables:
-    """A reference of which only the cloud is filled."""
+    """Tables that have only the cloud."""
     f = np.float32
     ones = np.ones(len(points), f)
     return bare_tables(ClassifiedCloud(points.astype(f), normals.astype(f), classes.astype(np.uint8), ones))
@@ -42,7 +42,7 @@ def painted_box() -> PaperTables:
 
 
 def test_all_levels_share_one_kernel(painted_box: PaperTables) -> None:
-    """Compiling another takes seconds."""
+    """Compiling a second version would take seconds."""
     ones = np.ones(len(painted_box.cloud_points))
     semantic_icp(painted_box, painted_box.cloud_points, painted_box.cloud_classes, ones, np.eye(4))
     assert compiled()["huepose.paper.semantic_icp._align_all"] == 1
@@ -55,7 +55,7 @@ def start_from(T: np.ndarray, degrees: float, metres: float, rng: np.random.Gene
     return se3.perturb(T, np.concatenate([shift, turn]))
 
 
-def test_ten_degrees_and_one_centimetre_are_undone(painted_box: PaperTables) -> None:
+def test_ten_degrees_and_one_centimetre_are_corrected(painted_box: PaperTables) -> None:
     rng = np.random.default_rng(0)
     T_true = se3.make(se3.rotation_exp(np.array([0.4, -0.7, 0.3])), np.array([0.02, -0.05, 0.7]))
     front = painted_box.cloud_normals @ T_true[:3, :3].T[:, 2] < -0.2
@@ -69,7 +69,7 @@ def test_ten_degrees_and_one_centimetre_are_undone(painted_box: PaperTables) -> 
         assert np.linalg.norm(result[:3, 3] - T_true[:3, 3]) < 3e-4
 
 
-def test_noise_and_wrong_classes_are_borne(painted_box: PaperTables) -> None:
+def test_noise_and_wrong_classes_are_tolerated(painted_box: PaperTables) -> None:
     rng = np.random.default_rng(1)
     T_true = se3.make(se3.rotation_exp(np.array([-0.3, 0.5, 1.3])), np.array([0.0, 0.0, 0.6]))
     front = painted_box.cloud_normals @ T_true[:3, :3].T[:, 2] < -0.2
@@ -83,8 +83,8 @@ def test_noise_and_wrong_classes_are_borne(painted_box: PaperTables) -> None:
     assert np.linalg.norm(result[:3, 3] - T_true[:3, 3]) < 1e-3
 
 
-def test_classes_turn_what_shape_cannot() -> None:
-    """A cylinder with stripes: only the classes tell how far it is turned about its axis."""
+def test_classes_determine_the_rotation_that_shape_cannot() -> None:
+    """A cylinder with stripes: only the classes determine its rotation about the axis."""
     rng = np.random.default_rng(2)
     angle, z = rng.uniform(-np.pi, np.pi, 3000), rng.uniform(-0.06, 0.06, 3000)
     normals = np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1)
@@ -103,7 +103,7 @@ def test_classes_turn_what_shape_cannot() -> None:
     assert np.degrees(se3.rotation_angle(blind, T_true)) > 8.0
 
 
-def test_nothing_near_leaves_the_pose_alone(painted_box: PaperTables) -> None:
+def test_without_near_points_the_pose_does_not_change(painted_box: PaperTables) -> None:
     T = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]))
     far = np.array([[1.0, 1.0, 3.0]] * 20)
     result = semantic_icp(painted_box, far, np.zeros(20, np.uint8), np.ones(20), T)

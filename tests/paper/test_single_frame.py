@@ -1,4 +1,4 @@
-"""The paper's method as it is: it finds a printed box, and nothing of ours is in its answer."""
+"""The paper's method as it is: it finds a printed box, and its answer has nothing of our additions."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_the_box_is_found(
     assert answer.T_cam_obj is not None
     assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.005
     assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(3.0)
-    # what the answer says of itself, and which steps led to it
+    # the other fields of the answer, and the steps of the method
     assert answer.state == "SUSPECT"
     assert 0.0 < answer.quality <= 1.0
     assert answer.covariance is None
@@ -47,7 +47,7 @@ def test_the_box_is_found(
     np.testing.assert_array_equal(again.T_cam_obj, answer.T_cam_obj)
 
 
-def test_point_pairs_are_asked_only_where_triangles_cannot_be(
+def test_point_pairs_vote_only_if_triangles_cannot(
     tea_box: ReferenceModel, box_frame: RgbdFrame, outline: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[str] = []
@@ -74,7 +74,7 @@ def test_point_pairs_are_asked_only_where_triangles_cannot_be(
     assert not asked
 
 
-def test_nothing_in_the_mask_is_nothing_found(tea_box: ReferenceModel, box_frame: RgbdFrame) -> None:
+def test_an_empty_mask_gives_no_pose(tea_box: ReferenceModel, box_frame: RgbdFrame) -> None:
     nothing = np.zeros(box_frame.depth.shape, bool)
     poses, fitness = PaperMethod().in_mask(tea_box, box_frame, nothing, np.random.default_rng(0))
     assert poses.shape == (0, 4, 4)

@@ -1,4 +1,4 @@
-"""The tables of the paper's method: whole where they were asked for, and a clear word where they were not."""
+"""The tables of the paper's method: complete if requested, else an error says how to make them."""
 
 from __future__ import annotations
 

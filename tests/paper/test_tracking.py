@@ -1,4 +1,4 @@
-"""The paper's tracker follows a carried box, one step at a time."""
+"""The paper's tracker follows a moving box, frame by frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Take = Callable[[int], RgbdFrame]
 
 
 def pose_at(standing: np.ndarray, number: int) -> np.ndarray:
-    """The box is carried 4 mm and turned 2 degrees a frame."""
+    """The box moves by 4 mm and rotates by 2 degrees a frame."""
     turn = se3.make(se3.rotation_exp(np.radians([0.0, 2.0 * number, 0.0])), np.array([0.004 * number, 0, 0]))
     return standing @ turn
 
@@ -43,7 +43,9 @@ def right(T: np.ndarray | None, truth: np.ndarray) -> bool:
     return bool(near and se3.rotation_angle(T, truth) < np.radians(2.0))
 
 
-def test_it_follows_and_takes_late_poses(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:
+def test_the_tracker_follows_and_applies_late_poses(
+    tea_box: ReferenceModel, film: Take, standing: np.ndarray
+) -> None:
     tracker = PaperTracker({"tea_box": tea_box})
     first = Correction.first("tea_box", standing, film(0), 1.0)
     assert tracker.correct(first) is Applied.CATCHING_UP
@@ -51,7 +53,7 @@ def test_it_follows_and_takes_late_poses(tea_box: ReferenceModel, film: Take, st
         (pose,) = tracker.step(film(number))
         assert pose.state is State.TRACKING
         assert right(pose.T_cam_obj, pose_at(standing, number)), number
-    # a pose that is 10 cm off at a past frame carries to now by the motions since then
+    # the motions since then move a late pose, here 10 cm off, to the newest frame
     off = se3.compose(se3.make(np.eye(3), np.array([0.1, 0.0, 0.0])), pose_at(standing, 1))
     late = Correction("tea_box", 0, 1, 1, PERIOD_NS, off, 1.0, Verdict.CORRECT, 2)
     before = pose.T_cam_obj
@@ -65,7 +67,7 @@ def test_it_follows_and_takes_late_poses(tea_box: ReferenceModel, film: Take, st
     assert tracker.correct(too_old) is Applied.REFUSED_OLD
 
 
-def test_an_object_that_is_found_late_is_followed_to_now(
+def test_an_object_that_is_found_late_is_tracked_to_the_newest_frame(
     tea_box: ReferenceModel, film: Take, standing: np.ndarray
 ) -> None:
     tracker = PaperTracker({"tea_box": tea_box})
@@ -81,7 +83,9 @@ def test_an_object_that_is_found_late_is_followed_to_now(
     assert right(pose.T_cam_obj, pose_at(standing, 4))
 
 
-def test_a_late_mask_is_carried_to_now(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:
+def test_a_late_mask_is_moved_to_the_newest_frame(
+    tea_box: ReferenceModel, film: Take, standing: np.ndarray
+) -> None:
     tracker = PaperTracker({"tea_box": tea_box})
     tracker.correct(Correction.first("tea_box", standing, film(0), 1.0))
     for number in range(5):
@@ -98,9 +102,7 @@ def test_a_late_mask_is_carried_to_now(tea_box: ReferenceModel, film: Take, stan
     assert tracker._followed["tea_box", 0].mask is None
 
 
-def test_the_rotation_comes_from_what_it_is_given(
-    tea_box: ReferenceModel, film: Take, standing: np.ndarray
-) -> None:
+def test_the_given_motion_function_is_used(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:
     seen: list[int] = []
 
     def known(matches: LiftedMatches) -> np.ndarray:
@@ -115,6 +117,8 @@ def test_the_rotation_comes_from_what_it_is_given(
     assert right(T, pose_at(standing, 3))
 
 
-def test_out_of_sight_the_pose_stays(tea_box: ReferenceModel, film: Take, standing: np.ndarray) -> None:
+def test_the_pose_of_an_object_out_of_view_does_not_change(
+    tea_box: ReferenceModel, film: Take, standing: np.ndarray
+) -> None:
     aside = se3.compose(se3.make(np.eye(3), np.array([3.0, 0.0, 0.0])), standing)
     np.testing.assert_array_equal(PaperStep.of()(tea_box, aside, film(0), film(1)), aside)

@@ -1,4 +1,4 @@
-"""Triangles: keys that no motion changes, poses that are exact on a moved copy of the model."""
+"""Triangles: keys do not change with a motion; a moved copy of the model is found."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ T = se3.make(se3.rotation_exp(np.array([0.7, -0.4, 1.1])), np.array([0.03, -0.02
 
 @pytest.fixture(scope="module")
 def tables(painted: ClassifiedCloud) -> PaperTables:
-    """Of more and smaller triangles than a model's, as the cloud is thin."""
+    """Tables with more and smaller triangles than those of a model, because the cloud is sparse."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(triangles, "CANDIDATES", 200_000)
         patch.setattr(triangles, "ROWS", 20_000)
@@ -58,13 +58,13 @@ def test_the_table_is_sorted_and_its_triangles_are_large(
     sides = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2)
     area = 0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
     assert (2 * area / sides.max(1) > MIN_HEIGHT * BIN * DIAMETER * 0.999).all()
-    # what is kept is larger than what can be drawn
+    # the kept triangles are larger than random ones
     drawn = painted.points[draw_triples(painted, 20_000, np.random.default_rng(1))].astype(float)
     all_areas = 0.5 * np.linalg.norm(np.cross(drawn[:, 1] - drawn[:, 0], drawn[:, 2] - drawn[:, 0]), axis=1)
     assert area.mean() > all_areas.mean()
 
 
-def test_keys_do_not_move_but_know_mirror_images() -> None:
+def test_keys_depend_on_classes_sides_and_chirality() -> None:
     classes, bins = np.array([[0, 2, 5]]), np.array([[3, 7, 4]])
     key = pack(classes, bins, np.array([True]))
     assert key == pack(classes.copy(), bins.copy(), np.array([True]))
@@ -72,7 +72,7 @@ def test_keys_do_not_move_but_know_mirror_images() -> None:
     assert key != pack(classes, bins[:, ::-1], np.array([True]))
 
 
-def test_the_closed_form_is_kabschs() -> None:
+def test_the_closed_form_equals_kabsch() -> None:
     rng = np.random.default_rng(2)
     R, t = np.empty((3, 3)), np.empty(3)
     for _ in range(20):
@@ -117,10 +117,10 @@ def test_a_mirrored_scene_is_not_found(
     assert fake_scores.max(initial=0.0) < 0.5 * real_scores[0]
 
 
-def test_normals_that_are_wrong_do_not_speak_against_a_match_of_the_papers_method(
+def test_the_papers_method_ignores_wrong_normals(
     painted: ClassifiedCloud, tables: PaperTables, seen_from: Callable[..., ClassifiedCloud]
 ) -> None:
-    """It knows them for the chirality alone; the method `colorpair` has the test that the paper has not."""
+    """It uses normals for the chirality only; the method `colorpair` also compares them."""
     scene = seen_from(painted, T)
     towards = -scene.points / np.linalg.norm(scene.points, axis=1, keepdims=True)
     blind = ClassifiedCloud(scene.points, towards, scene.classes, scene.weights)

@@ -1,4 +1,4 @@
-"""Voting: a planted pose among outliers, one feature one vote, means free of signs."""
+"""Voting: a planted pose among outliers; each feature counts once; equivalent poses are merged."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def anywhere(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("angle", [0.3, 2.0, np.pi])
-def test_a_planted_cluster_among_outliers(angle: float) -> None:
+def test_a_planted_cluster_is_found_among_outliers(angle: float) -> None:
     rng = np.random.default_rng(0)
     axis = np.array([0.6, -0.64, 0.48])
     T = se3.make(se3.rotation_exp(angle * axis), np.array([0.02, 0.05, 0.65]))
@@ -61,7 +61,7 @@ def test_a_feature_counts_once() -> None:
     rng = np.random.default_rng(1)
     T_many = se3.make(np.eye(3), np.array([0.0, 0.0, 0.6]))
     T_few = se3.make(se3.rotation_exp(np.array([0.0, 2.0, 0.0])), np.array([0.05, 0.0, 0.6]))
-    # thirty features agree on one pose, a single feature says the other a thousand times
+    # thirty features vote for one pose, a single feature votes a thousand times for the other
     poses = np.concatenate([around(T_many, 30, 2.0, 0.002, rng), around(T_few, 1000, 2.0, 0.002, rng)])
     features = np.concatenate([np.arange(30), np.full(1000, 30)])
     found, _ = cluster(votes_of(poses, features=features), CENTRE, DIAMETER)
@@ -84,7 +84,7 @@ def test_hypotheses_are_different_and_in_order() -> None:
             assert turn >= DISTINCT_DEG - 1e-6 or move >= DISTINCT * DIAMETER - 1e-9
 
 
-def test_order_of_votes_does_not_matter_to_the_winner() -> None:
+def test_the_best_pose_does_not_depend_on_the_order_of_votes() -> None:
     rng = np.random.default_rng(3)
     T = se3.make(se3.rotation_exp(np.array([1.0, 0.5, -0.5])), np.array([0.0, 0.02, 0.7]))
     poses = np.concatenate([around(T, 80, 4.0, 0.003, rng), anywhere(500, rng)])
@@ -93,18 +93,19 @@ def test_order_of_votes_does_not_matter_to_the_winner() -> None:
     assert np.degrees(se3.rotation_angle(a, b)) < 1.5
 
 
-def test_nothing_from_nothing() -> None:
+def test_no_votes_give_no_hypotheses() -> None:
     assert [len(part) for part in cluster(Votes.empty(), CENTRE, DIAMETER)] == [0, 0]
     joined = Votes.joined([Votes.empty(), votes_of(np.eye(4)[None]), votes_of(np.stack([np.eye(4)] * 2))])
     assert joined.features.tolist() == [0, 1, 2]
 
 
-def test_equal_poses_are_one() -> None:
+def test_equivalent_poses_are_merged() -> None:
     rng = np.random.default_rng(4)
     half_turn = se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
     equivalents = np.stack([np.eye(4), half_turn])
     T = se3.make(se3.rotation_exp(np.array([0.9, 0.3, -0.2])), np.array([0.0, 0.02, 0.7]))
-    centre = np.array([0.01, 0.0, 0.02])  # off the axis: the position that is voted for must not be
+    # The centre is off the axis of the half turn; the voted position must not be.
+    centre = np.array([0.01, 0.0, 0.02])
     equal = np.concatenate([around(T, 25, 4.0, 0.003, rng), around(T @ half_turn, 25, 4.0, 0.003, rng)])
     rival = around(se3.perturb(T, np.array([0, 0, 0, 1.5, 0, 0])), 35, 4.0, 0.003, rng)
     votes = votes_of(np.concatenate([equal, rival]))
@@ -114,7 +115,7 @@ def test_equal_poses_are_one() -> None:
 
     together, _ = cluster(votes, centre, DIAMETER, equivalents)
     assert off(together[0]) < 2.0
-    # neither is there a second answer that is the first one turned
+    # no second hypothesis is an equivalent rotation of the first
     assert all(off(T) > 15.0 for T in together[1:])
     apart, _ = cluster(votes, centre, DIAMETER)
     assert off(apart[0]) > 60.0

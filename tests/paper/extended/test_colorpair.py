@@ -1,4 +1,4 @@
-"""The paper's path alone: colour pairs find a printed box, and tell its right pose from its flip."""
+"""The method `colorpair` alone: colour pairs find a printed box, and distinguish its pose from its flip."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from tests.judge.regions import pair_score, seen_by_pairs
 
 @pytest.fixture
 def evidence(tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray) -> Evidence:
-    """Of the box as it stands on the table."""
+    """Evidence of the box on the table."""
     mask = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     found = gather(box_frame, [mask], Box.of_mask(mask), tea_box.diameter_m)
     assert found is not None
     return found
 
 
-def test_the_box_is_found_by_colour_pairs_alone(
+def test_colour_pairs_alone_find_the_box(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)], light=(0.9, 0.75, 0.6))
@@ -43,7 +43,7 @@ def test_the_box_is_found_by_colour_pairs_alone(
     np.testing.assert_array_equal(again.T_cam_obj, answer.T_cam_obj)
 
 
-def test_pairs_judge_the_right_pose_over_its_flips_and_over_small_errors_in_any_light(
+def test_the_pair_score_prefers_the_right_pose_to_flips_and_small_errors_in_any_light(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     for light in ((1.0, 1.0, 1.0), (0.9, 0.6, 0.45)):
@@ -59,7 +59,7 @@ def test_pairs_judge_the_right_pose_over_its_flips_and_over_small_errors_in_any_
         assert right.total > max(pair_score(tea_box, region, picture, T).total for T in moved)
 
 
-def test_totals_are_scores_and_behind_says_how_far_the_others_are(
+def test_totals_are_pair_scores_and_behind_is_the_gap_to_the_first(
     tea_box: ReferenceModel, evidence: Evidence
 ) -> None:
     found = estimate_by_pairs(tea_box, evidence, ColorpairPathConfig(), np.random.default_rng(0))
@@ -72,7 +72,7 @@ def test_totals_are_scores_and_behind_says_how_far_the_others_are(
     assert (np.diff(found.behind) >= 0.0).all()
 
 
-def test_starts_from_shape_are_a_source_of_their_own(tea_box: ReferenceModel, evidence: Evidence) -> None:
+def test_starts_from_shape_are_a_separate_source(tea_box: ReferenceModel, evidence: Evidence) -> None:
     nothing_votes = HypothesesConfig(frames=False, triangles=False, ppf=False)
     counts = {
         shapes: len(

@@ -1,4 +1,4 @@
-"""One pair of colours on a surface is one frame: a single right match is the whole pose."""
+"""A colour pair on a surface defines a coordinate frame: a single right match gives the whole pose."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def random_pairs(count: int, seed: int) -> SurfacePairs:
 
 
 def best_votes(scene: SurfacePairs, model: SurfacePairs) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (N, 3, 3) and translations (N, 3) of the heaviest vote of each scene pair."""
+    """Rotations (N, 3, 3) and translations (N, 3) of the vote with the largest weight of each scene pair."""
     votes = frame_votes(scene, model)
     order = np.lexsort((-votes.weights, votes.features))
     first = order[np.unique(votes.features[order], return_index=True)[1]]
@@ -50,7 +50,7 @@ def test_exchanged_sides_give_the_same_pose() -> None:
     np.testing.assert_allclose(angles_to(rotations, T[:3, :3]), 0.0, atol=2e-3)
 
 
-def test_a_pair_that_fits_many_says_less_of_each() -> None:
+def test_a_pair_with_many_matches_gives_each_less_weight() -> None:
     model = random_pairs(40, 2)
     model.colors[10:] = model.colors[10]
     votes = frame_votes(model.transformed(T), model)
@@ -60,7 +60,7 @@ def test_a_pair_that_fits_many_says_less_of_each() -> None:
     assert rare.min() > 5 * common.max()
 
 
-def test_a_model_of_many_pairs_waits_for_no_compiler() -> None:
+def test_a_model_of_many_pairs_needs_no_new_compilation() -> None:
     few, many = random_pairs(60, 5), random_pairs(MODEL_PAIRS + 1, 6)
     frame_votes(few, few)
     before = compiled()
@@ -68,7 +68,7 @@ def test_a_model_of_many_pairs_waits_for_no_compiler() -> None:
     assert compiled() == before
 
 
-def test_unlike_colours_do_not_vote() -> None:
+def test_different_colours_do_not_vote() -> None:
     model, scene = random_pairs(5, 3), random_pairs(5, 4)
     model.colors[:] = (20, 40, 30), (60, 40, 30)
     scene.colors[:] = (20, -40, -30), (60, -40, -30)

@@ -1,4 +1,4 @@
-"""From a rendered frame of a real reference model: plausibility, starts from shape, and the whole chain."""
+"""Hypotheses from a rendered frame: plausibility, starts from shape, and the whole chain."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def from_pairs(
 
 
 def nearest(poses: np.ndarray, T: np.ndarray) -> tuple[int, float, float]:
-    """Rank of the first hypothesis within 12 degrees and 2 cm, and how far off it is."""
+    """Rank of the first hypothesis within 12 degrees and 2 cm, and its errors in degrees and metres."""
     for rank, pose in enumerate(poses):
         turn = np.degrees(se3.rotation_angle(pose, T))
         move = float(np.linalg.norm(pose[:3, 3] - T[:3, 3]))
@@ -57,7 +57,7 @@ def nearest(poses: np.ndarray, T: np.ndarray) -> tuple[int, float, float]:
 
 
 @pytest.mark.parametrize("sources", ["all", "frames", "triangles", "ppf"])
-def test_the_pose_is_among_the_first(
+def test_the_pose_is_among_the_first_hypotheses(
     tea_box: ReferenceModel, standing: np.ndarray, frame: RgbdFrame, mask: np.ndarray, sources: str
 ) -> None:
     config = HypothesesConfig(**{name: sources in ("all", name) for name in ("frames", "triangles", "ppf")})
@@ -67,7 +67,7 @@ def test_the_pose_is_among_the_first(
     assert rank < 3
 
 
-def test_point_pairs_are_asked_where_fewer_than_three_classes_are_in_sight(
+def test_point_pairs_vote_if_fewer_than_three_classes_are_visible(
     tea_box: ReferenceModel,
     frame: RgbdFrame,
     mask: np.ndarray,
@@ -96,7 +96,7 @@ def test_point_pairs_are_asked_where_fewer_than_three_classes_are_in_sight(
         assert len(asked) == times
 
 
-def test_the_light_is_read(tea_box: ReferenceModel, frame: RgbdFrame, mask: np.ndarray) -> None:
+def test_the_light_is_estimated(tea_box: ReferenceModel, frame: RgbdFrame, mask: np.ndarray) -> None:
     pairs = extract_at_model_scale(tea_box.pairs, frame, mask)
     readings = read_scene(tea_box, pairs, frame, mask, HypothesesConfig(), np.random.default_rng(0))
     assert len(np.unique(readings[0].cloud.classes)) >= 3
@@ -120,7 +120,7 @@ def test_the_same_seed_gives_the_same_poses(
     np.testing.assert_array_equal(a, b)
 
 
-def test_plausible_knows_depth(
+def test_poses_that_contradict_depth_are_rejected(
     tea_box: ReferenceModel, standing: np.ndarray, frame: RgbdFrame, mask: np.ndarray
 ) -> None:
     shifts = np.array([[0, 0, 0], [0, 0, -0.06], [0, 0, 0.06], [0.15, 0, 0]])
@@ -132,11 +132,11 @@ def test_plausible_knows_depth(
         np.arange(4, dtype=np.int32),
     )
     kept = plausible(votes, tea_box.surface, frame.depth, mask, frame.camera, tea_box.diameter_m)
-    assert kept.features.tolist() == [0]  # in front, behind and beside are all turned down
+    assert kept.features.tolist() == [0]  # poses in front, behind and beside are rejected
     assert kept.weights[0] > 0.9
 
 
-def test_shape_alone_has_a_start_near_the_pose_or_its_like(
+def test_a_start_from_shape_is_near_a_near_symmetric_rotation(
     tea_box: ReferenceModel, standing: np.ndarray, frame: RgbdFrame, mask: np.ndarray
 ) -> None:
     starts = shape_hypotheses(tea_box, frame, mask, 20)
@@ -147,7 +147,9 @@ def test_shape_alone_has_a_start_near_the_pose_or_its_like(
     assert not len(shape_hypotheses(tea_box, frame, np.zeros_like(mask), 20))
 
 
-def test_no_pairs_no_hypotheses(tea_box: ReferenceModel, frame: RgbdFrame, mask: np.ndarray) -> None:
+def test_without_pairs_there_are_no_hypotheses(
+    tea_box: ReferenceModel, frame: RgbdFrame, mask: np.ndarray
+) -> None:
     assert not len(from_pairs(tea_box, ColorPairs.empty(), frame, mask, HypothesesConfig()))
     nothing = np.zeros_like(mask)
     assert len(extract_at_model_scale(tea_box.pairs, frame, nothing)) == 0

@@ -1,4 +1,4 @@
-"""Gains on the cube roots of XYZ are what a change of light does to CIELAB; those put on are found."""
+"""A change of light acts on CIELAB as gains on the cube roots of XYZ; known gains are found."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def textures(seed: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("gain", [(1.0, 1.0, 1.0), (0.72, 0.7, 0.66), (0.9, 0.87, 0.75), (1.22, 1.2, 1.3)])
-def test_gains_are_found(gain: tuple[float, float, float]) -> None:
+def test_the_gains_of_a_light_are_found(gain: tuple[float, float, float]) -> None:
     model = textures(0)
     rng = np.random.default_rng(1)
     scene = relit(textures(2)[:120], np.array(gain))
@@ -38,14 +38,14 @@ def test_lights_are_different_and_best_first() -> None:
         assert np.abs(np.log(a / b)).max() > 0.12
 
 
-def test_no_pairs_no_change() -> None:
+def test_without_pairs_the_light_is_unchanged() -> None:
     none = np.zeros((0, 2, 3), np.float32)
     light, share = lights_of(none, textures(0), np.random.default_rng(0))[0]
     np.testing.assert_array_equal(light, 1.0)
     assert share == 0.0
 
 
-def test_round_trips() -> None:
+def test_conversions_are_inverted() -> None:
     rng = np.random.default_rng(0)
     lab = np.stack([rng.uniform(5, 95, 50), rng.normal(0, 20, 50), rng.normal(0, 20, 50)], 1)
     np.testing.assert_allclose(lab_of(cube_roots(lab)), lab, atol=1e-4)
@@ -53,11 +53,11 @@ def test_round_trips() -> None:
     np.testing.assert_allclose(relit(relit(lab, gain), 1 / gain), lab, atol=1e-3)
 
 
-def test_white_has_roots_of_one() -> None:
+def test_white_has_cube_roots_of_one() -> None:
     np.testing.assert_allclose(cube_roots(np.array([100.0, 0.0, 0.0])), [1.0, 1.0, 1.0])
 
 
-def test_a_gain_in_linear_light_is_its_cube_root_here() -> None:
+def test_a_gain_in_linear_light_acts_as_its_cube_root() -> None:
     xyz = np.array([[0.3, 0.25, 0.1], [0.5, 0.6, 0.4]])
     lab = lab_of(np.cbrt(xyz))
     gain = np.array([1.3, 0.7, 2.0])

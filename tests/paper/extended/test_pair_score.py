@@ -1,4 +1,4 @@
-"""The pair score: one for a perfect texture, blind to light, and a search that climbs it."""
+"""The pair score is high for the right texture and does not depend on the light; a search maximises it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def view(tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame) ->
     return seen_by_pairs(tea_box, box_frame, standing)
 
 
-def test_the_right_pose_nearly_correlates_fully(
+def test_the_right_pose_has_high_colour_correlation(
     tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     score = pair_score(tea_box, *view, standing)
@@ -32,7 +32,7 @@ def test_the_right_pose_nearly_correlates_fully(
     assert score.total == pytest.approx(score.geometry + score.color + 0.6 * score.contrast)
 
 
-def test_light_is_normalised_at_the_pose(
+def test_the_score_does_not_depend_on_the_light(
     tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture, view: tuple[Region, PairImage]
 ) -> None:
     white = pair_score(tea_box, *view, standing)
@@ -64,7 +64,7 @@ def test_inverted_colours_anticorrelate(
     assert score.contrast < -0.6
 
 
-def test_hidden_pairs_are_not_read(
+def test_occluded_and_saturated_pairs_are_not_read(
     tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     region, picture = view
@@ -77,7 +77,7 @@ def test_hidden_pairs_are_not_read(
     assert score.geometry > 1.0
 
 
-def test_many_poses_are_judged_as_one_by_one(
+def test_scores_of_many_poses_equal_single_scores(
     tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     poses = np.stack([se3.perturb(standing, d) for d in np.diag([0.004] * 3 + [0.05] * 3)])
@@ -86,7 +86,7 @@ def test_many_poses_are_judged_as_one_by_one(
         assert pair_score(tea_box, *view, T).total == pytest.approx(row[0])
 
 
-def test_search_climbs_back(
+def test_the_search_returns_to_the_right_pose(
     tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     rng = np.random.default_rng(0)
@@ -103,7 +103,7 @@ def test_search_climbs_back(
     assert np.median(np.linalg.norm(found[:, :3, 3] - standing[:3, 3], axis=1)) < 0.002
 
 
-def test_a_needed_total_decides_as_the_whole_total_does(
+def test_early_termination_decides_as_the_full_total(
     tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     region, picture = view
@@ -117,7 +117,7 @@ def test_a_needed_total_decides_as_the_whole_total_does(
     for size in np.linspace(0.02, 3.0, 40):
         T = se3.perturb(standing, rng.normal(size=6) * ([0.01] * 3 + [0.2] * 3) * size)
         total = judged(T, -np.inf)
-        assert judged(T, total - 1e-6) == total  # what is better is judged in full
+        assert judged(T, total - 1e-6) == total  # a better pose is scored in full
         for needed in (total + 1e-6, total + 0.3, total + 1.5):
             answer = judged(T, needed)
             assert total - 1e-8 <= answer <= needed
@@ -126,8 +126,10 @@ def test_a_needed_total_decides_as_the_whole_total_does(
 
 
 @pytest.mark.parametrize("count", [10, 10_000_000])
-def test_kernels_get_arrays_of_one_type_however_many_pairs_there_are(
+def test_kernels_get_arrays_of_the_same_layout_for_any_number_of_pairs(
     tea_box: ReferenceModel, count: int
 ) -> None:
     arrays = pair_arrays(tea_box.pairs, count)
-    assert all(a.flags.c_contiguous for a in arrays if isinstance(a, np.ndarray)), "or they are compiled anew"
+    assert all(a.flags.c_contiguous for a in arrays if isinstance(a, np.ndarray)), (
+        "another layout would compile the kernels again"
+    )

@@ -1,4 +1,4 @@
-"""Without the extra `train` there is no torch, and nothing here can be imported."""
+"""Without the extra `train` there is no torch, and these test files cannot be imported."""
 
 from importlib.util import find_spec
 

@@ -1,4 +1,4 @@
-"""A quantised network that reads bytes answers as it did when it made them itself."""
+"""A quantised network with byte input gives the same output as with its own quantisation."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _numbers(colors: np.ndarray, reliefs: np.ndarray) -> np.ndarray:
     return x
 
 
-class _Pictures(CalibrationDataReader):
+class _Windows(CalibrationDataReader):
     def __init__(self, numbers: np.ndarray) -> None:
         self._left: Iterator[np.ndarray] = iter(numbers[:, None])
 
@@ -34,10 +34,11 @@ class _Pictures(CalibrationDataReader):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_network_that_reads_bytes_answers_as_before(tmp_path: Path) -> None:
+def test_a_network_with_byte_input_gives_the_same_output(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     colors = rng.integers(0, 256, (3, SIDE, SIDE, 3)).astype(np.uint8)
-    reliefs = rng.normal(0.0, 0.5, (3, SIDE, SIDE)).astype(np.float32)  # some are clipped: all of the range
+    # Some values are clipped, so the whole range is used.
+    reliefs = rng.normal(0.0, 0.5, (3, SIDE, SIDE)).astype(np.float32)
     weights = rng.normal(0.0, 0.1, (5, 6, 3, 3)).astype(np.float32)
     window = helper.make_tensor_value_info("window", onnx.TensorProto.FLOAT, ["n", 6, SIDE, SIDE])
     code = helper.make_tensor_value_info("code", onnx.TensorProto.FLOAT, ["n", 5, SIDE // 2, SIDE // 2])
@@ -50,7 +51,7 @@ def test_a_network_that_reads_bytes_answers_as_before(tmp_path: Path) -> None:
     numbers = _numbers(colors, reliefs)
     kinds = {"weight_type": QuantType.QInt8, "activation_type": QuantType.QUInt8}
     quantize_static(
-        str(exact), str(file), _Pictures(numbers), quant_format=QuantFormat.QDQ, per_channel=True, **kinds
+        str(exact), str(file), _Windows(numbers), quant_format=QuantFormat.QDQ, per_channel=True, **kinds
     )
     before = ort.InferenceSession(str(file)).run(None, {"window": numbers})[0]
     read_bytes(file)

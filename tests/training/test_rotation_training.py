@@ -17,7 +17,7 @@ from huepose.training.view_codes import train as train_views
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
-def test_an_edge_convolution_is_the_largest_linear_answer_over_the_edges():
+def test_an_edge_convolution_is_the_largest_linear_output_over_the_edges():
     torch.manual_seed(0)
     layer = EdgeConvolution(3, 5).eval()
     x = torch.randn(2, 20, 3)
@@ -30,12 +30,12 @@ def test_an_edge_convolution_is_the_largest_linear_answer_over_the_edges():
     assert torch.allclose(layer(x, near), slow, atol=1e-5)
 
 
-def test_neighbours_are_the_nearest_and_first_the_point_itself():
+def test_neighbours_are_the_nearest_points_beginning_with_the_point_itself():
     x = torch.tensor([[[0.0], [1.0], [3.0], [7.0]]])
     assert neighbours(x, 2)[0].tolist() == [[0, 1], [1, 0], [2, 1], [3, 2]]
 
 
-def test_six_numbers_are_a_rotation_and_none_are_no_turn():
+def test_six_numbers_give_a_rotation_and_zeros_the_identity():
     assert torch.allclose(rotation_of_six(torch.zeros(1, 6))[0], torch.eye(3), atol=1e-6)
     R = rotation_of_six(torch.randn(50, 6))
     assert torch.allclose(R @ R.transpose(1, 2), torch.eye(3).expand(50, 3, 3), atol=1e-5)
@@ -43,7 +43,7 @@ def test_six_numbers_are_a_rotation_and_none_are_no_turn():
 
 
 @pytest.mark.parametrize("kind", ["residual", "direct"])
-def test_what_is_trained_has_the_shape_of_what_is_shipped(kind: str) -> None:
+def test_the_trained_network_has_the_shape_of_the_shipped_one(kind: str) -> None:
     shipped = onnx.load(str(WEIGHTS / f"{kind}.onnx"))
     known = {one.name: tuple(one.dims) for one in shipped.graph.initializer}
     norms = {
@@ -54,17 +54,17 @@ def test_what_is_trained_has_the_shape_of_what_is_shipped(kind: str) -> None:
     assert {name: norms[name] for name in shared} == {name: known[name] for name in shared}
 
 
-def test_the_angle_between_rotations_is_known():
+def test_the_geodesic_distance_is_the_angle_between_rotations():
     turn = torch.tensor([[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
     assert geodesic(turn, torch.eye(3)[None]).item() == pytest.approx(np.pi / 2, abs=1e-5)
     assert geodesic(turn, turn).item() < 1e-5
 
 
-def test_what_is_exported_answers_as_what_was_trained(tmp_path):
+def test_the_exported_network_gives_the_output_of_the_trained_one(tmp_path):
     torch.manual_seed(1)
     net = AttentionDgcnn().eval()
     export(net, tmp_path / "rotation.onnx")
-    assert b".py" not in (tmp_path / "rotation.onnx").read_bytes()  # nothing of where the sources lay
+    assert b".py" not in (tmp_path / "rotation.onnx").read_bytes()  # no paths of source files
     rng = np.random.default_rng(0)
     features, weights = rng.normal(size=(128, 15)).astype(np.float32), np.linspace(1.0, 0.5, 128)
     R = OnnxRotation(tmp_path / "rotation.onnx")(features, weights)
@@ -73,7 +73,7 @@ def test_what_is_exported_answers_as_what_was_trained(tmp_path):
     assert pytest.approx(expected[0].numpy(), abs=1e-4) == R
 
 
-def test_training_leaves_networks_and_goes_on_where_it_stopped(tmp_path):
+def test_training_writes_networks_and_resumes(tmp_path):
     kinds = ("residual", "direct")
     short = RotationTraining(kinds=kinds, steps=3, batch=8, every=2, validation=16, workers=0, room=64)
     first = train(short, tmp_path)
@@ -109,9 +109,9 @@ def test_a_training_that_ends_before_its_first_step_writes_nothing(tmp_path):
 
 
 class TestCheckpoint:
-    """What a training goes on from."""
+    """The file from which a training resumes."""
 
-    def test_one_of_a_gpu_is_read_where_there_is_none(self, tmp_path, monkeypatch):
+    def test_a_checkpoint_of_a_gpu_is_read_without_a_gpu(self, tmp_path, monkeypatch):
         monkeypatch.setattr(torch.serialization, "location_tag", lambda storage: "cuda:7")
         parts = begun(net := torch.nn.Linear(1, 1))
         save_checkpoint(tmp_path, "line", Course(steps=5), parts)
@@ -124,7 +124,7 @@ class TestCheckpoint:
         assert torch.equal(other.weight, net.weight)
 
     @pytest.mark.parametrize("content", ["garbage", "", "cut", "a list"])
-    def test_a_damaged_one_is_refused_with_what_to_do(self, tmp_path, content):
+    def test_a_damaged_checkpoint_is_refused_with_what_to_do(self, tmp_path, content):
         file = tmp_path / "checkpoint.pt"
         save_checkpoint(tmp_path, "line", Course(), begun(torch.nn.Linear(1, 1)))
         if content == "a list":
@@ -134,7 +134,7 @@ class TestCheckpoint:
         with pytest.raises(InputError, match=r"checkpoint\.pt: found a damaged file.*train without --resume"):
             checkpoint(tmp_path, "line", resume=True)
 
-    def test_one_of_other_networks_is_refused_with_what_to_do(self, tmp_path):
+    def test_a_checkpoint_of_other_networks_is_refused_with_what_to_do(self, tmp_path):
         save_checkpoint(tmp_path, "line", Course(), begun(torch.nn.Linear(1, 1)))
         saved, wider = checkpoint(tmp_path, "line", resume=True), torch.nn.Linear(2, 1)
         settings = (Settings(), begun(wider)["optimiser"], {"line": wider})
@@ -150,12 +150,12 @@ def begun(net):
 
 
 @pytest.mark.parametrize("training", [train, train_views])
-def test_a_training_that_cannot_begin_says_so_before_anything_is_drawn(training, tmp_path, monkeypatch):
-    def drawn(*_):
+def test_a_training_that_cannot_begin_is_refused_before_rendering(training, tmp_path, monkeypatch):
+    def rendered(*_):
         raise AssertionError
 
     for module in ("rotation", "view_codes"):
-        monkeypatch.setattr(f"huepose.training.{module}.endless_loader", drawn)
+        monkeypatch.setattr(f"huepose.training.{module}.endless_loader", rendered)
     settings = RotationTraining if training is train else ViewCodeTraining
     out = tmp_path / "out"
     with pytest.raises(InputError, match=r"no such file\. Train without --resume first"):
@@ -168,6 +168,6 @@ def test_a_training_that_cannot_begin_says_so_before_anything_is_drawn(training,
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_a_gpu_that_is_not_there_is_no_device():
+def test_a_missing_gpu_is_refused_as_device():
     with pytest.raises(InputError, match=r"device cuda: found none .*Leave --device out"):
         check_device("cuda")

@@ -20,12 +20,12 @@ def turns():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_shape_is_centred_and_as_large_as_asked(seed):
+def test_a_shape_is_centred_and_has_the_requested_size(seed):
     mesh = random_shape(np.random.default_rng(seed), 0.2)
     extent = mesh.vertices.max(0) - mesh.vertices.min(0)
     assert np.linalg.norm(extent) == pytest.approx(0.2, rel=1e-5)
     assert mesh.centre == pytest.approx(np.zeros(3), abs=1e-6)
-    # What the camera sees lies between the nearest and the farthest vertex.
+    # The measured depth lies between the nearest and the farthest vertex.
     T = se3.make(np.eye(3), np.array([0.0, 0.0, 0.6]))
     depth = render_depth(mesh, T, Camera(500.0, 500.0, 159.5, 119.5, 320, 240))
     z = mesh.vertices[:, 2] + 0.6
@@ -34,7 +34,7 @@ def test_a_shape_is_centred_and_as_large_as_asked(seed):
     assert z.min() - 1e-5 <= seen.min() <= seen.max() <= z.max() + 1e-5
 
 
-def test_objects_are_textured_and_of_the_size_asked():
+def test_objects_are_textured_and_have_the_requested_size():
     rng = np.random.default_rng(0)
     for _ in range(12):
         mesh = random_object(rng, 0.15)
@@ -46,7 +46,7 @@ def test_objects_are_textured_and_of_the_size_asked():
     assert all(is_closed(mesh.vertices, mesh.faces) for mesh in packages)
 
 
-def test_views_show_the_object_where_it_is():
+def test_views_show_the_object_at_its_pose():
     rng = np.random.default_rng(5)
     mesh = random_object(rng, 0.2)
     views = draw_views(rng, mesh, Props(rng), 1.0, CLEAN)
@@ -55,14 +55,14 @@ def test_views_show_the_object_where_it_is():
         alone = render_depth(mesh, T, frame.camera)
         np.testing.assert_allclose(frame.depth[mask], alone[mask], atol=1e-5)
         assert not (mask & (alone == 0)).any()
-        assert (frame.depth[~mask & (alone > 0)] < alone[~mask & (alone > 0)]).all(), "what hides is nearer"
+        assert (frame.depth[~mask & (alone > 0)] < alone[~mask & (alone > 0)]).all(), "an occluder is nearer"
         rows, columns = np.nonzero(alone)
         assert box.x - 1 <= columns.min() <= columns.max() <= box.x1 + 1
         assert box.y - 1 <= rows.min() <= rows.max() <= box.y1 + 1
 
 
-def test_what_flow_finds_is_mostly_the_true_motion(turns):
-    """Slow objects in clean pictures."""
+def test_the_motion_from_flow_is_mostly_the_true_motion(turns):
+    """Slow objects in noise-free images."""
     assert len(turns) > 40
     errors = []
     for turn in turns:
@@ -75,8 +75,8 @@ def test_what_flow_finds_is_mostly_the_true_motion(turns):
     assert off_deg < 2.5
 
 
-def test_the_answer_turns_what_the_closed_form_left(turns):
-    """Asked and answered in the canonical frame, and taken back, it is the true motion."""
+def test_the_answer_is_the_rotation_that_the_closed_form_leaves(turns):
+    """The answer in the canonical frame, transformed back, gives the true rotation."""
     turn = max(turns, key=lambda t: len(t.matches))
     first = robust_kabsch(turn.matches)[:3, :3]
     question = canonical_input(turn.matches, "residual")
@@ -87,7 +87,7 @@ def test_the_answer_turns_what_the_closed_form_left(turns):
     assert direct.clouds.rotation(whole) == pytest.approx(turn.T_b_a[:3, :3], abs=1e-6)
 
 
-def test_the_stream_repeats_itself_with_its_seed_only():
+def test_the_stream_of_samples_depends_on_its_seed_and_number():
     def first(seed, stream):
         (sample,) = next(endless(seed, stream, ["residual"]))
         return sample.features
@@ -97,7 +97,7 @@ def test_the_stream_repeats_itself_with_its_seed_only():
     assert not np.array_equal(first(1, 2), first(2, 2))
 
 
-def test_few_matches_are_repeated_and_of_many_the_heaviest_stay():
+def test_few_matches_are_repeated_and_of_many_the_largest_weights_are_kept():
     features = np.arange(300, dtype=np.float32)[:, None] * np.ones(15, np.float32)
     weights = np.linspace(0.0, 1.0, 300)
     rows, heavy = fixed_count(features, weights)

@@ -1,4 +1,4 @@
-"""Pairs for verification are what they are said to be, and other cameras change what they should."""
+"""Training pairs for verification are labelled correctly; simulated cameras change only what they should."""
 
 import numpy as np
 import pytest
@@ -33,10 +33,10 @@ def shown(buffer: ObjectBuffer) -> Shown:
     )
 
 
-def test_true_pairs_show_their_object_and_no_wrong_pair_shows_the_windows_own(buffer):
+def test_true_pairs_show_the_object_of_the_window_and_wrong_pairs_another(buffer):
     torch.manual_seed(0)
     asked = shown(buffer)
-    # The window's own object is the likest, and must not be taken for a wrong one.
+    # The window's own object is the most similar; it must not be used as a wrong one.
     similar = torch.where(asked.view_objects[None] == asked.whose[:, None], 0.9, 0.1)
     pictures, there, cells = pairs(buffer, asked, similar)
     assert there[:4].tolist() == [1.0] * 4
@@ -53,7 +53,7 @@ def test_true_pairs_show_their_object_and_no_wrong_pair_shows_the_windows_own(bu
         assert any(torch.equal(known[row], outline) for outline in others)
 
 
-def test_a_wrong_pose_is_brought_onto_the_surface_that_is_seen_as_refinement_would():
+def test_a_wrong_pose_is_moved_onto_the_measured_surface():
     drawn = torch.full((2, 64, 64), torch.nan)
     drawn[:, 20:40, 20:40] = 0.1
     seen = torch.full((2, 64, 64), 2.0)
@@ -61,7 +61,7 @@ def test_a_wrong_pose_is_brought_onto_the_surface_that_is_seen_as_refinement_wou
     assert _onto_surface(seen, drawn).tolist() == pytest.approx([0.15, 0.0])
 
 
-def test_other_filters_leave_grey_grey_and_sheen_and_prints_only_come_where_they_are_asked_for():
+def test_other_colour_filters_keep_grey_and_sheen_and_reprints_have_a_share():
     torch.manual_seed(0)
     grey = torch.full((4, 3, 64, 64), 0.4)
     assert torch.allclose(mixed(grey), grey, atol=1e-6)

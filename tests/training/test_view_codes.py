@@ -1,4 +1,4 @@
-"""The network of view codes learns from what the detector sees: the same pictures, in the same order."""
+"""The network of view codes is trained on the images that the detector makes, in the same order."""
 
 import json
 import math
@@ -25,7 +25,7 @@ def drawn() -> Drawn:
     return next(endless(5, 1))
 
 
-def test_views_come_as_the_detector_makes_them(drawn):
+def test_views_equal_those_of_the_detector(drawn):
     colors, reliefs = view_images.turned(drawn.view_colors, drawn.view_reliefs.astype(np.float32))
     buffer = ObjectBuffer(1, "cpu")
     buffer.add(drawn)
@@ -34,11 +34,11 @@ def test_views_come_as_the_detector_makes_them(drawn):
     theirs = view_images.network_input(colors[numbers.numpy()], reliefs[numbers.numpy()], clean=True)
     ours = network_input(rgb, relief, clean=True).numpy()
     theirs = (theirs.astype(np.float32) - view_images.ZERO) * view_images.STEP
-    # Both turn pictures, by other libraries: pixels at edges may differ, and hardly anything else.
+    # Both rotate images, with different libraries: only pixels at edges may differ.
     assert np.mean(np.abs(ours - theirs.transpose(0, 3, 1, 2)[:, :6]) > 0.05) < 0.02
 
 
-def test_a_window_that_is_not_moved_is_the_middle_of_what_was_drawn(drawn):
+def test_an_unmoved_window_is_the_middle_of_the_rendered_image(drawn):
     buffer = ObjectBuffer(1, "cpu")
     buffer.add(drawn)
     one = torch.zeros(1)
@@ -48,16 +48,16 @@ def test_a_window_that_is_not_moved_is_the_middle_of_what_was_drawn(drawn):
     assert np.array_equal(np.isnan(relief[0].numpy()), np.isnan(middle))
 
 
-def test_the_turns_of_the_views_are_rolls_of_looks_from_all_around():
+def test_view_rotations_are_directions_times_rolls():
     turns = view_rotations(icosphere.directions(view_images.LEVEL), view_images.ROLLS)
     assert turns.shape == (504, 3, 3)
     assert np.allclose(turns @ turns.transpose(0, 2, 1), np.eye(3), atol=1e-9)
     roll = turns[1] @ turns[0].T
     assert np.degrees(np.arccos((np.trace(roll) - 1) / 2)) == pytest.approx(30.0)
-    assert roll[1, 0] > 0  # clockwise in the picture, whose y points down
+    assert roll[1, 0] > 0  # clockwise in the image, whose y points down
 
 
-def test_codes_are_of_unit_length_and_what_is_not_covered_has_none():
+def test_codes_have_unit_length_and_are_zero_in_uncovered_cells():
     codes, known = torch.randn(3, 16, 8, 8), torch.zeros(3, 64, 64, dtype=torch.bool)
     known[:, :32] = True
     views = view_codes(codes, known).reshape(3, 16, 8, 8)
@@ -66,18 +66,18 @@ def test_codes_are_of_unit_length_and_what_is_not_covered_has_none():
     assert torch.allclose(window_codes(codes).norm(dim=1), torch.ones(3), atol=1e-5)
 
 
-def test_the_loss_is_small_where_each_window_finds_its_view_and_large_where_another():
+def test_the_loss_is_small_for_right_matches_and_large_for_wrong_ones():
     angles = torch.tensor([[5.0, math.inf], [math.inf, 5.0], [math.inf, math.inf]])
     targets, valid = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]), torch.ones(2, dtype=torch.bool)
     right = torch.tensor([[20.0, 0.0], [0.0, 20.0], [0.0, 0.0]])
     assert info_nce(right, angles, targets, valid).item() < 1e-6
     assert info_nce(right.flip(1), angles, targets, valid).item() > 30.0
-    # A view whose window is also claimed by one beside the object costs, though each window is right.
+    # A window beside the object that also matches a view adds loss, though each window is right.
     beside = torch.tensor([[20.0, 0.0], [0.0, 20.0], [20.0, 20.0]])
     assert info_nce(beside, angles, targets, valid).item() == pytest.approx(math.log(2.0), abs=1e-3)
 
 
-def test_the_room_of_a_training_takes_the_memory_that_its_help_says(capsys):
+def test_the_buffer_of_a_training_needs_the_memory_stated_in_the_help(capsys):
     kept = [part for part in vars(ObjectBuffer(1, "cpu")).values() if isinstance(part, torch.Tensor)]
     bytes_each = sum(part.nbytes for part in kept)
     with pytest.raises(SystemExit):
@@ -88,7 +88,7 @@ def test_the_room_of_a_training_takes_the_memory_that_its_help_says(capsys):
     assert f"({room})" in said
 
 
-def test_a_training_leaves_a_network_that_runs(tmp_path):
+def test_a_training_writes_networks_that_run(tmp_path):
     import onnxruntime as ort
 
     config = ViewCodeTraining(

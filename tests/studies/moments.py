@@ -1,4 +1,4 @@
-"""Hard moments for a tracker, drawn with a room and stereo depth: the object is covered, or swapped."""
+"""Hard moments for a tracker, rendered in a room with stereo depth: the object is covered or swapped."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _room() -> tuple[Moving, ...]:
 
 
 def filmed(things: list[Moving]) -> list[Seen]:
-    """Frames of the first of some things among the others; one frame less than there are poses."""
+    """Frames of a scene of moving things in the room, labelled for the first; one frame fewer than poses."""
     count = len(things[0][1])
     still = [(mesh, np.broadcast_to(T, (count, 4, 4))) for mesh, T in _room()]
     meshes, paths = zip(*things, *still, strict=True)
@@ -61,7 +61,7 @@ def carried(frames: int) -> Float64:
 
 
 def printed_board(width_m: float, height_m: float) -> Mesh:
-    """A board of 16 mm."""
+    """A printed board, 16 mm thick."""
     rng = np.random.default_rng(12)
     filled = np.ones((1, 1, 1), bool)
     x, y = width_m / 2, height_m / 2
@@ -71,21 +71,21 @@ def printed_board(width_m: float, height_m: float) -> Mesh:
 
 
 def curtain(side_m: float, covers: np.ndarray) -> Moving:
-    """A board before the middle of the image in the frames (N,) in which it covers that, else beside it."""
+    """A board in front of the image centre in the frames where `covers` (N,) is true, else beside it."""
     path = np.tile(np.eye(4), (len(covers), 1, 1))
     path[:, :3, 3] = np.stack([np.where(covers, 0.0, 0.45), 0.0 * covers, 0.4 + 0.0 * covers], 1)
     return printed_board(side_m, side_m), path
 
 
 def covered(mesh: Mesh) -> list[Seen]:
-    """Forty frames; a board hides the object from the sixth to the thirteenth, while it moves on."""
+    """Forty frames. The object keeps moving; a board covers it from the sixth to the thirteenth."""
     numbers = np.arange(41)
     return filmed([(mesh, carried(41)), curtain(0.24, (numbers >= 5) & (numbers < 13))])
 
 
 def swapped(mesh: Mesh) -> list[Seen]:
-    """Six frames of the box, six behind a board, then its look-alike in its place: the same shape with
-    another picture, other colours, the same words in other places."""
+    """Six frames of the box, six behind a board, then a look-alike at its position: the same shape with
+    another texture, other colours, and the same words at other positions."""
     at = carried(111)[np.concatenate([np.full(6, 50), np.full(6, 74), np.full(22, 110)])]
     numbers = np.arange(len(at))
     gone, other = at.copy(), at.copy()

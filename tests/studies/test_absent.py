@@ -1,4 +1,4 @@
-"""Nobody is asked for an object that stands in the picture."""
+"""The study requests only objects that are absent from the image."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def scene() -> MemoryScene:
     return MemoryScene("s", {k: (GroundTruth(0, T, object_id=5, visib_fract=1.0),) for k in range(20)})
 
 
-def test_only_what_is_away_is_asked_for(scene) -> None:
+def test_only_absent_objects_are_requested(scene) -> None:
     models = {"box": reference_model("box", 5), "brick": reference_model("brick", 7)}
     asked = list(questions([scene], Targets(models), 3))
     assert len(asked) == 3 * 20

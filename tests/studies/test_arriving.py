@@ -1,5 +1,5 @@
-"""What is put before a camera is TRACKING soon, though its turn would come late: two in a request, five
-requests a second, seventeen objects."""
+"""An object that arrives is TRACKING soon, among seventeen objects. A request names two of them; there are
+five requests a second."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from studies.arriving import SECONDS_BEFORE, Row, film, report, watched
 from studies.live import HZ
 
 
-def test_it_is_there_after_six_seconds_and_found_soon_among_many(
+def test_an_object_that_arrives_after_six_seconds_is_found_soon_among_many(
     tea_box, soup_can, box_frame, standing
 ) -> None:
     label = GroundTruth(0, standing, 1, visib_fract=1.0)
@@ -27,7 +27,7 @@ def test_it_is_there_after_six_seconds_and_found_soon_among_many(
     assert count == round((SECONDS_BEFORE + found_s) * HZ) + 1
 
 
-def test_the_report_counts_what_was_soon() -> None:
+def test_the_report_counts_objects_found_soon() -> None:
     times = (0.5, 1.5, None)
     text = report([Row("1", 0, "can", t, k, 100) for k, t in enumerate(times)])
     assert text.startswith("2 of 3 TRACKING and right, within 1 s, 2 s: 1, 2; median, 90 %: 1.0 s, 1.4 s")

@@ -1,4 +1,4 @@
-"""A changed scene has the same labels, and a picture or depth that differs as its form says."""
+"""A changed scene has the same labels, and a colour image or a depth image that differs as its form says."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_labels_stay_and_one_of_colour_and_depth_changes(scene: BopScene, form: 
     assert np.allclose(after.depth, before.depth, atol=5e-5) == (form in COLORS)
 
 
-def test_light_and_borders_change_by_what_is_said(scene: BopScene) -> None:
+def test_light_and_borders_change_by_the_stated_amounts(scene: BopScene) -> None:
     frame = scene.frame(4)
     light = (np.array([100.0]) / 255.0) ** 2.2
     dark = COLORS["dark"](np.full((1, 1, 3), 100, np.uint8))

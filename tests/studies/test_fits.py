@@ -16,8 +16,8 @@ NAMES = Names(("total",), ("texture_complete",), ("same_size",), ("total",), ())
 
 
 def drawn(n: int, seed: int) -> tuple[Judged, np.ndarray]:
-    """Poses with one rival each: that any of the two is right is logistic in the total, and they share it by
-    40 times the gap; and the chance of each first one."""
+    """Poses with one rival each, and the probability of each first pose. The probability that one of the
+    two is right is logistic in the total; 40 times the gap divides it between them."""
     rng = np.random.default_rng(seed)
     totals, gaps = rng.uniform(0.5, 2.5, n), rng.uniform(0.0, 0.3, n)
     listed = 1 / (1 + np.exp(-(-3.0 + 4.0 * totals)))
@@ -27,7 +27,7 @@ def drawn(n: int, seed: int) -> tuple[Judged, np.ndarray]:
     return judged(terms, which), listed * first
 
 
-def test_the_law_behind_constructed_data_is_found() -> None:
+def test_the_fit_recovers_the_law_of_constructed_data() -> None:
     labels, chance = drawn(6000, 0)
     fitted = quality_fit.fit(labels, NAMES)
 
@@ -59,7 +59,7 @@ def test_in_an_exact_tie_the_first_has_no_advantage_and_a_clear_second_has_a_han
     assert tied[0] == tied[1]
 
 
-def test_what_is_elsewhere_is_not_present_and_look_alikes_are_doubted() -> None:
+def test_absent_objects_are_not_present_and_look_alikes_have_low_quality() -> None:
     labels, _ = drawn(2000, 4)
     rng = np.random.default_rng(5)
     others = judged([replace(PLAIN, total=float(t)) for t in rng.uniform(-1.0, 0.2, 300)], np.full(300, -1))
@@ -77,19 +77,19 @@ def test_what_is_elsewhere_is_not_present_and_look_alikes_are_doubted() -> None:
     assert without.fit.this_texture(features(foreign[0])) > 0.97
 
 
-def test_the_level_is_where_the_share_of_right_ones_falls_under_the_wanted() -> None:
+def test_the_level_is_where_the_share_of_right_poses_falls_below_the_target() -> None:
     quality_of = np.linspace(1.0, 0.0, 1001)
-    right = quality_of > 0.6  # 400 right ones, then wrong ones only
+    right = quality_of > 0.6  # 400 right poses, then only wrong ones
     assert quality_fit.level_of(quality_of, right, share=0.8) == pytest.approx(0.5, abs=0.003)
     right[:] = True
     assert quality_fit.level_of(quality_of, right) == pytest.approx(0.01)
     right[:] = False
-    assert quality_fit.level_of(quality_of, right) == pytest.approx(0.951)  # that of the 50 surest
+    assert quality_fit.level_of(quality_of, right) == pytest.approx(0.951)  # the quality of the 50th pose
 
 
-def test_a_frame_is_never_judged_by_itself() -> None:
-    """Frames right and wrong in turn, without any law: a fit that saw them would agree with them, one that
-    saw only the others leans the other way."""
+def test_a_frame_is_never_scored_by_a_fit_that_includes_it() -> None:
+    """Frames are right and wrong in turn, without a law. A fit that includes a frame would agree with it; a
+    fit to the other frames tends the other way."""
     terms = [replace(PLAIN, pixels=10.0 ** (1 + k // 20)) for k in range(200)]
     right = np.array([k // 20 % 2 == 0 for k in range(200)])
     labels = judged(terms, np.where(right, 0, -1), per_frame=20)
@@ -98,12 +98,12 @@ def test_a_frame_is_never_judged_by_itself() -> None:
     assert len(np.unique(np.round(stated, 6))) <= 10
 
 
-def test_one_kind_of_outcome_cannot_be_fitted() -> None:
+def test_data_with_only_right_poses_cannot_be_fitted() -> None:
     with pytest.raises(InputError, match="3 right of 3"):
         quality_fit.fit(judged([PLAIN] * 3, np.zeros(3)), NAMES)
 
 
-def test_every_shipped_fit_rises_with_every_feature() -> None:
+def test_every_shipped_fit_increases_with_every_feature() -> None:
     better = replace(
         PLAIN, total=1.7, gaps=(0.2, 0.3), color=0.5, box_iou=0.9, depth_fit=0.8, coverage=0.8,
         violation=0.05, occluded=0.05, seen=0.8, missing=0.1, foreign=5.0, detail=0.6, pixels=4000.0,
@@ -121,7 +121,7 @@ def test_every_shipped_fit_rises_with_every_feature() -> None:
         assert fit.probabilities(better)[0] > fit.probabilities(PLAIN)[0]
 
 
-def test_the_page_of_tracking_says_what_its_belief_is_fitted_on() -> None:
+def test_the_tracking_page_names_the_data_of_its_fit() -> None:
     root = Path(__file__).parents[2]
     origin = json.loads((root / "huepose" / "believe" / "fits.json").read_text())["frame"]["origin"]
     page = " ".join((root / "docs" / "tracking_measured.md").read_text().split())

@@ -1,4 +1,4 @@
-"""The film of an object that is taken away shows it, what covers it, what lies beside it, and it again."""
+"""The film of an object that is taken away: the object, a cover, the background, the object again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from studies.live import HZ
 CAMERA = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
 
 
-def test_the_object_is_seen_then_covered_then_gone_then_back(tea_box) -> None:
+def test_the_object_is_visible_then_covered_then_gone_then_back(tea_box) -> None:
     color = np.full((240, 320, 3), 60, np.uint8)
     color[:, 120:200] = 200
     depth = np.full((240, 320), 0.9, np.float32)
@@ -31,4 +31,4 @@ def test_the_object_is_seen_then_covered_then_gone_then_back(tea_box) -> None:
     assert [seen.visib_fract > 0 for seen in frames] == [not covered <= k < back for k in range(end)]
     shown = {round(m, -1) for m in middles[gone:back]}
     assert shown <= {60.0, 200.0}
-    assert len(shown) == 1, "one place beside it, in all frames"
+    assert len(shown) == 1, "the same background in all frames"

@@ -25,7 +25,7 @@ LAW = Logistic(
 
 
 def drawn(frames: int, seed: int, law: Logistic = LAW) -> list[SeenPlaces]:
-    """Frames of twelve places each, whose objects are there with the chance that the law says."""
+    """Frames of twelve places each; `law` gives the probability that the object is there."""
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(frames):
@@ -42,7 +42,7 @@ def drawn(frames: int, seed: int, law: Logistic = LAW) -> list[SeenPlaces]:
     return out
 
 
-def test_the_weights_behind_constructed_frames_are_found_from_a_poor_start() -> None:
+def test_the_fit_recovers_the_weights_of_constructed_frames_from_a_poor_start() -> None:
     start = Logistic(
         -1.0,
         {
@@ -59,7 +59,7 @@ def test_the_weights_behind_constructed_frames_are_found_from_a_poor_start() -> 
     assert np.abs(stated - true).mean() < 0.03
 
 
-def test_everything_that_is_seen_speaks_for_presence_the_more_of_it_there_is() -> None:
+def test_presence_increases_with_every_feature() -> None:
     sight = Sight(0.7, 0.4, 36.0, 0.2, 0.1, 0.25, 3.0, 100)
     known = {
         "fit": 0.7,
@@ -71,13 +71,13 @@ def test_everything_that_is_seen_speaks_for_presence_the_more_of_it_there_is() -
         "pixels": np.log(100.0),
     }
     assert features(sight) == pytest.approx(known)
-    assert features(replace(sight, contrast=0.0))["color"] == 0.0  # of a plain thing none was to be expected
+    assert features(replace(sight, contrast=0.0))["color"] == 0.0  # a plain object has no colour evidence
     assert set(belief("presence").factors) == set(known)
     assert set(belief("place").factors) == set(known) - {"verified"}
     assert min(*belief("presence").factors.values(), *belief("place").factors.values()) >= 0.0
 
 
-def test_a_frame_that_is_made_smaller_and_specked_keeps_its_camera_and_its_depth_elsewhere() -> None:
+def test_a_smaller_frame_has_a_scaled_camera_and_specks_keep_other_depth() -> None:
     camera = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
     frame = RgbdFrame(np.full((120, 160, 3), 90, np.uint8), np.full((120, 160), 1.5, np.float32), camera)
     small = smaller_frame(frame, 0.5)
@@ -91,7 +91,7 @@ def test_a_frame_that_is_made_smaller_and_specked_keeps_its_camera_and_its_depth
     assert ((depth > 0.0) & ~as_it_was).any()
 
 
-def test_another_camera_changes_colours_and_keeps_what_is_where() -> None:
+def test_another_camera_changes_colours_only() -> None:
     color = np.zeros((20, 30, 3), np.uint8)
     color[:, 15:] = (200, 60, 30)
     seen = of_another_camera(color, np.random.default_rng(0))
@@ -99,5 +99,5 @@ def test_another_camera_changes_colours_and_keeps_what_is_where() -> None:
     assert seen.dtype == np.uint8
     left, right = seen[:, :15].reshape(-1, 3), seen[:, 15:].reshape(-1, 3)
     assert len(np.unique(left, axis=0)) == len(np.unique(right, axis=0)) == 1
-    assert right[0].sum() > left[0].sum() + 60  # light stays light
+    assert right[0].sum() > left[0].sum() + 60  # bright stays brighter
     assert np.abs(right[0].astype(int) - (200, 60, 30)).max() > 5

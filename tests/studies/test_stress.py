@@ -1,4 +1,4 @@
-"""What is fed to a tracker under stress, and how it counts."""
+"""The frames and starts that a stressed tracker gets, and the figures of a run."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ FRAME_NS = round(1e9 / 30)
 
 @pytest.fixture
 def film() -> Film:
-    """An object that moves 1 cm to the right in every frame, before a wall at 1 m."""
+    """An object that moves 1 cm to the right in every frame, in front of a wall at 1 m."""
     camera = Camera(100.0, 100.0, 31.5, 23.5, 64, 48)
     color, depth = np.zeros((48, 64, 3), np.uint8), np.full((48, 64), 1.0, np.float32)
     frames = []
@@ -27,7 +27,7 @@ def film() -> Film:
     return Film("film", "carried", "box", tuple(frames), np.zeros((0, 4, 4)))
 
 
-def test_steps_keep_their_time_and_a_jump_takes_none(film: Film, tea_box: ReferenceModel) -> None:
+def test_steps_keep_timestamps_and_a_jump_takes_one_frame(film: Film, tea_box: ReferenceModel) -> None:
     by_cause = {run.cause: run for run in runs(film, tea_box, 0)}
     stamps = [s.frame.stamp_ns for s in by_cause["step 10"].frames]
     assert set(np.diff(stamps)) == {10 * FRAME_NS}
@@ -37,7 +37,7 @@ def test_steps_keep_their_time_and_a_jump_takes_none(film: Film, tea_box: Refere
     assert jump[JUMP_AT].frame.stamp_ns - jump[JUMP_AT - 1].frame.stamp_ns == pytest.approx(FRAME_NS, abs=2)
 
 
-def test_wrong_starts_are_wrong_and_claim_to_be_right(film: Film, tea_box: ReferenceModel) -> None:
+def test_wrong_starts_are_wrong_and_have_high_quality(film: Film, tea_box: ReferenceModel) -> None:
     by_cause = {run.cause: run for run in runs(film, tea_box, 0)}
     for cause in ("shifted", "turned", "elsewhere", "in the table"):
         run = by_cause[cause]
@@ -56,7 +56,7 @@ def test_a_loaded_machine_drops_frames() -> None:
     assert 31 not in kept
 
 
-def test_a_look_alike_has_the_shape_and_other_colours() -> None:
+def test_a_look_alike_has_the_same_shape_and_other_colours() -> None:
     mesh = builtin_meshes(1)["tea_box"]
     other = look_alike(mesh)
     assert other is not None
@@ -64,8 +64,8 @@ def test_a_look_alike_has_the_shape_and_other_colours() -> None:
     assert not np.array_equal(other.texture, mesh.texture)
 
 
-def test_figures_of_a_run_that_is_known() -> None:
-    """Ten frames: right, two wrong and believed, one wrong and doubted, right again."""
+def test_figures_of_a_known_run() -> None:
+    """Ten frames: three right, two wrong and TRACKING, one wrong and SUSPECT, four right."""
     states = ["TRACKING"] * 5 + ["SUSPECT"] + ["TRACKING"] * 4
     right = [True] * 3 + [False] * 3 + [True] * 4
     frames = [
@@ -80,7 +80,7 @@ def test_figures_of_a_run_that_is_known() -> None:
     assert found["back_after_s_median"] == pytest.approx(3 / 30, abs=1e-6)
 
 
-def test_what_is_put_away_leaves_and_comes_back_no_faster_than_a_hand_carries_it() -> None:
+def test_an_object_is_put_away_and_back_at_the_speed_of_a_hand() -> None:
     still = np.tile(np.eye(4), (121, 1, 1))
     path = _leaving(still, np.zeros(3), *AWAY_AT["put away"][1:], np.random.default_rng(0))
     aside = path[:, 0, 3]
@@ -88,7 +88,7 @@ def test_what_is_put_away_leaves_and_comes_back_no_faster_than_a_hand_carries_it
     assert np.abs(np.diff(np.abs(aside))).max() * 30.0 < 1.2
 
 
-def test_what_was_played_in_one_mode_is_left_to_play_in_the_other() -> None:
+def test_a_job_played_in_one_mode_is_still_missing_in_the_other() -> None:
     both = ("alone", "with_loop")
     new, half, empty = (Job("report", number, "builtin", None, both) for number in range(3))
     rows = [{"job": half.name, "mode": "alone", "frames": [1]}, {"job": empty.name, "frames": []}]

@@ -1,4 +1,4 @@
-"""Parts of a traced frame that need neither its renderer nor its physics."""
+"""Parts of path-traced frames that need neither the renderer nor the physics engine."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from studies.traced.room import room, surface
 from studies.traced.world import HZ
 
 
-def test_lamps_are_red_below_and_blue_above_daylight():
+def test_light_is_red_below_and_blue_above_the_daylight_temperature():
     np.testing.assert_allclose(kelvin(6500.0), 1.0)
     warm, cold = kelvin(2800.0), kelvin(9000.0)
     assert warm[0] > 1.3 > 0.6 > warm[2]
     assert cold[0] < 1.0 < cold[2]
 
 
-def test_a_camera_sees_the_point_it_looks_at_near_its_middle():
+def test_the_target_of_a_camera_is_near_the_image_centre():
     target = np.array([0.1, -0.2, 0.05])
     for seed in range(20):
         camera, T_world_cam = camera_at(np.random.default_rng(seed), target)
@@ -27,7 +27,7 @@ def test_a_camera_sees_the_point_it_looks_at_near_its_middle():
         assert (np.abs(camera.project(at[None])[0] - [camera.cx, camera.cy]) < 0.25 * camera.fx).all()
 
 
-def test_a_carried_camera_goes_about_what_it_looks_at_at_a_walk():
+def test_a_carried_camera_walks_around_its_target():
     target = np.array([0.1, -0.2, 0.05])
     for seed in range(10):
         rng = np.random.default_rng(seed)
@@ -41,7 +41,7 @@ def test_a_carried_camera_goes_about_what_it_looks_at_at_a_walk():
         assert np.linalg.norm(np.ptp(seen, axis=0)) < 0.1 * camera.fx
 
 
-def test_stereo_loses_what_the_other_camera_does_not_see_and_errs_with_the_square_of_depth():
+def test_stereo_depth_has_shadows_and_noise_that_grows_with_the_square_of_depth():
     depth = np.full((240, 320), 2.0, np.float32)
     depth[60:180, 160:240] = 0.5
     rng = np.random.default_rng(1)
@@ -53,7 +53,7 @@ def test_stereo_loses_what_the_other_camera_does_not_see_and_errs_with_the_squar
     assert spread[1] == pytest.approx(16.0 * spread[0], rel=0.4)
 
 
-def test_a_picture_of_twice_the_light_is_exposed_alike():
+def test_exposure_compensates_twice_the_light():
     light = np.random.default_rng(0).uniform(0.1, 1.0, (48, 64, 3)).astype(np.float32)
     once, twice = (
         photographed(np.random.default_rng(3), np.random.default_rng(4), k * light) for k in (1.0, 2.0)

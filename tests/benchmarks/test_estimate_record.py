@@ -1,4 +1,4 @@
-"""Answers that are kept in pieces: the figures are those of one run, and options are not mixed."""
+"""Results in pieces give the figures of one run; results of different options are not mixed."""
 
 import sys
 from pathlib import Path
@@ -23,13 +23,13 @@ def _row(scene: str, image: int, add_m: float) -> EstimateRow:
 
 
 def _keep(file: Path, image: tuple[str, int], rows: list[EstimateRow], cpu_s: list[float]) -> Journal:
-    """As a run that ends after one image."""
+    """Record the results of one image, as an interrupted run does."""
     journal = Journal(file, {"seed": 0})
     journal.add(key_of("fgr", "auto", image), piece_of(image, rows, cpu_s))
     return journal
 
 
-def test_figures_of_pieces_are_those_of_one_run(tmp_path: Path) -> None:
+def test_figures_of_pieces_equal_those_of_one_run(tmp_path: Path) -> None:
     rows = [_row("a", 1, 0.004), _row("a", 2, 0.03), _row("b", 1, np.inf), _row("b", 1, 0.002)]
     whole = EstimateResult(rows, [], 0, "perturbed", "auto", (0,)).summary()
     images = [("a", 1), ("a", 2), ("b", 1)]
@@ -44,7 +44,7 @@ def test_figures_of_pieces_are_those_of_one_run(tmp_path: Path) -> None:
     for name in ("recall_add", "recall_adds", "auc_add", "auc_adds", "interval95", "instances"):
         assert found[name] == whole[name]
     assert found["recall_add"] == 50.0
-    assert found["cpu_s_p50"] == pytest.approx(0.4)  # what found nothing is not counted
+    assert found["cpu_s_p50"] == pytest.approx(0.4)  # 0.0 s, of an image without a pose, is not counted
     first = summary(journal, "fgr", "auto", images[:1])
     assert first is not None
     assert first["recall_add"] == 100.0

@@ -1,4 +1,4 @@
-"""The scene on which growth is measured, and the exponents that are read off it."""
+"""The scene for measurements of growth, and the exponents that are fitted."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from huepose.model.types import ReferenceModel
 
 
 @pytest.mark.parametrize("slope", [0.0, 1.0, 1.5])
-def test_the_exponent_of_a_power_is_its_exponent(slope: float) -> None:
+def test_the_exponent_of_a_power_law_is_found(slope: float) -> None:
     assert exponent([(n, 3.0 * n**slope) for n in (1, 2, 5, 10, 20)]) == pytest.approx(slope)
 
 
-def test_what_is_paid_once_does_not_hide_growth() -> None:
+def test_a_constant_cost_does_not_hide_growth() -> None:
     assert exponent([(n, 100.0 + n**2) for n in (1, 10, 100, 1000, 10000)]) > 1.8
 
 
-def test_objects_stand_in_the_picture_where_the_truth_says(tea_box: ReferenceModel) -> None:
+def test_objects_are_in_the_image_at_their_true_poses(tea_box: ReferenceModel) -> None:
     models = copies(12, {"tea_box": tea_box})
     frame = picture(models, 12, 3)
     for k, model in enumerate(models.values()):
@@ -31,7 +31,7 @@ def test_objects_stand_in_the_picture_where_the_truth_says(tea_box: ReferenceMod
         assert abs(frame.depth[v, u] - middle[0, 2]) < tea_box.diameter_m, "the object, not the wall"
 
 
-def test_halved_edges_make_four_triangles_of_one_on_the_same_surface(tea_box: ReferenceModel) -> None:
+def test_halved_edges_split_a_triangle_into_four_on_the_same_surface(tea_box: ReferenceModel) -> None:
     mesh, fine = tea_box.mesh, halved(tea_box.mesh, 2)
     assert len(fine.faces) == 16 * len(mesh.faces)
     (normals, areas), (fine_normals, fine_areas) = mesh.face_normals(), fine.face_normals()

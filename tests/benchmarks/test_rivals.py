@@ -1,4 +1,4 @@
-"""Rivals that are broken would flatter us: each must do what it is known for."""
+"""A broken baseline would make our results look better, so each must do what it is known for."""
 
 import sys
 from pathlib import Path
@@ -20,7 +20,7 @@ from track_rivals import LastPoseTracker, careful_icp, color_icp, flow_pairs
 from huepose.tracking.types import Correction
 
 
-def test_careful_icp_comes_back_from_a_centimetre_and_five_degrees(tea_box, box_frame, standing) -> None:
+def test_careful_icp_corrects_a_centimetre_and_five_degrees(tea_box, box_frame, standing) -> None:
     turned = se3.rotation_exp(np.radians([0.0, 4.0, 3.0])) @ standing[:3, :3]
     start = se3.make(turned, standing[:3, 3] + [0.006, -0.005, 0.006])
     T = careful_icp(tea_box, start, None, box_frame)
@@ -29,7 +29,7 @@ def test_careful_icp_comes_back_from_a_centimetre_and_five_degrees(tea_box, box_
 
 
 @pytest.mark.parametrize("step", [color_icp, flow_pairs])
-def test_steps_that_read_colour_follow_a_small_motion(tea_box, take_picture, standing, step) -> None:
+def test_colour_based_steps_follow_a_small_motion(tea_box, take_picture, standing, step) -> None:
     moved = standing.copy()
     moved[:3, 3] += [0.006, 0.0, 0.0]
     before, now = (take_picture([(tea_box.mesh, T)], frame_id=k) for k, T in enumerate((standing, moved)))
@@ -37,7 +37,7 @@ def test_steps_that_read_colour_follow_a_small_motion(tea_box, take_picture, sta
     assert metrics.add(tea_box.eval_points, T, moved) < 0.003
 
 
-def test_constant_velocity_starts_where_the_motion_leads(tea_box, take_picture, standing) -> None:
+def test_constant_velocity_starts_at_the_predicted_pose(tea_box, take_picture, standing) -> None:
     starts = []
 
     def noted(model, T, before, frame):
@@ -61,7 +61,7 @@ def _whole(model: ReferenceModel, T: np.ndarray, take_picture) -> Seen:
 
 
 @pytest.mark.parametrize("rival", [Features(fast=False), ManyStarts()])
-def test_registration_by_shape_lays_the_box_on_its_points(tea_box, take_picture, standing, rival) -> None:
+def test_registration_by_shape_aligns_the_box_with_its_points(tea_box, take_picture, standing, rival) -> None:
     rival.prepare(tea_box)
     found = rival.pose(tea_box, _whole(tea_box, standing, take_picture))
     assert found is not None
@@ -69,7 +69,7 @@ def test_registration_by_shape_lays_the_box_on_its_points(tea_box, take_picture,
     assert found[2] > 0
 
 
-def test_by_colour_the_box_is_not_upside_down(tea_box, take_picture, standing) -> None:
+def test_registration_by_colour_does_not_flip_the_box(tea_box, take_picture, standing) -> None:
     rival = ManyStarts(by_color=True)
     rival.prepare(tea_box)
     found = rival.pose(tea_box, _whole(tea_box, standing, take_picture))

@@ -1,4 +1,4 @@
-"""No stage of the library costs more CPU time than it did, and where one does it is noticed."""
+"""No stage of the library needs more CPU time than before, and a slower stage is reported."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from huepose_services.runtime.threads import THREAD_VARIABLES
 
 
 def _speed(*arguments: str) -> tuple[int, dict[str, dict[str, float]]]:
-    """Exit status and findings, with numeric libraries on one thread: idle threads of theirs spin."""
+    """Exit status and findings. Numeric libraries run on one thread, because their idle threads spin."""
     done = subprocess.run(
         [sys.executable, "-m", "benchmarks.speed", *arguments],
         env=os.environ | dict.fromkeys(THREAD_VARIABLES, "1"),
@@ -44,6 +44,6 @@ def test_no_stage_became_slower():
 @pytest.mark.live
 @pytest.mark.pipeline
 @measured_here
-def test_a_stage_that_is_slower_by_half_is_noticed():
+def test_a_stage_that_is_slower_by_half_is_reported():
     code, found = _speed("--only", "track", "--slowed", "0.5")
     assert (code, list(found["slower"])) == (1, ["track"]), found

@@ -1,4 +1,4 @@
-"""A reference model and a way to take pictures of it, shared by the tests of several rooms."""
+"""Reference models and rendered frames of them, shared by the tests of several rooms."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TakePicture = Callable[..., RgbdFrame]
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """For `-m live`, the files without such tests: to import all of them takes ten seconds."""
+    """With `-m live`, skip files without such tests: importing all files takes ten seconds."""
     is_tests = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
     only_live = config.getoption("markexpr").startswith("live") and is_tests
     return True if only_live and "pytest.mark.live" not in collection_path.read_text() else None
@@ -48,13 +48,13 @@ def soup_can() -> ReferenceModel:
 
 @pytest.fixture(scope="session")
 def box_and_can(tea_box: ReferenceModel, soup_can: ReferenceModel) -> dict[str, ReferenceModel]:
-    """Two models: the tea box, and the can."""
+    """Two models: the tea box and the can."""
     return {"tea_box": tea_box, "soup_can": soup_can}
 
 
 @pytest.fixture(scope="session")
 def larger_box(box_and_can: dict[str, ReferenceModel], take_picture: TakePicture) -> TakePicture:
-    """A function of how many times as large the tea box of that frame is as its mesh, beside a right can."""
+    """A function of a scale: a frame of the tea box at this scale beside a can of the right size."""
 
     def take(times: float) -> RgbdFrame:
         box, can = (box_and_can[name].mesh for name in ("tea_box", "soup_can"))
@@ -66,8 +66,8 @@ def larger_box(box_and_can: dict[str, ReferenceModel], take_picture: TakePicture
 
 @pytest.fixture(scope="session")
 def take_picture() -> TakePicture:
-    """A function of [(mesh, T_cam_obj), ...] and `light` (3,): the frame of a camera that looks down on a
-    table of wood at these objects, every channel multiplied by its light."""
+    """A function of [(mesh, T_cam_obj), ...] and `light` (3,): the frame of a camera that looks down at these
+    objects on a wooden table. `light` multiplies the colour channels."""
     table, T_cam_table = table_top()
 
     def take(
@@ -86,25 +86,25 @@ def take_picture() -> TakePicture:
 
 @pytest.fixture(scope="session")
 def standing() -> np.ndarray:
-    """T_cam_obj of the tea box standing turned on the table, 0.7 m away."""
+    """T_cam_obj of the tea box: upright on the table, rotated by 35 degrees, 0.7 m away."""
     return standing_pose(np.radians(35.0), 0.0, 0.0)
 
 
 @pytest.fixture(scope="session")
 def box_frame(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray) -> RgbdFrame:
-    """The frame of the tea box that stands there. Nobody may write into it."""
+    """The frame of the tea box at the pose `standing`. Tests must not write into it."""
     return take_picture([(tea_box.mesh, standing)])
 
 
 def standing_pose(yaw: float, x: float, y: float) -> np.ndarray:
-    """T_cam_obj of the tea box that stands at (x, y) of the table."""
+    """T_cam_obj of the tea box: upright at (x, y) on the table."""
     up = 0.075
     on_table = se3.make(se3.rotation_exp(np.array([0.0, 0.0, yaw])), np.array([x, y, up]))
     return se3.compose(table_top()[1], on_table)
 
 
 def table_top() -> tuple[Mesh, np.ndarray]:
-    """A table top of 1.2 m with grain, z up, and where the camera sees it: 35 degrees from above."""
+    """A wooden table top of 1.2 m, z up, and its T_cam_table. The camera looks down by 35 degrees."""
     rng = np.random.default_rng(5)
     grain = np.cumsum(rng.normal(0, 3, (64, 256)), axis=0)
     grain = 120 + 25 * (grain - grain.mean()) / grain.std()

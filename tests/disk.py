@@ -1,4 +1,4 @@
-"""A disk that takes no more."""
+"""A full disk."""
 
 import resource
 import signal
@@ -8,10 +8,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def full_disk(room_bytes: int = 0) -> Iterator[None]:
-    """Inside, this process can make no file larger than that: the system refuses as a full disk does.
+    """Limit the size of files that this process writes; the system then refuses as if the disk were full.
 
-    The signal that comes with it would end a process that does not ignore it, as one after a library has set
-    its own handlers."""
+    The signal that comes with the limit is ignored here: it would end a process whose handlers a library has
+    changed."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room_bytes, hard))

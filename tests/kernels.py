@@ -1,4 +1,4 @@
-"""What tests of warm-ups ask: which kernels are compiled by now."""
+"""Which kernels are compiled, for tests of warm-ups."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reference models of meshes, each made once in a run of tests, by whichever of its processes asks first."""
+"""Reference models of meshes. Each is made once in a test run, by the first process that needs it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from huepose.model.types import ReferenceModel
 from huepose.onboarding.onboard import onboard_mesh
 
 shelf: Path | None = None
-"""A folder that all processes of the run share; None outside of a run."""
+"""A folder that all processes of a test run share; None outside a run."""
 
 
 def onboarded(mesh: Mesh, name: str, **how: Any) -> ReferenceModel:
-    """What `onboard_mesh` makes of the same, to the bit."""
+    """The result of `onboard_mesh`, bit by bit."""
     if shelf is None:
         return onboard_mesh(mesh, name, **how)
     digest = hashlib.sha256(repr(sorted(how.items())).encode())
@@ -32,12 +32,12 @@ def onboarded(mesh: Mesh, name: str, **how: Any) -> ReferenceModel:
         if not path.exists():
             save_model(onboard_mesh(mesh, name, **how), path)
     made = load_model(path)
-    # As one that was just made: what is derived of it is kept nowhere.
+    # As after onboarding: no digest, so nothing derived from the model is cached.
     return replace(made, digest=None, mesh=replace(made.mesh, digest=None))
 
 
 def times_as_large(model: ReferenceModel, times: float) -> ReferenceModel:
-    """The model of an object that is so many times as large, but for its views and keypoints."""
+    """The model scaled by `times`, without changing its views and keypoints."""
     surface, factor = model.surface, np.float32(times)
     mesh = Mesh(model.mesh.vertices * factor, model.mesh.faces, model.mesh.uv, model.mesh.texture)
     scaled = replace(surface, points=surface.points * factor)

@@ -1,4 +1,4 @@
-"""What the scripts of deploy/ look for on a computer as it may be."""
+"""The scripts of deploy/ find system libraries and uv."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def _bash(script: str, folder: Path, path: str) -> subprocess.CompletedProcess[s
     )
 
 
-def test_system_libraries_are_looked_for_without_sbin_on_the_path(tmp_path: Path) -> None:
-    """As Debian's ordinary users have it. Nothing is installed: what is missing is said."""
+def test_system_libraries_are_found_without_sbin_on_the_path(tmp_path: Path) -> None:
+    """PATH of an ordinary user of Debian. The script installs nothing and names what is missing."""
     text = (DEPLOY / "setup.sh").read_text()
     (function,) = re.findall(r"^system_libraries\(\) \{.*?^\}", text, re.MULTILINE | re.DOTALL)
     stand_ins = 'id() { echo 1000; }\nfail() { echo "$*"; exit 0; }\nuname() { echo x86_64; }'
@@ -29,7 +29,7 @@ def test_system_libraries_are_looked_for_without_sbin_on_the_path(tmp_path: Path
 
 
 @pytest.mark.parametrize("script", ["audit.sh", "bundle.sh", "try_wheel.sh"])
-def test_of_several_uv_the_one_of_uv_txt_is_taken(tmp_path: Path, script: str) -> None:
+def test_of_several_uv_the_version_in_uv_txt_is_used(tmp_path: Path, script: str) -> None:
     (found,) = re.findall(r"^UV=.*$", (DEPLOY / script).read_text(), re.MULTILINE)
     (tmp_path / "deploy").mkdir()
     (tmp_path / "deploy" / "uv.txt").write_text((DEPLOY / "uv.txt").read_text())

@@ -1,4 +1,4 @@
-"""The maps of the large rooms name every module that is there, and none that is not."""
+"""The package docstrings of the large rooms name exactly the existing modules."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 
 @pytest.mark.parametrize("room", ["evaluation", "onboarding", "scenes"])
-def test_a_map_names_every_module(room: str) -> None:
+def test_a_package_docstring_names_every_module(room: str) -> None:
     package = import_module(f"huepose.{room}")
     assert package.__doc__ is not None
     assert package.__file__ is not None

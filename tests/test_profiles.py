@@ -17,7 +17,7 @@ from huepose_services.cli.main import build_parser
 from huepose_services.runtime.config import Config
 
 
-def test_what_is_made_without_settings_is_what_runs_live(tea_box: ReferenceModel) -> None:
+def test_the_default_settings_are_those_of_the_profile_live(tea_box: ReferenceModel) -> None:
     models = {"tea_box": tea_box}
     live = profile("live")
     assert Estimator(models).config == live.estimator == EstimatorConfig()
@@ -25,7 +25,7 @@ def test_what_is_made_without_settings_is_what_runs_live(tea_box: ReferenceModel
     assert ViewDetector(models).config == live.detector
 
 
-def test_a_pipeline_knows_the_same_names_and_runs_live_unless_told() -> None:
+def test_a_pipeline_accepts_the_same_names_and_defaults_to_live() -> None:
     assert get_args(get_type_hints(Config)["profile"]) == get_args(ProfileName) == NAMES == tuple(PROFILES)
     assert Config().profile == "live"
 
@@ -40,7 +40,7 @@ def test_a_pipeline_knows_the_same_names_and_runs_live_unless_told() -> None:
         ["bench"],
     ],
 )
-def test_every_measurement_is_of_what_runs_live_unless_told(command: list[str]) -> None:
+def test_every_measuring_command_defaults_to_live(command: list[str]) -> None:
     assert build_parser().parse_args(command).profile == "live"
     for name in NAMES:
         assert build_parser().parse_args([*command, "--profile", name]).profile == name

@@ -1,4 +1,4 @@
-"""The README's library example runs as it is written, on the frame that `huepose new tea_box` draws."""
+"""The README's library example runs as written, on the frame that `huepose new tea_box` renders."""
 
 import re
 from pathlib import Path
@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture
 def example(tea_box, tmp_path, monkeypatch):
-    """The example's code, in a folder with what it reads, and the true pose."""
+    """The example's code, run in a folder with the files that it reads, and the true pose."""
     (tmp_path / "tea_box" / "bundles").mkdir(parents=True)
     save_model(tea_box, tmp_path / "tea_box" / "bundles" / "tea_box.huepose")
     shot = first_shot({"tea_box": tea_box.mesh})
@@ -42,8 +42,8 @@ def test_the_library_example_finds_and_tracks_the_object(example, capsys):
     assert se3.rotation_angle(tracked.T_cam_obj, T_cam_obj) < np.radians(1.0)
 
 
-def test_a_look_alike_is_no_surer_in_the_tracker_than_in_its_estimate(example):
-    """The box of another seed: the same shape, another print."""
+def test_a_look_alike_is_suspect_in_the_estimate_and_in_the_tracker(example):
+    """The box of another seed: the same shape, another texture."""
     code, _ = example
     write_frame(Path("tea_box"), first_shot({"tea_box": demo_objects(1)["tea_box"]}), CAMERA)
     names = {}
@@ -53,7 +53,7 @@ def test_a_look_alike_is_no_surer_in_the_tracker_than_in_its_estimate(example):
     assert tracked.state == "SUSPECT"
 
 
-def test_the_library_example_goes_on_where_no_pose_is_found(example, capsys):
+def test_the_library_example_runs_if_no_pose_is_found(example, capsys):
     code, _ = example
     depth = cv2.imread("tea_box/depth.png", cv2.IMREAD_UNCHANGED)
     depth[:, :200] = 0

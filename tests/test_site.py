@@ -1,4 +1,4 @@
-"""The documentation as a site: no link leads nowhere, and the reference of pipeline.yaml has every key."""
+"""The documentation as a site: all links work, and the reference of pipeline.yaml has every key."""
 
 import os
 import re
@@ -13,7 +13,7 @@ from huepose_services.runtime.config import Config, ViewerConfig
 ROOT = Path(__file__).parents[1]
 
 
-def test_it_is_built_without_a_warning_and_explains_every_key(tmp_path):
+def test_the_site_is_built_without_a_warning_and_explains_every_key(tmp_path):
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)]
     done = subprocess.run(
         command,

@@ -1,4 +1,4 @@
-"""Every package of the lock has a wheel for every computer that is supported: nothing is compiled there."""
+"""Every locked package has a wheel for every supported computer: nothing is compiled there."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from packaging.utils import canonicalize_name, parse_wheel_filename
 
 ROOT = Path(__file__).parents[1]
 GLIBC = 35
-"""Of Ubuntu 22.04, and so of JetPack 6, the oldest system that is supported."""
+"""Minor version of glibc in Ubuntu 22.04 and JetPack 6, the oldest supported systems."""
 EXTRAS = ("edge", "viewer", "realsense", "oak", "onboard", "ros2", "secure")
 
 
 def _exported(extras: tuple[str, ...]) -> list[Requirement]:
-    """What the lock says for these extras, with its markers."""
+    """The locked requirements of these extras, with their markers."""
     uv = sorted(ROOT.glob(".tools/uv-*/bin/uv"))
     if not uv:
         pytest.skip("no uv in .tools: make setup")
@@ -30,7 +30,7 @@ def _exported(extras: tuple[str, ...]) -> list[Requirement]:
 
 
 def _tags(python: tuple[int, int], machine: str) -> set[Tag]:
-    """Of wheels that such a computer takes."""
+    """Tags of wheels that run on such a computer."""
     legacy = ["2014"] if machine == "aarch64" else ["2014", "2010", "1"]
     names = [f"_2_{minor}" for minor in range(GLIBC, 4, -1)] + legacy
     platforms = [f"manylinux{name}_{machine}" for name in names] + [f"linux_{machine}"]

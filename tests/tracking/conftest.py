@@ -1,4 +1,4 @@
-"""A second object, whose shape hides its turn about one axis; films of moving objects; a tracker of one."""
+"""Plain objects, functions that render frames of moving objects, and a tracker that has started."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Shoot = Callable[..., RgbdFrame]
 
 @pytest.fixture(scope="session")
 def plain_box() -> ReferenceModel:
-    """Of one colour but for a sticker on the side that is hidden when it lies."""
+    """A box of one colour, with a sticker on a side that is out of view when it lies."""
     return onboarded(builtin_meshes(0)["plain_box"], "plain_box")
 
 
@@ -35,7 +35,7 @@ def half_plain_can() -> ReferenceModel:
 
 @pytest.fixture(scope="session")
 def plain_bracket() -> ReferenceModel:
-    """Of one colour all over; its shape alone tells how it is turned."""
+    """A bracket of one colour; only its shape shows its orientation."""
     return onboarded(builtin_meshes(0)["plain_bracket"], "plain_bracket")
 
 
@@ -50,7 +50,7 @@ def backdrop() -> RgbdFrame:
 
 @pytest.fixture(scope="session")
 def board() -> tuple[Mesh, np.ndarray]:
-    """A grey board of 0.4 m before the camera, 0.3 m away, and its pose T_cam_mesh."""
+    """A grey board of 0.4 m, 0.3 m in front of the camera, and its pose T_cam_mesh."""
     corners = np.array([[-0.2, -0.2, 0], [0.2, -0.2, 0], [0.2, 0.2, 0], [-0.2, 0.2, 0]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)[faces]
@@ -60,8 +60,8 @@ def board() -> tuple[Mesh, np.ndarray]:
 
 @pytest.fixture(scope="session")
 def shoot(backdrop: RgbdFrame) -> Shoot:
-    """A function of [(mesh, T_cam_obj), ...] and a frame number: the 30 Hz frame of these objects before the
-    wall, with the noise of a camera."""
+    """A function of [(mesh, T_cam_obj), ...] and a frame number: the 30 Hz frame of these objects in front of
+    the wall, with camera noise."""
 
     def take(
         scene: Scene,
@@ -70,12 +70,12 @@ def shoot(backdrop: RgbdFrame) -> Shoot:
         noise: float = 2.0,
         epoch: int = 1,
     ) -> RgbdFrame:
-        picture = render(scene, CAMERA) if scene else None
+        rendered = render(scene, CAMERA) if scene else None
         color, depth = backdrop.color.astype(np.float64), backdrop.depth.copy()
-        if picture is not None:
-            seen = picture.depth > 0
-            color = np.where(seen[..., None], picture.color, color)
-            depth = np.where(seen, picture.depth, depth)
+        if rendered is not None:
+            visible = rendered.depth > 0
+            color = np.where(visible[..., None], rendered.color, color)
+            depth = np.where(visible, rendered.depth, depth)
         rng = np.random.default_rng([7, number])
         color = color * np.array(light) + rng.normal(0.0, noise, color.shape)
         depth = depth + rng.normal(0.0, 0.0004, depth.shape) * depth
@@ -93,7 +93,7 @@ def shoot(backdrop: RgbdFrame) -> Shoot:
 
 @pytest.fixture(scope="session")
 def path() -> Callable[[int], np.ndarray]:
-    """The pose T_cam_obj of an object that is carried and turned: 0.25 m/s and 80 degrees a second."""
+    """The pose T_cam_obj of an object that is carried and rotated: 0.25 m/s and 80 degrees per second."""
 
     def at(number: float) -> np.ndarray:
         t = number / 30.0
@@ -116,7 +116,7 @@ def film(tea_box, shoot, path):
 
 @pytest.fixture
 def started(tea_box, film, path):
-    """A tracker that has followed the box for six frames."""
+    """A tracker that has tracked the box for six frames."""
     tracker = Tracker({"tea_box": tea_box})
     for k, frame in enumerate(film(6)):
         if k == 0:

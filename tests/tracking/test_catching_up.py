@@ -1,4 +1,4 @@
-"""How a late pose comes to now: by which strides, and verified."""
+"""How a late pose is tracked forward to the newest frame: in which strides, and how it is verified."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from huepose.tracking.subject import Subject
 from huepose.tracking.track import Track
 
 LATE = 12
-"""Frames that an answer of perception is behind: a third of a second and one more."""
+"""How many frames an answer of perception is behind: 0.4 s at 30 Hz."""
 
 CONFIG = TrackerConfig(tries_per_s=None, catch_up_stride=5)
 LIVE = TrackerConfig()
@@ -28,7 +28,7 @@ def late(frame, T, stamp_ns=None) -> Correction:
 
 @pytest.fixture(scope="module")
 def whirled(tea_box, shoot):
-    """The frames of a box that is whirled about at 0.6 m/s, its poses, and as many frames without it."""
+    """The frames of a box that is swung around at 0.6 m/s, its poses, and as many frames without it."""
 
     def at(number: int) -> np.ndarray:
         t = number / 30.0
@@ -41,7 +41,7 @@ def whirled(tea_box, shoot):
 
 
 @pytest.mark.parametrize("behind", [1, 3, 6, 12])
-def test_it_reaches_now_in_few_strides(tea_box, shoot, path, behind) -> None:
+def test_a_pursuit_reaches_the_newest_frame_in_few_strides(tea_box, shoot, path, behind) -> None:
     subject = Subject.of(tea_box)
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(behind + 1)]
     pursuit, steps = Pursuit(late(frames[0], path(0)), subject, CONFIG), 0
@@ -68,7 +68,7 @@ def test_no_stride_is_longer_than_allowed(tea_box, shoot, path) -> None:
     assert pursuit.track.frame is frames[CONFIG.catch_up_stride]
 
 
-def test_a_frame_that_was_skipped_settles_on_the_next_one(tea_box, shoot, path) -> None:
+def test_a_pose_of_a_skipped_frame_is_refined_in_the_next_one(tea_box, shoot, path) -> None:
     subject = Subject.of(tea_box)
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in (2, 3, 4)]
     correction = late(frames[0], path(1.5), stamp_ns=50_000_000)
@@ -79,7 +79,7 @@ def test_a_frame_that_was_skipped_settles_on_the_next_one(tea_box, shoot, path) 
     assert pursuit.arrived(frames[-1])
 
 
-def test_what_the_image_denies_is_not_supported(tea_box, shoot, path) -> None:
+def test_a_pose_that_the_image_contradicts_is_not_supported(tea_box, shoot, path) -> None:
     frame = shoot([])
     pursuit = Pursuit(late(frame, path(0)), Subject.of(tea_box), CONFIG)
     pursuit.follow([frame])
@@ -88,8 +88,8 @@ def test_what_the_image_denies_is_not_supported(tea_box, shoot, path) -> None:
 
 
 @pytest.mark.parametrize("looked_at", [12, 15])
-def test_an_answer_that_is_seconds_late_is_still_of_use(tea_box, shoot, path, looked_at) -> None:
-    """Of the first frames in which it was carried about only every sixth is left, so not number 15."""
+def test_an_answer_that_is_seconds_late_is_used(tea_box, shoot, path, looked_at) -> None:
+    """Of the oldest frames the history keeps only every sixth: 12 is kept, 15 is not."""
     tracker = Tracker({"tea_box": tea_box}, LIVE)
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(132)]
     for frame in frames[:91]:
@@ -101,7 +101,7 @@ def test_an_answer_that_is_seconds_late_is_still_of_use(tea_box, shoot, path, lo
         if poses:
             break
     assert number < 125
-    assert tracker.reach_s is None, "it began less than four seconds ago"
+    assert tracker.reach_s is None, "the tracker began less than four seconds ago"
     assert poses[0].state is State.TRACKING
     assert np.linalg.norm(poses[0].T_cam_obj[:3, 3] - path(number)[:3, 3]) < 2e-3
     assert se3.rotation_angle(poses[0].T_cam_obj, path(number)) < np.radians(1.0)
@@ -109,8 +109,8 @@ def test_an_answer_that_is_seconds_late_is_still_of_use(tea_box, shoot, path, lo
 
 
 @pytest.mark.parametrize("rests_until", [60, 14])
-def test_what_rests_is_caught_up_in_a_few_looks(tea_box, shoot, path, monkeypatch, rests_until) -> None:
-    """Also where it was lifted meanwhile, of which the long looks ahead know nothing."""
+def test_a_static_object_is_caught_up_in_a_few_looks(tea_box, shoot, path, monkeypatch, rests_until) -> None:
+    """Also if it was lifted meanwhile, which the long strides do not expect."""
     look, looks = Track.look, []
     monkeypatch.setattr(Track, "look", lambda track, *args: looks.append(track) or look(track, *args))
     truth = [path(max(k - rests_until, 0)) for k in range(60)]
@@ -128,8 +128,8 @@ def test_what_rests_is_caught_up_in_a_few_looks(tea_box, shoot, path, monkeypatc
     assert len(looks) <= (5 if rests_until == 60 else 16)
 
 
-def test_what_moves_too_fast_for_a_long_step_is_caught_up_all_the_same(tea_box, whirled, monkeypatch) -> None:
-    """In a live frame there is time for two steps, as when none has to be taken back."""
+def test_an_object_too_fast_for_a_long_stride_is_caught_up(tea_box, whirled, monkeypatch) -> None:
+    """Each live frame takes at most two looks, also if a stride has to be undone."""
     frames, truth, _ = whirled
     look, looks = Track.look, []
     monkeypatch.setattr(Track, "look", lambda track, *args: looks.append(track) or look(track, *args))
@@ -149,7 +149,7 @@ def test_what_moves_too_fast_for_a_long_step_is_caught_up_all_the_same(tea_box, 
         assert np.linalg.norm(poses[0].T_cam_obj[:3, 3] - truth[number][:3, 3]) < 2e-3
 
 
-def test_a_step_that_lost_the_object_is_taken_back_and_strides_grow_again(tea_box, whirled) -> None:
+def test_a_stride_that_lost_the_object_is_undone_and_strides_grow_again(tea_box, whirled) -> None:
     frames, truth, _ = whirled
     pursuit, reached = Pursuit(late(frames[0], truth[0]), Subject.of(tea_box), LIVE), [0]
     for now in range(LATE, len(frames)):
@@ -158,7 +158,7 @@ def test_a_step_that_lost_the_object_is_taken_back_and_strides_grow_again(tea_bo
         reached.append(pursuit.track.frame.frame_id)
         if pursuit.arrived(frames[now]):
             break
-    assert reached[:5] == [0, 0, 1, 3, 6], "the first step lost it"
+    assert reached[:5] == [0, 0, 1, 3, 6], "the first stride lost it"
     assert reached[-1] == now
     stamps = [stamp for stamp, _ in pursuit.poses]
     assert stamps == sorted(set(stamps))
@@ -166,20 +166,20 @@ def test_a_step_that_lost_the_object_is_taken_back_and_strides_grow_again(tea_bo
 
 @pytest.mark.parametrize("moved", [False, True])
 def test_only_a_camera_that_moved_has_turned_away(tea_box, whirled, moved) -> None:
-    """A hand before a camera that stands hides the place as well."""
+    """A hand in front of a static camera occludes the object as well."""
     frames, truth, empty = whirled
     T_room_cam = se3.make(np.eye(3), np.array([0.0, 0.003 if moved else 0.0005, 0.0]))
-    hidden = [
+    occluded = [
         replace(f, depth=np.full_like(f.depth, 0.2), T_parent_cam=T_room_cam) for f in empty[1 : LATE + 1]
     ]
-    film = [replace(frames[0], T_parent_cam=np.eye(4)), *hidden]
+    film = [replace(frames[0], T_parent_cam=np.eye(4)), *occluded]
     pursuit = Pursuit(late(frames[0], truth[0]), Subject.of(tea_box), LIVE)
     pursuit.follow(film)
     assert pursuit.turned_away == moved
 
 
-def test_what_is_lost_again_and_again_is_given_up(tea_box, whirled) -> None:
-    """It vanishes on the way, and a second long step comes no nearer to now."""
+def test_a_pursuit_that_loses_the_object_repeatedly_is_given_up(tea_box, whirled) -> None:
+    """The object vanishes on the way, and a second long stride comes no nearer to the newest frame."""
     frames, truth, empty = whirled
     film = [*frames[:5], *empty[5:]]
     pursuit, reached = Pursuit(late(frames[0], truth[0]), Subject.of(tea_box), LIVE), 0
@@ -193,7 +193,7 @@ def test_what_is_lost_again_and_again_is_given_up(tea_box, whirled) -> None:
 
 
 @pytest.mark.parametrize("wrong", ["elsewhere", "turned", "turned over", "absent"])
-def test_a_wrong_answer_about_a_fast_object_stays_dropped(tea_box, whirled, wrong) -> None:
+def test_a_wrong_answer_about_a_fast_object_is_never_tracking(tea_box, whirled, wrong) -> None:
     frames, truth, empty = whirled
     T = truth[0].copy()
     if wrong == "elsewhere":

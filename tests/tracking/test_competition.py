@@ -1,4 +1,4 @@
-"""Who holds a surface: a larger object around the right one does not, a thin one that lies on it does."""
+"""Which object a surface belongs to: not to a larger one around the right one, but to a thin one on top."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ def scaled(surface: PreparedSurface, by: float) -> PreparedSurface:
     return replace(surface, arrays=arrays, diameter_m=surface.diameter_m * by, radius_m=surface.radius_m * by)
 
 
-def facing(surface: PreparedSurface, thick_m: float, front_m: float, turn: np.ndarray) -> np.ndarray:
-    """The pose T_cam_obj (4, 4), after a rotation (3, 3), with the near face at that distance."""
+def facing(surface: PreparedSurface, thick_m: float, front_m: float, R: np.ndarray) -> np.ndarray:
+    """The pose T_cam_obj (4, 4) with the rotation R (3, 3) and the near face at distance front_m."""
     middle = np.array([0.0, 0.0, front_m + thick_m / 2])
-    return se3.make(turn, middle - turn @ surface.arrays.centre)
+    return se3.make(R, middle - R @ surface.arrays.centre)
 
 
 @pytest.mark.parametrize("by", [1.1, 1.3])
 @pytest.mark.parametrize("pixels", [1, 4])
-def test_a_larger_object_around_the_right_one_loses_in_a_picture_of_any_size(
+def test_a_larger_object_around_the_right_one_loses_in_an_image_of_any_size(
     tea_box, shoot, by, pixels
 ) -> None:
     small = PreparedSurface.of(tea_box)
@@ -45,7 +45,7 @@ def test_a_larger_object_around_the_right_one_loses_in_a_picture_of_any_size(
     assert losers(claims, depth, frame.camera.scaled(pixels)) == [0]
 
 
-def test_a_thin_thing_that_lies_on_another_keeps_its_surface(tea_box, shoot) -> None:
+def test_a_thin_object_on_another_keeps_its_surface(tea_box, shoot) -> None:
     box, by = PreparedSurface.of(tea_box), 0.2
     thing = scaled(box, by)
     flat = se3.rotation_exp(np.array([np.pi / 2, 0.0, 0.0]))
@@ -55,7 +55,7 @@ def test_a_thin_thing_that_lies_on_another_keeps_its_surface(tea_box, shoot) -> 
     small = Mesh((mesh.vertices * by).astype(np.float32), mesh.faces, mesh.uv, mesh.texture)
     frame = shoot([(mesh, under), (small, above)])
     assert losers([Claim(box, under, 1.4), Claim(thing, above, 0.8)], frame.depth, frame.camera) == []
-    # Where it does not lie, its pose claims the box.
+    # If the thin object is not there, its pose claims the box's surface.
     assert losers(
         [Claim(box, under, 1.4), Claim(thing, above, 0.8)],
         shoot([(mesh, under)]).depth,

@@ -1,4 +1,4 @@
-"""What the tracker does with perception's answers about past frames."""
+"""How the tracker applies perception's answers about past frames."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.tracking.conftest import correction, errors
 
 
 def test_a_late_perfect_pose_replays_exactly(started, film, path) -> None:
-    """Output equals the truth at the corrected frame composed with the increments that were tracked since."""
+    """The output is the truth at the corrected frame, composed with the increments tracked since then."""
     track = started._tracks["tea_box", 0]
     before = [e.T_cam_obj for e in track.history]
     late = 2
@@ -36,7 +36,7 @@ def test_a_small_correction_does_not_make_a_sure_object_doubtful(started, film, 
     flipped = path(5) @ se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
     started.correct(correction(frames[5], flipped, 3, Verdict.CORRECT, quality=0.5))
     (pose,) = started.step(frames[7])
-    assert errors(pose, path(7))[1] < 1.0, "the image knows better"
+    assert errors(pose, path(7))[1] < 1.0, "the image outweighs the correction"
     assert pose.state is State.TRACKING
 
 
@@ -49,7 +49,7 @@ def test_corrections_are_idempotent_by_number(started, film, path) -> None:
     np.testing.assert_array_equal(started.poses()[0].T_cam_obj, first)
 
 
-def test_corrections_that_cannot_be_taken(tea_box, film, path, started) -> None:
+def test_corrections_that_cannot_be_applied_are_refused(tea_box, film, path, started) -> None:
     old = film(1)[0]
     tracker = Tracker({"tea_box": tea_box}, TrackerConfig(history_frames=3, older_frames=0))
     for frame in film(6):
@@ -79,7 +79,7 @@ def test_a_skipped_frame_is_corrected_between_its_neighbours(tea_box, film, path
     assert degrees < 1.5
 
 
-def test_a_gross_correction_is_caught_up_before_it_is_published(tea_box, shoot, path) -> None:
+def test_a_large_correction_is_caught_up_before_it_is_published(tea_box, shoot, path) -> None:
     """The tracker follows the left one of two boxes; six frames ago perception saw the right one."""
     left, right = np.array([-0.1, 0.0, 0.05]), np.array([0.1, 0.0, 0.05])
 
@@ -97,7 +97,7 @@ def test_a_gross_correction_is_caught_up_before_it_is_published(tea_box, shoot, 
     np.testing.assert_array_equal(tracker.poses()[0].T_cam_obj, here)
     assert tracker.correct(there) is Applied.REPEATED
     for k in range(8, 12):
-        # The left one is gone now, so that the correction explains more than what was tracked.
+        # The left one is gone now, so the correction explains more than the tracked pose.
         (pose,) = tracker.step(shoot([(tea_box.mesh, at(k, right))], k))
         assert pose.applied_correction_seq == 2 or errors(pose, at(k, right))[0] > 100
         if pose.applied_correction_seq == 2:
@@ -123,7 +123,7 @@ def test_a_late_acquisition_catches_up_with_a_moving_object(tea_box, film, path)
     assert errors(published[-1][0], path(13))[0] < 1.0
 
 
-def test_an_acquisition_that_the_image_denies_is_dropped(tea_box, shoot, path) -> None:
+def test_an_acquisition_that_the_image_contradicts_is_dropped(tea_box, shoot, path) -> None:
     tracker = Tracker({"tea_box": tea_box})
     empty = shoot([], 0)
     tracker.correct(correction(empty, path(0)))
@@ -142,18 +142,18 @@ def test_a_doubtful_acquisition_is_suspect_until_perception_agrees(tea_box, film
         agreed = correction(frames[seq - 1], path(seq - 1), seq, Verdict.AGREE, quality=0.9)
         assert tracker.correct(agreed) is Applied.APPLIED
         (pose,) = tracker.step(frames[1 + seq])
-        # One wrong in ten is too many.
+        # One error in ten is too many.
         assert pose.state is (State.SUSPECT if seq == 2 else State.TRACKING)
         assert pose.applied_correction_seq == seq
     assert pose.quality > 0.8
 
 
 @pytest.mark.parametrize(("quality", "present", "state"), [
-    (0.91, 0.99, State.TRACKING),  # it is there, and no other turn fits as well
+    (0.91, 0.99, State.TRACKING),  # it is there, and no other orientation fits as well
     (0.91, 0.93, State.SUSPECT),   # one in fourteen times it is something else
     (0.8, 0.99, State.SUSPECT),    # it is there, in one of several poses
 ])  # fmt: skip
-def test_one_answer_is_enough_where_the_object_is_surely_there_and_its_turn_is_seen(
+def test_one_answer_is_enough_if_presence_and_orientation_are_certain(
     tea_box, film, path, quality, present, state
 ) -> None:
     tracker = Tracker({"tea_box": tea_box})
@@ -163,7 +163,7 @@ def test_one_answer_is_enough_where_the_object_is_surely_there_and_its_turn_is_s
     assert pose.state is state
 
 
-def test_what_perception_doubts_again_and_again_stays_suspect(tea_box, film, path) -> None:
+def test_an_object_that_perception_doubts_repeatedly_stays_suspect(tea_box, film, path) -> None:
     tracker = Tracker({"tea_box": tea_box})
     frames = film(12)
     tracker.correct(correction(frames[0], path(0), quality=0.6))
@@ -176,7 +176,7 @@ def test_what_perception_doubts_again_and_again_stays_suspect(tea_box, film, pat
 
 
 @pytest.mark.parametrize(("present", "state"), [(0.9, State.SUSPECT), (0.97, State.TRACKING)])
-def test_one_viewpoint_says_no_more_of_the_object_than_its_surest_answer(
+def test_answers_from_one_viewpoint_confirm_no_more_than_the_surest(
     tea_box, film, path, present, state
 ) -> None:
     tracker = Tracker({"tea_box": tea_box})
@@ -190,7 +190,7 @@ def test_one_viewpoint_says_no_more_of_the_object_than_its_surest_answer(
     assert pose.state is state
 
 
-def test_a_second_look_at_one_frame_says_nothing_new(tea_box, film, path) -> None:
+def test_more_answers_about_one_frame_add_nothing(tea_box, film, path) -> None:
     tracker = Tracker({"tea_box": tea_box})
     frames = film(2)
     tracker.correct(correction(frames[0], path(0), quality=0.6))
@@ -202,9 +202,7 @@ def test_a_second_look_at_one_frame_says_nothing_new(tea_box, film, path) -> Non
     assert pose.quality < 0.85
 
 
-def test_an_answer_about_a_time_when_it_was_seen_says_nothing_of_what_is_usual_now(
-    tea_box, film, shoot, path
-) -> None:
+def test_an_answer_about_an_earlier_frame_does_not_change_the_usual_total(tea_box, film, shoot, path) -> None:
     tracker = Tracker({"tea_box": tea_box})
     frames = film(4)
     tracker.correct(correction(frames[0], path(0)))
@@ -218,7 +216,9 @@ def test_an_answer_about_a_time_when_it_was_seen_says_nothing_of_what_is_usual_n
     assert track.usual.baseline == usual
 
 
-def test_what_is_usual_does_not_fall_while_half_of_it_is_hidden(tea_box, soup_can, film, shoot, path) -> None:
+def test_the_usual_total_does_not_fall_while_half_of_the_object_is_occluded(
+    tea_box, soup_can, film, shoot, path
+) -> None:
     """Neither by frames in which it is TRACKING, nor by an answer of perception."""
     tracker, frames = Tracker({"tea_box": tea_box}), film(4)
     tracker.correct(correction(frames[0], path(0)))
@@ -254,13 +254,13 @@ _SHEARED = np.eye(4) + 0.2 * np.eye(4, k=1)
         ("tea_box", "found a str;"),
     ],
 )
-def test_what_is_no_pose_starts_nothing(film, given, found) -> None:
+def test_a_first_correction_without_a_valid_pose_is_refused(film, given, found) -> None:
     with pytest.raises(InputError, match=f"'tea_box': {found}") as caught:
         Correction.first("tea_box", given, film(1)[0], 1.0)
     assert "expected a rigid transform (4, 4)" in str(caught.value)
 
 
-def test_numbers_of_any_kind_that_are_a_pose_start_an_object(tea_box, film, path) -> None:
+def test_a_pose_as_lists_or_float32_starts_a_track(tea_box, film, path) -> None:
     frame = film(1)[0]
     for given in (path(0).tolist(), path(0).astype(np.float32)):
         tracker = Tracker({"tea_box": tea_box})
@@ -269,7 +269,7 @@ def test_numbers_of_any_kind_that_are_a_pose_start_an_object(tea_box, film, path
         assert errors(pose, path(0))[1] < 1.0
 
 
-def test_a_correction_of_an_estimate_is_as_sure_as_the_estimate(film, path) -> None:
+def test_a_correction_from_an_estimate_takes_its_quality(film, path) -> None:
     frame = film(3)[2]
     found = PoseEstimate("tea_box", 4, True, path(2), quality=0.3, reason="Hidden.", present=0.9)
     said = Correction.of(found, frame)

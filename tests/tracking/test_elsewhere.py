@@ -1,4 +1,4 @@
-"""What is lost is found again wherever it is in the picture, and nothing is found where it is not."""
+"""A lost object is found again anywhere in the image, and nothing is found where it is not."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HALF_A_SECOND = 15
 
 @pytest.fixture
 def asked(monkeypatch) -> list[int]:
-    """The parts of the picture that were looked at, one for each time."""
+    """The parts of the image that were searched, one for each search."""
     parts: list[int] = []
     real = lost.likeliest_place
 
@@ -35,7 +35,7 @@ def asked(monkeypatch) -> list[int]:
 
 
 def _away(T: np.ndarray, x: float, turn: float = 0.0) -> np.ndarray:
-    """Moved aside and turned."""
+    """The pose moved aside and rotated."""
     return se3.perturb(T, np.array([x, 0.02, 0.05, 0.3 * turn, turn, 0.0]))
 
 
@@ -58,7 +58,7 @@ def test_the_likeliest_place_is_where_the_object_is(tea_box, soup_can, shoot, pa
         assert place.holds(subject.surface.centre_cam(T))
 
 
-def test_what_was_lost_is_found_on_the_other_side(tea_box, shoot, path) -> None:
+def test_a_lost_object_is_found_on_the_other_side(tea_box, shoot, path) -> None:
     T = path(0)
     tracker, elsewhere = _tracked(tea_box, shoot, _away(T, -0.15)), _away(T, 0.2, 1.2)
     states = [tracker.step(shoot([], number))[0].state for number in range(4, 14)]
@@ -75,13 +75,15 @@ def test_what_was_lost_is_found_on_the_other_side(tea_box, shoot, path) -> None:
     assert doubts[-1] is None
 
 
-def test_what_jumps_is_found_before_it_is_lost_and_confirmed_by_perception(tea_box, shoot, path) -> None:
+def test_an_object_that_jumps_is_found_before_it_is_lost_and_confirmed_by_perception(
+    tea_box, shoot, path
+) -> None:
     T = path(0)
     tracker, elsewhere = _tracked(tea_box, shoot, _away(T, -0.15)), _away(T, 0.2, 1.2)
     for number in range(4, 4 + HALF_A_SECOND):
         frame = shoot([(tea_box.mesh, elsewhere)], number)
         (pose,) = tracker.step(frame)
-        assert pose.state is State.SUSPECT, "nothing moves like this, so it may be another box"
+        assert pose.state is State.SUSPECT, "nothing moves that fast, so it may be another box"
     assert pose.T_cam_obj is not None
     assert np.linalg.norm(pose.T_cam_obj[:3, 3] - elsewhere[:3, 3]) < 0.005
     assert tracker.doubt("tea_box", 0) is Doubt.ANOTHER
@@ -91,7 +93,7 @@ def test_what_jumps_is_found_before_it_is_lost_and_confirmed_by_perception(tea_b
     assert pose.state is State.TRACKING
 
 
-def test_what_jumps_is_confirmed_by_another_view(tea_box, shoot, path) -> None:
+def test_an_object_that_jumps_is_confirmed_by_another_view(tea_box, shoot, path) -> None:
     T = path(0)
     tracker, states = _tracked(tea_box, shoot, _away(T, -0.15)), []
     for number in range(4, 40):
@@ -124,11 +126,11 @@ def test_the_place_is_found_in_one_frame_and_searched_in_the_next(tea_box, shoot
     assert np.linalg.norm(pose.T_cam_obj[:3, 3] - elsewhere[:3, 3]) < 0.005
 
 
-def test_where_it_is_not_nothing_is_found_and_soon_it_is_seldom_looked_for(
+def test_an_absent_object_is_not_found_and_soon_rarely_searched_for(
     tea_box, soup_can, shoot, path, asked
 ) -> None:
     tracker = _tracked(tea_box, shoot, path(0))
-    assert asked == [], "as long as it is where it should be nobody asks"
+    assert asked == [], "while the object is where it is expected, nothing is searched"
     other = [(soup_can.mesh, _away(path(0), 0.15))]
     states = {tracker.step(shoot(other, number))[0].state for number in range(4, 80)}
     assert states == {State.SUSPECT, State.LOST}
@@ -139,7 +141,7 @@ def test_where_it_is_not_nothing_is_found_and_soon_it_is_seldom_looked_for(
     assert len(asked) - often <= 4
 
 
-def test_a_lost_one_does_not_take_what_its_twin_holds(tea_box, shoot, path) -> None:
+def test_a_lost_instance_does_not_take_the_surface_of_another(tea_box, shoot, path) -> None:
     here, gone = _away(path(0), -0.15), _away(path(0), 0.2)
     tracker = Tracker({"tea_box": tea_box})
     both = shoot([(tea_box.mesh, here), (tea_box.mesh, gone)], 0)
@@ -154,12 +156,12 @@ def test_a_lost_one_does_not_take_what_its_twin_holds(tea_box, shoot, path) -> N
 
 
 def _before(T: np.ndarray) -> tuple:
-    """A board half way to what is at this pose, so that it hides all of it."""
+    """A board half way to the object at this pose; it occludes all of the object."""
     return printed_board(0.15, 0.15), se3.make(np.eye(3), 0.5 * T[:3, 3])
 
 
-def test_what_came_out_elsewhere_is_found_while_something_hides_where_it_was(tea_box, shoot, path) -> None:
-    """Every fifth frame comes: hidden in one, in view elsewhere in the next."""
+def test_an_object_is_found_elsewhere_while_its_old_position_is_occluded(tea_box, shoot, path) -> None:
+    """Every fifth frame comes: the object is occluded in one and in view elsewhere in the next."""
     T = _away(path(0), -0.12)
     tracker, elsewhere, board = _tracked(tea_box, shoot, T), _away(path(0), 0.2, 1.2), _before(T)
     assert tracker.step(shoot([(tea_box.mesh, T), board], 8))[0].state is State.SUSPECT
@@ -168,7 +170,7 @@ def test_what_came_out_elsewhere_is_found_while_something_hides_where_it_was(tea
     assert np.linalg.norm(pose.T_cam_obj[:3, 3] - elsewhere[:3, 3]) < 0.005
 
 
-def test_what_is_hidden_is_not_taken_for_another_thing(tea_box, soup_can, shoot, path) -> None:
+def test_an_occluded_object_is_not_confused_with_another(tea_box, soup_can, shoot, path) -> None:
     T = _away(path(0), -0.12)
     tracker, board, other = _tracked(tea_box, shoot, T), _before(T), (soup_can.mesh, _away(path(0), 0.2))
     for number in (8, 13, 18):
@@ -178,8 +180,8 @@ def test_what_is_hidden_is_not_taken_for_another_thing(tea_box, soup_can, shoot,
         assert np.linalg.norm(pose.T_cam_obj[:3, 3] - T[:3, 3]) < 0.1, number
 
 
-def test_a_picture_that_comes_late_is_searched_from_the_cheap_stages_on(tea_box, shoot, path) -> None:
-    """In the one before, which showed nothing of it, a wide search was begun and not ended."""
+def test_a_late_frame_is_searched_from_the_cheap_stages_on(tea_box, shoot, path) -> None:
+    """In the frame before, which did not show the object, a wide search began and did not end."""
     T = path(0)
     far = se3.make(np.eye(3), np.array([0.1, 0.0, 0.25]))  # Farther than anything moves in that time.
     tracker, elsewhere = _tracked(tea_box, shoot, _away(T, -0.15)), far @ _away(T, 0.15, 1.2)

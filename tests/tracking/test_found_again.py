@@ -1,4 +1,4 @@
-"""What is found again is believed as far as what is seen says that it is not another turn."""
+"""An object found again is believed only as far as the image rules out another object or orientation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _at(x: float) -> np.ndarray:
 
 @pytest.fixture
 def back_again(plain_box, shoot) -> tuple[Tracker, list[State]]:
-    """A plain box that was taken away and is back elsewhere, and its states since."""
+    """A tracker of a plain box that was taken away and put back elsewhere, and its states since then."""
     tracker, states = Tracker({"plain_box": plain_box}), []
     for number in range(END):
         scene = [(plain_box.mesh, _at(-0.1 if number < GONE else 0.1))]
@@ -34,7 +34,7 @@ def back_again(plain_box, shoot) -> tuple[Tracker, list[State]]:
     return tracker, states[BACK:]
 
 
-def test_what_is_usual_is_what_is_seen_in_its_own_light(plain_box, shoot) -> None:
+def test_the_usual_total_is_that_in_the_light_of_the_scene(plain_box, shoot) -> None:
     tracker, baselines = Tracker({"plain_box": plain_box}), []
     for number in range(3):
         frame = shoot([(plain_box.mesh, _at(0.0))], number)
@@ -47,7 +47,7 @@ def test_what_is_usual_is_what_is_seen_in_its_own_light(plain_box, shoot) -> Non
     assert baselines == pytest.approx([track.terms.total] * 3, abs=0.1)
 
 
-def test_a_plain_box_is_found_where_it_is_and_its_turn_is_doubted(back_again, plain_box) -> None:
+def test_a_plain_box_is_found_again_but_its_orientation_is_doubted(back_again, plain_box) -> None:
     tracker, states = back_again
     assert State.TRACKING not in states
     assert State.SUSPECT in states[: END - BACK - 5]
@@ -59,13 +59,13 @@ def test_a_plain_box_is_found_where_it_is_and_its_turn_is_doubted(back_again, pl
     )
 
 
-@pytest.mark.parametrize(("seen", "state"), [(GONE - 1, State.SUSPECT), (END - 1, State.TRACKING)])
-def test_what_perception_saw_before_it_was_gone_says_nothing_of_its_turn_now(
-    back_again, plain_box, shoot, seen: int, state: State
+@pytest.mark.parametrize(("asked_frame", "state"), [(GONE - 1, State.SUSPECT), (END - 1, State.TRACKING)])
+def test_an_answer_from_before_the_loss_does_not_confirm_the_orientation_after_it(
+    back_again, plain_box, shoot, asked_frame: int, state: State
 ) -> None:
     tracker, _ = back_again
     T = tracker.poses()[0].T_cam_obj
-    frame = shoot([(plain_box.mesh, _at(0.1))], seen)
+    frame = shoot([(plain_box.mesh, _at(0.1))], asked_frame)
     agreed = replace(Correction.first("plain_box", T, frame, 0.95), verdict=Verdict.AGREE, seq=2)
     tracker.correct(agreed)
     for number in range(END, END + 3):
@@ -74,13 +74,13 @@ def test_what_perception_saw_before_it_was_gone_says_nothing_of_its_turn_now(
 
 
 @pytest.mark.parametrize(
-    ("quality", "seen", "state"),
+    ("quality", "asked_frame", "state"),
     [(0.55, 11, State.SUSPECT), (0.96, 11, State.TRACKING), (0.55, 4, State.TRACKING)],
 )
-def test_of_what_is_found_elsewhere_after_unseen_frames_the_first_word_of_perception_counts(
-    tea_box, shoot, path, quality: float, seen: int, state: State
+def test_the_first_answer_about_an_object_found_elsewhere_decides(
+    tea_box, shoot, path, quality: float, asked_frame: int, state: State
 ) -> None:
-    """But not what it says late of a frame from before."""
+    """But not a late answer about a frame from before it went out of view."""
     tracker, frames = Tracker({"tea_box": tea_box}), []
     here, there = path(0), path(0).copy()
     there[:3, 3] += (0.18, 0.03, 0.15)
@@ -92,17 +92,15 @@ def test_of_what_is_found_elsewhere_after_unseen_frames_the_first_word_of_percep
     assert pose.state is State.TRACKING
     assert pose.T_cam_obj is not None
     assert pose.T_cam_obj[:3, 3] == pytest.approx(there[:3, 3], abs=0.004)
-    said = Correction.first("tea_box", here if seen < 5 else there, frames[seen], quality)
+    said = Correction.first("tea_box", here if asked_frame < 5 else there, frames[asked_frame], quality)
     tracker.correct(replace(said, verdict=Verdict.AGREE, seq=2))
     (pose,) = tracker.step(shoot([(tea_box.mesh, there)], 12))
     assert pose.state is state
 
 
 @pytest.mark.parametrize("other", [False, True])
-def test_what_perception_finds_after_a_loss_is_doubted_in_another_color(
-    plain_bracket, shoot, other: bool
-) -> None:
-    """A part that was taken away, and seconds later there is one of the same shape."""
+def test_an_object_of_another_color_found_after_a_loss_is_doubted(plain_bracket, shoot, other: bool) -> None:
+    """A part is taken away; seconds later a part of the same shape is there."""
     tracker, there, states, seq = Tracker({"plain_bracket": plain_bracket}), _at(0.1), [], 1
     known = plain_bracket.mesh
     hues = (0.6 * known.texture + 0.4 * known.texture[..., [1, 2, 0]]).astype(np.uint8)
@@ -124,13 +122,11 @@ def test_what_perception_finds_after_a_loss_is_doubted_in_another_color(
     assert (State.TRACKING in states[13:]) is not other
     light = tracker._tracks["plain_bracket", 0].usual.sure_light
     assert light is not None
-    assert float(np.abs(light).max()) < 8.0, "it is known from when it was sure"
+    assert float(np.abs(light).max()) < 8.0, "the light is from when the track was sure"
 
 
-def test_what_a_search_finds_nearby_after_unseen_frames_has_to_show_that_it_is_the_object(
-    tea_box, shoot, path
-) -> None:
-    """Within reach of where it went out of sight there may be another thing of its shape."""
+def test_identity_is_uncertain_after_a_search_finds_the_object_nearby(tea_box, shoot, path) -> None:
+    """Another object of the same shape may be within reach of where this one went out of view."""
     tracker, here = Tracker({"tea_box": tea_box}), path(0)
     aside = here.copy()
     aside[0, 3] += 0.07

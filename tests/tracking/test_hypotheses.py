@@ -1,4 +1,4 @@
-"""Up to three hypotheses, between which time decides; and a pose says itself how far off it may be."""
+"""Up to three hypotheses, between which later frames decide; and the uncertainty that a pose claims."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ FLIP = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 FRAME_S = 1.0 / 30.0
 
 
-def test_the_spread_of_a_turn_grows_with_the_distance_from_the_axis() -> None:
+def test_the_spread_of_a_rotation_grows_with_the_distance_from_the_axis() -> None:
     covariance = np.diag([0.0, 0.0, 0.0, 0.0, 0.0, 0.1**2])
     points = np.array([[0.05, 0.0, 7.0], [0.0, -0.05, 0.0]], np.float32)
     assert spread_m(covariance, np.eye(4), points) == pytest.approx(0.005)
     assert spread_m(np.diag([4e-6, 0, 0, 0, 0, 0]), np.eye(4), points) == pytest.approx(0.002)
 
 
-def test_the_spread_is_that_of_poses_drawn_from_the_covariance() -> None:
+def test_the_spread_is_that_of_poses_sampled_from_the_covariance() -> None:
     rng = np.random.default_rng(0)
     root = rng.normal(0.0, 0.01, (6, 6))
     covariance = root @ root.T
@@ -43,7 +43,7 @@ def test_the_spread_is_that_of_poses_drawn_from_the_covariance() -> None:
     assert spread_m(covariance, T, points) == pytest.approx(np.sqrt(np.mean(squares)), rel=0.03)
 
 
-def test_a_quality_is_no_better_than_what_the_covariance_vouches_for() -> None:
+def test_the_covariance_limits_the_quality() -> None:
     assert limited_by_covariance(0.99, 0.01) == pytest.approx(0.99)
     assert limited_by_covariance(1.0, 0.1) == pytest.approx(0.6827, abs=1e-4)
     assert limited_by_covariance(1.0, 1.0) == ONE_SENSE
@@ -54,7 +54,7 @@ def test_a_quality_is_no_better_than_what_the_covariance_vouches_for() -> None:
     )
 
 
-def test_a_pose_is_less_certain_the_more_of_the_object_is_outside_of_the_picture(tea_box) -> None:
+def test_a_pose_is_less_certain_the_more_of_the_object_is_outside_of_the_image(tea_box) -> None:
     subject, known = Subject.of(tea_box), np.diag([1e8, 1e8, 1e8, 1e4, 1e4, 1e4])
     away = se3.make(np.eye(3), np.array([0.0, 0.0, 0.7]))
     spreads = []
@@ -67,7 +67,7 @@ def test_a_pose_is_less_certain_the_more_of_the_object_is_outside_of_the_picture
     assert spreads[2] == pytest.approx(np.sqrt(20.0) * spreads[0])
 
 
-def test_a_pose_is_as_certain_wherever_the_origin_of_the_object_is(tea_box) -> None:
+def test_the_uncertainty_of_a_pose_does_not_depend_on_the_origin(tea_box) -> None:
     subject, off = Subject.of(tea_box), np.array([0.0, 5.0, 0.0])
     arrays = subject.surface.arrays
     far = arrays._replace(points=(arrays.points + off).astype(np.float32), centre=arrays.centre + off)
@@ -81,7 +81,7 @@ def test_a_pose_is_as_certain_wherever_the_origin_of_the_object_is(tea_box) -> N
     assert uncertainty(moved, there)[1] == pytest.approx(uncertainty(subject, here)[1], rel=1e-3)
 
 
-def test_what_leaves_the_picture_is_followed_but_not_believed_until_it_is_back(
+def test_an_object_that_leaves_the_image_is_tracked_but_not_believed_until_it_is_back(
     plain_box, shoot, path
 ) -> None:
     tracker, T = Tracker({"plain_box": plain_box}), path(0).copy()
@@ -104,11 +104,11 @@ def turned(degrees: float) -> np.ndarray:
     return se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.radians(degrees)])), np.zeros(3))
 
 
-def opinion(T: np.ndarray, log_odds: float) -> Hypothesis:
+def hypothesis_at(T: np.ndarray, log_odds: float) -> Hypothesis:
     return Hypothesis(T, NOTHING, np.zeros((6, 6)), "still", log_odds=log_odds)
 
 
-def test_a_turn_that_no_hand_makes_costs_log_odds(tea_box) -> None:
+def test_a_rotation_faster_than_any_hand_costs_log_odds(tea_box) -> None:
     surface, config, T = PreparedSurface.of(tea_box), TrackerConfig(), np.eye(4)
 
     def odds(degrees: float, seconds: float) -> float:
@@ -120,41 +120,53 @@ def test_a_turn_that_no_hand_makes_costs_log_odds(tea_box) -> None:
     assert odds(40.0, 5.0 * FRAME_S) == 0.0, "there was time for it"
 
 
-def test_one_pose_is_one_hypothesis_and_the_hopeless_are_dropped(tea_box) -> None:
+def test_equal_poses_are_merged_and_improbable_hypotheses_dropped(tea_box) -> None:
     subject = Subject.of(tea_box)
-    best, twin, other = opinion(turned(0), 3.0), opinion(turned(2), 2.9), opinion(turned(90), 1.0)
-    hopeless = opinion(turned(180), -2.0)
+    best, twin, other = (
+        hypothesis_at(turned(0), 3.0),
+        hypothesis_at(turned(2), 2.9),
+        hypothesis_at(turned(90), 1.0),
+    )
+    hopeless = hypothesis_at(turned(180), -2.0)
     assert same_pose(subject, best.T_cam_obj, twin.T_cam_obj)
     assert distinct(subject, [hopeless, twin, other, best]) == (best, other)
-    assert len(distinct(subject, [opinion(turned(60 * k), 1.0) for k in range(6)])) == 3
+    assert len(distinct(subject, [hypothesis_at(turned(60 * k), 1.0) for k in range(6)])) == 3
 
 
-def test_a_near_tie_is_shared(tea_box) -> None:
-    subject, one = Subject.of(tea_box), opinion(turned(0), 2.0)
+def test_the_share_of_the_first_follows_the_log_odds(tea_box) -> None:
+    subject, one = Subject.of(tea_box), hypothesis_at(turned(0), 2.0)
     assert share_of_first(subject, ()) == 0.0
     assert share_of_first(subject, (one,)) == 1.0
-    assert share_of_first(subject, (one, opinion(turned(90), 2.0))) == pytest.approx(0.5)
-    apart = (one, opinion(turned(90), 0.0))
+    assert share_of_first(subject, (one, hypothesis_at(turned(90), 2.0))) == pytest.approx(0.5)
+    apart = (one, hypothesis_at(turned(90), 0.0))
     assert share_of_first(subject, apart) == pytest.approx(1 / (1 + np.exp(-2.0)))
 
 
-def test_what_would_be_right_with_the_first_speaks_for_it(tea_box) -> None:
+def test_a_hypothesis_close_to_the_first_counts_for_it(tea_box) -> None:
     subject = Subject.of(tea_box)
-    one, near, other = opinion(turned(0), 2.0), opinion(turned(20), 2.0), opinion(turned(90), 2.0)
+    one, near, other = (
+        hypothesis_at(turned(0), 2.0),
+        hypothesis_at(turned(20), 2.0),
+        hypothesis_at(turned(90), 2.0),
+    )
     assert not same_pose(subject, one.T_cam_obj, near.T_cam_obj)
     assert share_of_first(subject, (one, near)) == pytest.approx(1.0)
     assert share_of_first(subject, (one, near, other)) == pytest.approx(2 / 3)
     assert share_of_first(subject, (other, one, near)) == pytest.approx(1 / 3)
 
 
-def test_a_rotation_under_which_the_object_looks_the_same_is_no_other_pose(tea_box) -> None:
+def test_an_equivalent_rotation_is_no_other_pose(tea_box) -> None:
     alike = Subject.of(replace(tea_box, equivalents=np.stack([np.eye(4), turned(180)])))
-    one, same, other = opinion(turned(0), 2.0), opinion(turned(181), 1.9), opinion(turned(90), 1.8)
+    one, same, other = (
+        hypothesis_at(turned(0), 2.0),
+        hypothesis_at(turned(181), 1.9),
+        hypothesis_at(turned(90), 1.8),
+    )
     assert distinct(alike, [one, same, other]) == (one, other)
     assert distinct(Subject.of(tea_box), [one, same, other]) == (one, same, other)
 
 
-def test_what_looks_the_same_all_round_shows_no_new_side(tea_box, started) -> None:
+def test_an_object_that_looks_the_same_from_all_sides_shows_no_new_view(tea_box, started) -> None:
     track = started._tracks["tea_box", 0]
     first, seen = track.hypotheses[0], track._view()
     round_ = replace(tea_box, equivalents=np.stack([turned(5 * k) for k in range(72)]))
@@ -167,7 +179,7 @@ def test_what_looks_the_same_all_round_shows_no_new_side(tea_box, started) -> No
 
 @pytest.mark.parametrize("right", [True, False])
 def test_the_image_decides_between_two_hypotheses(tea_box, shoot, path, right) -> None:
-    """Two sides of the box are believed alike: within a few frames the one that is seen is left."""
+    """Two opposite orientations start equal; within a few frames only the right one is left."""
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(12)]
     tracker = Tracker({"tea_box": tea_box})
     tracker.correct(Correction.first("tea_box", path(0), frames[0], 1.0))
@@ -184,7 +196,7 @@ def test_the_image_decides_between_two_hypotheses(tea_box, shoot, path, right) -
     assert len(track.hypotheses) == 1
 
 
-def test_a_wrong_correction_is_taken_back_by_the_image(tea_box, shoot, path) -> None:
+def test_the_image_undoes_a_wrong_correction(tea_box, shoot, path) -> None:
     frames = [shoot([(tea_box.mesh, path(k))], k) for k in range(9)]
     tracker = Tracker({"tea_box": tea_box})
     tracker.correct(Correction.first("tea_box", path(0), frames[0], 1.0))
@@ -193,20 +205,20 @@ def test_a_wrong_correction_is_taken_back_by_the_image(tea_box, shoot, path) -> 
     tracker._tracks["tea_box", 0].replay(Correction.first("tea_box", path(3) @ FLIP, frames[3], 0.95))
     poses = [tracker.step(frame)[0] for frame in frames[5:]]
     assert se3.rotation_angle(poses[-1].T_cam_obj, path(8)) < np.radians(1.0)
-    assert poses[-1].state is State.TRACKING, "the picture shows that the other pose is wrong"
+    assert poses[-1].state is State.TRACKING, "the image shows that the other pose is wrong"
 
 
 @pytest.mark.parametrize(
     ("fits", "apart_deg", "state"),
     [(0.9, 90, State.SUSPECT), (0.1, 90, State.TRACKING), (0.9, 2, State.TRACKING)],
 )
-def test_where_perception_and_tracker_disagree_nobody_knows(
+def test_if_perception_and_tracker_disagree_neither_is_believed(
     tea_box, film, started, fits, apart_deg, state
 ) -> None:
-    """A pose that perception is sure of and that fits the picture, though less: then neither is believed."""
+    """If perception is sure of another pose that fits the image too, though less, neither is believed."""
     track = started._tracks["tea_box", 0]
     other = Track(track.subject, "tea_box", 0, TrackerConfig())
-    other.hypotheses, other.evidence = (opinion(track.T_cam_obj @ turned(apart_deg), 2.0),), fits
+    other.hypotheses, other.evidence = (hypothesis_at(track.T_cam_obj @ turned(apart_deg), 2.0),), fits
     track.contradict(other, 0.98)
     frames = film(8)[6:]
     assert started.step(frames[0])[0].state is state

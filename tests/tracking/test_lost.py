@@ -1,4 +1,4 @@
-"""What is lost is searched for: wherever its twin is, whatever was said of it before, and in its turn."""
+"""How lost objects are searched for: also beside another instance, at their last position, and how often."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _at(x: float) -> np.ndarray:
 
 @pytest.fixture
 def searches(monkeypatch) -> Counter[int]:
-    """How often each part of the picture is searched for something lost, by any tracker."""
+    """How often each part of the image is searched for a lost object, by any tracker."""
     counted: Counter[int] = Counter()
     plain = lost.likeliest_place
 
@@ -37,7 +37,7 @@ def searches(monkeypatch) -> Counter[int]:
     return counted
 
 
-def test_an_instance_is_found_though_its_twin_is_in_view(tea_box, shoot: Shoot, searches) -> None:
+def test_an_instance_is_found_though_another_one_is_in_view(tea_box, shoot: Shoot, searches) -> None:
     tracker, here, there = Tracker({"tea_box": tea_box}), _at(-0.13), _at(0.13)
     for number in range(75):
         both = number < GONE or number >= 60
@@ -48,16 +48,16 @@ def test_an_instance_is_found_though_its_twin_is_in_view(tea_box, shoot: Shoot, 
         poses = tracker.step(frame)
         if number == 59:
             assert [pose.state for pose in poses] == [State.TRACKING, State.LOST]
-            assert sum(searches.values()) < 40  # half of the frames in which it was lost: it rests
+            assert sum(searches.values()) < 40  # fewer than the frames in which it was lost: the search rests
     assert [pose.state for pose in poses] == [State.TRACKING] * 2
     assert poses[1].T_cam_obj is not None
     np.testing.assert_allclose(poses[1].T_cam_obj[:3, 3], there[:3, 3], atol=0.004)
 
 
-def test_of_what_looks_like_another_the_other_parts_of_the_picture_are_searched(
+def test_the_other_parts_of_the_image_are_searched_though_a_look_alike_is_in_view(
     tea_box, shoot: Shoot, searches
 ) -> None:
-    """Two objects with one surface: the lost one is found where the other is, and given back."""
+    """Two objects with the same surface: the lost one is found where the other is, and given up there."""
     tracker, here = Tracker({"tea_box": tea_box, "also": replace(tea_box, name="also")}), _at(-0.13)
     for number in range(40):
         frame = shoot([(tea_box.mesh, here), *([(tea_box.mesh, _at(0.13))] if number < GONE else [])], number)
@@ -79,14 +79,14 @@ def test_after_some_rounds_a_search_waits_half_a_second_and_then_for_its_turn(
     for _ in range(frames):
         assert persistence.resting
         persistence = persistence.missed(apart_s)
-    for _ in range(3):  # no time in these frames: others were first
+    for _ in range(3):  # no time in these frames: others came first
         assert not persistence.resting
         persistence = persistence.missed(apart_s).reached(0, 5, searched=False)
     assert persistence.missed(apart_s).reached(5, 5).resting
 
 
 @pytest.mark.parametrize("what", ["clock set back", "corrected", "new epoch"])
-def test_what_was_lost_is_found(tea_box, shoot: Shoot, what: str) -> None:
+def test_a_lost_object_is_found_when_it_is_back(tea_box, shoot: Shoot, what: str) -> None:
     tracker, states = Tracker({"tea_box": tea_box}), []
     T = _at(0.0)
     if what == "new epoch":  # of a camera whose clock was ahead by an hour
@@ -110,7 +110,7 @@ def test_what_was_lost_is_found(tea_box, shoot: Shoot, what: str) -> None:
     assert states.index(State.TRACKING, BACK) < BACK + 12
 
 
-def test_what_is_lost_holds_no_picture(tea_box, shoot: Shoot) -> None:
+def test_a_lost_track_holds_no_frame(tea_box, shoot: Shoot) -> None:
     tracker = Tracker({"tea_box": tea_box})
     for number in range(12):
         frame = shoot([(tea_box.mesh, _at(0.0))] if number < GONE else [], number)
@@ -121,10 +121,10 @@ def test_what_is_lost_holds_no_picture(tea_box, shoot: Shoot) -> None:
     assert tracker._tracks["tea_box", 0].frame is None
 
 
-def test_while_a_pursuit_waits_for_a_search_nothing_lost_is_searched_for(
+def test_while_a_pursuit_waits_for_a_search_no_lost_object_is_searched_for(
     tea_box, soup_can, shoot: Shoot
 ) -> None:
-    """There is time for one search in four frames: the six that are lost would take it all."""
+    """There is time for one search in four frames; the six lost objects would take all of it."""
     tracker = Tracker({"tea_box": tea_box, "soup_can": soup_can})
     boxes = [se3.make(TURNED, np.array([x, y, 0.7])) for x in (-0.17, 0.0, 0.17) for y in (-0.1, 0.1)]
     can, frames = se3.make(TURNED, np.array([0.0, 0.0, 0.6])), []
@@ -154,10 +154,10 @@ def test_a_start_without_depth_is_doubted_at_once(tea_box, shoot: Shoot) -> None
 
 
 @pytest.mark.parametrize("remove", [Tracker.remove_instances, Tracker.remove_object])
-def test_what_is_removed_does_not_come_of_what_was_said_before(
+def test_earlier_corrections_do_not_bring_back_a_removed_object(
     tea_box, shoot: Shoot, remove: Callable[[Tracker, str], None]
 ) -> None:
-    """Neither of a pursuit under way, nor of a correction that waits for its frame, nor of a late one."""
+    """Not a pursuit under way, not a correction that waits for its frame, and not a late one."""
     frames = [shoot([(tea_box.mesh, _at(0.0))], number) for number in range(14)]
     tracker = Tracker({"tea_box": tea_box})
     for frame in frames[:6]:
@@ -174,8 +174,8 @@ def test_what_is_removed_does_not_come_of_what_was_said_before(
 
 
 @pytest.fixture
-def looks_where_it_stood(monkeypatch) -> list[bool]:
-    """For each look at the place where a lost object stood, whether it was found there."""
+def looks_at_last_place(monkeypatch) -> list[bool]:
+    """For each look at the last position of a lost object, whether it was found there."""
     found: list[bool] = []
 
     def spied(*args):
@@ -187,8 +187,8 @@ def looks_where_it_stood(monkeypatch) -> list[bool]:
     return found
 
 
-def test_behind_what_is_taken_away_it_is_found_where_it_stood(
-    tea_box, board, shoot: Shoot, searches, looks_where_it_stood
+def test_a_lost_object_is_found_in_its_last_position_when_the_occluder_is_gone(
+    tea_box, board, shoot: Shoot, searches, looks_at_last_place
 ) -> None:
     tracker, states = Tracker({"tea_box": tea_box}, TrackerConfig(tries_per_s=0.0)), []
     for number in range(40):
@@ -200,12 +200,12 @@ def test_behind_what_is_taken_away_it_is_found_where_it_stood(
     assert State.LOST in states[:BACK]
     assert states[BACK] is State.SUSPECT
     assert states[BACK + 2 :] == [State.TRACKING] * (40 - BACK - 2)
-    assert sum(looks_where_it_stood) == 1
+    assert sum(looks_at_last_place) == 1
     assert sum(searches.values()) <= 1, "there was time for no more"
 
 
-def test_where_it_stands_no_more_it_is_not_looked_for_again(
-    tea_box, shoot: Shoot, looks_where_it_stood
+def test_an_object_that_left_its_last_position_is_looked_for_there_only_once(
+    tea_box, shoot: Shoot, looks_at_last_place
 ) -> None:
     tracker = Tracker({"tea_box": tea_box})
     for number in range(40):
@@ -214,4 +214,4 @@ def test_where_it_stands_no_more_it_is_not_looked_for_again(
             tracker.correct(correction(frame, _at(0.0)))
         (pose,) = tracker.step(frame)
     assert pose.state is State.LOST
-    assert looks_where_it_stood == [False]
+    assert looks_at_last_place == [False]

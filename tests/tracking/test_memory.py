@@ -1,4 +1,4 @@
-"""A tracker that takes over another one's memory goes on as that one does, bit by bit."""
+"""A tracker that takes over the memory of another one then gives the same poses, bit by bit."""
 
 from dataclasses import astuple
 
@@ -12,7 +12,7 @@ from huepose.tracking.memory import checksum, frames_of, state_of, taken_over
 
 @pytest.fixture
 def film(tea_box, shoot, path):
-    """Frames of the carried box; of frame 9 on it has jumped."""
+    """Frames of the carried box; it jumps at frame 9."""
     return [shoot([(tea_box.mesh, path(k if k < 9 else k + 12))], k) for k in range(14)]
 
 
@@ -25,16 +25,16 @@ def _bits(pose):
     return [x.tobytes() if isinstance(x, np.ndarray) else x for x in astuple(pose)]
 
 
-@pytest.mark.parametrize("told_after", [0, 3, 7, 10])
-def test_another_tracker_goes_on_as_the_first_does(tea_box, film, path, told_after):
+@pytest.mark.parametrize("taken_over_after", [0, 3, 7, 10])
+def test_a_tracker_that_takes_over_a_memory_gives_the_same_poses(tea_box, film, path, taken_over_after):
     first, other = (Tracker({"tea_box": tea_box}) for _ in range(2))
     kept = {}
     for k, frame in enumerate(film):
         kept[frame.epoch, frame.frame_id] = frame
-        trackers = [first] if k <= told_after else [first, other]
+        trackers = [first] if k <= taken_over_after else [first, other]
         for tracker in trackers:
             if k == 2:
-                # It waits for its frame, or is caught up: both are part of the memory.
+                # A correction that waits for its frame or is caught up is part of the memory.
                 tracker.correct(_correction(film[0], path(0), 1, Verdict.ACQUIRE))
             if k == 7:
                 tracker.correct(_correction(film[4], path(4), 2, Verdict.AGREE))
@@ -43,14 +43,14 @@ def test_another_tracker_goes_on_as_the_first_does(tea_box, film, path, told_aft
         poses = [[_bits(pose) for pose in tracker.step(frame)] for tracker in trackers]
         assert poses[0] == poses[-1]
         assert len({checksum(tracker) for tracker in trackers}) == 1
-        if k == told_after:
+        if k == taken_over_after:
             memory = state_of(first)
             assert set(frames_of(memory)) <= set(kept)
             taken_over(other, memory, lambda epoch, frame_id: kept.get((epoch, frame_id)))
     assert len(poses[0]) == 1
 
 
-def test_a_checksum_tells_a_bit(tea_box, film, path):
+def test_the_checksum_changes_with_a_single_bit(tea_box, film, path):
     tracker = Tracker({"tea_box": tea_box})
     tracker.correct(_correction(film[0], path(0), 1, Verdict.ACQUIRE))
     tracker.step(film[0])
@@ -77,7 +77,7 @@ def test_a_checksum_tells_a_bit(tea_box, film, path):
         ),
     ],
 )
-def test_what_is_no_memory_is_refused_and_changes_nothing(tea_box, damage):
+def test_an_invalid_memory_is_refused_and_changes_nothing(tea_box, damage):
     tracker = Tracker({"tea_box": tea_box})
     before = state_of(tracker)
     with pytest.raises(InputError, match="the tracker's memory"):

@@ -1,4 +1,4 @@
-"""Velocities and replay, exactly."""
+"""Velocities, and the replay of corrections, are exact."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def moving(seconds: float) -> np.ndarray:
 
 
 def moving_about(centre_obj: list[float], seconds: float) -> np.ndarray:
-    """The same motion of an object whose centre is there."""
+    """The same motion of an object with this centre."""
     return moving(seconds) @ se3.make(np.eye(3), -np.array(centre_obj))
 
 
 @pytest.fixture
 def surface_of(tea_box: ReferenceModel) -> Callable[[list[float]], PreparedSurface]:
-    """A surface with that centre (3,)."""
+    """A function of a centre (3,): the surface with that centre."""
     surface = Subject.of(tea_box).surface
     return lambda centre: replace(surface, arrays=surface.arrays._replace(centre=np.array(centre)))
 
@@ -58,7 +58,7 @@ def test_prediction_of_constant_motion_is_exact_wherever_the_origin_is(surface_o
 
 @pytest.mark.parametrize("centre", CENTRES)
 def test_a_velocity_is_published_about_the_origin(surface_of, centre) -> None:
-    """What `se3.perturb` makes of it is, in a moment, where the object goes."""
+    """For a short time `se3.perturb` with it gives the motion of the object."""
     surface, now, moment_s = surface_of(centre), moving_about(centre, 0.02), 1e-6
     velocity = about_origin(surface, now, TWIST)
     went = se3.difference(now, moving_about(centre, 0.02 + moment_s)) / moment_s
@@ -68,7 +68,7 @@ def test_a_velocity_is_published_about_the_origin(surface_of, centre) -> None:
     np.testing.assert_allclose(about_origin(surface, turned, same), velocity, atol=1e-9)
 
 
-def test_a_velocity_is_not_believed_for_long(surface_of) -> None:
+def test_an_old_velocity_is_not_used(surface_of) -> None:
     surface = surface_of(CENTRES[0])
     assert predicted(surface, START, TWIST, 4.3) is START
     assert predicted(surface, START, None, 0.03) is START
@@ -91,7 +91,7 @@ def history(count: int = 10, wrong: np.ndarray | None = None) -> PoseHistory:
 
 
 def test_perfect_correction_of_the_past_gives_truth_and_increments_exactly() -> None:
-    """Tracked with a constant error in the object, the increments are right: the corrected pose is the
+    """With a constant error in the object frame the increments are right, so the corrected pose is the
     truth."""
     wrong = se3.make(se3.rotation_exp(np.array([0.0, 0.0, 0.4])), np.array([0.0, 0.003, 0.001]))
     for late in range(10):
@@ -125,7 +125,7 @@ def test_two_corrections_in_a_row_compose() -> None:
     np.testing.assert_allclose(h.replay(6000, moving(6 / 30)), moving(9 / 30), atol=1e-12)
 
 
-def test_a_skipped_frame_is_interpolated_by_its_stamp() -> None:
+def test_a_skipped_frame_is_interpolated_by_its_timestamp() -> None:
     h = PoseHistory(np.zeros(3))
     a, b = moving(0.0), se3.make(se3.rotation_exp(np.array([0, 0, 0.3])) @ START[:3, :3], START[:3, 3] + 0.03)
     h.append(0, 0, a)
@@ -137,7 +137,7 @@ def test_a_skipped_frame_is_interpolated_by_its_stamp() -> None:
     np.testing.assert_allclose(h.replay(100, T), b, atol=1e-9)
 
 
-def test_what_the_history_does_not_know() -> None:
+def test_the_history_has_no_pose_outside_its_range_or_across_a_gap() -> None:
     h = history(5)
     assert h.at(-1) is None
     assert h.at(4001) is None
@@ -153,7 +153,7 @@ def test_what_the_history_does_not_know() -> None:
 
 
 @pytest.mark.parametrize("centre", CENTRES)
-def test_between_two_frames_it_turned_about_its_middle_wherever_the_origin_is(centre) -> None:
+def test_interpolation_rotates_about_the_centre_wherever_the_origin_is(centre) -> None:
     h = PoseHistory(np.array(centre))
     for k in (0, 3):
         h.append(k, k * 100, moving_about(centre, 0.04 * k))
@@ -179,13 +179,13 @@ def test_histories_forget_the_oldest() -> None:
     assert len(frames) == 3
     assert not frames.covers(2)
     assert frames.covers(3)
-    assert frames.covers(99), "a frame that is still to come is not too old"
+    assert frames.covers(99), "a future frame is not too old"
     assert [f.frame_id for f in frames.since(4)] == [4, 5]
     assert h.newest is not None
     assert h.newest.frame_id == 5
 
 
-def test_the_older_frames_are_the_fewer_are_kept() -> None:
+def test_fewer_of_the_older_frames_are_kept() -> None:
     frames = FrameHistory(20, 24)
     jitter = np.random.default_rng(1).uniform(-0.002, 0.002, 600)
     for frame in frames_at(np.arange(600) / 30 + jitter):
@@ -193,10 +193,10 @@ def test_the_older_frames_are_the_fewer_are_kept() -> None:
     ids = [f.frame_id for f in frames]
     assert len(frames) == len(ids) == 44
     assert ids[24:] == list(range(580, 600))
-    # Counted in those that were a tenth of a second apart.
+    # The oldest are 6 frames apart, the next ones 3.
     assert list(np.diff(ids)[:11]) == [6] * 11
     assert list(np.diff(ids)[12:22]) == [3] * 10
-    assert max(np.diff(ids)) <= 8, "no gap is wider where one stretch ends and another begins"
+    assert max(np.diff(ids)) <= 8, "no gap is much wider where the spacing changes"
     oldest, newest = frames.oldest, frames.newest
     assert oldest is not None
     assert newest is not None
@@ -214,7 +214,7 @@ def test_a_slow_camera_loses_no_frame_to_thinning() -> None:
     assert [f.frame_id for f in frames] == list(range(8))
 
 
-def test_the_kept_frame_that_is_nearest_comes_first() -> None:
+def test_the_nearest_kept_frame_comes_first() -> None:
     frames = FrameHistory(2, 4)
     for frame in frames_at(np.arange(12) / 10):
         frames.append(frame)

@@ -1,4 +1,4 @@
-"""A camera on a hand: what stands still is expected where the hand's motion leaves it."""
+"""A camera on a robot hand: a static object is expected where the motion of the camera puts it."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ STEP = 6
 """Five frames a second."""
 
 FOLLOWED = ("still", "velocity")
-"""Sources of hypotheses that no search has found."""
+"""Sources of hypotheses that come from no search."""
 
 
 def camera_at(number: float) -> Float64:
-    """T_base_cam of a hand that goes to and fro round the box, half a metre from it: up to 0.5 m/s and 90
-    degrees a second."""
+    """T_base_cam of a camera that moves to and fro around the box, half a metre from it: up to 0.5 m/s and 90
+    degrees per second."""
     t = number / 30.0
     turn = se3.rotation_exp(np.array([0.35 * np.sin(4.0 * t), 0.4 * np.sin(3.5 * t), 0.5 * np.sin(3.0 * t)]))
     away = np.array([0.1 * np.sin(5.0 * t), 0.08 * np.sin(4.0 * t), 0.55])
@@ -37,13 +37,13 @@ def seen_at(number: float) -> Float64:
 
 
 @pytest.fixture
-def filmed(tea_box, shoot):
-    """A function of a frame number: that frame by the hand, told where it was or not; front: what else is
-    before the camera."""
+def hand_frame(tea_box, shoot):
+    """A function of a frame number: that frame of the moving camera. given: it has its camera pose; front:
+    what else is in front of the camera."""
 
-    def take(number: int, told: bool, front: tuple[tuple[Mesh, Float64], ...] = ()) -> RgbdFrame:
+    def take(number: int, given: bool, front: tuple[tuple[Mesh, Float64], ...] = ()) -> RgbdFrame:
         frame = shoot([(tea_box.mesh, seen_at(number)), *front], number)
-        return replace(frame, T_parent_cam=camera_at(number) if told else None)
+        return replace(frame, T_parent_cam=camera_at(number) if given else None)
 
     return take
 
@@ -55,27 +55,27 @@ def _right(pose: TrackedPose) -> bool:
     return mm < 2.0 and degrees < 1.0
 
 
-def test_what_stands_still_is_not_searched_for_where_the_camera_is_known(tea_box, filmed) -> None:
+def test_a_static_object_is_not_searched_for_if_the_camera_pose_is_given(tea_box, hand_frame) -> None:
     searched = {}
-    for told in (True, False):
+    for given in (True, False):
         tracker, sources = Tracker({"tea_box": tea_box}), []
         for number in range(0, 20 * STEP, STEP):
-            frame = filmed(number, told)
+            frame = hand_frame(number, given)
             if number == 0:
                 tracker.correct(correction(frame, seen_at(number)))
             (pose,) = tracker.step(frame)
-            assert _right(pose) or not told
+            assert _right(pose) or not given
             sources.append(tracker.hypotheses("tea_box", 0)[0].source)
-        searched[told] = len(sources) - sum(source in FOLLOWED for source in sources[1:]) - 1
+        searched[given] = len(sources) - sum(source in FOLLOWED for source in sources[1:]) - 1
     assert searched[True] == 0
     assert searched[False] >= 3
 
 
-@pytest.mark.parametrize("untold", [(), (7, 8)])
-def test_the_velocity_that_is_published_is_relative_to_the_camera(tea_box, filmed, untold) -> None:
+@pytest.mark.parametrize("not_given", [(), (7, 8)])
+def test_the_velocity_that_is_published_is_relative_to_the_camera(tea_box, hand_frame, not_given) -> None:
     tracker = Tracker({"tea_box": tea_box})
     for number in range(16):
-        frame = filmed(number, told=number not in untold)
+        frame = hand_frame(number, given=number not in not_given)
         if number == 0:
             tracker.correct(correction(frame, seen_at(0)))
         (pose,) = tracker.step(frame)
@@ -87,14 +87,14 @@ def test_the_velocity_that_is_published_is_relative_to_the_camera(tea_box, filme
         np.testing.assert_allclose(pose.velocity[3:], truth[3:], atol=0.3, err_msg=str(number))
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_behind_a_board_its_pose_follows_the_camera_as_far_as_that_is_known(
-    tea_box, board, filmed, told
+@pytest.mark.parametrize("given", [True, False])
+def test_an_occluded_pose_follows_the_camera_if_the_camera_pose_is_given(
+    tea_box, board, hand_frame, given
 ) -> None:
     tracker, off_mm = Tracker({"tea_box": tea_box}), []
     for number in range(18):
-        # In the middle of its way to one side, which it ends while nothing is seen.
-        frame = filmed(number, told, (board,) if number >= 10 else ())
+        # The board comes while the camera moves to one side; that motion ends while the box is occluded.
+        frame = hand_frame(number, given, (board,) if number >= 10 else ())
         if number == 0:
             tracker.correct(correction(frame, seen_at(0)))
         (pose,) = tracker.step(frame)
@@ -102,13 +102,13 @@ def test_behind_a_board_its_pose_follows_the_camera_as_far_as_that_is_known(
             assert pose.state is State.SUSPECT
             off_mm.append(errors(pose, seen_at(number))[0])
     assert len(off_mm) >= 4
-    assert (max(off_mm) < 10.0) == told
+    assert (max(off_mm) < 10.0) == given
 
 
-def test_one_frame_of_which_nobody_knows_from_where_it_was_taken_does_no_harm(tea_box, filmed) -> None:
+def test_single_frames_without_a_camera_pose_do_no_harm(tea_box, hand_frame) -> None:
     tracker = Tracker({"tea_box": tea_box})
     for number in range(20):
-        frame = filmed(number, told=number % 5 != 3)
+        frame = hand_frame(number, given=number % 5 != 3)
         if number == 0:
             tracker.correct(correction(frame, seen_at(0)))
         (pose,) = tracker.step(frame)
@@ -116,29 +116,31 @@ def test_one_frame_of_which_nobody_knows_from_where_it_was_taken_does_no_harm(te
 
 
 @pytest.fixture
-def turning(tea_box, shoot):
-    """A function of a frame number: the frame of a camera that turns by 60 degrees to one side and back in
+def rotating(tea_box, shoot):
+    """A function of a frame number: the frame of a camera that rotates by 60 degrees to one side and back in
     45 frames, and the pose of the box in it."""
     T_base_obj = se3.make(T_BASE_OBJ[:3, :3], np.array([0.0, 0.0, 0.55]))
 
-    def take(number: int, told: bool) -> tuple[RgbdFrame, Float64]:
+    def take(number: int, given: bool) -> tuple[RgbdFrame, Float64]:
         angle = np.radians(60.0) * np.sin(np.pi * number / 45.0) ** 2
         T_base_cam = se3.make(se3.rotation_exp(np.array([0.0, angle, 0.0])), np.zeros(3))
         T_cam_obj = se3.compose(se3.inverse(T_base_cam), T_base_obj)
         frame = shoot([(tea_box.mesh, T_cam_obj)], number)
-        return replace(frame, T_parent_cam=T_base_cam if told else None), T_cam_obj
+        return replace(frame, T_parent_cam=T_base_cam if given else None), T_cam_obj
 
     return take
 
 
 @pytest.mark.parametrize(
-    ("untold", "back"), [((), True), ((25, 27), True), (range(25, 29), True), (range(46), False)]
+    ("not_given", "back"), [((), True), ((25, 27), True), (range(25, 29), True), (range(46), False)]
 )
-def test_what_the_camera_looks_away_from_is_back_at_once(tea_box, turning, untold, back) -> None:
-    """With no time for any search."""
+def test_an_object_that_the_camera_looked_away_from_is_tracked_again_at_once(
+    tea_box, rotating, not_given, back
+) -> None:
+    """There is no time for any search."""
     tracker, states = Tracker({"tea_box": tea_box}, TrackerConfig(tries_per_s=0.0)), []
     for number in range(46):
-        frame, T_cam_obj = turning(number, number not in untold)
+        frame, T_cam_obj = rotating(number, number not in not_given)
         if number == 0:
             tracker.correct(correction(frame, T_cam_obj))
         (pose,) = tracker.step(frame)
@@ -151,35 +153,33 @@ def test_what_the_camera_looks_away_from_is_back_at_once(tea_box, turning, untol
         assert degrees < 1.0
 
 
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("given", [True, False])
 @pytest.mark.parametrize("behind", [22, 35])
-def test_what_it_looked_away_from_before_an_answer_came_is_found_where_it_stood(
-    tea_box, turning, told, behind
-) -> None:
-    """The answer comes while it is out of view, or when it is in view again."""
+def test_an_answer_from_before_the_camera_looked_away_is_used(tea_box, rotating, given, behind) -> None:
+    """The answer comes while the object is out of view, or when it is in view again."""
     tracker, known = Tracker({"tea_box": tea_box}), []
-    first, T_first = turning(0, told)
+    first, T_first = rotating(0, given)
     for number in range(46):
-        frame, T_cam_obj = turning(number, told)
+        frame, T_cam_obj = rotating(number, given)
         known = tracker.step(frame)
         if number == behind:
             tracker.correct(correction(first, T_first, seq=7))
         if number == 33 and behind == 22:
-            assert [pose.applied_correction_seq for pose in known] == [7] * told, "it is not sent again"
-    assert bool(known) == told
-    if told:
+            assert [pose.applied_correction_seq for pose in known] == [7] * given, "it is not sent again"
+    assert bool(known) == given
+    if given:
         assert known[0].state is State.TRACKING
         mm, degrees = errors(known[0], T_cam_obj)
         assert mm < 2.0
         assert degrees < 1.0
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_what_rests_is_caught_up_in_a_few_looks(tea_box, filmed, monkeypatch, told) -> None:
+@pytest.mark.parametrize("given", [True, False])
+def test_a_static_object_is_caught_up_in_a_few_looks(tea_box, hand_frame, monkeypatch, given) -> None:
     look, looks = Track.look, []
     monkeypatch.setattr(Track, "look", lambda track, *args: looks.append(track) or look(track, *args))
     tracker = Tracker({"tea_box": tea_box})
-    frames = [filmed(number, told) for number in range(45)]
+    frames = [hand_frame(number, given) for number in range(45)]
     for number, frame in enumerate(frames):
         poses = tracker.step(frame)
         if number == 30:
@@ -187,15 +187,15 @@ def test_what_rests_is_caught_up_in_a_few_looks(tea_box, filmed, monkeypatch, to
         if poses:
             break
     assert _right(poses[0])
-    assert (len(looks) <= 5) == told
+    assert (len(looks) <= 5) == given
 
 
 @pytest.mark.parametrize("jump_m", [0.3, 5.0, 1e7])
-def test_a_jump_of_the_frame_that_the_camera_is_told_in_is_no_motion(tea_box, filmed, jump_m) -> None:
+def test_a_jump_of_the_parent_frame_is_no_motion(tea_box, hand_frame, jump_m) -> None:
     tracker = Tracker({"tea_box": tea_box})
     jump = se3.make(np.eye(3), np.array([0.0, jump_m, 0.0]))
     for number in range(12):
-        frame = filmed(number, told=True)
+        frame = hand_frame(number, given=True)
         if number >= 6:
             frame = replace(frame, T_parent_cam=jump @ frame.T_parent_cam)
         if number == 0:

@@ -1,4 +1,5 @@
-"""A long step must not breed another: in a live pipeline searches are rationed, and everyone gets a turn."""
+"""The tracker limits searches per second, so that one slow step does not cause the next; each object gets
+its turn."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ TWO = (0, 1)
 
 @pytest.fixture
 def searched(monkeypatch):
-    """Surfaces that were searched for, once for each part of a search, by the real search."""
+    """The ids of the surfaces searched for, once for each part of a search; the real search runs."""
     seen: list[int] = []
     real = stages.search
 
@@ -28,8 +29,8 @@ def searched(monkeypatch):
 
 
 def _tracked(tea_box, soup_can, shoot, path, config, apart):
-    """Two objects, acquired in frame 0, and a film that shows where they are ten frames later each time, in
-    frames that many apart."""
+    """A tracker of two objects, acquired in frame 0, and nine frames. From one to the next the objects move
+    by ten frames of `path`, and the frame number grows by `apart`."""
     models = (tea_box, soup_can)
 
     def place(which, number):
@@ -46,14 +47,16 @@ def _tracked(tea_box, soup_can, shoot, path, config, apart):
     return tracker, frames
 
 
-def test_a_long_step_has_time_for_all(tea_box, soup_can, shoot, path, searched):
+def test_after_a_long_interval_all_objects_are_searched(tea_box, soup_can, shoot, path, searched):
     tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig(), 10)
     tracker.step(frames[1])
     assert len(set(searched)) == 2
     assert len(searched) <= 10
 
 
-def test_a_short_step_has_time_for_one_and_all_get_their_turn(tea_box, soup_can, shoot, path, searched):
+def test_after_a_short_interval_one_object_is_searched_and_each_gets_its_turn(
+    tea_box, soup_can, shoot, path, searched
+):
     tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig(), 1)
     found = []
     for frame in frames[1:]:
@@ -64,16 +67,18 @@ def test_a_short_step_has_time_for_one_and_all_get_their_turn(tea_box, soup_can,
     assert len(set(found)) == 2
 
 
-def test_without_a_ration_a_short_step_searches_for_all(tea_box, soup_can, shoot, path, searched):
+def test_without_a_limit_all_objects_are_searched_after_a_short_interval(
+    tea_box, soup_can, shoot, path, searched
+):
     tracker, frames = _tracked(tea_box, soup_can, shoot, path, TrackerConfig(tries_per_s=None), 1)
     tracker.step(frames[1])
     assert len(set(searched)) == 2
 
 
-def test_a_search_that_takes_several_frames_finds_what_turned_behind_a_board(
+def test_a_search_over_several_frames_finds_an_object_that_was_rotated_behind_a_board(
     soup_can, shoot, path, searched
 ) -> None:
-    """Hidden for two frames; what comes back is turned by 45 degrees and 3 cm away."""
+    """The can is occluded for two frames; then it is rotated by 45 degrees and 3 cm away."""
     board, T = printed_board(0.3, 0.3), path(0)
     turned = se3.perturb(T, np.array([0.03, 0.0, 0.0, 0.0, np.radians(45.0), 0.0]))
     before = se3.make(np.eye(3), np.array([0.0, 0.0, T[2, 3] - 0.15]))
@@ -94,7 +99,7 @@ def test_a_search_that_takes_several_frames_finds_what_turned_behind_a_board(
     assert se3.rotation_angle(pose.T_cam_obj, turned) < np.radians(3.0)
 
 
-def test_what_comes_in_front_is_not_followed_and_nothing_is_searched_behind_it(
+def test_an_occluding_board_is_not_tracked_and_nothing_is_searched_behind_it(
     soup_can, shoot, path, searched
 ) -> None:
     """A board is pushed in front of a can, 15 cm nearer: its depth fits a can in many places."""

@@ -60,8 +60,8 @@ def test_a_box_is_refined_to_the_truth(tea_box, shoot, path, start) -> None:
     assert np.linalg.eigvalsh(refined.information).min() > 0
 
 
-def test_texture_settles_the_turn_about_an_axis_of_symmetry(soup_can, shoot, path) -> None:
-    """Eight degrees about the can's axis: invisible to depth."""
+def test_texture_settles_the_rotation_about_an_axis_of_symmetry(soup_can, shoot, path) -> None:
+    """Eight degrees about the can's axis, which depth does not show."""
     surface, truth = PreparedSurface.of(soup_can), path(0)
     frame = shoot([(soup_can.mesh, truth)])
     yaw = se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.radians(8.0)])), np.zeros(3))
@@ -71,7 +71,7 @@ def test_texture_settles_the_turn_about_an_axis_of_symmetry(soup_can, shoot, pat
     assert degrees < 0.6
     blind = replace(region, arrays=region.arrays._replace(saturated=np.ones_like(region.arrays.saturated)))
     _, degrees = errors(refine(surface, blind, truth @ yaw).T_cam_obj, truth)
-    assert degrees > 6.0, "without colours nothing tells"
+    assert degrees > 6.0, "without colours nothing shows the rotation"
 
 
 @pytest.mark.parametrize("light", [(0.5, 0.5, 0.5), (1.2, 0.8, 0.7), (0.6, 0.9, 1.2)])
@@ -85,7 +85,7 @@ def test_light_does_not_move_a_pose(tea_box, shoot, path, light) -> None:
 
 
 def test_shading_on_a_plain_side_does_not_roll_a_can(half_plain_can, shoot) -> None:
-    """A lamp beside it makes the can's plain half lighter on one side: no texture does that."""
+    """A lamp beside the can makes its plain half lighter on one side, as no texture does."""
     surface = PreparedSurface.of(half_plain_can)
     lying = se3.rotation_exp(np.array([-1.1, 0.0, 0.0])) @ se3.rotation_exp(np.array([0.0, 0.0, 3.5]))
     truth = se3.make(lying, np.array([0.0, 0.0, 0.6]))
@@ -105,7 +105,7 @@ def test_shading_on_a_plain_side_does_not_roll_a_can(half_plain_can, shoot) -> N
         T = refine(surface, region, T, NEAR).T_cam_obj
     mm, degrees = errors(T, truth)
     assert mm < 3.0
-    assert degrees < 8.0, "without a bound on the picture's slopes it rolls by a quarter turn and more"
+    assert degrees < 8.0, "without a bound on the image's gradients it rolls by a quarter turn and more"
 
 
 def test_no_texture_is_steeper_than_the_label_and_none_is_on_the_plain_side(half_plain_can) -> None:
@@ -116,14 +116,14 @@ def test_no_texture_is_steeper_than_the_label_and_none_is_on_the_plain_side(half
     plain, label = side & (azimuth > -170.0) & (azimuth < -70.0), side & (azimuth > 0.0) & (azimuth < 110.0)
     steep = surface.steepest.max(axis=-1)
     fine, middle, coarse = np.median(steep[:, label], axis=1)
-    assert fine > 2.0 * middle > 4.0 * coarse > 1000.0, "an opponent or more a millimetre"
+    assert fine > 2.0 * middle > 4.0 * coarse > 1000.0, "one opponent colour unit or more per millimetre"
     assert steep[:2, plain].max() < 1.0
     assert steep[2, plain].max() < 0.05 * coarse
 
 
 def test_the_texture_of_a_large_object_varies_as_well(tea_box) -> None:
-    """Its samples lie farther apart, and so do the neighbours that tell how its texture varies. Enlarged, it
-    varies more slowly in proportion."""
+    """Its samples lie farther apart, and so do the neighbours from which the variation of its texture is
+    computed. An enlarged texture varies more slowly in proportion."""
     surface = PreparedSurface.of(tea_box)
     points, normals, colors = surface.arrays.points, surface.arrays.normals, surface.arrays.colors
     own = np.median(surface.steepest, axis=1)
@@ -132,7 +132,7 @@ def test_the_texture_of_a_large_object_varies_as_well(tea_box) -> None:
         assert (np.median(steepest(points * np.float32(scale), normals, colors), axis=1) > own / scale).all()
 
 
-def test_an_occluder_does_not_pull(tea_box, soup_can, shoot, path) -> None:
+def test_an_occluder_does_not_shift_the_pose(tea_box, soup_can, shoot, path) -> None:
     surface, truth = PreparedSurface.of(tea_box), path(0)
     in_front = se3.make(np.eye(3), truth[:3, 3] * 0.75 + [0.02, 0.0, 0.0])
     frame = shoot([(tea_box.mesh, truth), (soup_can.mesh, in_front)])
@@ -143,7 +143,7 @@ def test_an_occluder_does_not_pull(tea_box, soup_can, shoot, path) -> None:
     assert degrees < 1.0
 
 
-def test_many_at_once_as_one_by_one(tea_box, shoot, path) -> None:
+def test_poses_refined_together_are_those_refined_one_by_one(tea_box, shoot, path) -> None:
     surface, truth = PreparedSurface.of(tea_box), path(0)
     region = region_of(surface, shoot([(tea_box.mesh, truth)]), truth)
     z = float(surface.centre_cam(truth)[2])
@@ -157,7 +157,7 @@ def test_many_at_once_as_one_by_one(tea_box, shoot, path) -> None:
     np.testing.assert_allclose(rated, [totals(surface, region, T[None], 400)[0] for T in starts], atol=1e-9)
 
 
-def test_score_says_what_is_there(tea_box, soup_can, shoot, path) -> None:
+def test_the_terms_distinguish_right_wrong_absent_and_occluded(tea_box, soup_can, shoot, path) -> None:
     surface, truth = PreparedSurface.of(tea_box), path(0)
     frame = shoot([(tea_box.mesh, truth)])
     right = score(surface, region_of(surface, frame, truth), truth)
@@ -179,7 +179,7 @@ def test_score_says_what_is_there(tea_box, soup_can, shoot, path) -> None:
     assert score(surface, region_of(surface, blind, truth), truth).blind == pytest.approx(1.0)
 
 
-def test_the_mean_colour_speaks_where_the_light_is_known(tea_box, shoot, path) -> None:
+def test_the_mean_colour_counts_if_the_light_is_known(tea_box, shoot, path) -> None:
     surface, truth = PreparedSurface.of(tea_box), path(0)
     light = (0.7, 0.9, 1.0)
     region = region_of(surface, shoot([(tea_box.mesh, truth)], light=light), truth)
@@ -195,7 +195,7 @@ def test_windows_are_clipped_and_never_too_small() -> None:
     assert window(Box(90, 10, 60, 40), 100, 100) is None
 
 
-def test_bad_depth_is_no_depth(tea_box: ReferenceModel, shoot, path) -> None:
+def test_nan_and_infinite_depth_count_as_missing(tea_box: ReferenceModel, shoot, path) -> None:
     frame = shoot([(tea_box.mesh, path(0))])
     depth = frame.depth.copy()
     depth[::7, ::5], depth[::11, ::3] = np.nan, np.inf
@@ -230,7 +230,7 @@ def test_search_finds_nothing_where_there_is_no_depth(tea_box, shoot, path) -> N
     assert search(surface, frame, behind) == []
 
 
-def test_a_velocity_is_believed_only_if_the_image_agrees(tea_box, shoot, path) -> None:
+def test_a_velocity_is_used_only_if_the_image_agrees(tea_box, shoot, path) -> None:
     """The object stopped; the velocity says it went on by 8 cm."""
     subject, truth = Subject.of(tea_box), path(0)
     frames = [shoot([(tea_box.mesh, truth)], k) for k in (0, 1)]
@@ -259,11 +259,11 @@ def test_a_pose_that_slid_about_its_axis_of_revolution_is_rolled_back(soup_can, 
     assert se3.rotation_angle(found.T_cam_obj, T) < np.radians(2.0)
     right = unmoved(subject.surface, frame, T, None)
     assert about_its_axis(subject, frame, right, None, known=True)[0] is right
-    assert about_its_axis(subject, frame, slid, None, known=False)[0] is slid, "it may be another thing"
+    assert about_its_axis(subject, frame, slid, None, known=False)[0] is slid, "it may be another object"
     assert len(Subject.of(tea_box).slides) == 0, "it has no such axis"
 
 
-def test_a_slender_object_is_rolled_by_any_angle_where_all_of_it_is_seen(soup_can, shoot, path) -> None:
+def test_a_slender_object_is_rolled_by_any_angle_if_all_of_it_is_visible(soup_can, shoot, path) -> None:
     vertices = soup_can.mesh.vertices * np.float32([0.25, 0.25, 1.6])
     stick = onboarded(replace(soup_can.mesh, vertices=vertices), "stick")
     subject, T = Subject.of(stick), path(0)
@@ -275,17 +275,19 @@ def test_a_slender_object_is_rolled_by_any_angle_where_all_of_it_is_seen(soup_ca
     assert se3.rotation_angle(found.T_cam_obj, T) < np.radians(5.0)
     hidden = replace(rolled, terms=replace(rolled.terms, hidden=0.3))
     kept, _, _ = about_its_axis(subject, shoot([(stick.mesh, T)]), hidden, None, known=True)
-    assert se3.rotation_angle(kept.T_cam_obj, T) > np.radians(60.0), "what tells it may be what is hidden"
+    assert se3.rotation_angle(kept.T_cam_obj, T) > np.radians(60.0), (
+        "the occluded part may be the one that shows the rotation"
+    )
 
 
 @pytest.mark.parametrize(
     ("ahead_m", "behind", "seen"), [(0.7, 0.0, 0.5), (0.3, 0.1, 0.35), (-0.3, 0.5, None)]
 )
-def test_what_reaches_past_the_camera_is_judged_by_what_is_ahead(
+def test_an_object_that_reaches_past_the_camera_is_judged_by_the_part_ahead(
     tea_box: ReferenceModel, ahead_m: float, behind: float, seen: float | None
 ) -> None:
-    """A box of 1.2 m, over which the camera looks ahead and down. behind: least share of its samples that
-    are beside or behind the camera; seen: what is seen of it at least."""
+    """The camera looks ahead and down over a box of 1.2 m. behind: least share of its samples that are beside
+    or behind the camera; seen: least value of the term `seen`, None if the pose explains nothing."""
     model, camera = times_as_large(tea_box, 8.0), Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
     surface = PreparedSurface.of(model)
     T_cam_room = se3.make(se3.rotation_exp(np.array([np.radians(115.0), 0.0, 0.0])), np.zeros(3))

@@ -1,4 +1,4 @@
-"""What tells a plain face from a floor, and which way round a plain object is."""
+"""What distinguishes a plain face from a floor, and the orientations of a plain object from each other."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -43,8 +43,8 @@ VIEW = np.array([0.0, 0.0, 1.0])
 HALF_TURN = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
 
-def picture(mesh: Mesh | None, T_cam_obj: np.ndarray, floor: tuple[int, int, int]) -> RgbdFrame:
-    """A plain floor that is looked at from straight above, and a mesh before it."""
+def floor_frame(mesh: Mesh | None, T_cam_obj: np.ndarray, floor: tuple[int, int, int]) -> RgbdFrame:
+    """A plain floor seen from straight above, and a mesh in front of it."""
     ground = sheet(3.0, 3.0, np.full((8, 8, 3), floor, np.uint8))
     scene = [(ground, se3.make(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, FLOOR_M])))]
     seen = render([*scene, *([] if mesh is None else [(mesh, T_cam_obj)])], CAMERA)
@@ -52,52 +52,52 @@ def picture(mesh: Mesh | None, T_cam_obj: np.ndarray, floor: tuple[int, int, int
 
 
 def lying(model: ReferenceModel, x: float = 0.0) -> np.ndarray:
-    """On the floor with one face up, which is 6 cm above it."""
+    """T_cam_obj of the object on the floor; its upper face is 6 cm above the floor."""
     R = se3.rotation_exp(np.array([np.pi / 2, 0.0, 0.0]))
     top = float((model.mesh.vertices @ R.T)[:, 2].max())
     return se3.make(R, np.array([x, 0.0, FLOOR_M - top]))
 
 
-def test_a_box_ends_where_its_outline_says_and_a_floor_does_not(plain_box: ReferenceModel) -> None:
+def test_a_box_ends_at_its_outline_and_a_floor_continues(plain_box: ReferenceModel) -> None:
     contours, T = Contours(plain_box.mesh, PreparedSurface.of(plain_box)), lying(plain_box)
-    assert continued(contours, T, picture(plain_box.mesh, T, (90, 130, 160))) < 0.05
+    assert continued(contours, T, floor_frame(plain_box.mesh, T, (90, 130, 160))) < 0.05
     sunk = T.copy()
     front = float((plain_box.mesh.vertices @ T[:3, :3].T)[:, 2].min())
     sunk[2, 3] = FLOOR_M - front  # its upper face in the plane of the bare floor
-    assert continued(contours, sunk, picture(None, T, (90, 130, 160))) > 0.8
+    assert continued(contours, sunk, floor_frame(None, T, (90, 130, 160))) > 0.8
 
 
-def test_what_is_moved_along_its_own_face_goes_on_on_one_side(plain_box: ReferenceModel) -> None:
+def test_the_surface_continues_beyond_the_outline_of_a_shifted_pose(plain_box: ReferenceModel) -> None:
     contours, T = Contours(plain_box.mesh, PreparedSurface.of(plain_box)), lying(plain_box)
-    frame = picture(plain_box.mesh, T, (170, 120, 90))
+    frame = floor_frame(plain_box.mesh, T, (170, 120, 90))
     assert continued(contours, lying(plain_box, 0.03), frame) > 0.15
     assert continued(contours, T, frame) < 0.05
 
 
-def test_where_a_plain_box_ends_fixes_how_it_lies_along_its_face(plain_box: ReferenceModel) -> None:
+def test_the_outline_of_a_plain_box_fixes_its_position_along_its_face(plain_box: ReferenceModel) -> None:
     subject, T = Subject.of(plain_box), lying(plain_box)
-    frame, floor = picture(plain_box.mesh, T, (90, 130, 160)), picture(None, T, (90, 130, 160))
+    frame, floor = floor_frame(plain_box.mesh, T, (90, 130, 160)), floor_frame(None, T, (90, 130, 160))
     known = held(subject.contours, T, frame)
     across, along = np.sqrt(1.0 / np.diag(known)[:2])
     assert across == pytest.approx(0.0023, rel=0.3)
     assert along == pytest.approx(0.0023, rel=0.3)
-    assert known[2, 2] < 0.01 * known[0, 0], "nothing of the distance"
+    assert known[2, 2] < 0.01 * known[0, 0], "it does not constrain the distance"
     assert not held(subject.contours, T, floor).any()
-    # One face in view: depth fixes how far away it is, and how it is tilted.
+    # With one face in view, depth fixes its distance and its tilt.
     by_depth = Hypothesis(T, replace(NOTHING, outside=0.0), np.diag([0.0, 0.0, 1e9, 1e6, 1e6, 0.0]), "still")
     assert is_loose(uncertainty(subject, by_depth)[1])
     assert is_loose(uncertainty(subject, by_depth, floor)[1])
     assert not is_loose(uncertainty(subject, by_depth, frame)[1])
 
 
-def test_a_plain_box_has_a_rival_as_good_as_itself_and_a_printed_one_has_not(
+def test_a_plain_box_has_an_equally_good_rival_and_a_printed_box_has_none(
     plain_box: ReferenceModel, tea_box: ReferenceModel
 ) -> None:
     margins = []
     for model in (plain_box, tea_box):
         subject, T = Subject.of(model), lying(model)
         assert len(subject.other_turns)
-        frame = picture(model.mesh, T, (90, 130, 160))
+        frame = floor_frame(model.mesh, T, (90, 130, 160))
         first = best_of(subject.surface, frame, [(T, "still")])
         rival = best_rival(subject, first, subject.other_turns, frame, None)
         assert isinstance(rival, Hypothesis)
@@ -106,17 +106,19 @@ def test_a_plain_box_has_a_rival_as_good_as_itself_and_a_printed_one_has_not(
     assert margins[1] > 0.3
 
 
-def test_only_turns_that_it_can_have_made_are_rivals() -> None:
+def test_only_rotations_within_reach_are_rivals() -> None:
     turns, T = HALF_TURN[None], se3.make(np.eye(3), np.array([0.0, 0.0, 0.6]))
     assert not reached(turns, T, T, np.radians(30.0)).any()
     assert reached(turns, T, T, np.pi).all()
     half_way = se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.radians(95.0)])), T[:3, 3])
-    assert reached(turns, T, half_way, np.radians(30.0)).all(), "nearer to the other than to this"
+    assert reached(turns, T, half_way, np.radians(30.0)).all(), (
+        "nearer to the other orientation than to this one"
+    )
     assert alike(turns, T, T @ HALF_TURN).all()
     assert not alike(turns, T, half_way).any()
 
 
-def test_what_the_image_tells_of_one_view_counts_once() -> None:
+def test_the_evidence_of_one_view_counts_once() -> None:
     facing = Facing.of(0.5, VIEW, 2)
     for _ in range(9):
         facing = facing.compared(0.1, VIEW)
@@ -133,11 +135,11 @@ def test_a_label_that_went_out_of_sight_is_not_forgotten() -> None:
     seen = Facing.of(0.9, VIEW, 2).compared(-0.3, VIEW)
     assert seen.value < -1.0
     little_aside = se3.rotation_exp(np.array([0.5 * NEW_VIEW, 0.0, 0.0])) @ VIEW
-    assert seen.compared(0.02, little_aside).value == seen.value, "a plain side says nothing"
+    assert seen.compared(0.02, little_aside).value == seen.value, "a plain side adds nothing"
     assert seen.compared(0.5, little_aside).value > SETTLED
 
 
-def test_a_turn_that_was_ruled_out_stays_so_when_another_is_doubted() -> None:
+def test_a_rotation_that_was_ruled_out_stays_so_when_another_is_doubted() -> None:
     one, other = np.array([True, False]), np.array([False, True])
     settled = Facing.of(1.0, VIEW, 2)
     assert settled.settled
@@ -146,13 +148,13 @@ def test_a_turn_that_was_ruled_out_stays_so_when_another_is_doubted() -> None:
 
 
 def spinning(number: int) -> np.ndarray:
-    """Upright before the camera, turned about its axis by 9 degrees a frame, now faster and now slower."""
+    """Upright in front of the camera, rotated about its axis by 9 degrees per frame, at a varying speed."""
     turned = 0.15 * number + 0.6 * np.sin(number / 5.0)
     R = se3.rotation_exp(np.array([1.5, 0.1, 0.05])) @ se3.rotation_exp(np.array([0.0, 0.0, turned]))
     return se3.make(R, np.array([0.03 * np.sin(number / 9.0), 0.0, 0.5]))
 
 
-def test_a_can_whose_label_is_behind_is_not_believed(half_plain_can: ReferenceModel) -> None:
+def test_a_can_whose_label_is_out_of_view_is_not_believed(half_plain_can: ReferenceModel) -> None:
     tracker, rng, states = Tracker({"half_plain_can": half_plain_can}), np.random.default_rng(4), []
     tiles = rng.integers(40, 200, (15, 20, 3)).astype(np.uint8)
     wall = np.repeat(np.repeat(tiles, 16, 0), 16, 1)
@@ -172,35 +174,36 @@ def test_a_can_whose_label_is_behind_is_not_believed(half_plain_can: ReferenceMo
             assert pose.T_cam_obj is not None
             error_m = metrics.add(half_plain_can.eval_points, pose.T_cam_obj, T)
             assert error_m < RIGHT * half_plain_can.diameter_m, number
-    assert states.count(State.TRACKING) >= 10, "while the label is seen"
+    assert states.count(State.TRACKING) >= 10, "while the label is visible"
 
 
-def test_an_object_half_covered_after_its_start_may_have_turned_since_the_start(
+def test_an_object_half_occluded_after_its_start_may_have_rotated_since_then(
     plain_box: ReferenceModel,
 ) -> None:
     tracker, T, seconds = Tracker({"plain_box": plain_box}), lying(plain_box), 7 / 30
-    free = picture(plain_box.mesh, T, (90, 130, 160))
+    free = floor_frame(plain_box.mesh, T, (90, 130, 160))
     color, depth = free.color.copy(), free.depth.copy()
     color[:, :184], depth[:, :184] = 30, 0.4
-    covered = replace(free, color=color, depth=depth)
+    occluded = replace(free, color=color, depth=depth)
     states, doubts = [], []
-    for number, seen in enumerate((free, covered, free, free, free)):
+    for number, seen in enumerate((free, occluded, free, free, free)):
         frame = replace(seen, frame_id=number, stamp_ns=int(1e9 * seconds * number), epoch=1)
         if number == 0:
             tracker.correct(Correction.first("plain_box", T, frame, 1.0))
         (pose,) = tracker.step(frame)
         states.append(pose.state)
         doubts.append(tracker.doubt("plain_box", 0))
-    # In twice 0.23 s it can have been put down the other way round, which no picture from above shows.
+    # In twice 0.23 s it can have been rotated by half a turn, which no image from above shows.
     assert states == [State.TRACKING, *(State.SUSPECT,) * 4]
-    assert doubts == [None, None, *(Doubt.TURN,) * 3], "while it is covered the pose does not fit at all"
+    assert doubts == [None, None, *(Doubt.TURN,) * 3], "while it is occluded the pose does not fit at all"
 
 
 def states_of(model: ReferenceModel, poses: Sequence[np.ndarray], apart_s: float) -> list[State]:
-    """Of a tracker that is given the first of these poses, and sees the object in each, so far apart."""
+    """The states of a tracker that starts from the first of these poses and gets a frame of each, apart_s
+    apart."""
     tracker, states = Tracker({model.name: model}), []
     for number, T in enumerate(poses):
-        seen = picture(model.mesh, T, (90, 130, 160))
+        seen = floor_frame(model.mesh, T, (90, 130, 160))
         frame = replace(seen, frame_id=number, stamp_ns=int(1e9 * apart_s * number), epoch=1)
         if number == 0:
             tracker.correct(Correction.first(model.name, T, frame, 1.0))
@@ -210,18 +213,18 @@ def states_of(model: ReferenceModel, poses: Sequence[np.ndarray], apart_s: float
 
 
 @pytest.mark.parametrize(("moved_m", "state"), [(0.0, State.TRACKING), (0.02, State.SUSPECT)])
-def test_what_rests_between_few_pictures_has_not_turned_unseen(
+def test_a_static_object_has_not_rotated_between_two_frames(
     plain_box: ReferenceModel, moved_m: float, state: State
 ) -> None:
-    """In half a second it can be turned the other way round, which no picture from above shows; but what lies
-    where it did was not touched."""
+    """In half a second it can be rotated by half a turn, which no image from above shows; but an object
+    that is still in its position was not touched."""
     states = states_of(plain_box, [lying(plain_box, moved_m * number) for number in range(5)], 0.48)
     assert states == [State.TRACKING, *(state,) * 4]
 
 
-def test_what_turned_farther_than_things_turn_may_have_turned_otherwise(plain_box: ReferenceModel) -> None:
-    """By 50 degrees more than its velocity says, in a sixth of a second, the limit being 38: what else it may
-    have done no picture from above shows."""
+def test_after_an_implausible_rotation_the_orientation_is_in_doubt(plain_box: ReferenceModel) -> None:
+    """It rotates by 50 degrees more than its velocity predicts, in a sixth of a second; the limit is 38. No
+    image from above shows how else it may have rotated."""
     poses = []
     for degrees in (0.0, 10.0, 20.0, 80.0, 90.0, 100.0):
         spun = se3.rotation_exp(np.array([0.0, 0.0, np.radians(degrees)]))
@@ -232,16 +235,16 @@ def test_what_turned_farther_than_things_turn_may_have_turned_otherwise(plain_bo
     assert states == [*(State.TRACKING,) * 3, *(State.SUSPECT,) * 3]
 
 
-def test_only_what_is_round_can_be_slid_in_small_steps(plain_box, half_plain_can) -> None:
+def test_only_round_objects_have_small_near_symmetric_rotations(plain_box, half_plain_can) -> None:
     assert len(Subject.of(plain_box).small_turns) == 0
     small = Subject.of(half_plain_can).small_turns
     assert len(small) >= 2
     assert all(se3.rotation_angle(turn, np.eye(4)) < np.radians(46.0) for turn in small)
 
 
-def test_a_claim_of_nine_in_ten_does_not_settle_which_way_round_it_is(plain_box: ReferenceModel) -> None:
-    """Of a turn that the picture cannot tell, one claim leaves it in doubt; a small lead, or a surer claim,
-    does not."""
+def test_a_claim_of_90_percent_does_not_settle_the_orientation(plain_box: ReferenceModel) -> None:
+    """If the image cannot tell the orientation, one such claim leaves it in doubt. A small lead in the
+    image, or a surer claim, does not."""
     config = TrackerConfig()
     orientation = Orientation(Subject.of(plain_box), config)
 
@@ -255,7 +258,7 @@ def test_a_claim_of_nine_in_ten_does_not_settle_which_way_round_it_is(plain_box:
     assert after(0.6) == pytest.approx(0.6)
 
 
-def test_a_view_is_new_where_the_object_moved_and_not_where_the_opinion_changed(
+def test_a_view_is_new_if_the_object_moved_and_not_if_the_hypothesis_changed(
     tea_box: ReferenceModel,
 ) -> None:
     subject = Subject.of(tea_box)
@@ -271,18 +274,18 @@ def test_a_view_is_new_where_the_object_moved_and_not_where_the_opinion_changed(
     assert not another_opinion(subject, found(T), found(turned)), "much the same view"
     assert not another_opinion(subject, found(T), found(oblique)), "a motion"
     assert another_opinion(subject, found(T), found(oblique, jump=-1.0)), "no motion leads there"
-    assert another_opinion(subject, found(T), found(over)), "it looks nearly the same this way round"
+    assert another_opinion(subject, found(T), found(over)), "it looks nearly the same in this orientation"
 
 
 class TestDenied:
-    """Perception says that the object is turned another way."""
+    """Perception says that the object has another orientation."""
 
     def test_its_surest_answers_for_and_against_weigh_the_same(self) -> None:
         facing = Facing.of(0.99, VIEW, 2)
         assert facing.denied(0.99).probability == pytest.approx(0.5)
         assert facing.denied(0.9).probability == pytest.approx(0.917, abs=0.001)
         again = facing.denied(0.99).denied(0.95).denied(0.99)
-        assert again.probability == pytest.approx(0.5), "it errs alike in every look from there"
+        assert again.probability == pytest.approx(0.5), "one viewpoint repeats its errors"
 
     def test_a_later_agreement_does_not_undo_it(self) -> None:
         assert Facing.of(0.9, VIEW, 2).denied(0.99).assured(0.99).probability == pytest.approx(0.5)
@@ -297,7 +300,7 @@ class TestDenied:
         T = se3.make(se3.rotation_exp(np.array([1.3, 0.2, 0.1])), np.array([0.0, 0.0, 0.5]))
         tracker = Tracker({soup_can.name: soup_can})
         frames = [
-            replace(picture(soup_can.mesh, T, (90, 130, 160)), frame_id=k, stamp_ns=k * 10**8)
+            replace(floor_frame(soup_can.mesh, T, (90, 130, 160)), frame_id=k, stamp_ns=k * 10**8)
             for k in range(4)
         ]
         tracker.correct(Correction.first(soup_can.name, T, frames[0], 0.99))
@@ -310,7 +313,7 @@ class TestDenied:
         assert tracker.doubt(soup_can.name, 0) is Doubt.TURN
 
 
-def test_between_the_turns_of_a_round_object_others_are_tried(soup_can: ReferenceModel) -> None:
+def test_rotations_between_those_of_a_round_object_are_tried(soup_can: ReferenceModel) -> None:
     subject = Subject.of(soup_can)
     closer = subject.closer(subject.small_turns)
     assert len(closer) == 2 * len(subject.small_turns)
@@ -321,11 +324,13 @@ def test_between_the_turns_of_a_round_object_others_are_tried(soup_can: Referenc
     assert np.degrees(half) == pytest.approx(7.5, abs=0.1)
 
 
-def test_what_rests_is_turned_only_by_what_outweighs_the_belief_in_its_turn(soup_can: ReferenceModel) -> None:
+def test_a_static_object_is_rotated_only_if_the_image_outweighs_its_orientation(
+    soup_can: ReferenceModel,
+) -> None:
     subject = Subject.of(soup_can)
     T = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]))
     first = Hypothesis(T, replace(NOTHING, total=1.0), np.zeros((6, 6)), "still")
-    anchor = Anchor((first,), picture(soup_can.mesh, T, (90, 130, 160)), turn_odds=4.8)
+    anchor = Anchor((first,), floor_frame(soup_can.mesh, T, (90, 130, 160)), turn_odds=4.8)
     least = lead_to_turn(subject, anchor, T, 0.1)
     assert least == pytest.approx(4.8 / SHARPNESS)
     moved = T.copy()
@@ -343,7 +348,7 @@ def test_what_rests_is_turned_only_by_what_outweighs_the_belief_in_its_turn(soup
         assert not orientation.impossible(turned, first, 0.1, 0.0)
 
 
-def test_what_rests_has_not_slid_since_perception_judged_it(soup_can: ReferenceModel) -> None:
+def test_a_static_object_has_not_slid_since_perception_judged_it(soup_can: ReferenceModel) -> None:
     def after(rests: bool, *margins: float) -> float:
         orientation = Orientation(Subject.of(soup_can), TrackerConfig())
         orientation.begin(0.99, VIEW)
@@ -352,7 +357,7 @@ def test_what_rests_has_not_slid_since_perception_judged_it(soup_can: ReferenceM
         return orientation.probability
 
     assert after(True, -0.02, -0.03) == pytest.approx(0.99)
-    assert after(True, -0.02, -0.05) <= 0.5, "another turn is nearer than it was"
+    assert after(True, -0.02, -0.05) <= 0.5, "another rotation is closer than it was"
     assert after(False, -0.02) <= 0.5
 
 

@@ -1,4 +1,4 @@
-"""An object at rest does not tremble on depth as an active stereo camera gives it, and starts without lag."""
+"""On depth as from an active stereo camera a static object does not jitter, and it starts without lag."""
 
 from __future__ import annotations
 
@@ -24,39 +24,39 @@ def at(x: float) -> np.ndarray:
 def followed(tea_box):
     """Poses and truth of a box at rest for 40 frames and then pulled at 0.3 m/s for 8."""
     tracker, out = Tracker({"tea_box": tea_box}), []
-    seen = None
+    rendered = None
     for k in range(REST + 8):
         truth = at(-0.05 + 0.01 * max(0, k - REST + 1))
-        if seen is None or k >= REST:
-            seen = render([(tea_box.mesh, truth)], CAMERA)
+        if rendered is None or k >= REST:
+            rendered = render([(tea_box.mesh, truth)], CAMERA)
         rng = np.random.default_rng([3, k])
-        there = seen.depth > 0
-        behind = np.where(there, seen.depth, np.float32(1.1))
-        normals = np.where(there[..., None], seen.normals_cam, np.array([0, 0, -1], np.float32))
+        there = rendered.depth > 0
+        behind = np.where(there, rendered.depth, np.float32(1.1))
+        normals = np.where(there[..., None], rendered.normals_cam, np.array([0, 0, -1], np.float32))
         depth = stereo_depth(behind, normals.astype(np.float32), CAMERA, STEREO, rng)
-        color = np.where(there[..., None], seen.color, 90) + rng.normal(0.0, 2.0, seen.color.shape)
-        picture = np.clip(color, 0, 255).astype(np.uint8)
-        frame = RgbdFrame(picture, depth, CAMERA, k, k * 33_333_333, 1)
+        color = np.where(there[..., None], rendered.color, 90) + rng.normal(0.0, 2.0, rendered.color.shape)
+        image = np.clip(color, 0, 255).astype(np.uint8)
+        frame = RgbdFrame(image, depth, CAMERA, k, k * 33_333_333, 1)
         if k == 0:
             tracker.correct(Correction.first("tea_box", truth, frame, 1.0))
         out.append((tracker.step(frame)[0], truth))
     return out
 
 
-def test_it_does_not_tremble_and_its_covariance_is_true(followed) -> None:
+def test_a_static_pose_does_not_jitter_and_its_covariance_is_true(followed) -> None:
     poses = followed[5:REST]
     assert {pose.state for pose, _ in poses} == {State.TRACKING}
     errors = np.array([se3.difference(truth, pose.T_cam_obj) for pose, truth in poses])
-    tremble = errors - errors.mean(0)
-    assert 1e3 * np.sqrt((tremble[:, :3] ** 2).sum(1).mean()) < 0.5
-    assert np.degrees(np.sqrt((tremble[:, 3:] ** 2).sum(1).mean())) < 0.3
+    jitter = errors - errors.mean(0)
+    assert 1e3 * np.sqrt((jitter[:, :3] ** 2).sum(1).mean()) < 0.5
+    assert np.degrees(np.sqrt((jitter[:, 3:] ** 2).sum(1).mean())) < 0.3
     sigmas = np.array([np.sqrt(np.diag(pose.covariance)) for pose, _ in poses])
     assert (np.abs(errors) < 2 * sigmas).mean() >= 0.95
-    assert sigmas[:, :3].max() < 0.003, "and it claims to know something"
+    assert sigmas[:, :3].max() < 0.003, "the claimed uncertainty is small"
 
 
-def test_it_starts_without_lag(followed) -> None:
+def test_motion_starts_without_lag(followed) -> None:
     behind = [truth[0, 3] - pose.T_cam_obj[0, 3] for pose, truth in followed[REST:]]
-    assert np.abs(behind).max() < 0.001, "a frame's way is a centimetre"
+    assert np.abs(behind).max() < 0.001, "it moves by a centimetre per frame"
     speed = followed[-1][0].velocity[:3]
     np.testing.assert_allclose(speed, [0.3, 0.0, 0.0], atol=0.03)

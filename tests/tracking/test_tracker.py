@@ -42,8 +42,9 @@ def test_a_moving_object_is_followed_for_30_frames(name, tea_box, soup_can, shoo
     assert (np.abs(delta) < 4 * np.sqrt(np.diag(pose.covariance))).all()
 
 
-def test_an_object_is_followed_whose_origin_is_far_from_it(tea_box, shoot, path) -> None:
-    """As of a mesh in the coordinates of a building: 42 m off, it moves on an arc when the object turns."""
+def test_an_object_whose_origin_is_far_from_it_is_tracked(tea_box, shoot, path) -> None:
+    """As in a mesh in the coordinates of a building: the origin, 42 m off, moves on an arc as the object
+    rotates."""
     away = np.array([25.0, 33.75, 0.0])
     vertices = (tea_box.mesh.vertices + away).astype(np.float32)
     model, back = onboard_mesh(replace(tea_box.mesh, vertices=vertices), "far"), se3.make(np.eye(3), -away)
@@ -55,7 +56,7 @@ def test_an_object_is_followed_whose_origin_is_far_from_it(tea_box, shoot, path)
         (pose,) = tracker.step(frame)
         assert pose.state is State.TRACKING
         assert pose.T_cam_obj is not None
-        # In its own place, a step of single precision at that distance is 4 micrometres.
+        # About the box's own origin; a step of single precision at that distance is 4 micrometres.
         mm, degrees = errors(replace(pose, T_cam_obj=pose.T_cam_obj @ se3.inverse(back)), path(k))
         assert (mm < 1.0, degrees < 0.3) == (True, True)
     went = se3.difference(path(28) @ back, path(29) @ back)[:3] * 30
@@ -74,7 +75,7 @@ def test_every_fifth_frame_is_enough(tea_box, film, path) -> None:
         assert degrees < 0.6
 
 
-def test_other_sides_confirm_an_object_however_far_it_turns_between_two_frames(tea_box, film, path) -> None:
+def test_other_sides_confirm_an_object_however_far_it_rotates_between_two_frames(tea_box, film, path) -> None:
     tracker = Tracker({"tea_box": tea_box})
     states = []
     for frame in film(46, 5):
@@ -82,11 +83,11 @@ def test_other_sides_confirm_an_object_however_far_it_turns_between_two_frames(t
             tracker.correct(correction(frame, path(0), quality=0.8))
         (pose,) = tracker.step(frame)
         states.append(pose.state)
-    assert states[0] is State.SUSPECT, "one unsure answer of perception"
-    assert states[-1] is State.TRACKING, "its print agreed from viewpoints over 100 degrees"
+    assert states[0] is State.SUSPECT, "one uncertain answer of perception"
+    assert states[-1] is State.TRACKING, "its print agreed over more than 100 degrees of viewpoints"
 
 
-def test_a_covered_object_is_suspect_within_2_and_lost_within_5_frames(
+def test_an_occluded_object_is_suspect_within_2_and_lost_within_5_frames(
     tea_box, soup_can, shoot, path, started
 ) -> None:
     wall = se3.make(np.eye(3), np.array([0.0, 0.0, 0.12]))
@@ -105,10 +106,10 @@ def test_a_covered_object_is_suspect_within_2_and_lost_within_5_frames(
 
 
 @pytest.mark.parametrize("per_frame", [1, 3])
-def test_what_is_hidden_for_a_tenth_of_a_second_is_not_lost_at_any_rate(
+def test_an_object_out_of_view_for_a_tenth_of_a_second_is_not_lost_at_any_frame_rate(
     tea_box, shoot, path, per_frame: int
 ) -> None:
-    """At 30 and at 90 Hz; what stays away is lost after a sixth of a second."""
+    """At 30 and at 90 Hz. An object that stays away is lost after a sixth of a second."""
     tracker, states = Tracker({"tea_box": tea_box}), []
     for k in range(20 * per_frame):
         at = k / per_frame
@@ -125,7 +126,7 @@ def test_what_is_hidden_for_a_tenth_of_a_second_is_not_lost_at_any_rate(
 
 
 @pytest.mark.parametrize("per_frame", [1, 3])
-def test_a_strip_is_followed_for_as_long_at_any_rate(
+def test_a_barely_visible_object_is_tracked_equally_long_at_any_frame_rate(
     tea_box, shoot, path, monkeypatch, per_frame: int
 ) -> None:
     """A third of a second at 30 and at 90 Hz."""
@@ -154,8 +155,10 @@ def test_an_object_taken_away_is_lost_until_it_is_back(tea_box, shoot, path, sta
     assert errors(pose, path(15))[0] < 1.0
 
 
-def test_a_lost_object_is_tracked_as_soon_as_a_correction_has_reached_now(tea_box, shoot, path) -> None:
-    # Without a try nothing is looked for.
+def test_a_lost_object_is_tracked_as_soon_as_a_correction_has_reached_the_newest_frame(
+    tea_box, shoot, path
+) -> None:
+    # With no tries the tracker searches for nothing.
     started = Tracker({"tea_box": tea_box}, TrackerConfig(tries_per_s=0.0))
     started.step(shoot([(tea_box.mesh, path(5))], 5))
     started.correct(correction(shoot([], 5), path(5)))
@@ -187,9 +190,7 @@ def test_a_new_epoch_forgets_everything(tea_box, shoot, path, started) -> None:
     assert started.poses()[0].epoch == 2
 
 
-def test_when_the_cameras_clock_is_set_back_the_newest_frame_is_the_one_that_comes(
-    film, started, path
-) -> None:
+def test_after_the_clock_is_set_back_the_newest_frame_is_the_one_received_last(film, started, path) -> None:
     """Fifteen frames come half a second ahead of their time; then the clock is right again."""
     for k, frame in enumerate(film(25, first=6), start=6):
         ahead_ns = 500_000_000 if 10 <= k < 25 else 0
@@ -199,7 +200,7 @@ def test_when_the_cameras_clock_is_set_back_the_newest_frame_is_the_one_that_com
         assert errors(pose, path(k))[0] < 3.0, k
 
 
-def test_frames_that_are_not_newer_are_not_looked_at(film, started) -> None:
+def test_frames_that_are_not_newer_are_ignored(film, started) -> None:
     frames = film(6)
     before = started.poses()[0]
     assert started.step(frames[5]) == []
@@ -207,8 +208,8 @@ def test_frames_that_are_not_newer_are_not_looked_at(film, started) -> None:
     np.testing.assert_array_equal(started.poses()[0].T_cam_obj, before.T_cam_obj)
 
 
-def test_another_picture_of_the_same_number_and_stamp_is_refused(tea_box, shoot, path) -> None:
-    """As RgbdFrame has them where nobody gives any."""
+def test_another_image_with_the_same_number_and_timestamp_is_refused(tea_box, shoot, path) -> None:
+    """Those of RgbdFrame if none are given."""
     tracker = Tracker({"tea_box": tea_box})
     first, second = (replace(shoot([(tea_box.mesh, path(k))], 0), stamp_ns=0) for k in (0, 3))
     tracker.correct(Correction.first("tea_box", path(0), first, 1.0))
@@ -221,7 +222,8 @@ def test_another_picture_of_the_same_number_and_stamp_is_refused(tea_box, shoot,
 
 @pytest.mark.parametrize("apart_ns", [0, 33, 33_333])
 def test_frames_without_time_between_them_are_refused(tea_box, shoot, path, apart_ns: int) -> None:
-    """No stamps, or such in milliseconds or microseconds; the clock of a camera is set back once."""
+    """No timestamps, or timestamps in milliseconds or microseconds. A single one may come from a clock that
+    was set back."""
     tracker = Tracker({"tea_box": tea_box})
     frames = [replace(shoot([(tea_box.mesh, path(k))], k), stamp_ns=k * apart_ns) for k in range(4)]
     tracker.correct(Correction.first("tea_box", path(0), frames[0], 1.0))
@@ -248,11 +250,13 @@ def test_two_instances_that_cross_are_told_apart(tea_box, shoot) -> None:
     assert [p.instance for p in poses] == [0, 1]
     assert errors(poses[0], at(20)[0])[0] < 1.0
     if poses[1].T_cam_obj is not None:
-        assert errors(poses[1], at(20)[1])[0] < 10.0, "it was covered for a while; never on the other one"
+        assert errors(poses[1], at(20)[1])[0] < 10.0, (
+            "it was occluded for a while; it is never on the other one"
+        )
 
 
-def test_a_newcomer_does_not_get_the_surface_that_its_twin_holds(tea_box, film, path) -> None:
-    """Nor is it believed for a single frame."""
+def test_a_new_instance_does_not_get_the_surface_of_a_tracked_one(tea_box, film, path) -> None:
+    """It is not published for a single frame."""
     tracker = Tracker({"tea_box": tea_box})
     frames = film(8)
     near = se3.perturb(path(0), np.array([0.004, 0, 0, 0, 0.03, 0]))
@@ -265,10 +269,10 @@ def test_a_newcomer_does_not_get_the_surface_that_its_twin_holds(tea_box, film, 
 
 
 @pytest.mark.parametrize(("worse", "holds"), [(0.05, "tea_box"), (0.2, "also")])
-def test_of_one_that_is_tracked_and_another_that_comes_late_to_its_surface_one_is_believed(
+def test_of_a_tracked_object_and_a_late_one_on_the_same_surface_one_is_believed(
     tea_box, film, path, worse: float, holds: str
 ) -> None:
-    """By the same comparison in this frame and in the next ones."""
+    """The comparison is the same in this frame and in the next ones."""
     tracker = Tracker({"tea_box": tea_box, "also": replace(tea_box, name="also")})
     frames = film(8)
     tracker.correct(correction(frames[0], path(0)))
@@ -299,7 +303,7 @@ def test_of_two_tracks_that_meet_on_one_surface_one_is_lost(tea_box, shoot, path
     assert [p.state for p in poses].count(State.LOST) == 1
 
 
-def test_the_same_film_gives_the_same_poses_bit_for_bit(tea_box, film, path) -> None:
+def test_the_same_frames_give_the_same_poses_bit_for_bit(tea_box, film, path) -> None:
     def run() -> list[bytes]:
         tracker = Tracker({"tea_box": tea_box})
         out = []
@@ -314,7 +318,7 @@ def test_the_same_film_gives_the_same_poses_bit_for_bit(tea_box, film, path) -> 
     assert run() == run()
 
 
-def test_objects_and_instances_come_and_go(soup_can, started) -> None:
+def test_objects_and_instances_are_added_and_removed(soup_can, started) -> None:
     started.add_object(soup_can)
     assert set(started.objects) == {"tea_box", "soup_can"}
     assert started.instances == (("tea_box", 0),)
@@ -325,7 +329,7 @@ def test_objects_and_instances_come_and_go(soup_can, started) -> None:
     started.remove_object("never_known")
 
 
-def test_a_camera_without_readings_breaks_nothing(started) -> None:
+def test_frames_without_valid_depth_break_nothing(started) -> None:
     camera = Camera(420.0, 420.0, 159.5, 119.5, 320, 240)
     for k in range(6, 12):
         depth = np.full((240, 320), [0.0, np.nan, np.inf, -np.inf, 65.535, 0.0][k - 6], np.float32)
@@ -345,7 +349,7 @@ def test_configuration_is_checked() -> None:
         TrackerConfig(suspect_quality=0.9)
 
 
-def test_what_is_of_another_type_is_refused_at_the_door(tea_box) -> None:
+def test_arguments_of_another_type_are_refused(tea_box) -> None:
     with pytest.raises(InputError, match=r"found str; expected reference models.*load_models\(dir\)"):
         Tracker("bundles")
     with pytest.raises(InputError, match="frame: found None; expected an RgbdFrame"):

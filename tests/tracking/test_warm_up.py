@@ -1,4 +1,4 @@
-"""No kernel waits for its first real frame."""
+"""After warm-up no kernel is compiled at the first real frame."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from huepose.tracking import Tracker, refined, stages
 PARTS = {"search": stages, "refine": refined, "terms_at": refined}
 
 
-def test_everything_is_tried_and_nothing_is_left_behind(tea_box, soup_can, monkeypatch) -> None:
+def test_warm_up_runs_every_part_and_leaves_no_track(tea_box, soup_can, monkeypatch) -> None:
     tried = set()
 
     def spied(name):
@@ -32,11 +32,11 @@ def test_everything_is_tried_and_nothing_is_left_behind(tea_box, soup_can, monke
     assert tracker.poses() == []
 
 
-def test_a_tracker_of_nothing_is_warm() -> None:
+def test_a_tracker_without_objects_can_warm_up() -> None:
     Tracker({}).warm_up()
 
 
-def test_a_camera_of_whole_numbers_compiles_nothing_anew(shoot) -> None:
+def test_integer_intrinsics_compile_no_kernel_again(shoot) -> None:
     frame = replace(shoot([], 0), camera=Camera(420, 420, 160, 120, 320, 240))
     region = open_region(frame, Box(40, 40, 64, 64), 0.5, 0.1)
     assert region is not None

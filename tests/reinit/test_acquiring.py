@@ -1,4 +1,4 @@
-"""How objects come to be tracked, and are searched for anew."""
+"""How objects are acquired, and searched for again."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_sure_estimate_acquires_and_instances_get_new_numbers() -> None:
 @pytest.mark.parametrize(("quality", "present", "taken"), [
     (0.6, 0.95, True), (0.6, 0.85, False), (0.6, None, False), (0.1, 0.95, False),
 ])  # fmt: skip
-def test_one_estimate_is_enough_where_the_object_surely_is_there(
+def test_one_estimate_is_enough_if_presence_is_certain(
     quality: float, present: float | None, taken: bool
 ) -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
@@ -44,7 +44,7 @@ def test_no_more_instances_than_wanted() -> None:
 
 
 @pytest.mark.parametrize(("quality", "taken"), [(0.05, True), (0.4, False)])
-def test_a_sure_estimate_elsewhere_takes_the_place_of_one_that_is_most_likely_wrong(
+def test_a_sure_estimate_elsewhere_replaces_a_track_that_is_most_likely_wrong(
     quality: float, taken: bool
 ) -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
@@ -53,7 +53,7 @@ def test_a_sure_estimate_elsewhere_takes_the_place_of_one_that_is_most_likely_wr
     assert [(c.instance, c.verdict) for c in found] == ([(0, Verdict.ACQUIRE)] if taken else [])
 
 
-def test_the_same_sight_twice_is_one_instance() -> None:
+def test_two_estimates_of_one_pose_are_one_instance() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
     request = loop.tick(0, [])
     found = loop.answer(100 * MS, result(request, 10, estimate(T=pose(0.2)), estimate(T=pose(0.201))))
@@ -72,10 +72,10 @@ def test_an_unsure_estimate_waits_for_a_second_that_agrees() -> None:
     second = estimate(T=pose(0.01), quality=0.55, present=0.7)
     (found,) = loop.answer(500 * MS, result(request, 410, second))
     assert found.verdict is Verdict.ACQUIRE
-    assert (found.quality, found.present) == (0.6, 0.8), "two looks from one place err alike"
+    assert (found.quality, found.present) == (0.6, 0.8), "two answers from one viewpoint share their errors"
 
 
-def test_nonsense_is_never_used() -> None:
+def test_improbable_estimates_are_never_used() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
     for k in range(3):
         request = loop.tick(k * 200 * MS, [])
@@ -84,17 +84,17 @@ def test_nonsense_is_never_used() -> None:
     assert loop.counters.rejected == 6
 
 
-def test_an_object_that_is_searched_anew_gets_a_new_number_and_no_old_answer() -> None:
+def test_an_object_that_is_searched_again_gets_a_new_number_and_no_old_answer() -> None:
     loop = ReinitLoop(objects=[("mug", 1)])
     first = loop.tick(0, [])
     assert first is not None
     (sent,) = loop.answer(50 * MS, result(first, 20, estimate()))
     request = loop.tick(300 * MS, [track(stamp_ms=290, applied=sent.seq)])
     assert asked(request) == [("mug", 0)]
-    # Numbers under 1 of this epoch are over: the caller shows the loop no such track any more.
+    # Numbers below 1 of this epoch are withdrawn: the caller passes no such track any more.
     assert loop.forget("mug", 310 * MS) == (EPOCH, 1)
     assert loop.repeats(10_000 * MS) == []
-    # The answer that is on its way was computed on a frame from before the order.
+    # The pending answer was computed on a frame from before `forget`.
     assert request is not None
     assert loop.answer(350 * MS, result(request, 300, estimate())) == []
     again = loop.tick(600 * MS, [])
@@ -105,23 +105,23 @@ def test_an_object_that_is_searched_anew_gets_a_new_number_and_no_old_answer() -
 
 
 @pytest.mark.parametrize("restarted", [False, True])
-def test_a_number_that_is_over_is_not_used_again_when_the_camera_is_opened_anew(restarted: bool) -> None:
+def test_a_withdrawn_number_is_not_used_again_when_the_camera_is_opened_again(restarted: bool) -> None:
     loop = ReinitLoop(objects=[("mug", 1)])
     first = loop.tick(0, [])
     assert first is not None
     loop.answer(50 * MS, result(first, 20, estimate()))
-    over = loop.forget("mug", 60 * MS)
-    assert over == (EPOCH, 1)
+    withdrawn = loop.forget("mug", 60 * MS)
+    assert withdrawn == (EPOCH, 1)
     if restarted:  # the list of objects is all that a new loop knows
         loop = ReinitLoop(objects=[("mug", 1)])
-        loop.begin_at("mug", over[1])
+        loop.begin_at("mug", withdrawn[1])
     request = loop.tick(600 * MS, [])
     assert request is not None
     (found,) = loop.answer(650 * MS, result(request, 610, estimate(), epoch=EPOCH + 1))
     assert (found.epoch, found.instance) == (EPOCH + 1, 1)
 
 
-def test_what_is_on_its_way_is_over_as_well() -> None:
+def test_pending_corrections_of_a_forgotten_object_are_withdrawn() -> None:
     loop = ReinitLoop(objects=[("mug", 1), ("jar", 1)])
     request = loop.tick(0, [])
     assert request is not None
@@ -130,5 +130,5 @@ def test_what_is_on_its_way_is_over_as_well() -> None:
     assert [c.object for c in loop.repeats(400 * MS)] == ["jar"]
 
 
-def test_nothing_is_over_before_the_first_frame() -> None:
+def test_before_the_first_frame_no_number_is_withdrawn() -> None:
     assert ReinitLoop(objects=[("mug", 1)]).forget("mug") is None

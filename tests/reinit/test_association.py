@@ -1,4 +1,4 @@
-"""Assignment of estimates to instances: optimal, gated, and blind to the order of either."""
+"""Assignment of estimates to instances: optimal, gated, and independent of the order of either."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def prior(x: float, sigma_m: float = 0.001, turn_deg: float = 0.0) -> Prior:
 
 
 def test_the_sum_counts_not_the_nearest_pair() -> None:
-    """The first estimate is nearest to the first instance, but the second one can be nothing else."""
+    """The first estimate is nearest to the first instance, but the second can only be that instance."""
     assert assign([at(0.01), at(-0.06)], [prior(0.0), prior(0.08)], 0, SLOT) == [1, 0]
 
 
@@ -39,15 +39,15 @@ def test_order_does_not_matter(order: tuple[int, ...]) -> None:
 def test_the_gate_follows_the_covariance() -> None:
     assert assign([at(0.15)], [prior(0.0, 0.001)], 0, SLOT) == [None]
     assert assign([at(0.15)], [prior(0.0, 0.06)], 0, SLOT) == [0]
-    assert assign([at(0.5)], [prior(0.0, 1.0)], 0, SLOT) == [None], "never further than two diameters"
+    assert assign([at(0.5)], [prior(0.0, 1.0)], 0, SLOT) == [None], "never farther than two diameters"
 
 
-def test_turns_decide_between_equal_distances() -> None:
+def test_rotations_decide_between_equal_distances() -> None:
     priors = [prior(0.0, 0.05, 0.0), prior(0.0, 0.05, 90.0)]
     assert assign([at(0.0, 80.0), at(0.0, 5.0)], priors, 0, SLOT) == [1, 0]
 
 
-def test_where_the_origin_lies_changes_nothing() -> None:
+def test_the_position_of_the_origin_changes_nothing() -> None:
     off = np.array([0.0, 0.0, 4.0])
     far = ObjectSlot("mug", 3, 0.2, (), np.array([off - 0.1, off + 0.1]))
 
@@ -65,7 +65,7 @@ def test_where_the_origin_lies_changes_nothing() -> None:
         )
 
 
-def test_an_object_that_turns_in_place_is_expected_there_wherever_its_origin_lies() -> None:
+def test_an_object_that_rotates_in_place_is_expected_there_wherever_its_origin_is() -> None:
     """Its published velocity is that of its origin."""
     off, spin, seconds = np.array([0.3, 0.0, 0.0]), np.array([0.0, 2.0, 0.0]), 0.3
     far = ObjectSlot("mug", 3, 0.2, (), np.array([off - 0.1, off + 0.1]))
@@ -88,12 +88,12 @@ FLAT = ObjectSlot("book", 3, 0.26, (), np.array([[-0.1, -0.08, 0.0], [0.1, 0.08,
         ((0.0, 0.0, 0.035), (0.0, 0.0, 0.0), False),  # on top of it
         ((0.0, 0.0, 0.015), (0.0, 0.0, 0.0), True),
         ((0.12, 0.0, 0.1), (0.0, 90.0, 0.0), False),  # it leans on its side
-        ((0.0, 0.0, 0.03), (180.0, 0.0, 0.0), True),  # turned over in its place
+        ((0.0, 0.0, 0.03), (180.0, 0.0, 0.0), True),  # turned over in place
         ((0.09, 0.0, 0.0), (0.0, 0.0, 0.0), True),  # slid along it
         ((0.21, 0.0, 0.0), (0.0, 0.0, 40.0), False),
     ],
 )
-def test_two_instances_do_not_lie_in_each_other(
+def test_two_instances_do_not_intersect(
     shift_m: tuple[float, ...], turn_deg: tuple[float, ...], same: bool
 ) -> None:
     one = at(0.1, 30.0)
@@ -101,7 +101,7 @@ def test_two_instances_do_not_lie_in_each_other(
     assert near(one, other, FLAT) == near(other, one, FLAT) == same
 
 
-def test_what_lies_beside_a_sure_instance_is_another_one() -> None:
+def test_an_estimate_beside_a_sure_instance_is_another_one() -> None:
     beside = at(0.0)
     beside[2, 3] += 0.035
     assert assign([beside], [prior(0.0)], 0, FLAT) == [0], "it may have moved there"
@@ -114,7 +114,7 @@ def test_nothing_to_assign() -> None:
     assert assign([at(0.0)], [], 0, SLOT) == [None]
 
 
-def test_displacement_knows_equivalents() -> None:
+def test_displacement_counts_no_equivalent_rotations() -> None:
     flip = se3.make(se3.rotation_exp(np.array([0.0, np.pi, 0.0])), np.zeros(3))
     symmetric = ObjectSlot("box", 1, 0.2, (np.eye(4), flip))
     assert displacement_m(at(0.0), at(0.0) @ flip, symmetric) == pytest.approx(0.0, abs=1e-9)

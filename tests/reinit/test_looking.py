@@ -1,4 +1,4 @@
-"""Where a request looks, where something is tracked already."""
+"""Where a request looks when some objects are tracked already."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ def test_the_best_places_are_looked_at_and_no_more_than_wanted() -> None:
     assert _chosen(("cup", Box(500, 300, 60, 60)), wanted=2) == [HERE, THERE]
 
 
-def test_where_an_instance_of_it_is_no_other_one_is() -> None:
+def test_a_place_of_a_tracked_instance_is_not_looked_at() -> None:
     assert _chosen(("can", BESIDE)) == [THERE]
     assert _chosen(("can", HERE), ("can", THERE), ("can", AWAY)) == []
 
 
 def test_its_best_place_is_looked_at_even_where_another_object_is() -> None:
     assert _chosen(("cup", BESIDE)) == [HERE, THERE]
-    assert _chosen(("cup", THERE)) == [HERE], "what is more likely elsewhere costs no look"
+    assert _chosen(("cup", THERE)) == [HERE], "the object is more likely elsewhere"
     assert _chosen(("cup", HERE), ("cup", THERE), wanted=2) == [HERE, AWAY]
 
 
@@ -48,7 +48,8 @@ def test_its_best_place_is_looked_at_even_where_another_object_is() -> None:
 def test_a_look_alike_gives_way_to_the_object_that_is_there(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, quality: float
 ) -> None:
-    """It is followed first, at the place of a box of another print: alone it stays TRACKING or SUSPECT."""
+    """The look-alike is tracked first, in the pose of a box with another print. Alone it stays TRACKING or
+    SUSPECT."""
     other = onboarded(demo_objects(1)["tea_box"], "other_box")
     models, rng = {"tea_box": tea_box, "other_box": other}, np.random.default_rng(0)
     picture = take_picture([(other.mesh, standing)])

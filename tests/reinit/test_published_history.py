@@ -1,4 +1,4 @@
-"""Poses of the past: between two that were published, at the ends, and after an object is forgotten."""
+"""Past poses: between two published ones, at the ends, and after an object is forgotten."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def published(stamp_ns: int, x: float | None, covariance: Float64 | None = None)
     return TrackedPose("can", 0, 1, 0, stamp_ns, State.TRACKING, T, None, 0.9, covariance, 0)
 
 
-def test_between_two_poses_it_is_interpolated_and_less_sure() -> None:
+def test_a_pose_between_two_is_interpolated_and_less_certain() -> None:
     past, small = PublishedHistory(), np.eye(6) * 1e-8
     past.note(published(0, 0.0, small))
     newest = published(100_000_000, 0.1, small)
@@ -32,7 +32,7 @@ def test_between_two_poses_it_is_interpolated_and_less_sure() -> None:
     assert past.at(newest, 900_000_000, ORIGIN).T_cam_obj[0, 3] == 0.1
 
 
-def test_what_is_no_pose_or_old_is_not_remembered() -> None:
+def test_missing_and_old_poses_are_not_remembered() -> None:
     past = PublishedHistory()
     for track in (published(10, 0.1), published(10, 0.2), published(5, 0.3), published(20, None)):
         past.note(track)
@@ -57,7 +57,7 @@ def test_across_a_loss_nothing_is_interpolated() -> None:
     assert places == pytest.approx([0.05, 0.1, 0.8, 0.8, 0.85])
 
 
-def test_between_two_poses_it_turned_about_its_middle_however_far_its_origin_is() -> None:
+def test_interpolation_rotates_about_the_middle_however_far_the_origin_is() -> None:
     past, middle = PublishedHistory(), np.array([2.0, -1.0, 0.5])
 
     def turned(stamp_ns: int, angle: float) -> TrackedPose:

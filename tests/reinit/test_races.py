@@ -1,4 +1,4 @@
-"""Every race of the re-initialisation loop, on a clock that the test turns."""
+"""Every race of the re-initialisation loop, on a clock that the test sets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from huepose.tracking.types import Verdict
 from .conftest import EPOCH, MS, asked, estimate, pose, result, track
 
 
-def test_a_silent_chain_is_counted_and_asked_anew() -> None:
+def test_an_unanswered_request_is_counted_and_sent_again() -> None:
     loop = ReinitLoop(objects=[("mug", 1)])
     first = loop.tick(0, [])
     assert loop.tick(599 * MS, []) is None
@@ -27,7 +27,7 @@ def test_a_silent_chain_is_counted_and_asked_anew() -> None:
     assert loop.counters.expired == 1
 
 
-def test_what_nobody_heard_is_asked_anew_as_soon_as_somebody_listens() -> None:
+def test_an_unheard_request_is_sent_again_as_soon_as_perception_begins() -> None:
     loop = ReinitLoop(objects=[("mug", 1)])
     assert loop.tick(0, []) is not None
     assert loop.tick(100 * MS, []) is None
@@ -41,7 +41,7 @@ def test_what_nobody_heard_is_asked_anew_as_soon_as_somebody_listens() -> None:
 
 
 @pytest.mark.parametrize("answered", [False, True])
-def test_until_the_first_answer_nothing_is_looked_for_in_vain(answered: bool) -> None:
+def test_before_the_first_answer_no_search_counts_as_failed(answered: bool) -> None:
     loop = ReinitLoop(objects=[("mug", 1)])
     for ms in range(0, 9_000, 600):
         request = loop.tick(ms * MS, [])
@@ -69,7 +69,7 @@ def test_corrections_are_repeated_until_applied() -> None:
     assert loop.repeats(600 * MS) == []
 
 
-def test_a_correction_that_nobody_applies_is_given_up() -> None:
+def test_a_correction_that_is_never_applied_is_given_up() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
     request = loop.tick(0, [])
     loop.answer(100 * MS, result(request, 10, estimate()))
@@ -84,7 +84,7 @@ def test_a_correction_that_nobody_applies_is_given_up() -> None:
 
 
 def test_a_result_for_an_object_just_lost_acquires_it_again() -> None:
-    """Asked while it was tracked, answered when it is lost: the same instance, with the next number."""
+    """Asked while it was tracked, answered when it is lost: the same instance, with a later number."""
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
     request = loop.tick(0, [track(applied=4)])
     assert asked(request) == [("mug", 0)]
@@ -94,7 +94,7 @@ def test_a_result_for_an_object_just_lost_acquires_it_again() -> None:
     assert found[0].seq > 4
 
 
-def test_a_late_answer_counts_but_is_used() -> None:
+def test_a_late_answer_is_counted_and_used() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
     first = loop.tick(0, [])
     second = loop.tick(600 * MS, [])
@@ -105,7 +105,7 @@ def test_a_late_answer_counts_but_is_used() -> None:
     assert second is not None
 
 
-def test_two_results_out_of_order_the_older_is_ignored() -> None:
+def test_of_two_results_out_of_order_the_older_is_ignored() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
     first = loop.tick(0, [track()])
     second = loop.tick(600 * MS, [track(stamp_ms=600)])
@@ -121,7 +121,7 @@ def test_a_new_epoch_voids_everything() -> None:
     loop.answer(100 * MS, result(request, 10, estimate()))
     loop.tick(150 * MS, [track(instance=0, stamp_ms=150, applied=1)])
     late = loop.tick(400 * MS, [track(instance=0, stamp_ms=400, applied=1)])
-    # The camera was opened anew: the tracker publishes nothing, and perception sees the new epoch first.
+    # The camera was opened again: the tracker publishes nothing, and perception sees the new epoch first.
     new = EPOCH + 1
     found = loop.answer(500 * MS, result(late, 480, estimate(instance=0), epoch=new))
     assert [(c.epoch, c.instance, c.seq, c.verdict) for c in found] == [(new, 0, 500 * MS, Verdict.ACQUIRE)]
@@ -133,7 +133,7 @@ def test_a_new_epoch_voids_everything() -> None:
 
 
 def test_two_instances_crossing_keep_their_numbers() -> None:
-    """Both move towards each other and have passed; each estimate came from the other one's request."""
+    """They moved towards each other and have passed; each estimate answers the request for the other one."""
     to_right, to_left = np.array([0.5, 0, 0, 0, 0, 0]), np.array([-0.5, 0, 0, 0, 0, 0])
     loop = ReinitLoop(objects=[ObjectSlot("mug", 2, 0.1)])
     tracks = [
@@ -155,7 +155,7 @@ def test_two_instances_crossing_keep_their_numbers() -> None:
     assert all(c.verdict is Verdict.AGREE for c in found)
 
 
-def test_a_loop_that_was_started_anew_counts_on_from_what_was_applied() -> None:
+def test_a_restarted_loop_continues_with_the_published_instances() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
     request = loop.tick(0, [track(instance=3, applied=17)])
     found = loop.answer(
@@ -168,7 +168,7 @@ def test_a_loop_that_was_started_anew_counts_on_from_what_was_applied() -> None:
 
 
 def test_no_number_that_a_pose_says_moves_those_of_the_loop() -> None:
-    """Poses with the highest numbers that a message can have: of a correction, and of an instance."""
+    """Poses with the highest correction and instance numbers that a message can have."""
     loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
     forged = [track(instance=0, applied=2**63 - 1), track(instance=2**31 - 1, T=pose(0.9), applied=2**63 - 1)]
     for k in range(3):
@@ -181,7 +181,7 @@ def test_no_number_that_a_pose_says_moves_those_of_the_loop() -> None:
     assert [(c.instance, c.seq) for c in found] == [(0, 800 * MS), (1, 800 * MS)]
 
 
-def test_an_instance_that_the_loop_has_made_is_known_however_high_its_number() -> None:
+def test_an_instance_that_the_loop_has_created_is_known_however_high_its_number() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 2)])
     adopted = track(instance=ADOPTED_BELOW - 1)
     request = loop.tick(0, [adopted])
@@ -202,14 +202,14 @@ def test_an_acquisition_that_the_tracker_cannot_use_is_not_waited_for() -> None:
     again = loop.tick(510 * MS, [])
     assert asked(again) == [("mug", None)]
     (newer,) = loop.answer(600 * MS, result(again, 510, estimate(T=pose(0.2))))
-    assert newer.instance == sent.instance, "the same one: it never was there"
+    assert newer.instance == sent.instance, "the same number: that instance never existed"
     assert newer.seq > sent.seq
     assert [c.seq for c in loop.repeats(900 * MS)] == [newer.seq]
 
 
 @pytest.mark.parametrize("age_ms", [40, 250])
-def test_what_the_tracker_found_again_elsewhere_is_no_second_one(age_ms: float) -> None:
-    """The answer is on a frame from while it was lost, so no pose is known there."""
+def test_an_object_that_the_tracker_found_elsewhere_is_no_second_instance(age_ms: float) -> None:
+    """The answer is about a frame in which it was lost, so no pose is known there."""
     loop = ReinitLoop(objects=[("mug", 2)])
     for ms in range(0, 1_000, 50):
         loop.tick(ms * MS, [track(stamp_ms=ms)])
@@ -221,7 +221,7 @@ def test_what_the_tracker_found_again_elsewhere_is_no_second_one(age_ms: float) 
 
 
 def test_a_camera_clock_that_is_set_back_stops_nothing() -> None:
-    """Frames are counted on, and their stamps are 60 s earlier from one to the next."""
+    """Frame numbers go on, while timestamps jump back by 60 s."""
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1)])
     before = replace(track(stamp_ms=100_000), frame_id=10)
     request = loop.tick(100_000 * MS, [before])
@@ -229,17 +229,18 @@ def test_a_camera_clock_that_is_set_back_stops_nothing() -> None:
     assert [c.verdict for c in loop.answer(100_050 * MS, agreed)] == [Verdict.AGREE]
     after = replace(track(T=pose(0.3), stamp_ms=40_000), frame_id=12)
     request = loop.tick(100_200 * MS, [after])
-    assert loop.repeats(101_000 * MS) == [], "about a frame of the clock before"
+    assert loop.repeats(101_000 * MS) == [], "about a frame from before the jump"
     late = replace(result(request, 99_970, estimate(instance=0)), frame_id=9)
-    assert loop.answer(100_220 * MS, late) == [], "of the clock before"
+    assert loop.answer(100_220 * MS, late) == [], "from before the jump"
     assert (loop.counters.wrong_epoch, loop.counters.rejected) == (1, 0)
     loop.tick(100_900 * MS, [replace(track(T=pose(0.4), stamp_ms=40_700), frame_id=14)])
     now = replace(result(2, 40_350, estimate(T=pose(0.35))), frame_id=13)
     assert [c.verdict for c in loop.answer(100_950 * MS, now)] == [Verdict.AGREE], "between two new poses"
 
 
-def test_a_new_epoch_counts_whatever_its_stamps() -> None:
-    """A camera that is opened anew may have another clock; a pose of the epoch before is still shown."""
+def test_a_new_epoch_counts_whatever_its_timestamps() -> None:
+    """A camera that is opened again may have another clock; a pose of the previous epoch is still
+    published."""
     loop, new = ReinitLoop(objects=[ObjectSlot("mug", 2)]), EPOCH + 1
     old = track(instance=1, stamp_ms=100_000)
     loop.answer(100_050 * MS, result(loop.tick(100_000 * MS, [old]), 100_000))
@@ -257,7 +258,7 @@ def test_a_new_epoch_counts_whatever_its_stamps() -> None:
     assert loop.counters.wrong_epoch == 0
 
 
-def test_an_epoch_that_has_ended_begins_again_with_a_later_frame_alone() -> None:
+def test_an_epoch_that_has_ended_begins_again_only_with_a_later_frame() -> None:
     frame = NewestFrame()
     assert [frame.note(*it) for it in ((1, 5, 100), (1, 6, 133), (2, 0, 40))] == [
         Began.EPOCH, Began.NOTHING, Began.EPOCH
@@ -269,8 +270,8 @@ def test_an_epoch_that_has_ended_begins_again_with_a_later_frame_alone() -> None
     assert len(frame._ended) == MOST_ENDED
 
 
-def test_no_number_of_a_frame_stops_what_comes_after_it() -> None:
-    """The highest number that a message can have, on a frame of now and on one of a while ago."""
+def test_no_frame_number_blocks_later_frames() -> None:
+    """The highest number that a message can have, on a current frame and on an earlier one."""
     frame = NewestFrame()
     for stamp_ns, began in ((200, Began.NOTHING), (150, Began.CLOCK)):
         frame.note(1, 5, 199)

@@ -1,4 +1,4 @@
-"""What the loop asks for and when, on a clock that the test turns."""
+"""What the loop asks for and when, on a clock that the test sets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from huepose.support.errors import InputError
 from .conftest import EPOCH, MS, asked, estimate, pose, result, track
 
 
-def test_first_request_asks_for_what_was_never_seen() -> None:
+def test_the_first_request_asks_for_objects_never_seen() -> None:
     loop = ReinitLoop(objects=[("mug", 2)])
     request = loop.tick(0, [])
     assert asked(request) == [("mug", None)]
@@ -27,7 +27,7 @@ def test_first_request_asks_for_what_was_never_seen() -> None:
     assert [(s.object, s.missing) for s in loop.searching()] == [("mug", 2)]
 
 
-def test_a_missing_instance_is_looked_for_beside_those_that_are_sure() -> None:
+def test_a_request_for_a_missing_instance_names_the_sure_ones() -> None:
     loop = ReinitLoop(objects=[("mug", 4), ("can", 1)])
     sure, doubtful, lost = (
         track("mug", k, state, T=pose(0.1 * k))
@@ -67,7 +67,7 @@ def test_ticks_that_do_not_fit_the_period_do_not_slow_requests_down() -> None:
     assert min(np.diff(sent)) > 150
 
 
-def test_what_was_missed_is_not_made_up_for() -> None:
+def test_missed_periods_are_not_made_up_for() -> None:
     loop = ReinitLoop(objects=[("mug", 1)])
     loop.answer(900 * MS, result(loop.tick(0, []), 0))
     assert loop.tick(900 * MS, []) is not None
@@ -85,11 +85,11 @@ def test_lost_first_then_doubtful_then_stalest() -> None:
     loop.answer(50 * MS, result(first, 0, estimate("c")))
     tracks = [track("a"), track("b"), track("c", applied=1), track("d")]
     second = loop.tick(200 * MS, tracks)
-    assert asked(second) == [("a", 0), ("d", 0)], "never looked at before those that were"
+    assert asked(second) == [("a", 0), ("d", 0)], "those never looked at come first"
     assert all(one.known for one in second.objects)
 
 
-def test_objects_that_are_nowhere_do_not_starve_the_others() -> None:
+def test_absent_objects_do_not_starve_the_others() -> None:
     loop = ReinitLoop(objects=[("gone_1", 1), ("gone_2", 1), ("here", 1)])
     seen: list[int] = []
     for k in range(15):
@@ -100,13 +100,13 @@ def test_objects_that_are_nowhere_do_not_starve_the_others() -> None:
             seen.append(k)
         loop.answer(k * 200 * MS + 50 * MS, result(request, k * 200))
     assert len(seen) >= 2
-    assert max(np.diff(seen)) <= 5, "looked at every second"
+    assert max(np.diff(seen)) <= 5, "looked at once per second"
 
 
 def _looks_for_gone(
     loop: ReinitLoop, until_ms: int, seen: State = State.TRACKING, start_ms: int = 0
 ) -> list[int]:
-    """When the loop looks for `gone`, which it never finds; `here` is seen as told."""
+    """The times in ms at which the loop looks for `gone`, which is never found. seen: its published state."""
     looks = []
     for ms in range(start_ms, until_ms, 200):
         request = loop.tick(ms * MS, [track("here", stamp_ms=ms), *([track("gone", 0, seen, stamp_ms=ms)])])
@@ -118,7 +118,7 @@ def _looks_for_gone(
     return looks
 
 
-def test_what_is_looked_for_in_vain_gets_a_turn_each_second_after_a_while() -> None:
+def test_an_object_that_is_not_found_is_searched_once_per_second_after_a_while() -> None:
     loop = ReinitLoop(objects=[("gone", 1), ("here", 1)])
     looks = _looks_for_gone(loop, 12_000, State.LOST)
     gaps = np.diff(looks)
@@ -127,7 +127,7 @@ def test_what_is_looked_for_in_vain_gets_a_turn_each_second_after_a_while() -> N
     assert set(gaps[~eager]) == {1_000}
 
 
-def test_what_is_lost_anew_or_to_be_searched_for_anew_is_looked_for_at_once() -> None:
+def test_an_object_that_is_lost_again_or_reset_is_searched_at_once() -> None:
     loop = ReinitLoop(objects=[("gone", 1), ("here", 1)])
     assert _looks_for_gone(loop, 9_000, State.LOST)[-1] == 8_800
     assert _looks_for_gone(loop, 10_000, State.TRACKING, 9_000) == []
@@ -148,13 +148,13 @@ def test_a_first_uncertain_sighting_is_followed_up_at_once() -> None:
 
 
 def _seen(
-    loop: ReinitLoop, until_ms: int, *found: PoseEstimate, start_ms: int = 0, stands_ms: int = 0
+    loop: ReinitLoop, until_ms: int, *found: PoseEstimate, start_ms: int = 0, last_frame_ms: int = 0
 ) -> str:
-    """A letter for each request: s where it says that all about the newest frame was answered, so that
-    perception waits for the next one, else n. No frame comes after `stands_ms`."""
+    """A letter for each request: s if it says that all about the newest frame was answered, so that
+    perception waits for the next frame; else n. No frame comes after `last_frame_ms`."""
     out = ""
     for ms in range(start_ms, until_ms, 50):
-        stamp_ms = min(ms, stands_ms)
+        stamp_ms = min(ms, last_frame_ms)
         request = loop.tick(ms * MS, [track("here", stamp_ms=stamp_ms)])
         if request is None:
             continue
@@ -166,20 +166,20 @@ def _seen(
 
 
 def test_a_frame_about_which_all_was_answered_is_not_asked_about_again() -> None:
-    """Of a tracked object one answer says all; missing ones are searched for everywhere by turns."""
-    assert _seen(ReinitLoop(objects=[("here", 1)]), 2_000, stands_ms=2_000) == "n" * 10
+    """For a tracked object one answer is enough; missing ones are searched for everywhere in turn."""
+    assert _seen(ReinitLoop(objects=[("here", 1)]), 2_000, last_frame_ms=2_000) == "n" * 10
     tracked, missing = ReinitLoop(objects=[("here", 1)]), ReinitLoop(objects=[("here", 1), ("gone", 1)])
-    # One that stays unanswered is asked again at its deadline, after 600 ms.
-    agreed = estimate("here", instance=0)  # what the tracker can take up with its next frame only
-    assert _seen(tracked, 6_000, agreed, stands_ms=400) == "nnn" + "s" * 9
+    # A request that stays unanswered is repeated at its deadline, after 600 ms.
+    agreed = estimate("here", instance=0)  # the tracker can apply it only with its next frame
+    assert _seen(tracked, 6_000, agreed, last_frame_ms=400) == "nnn" + "s" * 9
     assert tracked.counters.given_up == 1
-    assert _seen(missing, 3_000, stands_ms=400) == "nnnnn" + "s" * 4
-    assert set(_seen(missing, 5_000, start_ms=3_000, stands_ms=5_000)) == {"n"}, "frames come again"
+    assert _seen(missing, 3_000, last_frame_ms=400) == "nnnnn" + "s" * 4
+    assert set(_seen(missing, 5_000, start_ms=3_000, last_frame_ms=5_000)) == {"n"}, "frames come again"
 
 
 def test_a_request_that_is_held_while_no_frame_comes_has_not_expired() -> None:
     loop, agreed = ReinitLoop(objects=[("here", 1)]), estimate("here", instance=0)
-    assert _seen(loop, 3_000, agreed, stands_ms=400).endswith("sss")
+    assert _seen(loop, 3_000, agreed, last_frame_ms=400).endswith("sss")
     assert (loop.counters.held, loop.counters.expired) == (3, 0)
     for ms in range(3_000, 5_000, 50):  # frames come again, and perception is dead
         loop.tick(ms * MS, [track("here", stamp_ms=ms)])
@@ -189,18 +189,18 @@ def test_a_request_that_is_held_while_no_frame_comes_has_not_expired() -> None:
 @pytest.mark.parametrize(
     ("newest", "held"), [((EPOCH, 3), True), ((EPOCH, 4), False), ((EPOCH + 1, 0), False)]
 )
-def test_while_nothing_is_followed_the_camera_tells_whether_a_request_is_held(
+def test_while_nothing_is_tracked_the_newest_frame_decides_whether_a_request_is_held(
     newest: tuple[int, int], held: bool
 ) -> None:
     loop = ReinitLoop(objects=[("gone", 1)])
-    for ms in range(0, 600, 200):  # the object is searched for everywhere by turns
+    for ms in range(0, 600, 200):  # the object is searched for everywhere in turn
         loop.answer((ms + 50) * MS, result(loop.tick(ms * MS, []), 100))
     assert loop.tick(600 * MS, []).seen == (EPOCH, 3)
     loop.tick(1_200 * MS, [], newest)
     assert (loop.counters.held, loop.counters.expired) == (int(held), int(not held))
 
 
-def test_what_was_answered_is_asked_again_after_a_reset_and_where_a_correction_got_lost() -> None:
+def test_an_answered_frame_is_asked_about_again_after_a_reset_or_a_lost_correction() -> None:
     loop = ReinitLoop(objects=[("here", 1), ("gone", 1)])
     assert _seen(loop, 1_500) == "nnnss"
     loop.forget("gone", 0)
@@ -214,7 +214,7 @@ def test_what_was_answered_is_asked_again_after_a_reset_and_where_a_correction_g
     assert loop.counters.given_up >= 1
 
 
-def test_priors_carry_what_was_published() -> None:
+def test_priors_carry_the_published_pose() -> None:
     loop = ReinitLoop(objects=[("mug", 1)])
     velocity = np.array([0.1, 0, 0, 0, 0, 1.0])
     t = track(velocity=velocity, stamp_ms=40)
@@ -229,7 +229,7 @@ def test_priors_carry_what_was_published() -> None:
     assert se3.rotation_angle(ahead, pose()) == pytest.approx(0.1)
 
 
-def test_what_is_on_its_way_is_not_asked_for_again() -> None:
+def test_an_object_with_a_pending_correction_is_not_asked_for_again() -> None:
     loop = ReinitLoop(objects=[("mug", 1), ("cup", 1)])
     request = loop.tick(0, [])
     loop.answer(100 * MS, result(request, 10, estimate("mug")))
@@ -253,7 +253,7 @@ def test_configuration_is_checked() -> None:
         ObjectSlot("mug", 0)
 
 
-def test_what_is_most_likely_another_thing_is_looked_for_elsewhere_now_and_then() -> None:
+def test_a_track_that_is_most_likely_wrong_is_looked_for_elsewhere_now_and_then() -> None:
     loop = ReinitLoop(objects=[("mug", 1)])
     looks = []
     for k in range(26):
@@ -264,10 +264,10 @@ def test_what_is_most_likely_another_thing_is_looked_for_elsewhere_now_and_then(
     assert sum(("mug", None) in look for look in looks) == 5, "once a second, and not at once"
     assert all(("mug", 0) in look for look in looks)
     doubted = track(state=State.SUSPECT, stamp_ms=6000, quality=0.4)
-    assert asked(loop.tick(6000 * MS, [doubted])) == [("mug", 0)], "which may well be right"
+    assert asked(loop.tick(6000 * MS, [doubted])) == [("mug", 0)], "this track may be right"
 
 
-def test_what_is_missing_and_not_asked_for_waits_in_the_same_request() -> None:
+def test_missing_objects_that_are_not_asked_for_wait_in_the_same_request() -> None:
     loop = ReinitLoop(objects=[("a", 1), ("b", 1), ("c", 2), ("d", 1), ("e", 1)])
     tracks = [track("d", 0, State.TRACKING), track("c", 0, State.TRACKING, T=pose(0.3))]
     first = loop.tick(0, tracks)
@@ -278,7 +278,7 @@ def test_what_is_missing_and_not_asked_for_waits_in_the_same_request() -> None:
     loop.answer(100 * MS, result(first, 0))
     request = loop.tick(200 * MS, tracks)
     assert request is not None
-    assert asked(request) == [("c", None), ("e", None)], "by turns"
+    assert asked(request) == [("c", None), ("e", None)], "in turn"
     assert [(one.object, one.instance, one.wanted) for one in request.waiting] == [
         ("a", None, 1),
         ("b", None, 1),
@@ -293,14 +293,14 @@ def test_what_is_missing_and_not_asked_for_waits_in_the_same_request() -> None:
     np.testing.assert_array_equal(other.T_cam_obj, tracks[1].T_cam_obj)
 
 
-def test_what_waits_is_acquired_where_perception_finds_it() -> None:
+def test_a_waiting_object_is_acquired_if_perception_finds_it() -> None:
     loop = ReinitLoop(objects=[("a", 1), ("b", 1), ("c", 1)])
     request = loop.tick(0, [])
     (correction,) = loop.answer(100 * MS, result(request, 0, estimate("c", quality=0.95)))
     assert (correction.object, correction.instance) == ("c", 0)
     again = loop.tick(200 * MS, [])
     assert again is not None
-    assert [one.object for one in again.waiting] == [], "it is on its way"
+    assert [one.object for one in again.waiting] == [], "its correction is pending"
 
 
 ABSENT = [(f"absent_{k:02d}", 1) for k in range(8)]
@@ -309,8 +309,8 @@ ABSENT = [(f"absent_{k:02d}", 1) for k in range(8)]
 def _requests(
     loop: ReinitLoop, start_ms: int, until_ms: int, seen: State | None = None, places: Iterable[float] = ()
 ) -> list[list[str]]:
-    """Names of each request. The mug is published in that state, or its next uncertain sighting is at the
-    next place."""
+    """The names in each request. seen: the published state of the mug; places: where its next uncertain
+    sightings are, along x."""
     out, sightings = [], iter(places)
     for ms in range(start_ms, until_ms, 200):
         tracks = [] if seen is None else [track("mug", state=seen, stamp_ms=ms)]
@@ -325,20 +325,20 @@ def _requests(
     return out
 
 
-def test_an_uncertain_sighting_is_looked_at_once_more_before_what_was_never_there() -> None:
+def test_an_uncertain_sighting_is_looked_at_once_more_before_objects_never_seen() -> None:
     loop = ReinitLoop(objects=[("mug", 1), *ABSENT])
     requests = _requests(loop, 0, 5_000, places=np.arange(100.0))
     looked = [k for k, names in enumerate(requests) if "mug" in names]
     gaps = np.diff(looked)
     first = int(gaps.argmin())
     assert set(gaps[first::2]) == {1}, "twice in a row"
-    assert gaps[first + 1 :: 2].min() > 1, "then by turns, since nothing confirms it"
+    assert gaps[first + 1 :: 2].min() > 1, "then in turn, since nothing confirms it"
     again = [requests[k] for k in looked[first + 1 :: 2]]
-    assert all(names[0] == "mug" and len(names) == 3 for names in again), "and none waits for it"
+    assert all(names[0] == "mug" and len(names) == 3 for names in again), "and no other object waits for it"
 
 
 @pytest.mark.parametrize("state", [State.SUSPECT, State.LOST])
-def test_what_has_just_become_uncertain_comes_before_what_was_never_there(state: State) -> None:
+def test_an_object_that_just_became_uncertain_comes_before_those_never_seen(state: State) -> None:
     loop = ReinitLoop(objects=[("mug", 1), *ABSENT])
     _requests(loop, 0, 3_000, State.TRACKING)
     requests = _requests(loop, 3_000, 12_000, state)
@@ -346,10 +346,10 @@ def test_what_has_just_become_uncertain_comes_before_what_was_never_there(state:
     assert all(names[:1] == ["mug"] for names in soon)
     for name, _ in ABSENT:
         assert sum(name in names for names in soon) >= 4, "which get their turns as before"
-    assert 0.1 < np.mean(["mug" in names for names in later]) < 0.5, "after five seconds by turns"
+    assert 0.1 < np.mean(["mug" in names for names in later]) < 0.5, "after five seconds in turn"
 
 
-def test_a_loop_that_was_started_anew_looks_for_what_is_lost_beside_what_it_never_looked_for() -> None:
+def test_a_restarted_loop_looks_for_lost_objects_beside_those_never_looked_for() -> None:
     loop = ReinitLoop(objects=[("mug", 1), *ABSENT])
     requests = _requests(loop, 0, 1_000, State.LOST)
     assert all(names[0] == "mug" for names in requests)
@@ -357,7 +357,7 @@ def test_a_loop_that_was_started_anew_looks_for_what_is_lost_beside_what_it_neve
 
 
 @pytest.mark.parametrize("tracked", [1, 8])
-def test_with_one_place_what_is_nowhere_does_not_starve_the_others(tracked: int) -> None:
+def test_with_one_object_per_request_absent_objects_do_not_starve_the_others(tracked: int) -> None:
     loop = ReinitLoop(
         ReinitConfig(objects_per_request=1), [(f"here_{k}", 1) for k in range(tracked)] + ABSENT
     )
@@ -387,9 +387,9 @@ def test_two_uncertain_sightings_in_one_answer_are_looked_at_once_more_too() -> 
     assert "mm" in out
 
 
-def test_what_was_long_missing_is_looked_for_at_once_in_a_new_epoch() -> None:
+def test_an_object_missing_for_long_is_looked_for_at_once_in_a_new_epoch() -> None:
     loop = ReinitLoop(objects=[("gone", 1), ("here", 1)])
-    assert np.diff(_looks_for_gone(loop, 9_000, State.LOST))[-1] == 1_000, "it rests"
+    assert np.diff(_looks_for_gone(loop, 9_000, State.LOST))[-1] == 1_000, "its search rests"
     looks = []
     for ms in range(9_000, 11_000, 200):
         request = loop.tick(ms * MS, [track("here", stamp_ms=ms, epoch=EPOCH + 1)])

@@ -56,8 +56,8 @@ def test_the_track_is_compared_where_it_was_at_the_estimates_frame() -> None:
     assert [c.verdict for c in found] == [Verdict.AGREE]
 
 
-def test_an_unsure_turn_agrees_wherever_the_origin_is() -> None:
-    """Seen 0.15 s ago it can have turned by 23 degrees meanwhile, about its middle."""
+def test_an_uncertain_rotation_agrees_wherever_the_origin_is() -> None:
+    """In 0.15 s it can have rotated by 23 degrees about its middle."""
     for middle in (np.zeros(3), np.array([2.0, 0.0, 0.0])):
         slot = ObjectSlot("mug", 1, 0.15, bounds_m=np.array([middle - 0.05, middle + 0.05]))
         about = se3.make(np.eye(3), -middle)
@@ -72,7 +72,7 @@ def test_an_unsure_turn_agrees_wherever_the_origin_is() -> None:
         assert [c.verdict for c in found] == [Verdict.AGREE], middle
 
 
-def test_a_second_sight_of_a_tracked_instance_is_no_new_one() -> None:
+def test_a_second_estimate_of_a_tracked_instance_is_no_new_instance() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 2, 0.15)])
     request = loop.tick(0, [track()])
     found = loop.answer(
@@ -82,8 +82,8 @@ def test_a_second_sight_of_a_tracked_instance_is_no_new_one() -> None:
     assert [c.verdict for c in found] == [Verdict.AGREE]
 
 
-def test_what_both_uncertainties_allow_is_agreement() -> None:
-    """15 mm apart, a tenth of the diameter: much for a sharp estimate, nothing special for a vague one."""
+def test_poses_within_both_uncertainties_agree() -> None:
+    """15 mm apart, a tenth of the diameter: much for a certain estimate, usual for an uncertain one."""
     off = estimate(T=pose(0.015), instance=0, prior_score=1.95)
     for covariance, verdicts in ((uncertain(0.001, 0.01), []), (uncertain(0.006, 0.05), [Verdict.AGREE])):
         loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
@@ -97,11 +97,11 @@ def test_no_uncertainty_makes_a_flip_agree() -> None:
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
     request = loop.tick(0, [track()])
     (denied,) = loop.answer(MS, result(request, 0, replace(flipped, covariance=uncertain(0.02, 3.0))))
-    assert denied.verdict is Verdict.REJECT, "the tracker is told that its turn is denied"
+    assert denied.verdict is Verdict.REJECT, "the tracker learns that its orientation is rejected"
     assert loop.counters.rejected == 1
 
 
-def test_where_the_tracked_pose_itself_goes_when_refined_is_a_correction() -> None:
+def test_an_estimate_that_the_refined_track_agrees_with_is_a_correction() -> None:
     off = estimate(T=pose(0.03), instance=0, prior_score=2.0)
     for refined, verdicts in ((pose(0.031), [Verdict.CORRECT]), (pose(0.0), [])):
         loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
@@ -111,7 +111,7 @@ def test_where_the_tracked_pose_itself_goes_when_refined_is_a_correction() -> No
 
 
 def test_between_two_published_poses_the_track_is_interpolated() -> None:
-    """It turned round between 0 and 200 ms, so neither pose nor velocity alone says where it was at 100."""
+    """It reversed between 0 and 200 ms, so neither pose nor velocity alone says where it was at 100 ms."""
     loop = ReinitLoop(objects=[ObjectSlot("mug", 1, 0.15)])
     request = loop.tick(0, [track(T=pose(0.0), velocity=np.array([-0.4, 0, 0, 0, 0, 0]))])
     loop.tick(200 * MS, [track(T=pose(0.06), stamp_ms=200, velocity=np.array([-0.4, 0, 0, 0, 0, 0]))])
@@ -120,8 +120,9 @@ def test_between_two_published_poses_the_track_is_interpolated() -> None:
 
 
 @pytest.mark.parametrize("refined", [None, pose(0.12, 60.0)])
-def test_a_comparison_with_another_instances_pose_is_none(refined: np.ndarray | None) -> None:
-    """Instance 0 was taken away; in its box lies instance 1, badly turned: it explains more than nothing."""
+def test_a_comparison_with_the_pose_of_another_instance_does_not_count(refined: np.ndarray | None) -> None:
+    """Instance 0 was taken away and instance 1 lies in its box. A wrongly rotated pose there explains more
+    than none."""
     off = estimate(T=pose(0.12, 60.0), quality=0.4, score=1.0, prior_score=0.1)
     for instance, verdicts in ((0, []), (1, [(1, Verdict.CORRECT)])):
         loop = ReinitLoop(objects=[ObjectSlot("mug", 2, 0.15)])

@@ -1,4 +1,5 @@
-"""Nothing is loaded while an answer waits: on a busy computer that takes so long that a worker seems hung."""
+"""No module is loaded while an answer waits: on a busy computer loading is so slow that a worker seems
+hung."""
 
 from __future__ import annotations
 

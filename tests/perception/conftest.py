@@ -1,5 +1,4 @@
-"""A second place, pictures with noise, and how many windows of them were coded: shared by the tests of what
-is searched and remembered."""
+"""Shared by the tests of search and memory: a second pose, frames with noise, a count of coded windows."""
 
 from __future__ import annotations
 
@@ -15,7 +14,7 @@ from huepose.propose.view_codes import codes_of_windows
 
 @pytest.fixture(scope="session")
 def beside(standing: np.ndarray) -> np.ndarray:
-    """A second place on the same table, turned about the object's upright axis."""
+    """A second pose on the same table, rotated about the object's upright axis."""
     moved = standing @ se3.make(se3.rotation_exp(np.array([0.0, 0.0, 2.0])), np.zeros(3))
     moved[0, 3] += 0.17
     return moved

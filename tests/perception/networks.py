@@ -26,7 +26,7 @@ def save(path, nodes, inputs, outputs, constants=None, metadata=None):
 
 
 def constant_output(path, output, input_shape=(1, 3, 64, 64), metadata=None):
-    """Whatever the picture, the same array."""
+    """The same array for every image."""
     nodes = [
         helper.make_node("ReduceMean", ["images"], ["mean"], keepdims=0),
         helper.make_node("Mul", ["mean", "zero"], ["nothing"]),
@@ -43,7 +43,7 @@ def identity(path, shape):
 
 
 def sam_encoder(path):
-    """The embedding's first channels are the picture's colours, averaged over 16 x 16 pixels; the rest 0."""
+    """The embedding's first channels are the image's colours, averaged over 16 x 16 pixels; the rest 0."""
     nodes = [
         helper.make_node("AveragePool", ["image"], ["pooled"], kernel_shape=[16, 16], strides=[16, 16]),
         helper.make_node("Pad", ["pooled", "pads"], ["image_embeddings"]),
@@ -77,7 +77,7 @@ def sam_decoder(path, ious=(0.3, 0.9, 0.5)):
         helper.make_node("Sub", ["three_y", "ys"], ["from_bottom"]),
         helper.make_node("Min", ["from_left", "from_right", "from_top", "from_bottom"], ["inside"]),
         helper.make_node("Reshape", ["inside", "as_mask"], ["box"]),
-        # Every input has a say, as in the real one, or its place in the interface would not be tried.
+        # As in the real one, every input has an effect, or its place in the interface would not be tested.
         helper.make_node("ReduceSum", ["mask_input"], ["mask_sum"], keepdims=0),
         helper.make_node("Mul", ["mask_sum", "has_mask_input"], ["from_mask"]),
         helper.make_node("ReduceMax", ["image_embeddings"], ["brightest"], keepdims=0),
@@ -111,8 +111,8 @@ def sam_decoder(path, ious=(0.3, 0.9, 0.5)):
 
 
 def blue_follower(path, height, width):
-    """NeuFlow's interface. The flow is, everywhere, by how many of the input's pixels the middle of the first
-    channel (blue, in BGR) moves; nothing where a picture's values go beyond 1."""
+    """NeuFlow's interface. The flow is everywhere the motion of the middle of the first channel (blue, in
+    BGR), in pixels of the input; zero if values of an image exceed 1."""
     ys, xs = np.mgrid[0:height, 0:width].astype(np.float32)
     constants = {"xs": xs[None], "ys": ys[None], "first": np.array([0], np.int64), "one": np.float32(1.0)}
     nodes = []

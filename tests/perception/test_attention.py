@@ -1,4 +1,4 @@
-"""Of many objects that are missing, those that something new looks like are searched for first."""
+"""Of many missing objects, those that something new looks like are searched for first."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def test_the_likeliest_come_first_and_few_at_once() -> None:
     assert Attention(likeness=likeness).picked(["o1", "unlike"]) == ["o1"]
 
 
-def test_what_was_searched_for_in_vain_is_so_again_only_where_something_is_liker() -> None:
+def test_a_failed_search_is_repeated_only_if_the_likeness_has_grown() -> None:
     seen = Attention(likeness={"can": 0.3, "cup": 0.25}).after(["can"], ["can", "cup"])
     assert seen.picked(["can", "cup"]) == ["cup"]
     assert replace(seen, likeness={"can": 0.29}).picked(["can"]) == []
     assert replace(seen, likeness={"can": 0.31}).picked(["can"]) == ["can"]
     found = seen.after([], ["cup"])
-    assert replace(found, likeness={"can": 0.2}).picked(["can"]) == ["can"], "it was found, and is lost again"
+    assert replace(found, likeness={"can": 0.2}).picked(["can"]) == ["can"], "it was found and is lost again"
 
 
 @pytest.fixture
 def watching(tea_box: ReferenceModel, soup_can: ReferenceModel) -> ViewDetector:
-    """It knows two objects, and remembers what it saw."""
+    """A detector of two objects, with a memory."""
     models = {"tea_box": tea_box, "soup_can": soup_can}
     return ViewDetector(models, DetectorConfig(remembering=True))
 
@@ -48,7 +48,7 @@ def watching(tea_box: ReferenceModel, soup_can: ReferenceModel) -> ViewDetector:
 BOTH = ("soup_can", "tea_box")
 
 
-def test_what_is_put_there_is_searched_for_in_the_same_look(
+def test_a_new_object_is_searched_for_in_the_same_call(
     watching: ViewDetector, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     beside = standing.copy()
@@ -63,7 +63,7 @@ def test_what_is_put_there_is_searched_for_in_the_same_look(
     assert watching.detect(noisy(there, 4), [], waiting=BOTH) == [], "nothing is new any more"
 
 
-def test_what_stands_still_is_compared_once(
+def test_static_windows_are_compared_once(
     watching: ViewDetector, box_frame: RgbdFrame, coded: list[int]
 ) -> None:
     watching.detect(noisy(box_frame, 0), [], waiting=BOTH)
@@ -74,7 +74,7 @@ def test_what_stands_still_is_compared_once(
     assert sum(coded) == 0
 
 
-def test_where_everything_moves_objects_of_one_size_after_another_are_compared(
+def test_if_everything_moves_objects_are_compared_one_size_after_another(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, coded: list[int]
 ) -> None:
     table, scene = window_table(tea_box), [(mesh, standing) for mesh in demo_objects(1).values()]

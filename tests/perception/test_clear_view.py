@@ -1,4 +1,4 @@
-"""What stands in a picture falls into pieces, each with its middle, depth and size."""
+"""The objects in an image form pieces, each with its middle, depth and size."""
 
 from __future__ import annotations
 

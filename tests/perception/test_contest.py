@@ -21,7 +21,7 @@ def test_a_place_that_another_object_explains_better_loses() -> None:
     assert out["marker"][1].score == 1.1 - FALL
 
 
-def test_places_of_about_the_same_score_and_places_beside_keep_theirs() -> None:
+def test_places_of_about_the_same_score_and_places_beside_keep_their_scores() -> None:
     for other in (place(1.0, 0), place(0.2, 8)):
         out = contested({"box": [place(1.5, 0)], "can": [other]})
         assert out["can"] == [other]

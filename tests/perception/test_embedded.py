@@ -1,4 +1,4 @@
-"""The depth segmenter: what stands on a table is outlined, one or several pieces of it, alone or touching."""
+"""The depth segmenter outlines objects on a table: in one or several pieces, alone or touching."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_a_neighbour_behind_is_left_out(
 
 
 def test_color_cuts_what_depth_cannot() -> None:
-    """Two things of one depth that touch: colour finds the seam."""
+    """Two touching objects at one depth: colour finds the seam."""
     rng = np.random.default_rng(3)
     color = np.full((200, 240, 3), (90, 90, 90), np.int16)
     color[50:150, 60:120] = (200, 40, 30)

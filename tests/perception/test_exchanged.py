@@ -1,4 +1,4 @@
-"""A picture with red and blue exchanged is told from one in which the object is not."""
+"""An image with red and blue exchanged is distinguished from one without the object."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from huepose.perception.view_detector import ViewDetector
 from tests.conftest import TakePicture
 
 
-def test_the_order_of_the_channels_is_asked_for(
+def test_the_order_of_the_channels_is_determined(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     detector = ViewDetector({"tea_box": tea_box})
@@ -29,7 +29,8 @@ def test_the_order_of_the_channels_is_asked_for(
 
 
 class _Seen:
-    """A detector of three objects: a grey one, one that is there in the right order, one that is not."""
+    """A detector of three objects: a grey one, one that is seen in the right order of channels, one that is
+    absent."""
 
     def __init__(self, right: bool) -> None:
         self.right = right
@@ -40,7 +41,7 @@ class _Seen:
         return [Detection(name, Box(0, 0, 9, 9), scores[name]) for name in names]
 
 
-def test_an_object_that_looks_alike_both_ways_says_nothing_and_hides_nothing() -> None:
+def test_an_object_that_looks_alike_in_both_orders_decides_nothing() -> None:
     color = np.zeros((8, 8, 3), np.uint8)
     color[:, :, 0] = 200
     frame = RgbdFrame(color, np.ones((8, 8), np.float32), Camera(8.0, 8.0, 3.5, 3.5, 8, 8))

@@ -1,4 +1,4 @@
-"""Depth with a grid of holes is filled; any other stays what it is."""
+"""Depth with a grid of holes is filled; any other depth is unchanged."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
 
 @pytest.fixture
 def frame() -> RgbdFrame:
-    """A near square before a wall, and a region without readings."""
+    """A near square in front of a wall, and a region without depth."""
     depth = np.full((120, 160), 1.0, np.float32)
     depth[40:80, 50:90] = 0.6
     depth[20:100, 110:130] = 0.0
@@ -32,7 +32,7 @@ def test_a_frame_without_a_grid_of_holes_is_the_same(frame: RgbdFrame) -> None:
 @pytest.mark.parametrize("rows", [1, 2, 3])
 @pytest.mark.parametrize("columns", [1, 2, 3])
 @pytest.mark.parametrize("first", [0, 1])
-def test_holes_between_readings_have_the_nearest_beside_them(
+def test_holes_are_filled_with_the_nearest_depth_beside_them(
     frame: RgbdFrame, rows: int, columns: int, first: int
 ) -> None:
     if rows == columns == 1:

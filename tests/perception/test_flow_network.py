@@ -1,4 +1,4 @@
-"""Flow by a network that answers with the motion of what is blue: a known translation, at two sizes."""
+"""Flow by a network that answers with the motion of a blue spot: a known translation, at two sizes."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from huepose.support.errors import InputError
 from tests.perception import networks
 
 
-def pictures(du, dv):
-    """A blue spot that moves by (du, dv) px to the right and down; and a red one that stays."""
+def two_images(du, dv):
+    """Two images: a blue spot moves by (du, dv) px to the right and down, a red one stays."""
     out = []
     for u, v in ((100, 70), (100 + du, 70 + dv)):
         image = np.zeros((160, 200, 3), np.uint8)
@@ -32,7 +32,7 @@ def flow(request, tmp_path_factory):
 @pytest.mark.parametrize(("du", "dv"), [(0, 0), (8, -5), (-12, 16)])
 @pytest.mark.parametrize("box", [Box(0, 0, 200, 160), Box(60, 30, 90, 90)])
 def test_a_pure_translation_is_the_same_at_every_size_of_the_input(flow, box, du, dv):
-    found = flow(*pictures(du, dv), box)
+    found = flow(*two_images(du, dv), box)
     moved, good = found.at(np.array([[100.0, 70.0], [90.5, 80.25]]))
     assert moved == pytest.approx(np.array([[du, dv]] * 2), abs=0.15)
     assert good.all()
@@ -40,12 +40,12 @@ def test_a_pure_translation_is_the_same_at_every_size_of_the_input(flow, box, du
 
 
 def test_the_window_covers_the_box_and_takes_the_shape_of_the_input(flow):
-    found = flow(*pictures(3, 3), Box(80, 50, 40, 40))
+    found = flow(*two_images(3, 3), Box(80, 50, 40, 40))
     height, width = found.consistent.shape
     assert found.x0 <= 80 <= 120 <= found.x0 + width
     assert found.y0 <= 50 <= 90 <= found.y0 + height
     assert width / height == pytest.approx(flow._size[1] / flow._size[0], rel=0.05)
-    assert flow(*pictures(3, 3), Box(300, 300, 10, 10)) is None or width <= 200
+    assert flow(*two_images(3, 3), Box(300, 300, 10, 10)) is None or width <= 200
 
 
 def test_other_networks_are_refused(tmp_path):
@@ -57,7 +57,7 @@ def test_other_networks_are_refused(tmp_path):
         NetworkFlow(odd)
 
 
-def test_flow_that_is_no_number_is_none(tmp_path):
+def test_nan_flow_is_no_flow(tmp_path):
     class Broken:
         """A network whose answer is NaN once it has been opened."""
 
@@ -73,4 +73,4 @@ def test_flow_that_is_no_number_is_none(tmp_path):
             return found if self._answers == 1 else {k: np.full_like(v, np.nan) for k, v in found.items()}
 
     flow = NetworkFlow(Broken(open_network(networks.blue_follower(tmp_path / "flow.onnx", 96, 128))))
-    assert flow(*pictures(3, 3), Box(0, 0, 200, 160)) is None
+    assert flow(*two_images(3, 3), Box(0, 0, 200, 160)) is None

@@ -1,4 +1,4 @@
-"""A card of five millimetres on a table, which depth hardly shows."""
+"""A card 5 mm thick on a table, which depth hardly shows."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_the_least_thickness_is_that_between_the_faces(card: ReferenceModel, tea
     assert not thin(tea_box)
 
 
-def test_a_card_on_a_table_is_found_though_the_table_is_taken_away_with_it(
+def test_a_card_on_a_table_is_found_though_it_is_removed_with_the_table(
     card: ReferenceModel, take_picture: TakePicture, lying: np.ndarray
 ) -> None:
     frame = noisy(take_picture([(card.mesh, lying)]))
@@ -69,7 +69,7 @@ def test_no_card_is_found_on_a_bare_table_or_where_it_is_known_to_be(
     assert detector.detect(frame, ["card"], followed={"card": [lying]}) == []
 
 
-def test_it_is_looked_for_on_planes_when_it_has_its_turn(
+def test_a_card_is_searched_for_on_planes_only_in_a_thorough_search(
     card: ReferenceModel, take_picture: TakePicture, lying: np.ndarray
 ) -> None:
     frame = noisy(take_picture([(card.mesh, lying)]))

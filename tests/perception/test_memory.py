@@ -1,4 +1,4 @@
-"""What stands still is looked at once; what appears, moves or comes back is found as without a memory."""
+"""What is static is processed once; what appears, moves or comes back is found as without a memory."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_places_are_matched_with_the_nearest_none_twice() -> None:
     assert len(matched(places[:0], kept)[0]) == len(matched(places, kept[:0])[0]) == 0
 
 
-def test_what_stands_still_is_not_coded_again(
+def test_static_windows_are_not_coded_again(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, coded: list[int]
 ) -> None:
     other = take_picture([(without_print(tea_box), standing)])
@@ -89,11 +89,11 @@ def test_windows_are_kept_for_some_looks_where_nothing_changed() -> None:
     assert len(kept.look) == 0
 
 
-def test_what_appears_and_what_moves_is_found_at_once(
+def test_an_object_that_appears_or_moves_is_found_at_once(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, beside: np.ndarray
 ) -> None:
     other = without_print(tea_box)
-    film = [
+    scenes = [
         ([(other, standing)], None),
         ([(other, standing)], None),
         ([(other, standing), (tea_box.mesh, beside)], beside),
@@ -101,7 +101,7 @@ def test_what_appears_and_what_moves_is_found_at_once(
         ([(other, standing)], None),
     ]
     detector = ViewDetector({"tea_box": tea_box}, DetectorConfig(remembering=True))
-    for look, (scene, place) in enumerate(film):
+    for look, (scene, place) in enumerate(scenes):
         found = [d for d in detector.detect(noisy(take_picture(scene), look), ["tea_box"]) if d.score > 0.6]
         if place is None:
             assert found == []
@@ -131,7 +131,7 @@ def test_features_are_kept_where_nothing_changed_and_sought_where_it_did(
     assert (apart < 1.0).mean() > 0.9
 
 
-def test_a_picture_that_is_smaller_than_a_tile_is_looked_at_anew() -> None:
+def test_an_image_that_is_smaller_than_a_tile_is_processed_again() -> None:
     camera = Camera(300.0, 300.0, 79.5, 3.0, 160, TILE_PX - 1)
     color = np.random.default_rng(0).integers(0, 255, (camera.height, camera.width, 3), dtype=np.uint8)
     low = RgbdFrame(color, np.ones(color.shape[:2], np.float32), camera)
@@ -144,7 +144,7 @@ def test_a_picture_that_is_smaller_than_a_tile_is_looked_at_anew() -> None:
 
 
 def shown_in(frame: RgbdFrame) -> tuple[ClearView, np.ndarray]:
-    """What stands in a frame, and where."""
+    """The clear view of a frame, and the mask of its objects."""
     view = clear_view(frame, 0.3)
     assert view is not None
     return view, view.clear
@@ -155,7 +155,7 @@ def without_print(model: ReferenceModel) -> Mesh:
     return replace(model.mesh, texture=np.full_like(model.mesh.texture, 90))
 
 
-def test_another_camera_s_picture_is_not_remembered() -> None:
+def test_an_image_of_another_camera_is_not_remembered() -> None:
     memory = next_look(next_look(None, plain()), plain())
     assert memory.look == 1
     other = replace(plain(), camera=replace(plain().camera, fx=310.0))

@@ -18,11 +18,11 @@ from tests.conftest import TakePicture
 
 
 def likely(view: ClearView, model: ReferenceModel, T: np.ndarray) -> float:
-    """How likely an object is at a rough pose (4, 4)."""
+    """The probability that an object is at a rough pose (4, 4)."""
     return probability(logits_of(sights_of(view, {model.name: model}, [(model.name, T)], verifying=False))[0])
 
 
-def test_an_object_is_there_less_likely_turned_or_without_its_texture_and_not_beside_itself(
+def test_presence_is_lower_if_rotated_or_without_texture_and_low_beside_the_object(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     def chance(frame: RgbdFrame, T: np.ndarray) -> float:
@@ -37,12 +37,12 @@ def test_an_object_is_there_less_likely_turned_or_without_its_texture_and_not_be
     grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
     assert chance(frame, standing) > 0.95
     assert chance(frame, beside) < 0.05
-    # The print is not where the pose says: doubtful, and worth an estimate, which turns it.
+    # The print is not where the pose says: doubtful, but worth an estimate, which corrects the rotation.
     assert 0.2 < chance(frame, half_turn) < chance(frame, standing)
     assert chance(take_picture([(grey, standing)]), standing) < chance(frame, standing) - 0.2
 
 
-def test_in_a_handful_of_pixels_nothing_is_believed(
+def test_a_handful_of_pixels_gives_a_low_presence(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     assert agreeing_pixels(tea_box, box_frame, standing) > 300
@@ -79,7 +79,7 @@ def test_a_rough_pose_is_not_verified_and_a_refined_one_with_another_print_is_do
     assert doubted.verified < refined.verified - 2.0
 
 
-def test_of_a_pose_in_or_behind_the_camera_there_is_a_picture_that_shows_nothing_of_it(
+def test_a_pose_in_or_behind_the_camera_has_a_window_without_it(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     view = clear_view(take_picture([(tea_box.mesh, standing)]), 0.3)

@@ -39,11 +39,11 @@ def test_the_mask_is_the_box_that_was_prompted(segmenter, size, box):
     edges = np.array([found.x, found.y, found.x1, found.y1])
     asked = np.array([box.x, box.y, box.x1, box.y1]) + half
     inner = edges > 0
-    assert np.abs(edges - asked)[inner].max() < 0.76, "whole pixels round by half of one"
+    assert np.abs(edges - asked)[inner].max() < 0.76, "rounding to whole pixels"
     assert mask.sum() > 0.98 * found.area, "a filled box, its corners cut a little"
 
 
-def test_a_box_beyond_the_picture_is_cut_and_one_outside_gives_nothing(segmenter):
+def test_a_box_beyond_the_image_is_cut_and_one_outside_gives_nothing(segmenter):
     frame = _frame(640, 480)
     (mask,) = segmenter.segment(frame, Box(600, 440, 100, 100), 0.1)
     assert Box.of_mask(mask).iou(Box(600, 440, 40, 40)) > 0.9
@@ -77,9 +77,9 @@ def test_points_are_in_pixels_of_the_square():
     assert points_of(Box(10, 20, 30, 40), (2048, 1000)).tolist() == [[[5.0, 10.0], [20.0, 30.0]]]
 
 
-def test_only_the_part_with_the_picture_is_brought_back():
+def test_only_the_part_with_the_image_is_scaled_back():
     low = np.full((256, 256), -1.0, np.float32)
-    low[192:] = 1.0  # below a picture of 4 : 3
+    low[192:] = 1.0  # below an image of 4 : 3
     assert not mask_of(low, (480, 640)).any()
     low[:96] = 1.0
     mask = mask_of(low, (480, 640))
@@ -87,7 +87,7 @@ def test_only_the_part_with_the_picture_is_brought_back():
     assert not mask[241:].any()
 
 
-def test_the_encoder_runs_once_for_a_picture(files):
+def test_the_encoder_runs_once_per_image(files):
     encoder, decoder = (open_network(path) for path in files)
     runs = []
     run = encoder.run
@@ -98,7 +98,7 @@ def test_the_encoder_runs_once_for_a_picture(files):
     assert len(runs) == 3
 
 
-def test_the_embedding_is_the_one_of_the_picture(files):
+def test_the_embedding_is_that_of_the_image(files):
     encoder = open_network(files[0])
     image = np.zeros((512, 1024, 3), np.uint8)
     image[:, 512:] = 255

@@ -20,7 +20,7 @@ def free(tmp_path):
     return networks.identity(tmp_path / "free.onnx", (1, 3, "height", "width"))
 
 
-def test_what_was_chosen_is_told_and_inputs_are_described(fixed):
+def test_the_chosen_provider_and_the_inputs_are_named(fixed):
     network = open_network(fixed)
     assert network.provider == "cpu"
     assert str(network.inputs[0]) == "images float 1 x 3 x 4 x 4"
@@ -34,7 +34,7 @@ def test_each_run_gives_its_own_answer(kind, request):
     rng = np.random.default_rng(0)
     feeds = [rng.random((1, 3, 4, 4), dtype=np.float32) for _ in range(3)]
     answers = [network.run({"images": feed})["output"] for feed in feeds]
-    # A later run must not write into what an earlier one gave out, nor into what it was given.
+    # A later run must not overwrite the answer or the input of an earlier one.
     for feed, answer in zip(feeds, answers, strict=True):
         assert np.array_equal(feed, answer)
 
@@ -66,7 +66,7 @@ def test_a_missing_file_is_named(tmp_path):
         open_network(tmp_path / "nothing.onnx")
 
 
-def test_providers_that_are_not_there_are_passed_over_but_never_silently_replaced(fixed):
+def test_missing_providers_are_skipped_but_never_silently_replaced(fixed):
     assert open_network(fixed, NetworkSettings(providers=("tensorrt", "cuda", "cpu"))).provider == "cpu"
     with pytest.raises(InputError, match="expected one of tensorrt"):
         open_network(fixed, NetworkSettings(providers=("tensorrt",)))

@@ -1,4 +1,4 @@
-"""Pieces of a mask as stretches of rows: those of OpenCV."""
+"""Pieces of a mask as stretches of rows are the components of OpenCV."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A network tells pictures of an object in its pose from pictures of something else."""
+"""A network distinguishes images of an object in its pose from images of something else."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ LOOKS = [icosphere.look_at(d) for d in icosphere.directions(1)[:10]]
 
 @pytest.fixture(scope="module")
 def views(tea_box: ReferenceModel) -> tuple[UInt8, Float32]:
-    drawn = [clean_view(tea_box.mesh, tea_box.diameter_m, R) for R in LOOKS]
-    return np.stack([v.color for v in drawn]), np.stack([v.relief for v in drawn])
+    rendered = [clean_view(tea_box.mesh, tea_box.diameter_m, R) for R in LOOKS]
+    return np.stack([v.color for v in rendered]), np.stack([v.relief for v in rendered])
 
 
 def before_a_wall(views: tuple[UInt8, Float32], brightness: float) -> tuple[UInt8, Float32]:
-    """Windows that show the views in other light, before a grey wall, with the noise of a camera."""
+    """Windows that show the views in other light, in front of a grey wall, with camera noise."""
     rng = np.random.default_rng(0)
     there = np.isfinite(views[1])
     color = np.where(there[..., None], brightness * views[0], 110.0) + rng.normal(0.0, 4.0, views[0].shape)
@@ -33,7 +33,7 @@ def before_a_wall(views: tuple[UInt8, Float32], brightness: float) -> tuple[UInt
 
 
 @pytest.mark.parametrize("brightness", [0.6, 1.0])
-def test_an_object_is_told_from_one_of_other_colours_and_from_an_empty_place(
+def test_an_object_is_distinguished_from_one_of_other_colours_and_from_an_empty_place(
     views: tuple[UInt8, Float32], brightness: float
 ) -> None:
     windows = before_a_wall(views, brightness)
@@ -60,6 +60,6 @@ def test_log_odds_are_bounded_and_do_not_depend_on_what_else_is_asked(
     assert verified((views[0][:0], views[1][:0]), (views[0][:0], views[1][:0])).shape == (0,)
 
 
-def test_the_network_is_the_one_that_its_record_tells_of() -> None:
-    told = json.loads((WEIGHTS / "verification.json").read_text())
-    assert hashlib.sha256((WEIGHTS / "verification.onnx").read_bytes()).hexdigest() == told["sha256"]
+def test_the_network_file_matches_its_record() -> None:
+    record = json.loads((WEIGHTS / "verification.json").read_text())
+    assert hashlib.sha256((WEIGHTS / "verification.onnx").read_bytes()).hexdigest() == record["sha256"]

@@ -1,4 +1,5 @@
-"""The detector without weights: objects are found in whole frames, several of a kind, and nothing else."""
+"""The detector without weights: objects are found in whole frames, also several instances, and nothing
+else."""
 
 from __future__ import annotations
 
@@ -34,7 +35,7 @@ def frame(
     return take_picture([(tea_box.mesh, standing), (tea_box.mesh, beside)])
 
 
-def test_the_table_is_taken_away_and_the_objects_stay(
+def test_the_table_is_removed_and_the_objects_stay(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray
 ) -> None:
     planes = large_planes(frame.depth, frame.camera, 0.09)
@@ -47,7 +48,7 @@ def test_the_table_is_taken_away_and_the_objects_stay(
     assert (clear & objects).sum() > 0.9 * (clear | objects).sum()
 
 
-def test_of_a_pose_that_is_turned_the_wrong_way_the_right_turn_is_the_likeliest(
+def test_of_the_near_symmetric_rotations_of_a_pose_the_right_one_is_the_likeliest(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     view = clear_view(frame, tea_box.diameter_m)
@@ -70,7 +71,7 @@ def test_an_object_is_found_in_depth_with_a_grid_of_holes(
     assert max(d.box.iou(box_of(frame, tea_box, standing)) for d in found) > 0.7
 
 
-def test_both_of_a_kind_are_found_where_they_are(
+def test_both_instances_are_found_where_they_are(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray
 ) -> None:
     found = ViewDetector({"tea_box": tea_box}).detect(frame, ["tea_box"])
@@ -84,7 +85,7 @@ def test_both_of_a_kind_are_found_where_they_are(
 
 
 @pytest.mark.parametrize("sources", [("views",), ("keypoints", "views")])
-def test_beside_those_that_are_followed_another_one_is_found(
+def test_another_instance_is_found_beside_those_that_are_tracked(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, beside: np.ndarray,
     sources: tuple[Source, ...],
 ) -> None:  # fmt: skip
@@ -127,12 +128,12 @@ def test_keypoints_alone_propose_nothing_where_there_is_no_print(
     assert detector.detect(take_picture([(grey, standing)]), ["tea_box"]) == []
 
 
-def test_a_source_that_there_is_not_is_refused() -> None:
+def test_an_empty_list_of_sources_is_refused() -> None:
     with pytest.raises(InputError, match="keypoints, views"):
         DetectorConfig(sources=())
 
 
-def test_keypoints_are_asked_for_only_where_views_are_not_sure(
+def test_keypoints_are_used_only_if_views_are_not_sure(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scouting, "UNLIKE", 0.0)
@@ -150,7 +151,7 @@ def test_keypoints_are_asked_for_only_where_views_are_not_sure(
     ("efforts", "likeness", "times"),
     [(EFFORTS, 0.0, 1), (EFFORTS, 1.0, 0), (EFFORTS[:1], 1.0, 1), ((), 1.0, 1)],
 )
-def test_keypoints_are_not_asked_for_where_none_of_all_windows_looks_like_the_object(
+def test_keypoints_are_not_used_if_no_window_looks_like_the_object(
     tea_box: ReferenceModel,
     take_picture: TakePicture,
     standing: np.ndarray,
@@ -167,7 +168,7 @@ def test_keypoints_are_not_asked_for_where_none_of_all_windows_looks_like_the_ob
     windows = WindowsBySize(view).of(tea_box.diameter_m)
     propose(tea_box, window_table(tea_box), view, windows, 1, efforts, guessed)
     assert guessed.call_count == times
-    # Where there is no window, nobody has looked.
+    # Without a window nothing was compared.
     monkeypatch.setattr(scouting, "promising", lambda *_: np.zeros(0, np.int64))
     propose(tea_box, window_table(tea_box), view, windows, 1, efforts, guessed)
     assert guessed.call_count == times + 1
@@ -178,8 +179,8 @@ def test_an_object_that_is_there_looks_like_one_of_its_views(
 ) -> None:
     grey = replace(tea_box.mesh, texture=np.full_like(tea_box.mesh.texture, 90))
     most = []
-    for picture in (frame, take_picture([(grey, standing)])):
-        view = clear_view(picture, 0.3)
+    for shown in (frame, take_picture([(grey, standing)])):
+        view = clear_view(shown, 0.3)
         assert view is not None
         windows, table = WindowsBySize(view).of(tea_box.diameter_m), window_table(tea_box)
         most.append(narrowed(table, windows, promising(table, windows), 20)[1].max())
@@ -207,10 +208,10 @@ def test_on_several_threads_the_boxes_are_the_same(frame: RgbdFrame, tea_box: Re
     assert {d.object for d in found[0]} == set(models)
 
 
-def test_objects_may_come_and_go_while_it_looks(
+def test_objects_may_be_replaced_during_a_search(
     frame: RgbdFrame, tea_box: ReferenceModel, soup_can: ReferenceModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It looks for the model that it was asked for, and afterwards for the one that took its place."""
+    """A search uses the model that it began with, the next one the model that replaced it."""
     detector = ViewDetector({"tea_box": tea_box})
     expected = detector.detect(frame, ["tea_box"])
     at_work = detector._pool.map
@@ -228,7 +229,7 @@ def test_objects_may_come_and_go_while_it_looks(
     assert [d.score for d in detector.detect(frame, ["tea_box"])] == [d.score for d in other]
 
 
-def test_one_look_finds_as_many_instances_as_are_wanted(
+def test_one_call_finds_as_many_instances_as_are_wanted(
     tea_box: ReferenceModel, take_picture: TakePicture
 ) -> None:
     boxes = [standing_pose(0.4 * k, x, 0.0) for k, x in enumerate((-0.25, -0.08, 0.09, 0.26))]
@@ -244,7 +245,7 @@ def test_one_look_finds_as_many_instances_as_are_wanted(
     assert found(4) == {0, 1, 2, 3}
 
 
-def test_a_pose_nearby_is_brought_onto_the_depth(
+def test_a_nearby_pose_is_aligned_with_the_depth(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     view = clear_view(frame, 0.3)
@@ -256,7 +257,7 @@ def test_a_pose_nearby_is_brought_onto_the_depth(
     assert np.linalg.norm(left[3:]) < np.radians(2.0)
 
 
-def test_a_rim_goes_on_inside_a_face_and_not_round_the_object(
+def test_depth_continues_beyond_a_rim_inside_a_face_and_not_around_the_object(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     view = clear_view(box_frame, 0.3)

@@ -1,4 +1,4 @@
-"""A kernel that is compiled at the first real search holds it up for longer than a worker may be silent."""
+"""Compiling a kernel at the first real search would take longer than a worker may be silent."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def test_no_kernel_is_compiled_after_the_warm_up(tea_box: ReferenceModel, box_fr
     crop = view.crop
     x, y, camera = crop.x0, crop.y0, crop.camera
     depth = box_frame.depth[y : y + camera.height, x : x + camera.width].copy()
-    filled = RgbdFrame(crop.color, depth, camera)  # what stands reaches from side to side
+    filled = RgbdFrame(crop.color, depth, camera)  # its objects reach from side to side
     wired = replace(box_frame, color=box_frame.color.copy())
-    wired.color.flags.writeable = False  # as on a message
+    wired.color.flags.writeable = False  # as in a message
     for frame in (box_frame, filled, wired):
         assert detector.detect(frame, ["tea_box"])
     assert compiled() == before

@@ -43,7 +43,7 @@ def test_a_window_is_coded_once_and_as_the_others_beside_it(view: ClearView) -> 
     assert np.allclose(np.linalg.norm(first, axis=1), 1.0, atol=1e-3)
 
 
-def test_some_window_is_near_every_point_that_stands(view: ClearView) -> None:
+def test_some_window_is_near_every_clear_point(view: ClearView) -> None:
     windows = Windows(view, 0.2)
     camera = view.crop.camera
     v, u = np.nonzero(view.clear)

@@ -11,7 +11,7 @@ from tests.perception import networks
 
 SIDE = 64
 GRID = places((SIDE, SIDE))  # 64 + 16 + 4
-# A picture of 128 x 96: scale 0.5 in the input, 48 rows high, 8 rows from the top where it is in the middle.
+# An image of 128 x 96: scale 0.5 in the input, 48 rows high, 8 rows from the top where it is in the middle.
 WIDTH, HEIGHT = 128, 96
 BOX = (20.0, 30.0, 40.0, 20.0)
 CLASSES = 3
@@ -100,8 +100,8 @@ def test_only_what_is_asked_for_and_sure_enough_is_given(tmp_path):
 
 
 @pytest.mark.parametrize("layout", ["v8", "v5", "end2end"])
-def test_boxes_in_shares_of_the_picture_are_refused(tmp_path, layout):
-    """They would be boxes of a pixel in the corner: nothing was found, ever."""
+def test_boxes_in_shares_of_the_image_are_refused(tmp_path, layout):
+    """They would be boxes of one pixel in the corner, and nothing would ever be found."""
     output = OUTPUTS[layout]()
     boxes = output[:4] if layout == "v8" else output[:, :4]
     boxes /= SIDE
@@ -145,7 +145,7 @@ def test_a_network_for_more_than_boxes_is_refused(tmp_path, metadata, found):
     assert YoloDetector(_network(tmp_path, OUTPUTS["v8"](), metadata=named), {"mug": [1]}).layout == "v8"
 
 
-def test_an_object_that_no_class_means_is_told(tmp_path):
+def test_objects_without_a_class_are_named(tmp_path):
     detector = YoloDetector(_network(tmp_path, OUTPUTS["v8"]()), {"mug": [2], "can": []})
     assert detector.without_class(["mug", "can", "pan"]) == ["can", "pan"]
 
@@ -171,7 +171,7 @@ def test_colours_have_the_order_and_range_of_the_layout(tmp_path, layout, expect
     detector.detect(_frame((255, 0, 0)), ["mug"])
     scale = 1 if layout == "yolox" else 255
     assert (seen[0][0, :, 20, 20] * scale).tolist() == expected
-    grey_row = 60  # below the picture in both
+    grey_row = 60  # below the image in both
     assert seen[0][0, :, grey_row, 20] * scale == pytest.approx([114] * 3)
 
 

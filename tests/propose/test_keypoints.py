@@ -1,4 +1,4 @@
-"""Keypoints: a model's lie on it and are found again; matches that agree give the pose, others none."""
+"""Keypoints of a model lie on it and are found again; matches that agree give the pose, others none."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_features_are_sought_on_the_mask_only(frame: RgbdFrame) -> None:
     np.testing.assert_allclose(np.linalg.norm(found.descriptors, axis=1), 1.0, atol=1e-5)
 
 
-def test_the_pose_of_an_object_in_other_light_is_agreed_on(
+def test_the_pose_of_an_object_in_other_light_is_found(
     frame: RgbdFrame, keypoints: Keypoints, standing: np.ndarray
 ) -> None:
     found = consensus_poses(matches_in(frame, keypoints), frame.depth, frame.camera)
@@ -72,7 +72,7 @@ def test_the_pose_of_an_object_in_other_light_is_agreed_on(
     assert np.linalg.norm(off[3:]) < np.radians(3.0)
 
 
-def test_without_depth_the_picture_alone_gives_the_pose(
+def test_without_depth_the_image_alone_gives_the_pose(
     frame: RgbdFrame, keypoints: Keypoints, standing: np.ndarray
 ) -> None:
     found = consensus_poses(matches_in(frame, keypoints), np.zeros_like(frame.depth), frame.camera)
@@ -82,16 +82,14 @@ def test_without_depth_the_picture_alone_gives_the_pose(
     assert np.linalg.norm(off[3:]) < np.radians(3.0)
 
 
-def test_no_pose_is_agreed_on_where_the_object_is_not(
-    take_picture: TakePicture, keypoints: Keypoints
-) -> None:
+def test_no_pose_is_found_without_the_object(take_picture: TakePicture, keypoints: Keypoints) -> None:
     table = take_picture([])
     assert len(consensus_poses(matches_in(table, keypoints), table.depth, table.camera).poses) == 0
     grey = np.full((480, 640, 3), 90, np.uint8)
     assert len(match(ModelKeypoints.of(keypoints), ImageFeatures.of(Sift().extract(grey)))) == 0
 
 
-def test_a_spot_that_looks_alike_does_not_make_a_match_doubtful_and_another_place_does() -> None:
+def test_a_similar_spot_nearby_does_not_make_a_match_doubtful_and_one_far_away_does() -> None:
     look = np.array([[1.0, 0.0]], np.float32)
     near, other = np.array([[0.999, 0.04]], np.float32), np.array([[0.9, 0.43]], np.float32)
     model = ModelKeypoints(np.zeros((1, 3)), np.zeros((1, 3)), look)
@@ -146,7 +144,7 @@ def test_one_piece_of_surface_counts_once_however_many_matches_it_has() -> None:
     assert consensus_poses(many, depth, CAMERA).inliers.tolist() == [5]
 
 
-def test_a_surface_that_looks_away_is_not_seen() -> None:
+def test_a_surface_that_faces_away_gives_no_pose() -> None:
     matches, depth, _ = planted(right=12, wrong=0)
     away = Matches(matches.points, -matches.normals, matches.pixels)
     assert len(consensus_poses(away, depth, CAMERA).poses) == 0
@@ -155,7 +153,7 @@ def test_a_surface_that_looks_away_is_not_seen() -> None:
 def test_two_objects_are_two_poses(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, keypoints: Keypoints
 ) -> None:
-    """Of which other sides are seen: the same side twice would make each other's matches doubtful."""
+    """Different sides of them are visible: the same side twice would make the matches ambiguous."""
     turned = standing @ se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
     turned[0, 3] += 0.2
     both = take_picture([(tea_box.mesh, standing), (tea_box.mesh, turned)])
@@ -164,7 +162,7 @@ def test_two_objects_are_two_poses(
         assert min(np.linalg.norm(pose[:3, 3] - T[:3, 3]) for pose in found.poses) < 0.005
 
 
-def test_views_of_a_large_object_are_no_larger_than_a_picture(
+def test_views_of_a_large_object_are_no_larger_than_an_image(
     tea_box: ReferenceModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(keypoint_reference, "LEVEL", 0)  # from twelve sides, which are as large as all others

@@ -11,8 +11,8 @@ def test_a_product_is_the_sum_over_the_cells(shape: tuple[int, int, int]) -> Non
     rows, cells, columns = shape
     rng = np.random.default_rng(0)
     table = rng.random((rows, cells), np.float32)
-    turned = rng.random((columns, cells), np.float32)
+    other = rng.random((columns, cells), np.float32)
     table.flags.writeable = False  # as where it is mapped
-    right = table.astype(np.float64) @ turned.T
-    np.testing.assert_allclose(product(table, turned.T), right, rtol=1e-5)
-    np.testing.assert_allclose(product(table, np.ascontiguousarray(turned.T)), right, rtol=1e-5)
+    right = table.astype(np.float64) @ other.T
+    np.testing.assert_allclose(product(table, other.T), right, rtol=1e-5)
+    np.testing.assert_allclose(product(table, np.ascontiguousarray(other.T)), right, rtol=1e-5)

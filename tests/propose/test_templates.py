@@ -14,7 +14,7 @@ from tests.onboarding import solids
 
 @pytest.fixture(scope="module")
 def shifted(tea_box: ReferenceModel) -> ViewTemplates:
-    """Few templates of the box, its origin far off its middle."""
+    """A few templates of the box, with an origin far from its middle."""
     return build_templates(off_centre(tea_box), tea_box.diameter_m, level=1, rolls=8)
 
 
@@ -26,10 +26,10 @@ def off_centre(model: ReferenceModel):
 
 
 @pytest.mark.parametrize(("view", "roll"), [(0, 0), (5, 1), (17, 3), (29, 6), (41, 7)])
-def test_a_template_is_the_picture_at_its_pose(
+def test_a_template_is_the_image_at_its_pose(
     tea_box: ReferenceModel, shifted: ViewTemplates, view: int, roll: int
 ) -> None:
-    """Rendered afresh at the pose that the documentation gives, from elsewhere, with another camera."""
+    """Rendered again at the documented pose, from another distance, with another camera."""
     angle = 2 * np.pi * roll / 8
     Rz = se3.rotation_exp(np.array([0.0, 0.0, angle]))
     distance = 0.85
@@ -40,12 +40,12 @@ def test_a_template_is_the_picture_at_its_pose(
     pixels = 256
     focal = pixels * distance / window_m
     camera = Camera(focal, focal, (pixels - 1) / 2, (pixels - 1) / 2, pixels, pixels)
-    picture = render([(off_centre(tea_box), T_cam_obj)], camera)
-    covered = (picture.depth > 0).astype(np.float32)
+    rendered = render([(off_centre(tea_box), T_cam_obj)], camera)
+    covered = (rendered.depth > 0).astype(np.float32)
     coverage = cv2.resize(covered, (16, 16), interpolation=cv2.INTER_AREA)
-    lab = cv2.cvtColor(picture.color.astype(np.float32) / 255, cv2.COLOR_RGB2Lab) * covered[..., None]
+    lab = cv2.cvtColor(rendered.color.astype(np.float32) / 255, cv2.COLOR_RGB2Lab) * covered[..., None]
     lab = cv2.resize(lab, (16, 16), interpolation=cv2.INTER_AREA) / np.maximum(coverage, 1e-3)[..., None]
-    depth = cv2.resize((picture.depth - distance) * covered, (16, 16), interpolation=cv2.INTER_AREA)
+    depth = cv2.resize((rendered.depth - distance) * covered, (16, 16), interpolation=cv2.INTER_AREA)
     depth /= np.maximum(coverage, 1e-3)
     L, a, b, relative, known = shifted.planes[view, roll].astype(np.float32)
     assert np.abs(known - coverage).max() < 0.12
@@ -56,7 +56,7 @@ def test_a_template_is_the_picture_at_its_pose(
     assert np.abs(relative - depth)[sure].max() < 0.03 * tea_box.diameter_m
 
 
-def test_templates_are_normal(shifted: ViewTemplates) -> None:
+def test_templates_are_normalised(shifted: ViewTemplates) -> None:
     L, a, b, depth, coverage = np.moveaxis(shifted.planes.astype(np.float32), 2, 0)
     assert coverage.min() >= 0
     assert coverage.max() <= 1
@@ -83,10 +83,10 @@ def test_a_sheet_that_is_seen_from_its_edge_has_an_empty_template() -> None:
     assert (colors[np.isnan(reliefs).all((1, 2))] == 0).all()
 
 
-def test_quarter_rolls_are_turned_pictures(shifted: ViewTemplates) -> None:
-    """Turning by 90 degrees from x to y takes right to below: clockwise in the picture."""
+def test_quarter_rolls_are_rotated_templates(shifted: ViewTemplates) -> None:
+    """A rotation by 90 degrees from x to y takes right to below: clockwise in the image."""
     for view in (0, 7, 23):
         for roll in range(6):
             now, later = (shifted.planes[view, r].astype(np.float32) for r in (roll, roll + 2))
-            turned = np.rot90(now, k=-1, axes=(1, 2))
-            assert np.abs(turned[4] - later[4]).max() < 0.02
+            rotated = np.rot90(now, k=-1, axes=(1, 2))
+            assert np.abs(rotated[4] - later[4]).max() < 0.02

@@ -1,4 +1,4 @@
-"""Views and windows of an object in the same form, and codes by which one finds the other."""
+"""Views and windows of an object in the same form, and codes that find a view for a window."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def test_a_view_is_as_wide_as_it_says_and_its_middle_is_where_it_says(tea_box: R
     shown = np.array([np.ptp(columns) + 1, np.ptp(rows) + 1]) * SPAN * tea_box.diameter_m / SIDE
     assert shown == pytest.approx(size[:2], rel=0.05)
     assert np.array([columns.mean(), rows.mean()]) == pytest.approx((SIDE - 1) / 2, abs=0.6)
-    # The side that is seen lies half a box before the middle of the mesh.
+    # The visible side lies half a box in front of the middle of the mesh.
     assert view.middle_m == pytest.approx([0.0, 0.0, -size[2] / 2], abs=0.004)
     assert (view.color[np.isnan(view.relief)] == 0).all()
 
 
-def test_a_roll_turns_a_view_clockwise(tea_box: ReferenceModel) -> None:
+def test_a_roll_rotates_a_view_clockwise(tea_box: ReferenceModel) -> None:
     R = icosphere.look_at(icosphere.directions(1)[7])
     _, reliefs = turned(*upright_views(tea_box.mesh, tea_box.diameter_m))
     rolled = se3.rotation_exp(np.array([0.0, 0.0, 2 * np.pi * 2 / ROLLS])) @ R
@@ -79,7 +79,7 @@ def test_a_window_is_read_at_metric_scale_and_unknown_depth_says_so() -> None:
 
 
 @pytest.mark.parametrize("clean", [False, True])
-def test_the_input_has_the_bytes_that_the_network_made_of_numbers_itself(clean: bool) -> None:
+def test_the_network_input_holds_the_quantised_numbers(clean: bool) -> None:
     rng = np.random.default_rng(1)
     colors = rng.integers(0, 256, (3, SIDE, SIDE, 3)).astype(np.uint8)
     reliefs = rng.normal(0.0, 0.4, (3, SIDE, SIDE)).astype(np.float32)
@@ -95,7 +95,7 @@ def test_the_input_has_the_bytes_that_the_network_made_of_numbers_itself(clean: 
     assert np.array_equal(x[..., :6], np.clip(np.rint(numbers.astype(np.float32) / STEP) + ZERO, 0, 255))
 
 
-def test_windows_read_the_nearest_depth_and_the_picture_halved_until_its_steps_are_short() -> None:
+def test_windows_read_the_nearest_depth_and_the_image_halved_until_its_steps_are_short() -> None:
     rng = np.random.default_rng(3)
     color = rng.integers(0, 256, (120, 160, 3)).astype(np.uint8)
     depth = rng.uniform(0.4, 0.6, (120, 160)).astype(np.float32)
@@ -116,7 +116,7 @@ def test_windows_read_the_nearest_depth_and_the_picture_halved_until_its_steps_a
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.9, 2.6])
-def test_the_likest_view_of_an_object_on_a_table_is_one_of_those_nearest_to_its_turn(
+def test_one_of_the_likest_views_of_an_object_on_a_table_is_near_its_orientation(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, codes: Float32, yaw: float
 ) -> None:
     T = standing @ se3.make(se3.rotation_exp(np.array([0.0, 0.0, yaw])), np.zeros(3))
@@ -150,6 +150,6 @@ def test_codes_are_of_unit_length(codes: Float32) -> None:
     assert len(codes_of_windows(colors[:0], np.zeros((0, SIDE, SIDE), np.float32))) == 0
 
 
-def test_the_network_is_the_one_that_its_record_tells_of() -> None:
-    told = json.loads((WEIGHTS / "views.json").read_text())
-    assert hashlib.sha256((WEIGHTS / "views.onnx").read_bytes()).hexdigest() == told["sha256"]
+def test_the_network_file_matches_its_record() -> None:
+    record = json.loads((WEIGHTS / "views.json").read_text())
+    assert hashlib.sha256((WEIGHTS / "views.onnx").read_bytes()).hexdigest() == record["sha256"]

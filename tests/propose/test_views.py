@@ -1,5 +1,5 @@
-"""Retrieval of views: the true view comes first, whatever the light, also when half of it is hidden, also
-when the mask is the whole box."""
+"""Retrieval of views: the true view comes first, whatever the light, also when half of it is occluded,
+also when the mask is the whole box."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def table(tea_box: ReferenceModel) -> TemplateTable:
     return build_table(tea_box.templates, tea_box.diameter_m)
 
 
-def picture_of(frame: RgbdFrame, mask: np.ndarray) -> tuple[Crop, np.ndarray]:
-    """The whole picture, and the bounds of a mask."""
+def whole_image(frame: RgbdFrame, mask: np.ndarray) -> tuple[Crop, np.ndarray]:
+    """A crop of the whole image, and the bounds of a mask."""
     box = Box.of_mask(mask) or Box(0, 0, 640, 480)
     return prepare_crop(frame, Box(0, 0, 640, 480)), np.array([box.x, box.y, box.x1, box.y1])
 
@@ -58,7 +58,7 @@ def test_the_true_view_is_among_the_first(
         T = random_pose(rng)
         frame = take_picture([(tea_box.mesh, T)], light=(0.8, 0.6, 0.45), with_table=False)
         mask = render_depth(tea_box.mesh, T, frame.camera) > 0
-        views = retrieve(table, *picture_of(frame, mask), [mask], views=10)
+        views = retrieve(table, *whole_image(frame, mask), [mask], views=10)
         assert len(views.poses) == 10
         assert (np.diff(views.scores) <= 0).all()
         assert not views.masks.any()
@@ -71,49 +71,49 @@ def test_the_true_view_is_among_the_first(
 def test_half_a_view_is_enough(
     tea_box: ReferenceModel, table: TemplateTable, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
-    """With its left half hidden by something in front, the box is still found where it is."""
+    """With its left half occluded, the box is still found where it is."""
     frame = take_picture([(tea_box.mesh, standing)], with_table=False)
     full = render_depth(tea_box.mesh, standing, frame.camera) > 0
-    hidden = np.arange(640)[None, :] < np.nonzero(full)[1].mean()
-    covered = RgbdFrame(frame.color, np.where(hidden, np.float32(0.4), frame.depth), frame.camera)
-    mask = full & ~hidden
-    views = retrieve(table, *picture_of(covered, mask), [mask], views=10)
+    occluded = np.arange(640)[None, :] < np.nonzero(full)[1].mean()
+    in_part = RgbdFrame(frame.color, np.where(occluded, np.float32(0.4), frame.depth), frame.camera)
+    mask = full & ~occluded
+    views = retrieve(table, *whole_image(in_part, mask), [mask], views=10)
     assert any(near(views.poses, standing, 0.04))
 
 
-def test_the_whole_box_will_do_for_a_mask(
+def test_the_whole_box_serves_as_a_mask(
     tea_box: ReferenceModel, table: TemplateTable, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    """Nothing told from the table: with a wrong mask beside it, the right views still come from the box."""
+    """The mask includes the table. With a wrong mask beside it, the right views still come from the box."""
     truth = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     box = Box.of_mask(truth)
     assert box is not None
     whole, wrong = np.zeros_like(truth), np.zeros_like(truth)
     whole[box.slices(640, 480)] = True
     wrong[400:440, 500:600] = True
-    views = retrieve(table, *picture_of(box_frame, truth), [wrong, whole], views=10)
+    views = retrieve(table, *whole_image(box_frame, truth), [wrong, whole], views=10)
     hits = near(views.poses, standing)
     assert any(hits[:3])
     assert views.masks[hits.index(True)] == 1
 
 
-def test_views_are_different_and_repeat(
+def test_views_are_distinct_and_reproducible(
     tea_box: ReferenceModel, table: TemplateTable, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)], with_table=False)
     mask = frame.depth > 0
-    views = retrieve(table, *picture_of(frame, mask), [mask], views=20)
+    views = retrieve(table, *whole_image(frame, mask), [mask], views=20)
     for i in range(len(views.poses)):
         assert se3.is_rigid(views.poses[i])
         for k in range(i):
             assert se3.rotation_angle(views.poses[i], views.poses[k]) >= np.radians(17.99)
-    assert np.array_equal(views.poses, retrieve(table, *picture_of(frame, mask), [mask], views=20).poses)
+    assert np.array_equal(views.poses, retrieve(table, *whole_image(frame, mask), [mask], views=20).poses)
 
 
 def test_an_empty_mask_retrieves_nothing(table: TemplateTable, box_frame: RgbdFrame) -> None:
     empty = np.zeros(box_frame.depth.shape, bool)
     for masks in ([empty], []):
-        views = retrieve(table, *picture_of(box_frame, empty), masks, views=5)
+        views = retrieve(table, *whole_image(box_frame, empty), masks, views=5)
         assert views.poses.shape == (0, 4, 4)
         assert views.scores.shape == views.masks.shape == (0,)
 
@@ -131,7 +131,7 @@ def test_the_quick_look_is_that_of_the_plain_sums(
     some = rng.integers(0, len(table.area), 50)
     relief_mm = RELIEF_SIGMA * table.diameter_m * 1000.0
     for i in some:
-        coverage, values_drawn = coarse.coverage[i].astype(float), coarse.values[i].astype(float)
+        coverage, values_rendered = coarse.coverage[i].astype(float), coarse.values[i].astype(float)
         totals = []
         for window in windows[:, coarse.used].astype(float):
             w, values = window[:, 4], window[:, :4]
@@ -139,15 +139,17 @@ def test_the_quick_look_is_that_of_the_plain_sums(
             color, weights = 0.0, 2.0
             for c in range(4):
                 seen, seen2 = coverage @ (w * values[:, c]) / both, coverage @ (w * values[:, c] ** 2) / both
-                first, second = coverage * values_drawn[:, c], coverage * values_drawn[:, c] ** 2
-                drawn, drawn2 = first @ w / both, second @ w / both
+                first, second = coverage * values_rendered[:, c], coverage * values_rendered[:, c] ** 2
+                rendered, rendered2 = first @ w / both, second @ w / both
                 cross = first @ (w * values[:, c]) / both
                 if c == 3:
-                    deviation = max(seen2 + drawn2 - 2.0 * cross - (seen - drawn) ** 2, 0.0)
+                    deviation = max(seen2 + rendered2 - 2.0 * cross - (seen - rendered) ** 2, 0.0)
                     continue
-                var_seen, var_drawn = max(seen2 - seen**2, 0.0), max(drawn2 - drawn**2, 0.0)
-                weight = CHANNEL_WEIGHTS[c] * np.sqrt(var_drawn)
-                color += weight * (cross - seen * drawn) / (np.sqrt(var_seen * var_drawn) + CHANNEL_FLOOR)
+                var_seen, var_rendered = max(seen2 - seen**2, 0.0), max(rendered2 - rendered**2, 0.0)
+                weight = CHANNEL_WEIGHTS[c] * np.sqrt(var_rendered)
+                color += (
+                    weight * (cross - seen * rendered) / (np.sqrt(var_seen * var_rendered) + CHANNEL_FLOOR)
+                )
                 weights += weight
             area = max(float(table.area[i]), 1.0)
             total = color / weights + OVERLAP_WEIGHT * (coverage @ w) / max(w.sum(), 1.0)

@@ -1,4 +1,4 @@
-"""What several tests of the judge look at."""
+"""Regions and pair scores that several tests of the judge use."""
 
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ def region_in(frame: RgbdFrame, mask: Bool, diameter_m: float) -> Region:
 
 
 class PairScore(NamedTuple):
-    """What pairs say of one pose, as `pair_score_many` has it."""
+    """The terms of `pair_score_many` for one pose."""
 
     total: float
     geometry: float
@@ -40,13 +40,13 @@ class PairScore(NamedTuple):
 def pair_score(
     model: ReferenceModel,
     region: Region,
-    picture: PairImage,
+    pairs_seen: PairImage,
     T: np.ndarray,
     pairs: int = 600,
     samples: int = 300,
 ) -> PairScore:
-    """Of one pose (4, 4)."""
-    return PairScore(*pair_score_many(model, region, picture, T[None], pairs, samples)[0].tolist())
+    """The score of one pose (4, 4)."""
+    return PairScore(*pair_score_many(model, region, pairs_seen, T[None], pairs, samples)[0].tolist())
 
 
 def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:
@@ -55,6 +55,6 @@ def region_of(frame: RgbdFrame, model: ReferenceModel, T: np.ndarray) -> Region:
 
 
 def seen_by_pairs(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> tuple[Region, PairImage]:
-    """That region, and the picture of its pairs."""
+    """The region of the true mask, and its pair image."""
     region = region_of(frame, model, T)
     return region, pair_image(model, region.crop, region.median_depth_m)

@@ -21,8 +21,8 @@ from tests.onboarding import solids
 
 RED = (200, 30, 20)
 LAMP = np.array([0.75, -0.55, -0.35])
-"""Where the lamp is, camera axes: it lights one side of what stands before the camera, and leaves another in
-the shade."""
+"""Where the lamp is, camera axes: it lights one side of an object in front of the camera, and leaves another
+in the shade."""
 
 T = standing_pose(0.6, 0.0, 0.0)
 
@@ -34,7 +34,7 @@ def brick() -> ReferenceModel:
 
 
 def in_lamplight(frame: RgbdFrame, mesh: Mesh, T_cam_obj: np.ndarray, ambient: float) -> RgbdFrame:
-    """A frame in which the mesh at a pose (4, 4) is lit by the lamp, and by so much from everywhere."""
+    """A frame in which the mesh at a pose (4, 4) is lit by the lamp, and by `ambient` from everywhere."""
     seen = render([(mesh, T_cam_obj)], frame.camera)
     strength = ambient + (1.0 - ambient) * np.clip(seen.normals_cam @ LAMP / np.linalg.norm(LAMP), 0.0, 1.0)
     linear = np.clip(LINEAR[seen.color] * strength[..., None], 0.0, 1.0)
@@ -49,7 +49,7 @@ def gain_and_light(model: ReferenceModel, region: Region) -> tuple[float, Light 
 
 
 @pytest.mark.parametrize(("ambient", "gains"), [(0.03, True), (1.0, False)])
-def test_a_brick_half_in_the_shade_is_seen_as_its_colour_is_there(
+def test_only_a_brick_half_in_the_shade_gains_from_the_implied_light(
     ambient: float, gains: bool, brick: ReferenceModel, take_picture: TakePicture
 ) -> None:
     frame = in_lamplight(take_picture([(brick.mesh, T)]), brick.mesh, T, ambient)
@@ -74,13 +74,13 @@ def test_the_light_on_a_side_says_what_is_left_of_its_colour(
     assert lit[0, dark, 1].mean() < 0.5 * given[0, dark, 1].mean()
 
 
-def test_where_nothing_is_seen_there_is_no_light(brick: ReferenceModel, take_picture: TakePicture) -> None:
+def test_without_depth_there_is_no_light(brick: ReferenceModel, take_picture: TakePicture) -> None:
     region = region_of(take_picture([(brick.mesh, T)]), brick, T)
     blind = replace(region, crop=replace(region.crop, depth=np.zeros_like(region.crop.depth)))
     assert gain_and_light(brick, blind) == (0.0, None)
 
 
-def test_light_on_a_picture_is_strongest_where_the_surface_faces_the_lamp() -> None:
+def test_light_on_an_image_is_strongest_where_the_surface_faces_the_lamp() -> None:
     color = np.full((1, 4, 3), 100, np.uint8)
     normals = np.array([[[0, 0, -1], [0, -1, 0], [0, 0, 0], [-1, 0, 0]]], np.float32)
     turned = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # the object's x is the camera's y

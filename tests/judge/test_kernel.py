@@ -1,4 +1,4 @@
-"""The compiled score: who only asks for something better gets the same answer for less work."""
+"""The compiled score: a search that needs only better totals gets the same decisions for less work."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_needed_total_decides_as_the_whole_total_does(
     totals = [judged(T, -np.inf) for T in poses]
     shortened = 0
     for T, total in zip(poses, totals, strict=True):
-        assert judged(T, total - 1e-6) == total  # what is better is judged in full
+        assert judged(T, total - 1e-6) == total  # a better pose is judged in full
         for needed in (total + 1e-6, total + 0.1, total + 0.5, total + 1.5):
             answer = judged(T, needed)
             assert total - 1e-9 <= answer <= needed
@@ -81,7 +81,7 @@ def test_the_view_found_from_neighbour_to_neighbour_is_the_nearest_of_all(
         assert alike[nearest_view(T, model)] == pytest.approx(alike.max(), abs=1e-9)
 
 
-def test_in_a_plane_that_was_taken_away_a_surface_is_neither_seen_nor_seen_through(
+def test_in_a_removed_plane_a_surface_is_neither_visible_nor_a_free_space_violation(
     tea_box: ReferenceModel, standing: np.ndarray, region: Region
 ) -> None:
     half = np.zeros(region.crop.depth.shape, bool)

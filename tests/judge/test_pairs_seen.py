@@ -1,4 +1,4 @@
-"""Colour pairs that a picture shows agree at the right pose, and many are contradicted at a turned one."""
+"""Colour pairs agree with an image in the right pose, and many contradict it in a rotated one."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from huepose.rendering.render import render_depth
 from tests.conftest import TakePicture
 
 
-def test_the_right_pose_is_agreed_with_and_a_turned_one_is_not(
+def test_pairs_agree_with_the_right_pose_and_not_with_a_rotated_one(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     upside_down = se3.make(se3.rotation_exp(np.array([0.0, 0.0, np.pi])), np.zeros(3))
@@ -31,7 +31,7 @@ def test_the_right_pose_is_agreed_with_and_a_turned_one_is_not(
     assert min(wrong) > 0.4
 
 
-def test_what_is_outside_of_the_picture_has_none(tea_box: ReferenceModel, take_picture: TakePicture) -> None:
+def test_a_pose_outside_of_the_image_has_no_pairs(tea_box: ReferenceModel, take_picture: TakePicture) -> None:
     away = se3.make(np.eye(3), np.array([5.0, 0.0, 1.0]))
     pixels, elsewhere = pairs_seen(take_picture([]), tea_box, away)
     assert pixels.shape == (0, 2)

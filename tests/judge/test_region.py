@@ -1,4 +1,4 @@
-"""What a region makes of readings that no camera gives."""
+"""A region of depth that no camera measures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from huepose.geometry import Camera, RgbdFrame
 from tests.judge.regions import region_in
 
 
-def test_what_is_as_near_as_nothing_can_be_has_the_colours_of_all_that_is_seen() -> None:
+def test_at_an_impossibly_small_depth_colours_are_averaged_over_the_whole_mask() -> None:
     camera = Camera(300.0, 300.0, 15.5, 11.5, 32, 24)
     color = np.random.default_rng(0).integers(60, 200, (24, 32, 3), dtype=np.uint8)
     depth = np.full((24, 32), 1e-12, np.float32)

@@ -1,4 +1,4 @@
-"""A change of the light's colour is told from all else that changes in a picture."""
+"""A change of the light's colour is distinguished from all other changes of an image."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WHITE, WARM = (1.0, 1.0, 1.0), (1.15, 1.0, 0.6)
         ((WHITE, WHITE), 1.5, False),
     ],
 )
-def test_the_colour_of_the_light_counts_alone(
+def test_only_the_colour_of_the_light_counts(
     tea_box: ReferenceModel,
     take_picture: TakePicture,
     lights: tuple[tuple[float, ...], tuple[float, ...]],
@@ -36,10 +36,10 @@ def test_the_colour_of_the_light_counts_alone(
     assert relit(one, other) == expected
 
 
-def test_what_covers_half_of_the_picture_and_a_dark_one_are_no_light(take_picture: TakePicture) -> None:
+def test_an_occluder_and_a_dark_image_are_no_change_of_light(take_picture: TakePicture) -> None:
     seen = take_picture([]).color
-    covered = seen.copy()
-    covered[:, :320] = (40, 90, 200)
-    assert not relit(seen, covered)
+    occluded = seen.copy()
+    occluded[:, :320] = (40, 90, 200)
+    assert not relit(seen, occluded)
     assert not relit(seen // 10, (seen // 10 * np.array(WARM)).astype(np.uint8))
     assert not relit(seen, seen[::2, ::2]), "another size is another camera's"

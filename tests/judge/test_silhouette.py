@@ -1,5 +1,5 @@
-"""The box that an object's silhouette fills, the compiled bounds against the plain projection; and what an
-instance takes of a picture."""
+"""The box that an object's silhouette fills, the compiled bounds against the plain projection; and the
+pixels of an image that an instance takes."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def test_the_projected_box_is_that_of_the_samples_pixels(
     assert projected_box(tea_box, frame, behind) is None
 
 
-def test_what_an_instance_takes_does_not_depend_on_where_its_origin_is(
+def test_the_pixels_that_an_instance_takes_do_not_depend_on_its_origin(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    """An origin behind the object is no object farther away, of which depth is less exact."""
+    """The tolerance of depth follows the distance of the object, not that of an origin behind it."""
     off = np.array([0.0, 0.0, 2.0]) @ standing[:3, :3]
     mesh, surface = tea_box.mesh, tea_box.surface
     far = replace(

@@ -1,4 +1,4 @@
-"""The dense score: highest at the truth, blind to light, and each term says what it should."""
+"""The dense score is highest at the truth and independent of light; each term measures what it should."""
 
 from __future__ import annotations
 
@@ -70,17 +70,18 @@ def test_another_texture_on_the_same_shape_scores_lower(
     assert wrong.total < seen.total - 0.4
 
 
-def test_what_stands_in_front_is_occlusion_and_what_we_see_through_is_violation(
+def test_nearer_depth_is_occlusion_and_farther_depth_is_violation(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     silhouette = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     middle = int(np.nonzero(silhouette)[1].mean())
     right = silhouette & (np.arange(640) > middle)[None, :]
     left = silhouette & ~right
-    covered = replace(box_frame, depth=np.where(right, box_frame.depth - np.float32(0.1), box_frame.depth))
-    empty = replace(box_frame, depth=np.where(right, box_frame.depth + np.float32(0.1), box_frame.depth))
+    nearer = replace(box_frame, depth=np.where(right, box_frame.depth - np.float32(0.1), box_frame.depth))
+    farther = replace(box_frame, depth=np.where(right, box_frame.depth + np.float32(0.1), box_frame.depth))
     occluded, violated = (
-        score(tea_box, region_in(changed, left, tea_box.diameter_m), standing) for changed in (covered, empty)
+        score(tea_box, region_in(changed, left, tea_box.diameter_m), standing)
+        for changed in (nearer, farther)
     )
     assert 0.3 < occluded.occluded < 0.7
     assert occluded.violation < 0.03
@@ -90,11 +91,11 @@ def test_what_stands_in_front_is_occlusion_and_what_we_see_through_is_violation(
     assert occluded.total > violated.total + 0.3
 
 
-def test_a_pose_may_hide_behind_something_but_not_stick_in_it(
+def test_a_pose_may_be_behind_something_but_not_inside_it(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    """Two thirds of an object are hidden: by what stands 10 cm in front of them, or, as when it sinks into
-    its support, by what is seen 15 mm in front of them."""
+    """Two thirds of an object are occluded: by something 10 cm in front of them, or, as if it sank into its
+    support, by depth 15 mm in front of them."""
     silhouette = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     shown = silhouette & (np.arange(640) < np.quantile(np.nonzero(silhouette)[1], 0.33))[None, :]
     scores = []
@@ -109,10 +110,10 @@ def test_a_pose_may_hide_behind_something_but_not_stick_in_it(
     assert sunk.total < behind.total - 0.25
 
 
-def test_to_lie_behind_what_is_believed_to_be_the_object_counts_half_as_much_as_to_be_seen_through(
+def test_a_surface_behind_the_mask_counts_half_as_much_as_a_free_space_violation(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    """A mask on what stands 10 cm in front of the whole object: all of the surface lies behind it."""
+    """The mask is on something 10 cm in front of the whole object: all of the surface lies behind it."""
     silhouette = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     near = replace(box_frame, depth=np.where(silhouette, box_frame.depth - np.float32(0.1), box_frame.depth))
     seen = score(tea_box, region_in(near, silhouette, tea_box.diameter_m), standing)
@@ -121,7 +122,7 @@ def test_to_lie_behind_what_is_believed_to_be_the_object_counts_half_as_much_as_
 
 
 @pytest.mark.parametrize("distance_m", [0.8, 1.6, 2.4])
-def test_noise_of_depth_is_not_taken_for_what_is_seen_through(
+def test_depth_noise_is_no_free_space_violation(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray, distance_m: float
 ) -> None:
     T = standing.copy()
@@ -139,10 +140,10 @@ def test_noise_of_depth_is_not_taken_for_what_is_seen_through(
     assert shown.sum() > 0.8 * region.mask.sum()
 
 
-def test_where_the_origin_of_a_mesh_lies_changes_no_tolerance(
+def test_the_origin_of_a_mesh_changes_no_tolerance(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray, region: Region
 ) -> None:
-    """Seen a little behind its place, and its origin four metres behind it."""
+    """The measured surface is a little behind the pose, and the origin is four metres behind it."""
     by = standing[:3, :3].T @ [0.0, 0.0, 4.0]
     mesh = replace(tea_box.mesh, vertices=(tea_box.mesh.vertices - by).astype(np.float32))
     surface = replace(tea_box.surface, points=(tea_box.surface.points - by).astype(np.float32))

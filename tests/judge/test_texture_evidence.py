@@ -1,4 +1,4 @@
-"""Pairs that speak for another texture, and those that agree: what disagrees wholly outweighs nothing."""
+"""Pairs that contradict a texture, and pairs that agree. A pair that contradicts outweighs no other pair."""
 
 from __future__ import annotations
 
@@ -18,37 +18,39 @@ from tests.conftest import TakePicture
 from tests.judge.regions import seen_by_pairs
 
 
-def _otherwise(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> float:
+def _disagreement(model: ReferenceModel, frame: RgbdFrame, T: np.ndarray) -> float:
     return contrast_disagreement(model, *seen_by_pairs(model, frame, T), T)
 
 
 @pytest.mark.parametrize("light", [(1.0, 1.0, 1.0), (0.9, 0.6, 0.4), (0.35, 0.3, 0.3)])
-def test_hardly_any_contrast_of_the_same_texture_points_elsewhere_in_any_light(
+def test_hardly_any_contrast_of_the_same_texture_disagrees_in_any_light(
     tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture, light: tuple[float, ...]
 ) -> None:
-    assert _otherwise(tea_box, take_picture([(tea_box.mesh, standing)], light=light), standing) < 0.25
+    assert _disagreement(tea_box, take_picture([(tea_box.mesh, standing)], light=light), standing) < 0.25
 
 
-def test_of_a_texture_that_is_partly_out_of_date_that_part_does(
+def test_the_outdated_part_of_a_texture_disagrees(
     tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame
 ) -> None:
-    right = _otherwise(tea_box, box_frame, standing)
+    right = _disagreement(tea_box, box_frame, standing)
     for share in (0.3, 0.6, 1.0):
         colors = tea_box.pairs.colors.copy()
         old = np.random.default_rng(0).random(len(colors)) < share
         colors[old, :, 1:] *= -2.0  # opposite hues, twice as strong
         model = replace(tea_box, pairs=replace(tea_box.pairs, colors=colors))
-        assert _otherwise(model, box_frame, standing) == pytest.approx(right + share * (1.0 - right), abs=0.1)
+        assert _disagreement(model, box_frame, standing) == pytest.approx(
+            right + share * (1.0 - right), abs=0.1
+        )
 
 
-def test_most_of_those_of_a_look_alike_do(
+def test_most_contrasts_of_a_look_alike_disagree(
     tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> None:
     other = demo_objects(1)["tea_box"]
-    assert _otherwise(tea_box, take_picture([(other, standing)]), standing) > 0.6
+    assert _disagreement(tea_box, take_picture([(other, standing)]), standing) > 0.6
 
 
-def test_nothing_speaks_against_a_texture_of_which_nothing_is_seen(
+def test_no_contrast_disagrees_if_none_is_visible(
     tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame
 ) -> None:
     view = seen_by_pairs(tea_box, box_frame, standing)
@@ -70,32 +72,32 @@ def view(tea_box: ReferenceModel, standing: np.ndarray, box_frame: RgbdFrame) ->
     return seen_by_pairs(tea_box, box_frame, standing)
 
 
-def test_the_right_pose_agrees_nearly_wholly_in_any_light(
+def test_the_right_pose_agrees_almost_completely_in_any_light(
     tea_box: ReferenceModel, standing: np.ndarray, take_picture: TakePicture
 ) -> None:
     for light in ((1.0, 1.0, 1.0), (0.9, 0.6, 0.4)):
-        region, picture = seen_by_pairs(
+        region, image = seen_by_pairs(
             tea_box, take_picture([(tea_box.mesh, standing)], light=light), standing
         )
         turned = standing @ se3.make(se3.rotation_exp([0.0, 0.0, np.pi]), np.zeros(3))
-        right, wrong = agreement_many(tea_box, region, picture, np.stack([standing, turned]))
+        right, wrong = agreement_many(tea_box, region, image, np.stack([standing, turned]))
         assert 1.2 < right <= 2.0
         assert wrong < right - 0.3
 
 
-def test_what_is_out_of_date_takes_away_its_own_share_and_no_more(
+def test_an_outdated_part_of_the_texture_takes_away_no_more_than_its_share(
     tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     old = out_of_date(tea_box, 0.3)
     before, after = (float(agreement_many(m, *view, standing[None])[0]) for m in (tea_box, old))
     assert 0.5 * before < after < 0.95 * before
-    # the correlation loses more, as what disagrees is also what varies most
+    # the correlation loses more, as the pairs that disagree also vary most
     terms = [pair_score_many(m, *view, standing[None], 1500, 300)[0] for m in (tea_box, old)]
     colors = [row[2] + 0.6 * row[3] for row in terms]
     assert colors[1] / colors[0] < after / before - 0.1
 
 
-def test_without_pairs_in_sight_nothing_agrees(
+def test_without_visible_pairs_nothing_agrees(
     tea_box: ReferenceModel, standing: np.ndarray, view: tuple[Region, PairImage]
 ) -> None:
     away = standing.copy()

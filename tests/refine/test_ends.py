@@ -1,4 +1,4 @@
-"""A pose that was slid along a plain face comes back to where the object ends."""
+"""A pose that slid along a plain face is moved back to the ends of the object."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ T = se3.make(se3.rotation_exp(np.array([1.4, 0.2, 0.1])), np.array([0.02, -0.01,
 
 @pytest.fixture(scope="module")
 def contours(tea_box: ReferenceModel) -> Contours:
-    """Of a box; what is printed on it is not looked at."""
+    """The contours of a box; its print is not used."""
     return Contours(tea_box.mesh, PreparedSurface.of(tea_box))
 
 
 def frame(contours: Contours, behind_m: float) -> RgbdFrame:
-    """The box before a wall, with noise of 1 mm."""
+    """The box in front of a wall, with noise of 1 mm."""
     depth = render([(contours.mesh, T)], CAMERA).depth
     depth = np.where(depth > 0, depth, behind_m) + np.random.default_rng(3).normal(0, 0.001, depth.shape)
     return RgbdFrame(np.full((240, 320, 3), 180, np.uint8), depth.astype(np.float32), CAMERA)
@@ -35,8 +35,8 @@ def error_m(contours: Contours, pose: np.ndarray) -> float:
     return float(np.linalg.norm(se3.apply(pose, points) - se3.apply(T, points), axis=1).mean())
 
 
-def test_a_plain_box_is_found_again_where_it_ends(contours: Contours) -> None:
-    face = T[:3, :3] @ np.array([0.0, 1.0, 0.0])  # the normal of its largest side that is seen
+def test_a_box_that_slid_is_moved_back_to_its_ends(contours: Contours) -> None:
+    face = T[:3, :3] @ np.array([0.0, 1.0, 0.0])  # the normal of its largest visible side
     aside = np.cross(face, [0.0, 1.0, 0.0])
     slid = T.copy()
     slid[:3, 3] += 0.018 * aside / np.linalg.norm(aside)
@@ -46,20 +46,20 @@ def test_a_plain_box_is_found_again_where_it_ends(contours: Contours) -> None:
     assert error_m(contours, found) < 0.003
 
 
-def test_what_lies_right_stays(contours: Contours) -> None:
+def test_a_right_pose_stays(contours: Contours) -> None:
     found = moved_to_ends(contours, T, frame(contours, 1.2))
     assert found is not None
     assert error_m(contours, found) < 0.002
 
 
-def test_where_depth_does_not_jump_nothing_is_said(contours: Contours) -> None:
+def test_without_a_step_in_depth_there_is_no_answer(contours: Contours) -> None:
     flat = frame(contours, 1.2)
     wall = RgbdFrame(flat.color, np.full((240, 320), 0.57, np.float32), CAMERA)
     assert moved_to_ends(contours, T, wall) is None
 
 
 @pytest.mark.parametrize("turn", [(1.1, 0.3, 0.8), (0.9, -0.5, 0.3), (1.2, 0.6, -0.4)])
-def test_an_object_of_a_metre_stays_as_exactly_where_it_is(
+def test_a_right_pose_of_an_object_of_a_metre_stays_as_exactly(
     tea_box: ReferenceModel, turn: tuple[float, float, float]
 ) -> None:
     """Its outline is known within millimetres, as that of a small one."""

@@ -1,4 +1,4 @@
-"""The last refinement on edges, how exact a pose is and which size, where the answer is known."""
+"""The final refinement on edges, the covariance of a pose and the size residual, with known answers."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def fitted(information: np.ndarray) -> Alignment:
     return Alignment(np.eye(4), 10, 100, 100.0, 0.001, information)
 
 
-def test_a_slide_is_undone_and_without_texture_or_mask_nothing_is(
+def test_a_slide_is_undone_and_without_texture_or_mask_the_pose_stays(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)], light=(0.8, 0.7, 0.75))
@@ -74,7 +74,7 @@ RADIUS_M = 0.06
 
 @pytest.fixture(scope="module")
 def region(tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray) -> Region:
-    """The tea box as it is seen."""
+    """The region of the tea box."""
     return region_of(box_frame, tea_box, standing)
 
 
@@ -101,7 +101,7 @@ def of_a_ball(ball: ReferenceModel, region: Region, factor: float, distance_m: f
     )
 
 
-def test_the_size_of_a_ball_is_seen(ball: ReferenceModel, region: Region) -> None:
+def test_the_size_of_a_ball_is_measured(ball: ReferenceModel, region: Region) -> None:
     assert of_a_ball(ball, region, 1.0, 0.6) == pytest.approx(0.0, abs=0.003)
     larger = of_a_ball(ball, region, 1.1, 0.6)
     assert larger == pytest.approx(np.log(1.1), abs=0.05)
@@ -109,11 +109,11 @@ def test_the_size_of_a_ball_is_seen(ball: ReferenceModel, region: Region) -> Non
     assert of_a_ball(ball, region, 1.0 / 1.1, 0.6) < -0.03
 
 
-def test_far_away_depth_says_less_of_size(ball: ReferenceModel, region: Region) -> None:
+def test_far_away_depth_says_less_about_size(ball: ReferenceModel, region: Region) -> None:
     assert 0.0 < of_a_ball(ball, region, 1.1, 1.5) < 0.5 * of_a_ball(ball, region, 1.1, 0.6)
 
 
-def test_flat_sides_alone_say_nothing_of_size(
+def test_flat_sides_alone_say_nothing_about_size(
     tea_box: ReferenceModel, region: Region, standing: np.ndarray
 ) -> None:
     assert scale_residual(tea_box, region, standing) == pytest.approx(0.0, abs=0.01)

@@ -1,4 +1,4 @@
-"""The light model recovers what the light did, and outliers do not matter."""
+"""The light model recovers the effect of the light, and outliers do not matter."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_gain_offset_and_shading_are_explained() -> None:
     assert (rms < 0.5).all()
 
 
-def test_what_does_not_belong_to_the_object_is_not_trusted() -> None:
+def test_pixels_that_do_not_belong_to_the_object_are_not_trusted() -> None:
     rng = np.random.default_rng(1)
     s = samples(300, rng)
     texture = rng.uniform([10, -40, -40], [90, 40, 40], (300, 3))

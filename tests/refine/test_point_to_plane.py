@@ -1,4 +1,4 @@
-"""Surface ICP: an exact transform is recovered, outliers do not matter, and it says how it went."""
+"""Surface ICP: an exact transform is recovered, outliers do not matter, and the information is right."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ TRUE_POSE = se3.make(se3.rotation_exp(np.array([0.5, -0.7, 0.3])), np.array([0.0
 
 
 def visible_points(T: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Exact points of the box's faces that look at the camera, camera axes."""
+    """Exact points of the box's faces that face the camera, camera axes."""
     axis = rng.integers(0, 3, count)
     p = rng.uniform(-0.5, 0.5, (count, 3)) * SIZE
     eye = se3.inverse(T)[:3, 3] - CENTRE
@@ -81,7 +81,7 @@ def test_recovers_a_known_transform(model: tuple[Surface, DistanceGrid]) -> None
         assert result.rms_m < 1e-4
 
 
-def test_outliers_and_noise_are_borne(model: tuple[Surface, DistanceGrid]) -> None:
+def test_outliers_and_noise_are_tolerated(model: tuple[Surface, DistanceGrid]) -> None:
     rng = np.random.default_rng(4)
     points = visible_points(TRUE_POSE, 600, rng)
     points += rng.normal(0, 0.001, points.shape)
@@ -113,7 +113,7 @@ def test_information_predicts_the_spread(model: tuple[Surface, DistanceGrid]) ->
 
 
 def test_a_face_on_view_leaves_the_slide_alone(model: tuple[Surface, DistanceGrid]) -> None:
-    """A plane says nothing of a slide along it: damping keeps it, and the information is nearly nothing."""
+    """A plane does not constrain a slide along it: damping keeps it, and the information is almost zero."""
     T = se3.make(np.eye(3), np.array([0.0, 0.0, 0.6]))
     rng = np.random.default_rng(6)
     p = rng.uniform(-0.25, 0.25, (400, 3)) * SIZE
@@ -167,7 +167,7 @@ def test_information_and_error_are_those_of_the_plain_formula(model: tuple[Surfa
     share = (offset**2).sum(1) / gate**2
     weight = np.where((share < 1.0) & ((normals * points).sum(1) <= 0.0), (1.0 - share) ** 2, 0.0)
     distance = (offset * surface.normals[index]).sum(1)
-    # How a distance changes when the object is shifted, and turned about its origin, in camera axes.
+    # How a distance changes when the object is shifted, and rotated about its origin, in camera axes.
     J = -np.concatenate([normals, np.cross(points - T[:3, 3], normals)], axis=1)
     assert fit.inliers == (weight > 0).sum()
     np.testing.assert_allclose(fit.weight, weight.sum(), rtol=1e-6)

@@ -1,4 +1,4 @@
-"""Edges in the image bring a pose home along the faces, where depth has no say; samples, across them."""
+"""Image edges correct a pose along its faces, where depth does not; depth samples correct it across them."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def front_samples() -> tuple[np.ndarray, np.ndarray]:
     return points[seen].astype(np.float32), normals[seen].astype(np.float32)
 
 
-def test_a_pose_is_recovered_and_outliers_have_no_say() -> None:
+def test_a_pose_is_recovered_and_outliers_do_not_matter() -> None:
     depth, (points, normals) = ellipsoid_depth(), front_samples()
     depth[100:120, 150:160] -= 0.05  # something in front
     image, body, equations = depth_image(depth, CAMERA), Body(np.zeros(3), 0.06), normal_equations(6)
@@ -132,7 +132,7 @@ def test_samples_off_the_image_or_without_depth_add_nothing() -> None:
 
 
 @pytest.mark.parametrize(("u", "inside"), [(-0.9, 0.0), (-0.4, 1.0), (319.4, 1.0), (319.9, 0.0)])
-def test_a_sample_beside_the_picture_is_compared_with_no_pixel_of_it(u: float, inside: float) -> None:
+def test_a_sample_beside_the_image_is_compared_with_no_pixel_of_it(u: float, inside: float) -> None:
     normal = np.array([[0.0, 0.0, -1.0]], np.float32)
     wall, body = depth_image(np.ones((240, 320), np.float32), CAMERA), Body(np.zeros(3), 0.06)
     for ray in ([u, 120.0, 1.0], [160.0, u - 80.0 * (u > 0.0), 1.0]):

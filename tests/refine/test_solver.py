@@ -38,7 +38,7 @@ def slopes(function) -> np.ndarray:
     return np.array([(function(d) - function(-d)) / 2e-6 for d in h])
 
 
-def test_a_step_shifts_and_turns_about_the_centre_along_the_objects_axes() -> None:
+def test_a_step_shifts_and_rotates_about_the_centre_along_the_objects_axes() -> None:
     step = np.array([0.003, -0.002, 0.004, 0.01, -0.02, 0.005])
     turn = se3.rotation_exp(step[3:] / BODY.radius)
     there = se3.apply(POSE, (POINTS + step[:3] - BODY.centre) @ turn.T + BODY.centre)
@@ -94,7 +94,7 @@ def test_a_transform_is_recovered_exactly() -> None:
     assert se3.is_rigid(T, 1e-9)
 
 
-def test_a_large_weight_of_damping_holds_the_pose_and_nothing_to_solve_leaves_it() -> None:
+def test_strong_damping_holds_the_pose_and_an_unsolvable_system_leaves_it() -> None:
     targets, T, equations = se3.apply(POSE, POINTS) + 0.01, POSE.copy(), normal_equations(6)
     pulled(T, targets, equations)
     assert 0.0 < advance(T, equations, BODY, 1e6) < 1e-6
@@ -106,7 +106,7 @@ def test_a_large_weight_of_damping_holds_the_pose_and_nothing_to_solve_leaves_it
 
 
 def test_unknowns_beyond_the_pose_are_solved_with_it() -> None:
-    """Points that shifted and grew: the seventh is by how much they grew."""
+    """The points shifted and grew; the seventh unknown is the growth."""
     equations, T = normal_equations(7), np.eye(4)
     body = Body(np.zeros(3), 1.0)
     gaps = 0.01 * POINTS + [0.002, 0.0, -0.001]

@@ -1,4 +1,5 @@
-"""Photometric residuals in the solver: colours of a plane undo a slide and a turn, where depth is mute."""
+"""Photometric residuals in the solver: colours of a plane undo a slide and a rotation, which depth does
+not."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ def image(pixels: np.ndarray) -> np.ndarray:
     return texture(se3.apply(se3.inverse(POSE), rays * (n @ middle / (rays @ n))[:, None]))
 
 
-def test_a_slide_and_a_turn_in_the_plane_are_undone() -> None:
+def test_a_slide_and_a_rotation_in_the_plane_are_undone() -> None:
     grid = np.linspace(-0.04, 0.04, 17)
     points = np.stack([*(g.ravel() for g in np.meshgrid(grid, grid)), np.zeros(289)], 1)
     T = se3.perturb(POSE, np.array([0.003, -0.002, 0.001, 0.01, -0.015, 0.04]))

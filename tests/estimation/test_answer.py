@@ -1,4 +1,4 @@
-"""The full method: every view that is retrieved stands for selection; a prior stands with them."""
+"""The full method: every retrieved view is a candidate for selection, and so is a prior."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_the_best_of_the_views_is_the_answer(
     assert se3.rotation_angle(answer.T_cam_obj, standing) < np.radians(0.5)
 
 
-def test_what_is_not_there_is_not_believed(
+def test_an_absent_object_is_not_believed(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     box = box_of(take_picture([(tea_box.mesh, standing)]), tea_box, standing)
@@ -38,7 +38,7 @@ def test_what_is_not_there_is_not_believed(
     assert answer.quality < 0.2
 
 
-def test_a_prior_is_judged_once_and_where_the_others_are(
+def test_a_prior_is_judged_once_and_in_the_region_of_the_others(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     mask = render_depth(tea_box.mesh, standing, box_frame.camera) > 0

@@ -15,7 +15,7 @@ from huepose.model.types import ReferenceModel
 
 
 def seen_in(frame: RgbdFrame, model: ReferenceModel, true_frame: RgbdFrame, T: np.ndarray) -> ApparentSize:
-    """What the estimator's answer about a frame says; the object is asked for where it is."""
+    """The apparent size by the estimator's answer about a frame, in the object's true box."""
     box = projected_box(model, true_frame, T)
     estimator = Estimator({model.name: model})
     answers = estimator.estimate(frame, [ObjectQuery(model.name, box)])
@@ -52,7 +52,7 @@ def test_depth_a_tenth_too_small_shows_them_smaller(
     assert size.larger == pytest.approx(-0.07, abs=0.03)
 
 
-def test_looks_add_up_and_none_says_nothing() -> None:
+def test_looks_add_up_and_no_look_gives_no_size() -> None:
     weak = np.where(np.isclose(SCALES, 0.08), 4.0, 0.0)[None]
     assert not apparent_size([]).clear
     assert not apparent_size([weak]).clear

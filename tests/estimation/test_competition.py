@@ -1,4 +1,4 @@
-"""Poses compete for depth: the surer keeps its pixels, the other is looked for without them."""
+"""Poses compete for depth: the surer keeps its pixels, the other is estimated again without them."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def query(name: str, x: float) -> ObjectQuery:
 
 
 class Looks:
-    """Answers a second look with what it was told, and keeps the frames that it was shown."""
+    """Answers a second look with a given quality, and keeps the frames that it gets."""
 
     def __init__(self, quality: float) -> None:
         self.quality = quality
@@ -50,14 +50,14 @@ class Looks:
 def competed(
     queries: Sequence[ObjectQuery], answers: Sequence[PoseEstimate], looks: Looks
 ) -> list[PoseEstimate]:
-    """What stands of the answers; each comes with what was seen when it was found."""
+    """The answers that are left; each comes with the explanation of its own look."""
     out = compete(FRAME, queries, [(a, SEEN_FIRST) for a in answers], looks)
     for found, seen in out:
         assert seen is (SEEN_FIRST if any(found is a for a in answers) else SEEN_NOW)
     return [found for found, _ in out]
 
 
-def test_a_pose_on_taken_pixels_gives_way_to_what_is_found_without_them() -> None:
+def test_a_pose_on_taken_pixels_gives_way_to_one_that_is_found_without_them() -> None:
     looks = Looks(0.3)
     answers = [answer("weak", 0.7, slice(10, 30)), answer("strong", 0.9, slice(10, 30))]
     weak, strong = competed([query("weak", 10), query("strong", 10)], answers, looks)

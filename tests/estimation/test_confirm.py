@@ -54,7 +54,7 @@ def test_a_plainly_right_prior_needs_no_views_and_a_wrong_one_is_not_confirmed(
 def test_a_search_that_leads_back_to_the_prior_is_no_other_answer(
     soup_can: ReferenceModel, take_picture: TakePicture, turned_deg: float
 ) -> None:
-    """Of a can next turns lead back, often to a total that is a little better; a turned can is told."""
+    """For a can, nearby rotations lead back, often to a slightly better total; a rotated can is noticed."""
     for yaw_rad in np.linspace(0.0, 5.0, 6):
         T = standing_pose(yaw_rad, 0.0, 0.0)
         frame = take_picture([(soup_can.mesh, T)], frame_id=NOT_IN_FULL)

@@ -1,5 +1,5 @@
-"""Depth that is older than colour is noticed on what moves, with how much older it is; what is registered
-wrong, at rest or without steps of depth is not taken for it."""
+"""Depth that is older than colour is noticed on moving objects, and its delay is measured. Wrong
+registration, static objects and objects without depth steps are not mistaken for it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def straight(t: float) -> np.ndarray:
 def looks(
     model: ReferenceModel, take_picture: TakePicture, late_s: float, path: Path = about, right_px: int = 0
 ) -> tuple[list[EdgeLag], list[str]]:
-    """Looks at an object on its path. late_s: by which depth is older; right_px: by which it lies beside."""
+    """Looks at an object on its path. late_s: the delay of depth; right_px: its offset to the right."""
     found, blocks = [], []
     for k in range(LOOKS):
         t = k / HZ
@@ -48,7 +48,9 @@ def looks(
 
 
 @pytest.mark.parametrize("late_ms", [-33.0, 0.0, 17.0, 33.0, 66.0])
-def test_how_late_depth_is(tea_box: ReferenceModel, take_picture: TakePicture, late_ms: float) -> None:
+def test_the_delay_of_depth_is_measured(
+    tea_box: ReferenceModel, take_picture: TakePicture, late_ms: float
+) -> None:
     found = delay(*looks(tea_box, take_picture, late_ms / 1000))
     assert found is not None
     assert 1000 * found.seconds == pytest.approx(late_ms, abs=3.0)
@@ -67,7 +69,7 @@ def test_depth_that_lies_beside_the_colours_is_not_late(
     assert found.clear == (late_ms > 0.0)
 
 
-def test_one_way_at_one_speed_does_not_tell_late_from_beside(
+def test_motion_one_way_at_one_speed_does_not_distinguish_delay_from_offset(
     tea_box: ReferenceModel, take_picture: TakePicture
 ) -> None:
     found = delay(*looks(tea_box, take_picture, 0.0, straight, right_px=-5))
@@ -76,7 +78,7 @@ def test_one_way_at_one_speed_does_not_tell_late_from_beside(
     assert not found.none
 
 
-def test_what_rests_or_has_nothing_behind_it_says_nothing(
+def test_a_static_object_or_one_without_a_background_says_nothing(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     contours = Contours.of(tea_box)
@@ -110,7 +112,7 @@ def test_looks_that_agree_on_nothing_are_not_clear() -> None:
         assert found is None or not found.clear
 
 
-def test_it_is_said_in_words() -> None:
+def test_the_finding_is_said_in_words() -> None:
     late = DepthDelay(0.0331, 0.002, 0.9)
     assert late.said().startswith("Depth is about 35 ms older than colour")
     assert DepthDelay(-0.0331, 0.002, 0.9).said().startswith("Depth is about 35 ms newer than colour")

@@ -1,4 +1,5 @@
-"""Colours that do not lie on depth are noticed, with how far and which way; noise and hidden rims are not."""
+"""An offset of colour from depth is noticed, with its size and direction; noise and occluded rims give
+none."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ def frame(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarr
 
 
 @pytest.mark.parametrize(("right", "down"), [(0, 0), (3, -2), (-4, 0), (0, 5)])
-def test_how_far_and_which_way(
+def test_the_size_and_direction_of_an_offset_are_measured(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray, right: int, down: int
 ) -> None:
     carried = replace(frame, color=np.roll(frame.color, (down, right), axis=(0, 1)))
@@ -36,7 +37,7 @@ def test_noise_has_no_offset(tea_box: ReferenceModel, frame: RgbdFrame, standing
     assert not found.clear
 
 
-def test_a_hidden_outline_says_nothing(
+def test_an_occluded_outline_says_nothing(
     frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     wall = replace(frame, depth=np.full_like(frame.depth, 0.2))
@@ -44,7 +45,7 @@ def test_a_hidden_outline_says_nothing(
     assert depth_offset(frame, []) is None
 
 
-def test_it_is_said_in_words() -> None:
+def test_the_finding_is_said_in_words() -> None:
     said = "The image shows outlines 3.0 px to the left and 1.5 px below where depth has them"
     assert str(DepthOffset(-3.0, 1.5, 9.0, 400)) == said
     assert str(DepthOffset(3.0, 0.0, 9.0, 400)).endswith(" 3.0 px to the right of where depth has them")

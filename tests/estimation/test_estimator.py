@@ -31,7 +31,7 @@ def same(a: PoseEstimate, b: PoseEstimate) -> bool:
     return np.array_equal(a.T_cam_obj, b.T_cam_obj) and (a.score, a.quality) == (b.score, b.quality)
 
 
-def test_another_one_is_found_beside_those_that_are_known(
+def test_another_instance_is_found_beside_known_ones(
     estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     beside = standing.copy()
@@ -68,7 +68,7 @@ def test_a_box_on_a_table_is_found_to_the_millimetre(
     assert sum(p for _, p in answer.alternatives) <= 1 - answer.quality
 
 
-def test_the_covariance_is_one(
+def test_the_covariance_is_symmetric_positive_and_small(
     estimator: Estimator, tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     (answer,) = estimator.estimate(box_frame, [ObjectQuery("tea_box", box_of(box_frame, tea_box, standing))])
@@ -94,7 +94,7 @@ def test_given_masks_are_used(
 def test_another_texture_is_doubted(
     estimator: Estimator, tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
-    """The same shape with other colours: found with a lower score and less trust."""
+    """The same shape with other colours: found with a lower score and a lower quality."""
     right = take_picture([(tea_box.mesh, standing)])
     wrong = take_picture([(demo_objects(1)["tea_box"], standing)])
     query = ObjectQuery("tea_box", box_of(right, tea_box, standing))
@@ -114,9 +114,9 @@ def test_results_repeat_in_any_order_and_with_threads(
     ]
     first = estimator.estimate(frame, queries)
     again = estimator.estimate(frame, queries)
-    turned = estimator.estimate(frame, queries[::-1])[::-1]
+    reversed_ = estimator.estimate(frame, queries[::-1])[::-1]
     threaded = Estimator({"tea_box": tea_box}, EstimatorConfig(threads=2)).estimate(frame, queries)
-    for answers in (again, turned, threaded):
+    for answers in (again, reversed_, threaded):
         assert [a.instance for a in answers] == [0, 1]
         assert all(same(a, b) for a, b in zip(first, answers, strict=True))
 
@@ -124,7 +124,8 @@ def test_results_repeat_in_any_order_and_with_threads(
 def test_no_thread_is_started_while_it_works(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without memory for its stack a new thread dies before it says that it runs, and is waited for."""
+    """A new thread without memory for its stack dies before it reports that it runs, and would be waited
+    for."""
     threaded = Estimator({"tea_box": tea_box}, EstimatorConfig(threads=2))
     monkeypatch.setattr(Thread, "start", lambda _: pytest.fail("a thread is started"))
     query = ObjectQuery("tea_box", box_of(box_frame, tea_box, standing))
@@ -158,7 +159,7 @@ def test_a_prior_alone_says_where_to_look(
     assert np.linalg.norm(answer.T_cam_obj[:3, 3] - standing[:3, 3]) < 0.001
 
 
-def test_nothing_there_is_not_found(
+def test_an_object_that_cannot_be_seen_is_not_found(
     estimator: Estimator, tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     blind = replace(box_frame, depth=np.zeros_like(box_frame.depth))
@@ -166,7 +167,7 @@ def test_nothing_there_is_not_found(
     behind = PosePrior(se3.make(np.eye(3), np.array([0.0, 0.0, -1.0])))
     millimetres = replace(box_frame, depth=box_frame.depth * np.float32(1000.0))
     no_depth = "There is no depth in the box, so there is nothing to look at."
-    for picture, query, why in (
+    for frame, query, why in (
         (blind, ObjectQuery("tea_box", box), "The frame has no depth (under 1 % of its pixels"),
         (blind, ObjectQuery("tea_box", box, prior=PosePrior(standing)), "The frame has no depth"),
         (millimetres, ObjectQuery("tea_box", box), "All depth is "),
@@ -174,14 +175,14 @@ def test_nothing_there_is_not_found(
         (box_frame, ObjectQuery("tea_box", prior=behind), "The box is empty (0 x 0 pixels), so"),
         (box_frame, ObjectQuery("tea_box", Box(30, 30, 0, 20)), "The box is empty (0 x 20 pixels), so"),
     ):
-        (answer,) = estimator.estimate(picture, [query])
+        (answer,) = estimator.estimate(frame, [query])
         assert not answer.found
         assert (answer.T_cam_obj, answer.covariance, answer.mask) == (None, None, None)
         assert (answer.state, answer.quality) == ("LOST", 0.0)
         assert answer.reason.startswith(why)
 
 
-def test_what_is_of_another_type_is_refused_at_the_door(
+def test_arguments_of_another_type_are_refused(
     estimator: Estimator, tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     query = ObjectQuery("tea_box", box_of(box_frame, tea_box, standing))

@@ -1,4 +1,4 @@
-"""Depth that lies far beside the colours is noticed without any object; what is usual is not."""
+"""A large offset of depth from colour is noticed without any object; a usual one is not."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def frame(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarr
 
 
 @pytest.mark.parametrize(("right", "down"), [(20, 0), (-45, 0), (3, 30), (-25, -15)])
-def test_how_far_and_which_way(frame: RgbdFrame, right: int, down: int) -> None:
+def test_the_size_and_direction_of_an_offset_are_measured(frame: RgbdFrame, right: int, down: int) -> None:
     move = np.array([[1, 0, -right], [0, 1, -down]], np.float32)
     aside = cv2.warpAffine(frame.depth, move, frame.depth.shape[::-1], flags=cv2.INTER_NEAREST)
     found = frame_offset(replace(frame, depth=aside))
@@ -28,7 +28,7 @@ def test_how_far_and_which_way(frame: RgbdFrame, right: int, down: int) -> None:
     assert np.hypot(found.right_px - right, found.down_px - down) <= 4.0
 
 
-def test_a_large_picture_is_asked_as_a_small_one(frame: RgbdFrame) -> None:
+def test_a_large_image_is_measured_like_a_small_one(frame: RgbdFrame) -> None:
     camera = frame.camera
     large = replace(
         frame,
@@ -49,7 +49,7 @@ def test_depth_that_lies_on_the_colours_is_not_doubted(frame: RgbdFrame) -> None
     assert frame_offset(beside) is None
 
 
-def test_nothing_is_said_of_noise_or_without_steps_of_depth(frame: RgbdFrame) -> None:
+def test_noise_and_depth_without_steps_have_no_offset(frame: RgbdFrame) -> None:
     noise = np.random.default_rng(0).integers(0, 255, frame.color.shape).astype(np.uint8)
     assert frame_offset(replace(frame, color=noise)) is None
     for depth in (0.0, 0.8):

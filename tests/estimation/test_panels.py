@@ -1,4 +1,4 @@
-"""What a page that explains an answer shows of a pose."""
+"""The panels for a pose on the page that explains an answer."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from huepose.model.types import ReferenceModel
 from tests.boxes import box_of
 
 
-def test_where_a_pose_agrees_is_green_and_where_it_is_in_the_air_red(
+def test_pixels_that_agree_are_green_and_free_space_violations_red(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
     box = box_of(box_frame, tea_box, standing)

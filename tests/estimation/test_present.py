@@ -15,7 +15,7 @@ from huepose.estimation.types import PoseEstimate
 from tests.boxes import box_of
 
 
-def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, box_frame, standing) -> None:
+def test_an_answer_is_no_more_likely_than_its_object_is_present(tea_box, box_frame, standing) -> None:
     models = {"tea_box": tea_box}
     box = box_of(box_frame, tea_box, standing)
     (there,) = Estimator(models).estimate(box_frame, [ObjectQuery("tea_box", box)])
@@ -28,7 +28,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, box_frame, stand
     assert there.present is None
     assert right.present > 0.9
     assert (right.quality, right.state) == (there.quality, "TRACKING")
-    # For all that it claims to be sure: no pose of it is surer than that anything of it is there.
+    # However sure the answer claims to be, no pose is more probable than the presence of the object.
     assert wrong.present < 0.5 * PRESENT
     assert wrong.quality == pytest.approx(wrong.present)
     assert wrong.alternatives[0][1] == pytest.approx(0.1 * wrong.present / there.quality)
@@ -36,7 +36,7 @@ def test_an_answer_is_as_likely_as_its_object_is_there(tea_box, box_frame, stand
     assert (none.present, none.found, none.state) == (0.0, False, "LOST")
 
 
-def test_only_what_a_search_proposed_is_asked_whether_it_is_there(tea_box, box_frame, standing) -> None:
+def test_presence_is_judged_only_for_what_a_search_proposed(tea_box, box_frame, standing) -> None:
     box = box_of(box_frame, tea_box, standing)
     queries = [ObjectQuery("tea_box", box), ObjectQuery("tea_box", box, searched=True)]
     estimator = Estimator({"tea_box": tea_box})
@@ -47,7 +47,7 @@ def test_only_what_a_search_proposed_is_asked_whether_it_is_there(tea_box, box_f
     assert np.array_equal(given.T_cam_obj, searched.T_cam_obj)
 
 
-def test_a_fitness_stays_what_it_is(tea_box, box_frame, standing) -> None:
+def test_a_fitness_is_unchanged(tea_box, box_frame, standing) -> None:
     """The quality of the paper's method is no probability."""
     fit = PoseEstimate("tea_box", found=True, T_cam_obj=standing, quality=0.7, state="SUSPECT")
     asked = PresenceIn(box_frame, {"tea_box": tea_box}, "paper").with_presence(fit)
@@ -55,7 +55,7 @@ def test_a_fitness_stays_what_it_is(tea_box, box_frame, standing) -> None:
     assert asked.quality == 0.7
 
 
-def test_a_shape_in_another_texture_is_another_thing(tea_box, take_picture, standing) -> None:
+def test_a_shape_in_another_texture_is_another_object(tea_box, take_picture, standing) -> None:
     models = {"tea_box": tea_box}
     texture = np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1])
     frame = take_picture([(replace(tea_box.mesh, texture=texture), standing)])
@@ -66,7 +66,7 @@ def test_a_shape_in_another_texture_is_another_thing(tea_box, take_picture, stan
 
 
 def test_another_texture_is_judged_by_the_method_that_answered(tea_box, box_frame, standing) -> None:
-    """Contrasts that point elsewhere speak against an answer by as much as its method's own fit says."""
+    """Contrasts that disagree lower the presence by as much as the fit of the answer's method says."""
     models = {"tea_box": tea_box}
     box = box_of(box_frame, tea_box, standing)
     (answer,) = Estimator(models).estimate(box_frame, [ObjectQuery("tea_box", box)])

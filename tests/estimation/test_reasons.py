@@ -1,4 +1,4 @@
-"""What is said against an answer, on cases whose trouble is known."""
+"""The reasons against an answer, in cases with a known problem."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def looked(
     return Estimator({"tea_box": tea_box}).explain(box_frame, ObjectQuery("tea_box", box))
 
 
-def test_nothing_speaks_against_a_plain_view(
+def test_there_is_no_reason_against_a_plain_view(
     tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]
 ) -> None:
     assert reasons(tea_box, *looked) == []
@@ -62,7 +62,7 @@ def test_a_mask_on_something_else_is_named(
     ]
 
 
-def test_a_pose_in_the_air_is_seen_through(
+def test_a_pose_in_the_air_is_named_as_a_free_space_violation(
     tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]
 ) -> None:
     answer, explanation = looked
@@ -72,7 +72,7 @@ def test_a_pose_in_the_air_is_seen_through(
     assert any(text.startswith("the texture agrees little") for text in said)
 
 
-def test_without_depth_or_views_that_is_all(
+def test_without_depth_or_views_that_is_the_only_reason(
     tea_box: ReferenceModel, looked: tuple[PoseEstimate, Explanation]
 ) -> None:
     answer, explanation = looked
@@ -84,7 +84,9 @@ def test_without_depth_or_views_that_is_all(
     ]
 
 
-def test_why_nothing_is_there_is_said_by_what_was_measured(looked: tuple[PoseEstimate, Explanation]) -> None:
+def test_the_reason_for_an_absent_object_is_what_was_measured(
+    looked: tuple[PoseEstimate, Explanation],
+) -> None:
     answer, explanation = looked
     terms = answer.terms
     assert terms is not None
@@ -102,7 +104,7 @@ def test_why_nothing_is_there_is_said_by_what_was_measured(looked: tuple[PoseEst
     assert why_absent(empty, None, 0.0, 0.12).startswith("The box is empty (0 x 30 pixels)")
 
 
-def test_a_turn_is_the_doubt_only_where_nothing_else_is(standing: np.ndarray) -> None:
+def test_only_the_orientation_is_in_doubt_if_nothing_else_is(standing: np.ndarray) -> None:
     over = turned(standing, 180.0, 2)
     beside = se3.compose(se3.make(np.eye(3), [0.05, 0.0, 0.0]), standing)
 
@@ -112,7 +114,7 @@ def test_a_turn_is_the_doubt_only_where_nothing_else_is(standing: np.ndarray) ->
 
     assert doubted(0.5, (over, 0.45))
     assert not doubted(0.1, (over, 0.09)), "none of them fits"
-    assert not doubted(0.5, (beside, 0.45)), "the other one is not turned"
+    assert not doubted(0.5, (beside, 0.45)), "the other one is not rotated"
     assert not doubted(0.5)
 
 

@@ -1,4 +1,4 @@
-"""A thing of the same print in another size is doubted alone; a wrong camera, all that is seen through it."""
+"""An object of the same print in another size is doubted alone; if all objects look wrong, the camera is."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from huepose.perception.view_detector import ViewDetector
 
 
 def look(larger: float, gain: float) -> Float64:
-    """That speaks for one size alone, whatever part of the object is left out."""
+    """A look that is evidence for one size alone, whatever part of the object is left out."""
     return np.tile(np.where(np.isclose(SCALES, larger), gain, 0.0), (1 + QUARTERS, 1))
 
 
 LARGE, FITS = look(0.12, 30.0), look(0.0, 60.0)
 
 
-def test_of_an_object_alone_the_camera_is_doubted() -> None:
+def test_with_a_single_object_the_camera_is_doubted() -> None:
     camera = doubted_camera({"can": [LARGE]})
     assert camera is not None
     assert camera.larger == pytest.approx(0.12)
     assert doubted_objects({"can": [LARGE], "carton": []}) == {}
 
 
-def test_of_an_object_alone_five_percent_may_be_its_mesh() -> None:
+def test_with_a_single_object_five_percent_may_come_from_its_mesh() -> None:
     assert doubted_camera({"can": [look(0.05, 30.0)]}) is None
     assert doubted_camera({"can": [look(0.06, 30.0)]}) is not None
     assert doubted_camera({"can": [look(0.05, 30.0)], "carton": [look(0.05, 30.0)]}) is not None
@@ -48,29 +48,29 @@ def test_of_an_object_alone_five_percent_may_be_its_mesh() -> None:
 
 @pytest.mark.parametrize("fits", [FITS, look(0.0, 12.0), look(0.0, 4.0)])
 def test_while_another_fits_only_the_object_is_doubted(fits: Float64) -> None:
-    """Also where it speaks louder than the one that fits, and that one for itself would not be clear."""
+    """Also if its evidence is stronger than that of the one that fits, which alone would not be clear."""
     seen = {"can": [LARGE], "carton": [fits]}
     assert doubted_camera(seen) is None
     assert list(doubted_objects(seen)) == ["can"]
 
 
-def test_an_object_that_cannot_tell_does_not_clear_the_camera() -> None:
+def test_an_object_without_evidence_does_not_clear_the_camera() -> None:
     assert doubted_camera({"can": [LARGE], "packet": [np.zeros_like(LARGE)]}) is not None
 
 
-def test_what_all_but_a_few_have_in_common_is_the_camera_s() -> None:
+def test_a_size_that_all_but_a_few_share_comes_from_the_camera() -> None:
     seen = {name: [LARGE] for name in "abc"}
     assert doubted_camera(seen | {"d": [look(0.0, 12.0)]}) is not None
     assert doubted_camera({name: [LARGE] for name in "ab"} | {"d": [look(0.0, 12.0)]}) is None
 
 
-def test_sizes_of_both_ways_are_the_objects_own() -> None:
+def test_larger_and_smaller_sizes_are_the_objects_own() -> None:
     seen = {"can": [LARGE], "carton": [look(-0.12, 25.0)]}
     assert doubted_camera(seen) is None
     assert set(doubted_objects(seen)) == {"can", "carton"}
 
 
-def test_beside_what_the_others_have_in_common_an_object_is_not_doubted() -> None:
+def test_an_object_near_the_common_size_is_not_doubted() -> None:
     """A camera that shows all 4 % smaller shows one of them 7 % smaller."""
     smaller, own = look(-0.04, 60.0), look(-0.07, 30.0)
     assert doubted_objects({"a": [smaller], "b": [own]}) == {}
@@ -79,15 +79,15 @@ def test_beside_what_the_others_have_in_common_an_object_is_not_doubted() -> Non
     assert list(doubted_objects({"a": [smaller], "b": [own], "c": [smaller], "d": [large]})) == ["d"]
 
 
-def test_looks_at_a_thing_that_stands_still_add_up_to_few() -> None:
+def test_looks_at_a_static_object_add_up_to_few() -> None:
     weak = look(0.12, 0.9)
     assert doubted_objects({"can": [weak] * 12, "carton": [FITS]}) == {}
     assert INDEPENDENT * 1.1 > CLEAR_OF_ONE
     assert list(doubted_objects({"can": [look(0.12, 1.1)] * 3, "carton": [FITS]})) == ["can"]
 
 
-def test_what_one_side_alone_says_is_no_size() -> None:
-    """A neighbour's edge, or what hides a corner."""
+def test_the_evidence_of_one_side_alone_is_no_size() -> None:
+    """It may be a neighbour's edge, or an occluder at a corner."""
     one_sided = LARGE.copy()
     one_sided[2] = look(0.0, 5.0)[0]
     assert doubted_objects({"can": [one_sided], "carton": [FITS]}) == {}
@@ -101,14 +101,14 @@ def test_a_doubt_waits_for_as_many_looks_as_are_asked_for() -> None:
 
 
 def answers_about(frame: RgbdFrame, models: dict[str, ReferenceModel]) -> list[PoseEstimate]:
-    """Of what the detector sees in it."""
+    """The answers about the objects that the detector finds in a frame."""
     places = ViewDetector(models).detect(frame, sorted(models))
     best = {place.object: place.box for place in places[::-1]}
     return Estimator(models).estimate(frame, [ObjectQuery(name, best[name]) for name in sorted(models)])
 
 
 @pytest.mark.parametrize("times", [0.87, 1.15])
-def test_in_a_picture_the_one_of_another_size_is_doubted(
+def test_in_a_frame_the_object_of_another_size_is_doubted(
     times: float, box_and_can: dict[str, ReferenceModel], larger_box: Callable[[float], RgbdFrame]
 ) -> None:
     frame = larger_box(times)
@@ -117,7 +117,7 @@ def test_in_a_picture_the_one_of_another_size_is_doubted(
     assert camera is None
     ((which, size),) = objects.items()
     assert answers[which].object == "tea_box"
-    # A pose nearer by or further off takes a part of it.
+    # A nearer or farther pose explains a part of it.
     assert 0.4 < size.larger / (times - 1.0) < 1.2
     assert (
         f"{'larger' if times > 1.0 else 'smaller'} than its mesh, while other objects fit"
@@ -125,7 +125,7 @@ def test_in_a_picture_the_one_of_another_size_is_doubted(
     )
 
 
-def test_in_a_picture_through_a_wrong_camera_matrix_no_object_is_doubted_but_the_camera(
+def test_with_a_wrong_camera_matrix_the_camera_is_doubted_and_no_object(
     box_and_can: dict[str, ReferenceModel], larger_box: Callable[[float], RgbdFrame]
 ) -> None:
     frame = larger_box(1.0)

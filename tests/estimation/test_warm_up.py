@@ -1,4 +1,4 @@
-"""A kernel that is compiled at the first frame that needs it holds the estimator up for seconds."""
+"""Compiling a kernel at the first frame that needs it would delay the estimator by seconds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_no_kernel_is_compiled_after_the_warm_up(
     estimator.warm_up()
     before = compiled()
     if method == "colorpair":
-        assert before["huepose.paper.ppf._vote"] >= 1  # asked only where few classes are in sight
+        assert before["huepose.paper.ppf._vote"] >= 1  # used only if few classes are visible
     outline = render_depth(tea_box.mesh, standing, box_frame.camera) > 0
     corner = outline.copy()
     corner[:, int(np.median(np.nonzero(outline)[1])) :] = False
@@ -57,7 +57,7 @@ def test_no_near_tie_and_no_prior_waits_for_the_compiler(
 def test_a_frame_as_drivers_and_slices_give_it_waits_for_no_compiler(
     tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray
 ) -> None:
-    """Whole and short numbers in the camera, pictures that are views, pictures that nobody may write."""
+    """Integers and float32 in the camera, images that are views, read-only images."""
     estimator = Estimator({"tea_box": tea_box})
     estimator.warm_up()
     before = compiled()

@@ -1,4 +1,4 @@
-"""What quality is made of, where the answer is known: near-ties, look-alikes, boxes without the object."""
+"""Quality and its parts in cases with a known answer: near ties, look-alikes, boxes without the object."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_poses_within_a_tenth_of_the_diameter_are_one_answer(tea_box: ReferenceM
     assert different_answers(same_texture, poses).tolist() == [0, 2]
 
 
-def test_the_texture_is_complete_in_its_own_picture_and_lacks_in_another(
+def test_the_texture_is_complete_in_its_own_image_and_lacks_in_another(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     other = demo_objects(1)["tea_box"]
@@ -60,7 +60,7 @@ def test_the_texture_is_complete_in_its_own_picture_and_lacks_in_another(
     assert found["other"].missing > 0.4
     assert found["other"].foreign > 2.0 * found["own"].foreign
     assert found["grey"].detail < 0.2
-    # Light moves hues, all alike; the other texture's are turned by 69 degrees.
+    # Light shifts all hues alike; those of the other texture are rotated by 69 degrees.
     assert max(found["own"].turned, found["in blue light"].turned, found["grey"].turned) < 0.1
     assert found["other"].turned > 0.4
 
@@ -86,10 +86,10 @@ def test_a_look_alike_is_doubted_and_an_empty_box_holds_nothing(
     assert forced.quality < 0.3
 
 
-def test_what_is_published_of_a_tie_is_one_in_sum(
+def test_the_probabilities_of_a_tie_sum_to_at_most_one(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
-    """A texture that is the same upside down: two poses, as likely as each other."""
+    """A texture that is the same upside down gives two equally likely poses."""
     half = tea_box.mesh
     answer = asked(tea_box, take_picture([(half, standing)], light=(0.3, 0.3, 0.3)), standing)
     total = answer.quality + sum(p for _, p in answer.alternatives)

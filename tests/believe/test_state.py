@@ -1,4 +1,4 @@
-"""A state is the word that users know it by."""
+"""A state equals the word that users know."""
 
 import json
 

@@ -1,5 +1,5 @@
-"""The close look: portraits show what the camera sees, outlines are found to the pixel, and of poses that the
-shape cannot tell apart the right one wins."""
+"""The close look: rendered views show what the camera sees, outlines are found to the pixel, and of poses
+that the shape cannot distinguish the right one wins."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def region(frame: RgbdFrame, tea_box: ReferenceModel, standing: np.ndarray) -> R
     return region_of(frame, tea_box, standing)
 
 
-def test_samples_of_a_portrait_lie_where_the_object_is_seen(
+def test_samples_of_a_rendered_view_lie_on_the_visible_surface(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     camera = region.crop.camera
-    drawn = render_view(tea_box, standing, camera, 500)
-    assert drawn is not None
-    arrays = drawn.arrays
+    view = render_view(tea_box, standing, camera, 500)
+    assert view is not None
+    arrays = view.arrays
     assert len(arrays.visible) == arrays.offsets[1] == 500
     points = arrays.points[arrays.visible] @ standing[:3, :3].T + standing[:3, 3]
     pixels = np.rint(camera.project(points)).astype(int)
@@ -51,7 +51,7 @@ def test_samples_of_a_portrait_lie_where_the_object_is_seen(
     normals = arrays.normals[arrays.visible] @ standing[:3, :3].T
     assert ((normals * points).sum(1) < 0.0).all()
     assert np.array_equal(arrays.points[: arrays.visible[0]], tea_box.surface.points)
-    # Its detail is the picture's: coloured light is an offset, which detail does not have.
+    # Its detail is that of the image: coloured light is an offset, which detail does not have.
     seen = detail_colors(region.crop.color, np.ones(depth_shape(region), np.float32))
     inner = render_depth(tea_box.mesh, standing, camera)[pixels[:, 1], pixels[:, 0]] > 0
     a, b = arrays.colors[0][arrays.visible][inner], seen[0, pixels[:, 1], pixels[:, 0]][inner]
@@ -75,10 +75,10 @@ def test_detail_is_without_the_colour_of_the_light() -> None:
 def test_an_outline_agrees_where_the_object_is_and_not_beside_it(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
-    drawn = render_view(tea_box, standing, region.crop.camera, 200)
-    assert drawn is not None
+    view = render_view(tea_box, standing, region.crop.camera, 200)
+    assert view is not None
     arrays = region_arrays(region)
-    rim = Rim(drawn.rim_points, drawn.rim_inward, edge_tensor(region.crop.color), 1.0)
+    rim = Rim(view.rim_points, view.rim_inward, edge_tensor(region.crop.color), 1.0)
     there = rim_agreement(standing, rim, arrays)
     assert there > 0.55
     assert all(
@@ -89,15 +89,17 @@ def test_an_outline_agrees_where_the_object_is_and_not_beside_it(
     assert rim_agreement(standing, none, arrays) == pytest.approx(PRIOR)
 
 
-def test_a_hidden_outline_says_nothing(region: Region, tea_box: ReferenceModel, standing: np.ndarray) -> None:
-    drawn = render_view(tea_box, standing, region.crop.camera, 200)
-    assert drawn is not None
-    rim = Rim(drawn.rim_points, drawn.rim_inward, edge_tensor(region.crop.color), 1.0)
+def test_an_occluded_outline_says_nothing(
+    region: Region, tea_box: ReferenceModel, standing: np.ndarray
+) -> None:
+    view = render_view(tea_box, standing, region.crop.camera, 200)
+    assert view is not None
+    rim = Rim(view.rim_points, view.rim_inward, edge_tensor(region.crop.color), 1.0)
     wall = replace(region, crop=replace(region.crop, depth=np.full_like(region.crop.depth, 0.3)))
     assert rim_agreement(standing, rim, region_arrays(wall)) == pytest.approx(PRIOR)
 
 
-def test_a_pose_a_few_pixels_off_is_brought_home(
+def test_a_pose_a_few_pixels_off_is_corrected(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     near = se3.perturb(standing, np.array([0.003, -0.002, 0.002, 0.03, -0.02, 0.03]))
@@ -108,7 +110,7 @@ def test_a_pose_a_few_pixels_off_is_brought_home(
     assert se3.rotation_angle(found, standing) < np.radians(0.8)
 
 
-def test_the_same_pixels_tell_the_right_way_round(
+def test_the_same_pixels_tell_the_right_orientation(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     look = close_look(tea_box, region, np.stack([standing @ UPSIDE_DOWN, standing]), [None, None])
@@ -117,7 +119,7 @@ def test_the_same_pixels_tell_the_right_way_round(
     assert look.alike.broad[1] > look.alike.broad[0] + 0.1
 
 
-def test_of_what_is_too_near_or_out_of_view_there_is_no_portrait(
+def test_an_object_behind_the_camera_has_no_rendered_view(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     camera = region.crop.camera

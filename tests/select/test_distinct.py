@@ -1,4 +1,4 @@
-"""Different poses keep what the judge said of them, whatever order they are put in."""
+"""Poses keep the totals of the judge, in whatever order they are ranked."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from huepose.select.distinct import Ranked
 
 
-def test_ranked_by_scores_the_totals_stay() -> None:
+def test_ranking_by_scores_keeps_the_totals() -> None:
     poses = np.arange(48, dtype=float).reshape(3, 4, 4)
     found = Ranked.of(poses, np.array([1.0, 3.0, 2.0]), np.array([0.5, 0.2, 0.9]))
     assert np.array_equal(found.poses, poses[[2, 0, 1]])

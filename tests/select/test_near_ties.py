@@ -1,4 +1,4 @@
-"""Near ties are decided by all that tells the poses apart, and clear leads are left alone."""
+"""Near ties are decided by all that distinguishes the poses, and clear leads are left alone."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def region(tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndar
     return region_of(frame, tea_box, standing)
 
 
-def test_the_right_way_round_wins_though_the_score_preferred_the_other(
+def test_the_right_orientation_wins_though_the_score_preferred_the_other(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     wrong = standing @ UPSIDE_DOWN
@@ -34,7 +34,7 @@ def test_the_right_way_round_wins_though_the_score_preferred_the_other(
     assert found.behind[1] > 0.1
 
 
-def test_totals_stay_what_the_judge_says(
+def test_totals_stay_those_of_the_judge(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(near_ties, "WITHIN", 3.0)
@@ -55,7 +55,7 @@ def test_poses_far_apart_in_score_are_left_as_they_are(
     assert len(decided(tea_box, region, NONE)[0]) == 0
 
 
-def test_who_does_not_contend_stays_behind(
+def test_a_pose_that_is_not_in_the_near_tie_stays_behind(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     aside = se3.compose(se3.make(np.eye(3), [0.05, 0.0, 0.0]), standing)
@@ -68,7 +68,7 @@ def test_who_does_not_contend_stays_behind(
     assert found.totals[k] == totals[2]
 
 
-def test_every_term_is_for_the_right_one(
+def test_the_terms_of_the_close_look_favour_the_right_pose(
     region: Region, tea_box: ReferenceModel, standing: np.ndarray
 ) -> None:
     near = Ranked.of(np.stack([standing @ UPSIDE_DOWN, standing]), np.array([1.95, 1.94]))

@@ -23,8 +23,8 @@ ABOUT_Z = se3.make(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
 
 
 def brick_with_a_dark_side() -> ReferenceModel:
-    """Red, each side with a yellow label; one that is hidden in the right pose is dark, and half a turn
-    brings it where the shade is."""
+    """A red brick with a yellow label on each side. One side is dark: it is out of view in the right pose,
+    and half a turn brings it where the shade is."""
     side = np.full((64, 64, 3), RED, np.uint8)
     side[20:32, 16:48] = (200, 180, 30)
     return onboarded(
@@ -68,7 +68,7 @@ def test_in_daylight_the_right_pose_stays(brick: ReferenceModel, take_picture: T
     assert lit.behind[1] > 0.0
 
 
-def test_what_is_alone_no_rotation_or_far_behind_is_left_as_it_is(
+def test_a_pose_alone_no_rotation_or_far_behind_is_left_as_it_is(
     brick: ReferenceModel, region: Region
 ) -> None:
     for ranked in (judged(brick, region, RIGHT), NONE):

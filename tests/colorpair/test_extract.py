@@ -1,4 +1,4 @@
-"""Extraction as a whole: a drawn square gives its outline, its two colours, at any scale and place."""
+"""Extraction as a whole: a square gives its outline and its two colours at any scale."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import pytest
 from huepose.colorpair.extract import denoise, extract, joint_bilateral, to_lab
 
 
-def test_a_constant_image_stays_what_it_is() -> None:
+def test_a_constant_image_is_unchanged() -> None:
     color = np.full((20, 30, 3), (200, 90, 40), np.uint8)
     np.testing.assert_allclose(denoise(color), to_lab(color), atol=1e-3)
 
 
-def test_chroma_noise_is_divided_and_the_edge_stays() -> None:
+def test_chroma_noise_is_reduced_and_the_edge_stays() -> None:
     rng = np.random.default_rng(0)
     clean = np.zeros((60, 60, 3), np.float32)
     clean[:, :30] = (35, 20, -10)
@@ -40,7 +40,7 @@ RED, BLUE = (200, 40, 30), (30, 60, 180)
 
 
 def square(noise: float = 0.0) -> np.ndarray:
-    """240 x 320, blue, with a red square from 100 to 180 (u) and 80 to 160 (v), drawn sharp."""
+    """240 x 320, blue, with a red square from 100 to 180 (u) and 80 to 160 (v), with sharp edges."""
     color = np.full((240, 320, 3), BLUE, np.float32)
     color[80:160, 100:180] = RED
     if noise:
@@ -82,7 +82,7 @@ def test_a_mask_keeps_both_sides_inside() -> None:
     assert len(extract(square(), inner)) == 0
 
 
-def test_a_gain_of_light_leaves_places_alone() -> None:
+def test_a_gain_of_light_does_not_move_the_pairs() -> None:
     color = square(2.0)
     dim = cv2.convertScaleAbs(color, alpha=0.6)
     bright, dark = extract(color), extract(dim)
@@ -90,13 +90,14 @@ def test_a_gain_of_light_leaves_places_alone() -> None:
     assert (distance_to_outline(dark.pixels) < 1.5).mean() > 0.95
 
 
-def test_tiny_pictures_have_no_pairs() -> None:
+def test_tiny_images_have_no_pairs() -> None:
     assert len(extract(np.zeros((4, 4, 3), np.uint8))) == 0
     assert len(extract(np.full((30, 30, 3), 90, np.uint8))) == 0
 
 
 def painted(edges: list[tuple[float, tuple[int, int, int]]], angle: float, blur: float) -> np.ndarray:
-    """120 px of stripes across a line at `angle`, each from its offset on, drawn finely and made smaller."""
+    """Stripes in 120 x 120 px across a line at `angle`, each from its offset on; painted finer and scaled
+    down."""
     fine = 8
     v, u = (np.mgrid[0 : 120 * fine, 0 : 120 * fine] + 0.5) / fine - 60.0
     across = np.cos(angle) * u + np.sin(angle) * v
@@ -109,7 +110,7 @@ def painted(edges: list[tuple[float, tuple[int, int, int]]], angle: float, blur:
 
 @pytest.mark.parametrize("angle_deg", [0.0, 28.0, 45.0, 77.0, 130.0])
 @pytest.mark.parametrize("blur", [0.0, 1.0, 2.0])
-def test_an_edge_of_known_place_way_and_blur(angle_deg: float, blur: float) -> None:
+def test_an_edge_of_known_position_direction_and_blur(angle_deg: float, blur: float) -> None:
     angle, offset = np.radians(angle_deg), 0.37
     color = painted([(-1e3, (60, 60, 70)), (offset, (190, 180, 120))], angle, blur)
     pairs = extract(color)
@@ -117,7 +118,7 @@ def test_an_edge_of_known_place_way_and_blur(angle_deg: float, blur: float) -> N
     assert inner.sum() > 15
     way = np.array([np.cos(angle), np.sin(angle)])
     place = (pairs.pixels[inner] - 59.5) @ way
-    # denoising draws a pixel on the edge to its nearer side, so places are true to a third of a pixel
+    # denoising pulls a pixel on the edge to its nearer side, so positions are exact to a third of a pixel
     assert abs(np.median(place) - offset) < 0.33
     assert np.abs(place - offset).max() < 0.6
     turn = np.angle(np.exp(1j * (pairs.directions[inner] - angle)))

@@ -1,4 +1,4 @@
-"""Pairs of a picture of a tilted plane stand on that plane, with its normal, across their edge."""
+"""Pairs of an image of a tilted plane lie on that plane, with its normal and a tangent across their edge."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def pairs_at(pixels: np.ndarray, directions: np.ndarray) -> ColorPairs:
     )
 
 
-def test_exact_on_a_plane() -> None:
+def test_lifting_is_exact_on_a_plane() -> None:
     rng = np.random.default_rng(0)
     pixels, directions = rng.uniform(15, 100, (40, 2)), rng.uniform(-np.pi, np.pi, 40)
     everywhere = np.ones((120, 160), bool)

@@ -1,4 +1,4 @@
-"""Edges of known place, direction and blur are found where they are."""
+"""Edges of known position, direction and blur are found where they are."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_short_lines_are_dropped() -> None:
     assert long_enough(lines).sum() == 10
 
 
-def test_a_black_picture_compiles_no_kernel_anew() -> None:
+def test_a_black_image_compiles_no_kernel_again() -> None:
     assert len(find_ridges(unified_gradient(edge(0.0, 0.0, 1.0)))) > 0
     before = compiled()
     black = np.zeros((60, 60, 3), np.float32)

@@ -1,4 +1,4 @@
-"""What the similarity of colour pairs must be, whatever the pairs."""
+"""Properties of the similarity of colour pairs, whatever the pairs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ colors = arrays(np.float32, (2, 3), elements=st.floats(-60, 60, width=32)).map(
 
 @given(colors, colors)
 @settings(max_examples=60, deadline=None)
-def test_symmetric_bounded_and_blind_to_order(a: np.ndarray, b: np.ndarray) -> None:
+def test_symmetric_bounded_and_independent_of_order(a: np.ndarray, b: np.ndarray) -> None:
     s = paired_similarity(a[None], b[None])[0]
     assert 0.0 <= s <= 1.0
     np.testing.assert_allclose(s, paired_similarity(b[None], a[None])[0], rtol=1e-4, atol=1e-6)

@@ -1,4 +1,4 @@
-"""A veil of light over a picture: how strong it is, and what is found without it."""
+"""A veil of light over an image: its strength, and what is found without it."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ LIGHT = 0.12
 
 
 def veiled(frame: RgbdFrame, light: float = LIGHT, lit: float = 1.0) -> RgbdFrame:
-    """The frame in so much of its light, under a veil of white light that takes as much from the picture."""
+    """The frame at `lit` times its light, under a veil of white light of strength `light`."""
     table = np.abs(LINEAR[None] - ((1.0 - light) * lit * LINEAR + light)[:, None]).argmin(1).astype(np.uint8)
     return replace(frame, color=table[frame.color])
 
 
 @pytest.fixture(scope="module")
 def frame(box_frame) -> RgbdFrame:
-    """A tea box, and a thing in deep shadow."""
+    """A tea box, and an object in deep shadow."""
     color = box_frame.color.copy()
     color[:40, :40] = 3
     return replace(box_frame, color=color)
 
 
-def test_a_picture_with_something_dark_stays_what_it_is(frame) -> None:
+def test_an_image_with_something_dark_is_unchanged(frame) -> None:
     assert veil(frame.color) < 0.002
     assert unveiled(frame) is frame
     assert veil(veiled(frame).color) == pytest.approx(LIGHT, abs=0.004)
 
 
-def test_an_all_white_picture_stays_what_it_is(frame) -> None:
+def test_an_all_white_image_is_unchanged(frame) -> None:
     white = replace(frame, color=np.full_like(frame.color, 255))
     assert unveiled(white) is white
 
 
-def test_without_its_veil_a_picture_has_its_colours_again(frame) -> None:
+def test_without_its_veil_an_image_has_its_colours_again(frame) -> None:
     again = unveiled(veiled(frame))
     assert veil(again.color) < 0.002
     assert again.depth is frame.depth
-    # Of light, between bytes: 0.003 where it is dark under the veil, 0.009 where it is bright.
+    # Linear light between two bytes: 0.003 where it is dark under the veil, 0.009 where it is bright.
     assert np.abs(LINEAR[again.color] - LINEAR[frame.color]).max() < 0.01
 
 
-def test_detector_and_estimator_look_under_the_veil(tea_box, frame) -> None:
+def test_detector_and_estimator_remove_the_veil(tea_box, frame) -> None:
     models, seen = {"tea_box": tea_box}, veiled(frame, lit=0.1)
     detector, estimator = ViewDetector(models), Estimator(models)
     (veiled_box, *_), (bare_box, *_) = (detector.detect(one, ["tea_box"]) for one in (seen, unveiled(seen)))

@@ -23,7 +23,7 @@ from huepose.geometry import se3
 TOLERANCE_MM, TOLERANCE_DEG, TOLERANCE_QUALITY = 1.0, 0.5, 0.02
 
 TOLERANCE_GREY, TOLERANCE_DEPTH_MM = 0.2, 0.5
-"""Of the means of a whole picture: beyond them it shows something else than when the answers were written."""
+"""Of the means of a whole image: beyond them it shows something else than when the answers were written."""
 
 Key = tuple[str, int, str]
 
@@ -41,13 +41,13 @@ class Answer:
 
     @property
     def key(self) -> Key:
-        """What identifies it."""
+        """What identifies the answer."""
         return self.question, self.frame, self.object
 
 
 @dataclass(frozen=True)
-class Picture:
-    """What a frame shows, in four numbers: means of its colours 0..255, and of its depth in millimetres."""
+class ImageMeans:
+    """A frame in four numbers: the means of its colours, 0..255, and of its depth in millimetres."""
 
     question: str
     frame: int
@@ -55,35 +55,35 @@ class Picture:
     depth_mm: float
 
     @staticmethod
-    def of(question: str, frame: RgbdFrame) -> Picture:
-        """Of a frame of a question."""
+    def of(question: str, frame: RgbdFrame) -> ImageMeans:
+        """The means of a frame of a question."""
         red, green, blue = (float(mean) for mean in frame.color.mean((0, 1)))
-        return Picture(question, frame.frame_id, (red, green, blue), float(1000.0 * frame.depth.mean()))
+        return ImageMeans(question, frame.frame_id, (red, green, blue), float(1000.0 * frame.depth.mean()))
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """All that was answered, and what was shown for it."""
+    """All answers, and the means of the images that they are about."""
 
     answers: Sequence[Answer]
-    pictures: Sequence[Picture]
+    images: Sequence[ImageMeans]
 
     def of(self, question: str) -> Answers:
         """The part of one question."""
         return Answers(
             [a for a in self.answers if a.question == question],
-            [p for p in self.pictures if p.question == question],
+            [p for p in self.images if p.question == question],
         )
 
 
 def together(parts: Iterable[Answers]) -> Answers:
-    """Of several questions."""
+    """The answers to several questions."""
     parts = list(parts)
-    return Answers([a for p in parts for a in p.answers], [v for p in parts for v in p.pictures])
+    return Answers([a for p in parts for a in p.answers], [v for p in parts for v in p.images])
 
 
 def write(path: Path, answers: Answers) -> None:
-    """One answer a line."""
+    """Write one answer per line."""
     rows = [
         {
             "question": a.question,
@@ -105,7 +105,7 @@ def write(path: Path, answers: Answers) -> None:
             "rgb": np.round(p.rgb, 3),
             "depth_mm": round(p.depth_mm, 3),
         }
-        for p in answers.pictures
+        for p in answers.images
     ]
     write_json(path, {"answers": rows, "pictures": shown})
 
@@ -119,7 +119,7 @@ def read(path: Path) -> Answers:
             for row in files.field(record, "answers", path)
         ],
         [
-            Picture(row["question"], row["frame"], tuple(row["rgb"]), row["depth_mm"])
+            ImageMeans(row["question"], row["frame"], tuple(row["rgb"]), row["depth_mm"])
             for row in files.field(record, "pictures", path)
         ],
     )
@@ -132,14 +132,14 @@ def _pose(row: Mapping[str, Any]) -> np.ndarray | None:
 
 
 def differences(expected: Answers, got: Answers) -> list[str]:
-    """What is beyond the tolerances, in words: of pictures alone where these differ, else of answers."""
-    return _pictures(expected, got) or _answers(expected, got)
+    """What is beyond the tolerances, in words: only of images if these differ, else of answers."""
+    return _images(expected, got) or _answers(expected, got)
 
 
-def _pictures(expected: Answers, got: Answers) -> list[str]:
-    new = {(p.question, p.frame): p for p in got.pictures}
+def _images(expected: Answers, got: Answers) -> list[str]:
+    new = {(p.question, p.frame): p for p in got.images}
     found = []
-    for old in expected.pictures:
+    for old in expected.images:
         other = new.get((old.question, old.frame))
         if other is None:
             found.append(f"{old.question}, frame {old.frame}: not asked any more")
@@ -148,7 +148,7 @@ def _pictures(expected: Answers, got: Answers) -> list[str]:
         depth_mm = abs(old.depth_mm - other.depth_mm)
         if not (grey <= TOLERANCE_GREY and depth_mm <= TOLERANCE_DEPTH_MM):
             found.append(
-                f"{old.question}, frame {old.frame}: another picture (mean colours differ by {grey:.2f}, "
+                f"{old.question}, frame {old.frame}: another image (mean colours differ by {grey:.2f}, "
                 f"mean depth by {depth_mm:.2f} mm), so its answers say nothing about the vision"
             )
     return found

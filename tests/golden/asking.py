@@ -9,7 +9,7 @@ import cv2
 
 from huepose import Correction, Estimator, ObjectQuery, ReferenceModel, RgbdFrame, Tracker
 from huepose.estimation import EstimatorConfig
-from tests.golden.answers import Answer, Answers, Picture
+from tests.golden.answers import Answer, Answers, ImageMeans
 
 METHODS = ("full", "colorpair")
 
@@ -28,25 +28,26 @@ def estimated(
     method: str,
     shown: Iterable[tuple[RgbdFrame, Sequence[ObjectQuery]]],
 ) -> Answers:
-    """All objects of each frame in one call; several instances of an object are told apart by number."""
+    """The estimates of all objects of each frame, in one call; a number distinguishes instances of an
+    object."""
     estimator = Estimator(models, EstimatorConfig(method=method))
-    answers, pictures = [], []
+    answers, images = [], []
     for frame, queries in shown:
-        pictures.append(Picture.of(question, frame))
+        images.append(ImageMeans.of(question, frame))
         for pose in estimator.estimate(frame, queries):
             name = f"{pose.object} {pose.instance}"
             answers.append(Answer(question, frame.frame_id, name, pose.state, pose.quality, pose.T_cam_obj))
-    return Answers(answers, pictures)
+    return Answers(answers, images)
 
 
 def tracked(question: str, models: Mapping[str, ReferenceModel], steps: Iterable[Step]) -> Answers:
-    """What is published for every frame."""
+    """The poses that a tracker publishes for every frame."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)  # as the tracker's worker does
     try:
-        tracker, answers, pictures = Tracker(models), [], []
+        tracker, answers, images = Tracker(models), [], []
         for step in steps:
-            pictures.append(Picture.of(question, step.frame))
+            images.append(ImageMeans.of(question, step.frame))
             for correction in step.corrections:
                 tracker.correct(correction)
             for pose in tracker.step(step.frame):
@@ -55,6 +56,6 @@ def tracked(question: str, models: Mapping[str, ReferenceModel], steps: Iterable
                 answers.append(
                     Answer(question, step.frame.frame_id, name, state, pose.quality, pose.T_cam_obj)
                 )
-        return Answers(answers, pictures)
+        return Answers(answers, images)
     finally:
         cv2.setNumThreads(threads)

@@ -1,14 +1,14 @@
-"""Questions that need nothing but the code: the built-in objects, drawn and learned here.
+"""Questions that need nothing but the code: the built-in objects, rendered and onboarded here.
 
-Single frames: two heaps with both methods, and three piles (`scenes.rendered`), in the true boxes of
-what is visible by 30 % or more. Sequences: 25 frames of the built-in scene (`scenes.builtin`), started at
-the true pose: every frame; every fifth frame; and one in which a board hides everything for ten frames, after
-which a correction arrives for a frame that is two frames old.
+Single frames: two heaps with both methods, and three piles (`scenes.rendered`), in the true boxes of what
+is visible by 30 % or more. Sequences: 25 frames of the built-in scene (`scenes.builtin`), started at the
+true pose: every frame; every fifth frame; and one in which a board occludes everything for ten frames,
+after which a correction arrives for a frame that is two frames old.
 
 The frames are some whose answers stay within the tolerances when all kernels are compiled for a processor
 without vector extensions (NUMBA_CPU_NAME=generic) and when NumPy does without them
-(NPY_DISABLE_CPU_FEATURES=X86_V3). Of the others that were tried (heaps 0 to 6, piles 0 to 9) two poses turn
-by 0.75 degrees.
+(NPY_DISABLE_CPU_FEATURES=X86_V3). Of the others that were tried (heaps 0 to 6, piles 0 to 9) two poses
+rotate by 0.75 degrees.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _RATE_HZ = 30.0
 _LOOP_FRAMES = 240
 _FRAMES = 25
 _NUMBERS = {"heaps": (0, 3), "piles": (2, 7, 8)}
-_HIDDEN = range(8, 18)
+_OCCLUDED = range(8, 18)
 _LATE = 18, 20
 """The frame that the late estimate is about, and the frame with which it arrives."""
 
@@ -56,25 +56,25 @@ def models() -> Mapping[str, ReferenceModel]:
 
 @cache
 def shown(kind: str) -> Sequence[tuple[RgbdFrame, Sequence[ObjectQuery]]]:
-    """Heaps or piles, with what is asked about them."""
+    """The frames of heaps or piles, with the queries about them."""
     frames = []
     for number in _NUMBERS[kind]:
-        drawn = rendered_frame(meshes(), _SEED, number, PILES if kind == "piles" else None)
-        frame = RgbdFrame(drawn.shot.color, drawn.shot.depth, drawn.camera, number)
-        labels = drawn.shot.labels
-        seen = zip(drawn.names, labels.box_visib, labels.visib_fract, strict=True)
+        rendered = rendered_frame(meshes(), _SEED, number, PILES if kind == "piles" else None)
+        frame = RgbdFrame(rendered.shot.color, rendered.shot.depth, rendered.camera, number)
+        labels = rendered.shot.labels
+        seen = zip(rendered.names, labels.box_visib, labels.visib_fract, strict=True)
         frames.append((frame, [ObjectQuery(name, box) for name, box, share in seen if box and share >= 0.3]))
     return frames
 
 
 @cache
 def stage() -> Stage:
-    """The built-in scene, of which frames are drawn one by one."""
+    """The built-in scene, whose frames are rendered one by one."""
     return plan(meshes(), _SEED, _LOOP_FRAMES, CAMERA)
 
 
 def frames(first: int, every: int, names: Sequence[str]) -> Iterator[tuple[RgbdFrame, list[Correction]]]:
-    """So many frames of the scene, with the true pose of each object as the first correction about it."""
+    """_FRAMES frames of the scene, with the true pose of each object as the first correction about it."""
     order = list(meshes())
     for i in range(first, first + every * _FRAMES, every):
         shot = shoot(stage(), i, _SEED, COLOR, STEREO)
@@ -84,20 +84,20 @@ def frames(first: int, every: int, names: Sequence[str]) -> Iterator[tuple[RgbdF
 
 
 def sequence(question: str, first: int, every: int, names: Sequence[str]) -> Answers:
-    """Started once, then alone."""
+    """A sequence with corrections at its first frame only."""
     steps = (
         Step(frame, truth if k == 0 else ()) for k, (frame, truth) in enumerate(frames(first, every, names))
     )
     return tracked(question, {name: models()[name] for name in names}, steps)
 
 
-def hidden(question: str, first: int, names: Sequence[str]) -> Answers:
-    """Hidden altogether for ten frames, then told again by an estimate that comes late."""
+def occluded(question: str, first: int, names: Sequence[str]) -> Answers:
+    """All is occluded for ten frames; then a correction comes late."""
 
     def steps() -> Iterator[Step]:
         late: list[Correction] = []
         for k, (frame, truth) in enumerate(frames(first, 1, names)):
-            if k in _HIDDEN:
+            if k in _OCCLUDED:
                 color = np.full_like(frame.color, 120)
                 frame = replace(frame, color=color, depth=np.full_like(frame.depth, 0.35))
             if k == _LATE[0]:
@@ -117,6 +117,6 @@ QUESTIONS: Mapping[str, Callable[[str], Answers]] = {
     "piles, full": partial(_single, kind="piles", method="full"),
     "every frame": partial(sequence, first=60, every=1, names=("tea_box", "corner_bracket")),
     "every fifth frame": partial(sequence, first=60, every=5, names=("soup_can", "parts_tray")),
-    "hidden for a while": partial(hidden, first=120, names=("juice_bottle", "tea_box")),
+    "hidden for a while": partial(occluded, first=120, names=("juice_bottle", "tea_box")),
 }
-"""By name: each is called with its name."""
+"""The questions by name; each is called with its name."""

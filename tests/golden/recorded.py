@@ -39,7 +39,7 @@ _VIDEO, _VIDEO_ID, _EVERY = "video/mustard0_a", 5, 5
 
 
 def missing() -> str | None:
-    """Why the questions cannot be asked; None where they can."""
+    """Why the questions cannot be asked; None if they can."""
     folder = os.environ.get(VARIABLE)
     if not folder:
         return (
@@ -56,7 +56,7 @@ def _folder() -> Path:
 
 @cache
 def model(number: int) -> ReferenceModel:
-    """One of the objects, learned; its name is that of its file."""
+    """One of the objects, onboarded; its name is that of its file."""
     name = f"obj_{number:06d}"
     info = files.read_json(_folder() / "models" / "models_info.json").get(str(number))
     mesh = _folder() / "models" / f"{name}.obj"
@@ -104,4 +104,4 @@ QUESTIONS: Mapping[str, Callable[[str], Answers]] = {
     },
     "video, every fifth frame": _video,
 }
-"""By name: each is called with its name."""
+"""The questions by name; each is called with its name."""

@@ -1,6 +1,6 @@
 """Poses, qualities and states are those of the files beside this one, within the tolerances of `answers`.
 
-After a change that is meant to move them, `python -m tests.golden.write` writes them anew and says how far.
+After a change that is meant to move them, `python -m tests.golden.write` writes them again and says how far.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import pytest
 
 from huepose.geometry import se3
 from tests.golden import builtin, recorded
-from tests.golden.answers import Answer, Answers, Picture, differences, read, write
+from tests.golden.answers import Answer, Answers, ImageMeans, differences, read, write
 
 # The kernels are compiled at their first use, which takes a minute or two.
 slow_at_first = pytest.mark.timeout(900)
@@ -36,8 +36,9 @@ def test_recorded(question: str) -> None:
     assert differences(expected, recorded.QUESTIONS[question](question)) == []
 
 
-def test_the_sequences_hold_what_they_are_for() -> None:
-    """What is hidden is LOST and comes back; large steps are doubted and followed; small ones are not."""
+def test_the_sequences_show_occlusion_large_and_small_steps() -> None:
+    """Occluded objects are LOST and come back; after large steps an object is SUSPECT for a while, after
+    small ones never."""
     answers = read(builtin.FILE)
     states = [a.state for a in answers.of("every frame").answers]
     assert set(states) == {"TRACKING"}
@@ -50,12 +51,12 @@ def test_the_sequences_hold_what_they_are_for() -> None:
 
 POSE = se3.make(se3.rotation_exp([0.3, -0.2, 0.5]), [0.1, 0.0, 0.7])
 ANSWER = Answer("heap", 3, "box 0", "TRACKING", 0.9, POSE)
-PICTURE = Picture("heap", 3, (100.0, 110.0, 120.0), 700.0)
+IMAGE = ImageMeans("heap", 3, (100.0, 110.0, 120.0), 700.0)
 
 
 def changed(**parts: object) -> list[str]:
-    """The differences when these parts of the one answer are others."""
-    return differences(Answers([ANSWER], [PICTURE]), Answers([replace(ANSWER, **parts)], [PICTURE]))
+    """The differences if these parts of the one answer change."""
+    return differences(Answers([ANSWER], [IMAGE]), Answers([replace(ANSWER, **parts)], [IMAGE]))
 
 
 def moved(mm: float, deg: float) -> np.ndarray:
@@ -83,19 +84,19 @@ def test_beyond_them_is_named(parts: dict[str, object], named: str) -> None:
     assert any(named in line for line in changed(**parts))
 
 
-def test_another_picture_is_named_instead_of_its_answers() -> None:
-    other = replace(PICTURE, depth_mm=702.0)
-    lines = differences(Answers([ANSWER], [PICTURE]), Answers([replace(ANSWER, state="LOST")], [other]))
+def test_another_image_is_named_instead_of_its_answers() -> None:
+    other = replace(IMAGE, depth_mm=702.0)
+    lines = differences(Answers([ANSWER], [IMAGE]), Answers([replace(ANSWER, state="LOST")], [other]))
     assert len(lines) == 1
-    assert "another picture" in lines[0]
+    assert "another image" in lines[0]
 
 
-def test_what_is_written_is_read_again(tmp_path) -> None:
+def test_written_answers_are_read_again(tmp_path) -> None:
     path = tmp_path / "golden.json"
     lost = replace(ANSWER, object="can 0", state="LOST", T_cam_obj=None, quality=0.0)
-    answers = Answers([ANSWER, lost], [PICTURE])
+    answers = Answers([ANSWER, lost], [IMAGE])
     write(path, answers)
     again = read(path)
     assert differences(answers, again) == []
     np.testing.assert_allclose(again.answers[0].T_cam_obj, POSE, atol=1e-5)
-    assert (again.answers[1].T_cam_obj, again.pictures) == (None, [PICTURE])
+    assert (again.answers[1].T_cam_obj, again.images) == (None, [IMAGE])

@@ -1,6 +1,6 @@
 """`python -m tests.golden.write [builtin] [recorded]`: write the golden answers, and say what changed.
 
-Without a name: all that can be asked here.
+Without a name: all that are possible here.
 """
 
 from __future__ import annotations

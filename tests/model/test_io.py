@@ -54,7 +54,7 @@ def test_the_digest_is_of_the_content(saved: Path, tea_box: ReferenceModel, tmp_
     assert other.digest not in (None, copy.digest)
 
 
-def test_what_is_absent_comes_back_absent(tea_box: ReferenceModel, tmp_path: Path) -> None:
+def test_absent_fields_come_back_absent(tea_box: ReferenceModel, tmp_path: Path) -> None:
     save_model(tea_box, tmp_path / "b.huepose")
     model = load_model(tmp_path / "b.huepose")
     assert model.object_id is None
@@ -106,7 +106,7 @@ def rewritten(source: Path, target: Path, **changes: object) -> Path:
     return target
 
 
-def test_one_damaged_file_of_a_folder_is_named_with_both_ways_out(saved: Path, tmp_path: Path) -> None:
+def test_one_damaged_file_of_a_folder_is_named_with_both_remedies(saved: Path, tmp_path: Path) -> None:
     (tmp_path / "tea_box.huepose").write_bytes(saved.read_bytes())
     (tmp_path / "mug.huepose").write_bytes(b"nothing")
     with pytest.raises(InputError) as error:
@@ -123,7 +123,7 @@ def test_another_version_is_refused(saved: Path, tmp_path: Path) -> None:
         load_model(other)
 
 
-def test_tables_are_kept_where_there_are_any(tea_box: ReferenceModel, saved: Path, tmp_path: Path) -> None:
+def test_tables_are_kept_if_there_are_any(tea_box: ReferenceModel, saved: Path, tmp_path: Path) -> None:
     assert load_model(saved).tables is not None
     bare = replace(tea_box, tables=None)
     save_model(bare, tmp_path / "bare.huepose")
@@ -172,7 +172,7 @@ def test_models_are_found_by_name(saved: Path, tea_box: ReferenceModel, tmp_path
         load_models(tmp_path, ["a_one", "cup"])
 
 
-def test_a_file_that_was_renamed_is_refused_with_both_ways_out(saved: Path, tmp_path: Path) -> None:
+def test_a_file_that_was_renamed_is_refused_with_both_remedies(saved: Path, tmp_path: Path) -> None:
     (tmp_path / "my_part.huepose").write_bytes(saved.read_bytes())
     with pytest.raises(InputError) as error:
         load_models(tmp_path)
@@ -182,7 +182,7 @@ def test_a_file_that_was_renamed_is_refused_with_both_ways_out(saved: Path, tmp_
     )
 
 
-def test_empty_and_missing_folders_are_told_apart(tmp_path: Path) -> None:
+def test_empty_and_missing_folders_are_distinguished(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no reference models"):
         load_models(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
@@ -235,7 +235,7 @@ def npy(shape: str, kind: str = "<f4", data: bytes = b"") -> bytes:
 
 
 def png(width: int, height: int) -> bytes:
-    """The beginning of a picture of that size."""
+    """The beginning of a PNG image of that size."""
     return (
         b"\x89PNG\r\n\x1a\n\x00\x00\x00\rIHDR" + struct.pack(">II", width, height) + b"\x08\x02\x00\x00\x00"
     )
@@ -300,7 +300,7 @@ def test_an_index_that_points_at_nothing_is_refused(
         load_model(packed(saved, tmp_path / "tea_box.huepose", **{f"{name}.npy": data}))
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+def test_a_pipe_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "tea_box.huepose")
     with pytest.raises(InputError, match="it is not a file"):
         load_model(tmp_path / "tea_box.huepose")

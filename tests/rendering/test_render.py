@@ -55,39 +55,39 @@ def rays() -> np.ndarray:
 
 def test_tilted_plane_has_its_analytic_depth_and_points() -> None:
     T = se3.make(se3.rotation_exp(np.array([0.7, -0.4, 0.2])), np.array([0.02, -0.01, 0.8]))
-    drawn = render([(quad(), T)], CAMERA)
+    rendered = render([(quad(), T)], CAMERA)
     normal, r = T[:3, 2], rays()
     depth = (normal @ T[:3, 3]) / (r @ normal)
     hit = (r * depth[..., None] - T[:3, 3]) @ T[:3, :3]
     inside = (np.abs(hit[..., :2]) <= 0.5).all(-1) & (depth > 0)
-    assert np.array_equal(drawn.depth > 0, inside)
+    assert np.array_equal(rendered.depth > 0, inside)
     assert 20_000 < inside.sum() < 300_000
-    np.testing.assert_allclose(drawn.depth[inside], depth[inside], rtol=1e-6)
-    np.testing.assert_allclose(drawn.points_obj[inside], hit[inside], atol=1e-6)
+    np.testing.assert_allclose(rendered.depth[inside], depth[inside], rtol=1e-6)
+    np.testing.assert_allclose(rendered.points_obj[inside], hit[inside], atol=1e-6)
     np.testing.assert_allclose(
-        drawn.normals_cam[inside], np.broadcast_to(-normal, hit.shape)[inside], atol=1e-6
+        rendered.normals_cam[inside], np.broadcast_to(-normal, hit.shape)[inside], atol=1e-6
     )
-    assert (drawn.points_obj[~inside] == 0).all()
+    assert (rendered.points_obj[~inside] == 0).all()
 
 
 def test_colour_is_the_bilinear_texture_at_the_analytic_uv() -> None:
     ramp = np.zeros((256, 256, 3), np.uint8)
     ramp[..., 0], ramp[..., 1] = np.arange(256)[None], np.arange(256)[:, None]
     T = se3.make(se3.rotation_exp(np.array([0.5, 0.3, 0.0])), np.array([0.0, 0.0, 0.9]))
-    drawn = render([(quad(texture=ramp), T)], CAMERA)
-    texel = (drawn.points_obj[..., :2] + 0.5) * 256 - 0.5
-    middle = (drawn.depth > 0) & ((texel > 3) & (texel < 252)).all(-1)
+    rendered = render([(quad(texture=ramp), T)], CAMERA)
+    texel = (rendered.points_obj[..., :2] + 0.5) * 256 - 0.5
+    middle = (rendered.depth > 0) & ((texel > 3) & (texel < 252)).all(-1)
     assert middle.sum() > 30_000
-    error = np.abs(drawn.color[..., :2][middle] - texel[middle])
+    error = np.abs(rendered.color[..., :2][middle] - texel[middle])
     assert error.max() <= 0.51
 
 
 def test_fine_texture_turns_grey_instead_of_aliasing() -> None:
     checker = np.zeros((1024, 1024, 3), np.uint8)
     checker[::2, ::2] = checker[1::2, 1::2] = 255
-    drawn = render([(quad(texture=checker), se3.make(np.eye(3), np.array([0, 0, 3.0])))], CAMERA)
-    inside = drawn.depth > 0
-    assert np.abs(drawn.color[inside].astype(int) - 128).max() <= 4
+    rendered = render([(quad(texture=checker), se3.make(np.eye(3), np.array([0, 0, 3.0])))], CAMERA)
+    inside = rendered.depth > 0
+    assert np.abs(rendered.color[inside].astype(int) - 128).max() <= 4
 
 
 def test_blank_between_charts_does_not_bleed_into_the_texture() -> None:
@@ -95,8 +95,8 @@ def test_blank_between_charts_does_not_bleed_into_the_texture() -> None:
     texture[201:311, 201:311] = (250, 120, 30)
     mesh = quad(texture=texture)
     chart = Mesh(mesh.vertices, mesh.faces, ((mesh.uv * 109 + 201.5) / 512).astype(np.float32), texture)
-    drawn = render([(chart, se3.make(np.eye(3), np.array([0, 0, 15.0])))], CAMERA)
-    seen = drawn.color[drawn.depth > 0].astype(int)
+    rendered = render([(chart, se3.make(np.eye(3), np.array([0, 0, 15.0])))], CAMERA)
+    seen = rendered.color[rendered.depth > 0].astype(int)
     assert len(seen) > 500
     assert np.abs(seen - (250, 120, 30)).max() <= 2
 
@@ -121,10 +121,10 @@ def test_agrees_with_ray_casting() -> None:
 
 def test_points_and_depth_are_the_same_surface() -> None:
     mesh, T = blob(), se3.make(se3.rotation_exp(np.array([0.1, 2.0, 0.3])), np.array([-0.05, 0.03, 0.4]))
-    drawn = render([(mesh, T)], CAMERA, color=False)
-    seen = drawn.depth > 0
-    points_cam = se3.apply(T, drawn.points_obj[seen])
-    np.testing.assert_allclose(points_cam[:, 2], drawn.depth[seen], atol=2e-7)
+    rendered = render([(mesh, T)], CAMERA, color=False)
+    seen = rendered.depth > 0
+    points_cam = se3.apply(T, rendered.points_obj[seen])
+    np.testing.assert_allclose(points_cam[:, 2], rendered.depth[seen], atol=2e-7)
     np.testing.assert_allclose(CAMERA.project(points_cam), np.argwhere(seen)[:, ::-1], atol=2e-4)
 
 
@@ -138,11 +138,11 @@ def test_smooth_normals_of_a_ball() -> None:
         mesh.texture,
     )
     T = se3.make(se3.rotation_exp(np.array([1.0, 0.5, 0.0])), np.array([0, 0, 0.4]))
-    drawn = render([(ball, T)], CAMERA)
-    seen = drawn.depth > 0
-    radial = drawn.points_obj[seen] @ T[:3, :3].T
+    rendered = render([(ball, T)], CAMERA)
+    seen = rendered.depth > 0
+    radial = rendered.points_obj[seen] @ T[:3, :3].T
     radial /= np.linalg.norm(radial, axis=1, keepdims=True)
-    cos = (radial * drawn.normals_cam[seen]).sum(1)
+    cos = (radial * rendered.normals_cam[seen]).sum(1)
     assert np.median(np.degrees(np.arccos(np.clip(cos, -1, 1)))) < 0.5
 
 
@@ -165,33 +165,33 @@ def test_crop_is_the_sub_image(window: tuple[int, int, int, int]) -> None:
 def test_several_meshes_share_one_depth_buffer() -> None:
     mesh = quad(0.1)
     near, far = se3.make(np.eye(3), np.array([0, 0, 0.5])), se3.make(np.eye(3), np.array([0.05, 0, 0.6]))
-    drawn = render([(mesh, far), (mesh, near)], CAMERA)
+    rendered = render([(mesh, far), (mesh, near)], CAMERA)
     alone = [render_depth(mesh, far, CAMERA), render_depth(mesh, near, CAMERA)]
-    assert np.array_equal(drawn.object_index == 1, alone[1] > 0)
-    assert np.array_equal(drawn.object_index == 0, (alone[0] > 0) & (alone[1] == 0))
-    assert np.array_equal(drawn.depth, np.where(alone[1] > 0, alone[1], alone[0]))
+    assert np.array_equal(rendered.object_index == 1, alone[1] > 0)
+    assert np.array_equal(rendered.object_index == 0, (alone[0] > 0) & (alone[1] == 0))
+    assert np.array_equal(rendered.depth, np.where(alone[1] > 0, alone[1], alone[0]))
 
 
 def test_floor_that_passes_under_the_camera_is_clipped_at_the_near_plane() -> None:
     T = se3.make(se3.rotation_exp(np.array([np.pi / 2 - 0.2, 0, 0])), np.array([0, 0.1, 0.3]))
-    drawn = render([(quad(5.0), T)], CAMERA)
+    rendered = render([(quad(5.0), T)], CAMERA)
     normal, r = T[:3, 2], rays()
     depth = (normal @ T[:3, 3]) / (r @ normal)
     hit = (r * depth[..., None] - T[:3, 3]) @ T[:3, :3]
     inside = (np.abs(hit[..., :2]) <= 5.0).all(-1) & (depth > 0.05)
-    assert (inside ^ (drawn.depth > 0)).sum() <= 2
-    both = inside & (drawn.depth > 0)
-    np.testing.assert_allclose(drawn.depth[both], depth[both], rtol=1e-5)
-    np.testing.assert_allclose(drawn.points_obj[both], hit[both], rtol=1e-4, atol=1e-5)
+    assert (inside ^ (rendered.depth > 0)).sum() <= 2
+    both = inside & (rendered.depth > 0)
+    np.testing.assert_allclose(rendered.depth[both], depth[both], rtol=1e-5)
+    np.testing.assert_allclose(rendered.points_obj[both], hit[both], rtol=1e-4, atol=1e-5)
 
 
 def test_behind_the_camera_and_outside_the_image_is_nothing() -> None:
     mesh = blob()
     for t in ([0, 0, -0.5], [3.0, 0, 0.5], [0, -2.0, 0.5]):
-        drawn = render([(mesh, se3.make(np.eye(3), np.array(t, float)))], CAMERA)
-        assert not drawn.depth.any()
-        assert (drawn.object_index == -1).all()
-        assert not drawn.color.any()
+        rendered = render([(mesh, se3.make(np.eye(3), np.array(t, float)))], CAMERA)
+        assert not rendered.depth.any()
+        assert (rendered.object_index == -1).all()
+        assert not rendered.color.any()
 
 
 def test_shared_edges_leave_no_cracks() -> None:
@@ -208,20 +208,20 @@ def test_shared_edges_leave_no_cracks() -> None:
 
 
 def test_without_colour_the_rest_is_there() -> None:
-    drawn = render([(quad(), se3.make(np.eye(3), np.array([0, 0, 1.0])))], CAMERA, color=False)
-    assert drawn.color.size == 0
-    assert drawn.depth.shape == (480, 640)
+    rendered = render([(quad(), se3.make(np.eye(3), np.array([0, 0, 1.0])))], CAMERA, color=False)
+    assert rendered.color.size == 0
+    assert rendered.depth.shape == (480, 640)
 
 
 def test_some_pixels_have_the_points_and_normals_of_all() -> None:
-    """Two meshes and nothing in one picture; pixels in any order."""
+    """Two meshes and background in one image; pixels in any order."""
     rng = np.random.default_rng(4)
     T = se3.make(se3.rotation_exp(rng.normal(size=3)), np.array([-0.1, 0.0, 0.4]))
-    drawn = render([(blob(), T), (quad(), se3.make(np.eye(3), np.array([0.7, 0, 1.0])))], CAMERA)
-    assert set(np.unique(drawn.object_index)) == {-1, 0, 1}
+    rendered = render([(blob(), T), (quad(), se3.make(np.eye(3), np.array([0.7, 0, 1.0])))], CAMERA)
+    assert set(np.unique(rendered.object_index)) == {-1, 0, 1}
     rows, columns = rng.integers(0, 480, 500), rng.integers(0, 640, 500)
-    np.testing.assert_array_equal(drawn.points_at(rows, columns), drawn.points_obj[rows, columns])
-    np.testing.assert_array_equal(drawn.normals_at(rows, columns), drawn.normals_cam[rows, columns])
+    np.testing.assert_array_equal(rendered.points_at(rows, columns), rendered.points_obj[rows, columns])
+    np.testing.assert_array_equal(rendered.normals_at(rows, columns), rendered.normals_cam[rows, columns])
 
 
 @pytest.mark.parametrize("distance_m", [0.3, 0.1, 0.06])
@@ -238,14 +238,14 @@ def test_leaving_out_the_far_side_of_a_solid_changes_no_pixel(distance_m: float)
         turn = se3.rotation_exp(np.array([0.4 * k, 1.0, 0.3 * k]))
         T = se3.make(turn, [0.01, 0.0, distance_m])
         for mesh, parts in ((solid, (bowl, lid)), (bowl, (bowl,))):
-            drawn, whole = render([(mesh, T)], camera), render([(part, T) for part in parts], camera)
+            rendered, whole = render([(mesh, T)], camera), render([(part, T) for part in parts], camera)
             assert (whole.depth > 0).any()
-            assert np.array_equal(drawn.depth, whole.depth)
-            assert np.array_equal(drawn.color, whole.color)
+            assert np.array_equal(rendered.depth, whole.depth)
+            assert np.array_equal(rendered.color, whole.color)
             assert np.array_equal(render_depth(mesh, T, camera), whole.depth)
 
 
-def test_the_far_side_is_left_out_of_a_solid_alone() -> None:
+def test_the_far_side_is_left_out_only_of_a_solid() -> None:
     solid = box_mesh((0.06, 0.06, 0.06))
     points = transform(solid.vertices, se3.make(np.eye(3), np.array([0.0, 0.0, 0.3])))
     far = solid.faces[(points[solid.faces, 2] > 0.3).all(1)]

@@ -28,7 +28,7 @@ def test_levels_halve_down_to_one_texel_and_keep_the_mean() -> None:
     np.testing.assert_allclose(last, texture.mean((0, 1)), atol=2.0)
 
 
-def test_unused_texels_take_the_colour_of_what_is_near() -> None:
+def test_unused_texels_take_the_colour_of_those_near_them() -> None:
     texture = np.zeros((64, 64, 3), np.uint8)
     texture[16:48, 16:48] = (200, 100, 50)
     mesh = sheet(texture, UNIT * 0.46 + 0.27)

@@ -8,7 +8,7 @@ import pytest
 from huepose.geometry.bilinear import bilinear
 
 
-def test_between_pixels_a_plane_stays_a_plane_and_beyond_the_border_it_goes_on_as_there() -> None:
+def test_a_plane_is_interpolated_exactly_and_the_border_continues_outside() -> None:
     rng = np.random.default_rng(0)
     rows, columns = np.mgrid[:7, :9]
     image = np.stack([2.0 * columns + rows, 5.0 * rows - columns], 2)

@@ -39,7 +39,7 @@ def test_scaling_keeps_pixel_areas():
 @pytest.mark.parametrize(("width", "height"), [(640, 480), (641, 481), (425, 241), (853, 480), (1280, 2)])
 @pytest.mark.parametrize("factor", [0.5, 0.375, 0.25])
 def test_scaling_to_whole_pixels_keeps_all_corners(width: int, height: int, factor: float) -> None:
-    """As a resized picture does, which has no half pixels."""
+    """As in a resized image, which has no half pixels."""
     camera = Camera(600.0, 610.0, 0.4 * width, 0.6 * height, width, height)
     small = camera.scaled(factor)
     assert (small.width, small.height) == (round(factor * width), max(1, round(factor * height)))
@@ -68,12 +68,12 @@ def test_box_iou_and_mask_bounds():
     "numbers",
     [(1, 2, 0, 5), (1, 2, 5, -5), (640, 2, 30, 50), (-30, 2, 30, 50), (1, 480, 30, 50), (np.nan, 2, 30, 50)],
 )
-def test_a_given_box_without_a_pixel_of_the_picture_is_refused_with_its_size(numbers):
+def test_a_given_box_without_a_pixel_of_the_image_is_refused_with_its_size(numbers):
     with pytest.raises(InputError, match="in the image of 640 x 480"):
         given_box(numbers, (640, 480))
 
 
-def test_a_given_box_may_reach_out_of_the_picture_and_is_itself():
+def test_a_given_box_may_reach_out_of_the_image_and_is_unchanged():
     assert (
         given_box((600, -20, 90, 160), (640, 480)) == given_box((600, -20, 90, 160)) == Box(600, -20, 90, 160)
     )
@@ -92,7 +92,7 @@ def test_depth_of_another_size_is_refused_by_name():
     ("dtype", "fix"),
     [(np.uint16, r"astype\(np.float32\) \* 0.001"), (np.float64, r"depth.astype\(np.float32\)\.")],
 )
-def test_depth_of_another_type_is_told_what_it_is_most_likely(dtype: type, fix: str) -> None:
+def test_depth_of_another_type_is_refused_with_what_it_most_likely_is(dtype: type, fix: str) -> None:
     with pytest.raises(InputError, match=fix):
         RgbdFrame(np.zeros((480, 640, 3), np.uint8), np.zeros((480, 640), dtype), CAMERA)
 

@@ -17,7 +17,7 @@ def ball(rng: np.random.Generator, n: int) -> np.ndarray:
 @pytest.mark.parametrize(
     "shape", ["ball", "egg", "dice", "cone", "four balls", "two points", "twice one point"]
 )
-def test_it_is_that_of_all_pairs_bit_by_bit(shape: str) -> None:
+def test_the_largest_distance_is_that_of_all_pairs_bit_by_bit(shape: str) -> None:
     rng = np.random.default_rng(1)
     points = {
         "ball": ball(rng, 3000),
@@ -34,7 +34,7 @@ def test_it_is_that_of_all_pairs_bit_by_bit(shape: str) -> None:
 
 
 def test_a_finely_meshed_capsule_takes_no_minutes() -> None:
-    """All of its 200,000 vertices are on its hull: 2e10 pairs, for minutes."""
+    """All of its 200,000 vertices are on its hull: 2e10 pairs would take minutes."""
     rng = np.random.default_rng(2)
     half, middle = ball(rng, 100_000) * 0.035, np.array([0, 0, 0.06])
     points = np.vstack([half + middle, half - middle])

@@ -1,4 +1,4 @@
-"""A frame takes pictures as they come from cameras and files, and refuses what is none."""
+"""A frame takes images as cameras and files give them, and refuses invalid ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ COLOR = np.zeros((6, 8, 3), np.uint8)
 
 
 @pytest.mark.parametrize("nothing", [np.nan, np.inf, -np.inf])
-def test_depth_that_is_no_number_is_no_reading(nothing: float) -> None:
+def test_nan_and_infinite_depth_become_missing_depth(nothing: float) -> None:
     given = np.full((6, 8), 0.7, np.float32)
     given[2, 3:5] = nothing
     given[4, 1] = -nothing
@@ -23,7 +23,7 @@ def test_depth_that_is_no_number_is_no_reading(nothing: float) -> None:
     np.testing.assert_array_equal(given, kept)
 
 
-def test_depth_of_numbers_is_taken_as_it_is() -> None:
+def test_finite_depth_is_taken_as_it_is() -> None:
     given = np.full((6, 8), 0.7, np.float32)
     assert RgbdFrame(COLOR, given, CAMERA).depth is given
 
@@ -34,13 +34,13 @@ def test_depth_of_another_byte_order_is_refused() -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 6), (8, 1)])
-def test_a_picture_without_an_area_is_refused(width: int, height: int) -> None:
+def test_an_image_of_one_row_or_column_is_refused(width: int, height: int) -> None:
     camera = Camera(300.0, 300.0, 0.0, 0.0, width, height)
     with pytest.raises(InputError, match="sides of 2 pixels or more"):
         RgbdFrame(np.zeros((height, width, 3), np.uint8), np.ones((height, width), np.float32), camera)
 
 
-def test_where_its_camera_was_is_a_rigid_transform_or_unknown() -> None:
+def test_the_camera_pose_is_a_rigid_transform_or_unknown() -> None:
     depth = np.ones((6, 8), np.float32)
     assert RgbdFrame(COLOR, depth, CAMERA).T_parent_cam is None
     assert (
@@ -55,7 +55,7 @@ def test_where_its_camera_was_is_a_rigid_transform_or_unknown() -> None:
             RgbdFrame(COLOR, depth, CAMERA, T_parent_cam=wrong)
 
 
-def test_where_its_camera_was_is_kept_though_the_array_is_filled_anew() -> None:
+def test_the_camera_pose_is_kept_though_its_array_is_written_again() -> None:
     T = np.eye(4)
     frame = RgbdFrame(COLOR, np.ones((6, 8), np.float32), CAMERA, T_parent_cam=T)
     T[0, 3] = 1.0
@@ -63,7 +63,7 @@ def test_where_its_camera_was_is_kept_though_the_array_is_filled_anew() -> None:
     assert frame.T_parent_cam[0, 3] == 0.0
 
 
-def test_a_stamp_is_whole_nanoseconds() -> None:
+def test_a_timestamp_is_whole_nanoseconds() -> None:
     depth = np.ones((6, 8), np.float32)
     with pytest.raises(InputError, match=r"stamp_ns: found float; expected a whole number. Nanoseconds of a"):
         RgbdFrame(COLOR, depth, CAMERA, stamp_ns=0.033)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Hand-eye calibration: known answers, noise, and moves that cannot tell."""
+"""Hand-eye calibration: known answers, noise, and motions that do not determine the mount."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ Y = se3.make(
 def measured(
     count: int, noise: float = 0.0, axis: np.ndarray | None = None, seed: int = 3
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A and B of a camera X and an object Y; noise: of the shift in metres and, times two, of the turn."""
+    """A and B of a camera X and an object Y. noise: standard deviation of the
+    shift in metres; that of the rotation, in radians, is twice the number."""
     rng = np.random.default_rng(seed)
     A, B = [], []
     for _ in range(count):
@@ -50,7 +51,7 @@ def test_with_noise_it_is_better_than_one_measurement() -> None:
     assert 0.001 < np.median(found.shift_m) < 0.006
 
 
-def test_a_wild_measurement_is_seen_and_does_little() -> None:
+def test_an_outlier_is_found_and_has_little_effect() -> None:
     A, B = measured(12, 0.0005)
     B[4] = se3.perturb(B[4], np.array([0.1, 0.0, 0.0, 0.0, 0.4, 0.0]))
     found = hand_eye.solve(A, B)
@@ -58,7 +59,7 @@ def test_a_wild_measurement_is_seen_and_does_little() -> None:
     assert np.linalg.norm(found.X[:3, 3] - X[:3, 3]) < 0.02
 
 
-def test_moves_that_cannot_tell_are_refused() -> None:
+def test_motions_that_do_not_determine_the_mount_are_refused() -> None:
     with pytest.raises(InputError, match="one axis"):
         hand_eye.solve(*measured(8, axis=np.array([0.0, 0.0, 1.0])))
     A, B = measured(8)
@@ -71,26 +72,26 @@ def test_moves_that_cannot_tell_are_refused() -> None:
         hand_eye.solve(*measured(1))
 
 
-def test_what_is_no_pose_is_refused() -> None:
+def test_an_invalid_pose_is_refused() -> None:
     A, B = np.tile(np.eye(4), (2, 12, 1, 1))
     B[3, 0, 3] = np.nan
     with pytest.raises(InputError, match="numbers that are not finite"):
         hand_eye.solve(A, B)
 
 
-def test_the_error_that_is_told_is_that_of_many_tries() -> None:
-    shifts, told = [], []
+def test_the_reported_error_is_that_of_many_runs() -> None:
+    shifts, reported = [], []
     for seed in range(40):
         A, B = measured(12, 0.001, seed=seed)
         found = hand_eye.solve(A, B)
         shifts.append(found.X[:3, 3] - X[:3, 3])
-        told.append(certainty(A, B, found).shift_m)
-    assert np.median(told) == pytest.approx(
+        reported.append(certainty(A, B, found).shift_m)
+    assert np.median(reported) == pytest.approx(
         np.sqrt(np.linalg.eigvalsh(np.cov(np.array(shifts).T))[-1]), rel=0.4
     )
 
 
-def test_few_poses_and_small_turns_are_told_from_many_and_large_ones() -> None:
+def test_few_poses_and_small_rotations_are_less_certain() -> None:
     def of(count: int, share: float = 1.0) -> tuple[float, int | None]:
         A, _ = measured(count)
         A = np.array([se3.make(se3.rotation_exp(share * se3.rotation_log(a[:3, :3])), a[:3, 3]) for a in A])
@@ -99,14 +100,14 @@ def test_few_poses_and_small_turns_are_told_from_many_and_large_ones() -> None:
         assert sure.well == (sure.more == 0) == (max(sure.shift_ratio, sure.turn_ratio) <= 1.0)
         return sure.shift_ratio, sure.more
 
-    assert of(20)[0] < of(20, 0.6)[0] < of(20, 0.4)[0]  # an error grows as turns get smaller
+    assert of(20)[0] < of(20, 0.6)[0] < of(20, 0.4)[0]  # an error grows as rotations get smaller
     assert of(20)[1] == 0
     few, more = of(4)
     assert few > 1.0
     assert more in range(2, 21)
 
 
-def test_the_axis_about_which_the_hand_did_not_turn_is_named() -> None:
+def test_the_axis_about_which_the_hand_hardly_rotated_is_named() -> None:
     A, _ = measured(12)
     flat = [se3.make(se3.rotation_exp(se3.rotation_log(a[:3, :3]) * [1.0, 1.0, 0.1]), a[:3, 3]) for a in A]
     A = np.array(flat)
@@ -131,7 +132,7 @@ def files(folder: Path, hand: str, seen: str) -> list[str]:
     return ["--object", str(folder / "object.csv"), "--hand", str(folder / "hand.csv")]
 
 
-def test_the_command_takes_no_frame_that_a_mount_cannot_have(
+def test_the_command_takes_no_parent_frame_that_a_mount_cannot_have(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     A, B = measured(8)
@@ -160,14 +161,14 @@ def test_the_command_says_what_to_configure(
     said = capsys.readouterr().out
     (line,) = (line for line in said.splitlines() if line.startswith("mount: {parent: "))
     (config,) = parse_all(f"camera: {{{line}}}", tmp_path / "pipeline.yaml")
-    told = config.camera.mount
-    assert told is not None
-    assert (told.parent, list(told.translation)) == (mount["parent"], mount["translation"])
+    configured = config.camera.mount
+    assert configured is not None
+    assert (configured.parent, list(configured.translation)) == (mount["parent"], mount["translation"])
     assert "the methods of Park, Tsai and Daniilidis differ by 0.0 mm and 0.00 degrees at most" in said
     assert (tmp_path / "left.png").stat().st_size > 1000
 
 
-def test_the_poses_of_several_things_are_not_taken_together(
+def test_the_poses_of_several_objects_are_not_taken_together(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     A, B = measured(8, 0.001)
@@ -219,7 +220,7 @@ def as_millimetres(hand: np.ndarray) -> np.ndarray:
 
 
 def as_w_first(hand: np.ndarray) -> np.ndarray:
-    """What a reader of x y z w makes of quaternions that are written as w x y z."""
+    """The poses that a reader of x y z w gets from quaternions written as w x y z."""
     turns = [se3.rotation_from_quaternion(np.roll(quaternion(T), 1)) for T in hand]
     return np.array([se3.make(R, T[:3, 3]) for R, T in zip(turns, hand, strict=True)])
 
@@ -242,7 +243,7 @@ def quaternion(T: np.ndarray) -> np.ndarray:
         ),
     ],
 )
-def test_poses_that_mean_something_else_give_no_mount_but_what_they_mean(
+def test_poses_in_another_convention_give_no_mount_but_their_likely_convention(
     wrong, fixed: bool, meaning: list[str], advice: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     A, B = measured(12, 0.001)
@@ -258,7 +259,7 @@ def test_poses_that_mean_something_else_give_no_mount_but_what_they_mean(
     assert answer["certainty"] == {"well_determined": False, "would_fit_with": meaning}
 
 
-def test_poses_that_belong_to_other_frames_are_told_without_a_reason_that_is_made_up(
+def test_poses_of_other_frames_are_refused_without_an_invented_reason(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     A, B = measured(12, 0.001)
@@ -269,14 +270,14 @@ def test_poses_that_belong_to_other_frames_are_told_without_a_reason_that_is_mad
     assert "They fit if" not in said
 
 
-def test_noise_and_a_wild_measurement_fit() -> None:
+def test_noise_and_an_outlier_fit() -> None:
     A, B = measured(12, 0.004)
     B[4] = se3.perturb(B[4], np.array([0.0, 0.0, 0.0, 0.0, 3.0, 0.0]))
     assert hand_eye_doubts.fits(B, hand_eye.solve(A, B))
 
 
 def test_the_two_files_exchanged_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """All fits then, too: the mount would be the inverse of the right one."""
+    """Exchanged, they would fit too: the mount would be the inverse of the right one."""
     A, B = measured(8)
     first, *lines = rows(B).splitlines()
     seen = "\n".join([f"{first},instance,stamp,quality", *(f"{line},0,1.5,0.99" for line in lines)])
@@ -287,10 +288,10 @@ def test_the_two_files_exchanged_are_refused(tmp_path: Path, capsys: pytest.Capt
     assert "Is this the file for --object?" in said
 
 
-def test_files_exchanged_are_told_without_the_column_of_the_instance(
+def test_exchanged_files_are_noticed_without_the_column_of_the_instance(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An arm 0.4 to 0.6 m before its base, 0.1 to 0.4 m high, and a camera beside it that looks at it."""
+    """An arm 0.4 to 0.6 m in front of its base, 0.1 to 0.4 m high, and a camera beside it that views it."""
     rng = np.random.default_rng(5)
     X = se3.make(np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]]), np.array([0.5, 1.0, 0.25]))
     hand = np.array(

@@ -20,7 +20,7 @@ OPENCV: dict[Method, tuple[list[float], list[float]]] = {
 
 
 def measured(X: np.ndarray, count: int = 6) -> tuple[np.ndarray, np.ndarray]:
-    """A and B of measurements without an error, without random numbers."""
+    """A and B of measurements without errors and without random numbers."""
     turns = [np.array([np.sin(k), np.cos(2.0 * k), np.sin(3.0 * k + 1.0)]) for k in range(count)]
     A = np.array([se3.make(se3.rotation_exp(0.6 * w), 0.2 * w[::-1]) for w in turns])
     return A, np.array([se3.inverse(a @ X) @ Y for a in A])
@@ -40,7 +40,7 @@ def of_moves(A: np.ndarray, B: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("method", CLOSED_FORMS)
 @pytest.mark.parametrize("angle", [0.0, 0.5, 2.5, np.pi - 1e-9, np.pi])
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.48, 0.6, -0.64)])
-def test_without_noise_each_is_exact_however_the_camera_is_turned(
+def test_without_noise_each_is_exact_however_the_camera_is_rotated(
     method: Method, angle: float, axis: tuple[float, float, float]
 ) -> None:
     true = se3.make(se3.rotation_exp(angle * np.array(axis)), X[:3, 3])
@@ -49,7 +49,7 @@ def test_without_noise_each_is_exact_however_the_camera_is_turned(
 
 
 @pytest.mark.parametrize("method", CLOSED_FORMS)
-def test_with_noise_each_answers_as_opencv_4(method: Method) -> None:
+def test_with_noise_each_gives_the_answer_of_opencv_4(method: Method) -> None:
     found = CLOSED_FORMS[method](*of_moves(*noisy()))
     translation, turn = OPENCV[method]
     np.testing.assert_allclose(found[:3, 3], translation, atol=2e-6)
@@ -57,12 +57,12 @@ def test_with_noise_each_answers_as_opencv_4(method: Method) -> None:
 
 
 @pytest.mark.parametrize("method", CLOSED_FORMS)
-def test_the_refined_answer_is_one_whatever_it_began_with(method: Method) -> None:
+def test_the_refined_answer_does_not_depend_on_the_start(method: Method) -> None:
     one, other = solve(*noisy()), solve(*noisy(), method)
     np.testing.assert_allclose(one.X, other.X, atol=1e-5)
 
 
-def test_how_far_they_lie_apart_is_the_largest_distance() -> None:
+def test_the_disagreement_is_the_largest_distance() -> None:
     shift_m, turn_rad = disagreement(*of_moves(*noisy()))
     places = np.array([translation for translation, _ in OPENCV.values()])
     apart = np.linalg.norm(places[:, None] - places, axis=-1)

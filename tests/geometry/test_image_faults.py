@@ -1,4 +1,4 @@
-"""Frames in which nothing can be found say why; good ones say nothing."""
+"""For a frame in which nothing can be found there is a reason; for a good one there is none."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_a_good_frame_has_nothing_wrong_with_it(good: RgbdFrame) -> None:
 @pytest.mark.parametrize("period", [2, 3, 4])
 @pytest.mark.parametrize("read", [0, 1])
 def test_depth_in_every_second_row_or_column_is_depth(good: RgbdFrame, period: int, read: int) -> None:
-    """As where that of a smaller picture was registered into a larger one."""
+    """As if the depth of a smaller image was registered to a larger one."""
     for axis in (0, 1):
         kept = np.zeros_like(good.depth)
         some = [slice(None), slice(None)]
@@ -61,7 +61,7 @@ def test_no_depth_and_depth_of_another_unit_are_named(good: RgbdFrame) -> None:
         assert said.endswith("is the depth scale right?")
 
 
-def test_depth_a_tenth_of_what_it_is_is_asked_about(good: RgbdFrame) -> None:
+def test_depth_of_a_tenth_of_the_true_depth_is_doubted(good: RgbdFrame) -> None:
     assert depth_doubted(good) is None
     said = depth_doubted(replace(good, depth=good.depth / np.float32(10.0)))
     assert said is not None
@@ -69,8 +69,8 @@ def test_depth_a_tenth_of_what_it_is_is_asked_about(good: RgbdFrame) -> None:
     assert depth_doubted(replace(good, depth=np.zeros_like(good.depth))) is None
 
 
-def test_what_concerns_some_objects_only_is_not_wrong_with_the_picture(good: RgbdFrame) -> None:
-    """At ten times its distance a chair has a shape still, a cup has none."""
+def test_what_concerns_some_objects_only_is_no_fault_of_the_frame(good: RgbdFrame) -> None:
+    """At ten times the distance a chair still has a shape, a cup has none."""
     far = replace(good, depth=10.0 * good.depth)
     assert why_nothing_is_found(far, [0.12, 1.2]) is None
     said = why_nothing_is_found(far, [0.2, 0.12])
@@ -80,7 +80,7 @@ def test_what_concerns_some_objects_only_is_not_wrong_with_the_picture(good: Rgb
     assert why_nothing_is_found(good, []) is None
 
 
-def test_a_picture_without_colour_is_told_from_a_grey_scene_and_from_what_shows_no_colour() -> None:
+def test_an_image_without_colour_is_distinguished_from_a_grey_scene_and_a_dark_one() -> None:
     rng = np.random.default_rng(0)
     grey = np.repeat(rng.integers(90, 200, (120, 160, 1), dtype=np.uint8), 3, axis=2)
     assert all_grey(grey)
@@ -90,13 +90,13 @@ def test_a_picture_without_colour_is_told_from_a_grey_scene_and_from_what_shows_
         some = grey.copy()
         some[:104] = blind
         assert all_grey(some)
-        some[104:106] = (200, 30, 40)  # an eighth of what is lit, less than a fiftieth of the picture
+        some[104:106] = (200, 30, 40)  # an eighth of what is lit, less than a fiftieth of the image
         assert not all_grey(some)
         some[:112] = blind
-        assert not all_grey(some), "too little is lit to tell"
+        assert not all_grey(some), "too little is lit to decide"
 
 
-def test_black_and_grey_pictures_are_named(good: RgbdFrame) -> None:
+def test_black_and_grey_images_are_named(good: RgbdFrame) -> None:
     black = bad_image(replace(good, color=good.color // np.uint8(40)), DIAMETER_M)
     grey = bad_image(replace(good, color=np.repeat(good.color[..., :1], 3, axis=2)), DIAMETER_M)
     assert black is not None
@@ -115,6 +115,6 @@ def test_black_and_grey_pictures_are_named(good: RgbdFrame) -> None:
         ({"fx": 450.0}, "fx 450 and fy 600"),
     ],
 )
-def test_an_unlikely_camera_matrix_is_asked_about(changed: dict[str, float], said: str | None) -> None:
+def test_an_unlikely_camera_matrix_is_doubted(changed: dict[str, float], said: str | None) -> None:
     doubt = camera_doubted(replace(Camera(600.0, 600.0, 319.5, 239.5, 640, 480), **changed))
     assert (doubt is None) if said is None else (doubt is not None and said in doubt)

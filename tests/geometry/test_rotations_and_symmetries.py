@@ -20,7 +20,7 @@ def test_icosphere_is_even(level, count):
     assert np.degrees(np.arccos(nearest)).max() / np.degrees(np.arccos(nearest)).min() < 1.3
 
 
-def test_camera_in_a_direction_sees_it_towards_itself():
+def test_look_at_makes_a_direction_face_the_camera():
     for d in directions(1):
         R = look_at(d)
         assert se3.is_rigid(se3.make(R, np.zeros(3)))
@@ -58,8 +58,8 @@ def test_uncertainty_grows_with_time():
 
 
 @pytest.mark.parametrize("offset", [[0.0, 0.0, 0.0], [0.3, -0.2, 0.1]])
-def test_of_poses_that_look_alike_that_one_is_meant_which_is_turned_least(offset: list[float]) -> None:
-    """Of a bottle, whose axis need not go through its origin, that which is nearest point by point, too."""
+def test_of_equivalent_poses_the_one_with_the_smallest_rotation_is_taken(offset: list[float]) -> None:
+    """For a bottle, whose axis need not go through its origin, it is also the nearest one point by point."""
     turns = np.array([symmetry.rotation_about([0.0, 0.0, 1.0], k * np.pi / 36, offset) for k in range(72)])
     T = se3.make(se3.rotation_exp([0.4, -0.3, 0.2]), [0.1, 0.0, 0.7])
     points = np.random.default_rng(0).uniform(-0.05, 0.05, (40, 3)) + offset

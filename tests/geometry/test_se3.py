@@ -54,7 +54,7 @@ def test_interpolation_halfway():
     np.testing.assert_allclose(T[:3, 3], [1, 0, 0])
 
 
-def test_interpolation_moves_the_point_that_is_asked_for_straight_on():
+def test_interpolation_moves_the_given_point_on_a_straight_line():
     T_0, T_1 = (
         se3.exp(np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])),
         se3.exp(np.array([0.3, 0.1, 0, -0.4, 0.2, 0])),

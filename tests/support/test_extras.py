@@ -9,7 +9,7 @@ from huepose.support.extras import install_command
 
 
 class Installed:
-    """What pip notes of an installation."""
+    """What pip records of an installation."""
 
     def __init__(self, origin: object) -> None:
         self.origin = origin

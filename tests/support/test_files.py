@@ -1,4 +1,4 @@
-"""How files are written: whole or not at all, and named where the disk refuses them."""
+"""Files are written whole or not at all, and an error of the disk names the file."""
 
 import os
 import tempfile
@@ -33,7 +33,7 @@ def test_on_a_full_disk_the_file_is_named_and_stays_as_it_was(write, before, tmp
     assert [p.read_bytes() for p in tmp_path.iterdir()] == ([before] if before else [])
 
 
-def test_what_is_written_to_an_open_file_is_named_too(tmp_path: Path) -> None:
+def test_an_error_in_an_open_file_names_the_file_too(tmp_path: Path) -> None:
     path = tmp_path / "model"
     with full_disk(), pytest.raises(OSError, match="File too large") as error:
         with whole(path) as part, zipfile.ZipFile(part, "w") as archive:
@@ -42,7 +42,7 @@ def test_what_is_written_to_an_open_file_is_named_too(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_of_another_file_that_is_missing_it_is_that_one(tmp_path: Path) -> None:
+def test_an_error_of_another_file_names_that_one(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="other") as error, whole(tmp_path / "out"):
         (tmp_path / "other").read_bytes()
     assert error.value.filename == str(tmp_path / "other")
@@ -70,7 +70,7 @@ def _another_user() -> Iterator[None]:
         os.setresuid(0, 0, 0)
 
 
-def test_what_the_disk_says_of_a_place_is_an_input_error(tmp_path: Path) -> None:
+def test_a_place_that_the_disk_refuses_is_an_input_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="found File name too long; expected a place that can be written"):
         check_place(tmp_path / ("x" * 300))
     (tmp_path / "private").mkdir(mode=0o700)
@@ -78,7 +78,7 @@ def test_what_the_disk_says_of_a_place_is_an_input_error(tmp_path: Path) -> None
         check_place(tmp_path / "private" / "out.json")
 
 
-def test_a_file_of_ones_own_in_a_folder_that_takes_nothing_new_is_written() -> None:
+def test_a_writable_file_in_a_read_only_folder_is_written() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder, path = Path(name), Path(name) / "out.json"
         path.write_text("before")

@@ -1,4 +1,4 @@
-"""A cached kernel is used again, and compiled anew when the source of any kernel has changed."""
+"""A cached kernel is reused, and compiled again when the source of any kernel has changed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def compiled(path: Path) -> Any:
     return module.doubled.stats
 
 
-def test_a_kernel_is_compiled_anew_when_another_source_has_changed(
+def test_a_kernel_is_compiled_again_when_another_source_has_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "kernels.py"
@@ -43,8 +43,8 @@ def test_a_kernel_is_compiled_anew_when_another_source_has_changed(
     assert not compiled(path).cache_hits
 
 
-def test_a_cache_that_names_what_is_no_more_is_made_anew(tmp_path: Path) -> None:
-    """As a version of the package before left it, whose modules had other names."""
+def test_a_cache_that_names_a_missing_class_is_made_again(tmp_path: Path) -> None:
+    """As an earlier version of the package left it, whose modules had other names."""
     path = tmp_path / "kernels.py"
     path.write_text(KERNEL)
     compiled(path)
@@ -56,10 +56,10 @@ def test_a_cache_that_names_what_is_no_more_is_made_anew(tmp_path: Path) -> None
     assert sum(compiled(path).cache_hits.values()) == 1
 
 
-def test_where_nothing_can_be_kept_one_line_says_what_to_do(
+def test_if_no_kernel_can_be_cached_one_line_says_what_to_do(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Numba keeps nothing of a source that is no file, as where no folder can be written."""
+    """Numba caches nothing of source that is no file, as if no folder could be written."""
     monkeypatch.setattr(jit, "NOT_KEPT", set())
     for name in ("one", "another"):
         scope: dict[str, Any] = {"__name__": "kernels_of_a_test"}

@@ -57,7 +57,7 @@ def assert_same(one: Outer, other: Outer) -> None:
     assert type(one.inner.span_m) is float
 
 
-def test_it_is_made_once_and_comes_back_bit_for_bit() -> None:
+def test_a_value_is_made_once_and_comes_back_bit_for_bit() -> None:
     make = Maker()
     for _ in range(3):
         assert_same(kept(Outer, "tea", make), Maker()())
@@ -66,7 +66,7 @@ def test_it_is_made_once_and_comes_back_bit_for_bit() -> None:
     assert make.calls == 2
 
 
-def test_arrays_are_aligned_and_what_is_written_to_them_stays_private() -> None:
+def test_arrays_are_aligned_and_writing_to_them_stays_private() -> None:
     first = kept(Outer, "tea", Maker())
     assert first.places.ctypes.data % 64 == 0
     assert first.inner.turns.flags.c_contiguous
@@ -75,7 +75,7 @@ def test_arrays_are_aligned_and_what_is_written_to_them_stays_private() -> None:
     assert_same(kept(Outer, "tea", Maker()), Maker()())
 
 
-def test_without_a_file_or_a_folder_it_is_made_and_not_kept(home: Path) -> None:
+def test_without_a_file_or_a_folder_a_value_is_made_and_not_kept(home: Path) -> None:
     make = Maker()
     for _ in range(2):
         assert_same(kept(Outer, None, make), Maker()())
@@ -87,7 +87,7 @@ def test_without_a_file_or_a_folder_it_is_made_and_not_kept(home: Path) -> None:
     assert make.calls == 3
 
 
-def test_without_a_home_it_is_made_and_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_home_a_value_is_made_and_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown(number: int) -> None:
         raise KeyError(number)
 
@@ -100,7 +100,7 @@ def test_without_a_home_it_is_made_and_not_kept(monkeypatch: pytest.MonkeyPatch)
 
 
 @pytest.mark.parametrize("size", [0, 7, 40, 600])
-def test_a_file_that_is_not_whole_is_made_anew(home: Path, size: int) -> None:
+def test_an_incomplete_file_is_made_again(home: Path, size: int) -> None:
     kept(Outer, "tea", Maker())
     (path,) = (p for p in home.rglob("tests*") if p.is_file())
     assert path.stat().st_size > 600
@@ -112,7 +112,7 @@ def test_a_file_that_is_not_whole_is_made_anew(home: Path, size: int) -> None:
 
 
 @pytest.mark.parametrize("damage", [b"\xff\xfe", b"[]", b'{"bytes": 1}'])
-def test_a_file_with_a_damaged_header_is_made_anew(home: Path, damage: bytes) -> None:
+def test_a_file_with_a_damaged_header_is_made_again(home: Path, damage: bytes) -> None:
     kept(Outer, "tea", Maker())
     (path,) = (p for p in home.rglob("tests*") if p.is_file())
     whole = path.read_bytes()
@@ -124,7 +124,7 @@ def test_a_file_with_a_damaged_header_is_made_anew(home: Path, damage: bytes) ->
     assert make.calls == 1
 
 
-def test_another_version_of_the_code_makes_it_anew_and_only_the_newest_are_left(
+def test_another_version_of_the_code_makes_it_again_and_only_the_newest_are_left(
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make = Maker()
@@ -135,7 +135,7 @@ def test_another_version_of_the_code_makes_it_anew_and_only_the_newest_are_left(
     assert sorted(p.name for p in (home / "tea").iterdir()) == ["version1", "version2"]
 
 
-def test_what_nobody_asks_for_goes(home: Path) -> None:
+def test_values_that_are_long_unused_are_removed(home: Path) -> None:
     kept(Outer, "soup", Maker())
     kept(Outer, "tea", Maker())
     then = time.time() - 40 * 86400
@@ -145,7 +145,7 @@ def test_what_nobody_asks_for_goes(home: Path) -> None:
 
 
 @pytest.mark.timeout(20)
-def test_it_may_be_made_of_what_is_kept_of_the_same_file() -> None:
+def test_a_value_may_be_made_of_another_that_is_kept_for_the_same_file() -> None:
     def make() -> Outer:
         return Outer(
             kept(Inner, "tea", lambda: Maker()().inner),
@@ -157,7 +157,7 @@ def test_it_may_be_made_of_what_is_kept_of_the_same_file() -> None:
     assert_same(kept(Outer, "tea", make), Maker()())
 
 
-def test_two_threads_make_it_once() -> None:
+def test_several_threads_make_a_value_once() -> None:
     make = Maker()
 
     def slowly() -> Outer:

@@ -1,4 +1,4 @@
-"""Threads share work evenly, in order, and tell what went wrong."""
+"""Threads share work evenly, keep the order of answers, and raise errors."""
 
 from threading import Barrier
 

@@ -1,4 +1,4 @@
-"""No library that is loaded tells its maker of this computer."""
+"""No loaded library sends data about this computer to its maker."""
 
 import os
 import subprocess
@@ -19,11 +19,11 @@ list(checks.cameras([]))
 
 
 @pytest.mark.parametrize("program", [ONNX_RUNTIME, DEPTHAI], ids=["onnxruntime", "depthai"])
-def test_nothing_is_kept_to_be_sent(program: str, tmp_path) -> None:
-    """What either library would send is first a file in the user's cache."""
+def test_no_library_stores_data_to_send(program: str, tmp_path) -> None:
+    """Either library first stores what it would send as a file in the user's cache."""
     if program is DEPTHAI:
         pytest.importorskip("depthai")
-    # Not all of the environment: in one that says CI, ONNX Runtime is silent by itself.
+    # Not the whole environment: if it says CI, ONNX Runtime sends nothing anyway.
     kept = {name: os.environ[name] for name in ("PATH", "PYTHONPATH") if name in os.environ}
     done = subprocess.run(
         [sys.executable, "-c", program],

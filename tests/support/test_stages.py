@@ -18,7 +18,7 @@ def test_stages_are_summed_by_name_in_order():
     assert totals["work"][1] > 0
 
 
-def test_nobody_listening_costs_nothing_and_records_nothing():
+def test_without_a_listener_nothing_is_recorded():
     with stage("unheard"):
         pass
     with listening() as clock:

@@ -22,7 +22,7 @@ def test_error_says_what_was_found_and_what_to_do():
 
 @pytest.fixture
 def clock(monkeypatch):
-    """The time of what is said, moved on by `clock[0] += seconds`."""
+    """The clock of all messages; `clock[0] += seconds` advances it."""
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     return now
@@ -35,7 +35,7 @@ def test_progress_yields_everything_and_stays_short_without_a_terminal():
     assert "5 of 5" in out.getvalue()
 
 
-def test_a_log_says_after_ten_seconds_how_long_it_takes_and_then_every_ten(clock):
+def test_a_log_shows_the_time_left_after_ten_seconds_and_then_every_ten(clock):
     out = io.StringIO()
     for _ in progress(range(30), "views", out=out):
         clock[0] += 1.0
@@ -48,7 +48,7 @@ def test_a_log_says_after_ten_seconds_how_long_it_takes_and_then_every_ten(clock
     ]
 
 
-def test_a_fifth_of_the_steps_says_how_long_the_rest_takes(clock):
+def test_the_time_left_is_shown_after_a_fifth_of_the_steps(clock):
     out = io.StringIO()
     for _ in progress(range(10), "views", out=out):
         clock[0] += 1.0
@@ -77,16 +77,14 @@ def test_the_time_left_leaves_out_the_first_step_which_may_have_compiled(clock):
     assert "views: 11 of 40, 70 s, 29 s left\n" in out.getvalue()
 
 
-def test_nobody_is_told_that_no_time_is_left_where_a_step_takes_longer_than_those_before_it(
-    clock, monkeypatch
-):
+def test_zero_time_left_is_not_shown_while_a_step_takes_longer_than_those_before_it(clock, monkeypatch):
     monkeypatch.setattr(progress_module, "_LOOK_EVERY_S", 0.01)
     out = io.StringIO()
     steps = progress(range(8), "views", out=out)
     for _ in range(5):
         next(steps)
         clock[0] += 0.5
-    next(steps)  # five are done; of three, half a second each, the first takes twenty
+    next(steps)  # five are done in half a second each; the next one takes twenty seconds
     for text in ("views: 5 of 8, 12 s\n", "views: 5 of 8, 22 s\n"):
         clock[0] += 10.0
         until = time.perf_counter() + 20.0
@@ -98,7 +96,7 @@ def test_nobody_is_told_that_no_time_is_left_where_a_step_takes_longer_than_thos
 
 
 def compiled(notice, clock, module, count):
-    """Tell of `count` functions of a module that took a second each."""
+    """Notify of `count` functions of a module that took a second each."""
     for n in range(count):
         data = {
             "dispatcher": SimpleNamespace(py_func=SimpleNamespace(__module__=module, __qualname__=f"k{n}"))
@@ -109,13 +107,13 @@ def compiled(notice, clock, module, count):
 
 
 @pytest.mark.parametrize(("every", "upto"), [(False, "up to "), (True, "")])
-def test_compiling_is_told_once_and_then_how_far_it_is(clock, monkeypatch, every, upto):
+def test_compiling_is_announced_once_and_then_its_progress(clock, monkeypatch, every, upto):
     monkeypatch.setattr(compiling, "KERNELS", {f"ours.k{n}" for n in range(25)})
     said = []
     notice = CompilingNotice(said.append, every)
     compiled(notice, clock, "ours", 22)
     compiled(notice, clock, "numba", 5)  # what kernels call
-    compiled(notice, clock, "ours", 3)  # for other types of arguments, say
+    compiled(notice, clock, "ours", 3)  # for example for other types of arguments
     clock[0] += 100.0  # of other work
     notice.finish()
     first, *rest, last = said
@@ -125,14 +123,14 @@ def test_compiling_is_told_once_and_then_how_far_it_is(clock, monkeypatch, every
     assert last == "22 kernels compiled in 30 s"
 
 
-def test_what_is_not_kept_is_not_said_to_be_compiled_once(clock, monkeypatch):
+def test_kernels_that_are_not_kept_are_not_said_to_be_compiled_once(clock, monkeypatch):
     monkeypatch.setattr(compiling, "NOT_KEPT", {"ours.k0"})
     said = []
     compiled(CompilingNotice(said.append), clock, "ours", 1)
     assert said[0].startswith("compiling kernels for this computer: some seconds")
 
 
-def test_a_bar_and_the_count_of_kernels_do_not_write_over_each_other(clock, monkeypatch):
+def test_a_bar_and_the_count_of_kernels_do_not_overwrite_each_other(clock, monkeypatch):
     monkeypatch.setattr(compiling, "KERNELS", {f"ours.k{n}" for n in range(9)})
     terminal = io.StringIO()
     terminal.isatty = lambda: True

@@ -97,7 +97,7 @@ class ApparentSize:
             else ("smaller", "large", "small", "large")
         )
         return (
-            f"The picture shows objects {100 * abs(self.larger):.0f} % {way} than their depth says: fx and "
+            f"The image shows objects {100 * abs(self.larger):.0f} % {way} than their depth says: fx and "
             f"fy ({camera.fx:.0f}, {camera.fy:.0f}) are too {focal}, the depth scale is too {unit}, or the "
             f"mesh is too {mesh}."
         )
@@ -106,7 +106,7 @@ class ApparentSize:
         """What may be wrong where it is the size of one object, while others fit."""
         way, mesh = ("larger", "small") if self.larger > 0 else ("smaller", "large")
         return (
-            f"The picture shows it about {100 * abs(self.larger):.0f} % {way} than its mesh, while other "
+            f"The image shows it about {100 * abs(self.larger):.0f} % {way} than its mesh, while other "
             f"objects fit: it is the same thing in another size, or the mesh is too {mesh}."
         )
 

@@ -76,7 +76,7 @@ class PresenceIn:
             if thin(model) and self._whole is not None:
                 view = self._whole.given_back([T_cam_obj], model)
             if view is None:
-                out.append((-np.inf, "nothing stands there"))
+                out.append((-np.inf, "nothing is there"))
                 continue
             sights = sights_of(view, self._models, [(name, T_cam_obj)], verifying=refined)
             out.append((float(logits_of(sights)[0]), greatest_doubt(sights[0])))

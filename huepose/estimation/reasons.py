@@ -127,7 +127,7 @@ def displacement(model: ReferenceModel, T_cam_obj: Float, T_reference: Float) ->
     between = se3.compose(se3.inverse(np.asarray(T_reference)), np.asarray(T_cam_obj))
     angle = se3.rotation_angle(np.eye(3), between[:3, :3])
     shift = 1000 * float(np.linalg.norm(se3.apply(between, model.mesh.centre[None])[0] - model.mesh.centre))
-    words = f"turned {np.degrees(angle):.0f} deg"
+    words = f"rotated {np.degrees(angle):.0f} deg"
     if angle > np.radians(10.0):
         words += _about(between[:3, :3])
     return f"{words}, shifted {shift:.0f} mm"

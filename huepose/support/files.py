@@ -95,7 +95,7 @@ def check_picture(path: Path) -> str:
 
     ending = path.suffix.lower() or ".png"
     if not cv2.haveImageWriter(f"picture{ending}"):
-        raise InputError(path, found="a picture that cannot be encoded", expected="an ending such as .png")
+        raise InputError(path, found="an image that cannot be encoded", expected="an ending such as .png")
     return ending
 
 

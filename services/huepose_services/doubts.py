@@ -38,12 +38,14 @@ TOO_OLD = (
     "old timestamps."
 )
 DARK = "The image is too dark there."
-TURN = "It fits, but rotated it would fit nearly as well: seen from another side, it is sure."
-UNCONFIRMED = "It fits, but on little evidence: found here again or seen from another side, it is sure."
-ANOTHER = "It may be a look-alike: found again or seen from another side, it is sure."
+TURN = "It fits, but rotated it would fit nearly as well: seen from another side, it becomes sure."
+UNCONFIRMED = "It fits, but on little evidence: found here again or seen from another side, it becomes sure."
+ANOTHER = "It may be a look-alike: found again or seen from another side, it becomes sure."
 LOOSE = "It fits, but too little of it is visible to fix its pose."
-FOUND = "It was found just now: if it fits the next frames, it is sure."
-RELIT = "The colour of the light changed when it was last sure: found again in this light, it is sure."
+FOUND = "It was found just now: if it fits the next frames, it becomes sure."
+RELIT = (
+    "The colour of the light has changed since it was last sure: found again in this light, it becomes sure."
+)
 DISAGREES = "Too little of what is visible there agrees with its shape and texture."
 _TEXTS = {
     None: DISAGREES,

@@ -39,7 +39,7 @@ def test_a_focal_length_a_tenth_too_small_shows_them_larger(
     assert size.clear
     assert size.larger == pytest.approx(1.0 / 0.9 - 1.0, abs=0.03)
     said = size.said(camera)
-    assert said.startswith(f"The picture shows objects {100 * size.larger:.0f} % larger")
+    assert said.startswith(f"The image shows objects {100 * size.larger:.0f} % larger")
     assert "are too small, the depth scale is too large, or the mesh is too small" in said
 
 

@@ -47,7 +47,7 @@ def test_a_near_tie_is_named(tea_box: ReferenceModel, looked: tuple[PoseEstimate
     twin = np.stack([explanation.ranked.poses[0], turned(explanation.ranked.poses[0], 180.0, 2)])
     close = replace(explanation, ranked=Ranked.of(twin, np.array([2.0, 1.97])))
     (said,) = reasons(tea_box, answer, close)
-    assert said.startswith("a near tie: turned 180 deg about its z axis, shifted")
+    assert said.startswith("a near tie: rotated 180 deg about its z axis, shifted")
     assert said.endswith("it is behind by 0.03 only")
 
 
@@ -128,9 +128,9 @@ def test_masks_in_numbers_and_words() -> None:
 
 def test_displacements_in_words(tea_box: ReferenceModel, standing: np.ndarray) -> None:
     assert displacement(tea_box, turned(standing, 90.0, 2), standing) == (
-        "turned 90 deg about its z axis, shifted 0 mm"
+        "rotated 90 deg about its z axis, shifted 0 mm"
     )
     beside = se3.compose(se3.make(np.eye(3), [0.012, 0.0, 0.0]), standing)
-    assert displacement(tea_box, beside, standing) == "turned 0 deg, shifted 12 mm"
+    assert displacement(tea_box, beside, standing) == "rotated 0 deg, shifted 12 mm"
     skew = se3.compose(standing, se3.make(se3.rotation_exp(np.array([1.0, 1.0, 0.0])), np.zeros(3)))
-    assert displacement(tea_box, skew, standing) == "turned 81 deg, shifted 0 mm"
+    assert displacement(tea_box, skew, standing) == "rotated 81 deg, shifted 0 mm"

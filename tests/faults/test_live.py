@@ -24,8 +24,8 @@ pytestmark = [pytest.mark.live, pytest.mark.pipeline, pytest.mark.timeout(900)]
 SLOW, SHORT_S = 3.0, 2.5
 LONG = (21, 22)  # what is kept, and which of two cameras is heard, is decided within seconds
 SHORT = (
-    "last picture with new stamps",
-    "depth 3 pictures late",
+    "last image with new timestamps",
+    "depth 3 images late",
     "depth all nan",
     "focal length 1.5 times too long",
     "empty masks, masks of another size",

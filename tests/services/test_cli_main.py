@@ -23,7 +23,7 @@ from tests.services.conftest import Says
 def test_a_picture_that_cannot_be_encoded_is_refused_before_the_work(tmp_path: Path, refused: Says) -> None:
     lacking = [f"--{option}=no_{option}" for option in ("color", "depth", "camera", "bundles")]
     error = refused(["estimate", *lacking, "--image", tmp_path / "out.foo"])
-    assert "out.foo: found a picture that cannot be encoded" in error
+    assert "out.foo: found an image that cannot be encoded" in error
     assert "no_" not in error
 
 

@@ -153,13 +153,13 @@ def _doctor(tmp_path, capsys, monkeypatch, **orders):
 def test_a_live_camera_is_opened_and_looked_at(tmp_path, capsys, monkeypatch):
     _, found = _doctor(tmp_path, capsys, monkeypatch)
     assert found["camera"]["found"] == "640 x 480, fx 614.2 fy 614.6"
-    assert (found["picture"]["state"], found["depth"]["state"], found["alignment"]["state"]) == ("ok",) * 3
+    assert (found["image"]["state"], found["depth"]["state"], found["alignment"]["state"]) == ("ok",) * 3
 
 
 def test_what_its_worker_would_complain_of_is_told(tmp_path, capsys, monkeypatch):
     code, found = _doctor(tmp_path, capsys, monkeypatch, dark=True, depth="zero")
     assert code == 1
-    assert found["picture"]["state"] == found["depth"]["state"] == "bad"
+    assert found["image"]["state"] == found["depth"]["state"] == "bad"
 
 
 def test_a_camera_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):

@@ -105,7 +105,7 @@ def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
             ]
         return said_of(work, bus, changed_frame(frame, frame, frame), camera_epoch=epoch)
 
-    said = "The picture shows objects 10 % larger."
+    said = "The image shows objects 10 % larger."
     assert after(1)[0] == "TRACKING"
     assert [after(2, said), after(3), after(4, said)] == [("SUSPECT", said)] * 3
     assert after(5, "")[0] == "TRACKING"
@@ -137,7 +137,7 @@ def test_an_object_that_perception_speaks_against_is_not_tracking_and_no_other_i
             bus.arriving[CorrectionMessage] = [correction]
         return said_of(work, bus, changed_frame(frame, frame, frame), camera_epoch=epoch)
 
-    said = "The picture shows it about 12 % larger than its mesh."
+    said = "The image shows it about 12 % larger than its mesh."
     assert after(1, "cup", said) == ("TRACKING", "")
     assert [after(2, "mug", said), after(3), after(4, "cup", "")] == [("SUSPECT", said)] * 3
     assert after(5, "mug", "") == ("TRACKING", "")
@@ -152,7 +152,7 @@ def test_an_object_that_perception_speaks_against_is_not_tracking_and_no_other_i
 def test_who_takes_over_knows_what_perception_speaks_against(part, light_changes):
     frames = list(light_changes(False))[:4]
     decoded = {(h.camera_epoch, h.frame_id): (h, frame_from_wire(h, payload)) for h, payload in frames}
-    at, said, told = [], "The picture shows it about 12 % larger than its mesh.", []
+    at, said, told = [], "The image shows it about 12 % larger than its mesh.", []
 
     def begun():
         tracker = tracking.Tracker({"part": part[1]})

@@ -168,7 +168,7 @@ def test_a_wrong_camera_matrix_is_said_after_some_looks(warned_after):
     warned_after.estimator.larger = 0.1
     assert [warned_after(s) for s in (0.0, 0.2)] == [""] * 2
     said = warned_after(0.2)
-    assert said.startswith("The picture shows objects 10 % larger"), "the first three looks follow each other"
+    assert said.startswith("The image shows objects 10 % larger"), "the first three looks follow each other"
     warned_after.estimator.larger = 0.0
     assert [warned_after(EVERY_S) for _ in range(3)][-1] == ""
 
@@ -204,7 +204,7 @@ def test_what_has_another_size_than_the_others_is_doubted_alone(warned_after):
     estimator.answers = tuple(cup("TRACKING", number) for number in range(3))
     estimator.larger, estimator.others = 0.12, (0, 2)
     assert [warned_after(0.3) for _ in range(12)] == [""] * 12
-    said = "The picture shows it about 12 % larger than its mesh"
+    said = "The image shows it about 12 % larger than its mesh"
     asked = warned_after.asked(0, 1, 2, None)
     assert [reason[: len(said)] for reason in asked] == ["", said, "", said]
     (warning,) = warned_after.warnings()

@@ -87,7 +87,7 @@ def page(
 
 def _figures(title: str, pictures: Sequence[tuple[UInt8, str]]) -> list[str]:
     shown = "".join(_figure(picture, text) for picture, text in pictures)
-    return [f'<h2>{title}, as pictures</h2><div class="figures">{shown}</div>']
+    return [f'<h2>{title}, as plots</h2><div class="figures">{shown}</div>']
 
 
 def _figure(picture: UInt8, text: str) -> str:

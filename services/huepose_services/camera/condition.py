@@ -115,7 +115,7 @@ class Condition:
             rate_hz = came / seconds
             shown = f"{rate_hz:.0f}" if rate_hz >= 1.0 else rounded(rate_hz)
             text = (
-                f"it gives {shown} pictures a second instead of {self._rate_hz:g}: a long "
+                f"it gives {shown} images a second instead of {self._rate_hz:g}: a long "
                 "exposure in the dark, a slow cable or port, a busy computer, or a source of your own that "
                 "waits too long"
             )
@@ -224,7 +224,7 @@ def _another_clock(seconds: float) -> str | None:
 def _dark(shot: Shot) -> str | None:
     if not all_dark(shot.color):
         return None
-    return f"its picture is black (under {DARK} of 255): check the lens, the light, the exposure"
+    return f"its image is black (under {DARK} of 255): check the lens, the light, the exposure"
 
 
 def _no_depth(shot: Shot, farthest_m: float) -> str | None:
@@ -249,7 +249,7 @@ def _no_depth(shot: Shot, farthest_m: float) -> str | None:
 
 def _changed(a: Camera, b: Camera) -> str:
     return (
-        f"its picture changed from {_described(a, b)} to {_described(b, a)} while it was open: all objects "
+        f"its image changed from {_described(a, b)} to {_described(b, a)} while it was open: all objects "
         "are searched for again"
     )
 

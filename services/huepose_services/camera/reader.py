@@ -158,7 +158,7 @@ class Reader:
                 self._keep(Taken(shot, self.openings, camera.device_clock_is_host))
             if now_ns() - news_ns > self._silent_ns:
                 raise CameraError(
-                    f"no new picture for {rounded(self._silent_ns / SECOND)} s. It is opened again; if that "
+                    f"no new image for {rounded(self._silent_ns / SECOND)} s. It is opened again; if that "
                     "does not help, use another cable or port (USB 3)."
                 )
 

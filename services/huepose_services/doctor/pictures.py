@@ -137,15 +137,15 @@ def brightness(frames: Sequence[RgbdFrame]) -> Finding:
     glare = float((brightest >= _GLARE).mean())
     found = f"median {np.median(brightest):.0f} of 255; {100 * black:.0f} % black, {100 * glare:.0f} % white"
     if black > 0.5:
-        return Finding("picture", "bad", found, "Too dark: add light, or expose longer (device.options).")
+        return Finding("image", "bad", found, "Too dark: add light, or expose longer (device.options).")
     if all(all_grey(frame.color) for frame in frames):
         fix = "The image has no colour: does it come from an infrared or a monochrome sensor?"
-        return Finding("picture", "bad", found, fix)
+        return Finding("image", "bad", found, fix)
     if glare > 0.25:
         return Finding(
-            "picture", "note", found, "Too bright: reduce light, or expose shorter (device.options)."
+            "image", "note", found, "Too bright: reduce light, or expose shorter (device.options)."
         )
-    return Finding("picture", "ok", found)
+    return Finding("image", "ok", found)
 
 
 def depth(frames: Sequence[RgbdFrame], camera: CameraConfig) -> Iterator[Finding]:

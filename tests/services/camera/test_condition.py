@@ -57,7 +57,7 @@ def holes(one):
 @pytest.mark.parametrize(
     ("kind", "words", "spoil"),
     [
-        ("dark", "its picture is black", lambda one: replace(one, color=one.color // 10)),
+        ("dark", "its image is black", lambda one: replace(one, color=one.color // 10)),
         ("depth", "no depth: under 1 %", lambda one: replace(one, depth=np.zeros_like(one.depth))),
         ("depth", "no depth: under 1 %", lambda one: replace(one, depth=np.full_like(one.depth, np.nan))),
         ("depth", "no depth: under 1 %", lambda one: replace(one, depth=np.full_like(one.depth, np.inf))),
@@ -107,7 +107,7 @@ def test_a_falling_rate_is_named_when_all_that_is_counted_came_after_its_fall():
     assert said_after(condition, 3.0) == {}
     said = said_after(condition, 3.0, rate_hz=12.0, start_s=3.0, counted=90)
     assert said["rate"][0] < 1.5
-    assert "it gives 12 pictures a second instead of 30" in said["rate"][1]
+    assert "it gives 12 images a second instead of 30" in said["rate"][1]
     again = said_after(condition, 3.0, start_s=6.0, counted=126)
     assert condition.complaints(9 * SECOND) == {}, again
 
@@ -131,7 +131,7 @@ def test_the_rate_of_a_camera_that_is_slower_than_the_worker_looks_is_named_as_i
         condition.count(90 + k // 10, now)
         said += [(now / SECOND - 3.0, text) for text in condition.complaints(now).values()]
     assert said[0][0] < 2.0
-    assert "it gives 2 pictures a second instead of 30" in said[0][1]
+    assert "it gives 2 images a second instead of 30" in said[0][1]
 
 
 def rates_said(asked_hz, gives_hz, seconds, condition=None, from_s=0.0):
@@ -152,7 +152,7 @@ def test_a_rate_of_a_picture_a_second_or_less_is_named_and_stays_named(asked_hz,
     said = rates_said(asked_hz, gives_hz, 40.0)
     assert said[0][0] < within_s
     assert f"it gives {told}" in said[0][1]
-    assert f"pictures a second instead of {asked_hz:g}" in said[0][1]
+    assert f"images a second instead of {asked_hz:g}" in said[0][1]
     assert len(said) == round(20 * (40.0 - said[0][0])), "it is said all the time"
 
 

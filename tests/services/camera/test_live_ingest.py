@@ -86,7 +86,7 @@ def test_the_log_names_the_rate_of_a_camera_that_has_become_slow_as_it_is(ingest
     _goes_on(ingest, 8.0, lambda: said)
     ((kind, text),) = said
     assert kind == "pictures: rate"
-    assert any(f"it gives {rate} pictures a second instead of 30" in text for rate in (1, 2, 3)), text
+    assert any(f"it gives {rate} images a second instead of 30" in text for rate in (1, 2, 3)), text
 
 
 def test_a_camera_that_hangs_is_said_to_give_no_picture_after_a_second_and_no_slow_rate(ingest_of):
@@ -118,7 +118,7 @@ def test_a_camera_that_hangs_is_said_to_give_no_picture_after_a_second_and_no_sl
     known = "No image has come for 2 s, and perception waits for the next. cam.py: reading it takes longer"
     assert any(picture.startswith(known) for picture in pictures)
     assert "pictures: rate" not in logged
-    assert not [text for text in warnings if "pictures a second" in text]
+    assert not [text for text in warnings if "images a second" in text]
 
 
 @pytest.mark.parametrize(

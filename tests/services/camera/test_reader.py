@@ -125,7 +125,7 @@ def test_the_last_picture_over_and_over_is_no_news(reader_of, wait_until, monkey
     assert reader.take(0.05) is None
     wait_until(lambda: device.closed > 0)
     assert reader.repeated > 10
-    assert "no new picture" in reader.trouble
+    assert "no new image" in reader.trouble
 
 
 @pytest.mark.parametrize("is_sensor", [True, False])
@@ -144,7 +144,7 @@ def test_the_last_picture_with_new_stamps_is_no_news_of_a_sensor(
     if is_sensor:
         wait_until(lambda: device.closed > 0)
         assert reader.repeated > 10
-        assert "no new picture" in reader.trouble
+        assert "no new image" in reader.trouble
     else:
         wait_until(lambda: reader.take(0.1).shot.number > 50)
         assert (reader.repeated, device.closed) == (0, 0)
@@ -167,7 +167,7 @@ def test_what_is_raised_and_is_no_exception_ends_no_reading(reader_of, wait_unti
 
 @pytest.mark.parametrize("blocks", [True, False])
 def test_a_camera_is_as_slow_as_its_rate_without_trouble(reader_of, wait_until, monkeypatch, blocks):
-    """Whether it waits for its picture in one call, or says again and again that none is there."""
+    """Whether it waits for its image in one call, or says again and again that none is there."""
     for limit in ("_SLOW_NS", "_SILENT_NS"):
         monkeypatch.setattr(f"huepose_services.camera.reader.{limit}", 20_000_000)
 

@@ -12,15 +12,15 @@ from msgspec.structs import replace
 from huepose.evaluation.pose_files import read_pose_csv
 from huepose.support.errors import InputError
 from huepose_protos import encode
-from huepose_protos.examples import messages
+from huepose_protos.examples import example, messages
 from huepose_protos.fields import is_name
 from huepose_protos.keys import Keys, tail_of
 from huepose_protos.local import endpoint
-from huepose_protos.messages import Mount, ObjectEntry, ObjectsMessage, PoseMessage
+from huepose_protos.messages import HealthMessage, Mount, ObjectEntry, ObjectsMessage, PoseMessage
 from huepose_protos.motion import carried
 from huepose_services.cli.main import build_parser, main
 from huepose_services.cli.pose_export import PoseFiles
-from huepose_services.cli.poses import _HEADING, _print, _silence
+from huepose_services.cli.poses import _HEADING, _print, _silence, _warn
 from huepose_services.runtime.config import load
 from huepose_services.runtime.running import Pipeline, described, noted
 from tests.disk import full_disk
@@ -279,3 +279,14 @@ def test_why_no_truth_comes_names_the_key_of_the_file_that_it_takes():
     reader = SimpleNamespace(seen=True, live=set())
     said = "nothing is published on huepose/local/cam0/truth: it needs `camera.truth: true`"
     assert said in _silence(reader, pipeline, pipeline.key("truth"))
+
+
+def test_a_warning_is_printed_once_also_if_its_numbers_change(capsys: pytest.CaptureFixture[str]) -> None:
+    late = ["late 12 times, by up to 0.15 s", "late 13 times, by up to 0.2 s"]
+    names = ["part_1 is wrong", "part_2 is wrong", "cup/0 is wrong", "cup/1 is wrong"]
+    warned: set[str] = set()
+    for text in [*late, *names, *names]:
+        health = replace(example(HealthMessage), worker="camera", warnings=[text])
+        _warn(health, warned)
+    printed = capsys.readouterr().err.splitlines()
+    assert printed == [f"camera: {text}" for text in [late[0], *names]]

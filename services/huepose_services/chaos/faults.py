@@ -300,7 +300,7 @@ FAULTS: tuple[Fault, ...] = (
         21,
         "corrections older than what is kept",
         partial(_intruded, what="corrections"),
-        "is refused:|what it finds cannot be used",
+        "what it finds cannot be used",
         seconds=12.0,
     ),
     Fault(22, "a second camera under one key", partial(_intruded, what="camera")),

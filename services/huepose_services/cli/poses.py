@@ -114,6 +114,8 @@ _HEADING = (
     " frame object/instance state quality   position x y z   rotation as a quaternion x y z w   "
     "age from capture to publishing   reason"
 )
+_NUMBER = re.compile(r"(?<![\w/.])[0-9]+([.][0-9]+)?(?!\w)")
+"""A number that stands alone: not a part of a name, nor the number of an instance."""
 _GONE_AFTER_S = 1.0
 _SAY_WAITING_AFTER_S = 3.0
 
@@ -336,10 +338,12 @@ def _messages_here(
 
 
 def _warn(health: HealthMessage, warned: set[str]) -> None:
-    """Print each warning of a worker once: the poses that are printed may be wrong because of it."""
+    """Print each warning of a worker once: the poses that are printed may be wrong because of it. A warning
+    in which only numbers have changed is the same one."""
     for text in health.warnings:
-        if text not in warned:
-            warned.add(text)
+        kind = f"{health.worker}: {_NUMBER.sub('0', text)}"
+        if kind not in warned:
+            warned.add(kind)
             say(f"{health.worker}: {text}")
 
 

@@ -18,6 +18,7 @@ from huepose.estimation import EstimatorConfig
 from huepose.geometry import se3
 from huepose.model import save_model
 from huepose.support.errors import InputError
+from huepose_services.cli.evaluate_perception import _report
 from huepose_services.cli.evaluate_scenes import open_bop
 from huepose_services.cli.main import main
 from huepose_services.cli.pose_tables import PoseSources
@@ -200,3 +201,23 @@ def test_scenes_of_several_sets_may_have_one_name(
         other,
     ]
     assert "scenes of several sets with one name" in refused(words)
+
+
+@pytest.mark.parametrize("others", [{}, {"carton": 2}])
+def test_the_report_names_what_false_boxes_show_if_there_are_any(others: dict[str, int]) -> None:
+    ious = {"mask_iou": 0.9, "final_mask_iou": None}
+    block = {"instances": 3, "recall_iou50": 100.0, "recall_at": {1: 100.0}, "false_boxes": 2} | ious
+    summary = block | {
+        "per_object": {"wedge": block},
+        "false_boxes_per_frame": 1.0,
+        "confusion": {"wedge": {"wedge": 3} | others},
+        "interval95": {"recall_iou50": [90.0, 100.0], "false_boxes_per_frame": [0.0, 1.0]},
+        "profile": "live",
+        "frames": 2,
+        "asked_for": 1,
+        "detector_seconds_per_frame_p50": 0.1,
+        "seconds_per_frame_p50": 0.2,
+    }
+    text = _report(summary)
+    assert ("false boxes, by what is really there:\n  wedge: carton 2" in text) == bool(others), text
+    assert ("false boxes" in text) == bool(others), text

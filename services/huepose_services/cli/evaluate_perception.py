@@ -73,11 +73,14 @@ def _report(summary: dict[str, Any]) -> str:
 
     lines = [line(name, block, block["false_boxes"]) for name, block in summary["per_object"].items()]
     lines.append(line("all", summary, f"{summary['false_boxes_per_frame']:.2f}/frame"))
-    text = [table(heading, lines), "", "false boxes, by what is really there:"]
-    for name, shown in summary["confusion"].items():
-        others = [f"{other} {n}" for other, n in shown.items() if other != name]
-        if others:
-            text.append(f"  {name}: {', '.join(others)}")
+    text = [table(heading, lines), ""]
+    of_others = {
+        name: [f"{other} {n}" for other, n in shown.items() if other != name]
+        for name, shown in summary["confusion"].items()
+    }
+    if any(of_others.values()):
+        text.append("false boxes, by what is really there:")
+        text += [f"  {name}: {', '.join(others)}" for name, others in of_others.items() if others]
     recall, false = (summary["interval95"][key] for key in ("recall_iou50", "false_boxes_per_frame"))
     text.append(f"95 % intervals over frames: recall {span(recall)}, false a frame {span(false, 2)}")
     text.append(

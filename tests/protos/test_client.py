@@ -1,4 +1,4 @@
-"""What the clients keep of what they hear, and of whom they take it to be."""
+"""Which messages the clients keep, and which pipeline they assign them to."""
 
 import json
 import os
@@ -20,16 +20,16 @@ SECOND = 10**9
 
 
 def sample(key, message):
-    """As zenoh hands it over."""
+    """A message as zenoh delivers it."""
     data = encode(message)
     return SimpleNamespace(key_expr=key, attachment=None, payload=SimpleNamespace(to_bytes=lambda: data))
 
 
 def pose(site, epoch, capture_ns, x=0.0, **changes):
-    told = {"object": "mug", "instance": 0, "state": "TRACKING", "frame": "cam0_color_optical"}
-    told |= {"camera_epoch": epoch, "capture_ns": capture_ns, "publish_ns": capture_ns}
-    told |= {"translation": (x, 0.0, 0.5), "realtime_offset_ns": 0, "clock_id": "of another machine"}
-    message = msgspec.structs.replace(example(PoseMessage), **(told | changes))
+    fields = {"object": "mug", "instance": 0, "state": "TRACKING", "frame": "cam0_color_optical"}
+    fields |= {"camera_epoch": epoch, "capture_ns": capture_ns, "publish_ns": capture_ns}
+    fields |= {"translation": (x, 0.0, 0.5), "realtime_offset_ns": 0, "clock_id": "of another machine"}
+    message = msgspec.structs.replace(example(PoseMessage), **(fields | changes))
     return sample(f"huepose/{site}/cam0/pose/mug/0", message)
 
 
@@ -52,8 +52,8 @@ def client():
 
 
 @pytest.mark.parametrize("uptime_s", [50, 200, 201, 300])
-def test_a_camera_that_moves_is_where_it_was_told_since_its_computer_started_anew(client, uptime_s):
-    """However the new uptime compares with the old one."""
+def test_a_moving_camera_has_the_mounts_sent_since_its_computer_restarted(client, uptime_s):
+    """Whether the new uptime is shorter or longer than the old one."""
     for boot, epoch, began_s, x in (("first", 1, 200, 1.0), ("second", 2, uptime_s, 5.0)):
         for tenth in range(30):
             client._on_sample(camera("lab", epoch, x, began_s * SECOND + tenth * SECOND // 10, boot))
@@ -61,7 +61,7 @@ def test_a_camera_that_moves_is_where_it_was_told_since_its_computer_started_ane
         assert client.mount(client.latest()).translation == (x, 0.0, 0.0)
 
 
-def test_of_two_sites_with_a_camera_of_one_name_each_has_its_poses_and_its_mount(client):
+def test_two_sites_with_the_same_camera_name_keep_their_own_poses_and_mounts(client):
     sites = {"robot_a": (11, 100 * SECOND, 1.0), "robot_b": (22, 7000 * SECOND, 9.0)}
     for site, (epoch, _, x) in sites.items():
         client._on_sample(camera(site, epoch, x))
@@ -76,8 +76,8 @@ def test_of_two_sites_with_a_camera_of_one_name_each_has_its_poses_and_its_mount
 
 
 @pytest.mark.parametrize(("ago_s", "silent_s"), [(5.0, 5.0), (-5.0, 0.0)])
-def test_a_pose_that_a_gateway_had_stored_is_as_old_as_its_picture(client, ago_s, silent_s):
-    """By the wall clocks on another machine; one that is ahead of ours makes no pose of the future."""
+def test_a_pose_stored_by_a_gateway_is_as_old_as_its_image(client, ago_s, silent_s):
+    """On another machine wall clocks give the age; if the other clock is ahead of ours, the age is 0."""
     now_ns = time.time_ns()
     client._on_reply(SimpleNamespace(ok=pose("lab", 1, now_ns - int(ago_s * SECOND))))
     assert client.silent_s() == pytest.approx(silent_s, abs=0.5)
@@ -90,7 +90,7 @@ def heard(client):
     return iter(lambda: client.next(0.0), None)
 
 
-def test_cameras_that_are_long_gone_are_not_kept_for_ever(client, monkeypatch):
+def test_cameras_that_stopped_long_ago_are_forgotten(client, monkeypatch):
     for epoch in range(3):
         client._on_sample(camera("lab", epoch, 1.0))
     monkeypatch.setattr("huepose_protos.pose_client._FORGET_S", -1.0)
@@ -117,8 +117,8 @@ def say(session, camera):
     session.put(f"huepose/local/{camera}/pose/mug/0", encode(message))
 
 
-def test_who_names_a_camera_waits_for_it_and_hears_no_other(monkeypatch, tmp_path):
-    """Also where another one has the port that is usual."""
+def test_a_client_of_a_named_camera_waits_for_it_and_gets_no_other_poses(monkeypatch, tmp_path):
+    """Also if another camera has the default port."""
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
     monkeypatch.setattr("huepose_protos.local._LOOK_EVERY_NS", 0)
     with PoseClient(None, site="local", camera="right") as client, zenoh.open(at(17447)) as left:

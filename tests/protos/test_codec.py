@@ -55,8 +55,9 @@ def test_deep_nesting_and_huge_lengths_are_wire_errors(byte):
             decode(b"\x81\xa3foo" + byte * (kind.max_bytes // len(byte) // 2), kind)
 
 
-def test_perception_of_many_of_many_kinds_fits_its_messages():
-    """Of as many kinds as a request may name, as many instances as a file may ask for, all but one known."""
+def test_messages_of_the_largest_request_are_within_their_size_limits():
+    """As many objects as a request may name, each with as many instances as a configuration may ask for; all
+    but one instance are TRACKING."""
     replace = msgspec.structs.replace
     asked = next(one for one in EXAMPLES[PerceptionRequest].objects if one.prior is not None)
     asked = replace(asked, instance=None, prior=None, others=[asked.prior] * 15)
@@ -107,7 +108,7 @@ def test_a_bad_pose_is_refused_with_its_reason(changes, reason):
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
 def test_a_number_that_is_not_finite_is_refused_everywhere(number):
     def poisoned(value):
-        """Every way to replace one float inside by that number."""
+        """All copies of the value in which one float is replaced by that number."""
         if isinstance(value, float):
             yield number
         elif isinstance(value, dict):
@@ -142,7 +143,7 @@ def test_a_pose_may_have_no_reason_and_has_a_centre():
         decode(msgspec.msgpack.encode(pose), PoseMessage)
 
 
-def test_a_message_over_its_cap_is_refused_both_ways():
+def test_a_message_over_its_size_limit_is_refused_by_sender_and_receiver():
     with pytest.raises(WireError, match="over 4096"):
         decode(encode(POSE) + b"\0" * 5000, PoseMessage)
     with pytest.raises(WireError, match="over 65536"):
@@ -150,7 +151,7 @@ def test_a_message_over_its_cap_is_refused_both_ways():
 
 
 @pytest.mark.parametrize("site", ["", "a/b", "**", "Lab", "lab\n", "x" * 65])
-def test_a_key_is_made_of_names(site):
+def test_a_key_with_an_invalid_site_is_refused(site):
     with pytest.raises(WireError):
         Keys(site, "cam0")
 
@@ -241,6 +242,6 @@ def test_a_mask_of_another_size_than_its_frame_is_refused():
 
 
 @pytest.mark.parametrize("shape", [[2**24, 2**24, 2**24, 0], [0, 2**24, 2**24, 2**24]])
-def test_sides_that_no_array_can_have_are_refused(shape):
+def test_shapes_that_no_array_can_have_are_refused(shape):
     with pytest.raises(WireError, match="buffer color"):
         unpack([BufferSpec(name="color", dtype="uint8", shape=shape, offset=0)], b"")

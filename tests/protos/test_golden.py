@@ -1,4 +1,4 @@
-"""The wire does not change by accident: bytes and schemas in the tree are those of the types."""
+"""The wire format does not change by accident: bytes and schemas in the repository are those of the types."""
 
 import re
 from pathlib import Path
@@ -19,7 +19,7 @@ PROTOS = Path(__file__).parents[2] / "protos"
 
 
 @pytest.mark.parametrize("name", sorted(files()))
-def test_file_in_the_tree_is_the_one_that_the_types_give(name):
+def test_each_file_in_the_repository_is_what_the_types_generate(name):
     assert (PROTOS / name).read_bytes() == files()[name], "run: python -m huepose_protos.export protos"
 
 
@@ -64,7 +64,7 @@ def test_the_manual_names_every_message_and_every_field(kind):
 
 
 def test_an_older_reader_takes_a_newer_minor_and_refuses_a_newer_major_by_name():
-    """The rule, from both sides: a message with a field that this reader does not know."""
+    """A message with an unknown field."""
     pose = example(wire.PoseMessage)
     newer = {**msgspec.to_builtins(pose), "grip_width_m": 0.08}
     minor = msgspec.msgpack.encode({**newer, "version": f"{MAJOR}.{MINOR + 1}"})

@@ -1,4 +1,4 @@
-"""Which notes are of pipelines that run on this machine."""
+"""Which note files are of pipelines that run on this machine."""
 
 import json
 import os
@@ -16,24 +16,22 @@ from huepose_protos.local import (
 )
 
 
-def test_a_note_is_of_one_process_and_of_no_later_one_with_its_number(tmp_path):
+def test_a_note_does_not_count_for_a_later_process_with_the_same_pid(tmp_path):
     mine = born_of(os.getpid())
     note = tmp_path / f"{os.getpid()}-17447.json"
-    for said, runs in (
+    for content, runs in (
         ({"born": mine}, True),
         ({"born": f"{boot_id()}/1"}, False),
         ({"born": f"another boot/{mine.partition('/')[2]}"}, False),
         ({}, True),
         ([], True),
     ):
-        note.write_text(json.dumps(said))
+        note.write_text(json.dumps(content))
         assert writer_runs(note) == runs
     assert born_of(2**22 + 1) == ""
 
 
-def test_the_port_of_a_killed_pipeline_is_nobodys_though_another_process_has_its_number(
-    tmp_path, monkeypatch
-):
+def test_a_killed_pipeline_has_no_port_even_if_another_process_has_its_pid(tmp_path, monkeypatch):
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
     note = {"site": "lab", "camera": "cam0"}
     killed = note | {"base_port": 18100, "born": f"{boot_id()}/1"}
@@ -49,7 +47,7 @@ def _run(folder, camera, port, process=None):
     (folder / f"{process or os.getpid()}-{port}.json").write_text(json.dumps(note))
 
 
-def test_poses_are_read_where_the_only_pipeline_runs(tmp_path, monkeypatch):
+def test_poses_are_read_from_the_only_running_pipeline(tmp_path, monkeypatch):
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
     assert pose_endpoints() == [endpoint(BASE_PORT + 1), endpoint(BASE_PORT)]
     _run(tmp_path, "gone", 18300, 2**22 + 1)
@@ -63,7 +61,7 @@ def test_poses_are_read_where_the_only_pipeline_runs(tmp_path, monkeypatch):
     ]
 
 
-def test_of_several_pipelines_it_is_asked_which(tmp_path, monkeypatch):
+def test_with_several_pipelines_one_must_be_named(tmp_path, monkeypatch):
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
     _run(tmp_path, "right", 18120)
     _run(tmp_path, "left", 18100)
@@ -77,7 +75,7 @@ def test_of_several_pipelines_it_is_asked_which(tmp_path, monkeypatch):
     assert Whereabouts("lab", "right").port == 18120
 
 
-def test_the_port_of_a_camera_is_never_that_of_another(tmp_path, monkeypatch):
+def test_the_port_of_another_camera_is_not_used(tmp_path, monkeypatch):
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
     _run(tmp_path, "left", 17447)
     place = Whereabouts("lab", "rigth")
@@ -87,7 +85,7 @@ def test_the_port_of_a_camera_is_never_that_of_another(tmp_path, monkeypatch):
     )
 
 
-def test_of_two_pipelines_of_one_name_none_is_taken(tmp_path, monkeypatch):
+def test_two_pipelines_of_one_name_are_refused(tmp_path, monkeypatch):
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
     _run(tmp_path, "left", 18120)
     _run(tmp_path, "left", 18100)
@@ -101,7 +99,7 @@ def test_of_two_pipelines_of_one_name_none_is_taken(tmp_path, monkeypatch):
         pose_endpoints()
 
 
-def test_a_camera_is_followed_to_where_it_runs(tmp_path, monkeypatch):
+def test_a_camera_is_found_again_at_another_port(tmp_path, monkeypatch):
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
     monkeypatch.setattr("huepose_protos.local._LOOK_EVERY_NS", 0)
     _run(tmp_path, "left", 18100)
@@ -109,7 +107,7 @@ def test_a_camera_is_followed_to_where_it_runs(tmp_path, monkeypatch):
     assert (place.port, place.has_moved()) == (None, False)
     _run(tmp_path, "right", 18120)
     assert (place.has_moved(), place.port, place.absence()) == (True, 18120, None)
-    _run(tmp_path, "right", 18140)  # where it is stays known
+    _run(tmp_path, "right", 18140)  # the known port is kept
     assert (place.has_moved(), place.port, place.absence()) == (False, 18120, None)
     (tmp_path / f"{os.getpid()}-18120.json").unlink()
     assert (place.has_moved(), place.port) == (True, 18140)

@@ -1,4 +1,4 @@
-"""Poses between and after poses, against motions that are known."""
+"""Interpolated and predicted poses, against known motions."""
 
 import math
 from itertools import pairwise
@@ -29,8 +29,8 @@ MS = SECOND // 1000
 
 def _moving(seconds):
     """The example pose after a constant motion: along the camera's axes, about the object's origin."""
-    turn = quaternion_of(ANGULAR * seconds)
-    return np.array(POSE.translation) + LINEAR * seconds, multiply(turn, np.array(POSE.quaternion))
+    rotation = quaternion_of(ANGULAR * seconds)
+    return np.array(POSE.translation) + LINEAR * seconds, multiply(rotation, np.array(POSE.quaternion))
 
 
 def _message(ms, **changes):
@@ -47,7 +47,7 @@ def _message(ms, **changes):
 
 
 @pytest.mark.parametrize("ms", [0, 7, 20, 33, 50, 66, 100, 166])
-def test_a_constant_motion_is_met_between_and_after(ms):
+def test_a_constant_motion_is_interpolated_and_predicted_exactly(ms):
     poses = [_message(0), _message(33), _message(66)]
     got = pose_at(poses, SECOND + ms * MS)
     translation, quaternion = _moving(ms * 1e-3)
@@ -59,15 +59,15 @@ def test_a_constant_motion_is_met_between_and_after(ms):
 
 @pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (0.1, -0.2, 0.3), (30.0, -20.0, 25.0)])
 @pytest.mark.parametrize("ms", [0, 15, 50, 66, 100])
-def test_the_centre_of_an_object_goes_on_straight_wherever_its_origin_is(ms, centre):
+def test_the_centre_of_an_object_moves_straight_wherever_its_origin_is(ms, centre):
     def lever(seconds):
         return rotation_matrix(_moving(seconds)[1]) @ centre
 
     def message(at_ms):
         seconds = at_ms * 1e-3
-        place = np.array([0.1, 0.2, 0.8]) + LINEAR * seconds - lever(seconds)
+        origin = np.array([0.1, 0.2, 0.8]) + LINEAR * seconds - lever(seconds)
         linear = LINEAR - np.cross(ANGULAR, lever(seconds))
-        changes = {"translation": place, "velocity_linear": linear, "centre": np.array(centre)}
+        changes = {"translation": origin, "velocity_linear": linear, "centre": np.array(centre)}
         return _message(at_ms, **{name: tuple(value.tolist()) for name, value in changes.items()})
 
     got = pose_at([message(0), message(33), message(66)], SECOND + ms * MS)
@@ -75,7 +75,7 @@ def test_the_centre_of_an_object_goes_on_straight_wherever_its_origin_is(ms, cen
     assert at_centre == pytest.approx(np.array([0.1, 0.2, 0.8]) + LINEAR * ms * 1e-3, abs=1e-9)
     assert got.translation == pytest.approx(message(ms).translation, abs=1e-9)
 
-    # So is the doubt about the centre, whatever that about the origin is.
+    # The uncertainty of the centre does not depend on the origin either.
     to_centre = np.eye(6)
     to_centre[:3, 3:] = np.cross(np.eye(3), rotation_matrix(got.quaternion) @ centre).T
     known = to_centre @ np.array(message(66).covariance).reshape(6, 6) @ to_centre.T
@@ -86,11 +86,11 @@ def test_the_centre_of_an_object_goes_on_straight_wherever_its_origin_is(ms, cen
 
 
 @pytest.mark.parametrize("ms", [-1, 167, 10_000])
-def test_before_the_first_and_long_after_the_last_there_is_nothing(ms):
+def test_no_pose_before_the_first_and_long_after_the_last(ms):
     assert pose_at([_message(0), _message(66)], SECOND + ms * MS) is None
 
 
-def test_the_covariance_grows_with_the_time_ahead_and_stays_a_covariance():
+def test_the_covariance_grows_with_the_time_ahead_and_stays_positive_definite():
     poses = [_message(0)]
     sigmas = []
     for ms in (0, 20, 50, 100):
@@ -103,14 +103,14 @@ def test_the_covariance_grows_with_the_time_ahead_and_stays_a_covariance():
     assert sigmas[-1][0] == pytest.approx(math.hypot(0.001, 0.002, 0.005))
 
 
-def test_without_a_velocity_the_doubt_grows_faster():
+def test_without_a_velocity_the_uncertainty_grows_faster():
     known = pose_at([_message(0)], SECOND + 50 * MS)
     still = pose_at([_message(0, velocity_linear=None, velocity_angular=None)], SECOND + 50 * MS)
     assert still.translation == pytest.approx(POSE.translation)
     assert np.diag(still.covariance)[0] > 10 * np.diag(known.covariance)[0]
 
 
-def test_the_worse_state_holds_between_two():
+def test_between_two_poses_the_worse_state_holds():
     got = pose_at([_message(0, state="SUSPECT", quality=0.3), _message(33)], SECOND + 10 * MS)
     assert (got.state, got.quality) == ("SUSPECT", 0.3)
 
@@ -126,28 +126,28 @@ def test_no_pose_while_lost_and_none_across_a_gap():
 
 
 @pytest.mark.parametrize("vector", [[0, 0, 0], [1e-9, 0, 0], [0.1, -0.2, 0.3], [3.1, 0.1, 0.0]])
-def test_rotation_vectors_come_back(vector):
+def test_rotation_vectors_survive_a_round_trip(vector):
     assert rotation_vector(quaternion_of(np.array(vector, float))) == pytest.approx(vector, abs=1e-12)
 
 
-def test_a_moving_camera_is_interpolated_and_goes_on_for_a_moment_and_no_longer():
-    turn = quaternion_of(np.array([0.0, 0.0, 0.2]))
+def test_a_moving_cameras_mount_is_interpolated_and_briefly_extrapolated():
+    rotation = quaternion_of(np.array([0.0, 0.0, 0.2]))
     start = mount_of("base", np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0]))
-    end = mount_of("base", np.array([1.1, 0.0, 0.0]), turn)
-    told = [(1_000_000_000, start), (1_100_000_000, end)]
+    end = mount_of("base", np.array([1.1, 0.0, 0.0]), rotation)
+    mounts = [(1_000_000_000, start), (1_100_000_000, end)]
     for ms, share in ((1000, 0.0), (1050, 0.5), (1100, 1.0), (1150, 1.5)):
-        found = mount_at(told, ms * 1_000_000)
+        found = mount_at(mounts, ms * 1_000_000)
         assert found is not None
         assert np.allclose(found.translation, [1.0 + 0.1 * share, 0.0, 0.0])
         assert np.allclose(rotation_vector(np.array(found.quaternion)), [0.0, 0.0, 0.2 * share])
-    assert mount_at(told, 999_000_000) is None
-    assert mount_at(told, 1_201_000_000) is None, "nobody knows where it went"
-    assert mount_at([told[0], (1_300_000_000, end)], 1_150_000_000) is None, "a gap"
-    assert mount_at(told[:1], 1_010_000_000) is None
+    assert mount_at(mounts, 999_000_000) is None
+    assert mount_at(mounts, 1_201_000_000) is None, "too long after the last one"
+    assert mount_at([mounts[0], (1_300_000_000, end)], 1_150_000_000) is None, "a gap"
+    assert mount_at(mounts[:1], 1_010_000_000) is None
     assert mount_at([], 0) is None
 
 
-def test_a_mount_on_a_mount_and_quaternions_of_matrices():
+def test_composed_mounts_and_quaternions_of_matrices():
     rng = np.random.default_rng(3)
     quaternions = rng.normal(size=(2, 4))
     outer, inner = (mount_of("base", rng.normal(size=3), q) for q in quaternions)

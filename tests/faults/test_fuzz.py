@@ -1,8 +1,8 @@
-"""Whatever a file or a message holds: it is read, or the project's own error says what is wrong; soon, and
-without taking much memory.
+"""Corrupted files and messages are read, or refused with the project's own error; soon, and without much
+memory.
 
-A few seconds of the processor for each reader; `HUEPOSE_FUZZ_S=30` takes longer. What once broke a reader
-lies in `found/`, in a folder by its reader, and is read first. What breaks one now is written there.
+Each reader gets a few seconds of processor time; `HUEPOSE_FUZZ_S=30` sets more. An input that breaks a
+reader is written to `found/`, into a folder of that reader, and is tested again from then on.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ from tests.services.recording.conftest import KEY, parts, tiny_frame
 
 SECONDS = float(os.environ.get("HUEPOSE_FUZZ_S", "2"))
 SOON_S = 5.0
-"""Of the processor, for one input: the largest that a reader may take are far from as slow."""
+"""Processor time for one input: the largest allowed input takes far less."""
 MEMORY = 2 * 2**30
-"""More than the largest texture with what is made of it; less than a bomb wants."""
+"""More than the largest texture needs with all that is computed from it; less than a decompression bomb."""
 FOUND = Path(__file__).parent / "found"
 ROOT = Path(__file__).parents[2]
 
@@ -94,13 +94,14 @@ VALUES: list[Any] = [
 
 @dataclass(frozen=True)
 class Reader:
-    """good: what it reads well, by file name; read: with the folder that has the spoilt files; errors: those
-    that it may raise; trees: files that are JSON, whose values are replaced as well."""
+    """good: makes valid files and gives their bytes by name; read: reads the folder with a corrupted file;
+    corrupted: the files to corrupt; errors: those that it may raise; trees: files of JSON or MessagePack,
+    whose values are replaced as well."""
 
     name: str
     good: Callable[[Path], dict[str, bytes]]
     read: Callable[[Path], object]
-    spoilt: tuple[str, ...]
+    corrupted: tuple[str, ...]
     errors: tuple[type[Exception], ...] = (InputError,)
     trees: tuple[str, ...] = ()
 
@@ -112,7 +113,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 PRINTED = solids.printed_box((0.08, 0.06, 0.04), seed=3)
 
 
-def mesh(form: str, write: Callable[[Path], None], spoilt: tuple[str, ...], main: str) -> Reader:
+def mesh(form: str, write: Callable[[Path], None], corrupted: tuple[str, ...], main: str) -> Reader:
     def good(folder: Path) -> dict[str, bytes]:
         write(folder / main)
         return files_of(folder)
@@ -120,7 +121,7 @@ def mesh(form: str, write: Callable[[Path], None], spoilt: tuple[str, ...], main
     def read(folder: Path) -> None:
         assert np.isfinite(read_mesh(folder / main).vertices).all()
 
-    return Reader(form, good, read, spoilt)
+    return Reader(form, good, read, corrupted)
 
 
 def _write_ply(path: Path, binary: bool, lists: bool) -> None:
@@ -243,8 +244,8 @@ READERS = (
 )
 
 
-def spoilt_bytes(data: bytes, draw: st.DataObject) -> bytes:
-    """Cut, filled, or with trouble in some places."""
+def corrupted_bytes(data: bytes, draw: st.DataObject) -> bytes:
+    """The data, cut or with difficult bytes in some places."""
     out = bytearray(data)
     for _ in range(draw.draw(st.integers(1, 4))):
         at = draw.draw(st.integers(0, len(out)))
@@ -253,8 +254,8 @@ def spoilt_bytes(data: bytes, draw: st.DataObject) -> bytes:
     return bytes(out)
 
 
-def spoilt_tree(tree: Any, draw: st.DataObject) -> Any:
-    """With another value at one place."""
+def corrupted_tree(tree: Any, draw: st.DataObject) -> Any:
+    """The tree with one value replaced."""
     inner = (
         list(tree.items())
         if isinstance(tree, dict)
@@ -266,24 +267,24 @@ def spoilt_tree(tree: Any, draw: st.DataObject) -> Any:
         return draw.draw(st.sampled_from(VALUES))
     key, value = draw.draw(st.sampled_from(inner))
     if isinstance(tree, dict):
-        return {**tree, key: spoilt_tree(value, draw)}
-    return [*tree[:key], spoilt_tree(value, draw), *tree[key + 1 :]]
+        return {**tree, key: corrupted_tree(value, draw)}
+    return [*tree[:key], corrupted_tree(value, draw), *tree[key + 1 :]]
 
 
-def spoilt_file(reader: Reader, name: str, data: bytes, draw: st.DataObject) -> bytes:
+def corrupted_file(reader: Reader, name: str, data: bytes, draw: st.DataObject) -> bytes:
     if name not in reader.trees or draw.draw(st.booleans()):
-        return spoilt_bytes(data, draw)
+        return corrupted_bytes(data, draw)
     if reader.name == "messages":
-        tree = spoilt_tree(msgspec.msgpack.decode(data), draw)
-        with suppress(OverflowError, TypeError):  # what MessagePack cannot hold either
+        tree = corrupted_tree(msgspec.msgpack.decode(data), draw)
+        with suppress(OverflowError, TypeError):  # values that MessagePack cannot hold
             return msgspec.msgpack.encode(tree)
         return data
-    return json.dumps(spoilt_tree(json.loads(data), draw)).encode()
+    return json.dumps(corrupted_tree(json.loads(data), draw)).encode()
 
 
 @contextmanager
-def little_memory() -> Iterator[None]:
-    """No more than MEMORY beyond what there is."""
+def limited_memory() -> Iterator[None]:
+    """Limits the memory to MEMORY more than is taken now."""
     taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     before = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (taken + MEMORY, before[1]))
@@ -294,7 +295,7 @@ def little_memory() -> Iterator[None]:
 
 
 def check(reader: Reader, folder: Path) -> None:
-    """Reads what is there: in time, with nothing but the reader's own errors."""
+    """Reads the folder: in time, and with no errors but the reader's own."""
     started = time.process_time()
     with suppress(*reader.errors):
         reader.read(folder)
@@ -311,39 +312,39 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.timeout(400 + 10 * SECONDS)
 @pytest.mark.parametrize("reader", READERS, ids=lambda one: one.name)
-def test_whatever_is_spoilt_is_read_or_refused_in_words(reader: Reader, folder: Path) -> None:
+def test_corrupted_input_is_read_or_refused_with_a_reason(reader: Reader, folder: Path) -> None:
     good = reader.good(folder)
     for name, data in good.items():
         (folder / name).write_bytes(data)
-    reader.read(folder)  # what is good is read
+    reader.read(folder)  # the valid files are read
     tried = 0
 
     @settings(deadline=None, database=None, suppress_health_check=list(HealthCheck))
     @given(draw=st.data())
-    def spoil(draw: st.DataObject) -> None:
+    def corrupt(draw: st.DataObject) -> None:
         nonlocal tried
-        name = draw.draw(st.sampled_from(reader.spoilt))
-        spoilt = spoilt_file(reader, name, good[name], draw)
+        name = draw.draw(st.sampled_from(reader.corrupted))
+        corrupted = corrupted_file(reader, name, good[name], draw)
         tried += 1
-        (folder / name).write_bytes(spoilt)
+        (folder / name).write_bytes(corrupted)
         try:
             check(reader, folder)
         except BaseException:
-            keep(reader, name, spoilt)
+            keep(reader, name, corrupted)
             raise
         finally:
             (folder / name).write_bytes(good[name])
 
     rng = random.Random(os.environ.get("HUEPOSE_FUZZ_SEED", "0"))
     until = time.process_time() + SECONDS
-    with little_memory():
+    with limited_memory():
         while time.process_time() < until:
-            spoil.hypothesis.fuzz_one_input(rng.randbytes(rng.choice((64, 256, 1024))))
+            corrupt.hypothesis.fuzz_one_input(rng.randbytes(rng.choice((64, 256, 1024))))
     assert tried > 3
 
 
 def keep(reader: Reader, name: str, data: bytes) -> None:
-    """For the tests of tomorrow."""
+    """Writes the input to `found/`."""
     place = FOUND / reader.name.replace(" ", "-")
     place.mkdir(parents=True, exist_ok=True)
     (place / f"{hashlib.sha256(data).hexdigest()[:8]}-{Path(name).name}").write_bytes(data)
@@ -351,12 +352,12 @@ def keep(reader: Reader, name: str, data: bytes) -> None:
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("path", sorted(p for p in FOUND.rglob("*") if p.is_file()), ids=lambda p: p.name)
-def test_what_once_broke_a_reader_is_refused(path: Path, folder: Path) -> None:
+def test_an_input_that_once_broke_a_reader_is_read_or_refused(path: Path, folder: Path) -> None:
     reader = next(r for r in READERS if r.name.replace(" ", "-") == path.parent.name)
     good = reader.good(folder)
     for name, data in good.items():
         (folder / name).write_bytes(data)
-    name = next(n for n in reader.spoilt if Path(n).name == path.name.split("-", 1)[1])
+    name = next(n for n in reader.corrupted if Path(n).name == path.name.split("-", 1)[1])
     (folder / name).write_bytes(path.read_bytes())
-    with little_memory():
+    with limited_memory():
         check(reader, folder)

@@ -1,4 +1,4 @@
-"""Whatever comes under whatever key, in any order: a worker's step counts and drops it, or takes it."""
+"""Any message under any key, in any order: a worker's step takes it, or counts and drops it."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ NUMBERS = (0, 1, -1, 2, 7, 0.5, -1e-12, 1e-3, 1e9, 1e300, 2**31, 2**62, 2**63 - 
 
 
 class _Session:
-    """Nobody is there."""
+    """A session without other sessions."""
 
     def __getattr__(self, name: str) -> Any:
         return lambda *_, **__: SimpleNamespace(
@@ -72,7 +72,7 @@ class _Session:
 
 
 class _Inbox(Inbox):
-    """Takes what it is handed, by key."""
+    """An inbox that a test fills, by key."""
 
     def __init__(self, session: zenoh.Session) -> None:
         super().__init__(session)
@@ -133,14 +133,14 @@ def _work(worker: str, bus: Bus, model: Any) -> Any:
     return ReinitWork(bus, loop, ObjectList([entry], slot))
 
 
-def _spoilt(rng: random.Random, tree: Any) -> Any:
-    """The same with one of its values another number, or another one's."""
+def _corrupted(rng: random.Random, tree: Any) -> Any:
+    """The tree with one value replaced, and perhaps with list elements dropped or doubled."""
     if isinstance(tree, dict) and tree:
         key = rng.choice(list(tree))
-        return {**tree, key: _spoilt(rng, tree[key])}
+        return {**tree, key: _corrupted(rng, tree[key])}
     if isinstance(tree, list) and tree:
         k = rng.randrange(len(tree))
-        more = [_spoilt(rng, tree[k])] * rng.choice((1, 1, 1, 0, 2))
+        more = [_corrupted(rng, tree[k])] * rng.choice((1, 1, 1, 0, 2))
         return [*tree[:k], *more, *tree[k + 1 :]]
     return (
         rng.choice((None, *NUMBERS, -rng.choice(NUMBERS), rng.random()))
@@ -150,7 +150,7 @@ def _spoilt(rng: random.Random, tree: Any) -> Any:
 
 
 def _now(tree: Any, frame: FrameHeader) -> Any:
-    """As if it were said now, of this camera's picture."""
+    """The tree with the time and camera epoch of this frame; a frame header in it becomes this frame's."""
     if isinstance(tree, dict):
         if "buffers" in tree:
             return msgspec.to_builtins(frame)
@@ -160,7 +160,7 @@ def _now(tree: Any, frame: FrameHeader) -> Any:
 
 
 @pytest.mark.parametrize("worker", ["tracker", "reinit", "detector", "segmenter", "estimator"])
-def test_nothing_that_comes_breaks_a_step(worker, tea_box, box_frame):
+def test_no_message_breaks_a_workers_step(worker, tea_box, box_frame):
     rng = random.Random(SEED)
     bus, inbox = _bus(worker)
     work = _work(worker, bus, replace(tea_box, name="006_mustard_bottle"))
@@ -178,7 +178,7 @@ def test_nothing_that_comes_breaks_a_step(worker, tea_box, box_frame):
         key, kind = rng.choice([*SMALL.items(), *PIXELS.items()])
         tree = _now(msgspec.to_builtins(KINDS[kind], builtin_types=(bytes,)), frame)
         good = msgspec.msgpack.encode(tree)
-        data = rng.choice((good, rng.choice(bad_bytes(good)), msgspec.msgpack.encode(_spoilt(rng, tree))))
+        data = rng.choice((good, rng.choice(bad_bytes(good)), msgspec.msgpack.encode(_corrupted(rng, tree))))
         payload = rng.choice((picture.payload, picture.payload, picture.payload[:-1], b""))
         inbox.hand(key, *((data, None) if key in SMALL else (payload, data)))
         work.step()

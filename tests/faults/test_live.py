@@ -1,4 +1,4 @@
-"""Some faults of a running pipeline, short: `huepose chaos` knows them all, and takes its time."""
+"""Some faults of a running pipeline, for a short time; `huepose chaos` injects all, for longer."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ from tests.services.conftest import runs, started_by, until
 
 pytestmark = [pytest.mark.live, pytest.mark.pipeline, pytest.mark.timeout(900)]
 
-# Of the camera, of the bus, of a worker, of a reader. 10 Hz: how late things are on a busy computer is not
-# what this is about.
+# Faults of the camera, the bus, a worker and a subscriber. At 10 Hz, because a busy computer may be slow.
 SLOW, SHORT_S = 3.0, 2.5
-LONG = (21, 22)  # what is kept, and which of two cameras is heard, is decided within seconds
+LONG = (21, 22)  # these need seconds: what is kept, and which of two cameras is used
 SHORT = (
     "last image with new timestamps",
     "depth 3 images late",
@@ -51,7 +50,7 @@ def test_what_must_hold_holds(system, name):
     fault = FAULT[name]
     if fault.number not in LONG:
         fault = replace(fault, seconds=min(fault.seconds, SHORT_S))
-    # After the fault before, it was waited for until all was well.
+    # `strike` waited until the pipeline had recovered from the previous fault.
     outcome = strike(system, fault, 120.0, steady_s=0.5)
     assert outcome.broken == [], (outcome, system.log()[-2000:])
     assert outcome.tracking_poses > 0
@@ -74,7 +73,7 @@ def test_the_pipeline_ends_with_the_chaos_that_started_it(tmp_path, number):
         assert list(tmp_path.glob("huepose-live-*")) == []
 
 
-def test_a_pipeline_that_cannot_be_listened_to_is_ended(monkeypatch):
+def test_a_pipeline_whose_messages_cannot_be_read_is_ended(monkeypatch):
     monkeypatch.setattr(chaos_system, "Reader", lambda *_: 1 // 0)
     system = LivePipeline()
     with pytest.raises(ZeroDivisionError), system:

@@ -1,4 +1,4 @@
-"""Faults that no running pipeline can be given from outside: of clocks, networks, files, flow."""
+"""Faults that cannot be injected into a running pipeline from outside: of clocks, networks and files."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ POSE = example(PoseMessage)
 SECOND = 1_000_000_000
 
 
-def test_5_the_wall_clock_is_set_and_poses_stay_where_they_are_in_time(monkeypatch):
-    """Stamps are of a clock that nobody sets; what relates them to the wall's is of now."""
+def test_5_setting_the_wall_clock_does_not_change_capture_times(monkeypatch):
+    """Timestamps are of a clock that cannot be set; their offset to the wall clock is the current one."""
     bus = FakeBus("camera")
     publisher = FramePublisher(bus, Config())
     camera = Camera(60.0, 60.0, 31.5, 23.5, 64, 48)
@@ -50,8 +50,8 @@ def test_5_the_wall_clock_is_set_and_poses_stay_where_they_are_in_time(monkeypat
 
 
 @pytest.mark.parametrize(("skew_s", "known"), [(0.0, True), (0.05, True), (3600.0, False), (-3600.0, False)])
-def test_23_a_subscriber_whose_clock_is_wrong_gets_no_old_pose_for_a_new_one(skew_s, known):
-    """What came and when is told by its own clock, where something is now by both."""
+def test_23_a_subscriber_with_a_wrong_clock_does_not_take_old_poses_for_new(skew_s, known):
+    """The age of messages is of the subscriber's clock; the pose predicted to now needs both clocks."""
     with PoseClient(f"tcp/127.0.0.1:{free_port_range(1)}") as client:
         now = time.monotonic_ns()
         offset_ns = time.time_ns() - now - round(skew_s * SECOND)
@@ -71,7 +71,7 @@ def test_23_a_subscriber_whose_clock_is_wrong_gets_no_old_pose_for_a_new_one(ske
         if there is not None:
             assert there.ahead_s < 0.1, "it is predicted for a tenth of a second at most"
             grown = np.diag(there.covariance)[:3] > np.array(POSE.covariance).reshape(6, 6).diagonal()[:3]
-            assert grown.all(), "and says how sure that is"
+            assert grown.all(), "and its uncertainty grows"
         client._arrived = {key: at - 5.0 for key, at in client._arrived.items()}
         assert client.latest(max_age_s=4.0) is None
 
@@ -105,7 +105,7 @@ def test_14_a_damaged_model_is_named_and_the_pipeline_ends(tmp_path):
 
 
 class _Work(Work):
-    """A worker's work that fails so often in a row, as a network does that gets no memory on its GPU."""
+    """A worker's work whose first `fails` steps fail, as a network's that gets no memory on its GPU."""
 
     def __init__(self, fails):
         self.fails, self.steps, self.finished = fails, 0, False
@@ -133,7 +133,7 @@ def _looped(work):
     return health
 
 
-def test_20_a_network_that_gets_no_memory_for_a_while_is_counted_and_tried_again(capfd):
+def test_20_a_network_that_gets_no_memory_for_a_while_is_counted_and_retried(capfd):
     work = _Work(fails=9)
     health = _looped(work)
     assert (work.steps, health.errors) == (10, 9)
@@ -141,6 +141,6 @@ def test_20_a_network_that_gets_no_memory_for_a_while_is_counted_and_tried_again
     assert "going on" in capfd.readouterr().err
 
 
-def test_20_one_that_never_gets_any_ends_its_worker_which_is_started_again(capfd):
+def test_20_a_network_that_never_gets_memory_ends_its_worker(capfd):
     with pytest.raises(RuntimeError, match="Failed to allocate memory"):
         _looped(_Work(fails=100))

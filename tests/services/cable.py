@@ -1,10 +1,10 @@
 """A network cable between two network namespaces, in software: it delays, loses, and can be cut.
 
-    python cable.py NAMESPACE ADDRESS NAMESPACE ADDRESS
+python cable.py NAMESPACE ADDRESS NAMESPACE ADDRESS
 
-makes a device `cable` with that address in each. Orders are lines on standard input: `delay MS`, `loss SHARE`
-(of the packets, each way), `rate MBIT` (a second, each way), `cut`, `mend`; each is answered with a line: how
-many bytes went each way so far.
+makes a device `cable` with that address in each. Commands are lines on standard input: `delay MS`, `loss
+SHARE` (of the packets, each way), `rate MBIT` (a second, each way), `cut`, `mend`. The answer to each is a
+line with the bytes sent each way so far.
 """
 
 import ctypes
@@ -21,7 +21,7 @@ from contextlib import suppress
 
 _MTU = 1500
 _QUEUE_S = 0.1
-"""What would wait longer for its turn is lost."""
+"""A packet that would wait longer is lost."""
 
 
 def _device(namespace, address):
@@ -40,13 +40,13 @@ def _device(namespace, address):
 
 
 def main():
-    """Until standard input ends."""
+    """Runs until standard input ends."""
     ends = [_device(sys.argv[1], sys.argv[2]), _device(sys.argv[3], sys.argv[4])]
     delay_s, loss, whole = 0.0, 0.0, True
     chance, order = random.Random(1), 0
-    bytes_s, free = float("inf"), [0.0, 0.0]  # when the cable has sent what it has
-    went = [0, 0]
-    under_way = []  # when it arrives, which came first, where, what
+    bytes_s, free = float("inf"), [0.0, 0.0]  # when each direction is free again
+    sent = [0, 0]
+    under_way = []  # arrival time, order, end, packet
     selector = selectors.DefaultSelector()
     for end in (*ends, 0):
         selector.register(end, selectors.EVENT_READ)
@@ -63,7 +63,7 @@ def main():
                     bytes_s = 1e6 / 8 * float(value[0]) if what == "rate" else bytes_s
                     loss = float(value[0]) if what == "loss" else loss
                     whole = what == "mend" or (whole and what != "cut")
-                    print(*went, flush=True)
+                    print(*sent, flush=True)
                 continue
             side = ends.index(key.fd)
             for _ in range(64):
@@ -73,7 +73,7 @@ def main():
                     break
                 now = time.monotonic()
                 if whole and chance.random() >= loss and free[side] - now < _QUEUE_S:
-                    went[side] += len(packet)
+                    sent[side] += len(packet)
                     order += 1
                     free[side] = max(free[side], now) + len(packet) / bytes_s
                     heapq.heappush(under_way, (free[side] + delay_s, order, ends[1 - side], packet))

@@ -27,7 +27,7 @@ STAMPS_NS = [1_000_000_000 + i * 30_000_000 + (i % 3) * 5_000_000 for i in range
 
 @pytest.fixture
 def scene(tmp_path):
-    """A BOP scene of 12 frames of 64 x 48 pixels with uneven stamps and one label; image 5 is red."""
+    """A BOP scene of 12 frames of 64 x 48 pixels with uneven timestamps and one label; image 5 is red."""
     folder = tmp_path / "scene"
     (folder / "rgb").mkdir(parents=True)
     (folder / "depth").mkdir()
@@ -48,7 +48,7 @@ def scene(tmp_path):
 
 
 def free_port_range(count: int) -> int:
-    """The first of some ports in a row that are free now."""
+    """The first of `count` consecutive ports that are free now."""
     rng = np.random.default_rng()
     while True:
         base = int(rng.integers(20_000, 60_000))
@@ -86,7 +86,8 @@ def pipeline(tmp_path, scene, base_port):
 
 @pytest.fixture(scope="session")
 def recording(tmp_path_factory, tea_box):
-    """A second of the built-in scene with one object, as a BOP scene that closes; the folder of its model."""
+    """A second of the built-in scene with one object, as a BOP scene that repeats without a jump;
+    with its folder, which also has the model, its mesh and labels."""
     folder = tmp_path_factory.mktemp("recording")
     mesh = tea_box.mesh
     save_model(replace(tea_box, object_id=1, tables=None), model_path(folder / "bundles", NAME))
@@ -107,8 +108,8 @@ def recording(tmp_path_factory, tea_box):
 
 
 def patient_pipeline(bundles, scene, **changes):
-    """A pipeline that plays a scene again and again: slow and patient, since late on a busy machine is not
-    what its tests are about."""
+    """A pipeline that repeats a scene slowly, with long deadlines: its tests are not about delays on a busy
+    machine."""
     return {
         "bundles": str(bundles),
         "objects": [{"name": NAME}],
@@ -123,7 +124,7 @@ def patient_pipeline(bundles, scene, **changes):
 
 @contextmanager
 def processes():
-    """A function that starts `huepose` processes; those that are left are ended."""
+    """A function that starts `huepose` processes; at the end, those that still run are ended."""
     processes = []
 
     def start(*arguments):
@@ -149,7 +150,7 @@ def processes():
 
 @pytest.fixture
 def same_handlers():
-    """Signals are handled after the test as they were before."""
+    """Restores the signal handlers after the test."""
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     yield
     for number, handler in before.items():
@@ -157,12 +158,12 @@ def same_handlers():
 
 
 def heeds_ctrl_c():
-    """Done in a process as it starts: who starts the tests may ignore SIGINT, which is inherited."""
+    """For a process as it starts: it inherits an ignored SIGINT from a program that runs the tests."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def started_by(pid):
-    """The processes that a process has started and that have not ended."""
+    """The child processes of a process."""
     try:
         return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     except OSError:
@@ -171,7 +172,7 @@ def started_by(pid):
 
 def runs(pid):
     try:
-        # One that has ended stays in the list until its new parent looks.
+        # A process that has ended stays listed until its new parent waits for it.
         return "(zombie)" not in Path(f"/proc/{pid}/status").read_text()
     except OSError:
         return False
@@ -185,10 +186,10 @@ def huepose():
 
 
 def until(condition, timeout_s=10.0, act=lambda: time.sleep(0.02)):
-    """What a condition gives once it gives something; meanwhile `act` is done again and again."""
+    """The first true value of a condition; `act` is called until then."""
     deadline = time.monotonic() + timeout_s
     while not (found := condition()):
-        assert time.monotonic() < deadline, "it did not come about in time"
+        assert time.monotonic() < deadline, "the condition did not hold in time"
         act()
     return found
 
@@ -204,7 +205,7 @@ Says = Callable[[Sequence[object]], str]
 
 @pytest.fixture
 def refused(capsys) -> Says:
-    """A function of a command's words: what it says on the error output as it refuses them."""
+    """A function of a command's words: its error output, after it has refused them."""
 
     def said(words):
         try:
@@ -219,7 +220,7 @@ def refused(capsys) -> Says:
 
 @pytest.fixture
 def printed(capsys) -> Says:
-    """A function of a command's words: what it prints, and nothing goes wrong."""
+    """A function of a command's words: its output, after it has succeeded."""
 
     def said(words):
         assert main([str(word) for word in words]) == 0
@@ -255,8 +256,8 @@ def frames():
 
 @pytest.fixture
 def python_camera(tmp_path):
-    """Writes cam.py: a camera of coloured noise 0.7 m away; `change` is done to `color`, `depth` and
-    `stamp_ns`."""
+    """Writes cam.py: a camera of coloured noise 0.7 m away; the statements `change` may change `color`,
+    `depth`, `stamp_ns` and `focal`."""
 
     def write(change, width=64, every_s=0.02):
         text = PYTHON_CAMERA.replace("WIDTH", str(width)).replace("EVERY_S", str(every_s))

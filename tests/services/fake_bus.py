@@ -31,8 +31,8 @@ def _nothing(*_, **__):
 
 
 class FakeBus:
-    """Gives the messages in `arriving`, by their kind, and the workers in `begun`; keeps what is published,
-    logged and said of health."""
+    """Gives the messages in `arriving`, by their kind, and the workers in `begun`; keeps the published
+    messages, the log and the health messages."""
 
     frames = staticmethod(_nothing)
 
@@ -67,5 +67,5 @@ class FakeBus:
 
     @property
     def headers(self):
-        """Of the frames that were published."""
+        """The headers of the published frames."""
         return [message for message in self.said if isinstance(message, FrameHeader)]

@@ -1,5 +1,5 @@
-"""A cube in the middle of a picture, a detector that sees what it is told, and what is asked for: shared by
-the tests of those that turn detections into answers."""
+"""A cube in the middle of an image, a detector with given results, and requests: shared by the tests of box
+finders."""
 
 import numpy as np
 
@@ -24,9 +24,9 @@ MIDDLE = Box(294.0, 214.0, 53.0, 53.0)
 LEFT, RIGHT = Box(50, 200, 60, 60), Box(500, 200, 60, 60)
 
 
-class Seer:
-    """Sees what it was told, of those objects that are asked for or that are waiting and noticed, and
-    remembers what was asked."""
+class FakeDetector:
+    """A detector that gives its detections of the requested objects, and of waiting objects that are
+    `noticed`; it keeps the requests."""
 
     def __init__(self, *detections, noticed=()):
         self.detections, self.asked, self.thorough, self.followed = detections, [], [], {}
@@ -47,7 +47,7 @@ def outlines(*names):
 
 
 def answer(finder, *objects, waiting=()):
-    """What a finder of boxes answers to a request about a picture."""
+    """The answer of a box finder to a request about a frame."""
     depth = np.ones((480, 640), np.float32)
     frame = RgbdFrame(np.zeros((480, 640, 3), np.uint8), depth, CAMERA, 7, STAMP, 1)
     header = FrameHeader(
@@ -72,7 +72,7 @@ def answer(finder, *objects, waiting=()):
 
 
 def tracked(age_s=0.0):
-    """The cube as instance 3, with the pose that it had so long ago."""
+    """A request for the cube as instance 3, with its pose of `age_s` ago."""
     prior = Prior(
         translation=(0.0, 0.0, 1.0), quaternion=(0.0, 0.0, 0.0, 1.0), stamp_ns=STAMP - round(age_s * 1e9)
     )
@@ -80,5 +80,5 @@ def tracked(age_s=0.0):
 
 
 def new(name="cube", wanted=1, others=()):
-    """Instances that have no pose yet, beside others with these priors."""
+    """A request for new instances; others: priors of the tracked ones."""
     return RequestedObject(object=name, instance=None, wanted=wanted, others=list(others))

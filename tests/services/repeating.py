@@ -1,4 +1,4 @@
-"""Something that is done again and again while a test looks at what it makes."""
+"""An action that is repeated while a test looks at its results."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def repeating(act: Callable[[int], None], every_s: float) -> Iterator[None]:
-    """In a thread of its own, with 1, 2, 3 and so on."""
+    """Calls `act` in a thread of its own, with 1, 2, 3 and so on."""
     done = threading.Event()
 
     def repeat() -> None:

@@ -1,4 +1,4 @@
-"""Sessions and buses, as tests open them in the place of workers and of routers."""
+"""Sessions and buses that tests open in place of workers and routers."""
 
 import threading
 
@@ -8,7 +8,7 @@ from huepose_services.runtime.session import open_worker_session
 
 
 def listening(*endpoints, mode="peer"):
-    """zenoh's configuration of who listens there, and looks for nobody; mode: also `router`."""
+    """zenoh's configuration of a session that listens there, without scouting; mode: also `router`."""
     return configured(
         {
             "mode": mode,
@@ -30,7 +30,7 @@ def close_bus(bus):
 
 
 class Working:
-    """A worker's steps, one after the other in a thread of their own, until it is closed."""
+    """Runs a worker's steps in a thread of its own, until it is closed."""
 
     def __init__(self, bus, work):
         self._bus, self._work = bus, work

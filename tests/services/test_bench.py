@@ -1,4 +1,4 @@
-"""A bench: libraries have one thread; the chart has a row for each thing that has stages."""
+"""A benchmark: libraries use one thread; the chart has a row for each part that has stages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from huepose_services.cli.bench import draw_stages
 from huepose_services.runtime.threads import THREAD_VARIABLES
 
 
-def test_what_has_stages_gets_a_row(tmp_path: Path) -> None:
+def test_each_part_that_has_stages_gets_a_row(tmp_path: Path) -> None:
     tracking = [("track", 9.0, 20.0), ("track/follow", 8.0, 19.0), ("segment", 3.0, 4.0)]
     finding = [("detect", 50.0, 60.0), ("detect/look", 8.0, 9.0), ("detect two", 26.0, 40.0)]
     draw_stages(tmp_path / "a.png", [*tracking, *finding])

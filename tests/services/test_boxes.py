@@ -1,4 +1,4 @@
-"""Outlines of known objects in a picture."""
+"""Outlines of known objects in an image."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The reference models of the built-in scene: those of old versions go when new ones are made."""
+"""The reference models of the built-in scene: those of old versions are deleted when new ones are made."""
 
 import fcntl
 import os
@@ -13,7 +13,7 @@ from huepose_services import builtin
 
 
 def folder(home: Path, name: str, days: float) -> Path:
-    """One that was last asked for so many days ago."""
+    """A folder of models that was last used so many days ago."""
     place = home / "huepose" / "builtin" / name
     place.mkdir(parents=True)
     for file in ("tea_box.huepose", ".lock"):
@@ -23,12 +23,12 @@ def folder(home: Path, name: str, days: float) -> Path:
 
 
 @pytest.mark.timeout(60)
-def test_models_that_nobody_asks_for_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unused_models_are_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     there = builtin.builtin_bundles(0)
     monkeypatch.setattr(builtin, "cache_folder", lambda: tmp_path / "huepose")
     old, young = folder(tmp_path, "old", UNUSED_DAYS + 1), folder(tmp_path, "young", UNUSED_DAYS - 1)
     now = folder(tmp_path, there.name, UNUSED_DAYS + 1)
-    # Another process makes the models, so that this one learns none.
+    # Another process makes the models, so that this one makes none.
     with (now / ".lock").open("r+") as other, ThreadPoolExecutor(1) as pool:
         fcntl.flock(other, fcntl.LOCK_EX)
         asked = pool.submit(builtin.builtin_bundles.__wrapped__, 0)

@@ -45,7 +45,7 @@ def _next_pose(bus, queue):
 
 
 def _saying(say, bus):
-    """Something is said, and the reader looks a moment for it."""
+    """A function that publishes something and waits a moment for it."""
 
     def act():
         say()
@@ -55,14 +55,14 @@ def _saying(say, bus):
 
 
 def _until_heard(publish, place, bus):
-    """Publish until the subscription has been seen by the publisher, then empty the place."""
+    """Publishes until a message arrives in the place, then empties the place."""
     until(lambda: place, act=_saying(lambda: publish(_numbered(0)), bus))
     time.sleep(0.1)
     while place.take() is not None:
         pass
 
 
-def test_a_reader_without_memory_for_one_message_hears_the_next(buses):
+def test_a_reader_without_memory_for_one_message_gets_the_next(buses):
     camera, tracker = buses
     queue = tracker.inbox.queue(tracker.keys.pose("x", 1))
     key = camera.keys.pose("x", 1)
@@ -84,7 +84,7 @@ def test_a_reader_without_memory_for_one_message_hears_the_next(buses):
     assert tracker.inbox.drops == drops + 1
 
 
-def test_a_slow_reader_of_a_ring_sees_the_newest(buses):
+def test_a_slow_reader_of_a_ring_gets_the_newest(buses):
     camera, tracker = buses
     ring = tracker.inbox.ring("t/ring")
     _until_heard(lambda m: camera.put("t/ring", m), ring, tracker)
@@ -92,7 +92,7 @@ def test_a_slow_reader_of_a_ring_sees_the_newest(buses):
     for i in range(1, 51):
         camera.put("t/ring", _numbered(i))
     time.sleep(0.3)
-    # Of a burst some may be dropped on the way; the next one finds the way free.
+    # Some of a burst may be dropped on the way; a later one is not.
     camera.put("t/ring", _numbered(51))
     time.sleep(0.5)
     assert tracker.take(ring, PoseMessage).frame_id == 51
@@ -188,7 +188,7 @@ def test_a_camera_started_again_needs_room_for_the_pool_that_readers_keep():
     assert pool_fits(2 * MIB, 8 * MIB, pools=2)
 
 
-def test_the_list_of_objects_is_remembered_for_who_comes_back(buses):
+def test_the_list_of_objects_is_kept_for_workers_that_come_back(buses):
     camera, tracker = buses
     memory = Memory(tracker)
     assert recall(camera) == []
@@ -215,7 +215,7 @@ def test_what_says_it_is_of_the_future_is_refused(buses, name):
     assert tracker.health.counters["wire_errors"] == 1
 
 
-def test_frames_of_a_second_camera_take_the_place_of_none_and_are_told(buses):
+def test_frames_of_a_second_camera_replace_none_and_are_reported(buses):
     camera, tracker = buses
     ring = tracker.frames()
     specs, payload = pack(images())
@@ -236,7 +236,7 @@ def test_frames_of_a_second_camera_take_the_place_of_none_and_are_told(buses):
     assert any("second camera" in warning for warning in health.warnings)
 
 
-def test_an_older_frame_that_comes_later_takes_the_place_of_none(buses):
+def test_an_older_frame_that_comes_later_replaces_none(buses):
     camera, tracker = buses
     ring = tracker.frames()
     specs, payload = pack(images())
@@ -255,7 +255,7 @@ def test_an_older_frame_that_comes_later_takes_the_place_of_none(buses):
     assert header.frame_id == 6
 
 
-def test_workers_are_told_as_they_begin_those_that_are_there_first(buses):
+def test_workers_are_reported_as_they_start_after_those_that_run_already(buses):
     camera, tracker = buses
     there, gone = (camera.session.liveliness().declare_token(camera.keys.live(w)) for w in ("one", "gone"))
     tokens, begun = tracker.inbox.liveliness(tracker.keys.live()), []

@@ -1,4 +1,4 @@
-"""`huepose estimate`: files in; JSON, a picture and an explanation out; and what is said when something is
+"""`huepose estimate`: files in; JSON, an image and an explanation out; and the errors if something is
 missing."""
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def files(
 
 
 def written(folder: Path, frame: RgbdFrame, *models: ReferenceModel) -> list[str]:
-    """They are on disk; the arguments that name them."""
+    """Writes a frame and models; gives the arguments that name them."""
     cv2.imwrite(str(folder / "color.png"), frame.color[..., ::-1])
     cv2.imwrite(str(folder / "depth.png"), np.round(frame.depth * 10000).astype(np.uint16))
     numbers = {key: getattr(frame.camera, key) for key in ("fx", "fy", "cx", "cy", "width", "height")}
@@ -48,13 +48,13 @@ def written(folder: Path, frame: RgbdFrame, *models: ReferenceModel) -> list[str
 
 
 def other(files: list[str], option: str, path: Path) -> list[str]:
-    """The same with another file."""
+    """The arguments with another file."""
     at = files.index(option) + 1
     return [*files[:at], str(path), *files[at + 1 :]]
 
 
 def other_camera(files: list[str], path: Path, **times: float) -> list[str]:
-    """The same with a camera some of whose numbers are so many times as large."""
+    """The arguments with a camera some of whose numbers are multiplied."""
     camera = json.loads(Path(files[files.index("--camera") + 1]).read_text())
     path.write_text(json.dumps(camera | {key: by * camera[key] for key, by in times.items()}))
     return other(files, "--camera", path)
@@ -71,7 +71,7 @@ def box(tea_box: ReferenceModel, box_frame: RgbdFrame, standing: np.ndarray) -> 
     return ["--box", *(str(x) for x in bounds)]
 
 
-def test_so_many_instances_are_found_as_are_asked_for(
+def test_all_instances_are_found_and_no_others(
     tmp_path: Path,
     tea_box: ReferenceModel,
     take_picture: TakePicture,
@@ -86,7 +86,7 @@ def test_so_many_instances_are_found_as_are_asked_for(
     np.testing.assert_allclose(x, [T[0, 3] for T in truths], atol=0.003)
 
 
-def test_each_instance_has_its_explanation_and_no_more_are_given_than_are_asked_for(
+def test_each_instance_has_its_explanation_and_no_more_are_given_than_requested(
     tmp_path: Path,
     tea_box: ReferenceModel,
     take_picture: TakePicture,
@@ -107,17 +107,17 @@ def test_each_instance_has_its_explanation_and_no_more_are_given_than_are_asked_
 
 
 @pytest.mark.parametrize(("number", "said"), [("0", "1 or more"), ("2", "one of the two")])
-def test_a_number_of_instances_that_means_nothing_is_refused(
+def test_an_invalid_number_of_instances_is_refused(
     number: str, said: str, files: list[str], box: list[str], refused: Says
 ) -> None:
     assert said in refused([*files, *box, "--instances", number])
 
 
-def test_a_pose_as_json_a_picture_and_an_explanation(
+def test_a_pose_is_written_as_json_image_and_explanation(
     files: list[str], box: list[str], tmp_path: Path, standing: np.ndarray
 ) -> None:
-    out, picture, why = tmp_path / "out.json", tmp_path / "out.png", tmp_path / "why"
-    results = ["--json", str(out), "--image", str(picture), "--explain", str(why)]
+    out, image, why = tmp_path / "out.json", tmp_path / "out.png", tmp_path / "why"
+    results = ["--json", str(out), "--image", str(image), "--explain", str(why)]
     assert main([*files, *box, "--object", "tea_box", *results]) == 0
     (pose,) = json.loads(out.read_text())["poses"]
     keys = {"object", "found", "reason", "T_cam_obj", "quality", "covariance", "state", "box", "seconds"}
@@ -126,7 +126,7 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
     assert pose["state"] == "TRACKING"
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
     assert np.array(pose["covariance"]).shape == (6, 6)
-    assert cv2.imread(str(picture)).shape == (480, 640, 3)
+    assert cv2.imread(str(image)).shape == (480, 640, 3)
     names = {f"tea_box_{part}" for part in ("why.png", "masks.png", "views.png", "pose.png", "scores.json")}
     assert {p.name for p in why.iterdir()} == names
     record = json.loads((why / "tea_box_scores.json").read_text())
@@ -136,7 +136,7 @@ def test_a_pose_as_json_a_picture_and_an_explanation(
     assert scores[0]["terms"]["color"] > 0.5
 
 
-def test_without_a_box_the_object_is_found_in_the_whole_picture(
+def test_without_a_box_the_object_is_found_in_the_whole_image(
     files: list[str], printed: Says, standing: np.ndarray
 ) -> None:
     (pose,) = json.loads(printed([*files, "--json"]))["poses"]
@@ -145,7 +145,7 @@ def test_without_a_box_the_object_is_found_in_the_whole_picture(
     assert np.abs(np.array(pose["T_cam_obj"]) - standing).max() < 0.01
 
 
-def test_depth_of_another_unit_is_named_where_nothing_is_found(
+def test_depth_of_another_unit_is_named_if_nothing_is_found(
     files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     main([*other_camera(files, tmp_path / "camera.json", depth_scale_m=10.0), "--json"])
@@ -154,7 +154,7 @@ def test_depth_of_another_unit_is_named_where_nothing_is_found(
     assert pose["reason"].endswith("is the depth scale right?")
 
 
-def test_no_pose_is_tracking_where_sizes_do_not_fit_unless_they_are_not_checked(
+def test_no_pose_is_tracking_if_sizes_do_not_fit_unless_the_check_is_off(
     files: list[str], box: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = [*other_camera(files, tmp_path / "camera.json", fx=1.15, fy=1.15), *box, "--json"]
@@ -169,7 +169,7 @@ def test_no_pose_is_tracking_where_sizes_do_not_fit_unless_they_are_not_checked(
     assert (said["poses"][0]["state"], said["poses"][0]["reason"]) == ("TRACKING", None)
 
 
-def test_of_several_objects_the_one_of_another_size_is_suspect_alone(
+def test_of_several_objects_only_the_one_of_another_size_is_suspect(
     box_and_can: dict[str, ReferenceModel],
     larger_box: Callable[[float], RgbdFrame],
     tmp_path: Path,
@@ -187,7 +187,7 @@ def test_of_several_objects_the_one_of_another_size_is_suspect_alone(
     assert not any("than its mesh" in str(pose["reason"]) for pose in said["poses"])
 
 
-def test_no_pose_is_tracking_where_depth_lies_far_beside_the_colours(
+def test_no_pose_is_tracking_if_depth_is_far_out_of_alignment(
     files: list[str], box: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     depth = cv2.imread(files[files.index("--depth") + 1], cv2.IMREAD_UNCHANGED)
@@ -196,11 +196,13 @@ def test_no_pose_is_tracking_where_depth_lies_far_beside_the_colours(
     said = json.loads(capsys.readouterr().out)
     assert said["poses"][0]["state"] != "TRACKING"
     assert "20.0 px to the left" in said["doubts"][0]
-    assert not any("than their depth says" in doubt for doubt in said["doubts"]), "sizes are seen aside, too"
+    assert not any("than their depth says" in doubt for doubt in said["doubts"]), (
+        "only the alignment is reported"
+    )
 
 
 @pytest.mark.parametrize(("option", "place"), [("--explain", "why"), ("--image", "out.png")])
-def test_a_disk_that_takes_no_picture_does_not_cost_the_answer(
+def test_if_an_image_cannot_be_written_the_answer_is_still_given(
     option: str,
     place: str,
     files: list[str],
@@ -209,7 +211,7 @@ def test_a_disk_that_takes_no_picture_does_not_cost_the_answer(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    def full(path: Path, picture: np.ndarray) -> None:
+    def full(path: Path, image: np.ndarray) -> None:
         raise InputError(path, found="No space left on device", expected="a place that can be written")
 
     for module in ("estimate", "explain"):
@@ -223,7 +225,7 @@ def test_a_disk_that_takes_no_picture_does_not_cost_the_answer(
     assert "found No space left on device" in said.err
 
 
-def test_why_an_object_is_not_found_is_said_and_drawn(
+def test_the_reason_why_an_object_is_not_found_is_given_and_drawn(
     files: list[str],
     tea_box: ReferenceModel,
     take_picture: TakePicture,
@@ -231,21 +233,21 @@ def test_why_an_object_is_not_found_is_said_and_drawn(
     tmp_path: Path,
     printed: Says,
 ) -> None:
-    """A thing of the same shape in another print stands where the object could."""
-    thing = replace(tea_box.mesh, texture=np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1]))
-    cv2.imwrite(str(tmp_path / "color.png"), take_picture([(thing, standing)]).color[..., ::-1])
+    """A look-alike, of the same shape with another texture, is in the place of the object."""
+    look_alike = replace(tea_box.mesh, texture=np.ascontiguousarray(tea_box.mesh.texture[::-1, ::-1, ::-1]))
+    cv2.imwrite(str(tmp_path / "color.png"), take_picture([(look_alike, standing)]).color[..., ::-1])
     arguments = other(files, "--color", tmp_path / "color.png")
     (pose,) = json.loads(printed([*arguments, "--explain", tmp_path / "why", "--json"]))["poses"]
     assert not pose["found"]
     assert re.search(r"probability of 0\.\d\d, which is under 0\.60: [a-z ]+\.$", pose["reason"])
     record = json.loads((tmp_path / "why" / "tea_box_scores.json").read_text())
-    assert (record["state"], record["reason"]) == ("LOST", pose["reason"]), "as it is answered"
+    assert (record["state"], record["reason"]) == ("LOST", pose["reason"]), "as in the answer"
     page = cv2.imread(str(tmp_path / "why" / "tea_box_places.png"))
     assert page.shape[0] > 480
     assert page.shape[1] == 640
 
 
-def test_the_papers_method_answers_and_never_says_that_it_is_sure(
+def test_poses_of_the_papers_method_are_never_tracking(
     files: list[str], box: list[str], tmp_path: Path, standing: np.ndarray
 ) -> None:
     out, why = tmp_path / "out.json", tmp_path / "why"
@@ -283,7 +285,7 @@ def test_nothing_in_the_box_is_an_answer(files: list[str], printed: Says) -> Non
     assert printed(arguments).split() == f"not found: tea_box {pose['reason']}".split()
 
 
-def test_of_objects_that_are_not_found_the_same_is_said_once() -> None:
+def test_a_reason_that_several_objects_share_is_printed_once() -> None:
     here = PoseEstimate("can", T_cam_obj=np.eye(4), quality=0.9, state=State.SUSPECT, reason="Half hidden.")
     gone = [PoseEstimate(name, reason=why) for name, why in [("a", "No."), ("b", "Why."), ("c", "No.")]]
     lines = in_words([gone[0], here, *gone[1:]]).splitlines()

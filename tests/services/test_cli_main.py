@@ -1,4 +1,4 @@
-"""What every verb has in common: a place that cannot be written is found before the work."""
+"""What all commands have in common: an output path that cannot be written is refused before the work."""
 
 import json
 import os
@@ -20,7 +20,7 @@ from tests.disk import full_disk
 from tests.services.conftest import Says
 
 
-def test_a_picture_that_cannot_be_encoded_is_refused_before_the_work(tmp_path: Path, refused: Says) -> None:
+def test_an_image_that_cannot_be_encoded_is_refused_before_the_work(tmp_path: Path, refused: Says) -> None:
     lacking = [f"--{option}=no_{option}" for option in ("color", "depth", "camera", "bundles")]
     error = refused(["estimate", *lacking, "--image", tmp_path / "out.foo"])
     assert "out.foo: found an image that cannot be encoded" in error
@@ -36,7 +36,7 @@ def test_a_picture_that_cannot_be_encoded_is_refused_before_the_work(tmp_path: P
         ["bench", "bus", "--json", "{file}/deep/down/out.json"],
     ],
 )
-def test_results_that_cannot_be_written_end_it_before_the_work(
+def test_results_that_cannot_be_written_are_refused_before_the_work(
     arguments: list[str], tmp_path: Path, refused: Says
 ) -> None:
     file = tmp_path / "file"
@@ -54,7 +54,7 @@ def test_results_that_cannot_be_written_end_it_before_the_work(
         ("--image", "folder", "found a folder; expected a file, which may be new"),
     ],
 )
-def test_a_file_for_a_folder_and_a_folder_for_a_file_end_it_before_the_work(
+def test_a_file_for_a_folder_and_a_folder_for_a_file_are_refused_before_the_work(
     option: str, given: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").write_text("")
@@ -75,7 +75,7 @@ def test_a_file_for_a_folder_and_a_folder_for_a_file_end_it_before_the_work(
         ["bench", "estimate", "--picture", "/proc/stages.png"],
     ],
 )
-def test_a_folder_in_which_nothing_can_be_made_ends_it_before_the_work(
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(
     arguments: list[str], refused: Says, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir("/proc")
@@ -92,7 +92,7 @@ def test_a_folder_in_which_nothing_can_be_made_ends_it_before_the_work(
         "view --save {folder}/out.rrd",
     ],
 )
-def test_the_folder_of_a_picture_and_of_a_recording_has_to_be_there(
+def test_the_folder_of_an_image_and_of_a_recording_must_exist(
     line: str, tmp_path: Path, refused: Says
 ) -> None:
     folder = tmp_path / "mistyped"
@@ -101,15 +101,15 @@ def test_the_folder_of_a_picture_and_of_a_recording_has_to_be_there(
     assert not folder.exists()
 
 
-@pytest.mark.parametrize(("number", "told"), [(28, True), (11, False)])  # a full disk; a lack of processes
-def test_what_the_disk_says_is_told_and_anything_else_is_our_mistake(
-    number: int, told: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("number", "named"), [(28, True), (11, False)])  # a full disk; a lack of processes
+def test_errors_of_the_disk_are_input_errors_and_others_are_raised(
+    number: int, named: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def work(parsed: object) -> int:
         raise OSError(number, "the reason", "out.json")
 
     monkeypatch.setattr("huepose_services.cli.validate.call", work)
-    if told:
+    if named:
         assert command_line.main(["validate"]) == BAD_INPUT
         assert capsys.readouterr().err == "huepose validate: out.json: found the reason.\n"
     else:
@@ -127,7 +127,7 @@ def test_an_answer_is_printed_before_a_full_disk_refuses_its_file(
     assert not path.exists()
 
 
-def test_output_that_cannot_be_written_is_told_once() -> None:
+def test_output_that_cannot_be_written_is_reported_once() -> None:
     command = [sys.executable, "-m", "huepose_services.cli.main", "models", "list"]
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}
     with open("/dev/full", "w") as full:
@@ -140,9 +140,7 @@ def test_output_that_cannot_be_written_is_told_once() -> None:
     ("arguments", "meant"),
     [(["estmate"], "estimate"), (["objects", "lst"], "list"), (["demo", "--segmenter", "deptj"], "depth")],
 )
-def test_a_mistyped_word_is_answered_with_the_one_that_may_be_meant(
-    arguments: list[str], meant: str, refused: Says
-) -> None:
+def test_a_mistyped_word_gets_a_suggestion(arguments: list[str], meant: str, refused: Says) -> None:
     assert f"there is no '{arguments[-1]}': did you mean '{meant}'?" in refused(arguments)
 
 
@@ -157,7 +155,7 @@ def test_without_a_command_the_help_is_shown(capsys: pytest.CaptureFixture[str])
 
 
 def _commands(parser: ArgumentParser) -> Iterator[ArgumentParser]:
-    """All parsers of commands, and of what these have below them."""
+    """The parsers of all commands and of their subcommands."""
     for action in parser._actions:
         if isinstance(action.choices, dict):
             for below in action.choices.values():
@@ -179,13 +177,13 @@ def test_a_mistyped_option_is_answered_by_its_command(refused: Says) -> None:
     assert "there is no option '--robbot': did you mean '--robot'?" in error
 
 
-def test_a_word_that_no_command_is_like_is_not_answered_with_one(refused: Says) -> None:
+def test_a_word_that_no_command_is_like_gets_no_suggestion(refused: Says) -> None:
     error = refused(["nonsense"])
     assert "did you mean" not in error
     assert "'onboard'" in error
 
 
-def test_an_option_that_nothing_is_like_is_not_answered_with_another(refused: Says) -> None:
+def test_an_option_that_no_other_is_like_gets_no_suggestion(refused: Says) -> None:
     assert refused(["view", "--json"]).endswith("there is no option '--json'\n")
 
 
@@ -215,7 +213,7 @@ def test_a_view_of_nothing_says_so_and_leaves_no_file(
     assert not saved.exists()
 
 
-def test_a_view_that_was_saved_before_is_not_written_over(
+def test_a_view_that_was_saved_before_is_not_overwritten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     saved = tmp_path / "out.rrd"
@@ -227,7 +225,7 @@ def test_a_view_that_was_saved_before_is_not_written_over(
 
 @pytest.mark.parametrize("line", ["record out.mcap", "view --save out.rrd", "top"])
 @pytest.mark.parametrize("seconds", ["-3", "0", "nan", "soon"])
-def test_so_many_seconds_are_more_than_none(line: str, seconds: str, refused: Says) -> None:
+def test_seconds_must_be_more_than_zero(line: str, seconds: str, refused: Says) -> None:
     assert f"found {seconds}, expected seconds, more than 0" in refused([*line.split(), "--seconds", seconds])
 
 
@@ -260,7 +258,7 @@ def test_a_seed_is_a_whole_number_that_is_not_negative(
 
 @pytest.mark.parametrize("option", ["--minutes", "--slow"])
 @pytest.mark.parametrize("number", ["-3", "0", "nan"])
-def test_what_chaos_is_told_is_more_than_none(option: str, number: str, refused: Says) -> None:
+def test_numbers_for_chaos_must_be_more_than_zero(option: str, number: str, refused: Says) -> None:
     assert f"argument {option}: found {number}, expected more than 0\n" in refused(["chaos", option, number])
 
 
@@ -282,7 +280,7 @@ def test_an_option_that_takes_several_adds_up(line: str, dest: str, given: list[
     assert getattr(command_line.build_parser().parse_args(line.split()), dest) == given
 
 
-def test_a_shell_is_told_what_may_come_next(tmp_path: Path) -> None:
+def test_a_shell_completes_commands_and_values(tmp_path: Path) -> None:
     def choices(line: str) -> set[str]:
         asked = {
             "_ARGCOMPLETE": "1",
@@ -300,7 +298,7 @@ def test_a_shell_is_told_what_may_come_next(tmp_path: Path) -> None:
     assert choices("huepose estimate --method co") == {"colorpair"}
 
 
-# What answers something, and does not run until it is stopped.
+# Commands that answer something, and do not run until they are stopped.
 ANSWERS = [
     *("demo", "estimate --color C --depth D --camera J --bundles B", "onboard M --name N --out B", "bench"),
     *("status", "objects list", "objects add N", "objects remove N", "objects reset N", "poses", "doctor"),
@@ -314,12 +312,12 @@ ANSWERS = [
 
 
 @pytest.mark.parametrize("line", ANSWERS)
-def test_every_answer_is_there_as_json(line: str) -> None:
+def test_every_answer_is_available_as_json(line: str) -> None:
     assert command_line.build_parser().parse_args([*line.split(), "--json"]).json is True
 
 
 @pytest.mark.parametrize("option", ["--max-instances", "--instances"])
-def test_how_many_of_an_object_has_the_name_of_the_configuration_too(option: str) -> None:
+def test_the_number_of_instances_may_have_the_name_of_the_configuration(option: str) -> None:
     parsed = command_line.build_parser().parse_args(["objects", "add", "mug", option, "3"])
     assert parsed.instances == 3
 
@@ -333,7 +331,7 @@ def test_an_answer_as_json_is_all_that_is_printed(tmp_path: Path, printed: Says)
     assert answer["listens"] == {}
 
 
-def test_it_is_said_where_each_camera_is_reached(tmp_path: Path, printed: Says) -> None:
+def test_validate_says_where_each_camera_is_reached(tmp_path: Path, printed: Says) -> None:
     path = tmp_path / "pipeline.yaml"
     path.write_text("workers: [camera, gateway, viewer]\ncameras: [{name: left}, {name: right}]\n")
     said = [line.split() for line in printed(["validate", path]).splitlines() if "listens" in line]
@@ -341,7 +339,7 @@ def test_it_is_said_where_each_camera_is_reached(tmp_path: Path, printed: Says) 
     assert said[1][3:5] == ["viewer.web_port", "127.0.0.1:9091,"]
 
 
-def test_ctrl_c_while_a_command_line_is_still_read_is_a_line_and_no_traceback(
+def test_ctrl_c_while_a_command_line_is_parsed_gives_no_traceback(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted() -> None:
@@ -353,7 +351,7 @@ def test_ctrl_c_while_a_command_line_is_still_read_is_a_line_and_no_traceback(
 
 
 @pytest.mark.parametrize("compiled", [False, True])
-def test_ctrl_c_while_a_module_is_imported_is_a_line_and_no_traceback(
+def test_ctrl_c_while_a_module_is_imported_gives_no_traceback(
     compiled: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     class Interrupted:
@@ -369,7 +367,7 @@ def test_ctrl_c_while_a_module_is_imported_is_a_line_and_no_traceback(
 
     monkeypatch.delitem(sys.modules, command_line.__name__)
     monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # as where a program starts
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # as when a program starts
     try:
         assert entry.main() == 130
     finally:
@@ -377,8 +375,8 @@ def test_ctrl_c_while_a_module_is_imported_is_a_line_and_no_traceback(
     assert capsys.readouterr().err == "huepose: interrupted\n"
 
 
-def test_ctrl_c_that_meets_a_callback_of_compiled_code_ends_a_command_all_the_same() -> None:
-    """Python cannot let a callback raise: it says so, and goes on."""
+def test_ctrl_c_during_a_callback_of_compiled_code_also_ends_a_command() -> None:
+    """Python cannot raise from a callback: it prints the error, and goes on."""
     program = f"""
 import ctypes, signal, sys, time
 from {entry.__name__} import main

@@ -1,4 +1,4 @@
-"""`huepose new`: from a mesh to a folder that `estimate` and a pipeline run on; compiling is told."""
+"""`huepose new`: from a mesh to a folder that `estimate` and a pipeline run on."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ def test_a_mesh_becomes_a_folder_whose_frame_gives_its_pose(
     assert load(out / "pipeline.yaml").objects[0].name == "box"
 
 
-def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, refused: Says) -> None:
+def test_an_existing_folder_is_not_changed(tmp_path: Path, refused: Says) -> None:
     (tmp_path / "pipeline.yaml").write_text("site: mine\n")
     assert "exists already" in refused(["new", "box", "box.obj", "--out", tmp_path])
     assert (tmp_path / "pipeline.yaml").read_text() == "site: mine\n"
 
 
-def test_a_file_of_the_name_of_the_folder_is_found_before_anything_is_learnt(
+def test_a_file_of_the_name_of_the_folder_is_refused_before_onboarding(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -58,7 +58,7 @@ def test_a_file_of_the_name_of_the_folder_is_found_before_anything_is_learnt(
     assert capsys.readouterr().err == "huepose new: box: found a file; expected a folder, which may be new.\n"
 
 
-def test_what_is_too_large_to_be_drawn_is_not_learnt_first(
+def test_a_mesh_that_is_too_large_to_be_rendered_is_refused_before_onboarding(
     tea_box: ReferenceModel, tmp_path: Path, refused: Says
 ) -> None:
     write_obj(tmp_path / "box.obj", replace(tea_box.mesh, vertices=tea_box.mesh.vertices * np.float32(10.0)))
@@ -70,11 +70,13 @@ def test_what_is_too_large_to_be_drawn_is_not_learnt_first(
     assert not out.exists()
 
 
-def test_ctrl_c_ends_a_demo_whose_scene_is_still_being_drawn(tea_box: ReferenceModel, tmp_path: Path) -> None:
+def test_ctrl_c_ends_a_demo_whose_scene_is_still_being_rendered(
+    tea_box: ReferenceModel, tmp_path: Path
+) -> None:
     save_model(tea_box, tmp_path / "tea_box.huepose")
-    seed = str(time.time_ns() % 10**9)  # of a scene that is not kept yet
-    # As `huepose` does: by `-m` Python ends by the signal itself where it came while `exec` or `eval` of a
-    # text ran, whatever the program makes of it.
+    seed = str(time.time_ns() % 10**9)  # of a scene that is not in the cache
+    # As `huepose` does: with `-m`, Python ends by the signal itself if it comes while `exec` or `eval` of a
+    # text runs, whatever the program does about it.
     start = "import sys; from huepose_services.cli.entry import main; sys.exit(main())"
     command = [sys.executable, "-c", start, "demo", "--bundles", str(tmp_path), "--seed", seed]
     (tmp_path / "made").mkdir()

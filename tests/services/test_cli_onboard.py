@@ -51,7 +51,7 @@ def test_a_mesh_becomes_a_model(
     assert model.tables is None
 
 
-def test_a_model_gets_what_is_asked_for_and_a_mesh_that_is_simplified_for_long_says_so(
+def test_a_model_gets_the_requested_tables_and_a_long_simplification_is_announced(
     mesh: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(batch, "MANY_TRIANGLES", 11)
@@ -68,15 +68,15 @@ def test_a_model_gets_what_is_asked_for_and_a_mesh_that_is_simplified_for_long_s
     assert len(model.tables.cloud_points) > 0
 
 
-def test_a_folder_of_models_says_what_it_replaces_and_forgets_what_was_said_of_it(
+def test_onboarding_a_folder_names_replaced_models_and_deletes_their_verdicts(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files.write_obj(tmp_path / "obj_000001.obj", solids.printed_box((0.05, 0.04, 0.03)))
     out = tmp_path / "bundles"
     one = [str(tmp_path / "obj_000001.obj"), "--name", "obj_000001", "--id", "1", "--unit", "mm"]
     assert main(["onboard", "--no-test", *one, "--symmetric", "z", "--out", str(out)]) == 0
-    said_of_it = [out / "obj_000001.verdict.json", out / "obj_000001.png"]
-    for path in said_of_it:
+    verdict_files = [out / "obj_000001.verdict.json", out / "obj_000001.png"]
+    for path in verdict_files:
         path.write_text("of the model before")
     capsys.readouterr()
     many = ["onboard-bop", str(tmp_path), "--out", str(out), "--processes", "1"]
@@ -85,12 +85,12 @@ def test_a_folder_of_models_says_what_it_replaces_and_forgets_what_was_said_of_i
     assert f"note: {out / 'obj_000001.huepose'} replaced another reference model named obj_000001" in said
     assert "To have both, onboard these into another folder, --out\n" in said
     assert said.count("replaced") == 1
-    assert not any(path.exists() for path in said_of_it)
-    for path in said_of_it:
+    assert not any(path.exists() for path in verdict_files)
+    for path in verdict_files:
         path.write_text("of this model")
     assert main(many) == 0
     assert "replaced" not in capsys.readouterr().err, "the same models again"
-    assert all(path.exists() for path in said_of_it)
+    assert all(path.exists() for path in verdict_files)
 
 
 def test_validate_repeats_the_verdict_on_an_object_until_another_model_of_its_name_replaces_it(
@@ -119,13 +119,13 @@ def test_validate_repeats_the_verdict_on_an_object_until_another_model_of_its_na
 
 @pytest.fixture
 def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keypoints of a large object are sought from twelve sides, which is most of what onboarding it takes."""
+    """Renders keypoints of a large object from twelve sides only: they take most of its onboarding."""
     monkeypatch.setattr("huepose.propose.keypoint_reference.LEVEL", 0)
 
 
 @pytest.fixture
 def centimetres(tmp_path: Path) -> Path:
-    """A brick of 15 cm whose numbers are centimetres, in a file and a folder with names of people."""
+    """A brick of 15 cm in centimetres, in a file and a folder whose names have blanks and umlauts."""
     folder = tmp_path / "Körper mit Lücke"
     folder.mkdir()
     files.write_obj(folder / "brick ä.obj", solids.printed_box((0.15, 0.08, 0.06)), scale=100.0)
@@ -133,7 +133,7 @@ def centimetres(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("verb", ["onboard", "new"])
-def test_nothing_is_learnt_of_a_mesh_whose_unit_a_script_does_not_say(
+def test_a_script_must_give_the_unit_of_a_mesh(
     centimetres: Path, tmp_path: Path, refused: Says, verb: str
 ) -> None:
     out = tmp_path / "out"
@@ -148,7 +148,7 @@ def test_nothing_is_learnt_of_a_mesh_whose_unit_a_script_does_not_say(
 
 
 @pytest.mark.usefixtures("few_views")
-def test_at_a_terminal_the_unit_is_asked_for_before_anything_is_learnt(
+def test_at_a_terminal_the_unit_is_asked_for_before_onboarding(
     centimetres: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = iter(["\n", "furlong\n", "CM\n"])
@@ -162,7 +162,7 @@ def test_at_a_terminal_the_unit_is_asked_for_before_anything_is_learnt(
     assert "15.0 x 8.0 x 6.0 cm" in said.out
 
 
-def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
+def test_a_usual_size_is_accepted_and_printed_with_the_alternatives(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((0.12, 0.08, 0.06)), scale=1000.0)
@@ -191,7 +191,7 @@ def test_a_usual_size_is_taken_and_said_with_the_others_that_it_could_be(
         (100.0, ""),
     ],
 )
-def test_of_a_unit_that_makes_an_unusual_size_it_is_warned_before_anything_is_learnt(
+def test_a_unit_that_gives_an_unusual_size_causes_a_warning_before_onboarding(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], scale: float, said: str
 ) -> None:
     files.write_obj(tmp_path / "m.obj", solids.box((0.12, 0.08, 0.06)), scale=scale)
@@ -203,7 +203,7 @@ def test_of_a_unit_that_makes_an_unusual_size_it_is_warned_before_anything_is_le
 def test_the_warning_of_an_unusual_size_comes_first_and_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    # Long and slender: the views of a large object take long to draw.
+    # Long and slender: the views of a large object take long to render.
     files.write_obj(tmp_path / "m.obj", solids.printed_box((0.048, 0.004, 0.004)), scale=1000.0)
     given = [str(tmp_path / "m.obj"), "--unit", "cm", "--out", str(tmp_path / "out")]
     assert main(["onboard", *given, "--name", "brick"]) == 0
@@ -222,7 +222,7 @@ def test_a_large_mesh_says_which_extra_it_needs(
     mesh: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Says
 ) -> None:
     monkeypatch.setattr(simplify, "MAX_TRIANGLES", 11)  # the brick has twelve triangles
-    monkeypatch.setitem(sys.modules, "open3d", None)  # as where it is not installed
+    monkeypatch.setitem(sys.modules, "open3d", None)  # as if it were not installed
     said = refused(["onboard", "--no-test", mesh, "--name", "brick", "--out", tmp_path / "out"])
     assert "this needs the Python package open3d; install it with: pip install" in said
     assert "[onboard]'" in said
@@ -279,7 +279,7 @@ def test_wrong_input_ends_with_2_and_a_fix(
 @pytest.mark.parametrize(
     ("inside", "fix"), [("brick.glb", "Did you mean {}?"), ("", "this folder has none.")]
 )
-def test_a_folder_in_the_place_of_a_mesh_is_said_to_be_one(
+def test_a_folder_instead_of_a_mesh_is_refused(
     mesh: Path, tmp_path: Path, refused: Says, inside: str, fix: str
 ) -> None:
     folder = tmp_path / "folder"

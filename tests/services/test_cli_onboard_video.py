@@ -1,4 +1,4 @@
-"""`huepose onboard --from-video`: a recording in the place of a mesh."""
+"""`huepose onboard --from-video`: a recording instead of a mesh."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bop_scene(path: Path, frames: list[RgbdFrame]) -> None:
 
 
 def recorded(path: Path, frames: list[RgbdFrame], jpeg: bool = False) -> None:
-    """Frames as `huepose record` writes them, poses and a frame that came twice between them."""
+    """Frames as `huepose record` writes them, with poses between them and one frame twice."""
     out = parts(path, jpeg=jpeg)
     for frame in [frames[0], *frames]:
         stamps = {"capture_ns": frame.stamp_ns, "publish_ns": frame.stamp_ns}
@@ -64,8 +64,8 @@ def file_of_bag(path: Path, frames: list[RgbdFrame]) -> None:
     (folder / folder.name).with_suffix(path.suffix).rename(path)
 
 
-def turned() -> list[RgbdFrame]:
-    """An object that turns by 12 degrees in three frames."""
+def rotating() -> list[RgbdFrame]:
+    """Three frames of an object that rotates by 12 degrees."""
     from tests.onboarding.test_from_video import drawn, pose
 
     return [drawn(pose(np.radians(6.0 * k)), k) for k in range(3)]
@@ -91,7 +91,7 @@ def given_for(recording: Path, out: Path) -> list[str]:
         ("of_ros.mcap", file_of_bag, 0, 0),
     ],
 )
-def test_of_every_kind_of_recording_each_frame_is_learnt_from(
+def test_all_frames_of_every_kind_of_recording_are_used(
     name: str,
     write: Callable[[Path, list[RgbdFrame]], None],
     colour_off: float,
@@ -107,7 +107,7 @@ def test_of_every_kind_of_recording_each_frame_is_learnt_from(
         raise KeyboardInterrupt
 
     monkeypatch.setattr("huepose.onboarding.from_video.learn", learn)
-    frames = turned()
+    frames = rotating()
     write(tmp_path / name, frames)
     main(given_for(tmp_path / name, tmp_path / "bundles"))
     assert len(read) == len(frames)
@@ -132,17 +132,17 @@ def test_a_file_that_is_no_recording_is_not_taken_for_a_folder(
     )
 
 
-def test_a_recording_takes_the_place_of_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_replaces_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("open3d")
     from huepose_services.cli import onboard
     from tests.onboarding.test_from_video import BOX
 
     recording, out = tmp_path / "turned", tmp_path / "bundles"
-    bop_scene(recording, turned())
+    bop_scene(recording, rotating())
     jobs = []
 
     def made(job: object, bundles: Path, unit_known: bool) -> None:
-        assert unit_known, "nobody gave its unit, so no unit of theirs is doubted"
+        assert unit_known, "no unit was given, so none is questioned"
         jobs.append(job)
         raise KeyboardInterrupt
 
@@ -150,7 +150,7 @@ def test_a_recording_takes_the_place_of_a_mesh(tmp_path: Path, monkeypatch: pyte
     main(given_for(recording, out))
     assert [(job.mesh_path, job.unit) for job in jobs] == [(out / "tea_mesh" / "tea.obj", "m")]
     mesh = read_mesh(out / "tea_mesh" / "tea.obj", "m")
-    # The sides were not seen over 12 degrees; the height was.
+    # Over 12 degrees the sides were not visible; the height was.
     assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(np.ptp(BOX.vertices[:, 2]), abs=0.006)
 
 
@@ -161,7 +161,7 @@ def test_a_recording_takes_the_place_of_a_mesh(tmp_path: Path, monkeypatch: pyte
         ("bundles/tea_mesh", "bundles/tea_mesh is no folder; expected a place that can be written."),
     ],
 )
-def test_a_file_in_the_place_of_a_folder_is_found_before_the_recording_is_read(
+def test_a_file_instead_of_a_folder_is_refused_before_the_recording_is_read(
     file: str, said: str, tmp_path: Path, refused: Says
 ) -> None:
     (tmp_path / file).parent.mkdir(exist_ok=True)
@@ -170,7 +170,7 @@ def test_a_file_in_the_place_of_a_folder_is_found_before_the_recording_is_read(
 
 
 @pytest.mark.parametrize(("surface", "code"), [(0.59, 1), (0.6, 0)])
-def test_what_was_seen_of_one_side_alone_tells_a_script(
+def test_an_object_seen_from_one_side_only_gives_exit_code_1(
     surface: float,
     code: int,
     tmp_path: Path,
@@ -212,7 +212,7 @@ def test_what_was_seen_of_one_side_alone_tells_a_script(
         ),
     ],
 )
-def test_what_is_missing_for_a_recording_is_said(
+def test_missing_options_for_a_recording_are_named(
     given: list[str], said: str, tmp_path: Path, refused: Says
 ) -> None:
     assert said in refused(["onboard", *given, "--name", "tea", "--out", tmp_path / "bundles"])

@@ -30,7 +30,7 @@ from tests.services.sessions import listening
 NO_POSE = ("translation", "quaternion", "velocity_linear", "velocity_angular", "covariance")
 HALF = 0.5**0.5
 MOUNT = Mount(parent="base_link", translation=(1.0, 0.0, 0.5), quaternion=(0.0, 0.0, HALF, HALF))
-"""A quarter turn about z, from x to y."""
+"""Rotated by 90 degrees about z, from x to y."""
 
 
 @pytest.fixture(scope="module")
@@ -39,31 +39,31 @@ def pose():
     return replace(found, translation=(0.1, 0.2, 0.8), quaternion=(0.0, 0.0, 0.0, 1.0))
 
 
-def test_a_pose_in_the_robots_frame(pose, capsys):
+def test_a_pose_is_printed_in_the_robots_frame(pose, capsys):
     _print(carried(pose, MOUNT, still=True), as_json=False)
     where = "+0.8000 +0.1000 +1.3000 m   +0.0000 +0.0000 +0.7071 +0.7071"
     assert where in capsys.readouterr().out
 
 
-def test_a_pose_in_the_robots_frame_as_a_message(pose, capsys):
+def test_a_pose_in_the_robots_frame_is_printed_as_a_message(pose, capsys):
     along_x = [1e-4, *[0.0] * 35]
     seen = replace(
         pose, velocity_linear=(0.3, 0.0, 0.0), velocity_angular=(0.0, 0.0, 1.0), covariance=along_x
     )
     _print(carried(seen, MOUNT, still=True), as_json=True)
-    told = json.loads(capsys.readouterr().out)
-    assert told["frame"] == "base_link"
-    np.testing.assert_allclose(told["translation"], [0.8, 0.1, 1.3])
-    np.testing.assert_allclose(told["quaternion"], [0.0, 0.0, HALF, HALF])
-    np.testing.assert_allclose(told["velocity_linear"], [0.0, 0.3, 0.0], atol=1e-12)
-    np.testing.assert_allclose(told["velocity_angular"], [0.0, 0.0, 1.0], atol=1e-12)
-    np.testing.assert_allclose(np.flatnonzero(np.array(told["covariance"]) > 1e-9), [7])  # along y now
+    message = json.loads(capsys.readouterr().out)
+    assert message["frame"] == "base_link"
+    np.testing.assert_allclose(message["translation"], [0.8, 0.1, 1.3])
+    np.testing.assert_allclose(message["quaternion"], [0.0, 0.0, HALF, HALF])
+    np.testing.assert_allclose(message["velocity_linear"], [0.0, 0.3, 0.0], atol=1e-12)
+    np.testing.assert_allclose(message["velocity_angular"], [0.0, 0.0, 1.0], atol=1e-12)
+    np.testing.assert_allclose(np.flatnonzero(np.array(message["covariance"]) > 1e-9), [7])  # along y now
     assert carried(seen, MOUNT, still=False).velocity_linear is None
     lost = replace(seen, state="LOST", **dict.fromkeys(NO_POSE))
     assert carried(lost, MOUNT, still=True) == replace(lost, frame="base_link")
 
 
-def test_what_a_full_disk_does_not_take_is_named_and_no_empty_file_stays(pose, tmp_path):
+def test_a_full_disk_is_named_and_no_empty_file_is_left(pose, tmp_path):
     csv, tum = tmp_path / "object.csv", tmp_path / "tum"
     with full_disk(), pytest.raises(InputError, match=f"{csv}: found File too large"), PoseFiles(csv, None):
         pass
@@ -76,7 +76,7 @@ def test_what_a_full_disk_does_not_take_is_named_and_no_empty_file_stays(pose, t
     assert csv.read_bytes() == written
 
 
-def test_poses_to_be_acted_on_are_written_for_calibration_and_as_trajectories(pose, tmp_path):
+def test_tracking_poses_are_written_for_calibration_and_as_trajectories(pose, tmp_path):
     at = replace(
         pose, object="mug", instance=2, frame_id=7, capture_ns=5, realtime_offset_ns=1_700_000_000 * 10**9
     )
@@ -103,7 +103,7 @@ def test_poses_to_be_acted_on_are_written_for_calibration_and_as_trajectories(po
 
 
 def test_quaternions_of_an_instance_keep_their_sign_from_row_to_row(pose, tmp_path):
-    """The same turn goes on though the pose says the other quaternion of it; another instance's stays."""
+    """Also if a pose has the opposite quaternion of the same rotation; each instance has its own sign."""
     csv, tum = tmp_path / "object.csv", tmp_path / "tum"
     nearly, other = (0.0, 0.0, 0.1, 0.995), (0.0, 0.0, -0.1, -0.995)
     with PoseFiles(csv, tum) as files:
@@ -116,13 +116,13 @@ def test_quaternions_of_an_instance_keep_their_sign_from_row_to_row(pose, tmp_pa
 
 
 def lines(path):
-    """Those of poses in a file of TUM's format."""
+    """The lines of poses in a file of TUM's format."""
     _, *poses = path.read_text().splitlines()
     assert poses
     return poses
 
 
-def test_poses_that_were_written_before_are_not_written_over(pose, tmp_path):
+def test_poses_that_were_written_before_are_not_overwritten(pose, tmp_path):
     csv, tum = tmp_path / "object.csv", tmp_path / "tum"
     with PoseFiles(csv, tum) as files:
         files.take(pose)
@@ -135,7 +135,7 @@ def test_poses_that_were_written_before_are_not_written_over(pose, tmp_path):
     assert not (tmp_path / "other.csv").exists()
 
 
-def test_the_help_says_how_poses_of_a_bag_are_matched_with_its_pictures(capsys):
+def test_the_help_says_how_poses_of_a_bag_are_matched_with_its_images(capsys):
     with pytest.raises(SystemExit):
         build_parser().parse_args(["poses", "--help"])
     said = " ".join(capsys.readouterr().out.split())
@@ -143,7 +143,7 @@ def test_the_help_says_how_poses_of_a_bag_are_matched_with_its_pictures(capsys):
 
 
 def test_poses_of_one_object_are_written_without_the_others(pose, tmp_path, monkeypatch, refused):
-    """Of the key that an object's name stands for; what is no pose is refused."""
+    """An object's name stands for the key of its poses; a key of other messages is refused."""
     asked = []
     monkeypatch.setattr(
         "huepose_services.cli.poses._messages",
@@ -155,19 +155,19 @@ def test_poses_of_one_object_are_written_without_the_others(pose, tmp_path, monk
     assert "found objects beside it" in refused(["poses", "objects", "--csv", tmp_path / "b.csv"])
 
 
-def test_without_a_pose_no_file_is_in_the_way_of_the_next_try(pose, tmp_path, monkeypatch):
+def test_without_a_pose_no_file_is_left_for_the_next_try(pose, tmp_path, monkeypatch):
     for state, code in (("SUSPECT", 1), ("TRACKING", 0)):
         said = replace(pose, state=state)
         monkeypatch.setattr("huepose_services.cli.poses._messages", lambda *_, said=said: iter([said]))
         assert main(["poses", "--csv", str(tmp_path / "a.csv")]) == code
 
 
-def test_files_of_poses_and_other_ways_to_print_them_do_not_go_together(tmp_path, refused):
+def test_files_of_poses_and_the_robots_frame_exclude_each_other(tmp_path, refused):
     assert "found --robot beside it" in refused(["poses", "--csv", tmp_path / "a.csv", "--robot"])
     assert not (tmp_path / "a.csv").exists()
 
 
-def test_poses_on_a_robot_need_a_camera_that_is_somewhere_on_it(tmp_path, refused):
+def test_poses_in_the_robots_frame_need_a_camera_mount(tmp_path, refused):
     path = tmp_path / "pipeline.yaml"
     path.write_text("bus: {base_port: 29247}\ncamera: {source: synthetic}\n")
     said = refused(["poses", "--robot", "--config", path])
@@ -200,7 +200,7 @@ def test_keys_that_could_be_an_object_s_name_stay_keys():
 
 @pytest.mark.live
 @pytest.mark.parametrize("gateway", [False, True])
-def test_an_object_that_is_not_looked_for_is_said_with_those_that_are(
+def test_an_object_that_is_not_searched_for_is_refused_with_those_that_are(
     gateway, pose, base_port, huepose, tmp_path
 ):
     path = tmp_path / "pipeline.yaml"
@@ -241,7 +241,7 @@ def test_an_object_that_is_not_looked_for_is_said_with_those_that_are(
 
 
 @pytest.mark.live
-def test_why_no_pose_comes_in_the_robot_s_frame_is_said_as_it_is(pose, base_port, huepose, tmp_path):
+def test_the_reason_why_no_pose_comes_in_the_robots_frame_is_given(pose, base_port, huepose, tmp_path):
     path = tmp_path / "pipeline.yaml"
     path.write_text(
         f"site: lab\nbus: {{base_port: {base_port}}}\ncamera: {{source: synthetic, moving: true}}\n"
@@ -261,8 +261,8 @@ def test_why_no_pose_comes_in_the_robot_s_frame_is_said_as_it_is(pose, base_port
     printing.terminate()
 
 
-def test_why_no_pose_comes_names_the_workers_that_are_not_there():
-    """Of which an object that was found before, or is not searched for yet, says nothing."""
+def test_the_reason_why_no_pose_comes_names_the_missing_workers():
+    """Also if poses of a single object are asked for."""
     workers = ("camera", "tracker", "detector", "gateway")
     pipeline = Pipeline(base_port=17447, site="local", camera="cam0", workers=workers, folder="/run")
     for there, said in (
@@ -274,7 +274,7 @@ def test_why_no_pose_comes_names_the_workers_that_are_not_there():
     assert "without tracker, detector" in _silence(reader, pipeline, pipeline.key("pose/mug/**"))
 
 
-def test_why_no_truth_comes_names_the_key_of_the_file_that_it_takes():
+def test_the_reason_why_no_truth_comes_names_the_configuration_key():
     pipeline = Pipeline(base_port=17447, site="local", camera="cam0", workers=("camera",), folder="/run")
     reader = SimpleNamespace(seen=True, live=set())
     said = "nothing is published on huepose/local/cam0/truth: it needs `camera.truth: true`"

@@ -1,4 +1,4 @@
-"""pipeline.yaml: what is wrong is named by path, value and what is allowed."""
+"""pipeline.yaml: an error names the path, the value and what is allowed."""
 
 import json
 import shutil
@@ -195,11 +195,11 @@ def test_an_error_names_path_value_and_what_is_allowed(text, parts):
     ],
     ids=["one that is not started", "at another address", "several cameras"],
 )
-def test_ports_at_which_nobody_meets_are_good(text):
+def test_ports_without_a_conflict_are_accepted(text):
     assert parse_all(text, Path("deploy.yaml"))
 
 
-def test_a_number_may_be_written_as_people_write_it():
+def test_numbers_may_be_written_with_exponents():
     (config,) = parse_all("camera: {depth_scale_m: 1e-4, rate: 1.5E1, seed: 7, name: cam1}", Path("a.yaml"))
     camera = config.camera
     assert (camera.depth_scale_m, camera.rate, camera.seed, camera.name) == (1e-4, 15.0, 7, "cam1")
@@ -261,7 +261,7 @@ def test_each_of_several_cameras_has_a_configuration_of_its_own(tmp_path):
         ("cameras: [{}, {}]", "found the names cam0, cam0; expected every name once."),
     ],
 )
-def test_either_one_camera_or_several_each_with_a_name(text, says):
+def test_either_one_camera_or_several_with_different_names(text, says):
     with pytest.raises(InputError) as error:
         parse(text, Path("p.yaml"))
     assert str(error.value).startswith(f"p.yaml: cameras: {says}")
@@ -323,7 +323,7 @@ def test_a_file_that_never_ends_is_refused():
 
 @pytest.fixture
 def validated(tmp_path, capsys):
-    """What `huepose validate` prints of a text that is good."""
+    """What `huepose validate` prints about a valid text."""
 
     def validate(text):
         (tmp_path / "pipeline.yaml").write_text(text)
@@ -353,11 +353,11 @@ def test_validate_names_objects_of_a_folder(tmp_path, pipeline, printed, count, 
     path.write_text(json.dumps(json.loads(path.read_text()) | {"bundles": "bundles"}))
     folder.mkdir()
     for number in reversed(range(count)):
-        (folder / f"cup{number}.huepose").touch()  # names are all that is looked at
+        (folder / f"cup{number}.huepose").touch()  # only the names are read
     assert f"\n  objects  {said.format(folder)}\n" in printed(["validate", path])
 
 
-def test_validate_says_which_pictures_are_missing(scene, pipeline, capsys, printed):
+def test_validate_says_which_images_are_missing(scene, pipeline, capsys, printed):
     path = pipeline()
     assert "WARNING" not in printed(["validate", path])
     for number in range(7, 15):
@@ -380,22 +380,22 @@ def _no_matrix(scene):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "says"),
+    ("damage", "says"),
     [
         (_no_depth, "depth/000003.png: found no such file"),
         (_depth_of_8_bits, "depth/000003.png: found uint8 values"),
         (_no_matrix, "scene_camera.json, image 3: found keys depth_scale; expected the key 'cam_K'"),
     ],
 )
-def test_a_folder_whose_first_picture_cannot_be_read_is_refused(scene, pipeline, refused, spoil, says):
+def test_a_folder_whose_first_image_cannot_be_read_is_refused(scene, pipeline, refused, damage, says):
     path = pipeline()
-    spoil(scene)
+    damage(scene)
     assert says in refused(["validate", path])
     path.write_text(json.dumps(json.loads(path.read_text()) | {"workers": ["gateway"]}))
     assert main(["validate", str(path)]) == 0, "its camera does not run"
 
 
-def test_a_folder_of_pictures_that_are_too_large_to_be_sent_is_refused(scene, pipeline, refused, monkeypatch):
+def test_a_folder_of_images_that_are_too_large_to_be_sent_is_refused(scene, pipeline, refused, monkeypatch):
     monkeypatch.setattr("huepose_services.convert.MOST_PIXELS", 2_000)
     for verb in ("validate", "up"):
         assert "image: found 64 x 48 pixels; expected at most" in refused([verb, pipeline()])
@@ -408,7 +408,7 @@ def test_validate_says_which_extra_a_worker_needs(tmp_path, refused, monkeypatch
     assert "this needs the Python package rerun; install it with:" in refused(["validate", path])
 
 
-def test_validate_notes_that_nobody_looks_for_objects(validated):
+def test_validate_notes_that_no_worker_searches_for_objects(validated):
     said = "no object is ever found: detector, segmenter, estimator not among the workers"
     out = validated("workers: [camera, tracker, reinit]\ncamera: {source: synthetic}\n")
     assert f"\n  NOTE     {said}\n" in out
@@ -418,7 +418,7 @@ def test_validate_notes_that_nobody_looks_for_objects(validated):
 def test_validate_notes_a_section_of_a_worker_that_is_not_started(validated):
     said = "the section `gateway` is set, but gateway is not among the workers"
     assert f"NOTE     {said}" in validated("gateway: {listen: '0.0.0.0:7447'}\n")
-    assert "NOTE" not in validated("gateway: {listen: '127.0.0.1:7447'}\n"), "as without the line"
+    assert "NOTE" not in validated("gateway: {listen: '127.0.0.1:7447'}\n"), "the same as without the line"
 
 
 @pytest.mark.parametrize(
@@ -447,17 +447,17 @@ def test_validate_notes_no_section_that_the_file_does_not_have(validated, text, 
     assert (out.count("NOTE"), out.count("the section `ros2` is set")) == (noted, noted)
 
 
-def test_threads_of_the_search_are_noted_beside_a_network():
+def test_threads_of_the_search_are_noted_if_the_detector_is_a_network():
     config = Config(detector=DetectorConfig(kind="yolo", threads=4))
     assert "detector.threads is set, but detector.kind is yolo; it is for views" in _unread(config)
     assert not any("threads" in said for said in _unread(Config(detector=DetectorConfig(threads=4))))
 
 
-def test_of_keys_that_are_read_nothing_is_noted(validated):
+def test_keys_that_are_read_give_no_note(validated):
     assert "NOTE" not in validated("detector: {kind: views, threads: 1}\n")
 
 
-def test_validate_says_that_a_drawn_scene_shows_one_of_each(validated):
+def test_validate_says_that_a_rendered_scene_shows_one_of_each(validated):
     said = "the rendered scene shows one of each: a second tea_box is searched for, but is not there"
     assert said in validated("objects: [{name: tea_box, max_instances: 2}]\ncamera: {source: synthetic}\n")
     assert "one of each" not in validated("objects: [{name: tea_box}]\ncamera: {source: synthetic}\n")
@@ -471,12 +471,12 @@ def test_validate_says_that_a_drawn_scene_shows_one_of_each(validated):
         ("gateway: {tls: {authority: a.pem, certificate: b.pem, key: c.pem}}", "gateway.tls.authority"),
     ],
 )
-def test_what_a_worker_would_refuse_as_it_starts_is_refused_before(tmp_path, refused, text, says):
+def test_what_a_worker_would_refuse_at_its_start_is_refused_before(tmp_path, refused, text, says):
     path = tmp_path / "pipeline.yaml"
     path.write_text(f"workers: [camera, tracker, gateway]\ncamera: {{source: synthetic}}\n{text}\n")
     for verb in ("validate", "up"):
         said = refused([verb, path])
-        assert said.startswith(f"huepose {verb}: "), "no worker was started to say so"
+        assert said.startswith(f"huepose {verb}: "), "no worker was started"
         assert says in said
 
 
@@ -488,10 +488,10 @@ def test_what_a_worker_would_refuse_as_it_starts_is_refused_before(tmp_path, ref
         ("viewer", "viewer: {{grpc_port: {}}}", "viewer.grpc_port {}: found Address"),
     ],
 )
-def test_a_port_of_the_network_that_is_taken_is_said_before_a_worker_starts(
+def test_a_port_of_the_network_in_use_is_refused_before_a_worker_starts(
     tmp_path, monkeypatch, refused, worker, section, says
 ):
-    """The file itself is good: it may be this pipeline that runs there."""
+    """`validate` accepts the file: the program at that port may be this pipeline."""
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path / "run"))
     path = tmp_path / "pipeline.yaml"
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -505,18 +505,18 @@ def test_a_port_of_the_network_that_is_taken_is_said_before_a_worker_starts(
 
 def test_a_renamed_model_is_refused_before_a_worker_finds_it(tmp_path, tea_box, pipeline, refused):
     save_model(tea_box, tmp_path / "bundles" / "my_part.huepose")
-    path, told = pipeline(), {"bundles": "bundles", "workers": ["camera", "tracker", "estimator"]}
-    path.write_text(json.dumps(json.loads(path.read_text()) | told))
+    path, changes = pipeline(), {"bundles": "bundles", "workers": ["camera", "tracker", "estimator"]}
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
     said = "bundles/my_part.huepose: found the model 'tea_box'; expected the model 'my_part'"
     for verb in ("validate", "up"):
         assert said in refused([verb, path])
 
 
-def test_a_worker_that_does_not_run_here_is_not_asked_about(validated):
+def test_settings_of_a_worker_that_does_not_run_are_not_checked(validated):
     validated("workers: [camera]\ncpus: {tracker: [1022]}\ngateway: {listen: '192.0.2.1:7447'}\n")
 
 
-def test_the_longest_name_of_a_camera_is_one_whose_frames_are_taken():
+def test_frames_of_a_camera_with_the_longest_name_are_accepted():
     camera = parse(f"camera: {{name: {50 * 'c'}}}", Path("p.yaml")).camera
     header = msgspec.structs.replace(example(FrameHeader), frame=camera.frame)
     assert decode(encode(header), FrameHeader).frame == camera.frame

@@ -1,4 +1,4 @@
-"""What goes over the wire comes back as it was: poses, priors, corrections, estimates, depth."""
+"""Poses, priors, corrections, estimates and depth are unchanged after encoding and decoding."""
 
 from dataclasses import replace
 
@@ -51,12 +51,12 @@ def _through(message):
 
 
 @given(st.tuples(finite, finite, finite), st.tuples(finite, finite, finite))
-def test_any_pose_comes_back(rotation, translation):
+def test_any_pose_is_decoded_unchanged(rotation, translation):
     pose = se3.make(se3.rotation_exp(np.array(rotation)), np.array(translation))
     assert np.allclose(pose_from_wire(*pose_to_wire(pose)), pose, atol=1e-12)
 
 
-def test_a_tracked_pose_comes_back():
+def test_a_tracked_pose_is_decoded_unchanged():
     pose = TrackedPose("thing", 2, 5, 9, 123, State.SUSPECT, T, VELOCITY, 0.5, COVARIANCE, 7)
     message = _through(tracked_to_wire(pose, HEADER, 456, np.zeros(3)))
     assert isinstance(message, PoseMessage)
@@ -72,14 +72,14 @@ def test_a_tracked_pose_comes_back():
 
 
 @pytest.mark.parametrize("state", [State.LOST, State.SEARCHING])
-def test_without_a_pose_everything_of_it_is_null(state):
+def test_without_a_pose_all_its_fields_are_null(state):
     pose = TrackedPose("thing", 2, 5, 9, 123, state, None, None, 0.0, None, 0)
     message = _through(tracked_to_wire(pose, HEADER, 456, np.zeros(3)))
     assert message.translation is message.quaternion is message.covariance is None
     assert from_wire(TrackedPose, message).T_cam_obj is None
 
 
-def test_a_pose_that_is_not_one_never_reaches_the_wire():
+def test_an_invalid_pose_is_never_sent():
     broken = T.copy()
     broken[0, 3] = np.nan
     pose = TrackedPose("thing", 2, 5, 9, 123, State.TRACKING, broken, None, 0.9, None, 0)
@@ -87,7 +87,7 @@ def test_a_pose_that_is_not_one_never_reaches_the_wire():
         tracked_to_wire(pose, HEADER, 456, np.zeros(3))
 
 
-def test_a_correction_comes_back_without_its_mask():
+def test_a_correction_is_decoded_unchanged_without_its_mask():
     correction = Correction("thing", 1, 5, 9, 123, T, 0.9, Verdict.ACQUIRE, 3, MASK, present=0.95)
     message = _through(to_wire(CorrectionMessage, correction, publish_ns=1))
     assert isinstance(message, CorrectionMessage)
@@ -97,7 +97,7 @@ def test_a_correction_comes_back_without_its_mask():
     assert (back.verdict, back.seq, back.stamp_ns, back.present) == (Verdict.ACQUIRE, 3, 123, 0.95)
 
 
-def test_a_request_and_its_priors_come_back():
+def test_a_request_and_its_priors_are_decoded_unchanged():
     prior = Prior(T, VELOCITY, COVARIANCE, 1_000_000_000)
     asked = (RequestedObject("thing", 4, prior), RequestedObject("other", None, None, 2))
     message = _through(request_to_wire(Request(8, None, 20, asked)))
@@ -110,7 +110,7 @@ def test_a_request_and_its_priors_come_back():
 
 
 @pytest.mark.parametrize("instance", [None, 3])
-def test_estimates_come_back(instance):
+def test_estimates_are_decoded_unchanged(instance):
     found = PoseEstimate(
         "thing", -1, True, T, 0.9, "TRACKING", 1.5, 0.2, COVARIANCE, MASK, Box(1, 2, 3, 4), 1.4, T, (), 0.1,
         present=0.96,
@@ -159,7 +159,7 @@ def test_estimates_come_back(instance):
     assert (back.reason, nothing.reason) == ("", "Hidden.")
 
 
-def test_why_objects_that_are_sought_are_not_seen():
+def test_the_reasons_why_objects_are_not_found():
     def seen(name, quality, reason="", instance=None):
         T_found = None if reason else T
         pose = PoseEstimate(
@@ -182,17 +182,17 @@ def test_why_objects_that_are_sought_are_not_seen():
     }
     unconfirmed = {"jar": "Something was found, but the tracker has not confirmed it."}
     assert reasons_not_seen(["jar"], answer, {"jar"}) == unconfirmed
-    # A second jar is looked for: what is seen, well or not, is the one that is followed.
+    # A second jar is searched for: the one that is found, well or not, is the tracked one.
     of_two = {"jar": "No second instance is visible."}
     assert reasons_not_seen(["jar"], answer, (), {"jar"}) == of_two
 
 
-def test_depth_is_rounded_to_its_unit_and_what_it_cannot_hold_is_no_reading():
+def test_depth_is_rounded_to_its_unit_and_values_out_of_range_are_no_reading():
     depth = np.array([[0.0, 0.50004, 6.5534, 6.5535, 6.6, -1.0, np.nan, np.inf]], np.float32)
     assert depth_to_wire(depth, 1e-4).tolist() == [[0, 5000, 65534, 0, 0, 0, 0, 0]]
 
 
-def test_what_no_camera_can_have_taken_is_refused_as_other_bad_input_is():
+def test_a_frame_with_impossible_intrinsics_or_size_is_refused():
     specs, payload = pack(images())
     far_off = replace_fields(HEADER.intrinsics, cx=1.5e308, cy=1.5e308)
     header = _through(replace_fields(HEADER, intrinsics=far_off, buffers=specs))

@@ -1,4 +1,4 @@
-"""Where depth is older than colour, what moves is not TRACKING, what rests is, and health says it."""
+"""If depth is older than colour, moving objects are not TRACKING, static ones are, and health reports it."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ LATE = "Depth is about "
 
 
 def path(t):
-    """To and fro on a table, up to 0.3 m/s, and then at rest."""
+    """Back and forth on a table, up to 0.3 m/s, and then at rest."""
     t = min(max(t, 0.0), MOVES / HZ)
     return standing_pose(0.6 + 0.3 * t, 0.06 * np.sin(5.0 * t) - 0.05, 0.04 * np.cos(4.0 * t))
 
 
 @pytest.fixture(scope="module")
-def film(box_and_can, take_picture):
+def sequence(box_and_can, take_picture):
     """A function of the delay in frames: headers and payloads of a box that moves, then rests; and a can."""
     meshes = [model.mesh for model in box_and_can.values()]
     seen = [
@@ -43,7 +43,7 @@ def film(box_and_can, take_picture):
         for k in range(MOVES + RESTS):
             color, depth = seen[min(k, MOVES)], seen[min(max(k - late, 0), MOVES)].depth
             pixels = color.color.copy()
-            pixels[0, 0] = k  # no two pictures are the same
+            pixels[0, 0] = k  # no two images are the same
             at_ns = begun_ns + round(k * 1e9 / HZ)
             yield sent(replace(color, color=pixels, depth=depth), frame_id=k, capture_ns=at_ns)
 
@@ -55,9 +55,9 @@ def begun(models, config, at):
     return work, work._bus
 
 
-def played(models, film, late, check=True, handed_over_at=None):
-    """What is published of each object, one pose a frame, and the tracker's health at the end."""
-    frames = list(film(late))
+def played(models, sequence, late, check=True, handed_over_at=None):
+    """The published poses of each object, one a frame, and the tracker's warnings at the end."""
+    frames = list(sequence(late))
     decoded = {(h.camera_epoch, h.frame_id): (h, frame_from_wire(h, payload)) for h, payload in frames}
     at, config = [frames[0][0].capture_ns], Config(camera=CameraConfig(check=check))
     work, bus = begun(models, config, at)
@@ -78,11 +78,11 @@ def played(models, film, late, check=True, handed_over_at=None):
     return {name: [p for p in out if p.object == name] for name in models}, bus.health.message().warnings
 
 
-def test_what_moves_is_not_tracking_where_depth_is_late_and_what_rests_is(box_and_can, film):
-    said, warnings = played(box_and_can, film, late=1)
+def test_with_late_depth_moving_objects_are_not_tracking_and_static_ones_are(box_and_can, sequence):
+    said, warnings = played(box_and_can, sequence, late=1)
     box = said["tea_box"]
     blamed = [k for k, pose in enumerate(box) if pose.reason.startswith(LATE)]
-    # From two thirds of a second on, and until it rested for a second.
+    # From two thirds of a second on, and until it was at rest for a second.
     assert blamed[0] <= 22
     assert MOVES + 25 <= blamed[-1] < MOVES + RESTS - 1
     assert {pose.state for pose in box[blamed[0] : blamed[-1] + 1]} == {"SUSPECT"}
@@ -94,27 +94,27 @@ def test_what_moves_is_not_tracking_where_depth_is_late_and_what_rests_is(box_an
     assert "camera.check" in warning
 
 
-def test_another_worker_takes_the_doubt_over(box_and_can, film):
-    said, warnings = played(box_and_can, film, late=1, handed_over_at=30)
+def test_a_worker_that_takes_over_keeps_the_doubt(box_and_can, sequence):
+    said, warnings = played(box_and_can, sequence, late=1, handed_over_at=30)
     assert [pose.reason[: len(LATE)] for pose in said["tea_box"][29:45]] == [LATE] * 16
     assert len(warnings) == 1
 
 
-def test_a_camera_that_is_as_it_should_be_is_not_doubted(box_and_can, film):
-    said, warnings = played(box_and_can, film, late=0)
+def test_a_camera_without_delay_is_not_doubted(box_and_can, sequence):
+    said, warnings = played(box_and_can, sequence, late=0)
     assert {pose.state for mine in said.values() for pose in mine} == {"TRACKING"}
     assert warnings == []
 
 
-def test_nobody_looks_where_the_camera_is_not_to_be_checked(box_and_can, film):
-    said, warnings = played(box_and_can, film, late=1, check=False)
+def test_with_the_check_off_the_delay_is_not_reported(box_and_can, sequence):
+    said, warnings = played(box_and_can, sequence, late=1, check=False)
     assert not any(pose.reason.startswith(LATE) for pose in said["tea_box"])
     assert warnings == []
 
 
-def test_a_camera_that_was_opened_anew_is_not_doubted_for_what_was_before(box_and_can, film):
+def test_a_new_camera_epoch_ends_the_doubt(box_and_can, sequence):
     tracker, doubt = tracking.Tracker(box_and_can), DelayDoubt(epoch=3, found=(0.033, 0.002, 0.9))
-    frame = frame_from_wire(*next(film(0)))
+    frame = frame_from_wire(*next(sequence(0)))
     tracker.correct(tracking.Correction.first("tea_box", path(0.0), frame, 1.0))
     poses = [replace(pose, velocity=np.array([0.3, 0, 0, 0, 0, 0])) for pose in tracker.step(frame)]
     doubt.look(replace(frame, epoch=3), poses, tracker)
@@ -123,10 +123,10 @@ def test_a_camera_that_was_opened_anew_is_not_doubted_for_what_was_before(box_an
     assert doubt.of(poses[0]) == doubt.text == ""
 
 
-def test_of_many_that_move_one_in_two_frames_is_looked_at(box_and_can, film):
-    """That which was looked at least lately: many objects cost no more than one."""
+def test_of_several_moving_objects_one_is_measured_in_every_second_frame(box_and_can, sequence):
+    """It is the one that was measured longest ago: many objects cost no more than one."""
     tracker, doubt = tracking.Tracker(box_and_can), DelayDoubt()
-    frame = frame_from_wire(*next(film(0)))
+    frame = frame_from_wire(*next(sequence(0)))
     for name, T in (("tea_box", path(0.0)), ("soup_can", CAN)):
         tracker.correct(tracking.Correction.first(name, T, frame, 1.0))
     poses = [replace(pose, velocity=np.array([0.3, 0, 0, 0, 0, 0])) for pose in tracker.step(frame)]

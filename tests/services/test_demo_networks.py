@@ -11,7 +11,7 @@ from tests.perception import networks
 from tests.services.conftest import parse
 
 
-def test_a_network_that_is_missing_is_said_before_anything_starts(tmp_path, monkeypatch, refused):
+def test_a_missing_network_is_reported_before_anything_starts(tmp_path, monkeypatch, refused):
     monkeypatch.setenv("HUEPOSE_NETWORKS", str(tmp_path))
     monkeypatch.setattr("huepose_services.demo.run.load_models", lambda folder, names: {})
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -44,7 +44,7 @@ def _code(words):
         return 1
 
 
-def test_where_it_fails_the_last_that_was_complained_of_is_said():
+def test_if_the_demo_fails_the_last_error_of_the_log_is_quoted():
     log = "10:00:00.000 info  tracker   ready\n10:00:01.000 error segmenter no memory\n  File x\n"
     assert _complaints(log) == "\n10:00:01.000 error segmenter no memory"
     assert _complaints("") == ""

@@ -1,4 +1,4 @@
-"""What the detector worker says while it finds nothing."""
+"""What the detector worker reports while it finds nothing."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -17,7 +17,7 @@ from huepose_services.models import outline
 from tests.services.fake_bus import FakeBus, sent
 
 
-def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, box_frame):
+def test_images_with_red_and_blue_exchanged_are_reported(monkeypatch, tea_box, box_frame):
     now = [10 * ASK_EVERY_NS]
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
     bus = FakeBus("detector")
@@ -40,14 +40,14 @@ def test_pictures_with_red_and_blue_exchanged_are_named(monkeypatch, tea_box, bo
     assert said.startswith("With red and blue exchanged, tea_box is found in the image")
     assert bus.logged["colours"] == [said]
     warned(box_frame.color[:, :, ::-1])
-    assert bus.said[-1].camera == said, "it goes on with the boxes, and to every pose"
+    assert bus.said[-1].camera == said, "it is sent on with the boxes, up to every pose"
     now[0] += ASK_EVERY_NS
     assert warned(box_frame.color) == []
     assert [box.request.object for box in bus.said[-1].objects] == ["tea_box"]
 
 
-def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(monkeypatch):
-    """A wrong place may look right; but not for ever, because it takes as long as a search."""
+def test_the_order_of_the_colours_is_checked_a_limited_number_of_times(monkeypatch):
+    """Also if something is found, which may be wrong; not for ever: a check takes as long as a search."""
     now, asked = [10 * ASK_EVERY_NS], []
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
     finder = SearchedBoxes({}, ViewDetector({}))
@@ -77,7 +77,7 @@ def test_the_order_of_the_colours_is_asked_about_some_times_whatever_is_found(mo
 
     assert [asks_in(12, epoch) for epoch in (1, 1, 2, 2)] == [worker.FIRST_ASKS, 0, worker.FIRST_ASKS, 0]
     order = ChannelOrder(right=True)
-    assert [asks_in(12, epoch) for epoch in (3, 3, 4)] == [1, 0, 1], "an object says that it is right"
+    assert [asks_in(12, epoch) for epoch in (3, 3, 4)] == [1, 0, 1], "an object shows that it is right"
 
 
 def test_a_request_that_comes_before_the_first_frame_waits_for_it():
@@ -96,7 +96,7 @@ def test_a_request_that_comes_before_the_first_frame_waits_for_it():
     assert [(m.request_seq, m.frame) for m in bus.said] == [(request.seq, header)]
 
 
-def test_an_object_that_was_removed_while_it_was_asked_about_stops_nothing(tea_box, box_frame):
+def test_an_object_that_was_removed_during_the_check_raises_no_error(tea_box, box_frame):
     finder = SearchedBoxes({"tea_box": outline(tea_box)}, ViewDetector({"tea_box": tea_box}))
     assert finder.order_of_channels(box_frame, ["removed", "tea_box"], {"removed": 0.0, "tea_box": 1.0}).right
     finder.remove("tea_box")

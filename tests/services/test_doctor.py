@@ -1,4 +1,4 @@
-"""`huepose doctor`: what it says of this machine and of a deployment."""
+"""`huepose doctor`: what it reports about this machine and a deployment."""
 
 import json
 
@@ -21,7 +21,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "networks"
 
 
-def test_this_machine_is_looked_at_from_all_sides(capsys):
+def test_all_parts_of_this_machine_are_checked(capsys):
     code, found = _findings([], capsys)
     assert {"python", "packages", "providers", "locked memory", "shared memory", "clock", "governor"} <= set(
         found
@@ -30,11 +30,11 @@ def test_this_machine_is_looked_at_from_all_sides(capsys):
     assert "onnxruntime" in found["packages"]["found"]
     assert "cpu" in found["providers"]["found"]
     assert code == int(any(row["state"] == "bad" for row in found.values()))
-    # What is wrong or could be better comes with what to do.
+    # Whatever is wrong or could be better has a fix.
     assert all(row["fix"] for row in found.values() if row["state"] in ("bad", "note"))
 
 
-def test_without_a_deployment_it_ends_with_how_to_look_at_a_camera(tmp_path, capsys):
+def test_without_a_deployment_the_output_ends_with_how_to_check_a_camera(tmp_path, capsys):
     pointer = "huepose doctor pipeline.yaml --camera"
     main(["doctor"])
     assert capsys.readouterr().out.rstrip().endswith(pointer)
@@ -44,7 +44,7 @@ def test_without_a_deployment_it_ends_with_how_to_look_at_a_camera(tmp_path, cap
     assert pointer not in capsys.readouterr().out
 
 
-def test_what_a_deployment_needs_and_is_not_there_is_bad(tmp_path, capsys):
+def test_missing_parts_of_a_deployment_are_bad(tmp_path, capsys):
     path = tmp_path / "pipeline.yaml"
     path.write_text(
         "camera: {source: realsense}\nbundles: nowhere\nobjects: [{name: mug}]\n"
@@ -57,7 +57,7 @@ def test_what_a_deployment_needs_and_is_not_there_is_bad(tmp_path, capsys):
     assert "missing.onnx" in found["networks"]["found"]
 
 
-def test_a_damaged_network_is_noticed(folder, capsys):
+def test_a_damaged_network_is_reported(folder, capsys):
     folder.mkdir()
     (folder / "yolox-nano.onnx").write_bytes(b"damaged")
     code, found = _findings([], capsys)
@@ -73,7 +73,7 @@ def test_a_damaged_network_is_noticed(folder, capsys):
         (6 * MIB, "note", "so they are sent over the socket"),
     ],
 )
-def test_locked_memory_is_held_against_the_pool(monkeypatch, limit, state, text):
+def test_locked_memory_is_compared_with_the_pool(monkeypatch, limit, state, text):
     monkeypatch.setattr(checks, "lock_limit", lambda: limit)
     finding = next(checks.memory(6.0))
     assert (finding.subject, finding.state) == ("locked memory", state)

@@ -1,4 +1,4 @@
-"""What the doctor says of the objects in a picture: found, not there, or there with exchanged colours."""
+"""What the doctor reports about objects in an image: found, absent, or there with exchanged colours."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from huepose_services.doctor.pictures import objects_in
 from tests.conftest import TakePicture
 
 
-def test_objects_are_found_or_asked_about(
+def test_objects_are_found_or_reported_with_a_fix(
     tea_box: ReferenceModel, take_picture: TakePicture, standing: np.ndarray
 ) -> None:
     frame = take_picture([(tea_box.mesh, standing)])
@@ -36,10 +36,10 @@ def test_objects_are_found_or_asked_about(
     assert (seen.state, "BAD above" in seen.fix) == ("note", True)
 
 
-def test_what_is_not_sure_is_no_ok(
+def test_a_suspect_pose_is_not_ok(
     soup_can: ReferenceModel, larger_box: Callable[[float], RgbdFrame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A can through a wrong camera matrix, where sizes do not tell."""
+    """A can with a wrong camera matrix, without the check of sizes."""
     monkeypatch.setattr(pictures, "doubted_in", lambda *_: (None, {}))
     frame = larger_box(1.0)
     camera = replace(frame.camera, fx=0.88 * frame.camera.fx, fy=0.88 * frame.camera.fy)
@@ -57,9 +57,7 @@ def test_of_several_objects_the_one_of_another_size_is_named(
     assert seen.state == "ok"
 
 
-def test_where_depth_lies_beside_the_colours_no_object_is_called_right(
-    tea_box: ReferenceModel, box_frame: RgbdFrame
-) -> None:
+def test_if_depth_is_misaligned_no_object_is_ok(tea_box: ReferenceModel, box_frame: RgbdFrame) -> None:
     (found,) = objects_in(box_frame, {"tea_box": tea_box}, misaligned=True)
     assert (found.state, found.found[:17]) == ("note", "tea_box TRACKING ")
     assert "BAD above" in found.fix

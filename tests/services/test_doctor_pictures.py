@@ -1,4 +1,4 @@
-"""What is said of a camera's pictures: of the built-in scene as it is, and spoilt in known ways."""
+"""What the doctor reports about images: of the built-in scene, unchanged and changed in known ways."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def shifted(frames, dx, dy):
     return [replace(f, depth=np.roll(f.depth, (dy, dx), (0, 1))) for f in frames]
 
 
-def test_depth_that_lies_on_the_colours_is_right(frames):
+def test_aligned_depth_is_ok(frames):
     assert alignment(frames, "realsense").state == "ok"
 
 
@@ -38,7 +38,7 @@ def test_depth_that_lies_on_the_colours_is_right(frames):
     ("dx", "dy", "words"),
     [(6, 0, r"\d px to the left"), (0, -5, r"\d px below"), (-4, 4, r"\d px to the right and \d px above")],
 )
-def test_depth_that_lies_elsewhere_is_told_with_its_offset(frames, dx, dy, words):
+def test_misaligned_depth_is_reported_with_its_offset(frames, dx, dy, words):
     moved = shifted(frames, dx, dy)
     right, down, sigmas = edge_offset(moved)
     assert right == pytest.approx(-dx, abs=1.0)
@@ -60,7 +60,7 @@ def test_depth_that_lies_elsewhere_is_told_with_its_offset(frames, dx, dy, words
         ("bop", "the calibration of the recording"),
     ],
 )
-def test_what_registers_depth_depends_on_the_source(frames, dx, source, fix):
+def test_the_fix_of_misaligned_depth_depends_on_the_source(frames, dx, source, fix):
     said = alignment(shifted(frames, dx, 0), source).fix
     assert fix in said
     assert ("device.align" in said) == (source == "realsense"), "others have no such key"
@@ -73,23 +73,23 @@ def noisy(frames, share):
 
 
 @pytest.mark.parametrize("share", [0.01, 0.02, 0.04])
-def test_noisy_depth_which_has_edges_everywhere_is_not_said_to_be_shifted_and_costs_little(frames, share):
-    spoilt = noisy(frames, share)
+def test_noisy_depth_with_edges_everywhere_is_not_reported_as_shifted_and_takes_little_memory(frames, share):
+    with_noise = noisy(frames, share)
     tracemalloc.start()
-    offset = edge_offset(spoilt)
+    offset = edge_offset(with_noise)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    assert alignment(spoilt, "realsense").state == "ok", offset
+    assert alignment(with_noise, "realsense").state == "ok", offset
     assert peak < 150e6  # every edge of these five frames would take up to ten times as much
 
 
-def test_a_shift_of_depth_is_told_through_its_noise(frames):
+def test_a_shift_of_noisy_depth_is_measured(frames):
     right, down, sigmas = edge_offset(shifted(noisy(frames, 0.005), 6, 0))
     assert (right, down) == pytest.approx((-6.0, 0.0), abs=1.0)
     assert sigmas > 4.0
 
 
-def test_a_wall_tells_nothing_of_alignment(frames):
+def test_a_wall_says_nothing_about_alignment(frames):
     assert alignment([replace(f, depth=np.ones_like(f.depth)) for f in frames], "oak").state == "none"
 
 
@@ -108,7 +108,7 @@ def test_a_wall_tells_nothing_of_alignment(frames):
         ),
     ],
 )
-def test_depth_in_another_unit_or_missing_is_told(frames, change, state, fix):
+def test_depth_in_another_unit_or_missing_is_reported(frames, change, state, fix):
     finding = next(iter(depth([replace(f, depth=change(f.depth)) for f in frames], CameraConfig())))
     assert (finding.state, fix in finding.fix) == (state, True)
 
@@ -119,7 +119,7 @@ def test_depth_in_another_unit_from_a_python_camera_is_to_be_given_in_metres(fra
     assert finding.fix == "Depth is in another unit: frames() must return metres."
 
 
-def test_depth_that_is_too_far_to_be_sent_is_told(frames):
+def test_depth_that_is_too_far_to_be_sent_is_reported(frames):
     far = [replace(f, depth=f.depth * np.float32(10.0)) for f in frames]
     findings = list(depth(far, CameraConfig()))
     assert "is over 6.6 m and is not sent" in findings[1].found
@@ -127,16 +127,16 @@ def test_depth_that_is_too_far_to_be_sent_is_told(frames):
 
 
 @pytest.mark.parametrize(("factor", "state"), [(1.0, "ok"), (0.05, "bad"), (8.0, "note")])
-def test_too_dark_and_too_bright_are_told(frames, factor, state):
+def test_too_dark_and_too_bright_images_are_reported(frames, factor, state):
     lit = [replace(f, color=np.clip(f.color * factor, 0, 255).astype(np.uint8)) for f in frames]
     assert brightness(lit).state == state
 
 
-def test_a_picture_without_colour_is_told(frames):
+def test_images_without_colour_are_reported(frames):
     grey = [replace(f, color=np.repeat(f.color[..., 1:2], 3, axis=2)) for f in frames]
     found = brightness(grey)
     assert (found.state, found.fix[:24]) == ("bad", "The image has no colour:")
-    assert brightness([*grey, frames[0]]).state == "ok", "one picture with colours shows that there are"
+    assert brightness([*grey, frames[0]]).state == "ok", "one image with colours is enough"
 
 
 def _doctor(tmp_path, capsys, monkeypatch, **orders):
@@ -150,25 +150,25 @@ def _doctor(tmp_path, capsys, monkeypatch, **orders):
     return code, {f["subject"]: f for f in json.loads(capsys.readouterr().out)}
 
 
-def test_a_live_camera_is_opened_and_looked_at(tmp_path, capsys, monkeypatch):
+def test_a_live_camera_is_opened_and_checked(tmp_path, capsys, monkeypatch):
     _, found = _doctor(tmp_path, capsys, monkeypatch)
     assert found["camera"]["found"] == "640 x 480, fx 614.2 fy 614.6"
     assert (found["image"]["state"], found["depth"]["state"], found["alignment"]["state"]) == ("ok",) * 3
 
 
-def test_what_its_worker_would_complain_of_is_told(tmp_path, capsys, monkeypatch):
+def test_the_complaints_of_the_camera_worker_are_reported(tmp_path, capsys, monkeypatch):
     code, found = _doctor(tmp_path, capsys, monkeypatch, dark=True, depth="zero")
     assert code == 1
     assert found["image"]["state"] == found["depth"]["state"] == "bad"
 
 
-def test_a_camera_that_is_not_there_is_told(tmp_path, capsys, monkeypatch):
+def test_a_missing_camera_is_reported(tmp_path, capsys, monkeypatch):
     code, found = _doctor(tmp_path, capsys, monkeypatch, unplugged=True)
     assert code == 1
     assert "Plug it in" in found["camera"]["found"]
 
 
-def test_stamps_of_wall_time_are_told(tmp_path, capsys, monkeypatch, python_camera):
+def test_timestamps_of_wall_time_are_reported(tmp_path, capsys, monkeypatch, python_camera):
     monkeypatch.setattr(pictures, "LOOK_S", 1.5)
     python_camera("stamp_ns = time.time_ns()", every_s=0.2)
     camera = {"source": "python", "path": "cam.py", "rate": 4}
@@ -179,11 +179,11 @@ def test_stamps_of_wall_time_are_told(tmp_path, capsys, monkeypatch, python_came
     assert "Give the time.monotonic_ns()" in said["found"]
 
 
-def test_each_of_several_cameras_is_looked_at(tmp_path, capsys, monkeypatch):
+def test_each_of_several_cameras_is_checked(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(pictures, "LOOK_S", 2.0)
     orders = {"left": {}, "right": {"unplugged": True}}
-    for name, told in orders.items():
-        (tmp_path / name).write_bytes(msgspec.json.encode(msgspec.convert(told, Orders)))
+    for name, faults in orders.items():
+        (tmp_path / name).write_bytes(msgspec.json.encode(msgspec.convert(faults, Orders)))
     cameras = [{"name": n, "source": "faulty", "path": str(tmp_path / n), "rate": 4} for n in orders]
     path = tmp_path / "pipeline.yaml"
     path.write_text(json.dumps({"cameras": cameras}))
@@ -194,15 +194,15 @@ def test_each_of_several_cameras_is_looked_at(tmp_path, capsys, monkeypatch):
     assert "right picture" not in found
 
 
-def test_without_a_pipeline_nobody_knows_which_camera(refused):
+def test_a_camera_cannot_be_checked_without_a_pipeline(refused):
     assert "huepose doctor PIPELINE.yaml --camera" in refused(["doctor", "--camera"])
 
 
 @pytest.mark.parametrize(("unit", "depth_state"), [("1.0", "bad"), ("0.01", "ok")])
-def test_where_depth_is_wrong_nobody_is_told_to_bring_an_object_nearer(
+def test_if_depth_is_wrong_there_is_no_advice_to_bring_an_object_nearer(
     tmp_path, capsys, monkeypatch, tea_box, python_camera, unit, depth_state
 ):
-    """At 7.5 m the box is small in truth; in depth of millimetres only seemingly."""
+    """At 7.5 m the box is really small; with depth in a wrong unit it only seems so."""
     monkeypatch.setattr(pictures, "LOOK_S", 1.5)
     save_model(tea_box, model_path(tmp_path / "models", "tea_box"))
     python_camera(f"depth *= np.float32({unit} * 1075.0)", 640, 0.2)

@@ -1,4 +1,4 @@
-"""Every command line in a block of the documentation is one that the program takes, every script is there."""
+"""Every command in a block of the documentation is accepted by the program, and every named script exists."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ PAGES = [
     *ROOT.glob("benchmarks/*.md"),
     *ROOT.glob("studies/*.md"),
 ]
-# What stands for a number, or for two of a choice.
-STANDS_FOR = {"N": "1", "S": "1", "X": "1", "Y": "1", "W": "1", "H": "1", "F": "0.5", "DIR|builtin": "DIR"}
+# Placeholders for a number, or for a choice of two.
+PLACEHOLDERS = {"N": "1", "S": "1", "X": "1", "Y": "1", "W": "1", "H": "1", "F": "0.5", "DIR|builtin": "DIR"}
 
 
 def documented() -> list[str]:
@@ -40,19 +40,19 @@ def test_the_pages_show_commands():
 
 
 @pytest.mark.parametrize("line", documented())
-def test_a_documented_command_is_one(line):
-    words = [STANDS_FOR.get(word, word) for word in shlex.split(re.sub(r"[\[\]]|\.\.\.", "", line))]
+def test_a_documented_command_is_accepted(line):
+    words = [PLACEHOLDERS.get(word, word) for word in shlex.split(re.sub(r"[\[\]]|\.\.\.", "", line))]
     parsed = build_parser().parse_args(words)
     assert parsed.verb == words[0]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_no_page_installs_from_an_index_that_has_not_got_it(page):
-    """Under that name anyone may put anything there."""
+def test_no_page_installs_huepose_from_a_package_index(page):
+    """It is not there: anyone could publish anything under its name."""
     assert not re.findall(r"pip install [^`\n]*'?huepose[\[\s`']", page.read_text())
 
 
-def test_every_script_that_is_named_is_there():
+def test_every_named_script_exists():
     text = "\n".join(page.read_text() for page in PAGES)
     modules = set(re.findall(r"(?<=-m )(?:studies|benchmarks)\.\w+", text))
     files = set(re.findall(r"\b(?:studies|benchmarks)/\w+\.(?:py|sh)", text))

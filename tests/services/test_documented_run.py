@@ -1,6 +1,5 @@
-"""The commands of the README, of the quick start and of the section about a folder of pictures do what is
-said there: each block, in the order of its page, as it is written, in a fresh bash with the environment
-activated."""
+"""The commands of the README, the quick start and the section about a folder of images do what the pages say:
+each block, in the order of its page, as it is written, in a fresh bash with the environment activated."""
 
 from __future__ import annotations
 
@@ -35,7 +34,7 @@ LEFT_OUT = {
     "ros2 run ": "needs ROS 2",
     "source .venv/bin/activate": "is said before each command here",
 }
-"""What is not run, by how it begins, and why."""
+"""Commands that are not run, by their beginning, and why."""
 
 UNTIL_CTRL_C = {
     "huepose demo": r"tea_box\S* +.*TRACKING",
@@ -45,7 +44,7 @@ UNTIL_CTRL_C = {
     "huepose top": r"tracker +ready",
     "huepose record": r"run1\.mcap",
 }
-"""What goes on until Ctrl-C, by how it begins, and what it has to say before that."""
+"""Commands that run until Ctrl-C, by their beginning, and what they must print before that."""
 
 SAYS = {
     "huepose new": r"tea_box suits",
@@ -56,14 +55,15 @@ SAYS = {
     "huepose objects reset": r"tea_box is searched for again",
     "huepose status": r"tracker +ready",
 }
-"""What the others have said when they are done, by how they begin."""
+"""What the other commands must have printed at their end, by their beginning."""
 
 _PIPELINES = ("huepose demo", "huepose up")
 _TIMEOUT_S = 180.0
 
 
 def commands(page: str, section: str = "") -> list[str]:
-    """The lines of a page's blocks for a shell, with the comments behind them; section: of that one alone."""
+    """The lines of a page's blocks for a shell, with the comments behind them; section: of this section
+    only."""
     blocks = re.findall(r"^```bash\n(.*?)^```", text_of(page, section), re.MULTILINE | re.DOTALL)
     return [line for block in blocks for line in re.sub(r"\\\n\s*", " ", block).splitlines() if line.strip()]
 
@@ -80,14 +80,14 @@ def begins(line: str, beginnings: dict[str, str] | tuple[str, ...]) -> str | Non
 
 
 def meant(line: str) -> str:
-    """What a line asks for, with what it leaves to defaults: `huepose up` is `huepose up pipeline.yaml`."""
+    """The command of a line, with its defaults: `huepose up` is `huepose up pipeline.yaml`."""
     words = shlex.split(line, comments=True)
     return str(build_parser().parse_args(words[1:])) if words[0] == "huepose" else line
 
 
 @dataclass
 class Terminal:
-    """One command in a bash of its own, in a folder; what it says goes to a file."""
+    """One command in a bash of its own, in a folder; its output goes to a file."""
 
     line: str
     folder: Path
@@ -112,7 +112,7 @@ class Terminal:
         return self.said.read_text(errors="replace")
 
     def wait_for(self, pattern: str) -> None:
-        """Until it says that. Fails where it ends before, or takes too long."""
+        """Waits for this output. Fails if the command ends before, or takes too long."""
         end = time.monotonic() + _TIMEOUT_S
         while not re.search(pattern, self.text):
             assert self.process.poll() is None, f"{self.line} ended\n{self.text}"
@@ -120,13 +120,14 @@ class Terminal:
             time.sleep(0.2)
 
     def ctrl_c(self) -> None:
-        """As a terminal does: to the program and all that it started. It has to end without error."""
+        """Sends Ctrl-C as a terminal does: to the program and all that it started. It must end without
+        error."""
         os.killpg(self.process.pid, signal.SIGINT)
-        # A demo that was not heard out has no answer, and says so.
+        # A demo that is interrupted has no result, and says so.
         self.ends(130 if self.line.startswith("huepose demo") else 0)
 
     def ends(self, expected: int = 0) -> None:
-        """It ends by itself, with that exit code."""
+        """Waits until it ends by itself, with this exit code."""
         try:
             code = self.process.wait(_TIMEOUT_S)
         except subprocess.TimeoutExpired:
@@ -149,7 +150,7 @@ class Reader:
         self._pipeline: Terminal | None = None
 
     def follow(self, line: str) -> None:
-        """Do what a line says, and see that it does it."""
+        """Runs a line, and checks what it does."""
         if moved := re.match(r"cd (\S+)", line):
             self.folder = self.folder / moved[1]
             assert self.folder.is_dir()
@@ -171,20 +172,20 @@ class Reader:
             terminal.ctrl_c()
 
     def end_pipeline(self) -> None:
-        """Ctrl-C where the pipeline runs, if one does."""
+        """Sends Ctrl-C to the pipeline, if one runs."""
         if self._pipeline is not None:
             self._pipeline.ctrl_c()
         self._pipeline = None
 
     def kill(self) -> None:
-        """Leave nothing behind."""
+        """Kills all that still runs."""
         for terminal in self._terminals:
             terminal.kill()
 
 
 @contextmanager
 def reader(folder: Path) -> Iterator[Reader]:
-    """One with a home of their own for sockets, and this machine's caches."""
+    """A reader with a folder of their own for sockets, and this machine's caches."""
     kept = ("HOME", "XDG_CACHE_HOME", "PYTHONPATH", "LANG", "NUMBA_CACHE_DIR")
     environment = {name: os.environ[name] for name in kept if name in os.environ}
     environment |= {"PATH": "/usr/local/bin:/usr/bin:/bin", "HUEPOSE_RUN": str(folder / "run")}
@@ -197,13 +198,13 @@ def reader(folder: Path) -> Iterator[Reader]:
 
 
 def prepare(folder: Path) -> None:
-    """What the pages speak of as the reader's own: a mesh, and a pipeline.yaml."""
+    """Writes the reader's own files in the pages: a mesh and a pipeline.yaml."""
     shutil.copytree(ROOT / "examples", folder / "examples")
     lines = "bundles: bundles\nobjects: [{name: tea_box}]\ncamera: {source: synthetic, truth: true}\n"
     (folder / "pipeline.yaml").write_text(lines)
 
 
-def test_what_is_left_out_is_there_and_all_else_is_a_command_of_ours():
+def test_lines_that_are_left_out_exist_and_all_others_are_commands_of_huepose():
     lines = [line for page in PAGES for line in commands(page)]
     assert not [start for start in LEFT_OUT if not any(line.startswith(start) for line in lines)]
     run = [line for line in lines if begins(line, LEFT_OUT) is None]
@@ -216,7 +217,7 @@ def test_what_is_left_out_is_there_and_all_else_is_a_command_of_ours():
 @pytest.mark.timeout(900)
 @pytest.mark.skipif(not ACTIVATE.exists(), reason="there is no .venv: make setup")
 def test_the_commands_do_what_the_pages_say(tmp_path: Path) -> None:
-    """First the README, then the quick start; what means the same in both is done once."""
+    """First the README, then the quick start; the same command in both is run once."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if probe.connect_ex(("127.0.0.1", 9090)) == 0:
@@ -238,8 +239,8 @@ FOLDER = ("docs/cameras.md", "A folder of images")
 @pytest.mark.pipeline
 @pytest.mark.timeout(300)
 @pytest.mark.skipif(not ACTIVATE.exists(), reason="there is no .venv: make setup")
-def test_a_folder_of_pictures_is_played_as_the_page_says(tmp_path: Path, recording) -> None:
-    """Its files are written as they stand there; the pictures are drawn ones of the page's camera."""
+def test_a_folder_of_images_is_played_as_the_page_says(tmp_path: Path, recording) -> None:
+    """The page's files are written as they are; the images are rendered ones."""
     shutil.copytree(recording[0] / "bundles", tmp_path / "bundles")
     shutil.copytree(recording[0] / "scene" / "rgb", tmp_path / "desk" / "rgb")
     (tmp_path / "desk" / "depth").mkdir()

@@ -1,4 +1,4 @@
-"""Where the picture or the camera is wrong as such, no pose is one to act on, and the reason is said."""
+"""If a whole image or the camera is wrong, no pose is TRACKING, and the reason is given."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ WARM = (1.15, 1.0, 0.6)
 
 
 def said_of(work, bus, frame, **changes):
-    """State and reason that are published of a frame (header, payload) whose header is changed so."""
+    """State and reason that are published about a frame (header, payload) with these changes."""
     header, payload = frame
     bus.arriving[FrameHeader] = [(msgspec.structs.replace(header, **changes), payload)]
     work.step()
@@ -49,7 +49,7 @@ def said_of(work, bus, frame, **changes):
         ({"color": 1, "depth": 1, "cx": 33.0}, "intrinsics changed"),
     ],
 )
-def test_a_frame_that_is_wrong_as_such_gives_no_pose_to_act_on_and_health_says_why(bad, reason):
+def test_a_wrong_frame_gives_no_tracking_pose_and_health_says_why(bad, reason):
     work, bus, _ = worker()
     bus.arriving[FrameHeader] = [changed_frame(1), changed_frame(2, **bad)]
     work.step()
@@ -66,8 +66,8 @@ def test_a_frame_that_is_wrong_as_such_gives_no_pose_to_act_on_and_health_says_w
 
 
 def test_a_camera_that_states_another_focal_length_is_doubted_until_it_states_the_first_again():
-    """Also in a new epoch, and for what perception adds between two frames: through the wrong lens a pose may
-    fit and be elsewhere."""
+    """Also in a new epoch, and for poses that perception adds between two frames: with wrong intrinsics a
+    pose may fit and still be wrong."""
     work, bus, _ = worker()
     header, payload = changed_frame(1)
     fx = header.intrinsics.fx
@@ -91,8 +91,8 @@ def test_a_camera_that_states_another_focal_length_is_doubted_until_it_states_th
     assert any("restart the tracker" in p.reason for p in bus.said)
 
 
-def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
-    """Until it says otherwise, or the camera is opened anew."""
+def test_no_pose_is_tracking_while_perception_reports_a_fault_of_the_camera():
+    """Until perception withdraws it, or the camera is opened again."""
     work, bus, _ = worker()
     epoch, seq = changed_frame(1)[0].camera_epoch, iter(range(1, 9))
 
@@ -112,7 +112,7 @@ def test_no_pose_is_tracking_while_perception_speaks_against_the_camera():
     assert [after(6, said)[0], after(7, epoch=epoch + 1)[0]] == ["SUSPECT", "TRACKING"]
 
 
-def test_a_late_correction_of_a_camera_that_was_opened_anew_takes_nothing_back():
+def test_a_late_correction_of_an_older_camera_epoch_withdraws_nothing():
     work, bus, _ = worker()
     present = msgspec.structs.replace(
         CORRECTION, camera_epoch=frame_of_age(1, 0.0)[0].camera_epoch, camera="Blue for red."
@@ -124,8 +124,8 @@ def test_a_late_correction_of_a_camera_that_was_opened_anew_takes_nothing_back()
         assert said_of(work, bus, changed_frame(number + 1, number + 1)) == ("SUSPECT", "Blue for red.")
 
 
-def test_an_object_that_perception_speaks_against_is_not_tracking_and_no_other_is_doubted():
-    """Until it says otherwise, or the camera is opened anew; where it is lost, that is the reason."""
+def test_only_the_object_that_perception_doubts_is_not_tracking():
+    """Until perception withdraws it, or the camera is opened again; if it is lost, that is the reason."""
     work, bus, _ = worker()
     tracker = work._tracker
     epoch, seq = changed_frame(1)[0].camera_epoch, iter(range(1, 9))
@@ -149,10 +149,10 @@ def test_an_object_that_perception_speaks_against_is_not_tracking_and_no_other_i
     assert after(8, epoch=epoch + 1)[0] == "TRACKING"
 
 
-def test_who_takes_over_knows_what_perception_speaks_against(part, light_changes):
+def test_a_worker_that_takes_over_knows_what_perception_doubts(part, light_changes):
     frames = list(light_changes(False))[:4]
     decoded = {(h.camera_epoch, h.frame_id): (h, frame_from_wire(h, payload)) for h, payload in frames}
-    at, said, told = [], "The image shows it about 12 % larger than its mesh.", []
+    at, said, published = [], "The image shows it about 12 % larger than its mesh.", []
 
     def begun():
         tracker = tracking.Tracker({"part": part[1]})
@@ -167,10 +167,10 @@ def test_who_takes_over_knows_what_perception_speaks_against(part, light_changes
         at.append(header)
         work._bus.arriving[FrameHeader] = [(header, payload)]
         work.step()
-        told += [(p.state, p.reason) for p in work._bus.said]
+        published += [(p.state, p.reason) for p in work._bus.said]
         memory, work = work.memory(), begun()
         work.take_over(memory, lambda *key: decoded.get(key))
-    assert told == [("SUSPECT", said)] * 4
+    assert published == [("SUSPECT", said)] * 4
 
 
 def test_no_pose_is_tracking_while_a_frame_says_that_its_camera_has_stopped():
@@ -178,20 +178,20 @@ def test_no_pose_is_tracking_while_a_frame_says_that_its_camera_has_stopped():
     said = "cam.py: its image has changed before"
     frames = [changed_frame(number + 1, number // 3, number // 3) for number in range(4)]
     cameras = ["", said, said, ""]
-    told = [said_of(work, bus, frame, camera=c) for frame, c in zip(frames, cameras, strict=True)]
-    assert told == [("TRACKING", ""), ("SUSPECT", said), ("SUSPECT", said), ("TRACKING", "")]
+    published = [said_of(work, bus, frame, camera=c) for frame, c in zip(frames, cameras, strict=True)]
+    assert published == [("TRACKING", ""), ("SUSPECT", said), ("SUSPECT", said), ("TRACKING", "")]
 
 
-def test_what_the_camera_knows_of_a_picture_is_the_reason_and_no_doubt_of_a_pose_that_is_sure():
+def test_a_fault_of_the_image_is_the_reason_of_a_suspect_pose_and_makes_none_suspect():
     work, bus, _ = worker()
     said = "cam.py: depth looks like millimetres"
-    # The second has no depth at all, which the tracker sees itself.
+    # The second has no depth at all, which the tracker notices itself.
     frames = changed_frame(1), changed_frame(2, 1, -1), changed_frame(3, 2, 2)
-    told = [said_of(work, bus, frame, picture=said) for frame in frames]
-    assert told == [("TRACKING", ""), ("SUSPECT", said), ("TRACKING", "")]
+    published = [said_of(work, bus, frame, picture=said) for frame in frames]
+    assert published == [("TRACKING", ""), ("SUSPECT", said), ("TRACKING", "")]
 
 
-def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_on():
+def test_in_a_new_camera_epoch_poses_of_the_old_one_become_suspect():
     work, bus, _ = worker()
     bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
     work.step()
@@ -208,7 +208,7 @@ def test_what_was_tracked_before_the_camera_was_opened_anew_is_not_to_be_acted_o
     ("times", "reason"),
     [(1, "It is not visible where it was"), (1000, "away or farther"), (0.005, "nearer than 0.0")],
 )
-def test_where_all_is_lost_and_depth_may_be_of_another_unit_that_is_the_reason(times, reason):
+def test_if_all_is_lost_and_depth_may_be_of_another_unit_that_is_the_reason(times, reason):
     work, bus, _ = worker(None)
     work._tracker = Loser(None)
     bus.arriving[FrameHeader] = [frame_at(1.0 * times)]
@@ -229,8 +229,8 @@ def part():
 
 @pytest.fixture
 def light_changes(part, take_picture):
-    """Headers and payloads of a part that moves slowly, from a warm light to a neutral one in the sixth; or
-    instead of the light, the part is another thing from then on that looks as it would in the neutral one."""
+    """Headers and payloads of a part that moves slowly. In the sixth frame the light changes from warm to
+    neutral; or else the part is replaced by a thing that looks as the part would in the neutral light."""
 
     def shown(relit):
         mesh, rng, begun_ns = part[0], np.random.default_rng(0), now_ns()
@@ -246,7 +246,7 @@ def light_changes(part, take_picture):
 
 
 @pytest.mark.parametrize("relit", [True, False])
-def test_what_falls_when_the_light_changes_says_so_until_it_is_sure_again(part, light_changes, relit):
+def test_a_pose_that_is_suspect_after_a_change_of_light_gives_the_reason(part, light_changes, relit):
     frames = {(h.camera_epoch, h.frame_id): (h, payload) for h, payload in light_changes(relit)}
     decoded = {number: (h, frame_from_wire(h, payload)) for number, (h, payload) in frames.items()}
     at = []

@@ -1,4 +1,4 @@
-"""What is said of an object that is not tracked, in frames that were made so that it is true."""
+"""The reasons that are given for objects that are not TRACKING, in frames made for each reason."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
 
 
 class Ball:
-    """As much of a prepared surface as is asked for: a hollow ball, whose inside faces the camera, too."""
+    """The used parts of a prepared surface: a hollow ball, whose inside also faces the camera."""
 
     points = np.concatenate([0.5 * DIAMETER_M * NORMALS, 0.45 * DIAMETER_M * NORMALS])
     arrays = SimpleNamespace(points=points, normals=np.concatenate([NORMALS, -NORMALS]))
@@ -49,7 +49,7 @@ def at(x: float, y: float, z: float) -> np.ndarray:
 
 
 def seen(T: np.ndarray) -> RgbdFrame:
-    """The ball before a wall 2 m behind it, both brown."""
+    """The ball in front of a wall 2 m behind it, both brown."""
     rays = np.stack(np.meshgrid(np.arange(640), np.arange(480)), -1).astype(float)
     rays = np.append((rays - (319.5, 239.5)) / 600.0, np.ones((480, 640, 1)), axis=2)
     a, b = (rays**2).sum(-1), rays @ T[:3, 3]
@@ -82,7 +82,7 @@ CASES: dict[str, tuple[np.ndarray | None, Change]] = {
 
 
 @pytest.mark.parametrize("expected", CASES)
-def test_the_reason_is_the_one_that_was_made(expected: str) -> None:
+def test_each_frame_gives_the_reason_that_it_was_made_for(expected: str) -> None:
     T, change = CASES[expected]
     moved = T is None or expected == why.CLOSE_IN_FRONT
     frame = change(seen(NEAR if moved else T))
@@ -99,7 +99,7 @@ def test_the_reason_is_the_one_that_was_made(expected: str) -> None:
         (Doubt.FOUND, why.FOUND),
     ],
 )
-def test_what_only_the_tracker_knows_is_said_where_the_frame_shows_all(doubt: Doubt, said: str) -> None:
+def test_the_trackers_reason_is_given_if_the_frame_shows_no_other(doubt: Doubt, said: str) -> None:
     frame = seen(NEAR)
     assert why.why_doubted(BALL, frame, NEAR, doubt) == said
     covered = replace(frame, depth=np.full_like(frame.depth, 0.6))
@@ -108,7 +108,7 @@ def test_what_only_the_tracker_knows_is_said_where_the_frame_shows_all(doubt: Do
     assert why.why_doubted(BALL, without_colour(frame), NEAR, doubt) == of_turn
 
 
-def test_the_light_is_blamed_for_what_disagrees_or_is_lost_alone() -> None:
+def test_the_light_is_the_reason_only_for_poses_that_disagree_or_are_lost() -> None:
     frame = seen(NEAR)
     covered = replace(frame, depth=np.full_like(frame.depth, 0.6))
     assert why.why_doubted(BALL, frame, NEAR, relit=True) == why.RELIT
@@ -118,9 +118,9 @@ def test_the_light_is_blamed_for_what_disagrees_or_is_lost_alone() -> None:
 
 
 @pytest.mark.parametrize("behind_m", [0.03, 0.05, 0.5])
-def test_only_what_is_no_part_of_it_covers_it(behind_m: float) -> None:
-    """A pose that lies behind the object, which stands in full view: what is in front of the pose is the
-    object itself. While it can be, nothing is said to cover it, and never without a doubt about the pose."""
+def test_an_object_does_not_cover_itself(behind_m: float) -> None:
+    """A pose behind the object, which is fully visible: the object itself is in front of the pose. So
+    the reason always says that the pose may be wrong."""
     said = why.why_doubted(BALL, seen(NEAR), at(0.0, 0.0, 0.8 + behind_m), Doubt.TURN)
     assert said == (why.CLOSE_IN_FRONT if behind_m < DIAMETER_M else why.COVERED)
     assert "pose is" in said
@@ -137,7 +137,7 @@ def shown(
     poses: Sequence[PoseMessage] = (),
     pipeline: Pipeline = PIPELINE,
 ) -> str:
-    """What `huepose status` shows where these were heard."""
+    """What `huepose status` shows after these messages."""
     known = {message.worker: message for message in workers}
     placed = {(pose.object, pose.instance): pose for pose in poses}
     return as_text(View(pipeline, True, known, frozenset(), (), list(objects), placed))
@@ -149,7 +149,7 @@ def health_of(worker: str, **changes: object) -> HealthMessage:
 
 
 def pose_of(name: str, instance: int = 0, **changes: object) -> PoseMessage:
-    """Doubted, as covered, where nothing else is said."""
+    """SUSPECT because it is covered, unless changed."""
     doubted = {"state": "SUSPECT", "reason": why.COVERED}
     return msgspec.structs.replace(example(PoseMessage), object=name, instance=instance, **doubted | changes)
 
@@ -158,20 +158,20 @@ def entry(name: str, reason: str = "", searching: int = 1) -> ObjectEntry:
     return ObjectEntry(object=name, max_instances=1, searching=searching, reason=reason)
 
 
-def test_status_says_it_below_the_object() -> None:
+def test_status_gives_the_reason_below_the_object() -> None:
     said = shown(poses=[pose_of("mug", 2)]).splitlines()
     (line,) = [number for number, text in enumerate(said) if text.startswith("mug/2")]
     assert said[line + 1] == f"  {why.COVERED}"
 
 
-def test_status_says_what_the_camera_knows_in_place_of_what_follows_from_it() -> None:
+def test_status_gives_a_fault_of_the_camera_instead_of_its_consequences() -> None:
     poses = [pose_of("mug"), pose_of("jar", state="TRACKING", reason="")]
     text = shown([health_of("camera", picture=NONE_COMES)], poses=poses)
     assert text.count(NONE_COMES) == 1
     assert why.COVERED not in text
 
 
-def test_status_says_what_the_newest_picture_shows_once_the_fault_of_the_camera_is_over() -> None:
+def test_status_gives_the_reason_of_the_newest_image_after_a_fault_of_the_camera() -> None:
     pose = pose_of("mug")
     text = shown([health_of("camera", picture=NONE_COMES, publish_ns=pose.capture_ns - 1)], poses=[pose])
     assert why.COVERED in text
@@ -179,8 +179,8 @@ def test_status_says_what_the_newest_picture_shows_once_the_fault_of_the_camera_
 
 
 @pytest.mark.parametrize("before", ["No image comes. ", ""])
-def test_status_says_the_sentence_of_the_camera_once(before: str) -> None:
-    """What other workers and objects repeat of it may be a second older."""
+def test_status_gives_the_sentence_of_the_camera_once(before: str) -> None:
+    """Other workers and objects may repeat it a second late."""
     why_none = "cam.py: no image for 3 s"
     workers = [
         health_of("estimator", warnings=[why_none]),
@@ -194,7 +194,7 @@ def test_status_says_the_sentence_of_the_camera_once(before: str) -> None:
     assert text.count("See the camera above.") == 1
 
 
-def test_status_refers_to_the_worker_that_says_it_above() -> None:
+def test_status_refers_to_the_worker_that_gives_the_reason_above() -> None:
     far = "All depth is 6.5 m away or farther: is the depth scale right?"
     text = shown([health_of("camera"), health_of("estimator", warnings=[far])], [entry("mug", far)])
     assert f"  estimator: {far}\n" in text
@@ -208,7 +208,7 @@ def test_status_says_of_a_recording_that_is_played_that_no_worker_runs() -> None
         assert ("a recording is played: its workers are shown as they were then" in text) == played
 
 
-def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> None:
+def test_status_names_a_found_object_without_a_pose() -> None:
     entries = [entry(name, NONE_COMES, searching=0) for name in ("mug", "jar")]
     said = shown(objects=entries, poses=[pose_of("jar", state="TRACKING", reason="")]).splitlines()
     (line,) = [number for number, text in enumerate(said) if text.startswith("mug")]
@@ -216,26 +216,26 @@ def test_status_names_an_object_that_is_found_and_of_which_no_pose_comes() -> No
     assert said[line + 1 :] == [f"  {NONE_COMES}"]
 
 
-def test_status_says_once_what_is_said_of_several_objects() -> None:
+def test_status_gives_a_reason_that_several_objects_share_once() -> None:
     said_of = {"mug": NONE_COMES, "jar": NONE_COMES, "can": "", "cup": "", "tin": NONE_COMES}
     text = shown(objects=[entry(name, reason) for name, reason in said_of.items()])
     said = [line.split()[0] for line in text.splitlines()[3:]]
     assert said == ["mug", "jar", "These", "can", "cup", "tin", "No"]
 
 
-def test_status_says_that_nothing_is_looked_for_once_that_is_known() -> None:
+def test_status_says_that_no_object_is_searched_for_only_if_that_is_known() -> None:
     for heard, said in (([], True), (None, False), ([entry("mug")], False)):
         view = View(PIPELINE, True, {}, frozenset(), (), heard, {})
         assert ("no object is searched for" in as_text(view)) == said
 
 
-def test_status_does_not_call_a_worker_gone_that_may_be_starting() -> None:
+def test_status_does_not_report_a_worker_as_ended_that_may_be_starting() -> None:
     view = View(PIPELINE, True, {}, frozenset(), ("estimator",), [], {})
     (line,) = [text for text in as_text(view).splitlines() if text.startswith("estimator")]
     assert "starting, stopping or ended" in line
 
 
-def test_a_narrow_terminal_is_shown_what_says_how_it_is() -> None:
+def test_a_narrow_terminal_shows_the_most_important_columns() -> None:
     busy = health_of("tracker", state="ready", errors=3, restarts=2)
     view = View(PIPELINE, True, {"tracker": busy}, frozenset(), (), [], {})
     wide, narrow = as_text(view).splitlines()[1:3], as_text(view, 60).splitlines()[1:3]

@@ -1,4 +1,4 @@
-"""What the estimator worker says where nothing is found in a picture."""
+"""What the estimator worker reports about frames, the camera and the sizes of objects."""
 
 from types import SimpleNamespace
 
@@ -24,7 +24,7 @@ CAMERA = Camera(300.0, 300.0, 79.5, 59.5, 160, 120)
 
 
 class _Estimator:
-    """Knows a cup, and answers as it was told."""
+    """An estimator that knows a cup and gives fixed answers."""
 
     objects, diameters_m = ("cup",), (0.12,)
     answers: tuple[PoseEstimate, ...] = ()
@@ -42,7 +42,7 @@ class _Estimator:
     def remove_object(self, name):
         self.objects = ()
 
-    larger = 0.0  # by what share the picture shows a cup
+    larger = 0.0  # by what share a cup looks larger
     others = ()  # instances of it that fit
 
     def sizes_seen(self, frame, answers):
@@ -59,7 +59,7 @@ def begun(*answers):
 
 
 def masks(times, *names):
-    """A picture of a wall a metre away, its depth so many times too large, in which these were detected."""
+    """Masks of these objects in a frame of a wall 1 m away, whose depth is `times` too large."""
     color = np.random.default_rng(0).integers(20, 220, (120, 160, 3), dtype=np.uint8)
     depth = np.full((120, 160), 1.0 * times, np.float32)
     header, payload = sent(RgbdFrame(color, depth, CAMERA), 0.0002)
@@ -79,7 +79,7 @@ def test_depth_of_another_unit_is_named_in_answer_health_and_log(times):
     assert "depth scale" in answer.picture
     assert bus.health.message().warnings == [answer.picture]
     assert [said.warnings for said in bus.healths] == [[answer.picture]], (
-        "told at once, not with the next sign of life"
+        "published at once, not with the next heartbeat"
     )
     assert bus.logged["picture"] == [f"nothing is found: {answer.picture}"]
     work.step()
@@ -87,7 +87,7 @@ def test_depth_of_another_unit_is_named_in_answer_health_and_log(times):
     assert bus.health.message().warnings == []
 
 
-def test_only_of_a_tracking_instance_it_is_not_asked_whether_it_is_the_object():
+def test_all_but_tracking_instances_are_checked_for_identity():
     work, bus, estimator = begun(PoseEstimate("cup"), PoseEstimate("cup"))
     message, payload = masks(1.0, "cup", "cup")
     known, new = message.objects
@@ -98,7 +98,7 @@ def test_only_of_a_tracking_instance_it_is_not_asked_whether_it_is_the_object():
     assert [query.searched for query in estimator.asked] == [False, True]
 
 
-def test_a_new_instance_is_told_where_the_others_are_in_this_frame():
+def test_a_query_for_a_new_instance_has_the_predicted_poses_of_the_others():
     work, bus, estimator = begun(PoseEstimate("cup"))
     message, payload = masks(1.0, "cup")
     (new,) = message.objects
@@ -119,7 +119,8 @@ def test_a_new_instance_is_told_where_the_others_are_in_this_frame():
 
 @pytest.fixture
 def warned_after(monkeypatch):
-    """A worker with a bus, an estimator and a clock, and what it says against the camera after so long."""
+    """A function of seconds: steps a worker after them, and gives the fault of the camera that it
+    publishes."""
     (work, bus, estimator), now = begun(), [0]
     monkeypatch.setattr(worker, "now_ns", lambda: now[0])
 
@@ -146,12 +147,12 @@ def warned_after(monkeypatch):
         estimator.answers = before
         return [item.reason for item in bus.said[-1].estimates]
 
-    def told(*changes):
-        """With the next picture the list of objects changes so."""
+    def list_changes(*changes):
+        """The changes of the list of objects that come with the next frame."""
         left = list(changes)
         work._objects.changes = lambda: [left.pop(0) for _ in changes if left]
 
-    warned.estimator, warned.asked, warned.told = estimator, asked, told
+    warned.estimator, warned.asked, warned.list_changes = estimator, asked, list_changes
     warned.warnings = lambda: bus.health.message().warnings
     return warned
 
@@ -163,7 +164,7 @@ def cup(state, instance=0):
 EVERY_S = LOOK_EVERY_NS * 1e-9
 
 
-def test_a_wrong_camera_matrix_is_said_after_some_looks(warned_after):
+def test_a_wrong_camera_matrix_is_reported_after_some_looks(warned_after):
     warned_after.estimator.answers = (cup("TRACKING"),)
     warned_after.estimator.larger = 0.1
     assert [warned_after(s) for s in (0.0, 0.2)] == [""] * 2
@@ -173,7 +174,7 @@ def test_a_wrong_camera_matrix_is_said_after_some_looks(warned_after):
     assert [warned_after(EVERY_S) for _ in range(3)][-1] == ""
 
 
-def test_a_warning_does_not_outlive_its_cause_while_the_detector_doubts_the_colours(warned_after):
+def test_a_warning_ends_with_its_cause_also_while_the_detector_doubts_the_colours(warned_after):
     warned_after.estimator.answers = (cup("TRACKING"),)
     warned_after.estimator.larger = 0.1
     assert [warned_after(0.2) for _ in range(3)][-1] != ""
@@ -183,8 +184,8 @@ def test_a_warning_does_not_outlive_its_cause_while_the_detector_doubts_the_colo
     assert warned_after.warnings() == []
 
 
-def test_doubtful_poses_are_asked_about_sizes_only_where_there_is_no_sure_one(warned_after):
-    """And not what is new: it may be the background."""
+def test_sizes_of_suspect_poses_are_measured_only_if_none_is_tracking(warned_after):
+    """Sizes of new instances are not: they may be the background."""
     warned_after.estimator.answers = (cup("SUSPECT", -1),)
     warned_after.estimator.larger = 0.2
     assert [warned_after(EVERY_S) for _ in range(4)] == [""] * 4
@@ -198,8 +199,8 @@ def test_doubtful_poses_are_asked_about_sizes_only_where_there_is_no_sure_one(wa
     assert said[-1] == ""
 
 
-def test_what_has_another_size_than_the_others_is_doubted_alone(warned_after):
-    """With a sentence in its estimate, which goes the way of all estimates; a new one of its name with it."""
+def test_only_the_instance_of_another_size_than_the_others_is_doubted(warned_after):
+    """The reason is in its estimate, and in that of a new instance of the same object."""
     estimator = warned_after.estimator
     estimator.answers = tuple(cup("TRACKING", number) for number in range(3))
     estimator.larger, estimator.others = 0.12, (0, 2)
@@ -211,12 +212,12 @@ def test_what_has_another_size_than_the_others_is_doubted_alone(warned_after):
     assert warning.startswith(f"cup/1: {said}")
     all_three, estimator.answers = estimator.answers, (cup("TRACKING", 0),)
     warned_after(20.0)
-    assert warned_after.warnings() == [], "it was taken away"
+    assert warned_after.warnings() == [], "the instance is gone"
     assert warned_after.asked(None) == [""]
     estimator.answers = all_three
     warned_after(0.3)
-    assert len(warned_after.warnings()) == 1, "and is known when it comes back"
-    # A right one was put in its place: of what is doubted each second's look is taken.
+    assert len(warned_after.warnings()) == 1, "it is known when the instance comes back"
+    # A right one takes its place.
     estimator.others = (0, 1, 2)
     for _ in range(40):
         warned_after(0.3)
@@ -229,16 +230,16 @@ CUP = ObjectEntry(object="cup", max_instances=1, searching=1)
 @pytest.mark.parametrize(
     "changes", [[Change(CUP)], [Change(CUP, removed=True)], [Change(CUP, removed=True), Change(CUP, "cup")]]
 )
-def test_what_was_said_of_an_object_is_forgotten_with_it(warned_after, changes):
-    """Of the camera, too, where its mesh alone was the cause; what others say goes on."""
+def test_a_doubt_about_an_object_is_forgotten_when_the_object_changes(warned_after, changes):
+    """Also a doubt about the camera that came from this object alone; a change of another object keeps it."""
     estimator = warned_after.estimator
     estimator.answers = (cup("TRACKING"),)
     estimator.larger = 0.1
     assert [warned_after(0.2) for _ in range(3)][-1] != ""
-    warned_after.told(Change(replace(CUP, object="jar")))
+    warned_after.list_changes(Change(replace(CUP, object="jar")))
     estimator.answers = ()
     assert warned_after(0.2) != ""
-    warned_after.told(*changes)
+    warned_after.list_changes(*changes)
     assert warned_after(0.2) == ""
     if estimator.objects:
         estimator.answers, estimator.larger = (cup("TRACKING", 1),), 0.0
@@ -246,7 +247,7 @@ def test_what_was_said_of_an_object_is_forgotten_with_it(warned_after, changes):
         assert warned_after.asked(1, None) == ["", ""]
 
 
-def test_each_object_is_looked_at_in_its_turn_and_later_seldom(warned_after):
+def test_objects_are_looked_at_in_turn_and_later_seldom(warned_after):
     estimator, turns = warned_after.estimator, []
     estimator.answers = tuple(cup("TRACKING", number) for number in range(2))
     for _ in range(6):
@@ -261,7 +262,7 @@ def test_each_object_is_looked_at_in_its_turn_and_later_seldom(warned_after):
     assert 2 * 7 <= len(turns) <= 2 * 10
 
 
-def test_depth_beside_the_colours_is_said_at_the_first_look(warned_after, monkeypatch):
+def test_misaligned_depth_is_reported_at_the_first_look(warned_after, monkeypatch):
     offsets = [DepthOffset(40.0, 0.0, 9.0, 400), None, None]
     monkeypatch.setattr(camera_doubts, "frame_offset", lambda frame: offsets.pop(0))
     warned_after.estimator.answers = (cup("TRACKING"),)
@@ -269,7 +270,7 @@ def test_depth_beside_the_colours_is_said_at_the_first_look(warned_after, monkey
     assert [warned_after(EVERY_S) for _ in range(2)] == [""] * 2  # in one look of two, and of three
 
 
-def test_a_camera_is_not_doubted_where_its_owner_is_sure(monkeypatch):
+def test_with_the_check_off_a_camera_is_not_doubted(monkeypatch):
     bus = FakeBus("estimator")
     monkeypatch.setattr(worker.models, "load", lambda config: {})
     monkeypatch.setattr(worker, "Follower", lambda *_: SimpleNamespace(changes=lambda: []))
@@ -280,7 +281,7 @@ def test_a_camera_is_not_doubted_where_its_owner_is_sure(monkeypatch):
     assert [make(bus, config)._doubts is None for config in configs] == [False, True]
 
 
-def test_what_the_detector_says_against_the_camera_goes_on():
+def test_a_fault_of_the_camera_from_the_detector_is_passed_on():
     work, bus, _ = begun()
     message, payload = masks(1.0)
     bus.arriving[Masks] = [(replace(message, camera="Blue for red."), payload)]

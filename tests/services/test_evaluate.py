@@ -82,7 +82,7 @@ def test_poses_of_a_live_run_are_scored(scoring: list[str], tmp_path: Path, caps
     assert "first pass" not in said
 
 
-def test_it_says_where_only_the_first_pass_of_several_counts(
+def test_the_output_says_that_only_the_first_of_several_passes_counts(
     scoring: list[str], tmp_path: Path, capsys
 ) -> None:
     (message,) = (tmp_path / "poses.jsonl").read_text().splitlines()
@@ -94,7 +94,7 @@ def test_it_says_where_only_the_first_pass_of_several_counts(
     assert said in capsys.readouterr().out
 
 
-def test_it_says_where_the_poses_are_of_more_than_the_scene(
+def test_the_output_says_that_the_poses_are_of_more_than_the_scene(
     scoring: list[str], scene: Path, tmp_path: Path, capsys
 ) -> None:
     """They began before the scene and ended after it: that is no second pass."""
@@ -109,25 +109,25 @@ def test_it_says_where_the_poses_are_of_more_than_the_scene(
     assert "first pass" not in said
 
 
-def test_a_scene_that_shows_nothing_of_its_objects_is_scored(
+def test_a_scene_whose_objects_are_all_occluded_is_scored(
     scoring: list[str], scene: Path, tmp_path: Path, printed: Says
 ) -> None:
-    hidden = [{"visib_fract": 0.05, "bbox_visib": [0, 0, 2, 2]}]
-    (scene / "scene_gt_info.json").write_text(json.dumps({0: hidden, 1: hidden}))
+    occluded = [{"visib_fract": 0.05, "bbox_visib": [0, 0, 2, 2]}]
+    (scene / "scene_gt_info.json").write_text(json.dumps({0: occluded, 1: occluded}))
     assert "poses for - of frames" in printed(scoring)
     assert json.loads((tmp_path / "result.json").read_text())["summary"]["poses_for_frames"] is None
 
 
-def test_poses_are_taken_from_all_places_that_are_listed(tmp_path: Path) -> None:
+def test_poses_are_read_from_all_listed_paths(tmp_path: Path) -> None:
     sources, name = PoseSources({}, EstimatorConfig()), "006_mustard_bottle"
     with pytest.raises(InputError) as error:
         sources.of(str(tmp_path), name, 0)
-    places = re.findall(rf"{name}\S*\.(?:csv|txt)", str(error.value))
-    assert len(places) == 4
-    for place in places:
-        folder = tmp_path / place.replace("/", "_")
-        (folder / place).parent.mkdir(parents=True)
-        (folder / place).write_text("nonsense\n")
+    paths = re.findall(rf"{name}\S*\.(?:csv|txt)", str(error.value))
+    assert len(paths) == 4
+    for path in paths:
+        folder = tmp_path / path.replace("/", "_")
+        (folder / path).parent.mkdir(parents=True)
+        (folder / path).write_text("nonsense\n")
         with pytest.raises(InputError, match="line 1"):
             sources.of(str(folder), name, 0)
     (tmp_path / f"{name}.txt").write_text("0 0 1 0 0 1 0\n")
@@ -136,10 +136,10 @@ def test_poses_are_taken_from_all_places_that_are_listed(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("closed", [["stdout"], ["stderr"], ["stdout", "stderr"]])
-def test_results_are_written_where_nobody_reads_what_is_printed(
+def test_results_are_written_even_if_nobody_reads_the_output(
     scoring: list[str], tmp_path: Path, closed: list[str]
 ) -> None:
-    """Python writes each word at once here; else it does when its buffer is full."""
+    """Here Python writes each word at once, otherwise when its buffer is full."""
     read_end, write_end = os.pipe()
     os.close(read_end)
     outputs = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | dict.fromkeys(closed, write_end)
@@ -182,7 +182,7 @@ def test_a_scene_that_is_given_twice_is_named_as_it_was_given(
 def test_scenes_of_several_sets_may_have_one_name(
     scene: Path, bundles: Path, tmp_path: Path, refused
 ) -> None:
-    """Each result says which is which; declared equivalents name scenes of one set, so they are refused."""
+    """The results also name the set; declared equivalents name only the scene, so they are refused."""
     other = shutil.copytree(scene, tmp_path / "other" / scene.name)
     assert [one.name for one in open_bop([scene, other])] == [f"{tmp_path.name}-000009", "other-000009"]
     given = tmp_path / "given.json"

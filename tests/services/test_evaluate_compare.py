@@ -14,7 +14,7 @@ from tests.services.conftest import Says
 
 @pytest.fixture
 def folders(tmp_path: Path) -> tuple[Path, Path]:
-    """Before and after: eight of forty instances lost in one set, equal tracks, a file on each side alone."""
+    """Before and after: eight of forty instances lost in one set, equal tracks, one unmatched file each."""
     before, after = tmp_path / "before", tmp_path / "after"
     write_estimates(before / "piles.json", {(i, 0): True for i in range(40)})
     write_estimates(after / "piles.json", {(i, 0): i >= 8 for i in range(40)})
@@ -45,7 +45,7 @@ def test_a_set_that_became_worse_ends_with_1_and_is_named(folders, tmp_path: Pat
     }  # fmt: skip
 
 
-def test_a_loss_within_its_interval_ends_with_0_and_is_said(tmp_path: Path, printed: Says) -> None:
+def test_a_loss_within_its_interval_ends_with_0_and_is_reported(tmp_path: Path, printed: Says) -> None:
     before = write_estimates(tmp_path / "a.json", {(i, 0): True for i in range(40)})
     after = write_estimates(tmp_path / "b.json", {(i, 0): i > 0 for i in range(40)})
     out = printed(["eval", "compare", before, after])
@@ -53,7 +53,7 @@ def test_a_loss_within_its_interval_ends_with_0_and_is_said(tmp_path: Path, prin
     assert out.splitlines()[-1] == "worse: none of 1"
 
 
-def test_a_larger_margin_forgives(folders) -> None:
+def test_a_loss_within_the_margin_ends_with_0(folders) -> None:
     before, after = folders
     assert main(["eval", "compare", str(before), str(after), "--margin", "40"]) == 0
 

@@ -146,7 +146,7 @@ def test_wrong_usage_is_named(
     ("option", "value"),
     [("--rotation", "kabsch"), ("--rotation-model", "turn.onnx"), ("--flow", "neuflow.onnx")],
 )
-def test_what_only_the_papers_tracker_has_is_refused_of_another(
+def test_options_of_the_papers_tracker_are_refused_with_another_method(
     tmp_path: Path, capsys, refused, option: str, value: str
 ) -> None:
     command = f"eval track --fast-ycb nowhere --bundles nowhere --json {tmp_path / 'r'} {option} {value}"
@@ -156,7 +156,7 @@ def test_what_only_the_papers_tracker_has_is_refused_of_another(
     assert option not in refused([*command.split(), "--method", "paper"])
 
 
-def test_a_network_is_refused_of_the_closed_form(tmp_path: Path, capsys) -> None:
+def test_a_rotation_network_is_refused_with_the_closed_form(tmp_path: Path, capsys) -> None:
     command = f"eval track --fast-ycb nowhere --bundles nowhere --json {tmp_path / 'r'} --method paper"
     assert main([*command.split(), "--rotation", "kabsch", "--rotation-model", "turn.onnx"]) == 2
     assert "huepose eval: --rotation-model: found it with --rotation kabsch" in capsys.readouterr().err

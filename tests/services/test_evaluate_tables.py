@@ -1,4 +1,4 @@
-"""`huepose eval tables` from drawn stand-ins in the official layouts to the report."""
+"""`huepose eval tables` from rendered stand-ins in the official layouts to the report."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.services.conftest import Says
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory) -> Path:
-    """One scene of two images of two objects, of which one image is lost; a sequence of six frames."""
+    """One scene of two images of two objects, one image of which is missing; a sequence of six frames."""
     root = tmp_path_factory.mktemp("data")
     write_stand_ins(root, stand_in_objects(2), images=2, sequences=1, frames=6, seed=0)
     (root / "ycbv" / "test" / "000048" / "rgb" / "000001.png").unlink()
@@ -40,7 +40,7 @@ def cells(table: Table, row: str) -> dict[tuple[str, str], object]:
 def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "results"
     command = ["eval", "tables", "--ycbv", str(data / "ycbv"), "--fast-ycb", str(data / "fast")]
-    command += ["--out", str(out), "--threads", "1", "--every", "1", "5", "--note", "drawn frames"]
+    command += ["--out", str(out), "--threads", "1", "--every", "1", "5", "--note", "rendered frames"]
     assert main([*command, "--methods", "full", "paper"]) == 0
     said = capsys.readouterr()
     record = json.loads((out / "results.json").read_text())
@@ -65,7 +65,7 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
     assert "1 of 2 images of test_targets_bop19.json are there" in notes
     assert "missing sequences: 003_cracker_box" in notes
     assert "first pose dope" in notes
-    assert record["coverage"][0] == "drawn frames"
+    assert record["coverage"][0] == "rendered frames"
     assert str(tmp_path) not in record["origin"]["command"]
 
     poses = read_bop_csv(out / "huepose-full_ycbv-test.csv")
@@ -77,7 +77,7 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
     assert "Table II: tracking" in text
     assert text.rstrip().splitlines()[-1] in said.out
 
-    # A second run measures nothing again; our own poses, as those of others, give the same figures.
+    # A second run measures nothing again; our own poses, read as those of others, give the same figures.
     copy = (out / "huepose-full_ycbv-test.csv").rename(tmp_path / "theirs.csv")
     with copy.open("a") as file:
         file.write("48,0,1,0.1,nan 0 0 0 1 0 0 0 1,0 0 500,-1\n48,0,99,0.1,1 0 0 0 1 0 0 0 1,0 0 500,-1\n")
@@ -94,7 +94,7 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
     assert (out / "runs" / "ycbv-full.jsonl").read_bytes() == before
     assert not (out / "huepose-theirs_ycbv-test.csv").exists()
 
-    # Names of two columns, and results that were measured with other inputs, are refused.
+    # One name for two columns, and results that were measured with other inputs, are refused.
     for names in (["full"], ["theirs", "theirs"]):
         assert main([*command, "--submission", *(f"{name}={copy}" for name in names)]) == 2
         assert "one name for two columns" in capsys.readouterr().err
@@ -105,7 +105,7 @@ def test_the_whole_command_on_stand_ins(data: Path, tmp_path: Path, capsys) -> N
 
 
 @pytest.mark.timeout(600)
-def test_unseen_objects_are_drawn_onboarded_and_measured(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_unseen_objects_are_rendered_onboarded_and_measured(tmp_path: Path, monkeypatch, capsys) -> None:
     """Two of them, in one frame and one sequence."""
     from huepose.scenes import official_sets
 
@@ -147,9 +147,7 @@ def test_a_sequence_that_cannot_be_opened_is_named_and_the_others_stay(
         evaluate_scenes.open_fast_ycb([both], tmp_path, [])
 
 
-def test_only_sequences_of_the_objects_that_are_asked_for_are_opened(
-    data: Path, tmp_path: Path, monkeypatch
-) -> None:
+def test_only_sequences_of_the_requested_objects_are_opened(data: Path, tmp_path: Path, monkeypatch) -> None:
     (whole,) = (data / "fast").iterdir()
     fast = tmp_path / "fast"
     for name in ("003_cracker_box", "006_mustard_bottle"):
@@ -169,6 +167,6 @@ def test_only_sequences_of_the_objects_that_are_asked_for_are_opened(
         TrackSource(fast, "fast", (), objects=("8",)).opened(tmp_path, [])
 
 
-def test_without_data_or_meshes_it_says_what_is_needed(data: Path, tmp_path: Path, refused: Says) -> None:
+def test_missing_data_or_meshes_are_named(data: Path, tmp_path: Path, refused: Says) -> None:
     assert "--ycbv" in refused(["eval", "tables", "--out", tmp_path / "o"])
     assert "--models" in refused(["eval", "tables", "--fast-ycb", data / "fast", "--out", tmp_path / "o"])

@@ -37,7 +37,7 @@ from tests.services.sessions import listening
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 EXAMPLE = example(PoseMessage)
-CAMERA_SAYS = example(CameraMessage)
+CAMERA_MESSAGE = example(CameraMessage)
 MOUNT = Mount(parent="base_link", translation=(0.1, 0.2, 0.3), quaternion=(0.0, 0.0, 0.0, 1.0))
 
 
@@ -51,7 +51,7 @@ def folder(tea_box: ReferenceModel, tmp_path_factory: pytest.TempPathFactory) ->
 
 
 @pytest.fixture(scope="module")
-def true_place(tea_box: ReferenceModel) -> np.ndarray:
+def true_position(tea_box: ReferenceModel) -> np.ndarray:
     return first_shot({"tea_box": tea_box.mesh}).labels.T_cam_obj[0][:3, 3]
 
 
@@ -60,7 +60,7 @@ def example(name: str, *arguments: str | Path) -> list[str]:
 
 
 def answer(name: str, folder: Path) -> tuple[str, list[float]]:
-    """The state of the first answer that an example prints, and where it is."""
+    """State and position of the first pose that an example prints."""
     done = subprocess.run(example(name, folder), check=True, capture_output=True, text=True)
     words = done.stdout.splitlines()[0].split(maxsplit=3)
     assert words[0] == "tea_box"
@@ -68,14 +68,14 @@ def answer(name: str, folder: Path) -> tuple[str, list[float]]:
 
 
 @pytest.mark.parametrize("name", ["01_one_frame.py", "05_own_detector.py"])
-def test_a_frame_is_answered(name: str, folder: Path, true_place: np.ndarray) -> None:
-    state, place = answer(name, folder)
+def test_an_example_prints_the_pose_in_a_frame(name: str, folder: Path, true_position: np.ndarray) -> None:
+    state, position = answer(name, folder)
     assert state == "TRACKING"
-    assert np.allclose(place, true_place, atol=0.005)
+    assert np.allclose(position, true_position, atol=0.005)
 
 
 @pytest.mark.parametrize("name", ["01_one_frame.py", "05_own_detector.py"])
-def test_a_folder_without_a_frame_is_said_in_a_paragraph(name: str, tmp_path: Path) -> None:
+def test_a_folder_without_a_frame_is_reported_in_one_line(name: str, tmp_path: Path) -> None:
     done = subprocess.run(example(name, tmp_path / "no"), capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr.startswith(f"{tmp_path / 'no'}")
@@ -104,8 +104,9 @@ def published(
     camera_after: int | None = None,
     late_ns: Callable[[int], int] | None = None,
 ) -> Iterator[None]:
-    """A pipeline's poses, thirty a second, at an endpoint, and after some of them where its camera is;
-    pose: by the number of poses so far; late_ns: how late a camera that moves says it, by the same."""
+    """Publishes a pipeline's poses, thirty a second, at an endpoint, and after some of them the camera's
+    mount. pose: gives the message of a number; late_ns: gives the age of a moving camera's mount at a
+    number."""
 
     def publish(number: int) -> None:
         now = time.monotonic_ns()
@@ -117,7 +118,7 @@ def published(
         if camera_after is not None and number > camera_after:
             mount_ns = None if late_ns is None else now - late_ns(number)
             said = msgspec.structs.replace(
-                CAMERA_SAYS, frame=message.frame, mount=MOUNT, mount_ns=mount_ns, publish_ns=now
+                CAMERA_MESSAGE, frame=message.frame, mount=MOUNT, mount_ns=mount_ns, publish_ns=now
             )
             session.put(keys.camera_info, encode(said))
 
@@ -130,7 +131,7 @@ def tracked(**changes: object) -> PoseMessage:
 
 
 @pytest.mark.live
-def test_the_subscriber_says_what_comes_and_why_nothing_comes(base_port: int) -> None:
+def test_the_subscriber_prints_what_comes_and_why_nothing_comes(base_port: int) -> None:
     endpoint = f"tcp/127.0.0.1:{base_port}"
     with subprocess.Popen(
         example("02_live_subscriber.py", endpoint), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -147,7 +148,7 @@ def test_the_subscriber_says_what_comes_and_why_nothing_comes(base_port: int) ->
 
 
 @pytest.mark.live
-def test_the_subscriber_ends_quietly_with_who_reads_it(base_port: int) -> None:
+def test_the_subscriber_ends_quietly_when_its_output_is_closed(base_port: int) -> None:
     """As `| head` does: it closes the pipe."""
     endpoint = f"tcp/127.0.0.1:{base_port}"
     with (
@@ -171,7 +172,7 @@ def test_the_subscriber_ends_quietly_with_who_reads_it(base_port: int) -> None:
 
 
 def first_words(*commands: list[str]) -> list[str]:
-    """The first line that each of them says on its error output; all wait at the same time."""
+    """The first line of each command's error output; all wait at the same time."""
     running = [subprocess.Popen(command, stderr=subprocess.PIPE, text=True) for command in commands]
     try:
         return [one.stderr.readline() for one in running if one.stderr is not None]
@@ -182,7 +183,7 @@ def first_words(*commands: list[str]) -> list[str]:
 
 
 @pytest.mark.live
-def test_a_pipeline_that_is_being_started_is_told_from_none(
+def test_a_pipeline_that_is_being_started_is_distinguished_from_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path))
@@ -193,7 +194,7 @@ def test_a_pipeline_that_is_being_started_is_told_from_none(
 
 
 @pytest.mark.live
-def test_nothing_is_picked_before_it_is_still(base_port: int) -> None:
+def test_nothing_is_picked_before_it_is_at_rest(base_port: int) -> None:
     endpoint, began = f"tcp/127.0.0.1:{base_port}", time.monotonic()
 
     def falls(number: int) -> PoseMessage:
@@ -206,15 +207,15 @@ def test_nothing_is_picked_before_it_is_still(base_port: int) -> None:
             example("03_pick_when_still.py", "tea_box", endpoint), check=True, capture_output=True, text=True
         )
     x, y, z = (float(n) for n in re.findall(r"\d\.\d*", picked.stdout))
-    # In the robot's frame, though its camera said late where it is.
+    # In the robot's frame, although the camera's mount came late.
     assert (x, y) == MOUNT.translation[:2]
     assert z == pytest.approx(0.75 + MOUNT.translation[2], abs=0.004)
     assert time.monotonic() - began > 100 / 30
 
 
 @pytest.mark.live
-def test_nothing_is_picked_while_nobody_says_where_a_camera_on_a_hand_is(base_port: int) -> None:
-    """What lies still in front of the camera is not where the robot would look for it."""
+def test_nothing_is_picked_while_the_pose_of_a_moving_camera_is_unknown(base_port: int) -> None:
+    """The object is at rest in the camera's frame, but its position in the robot's frame is unknown."""
     endpoint, late = f"tcp/127.0.0.1:{base_port}", threading.Event()
     late.set()
     still = {"velocity_linear": (0.0, 0.0, 0.0), "velocity_angular": (0.0, 0.0, 0.0)}
@@ -246,7 +247,7 @@ def test_nothing_is_picked_while_nobody_says_where_a_camera_on_a_hand_is(base_po
 
 @contextmanager
 def listed(endpoint: str, outside: bool) -> Iterator[None]:
-    """A pipeline that says what it looks for and where its camera is, as it does outside or inside."""
+    """Publishes the list of objects and the camera of a pipeline, as outside or as inside."""
     keys = Keys("lab", "cam0")
     key = keys.outside(keys.objects) if outside else keys.objects
     said = ObjectsMessage(
@@ -256,15 +257,15 @@ def listed(endpoint: str, outside: bool) -> Iterator[None]:
     with zenoh.open(listening(endpoint)) as session:
         session.declare_queryable(key, lambda query: query.reply(key, encode(said)))
 
-        def say_where_the_camera_is(_: int) -> None:
-            session.put(keys.camera_info, encode(CAMERA_SAYS))
+        def publish_camera(_: int) -> None:
+            session.put(keys.camera_info, encode(CAMERA_MESSAGE))
 
-        with repeating(say_where_the_camera_is, 0.1):
+        with repeating(publish_camera, 0.1):
             yield
 
 
 @pytest.mark.live
-def test_a_name_that_is_not_looked_for_is_said_with_those_that_are(base_port: int) -> None:
+def test_a_name_that_is_not_searched_for_is_reported_with_those_that_are(base_port: int) -> None:
     inside, outside = (f"tcp/127.0.0.1:{base_port + k}" for k in (0, 1))
     with listed(inside, outside=False), listed(outside, outside=True):
         lines = first_words(*(example("03_pick_when_still.py", "crton", at) for at in (inside, outside)))

@@ -1,4 +1,4 @@
-"""What is done when HuePose is set up."""
+"""What the setup of HuePose does."""
 
 import os
 import signal
@@ -29,7 +29,7 @@ print("not compiled:", sorted(KERNELS - {name_of(kernel.py_func) for kernel in r
 """
 
 
-def test_no_kernel_of_what_is_set_up_is_left_for_later():
+def test_the_setup_compiles_all_kernels():
     done = subprocess.run([sys.executable, "-c", _CODE], capture_output=True, text=True, timeout=500)
     assert done.returncode == 0, done.stderr
     *steps, compiled = done.stdout.strip().splitlines()
@@ -42,9 +42,9 @@ def test_no_kernel_of_what_is_set_up_is_left_for_later():
 
 
 @pytest.mark.parametrize("during", ["", "onboarding the built-in objects", "kernels compiled"])
-def test_ctrl_c_ends_it_at_any_time_in_one_line(tmp_path: Path, during: str) -> None:
-    """At once, while an object is learnt, and within the compiler; caches are empty, but that within the
-    compiler the objects are there, so that it need not first compile what learns them."""
+def test_ctrl_c_ends_the_setup_at_any_time_in_one_line(tmp_path: Path, during: str) -> None:
+    """At once, while an object is onboarded, and within the compiler. Caches are empty, except that for the
+    last case the objects are there, so that their onboarding need not be compiled first."""
     kept = {"NUMBA_CACHE_DIR": str(tmp_path / "numba")}
     if during != "kernels compiled":
         kept["XDG_CACHE_HOME"] = str(tmp_path / "cache")

@@ -1,4 +1,4 @@
-"""The rate limit under a clock of its own."""
+"""The rate limit, with times that the test gives."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from huepose_services.gateway import Holdback
 MS = 1_000_000
 
 
-def test_a_fast_source_is_cut_to_the_rate_and_its_last_value_arrives():
+def test_a_fast_source_is_limited_to_the_rate_and_its_last_value_arrives():
     limit, sent = Holdback(20.0), []
     for ms in range(0, 1000):
         for _, value in limit.due(ms * MS):
@@ -19,7 +19,7 @@ def test_a_fast_source_is_cut_to_the_rate_and_its_last_value_arrives():
     assert limit.held == 91 - len(sent)
 
 
-def test_a_source_at_the_rate_is_not_cut_by_its_jitter():
+def test_a_source_at_the_rate_is_not_limited_because_of_its_jitter():
     limit = Holdback(30.0)
     jitter = [0, 3, -3, 2, -4, 4, 0, -2]
     sent = 0
@@ -30,7 +30,7 @@ def test_a_source_at_the_rate_is_not_cut_by_its_jitter():
     assert sent >= 290
 
 
-def test_keys_do_not_share_a_limit_and_what_is_urgent_passes():
+def test_keys_do_not_share_a_limit_and_urgent_values_pass():
     limit = Holdback(1.0)
     assert limit.offer("a", 1, 0) == 1
     assert limit.offer("b", 1, 0) == 1

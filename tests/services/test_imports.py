@@ -1,4 +1,4 @@
-"""What workers, subscribers and the command line import, and what they do without."""
+"""What workers, subscribers and the command line import, and what they must not import."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HELP = "import huepose_services.cli.main as command_line\ncommand_line.build_par
 
 
 @pytest.mark.parametrize(
-    ("imports", "done_without"),
+    ("imports", "must_not_import"),
     [
         (EVERY_WORKER, ("open3d", "dash", "trimesh", "torch", "PIL")),
         # Kernels take 45 MiB and over a second of CPU time at every start.
@@ -32,12 +32,14 @@ HELP = "import huepose_services.cli.main as command_line\ncommand_line.build_par
         # A tenth of a second of CPU time at every start.
         ("import huepose_services.tracker", ("scipy.spatial", "scipy.optimize", "onnxruntime")),
         (SUBSCRIBER, ("cv2", "numba", "scipy", "open3d", "onnxruntime")),
-        # At once, whenever a key is pressed for what may come next.
+        # The shell completes a word without a delay.
         (HELP, ("numpy", "zenoh", "cv2", "msgspec", "yaml", "numba", "open3d")),
     ],
     ids=["every worker", "camera", "reinit", "tracker", "subscriber", "help"],
 )
-def test_a_process_does_without_what_it_does_not_need(imports: str, done_without: tuple[str, ...]) -> None:
-    code = f"{imports}\nimport sys\nprint(*sorted({set(done_without)} & set(sys.modules)))"
+def test_a_process_does_not_import_what_it_does_not_need(
+    imports: str, must_not_import: tuple[str, ...]
+) -> None:
+    code = f"{imports}\nimport sys\nprint(*sorted({set(must_not_import)} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100.0)
     assert (done.returncode, done.stdout.strip()) == (0, ""), done.stderr

@@ -14,7 +14,7 @@ from tests.services.fake_bus import FakeBus, sent
 from tests.services.tracker_work import MS
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
-PICTURE = RgbdFrame(PIXELS, np.ones((48, 64), np.float32), Camera(60.0, 60.0, 31.5, 23.5, 64, 48))
+FRAME = RgbdFrame(PIXELS, np.ones((48, 64), np.float32), Camera(60.0, 60.0, 31.5, 23.5, 64, 48))
 
 
 @pytest.mark.parametrize("odometry", [True, False])
@@ -23,9 +23,9 @@ def test_the_frames_that_the_tracker_keeps_can_be_requested_and_no_others(odomet
     bus.session.declare_queryable = lambda key, channel: SimpleNamespace(handler=())
     tracker = Tracker({}, TrackerConfig(history_frames=3, older_frames=2, odometry=odometry))
     cache = InputCache(bus)
-    nobody_tells = {"camera_translation": None, "camera_quaternion": None}
+    no_camera_pose = {"camera_translation": None, "camera_quaternion": None}
     for number in range(1, 20):
-        header, payload = sent(PICTURE, frame_id=number, capture_ns=number * 33 * MS, **nobody_tells)
+        header, payload = sent(FRAME, frame_id=number, capture_ns=number * 33 * MS, **no_camera_pose)
         frame = frame_from_wire(header, payload)
         assert np.shares_memory(frame.color, np.frombuffer(payload, np.uint8)), "so it costs no memory"
         cache.frame(header, payload, frame, recorded=False)
@@ -37,12 +37,12 @@ def test_the_frames_that_the_tracker_keeps_can_be_requested_and_no_others(odomet
 
 
 def test_a_frame_that_comes_twice_is_kept_once(monkeypatch):
-    """As one in which the tracker raised an error."""
+    """As a frame at which the tracker raised an error."""
     bus = FakeBus("tracker")
     bus.session.declare_queryable = lambda key, channel: SimpleNamespace(handler=())
     cache = InputCache(bus)
     for number in (1, 1, 2, 3):
-        header, payload = sent(PICTURE, frame_id=number)
+        header, payload = sent(FRAME, frame_id=number)
         monkeypatch.setattr(intake, "_NEWEST_BYTES", len(payload))
         cache.frame(header, payload, frame_from_wire(header, payload), recorded=True)
     assert [frame_id for _, frame_id in cache._frames] == [3]

@@ -1,4 +1,4 @@
-"""A pipeline over two computers: which part is whose, what crosses between them, and what does not."""
+"""A pipeline on two computers: which part runs where, what is sent between them, and what is not."""
 
 import socket
 import time
@@ -56,9 +56,7 @@ def test_each_computer_has_its_part():
     assert Config().at(None) == Config()
 
 
-def test_where_the_other_computer_comes_somebody_who_listens_is_said_before_a_worker_starts(
-    tmp_path, monkeypatch
-):
+def test_a_port_of_the_link_in_use_is_refused_before_a_worker_starts(tmp_path, monkeypatch):
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path / "run"))
     Authority.make(tmp_path / "secure", ["localhost"], 30)
     with socket.create_server(("127.0.0.1", 0)) as other:
@@ -87,13 +85,13 @@ def test_where_the_other_computer_comes_somebody_who_listens_is_said_before_a_wo
         ("workers: [camera, uplink]", "workers: found uplink"),
     ],
 )
-def test_what_cannot_be_is_said(tmp_path, text, part):
+def test_impossible_hosts_and_links_are_refused(tmp_path, text, part):
     with pytest.raises(InputError, match=".*".join(part.split(" ... "))) as error:
         parse(text, tmp_path / "pipeline.yaml")
     assert "pipeline.yaml" in str(error.value)
 
 
-def test_a_recording_waits_for_the_workers_of_both():
+def test_a_recording_waits_for_the_workers_of_both_computers():
     inbox = SimpleNamespace(liveliness=lambda key: None)
     audience = Audience(SimpleNamespace(inbox=inbox), over_two().at(None))
     assert audience.missing == {"tracker", "reinit", "uplink", *ALL}
@@ -105,11 +103,11 @@ def test_units_and_graph_are_those_of_a_computer(tmp_path):
     assert "IPAddressDeny=\n" in files["huepose@downlink.service.d/needs.conf"]
     assert "huepose@camera.service" not in files["huepose.target"]
     pipeline = described(config.at(None), tmp_path / "p.yaml")
-    drawn = mermaid(View(pipeline, False, {}, frozenset(), (), [], {}))
-    there = drawn[drawn.index("subgraph desk") : drawn.index("    end")]
+    graph = mermaid(View(pipeline, False, {}, frozenset(), (), [], {}))
+    there = graph[graph.index("subgraph desk") : graph.index("    end")]
     assert all(f'{worker}["' in there for worker in (*ALL, "downlink"))
-    assert 'reinit -- "request + frame" --> uplink\n    uplink == TLS ==> downlink' in drawn
-    assert "camera -- frame --> detector" not in drawn
+    assert 'reinit -- "request + frame" --> uplink\n    uplink == TLS ==> downlink' in graph
+    assert "camera -- frame --> detector" not in graph
     answer = as_json(View(pipeline, False, {}, frozenset(), (), [], {}))
     assert {w["worker"] for w in answer["workers"] if w["host"] == "desk"} == {*ALL, "downlink"}
     assert {"from": "reinit", "to": "detector", "what": "request + frame", "rate_hz": None} in answer["edges"]
@@ -118,7 +116,7 @@ def test_units_and_graph_are_those_of_a_computer(tmp_path):
 
 
 class Side:
-    """One end of the link with its bus, and a bus of another worker beside it."""
+    """One end of the link with its bus, and the bus of another worker on the same computer."""
 
     def __init__(self, config, link, other):
         self.config = config
@@ -141,7 +139,7 @@ def folder(tmp_path):
 
 @pytest.fixture
 def sides(base_port, folder):
-    """Makes both, from which workers run at the desk."""
+    """A function of the workers at the desk: makes both ends."""
     opened = []
 
     def make(far=ALL):
@@ -186,7 +184,7 @@ def test_a_request_takes_its_frame_along_and_the_answer_has_its_stamp(sides):
     def answer(**changes):
         header = {"camera_epoch": frame.camera_epoch, "frame_id": frame.frame_id, "capture_ns": now}
         said = msgspec.structs.replace(example(Estimates), **header | {"publish_ns": now + HOUR_NS} | changes)
-        # The desk's clock may be hours away: only its own bus would mind.
+        # The desk's clock may be hours off: only its own bus would refuse that.
         desk.work._outside.put(desk.bus.keys.down(desk.bus.keys.estimates), encode(said))
 
     answer(frame_id=frame.frame_id + 1)  # of a frame that was never sent
@@ -199,7 +197,7 @@ def test_a_request_takes_its_frame_along_and_the_answer_has_its_stamp(sides):
 
 
 @pytest.mark.live
-def test_a_frame_about_which_all_was_answered_does_not_cross_again_and_the_next_one_does(sides):
+def test_a_frame_that_was_answered_in_full_is_not_sent_again_and_the_next_one_is(sides):
     robot, desk = sides()
     looks = desk.other.inbox.queue(desk.other.keys.look)
     now = time.monotonic_ns()
@@ -226,7 +224,7 @@ def test_a_frame_about_which_all_was_answered_does_not_cross_again_and_the_next_
 
 @pytest.mark.live
 @pytest.mark.parametrize(("far", "kind"), [(ALL[1:], Detections), (ALL[2:], Masks)])
-def test_only_the_end_of_perception_may_be_there(sides, far, kind):
+def test_only_the_last_workers_of_perception_may_run_there(sides, far, kind):
     robot, desk = sides(far)
     key = robot.bus.keys.detections if kind is Detections else robot.bus.keys.masks
     found = desk.other.inbox.ring(key)
@@ -263,8 +261,7 @@ def test_who_is_there_is_seen_and_nobody_else_comes_or_steers(sides, folder):
     until(seen)
     assert "tracker" not in heard
     assert not robot.bus.health.message().warnings
-    # What the desk says under other keys goes nowhere; who has another certificate of the authority does not
-    # come in.
+    # Messages of the desk under other keys are dropped; another certificate of the authority is refused.
     where = f"tls/{robot.config.link.connect}"
     bytes_of = encode(example(CorrectionMessage))
     stranger = open_session([where], folder / "authority.pem", folder / "reader.pem", folder / "reader.key")
@@ -276,7 +273,7 @@ def test_who_is_there_is_seen_and_nobody_else_comes_or_steers(sides, folder):
     assert robot.other.take(corrections, CorrectionMessage) is None
     assert not stranger.info.peers_zid()
     stranger.close()
-    # Silent for 2.5 s: it is said, and they are no longer seen.
+    # After 2.5 s without a message there is a warning, and its workers no longer count as running.
     until(lambda: "desk is not heard" in str(robot.bus.health.message().warnings), 5.0)
     assert robot.bus.health.state == "waiting"
     assert not robot.work._tokens

@@ -1,4 +1,4 @@
-"""What is noted of a mesh before anything is learnt of it."""
+"""What is noted about a mesh before it is onboarded."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def test_the_meshes_of_a_file_that_are_taken_as_one_object_are_named(
         ("glb", "OPAQUE", True, ""),
     ],
 )
-def test_a_surface_that_is_transparent_is_noted_and_what_no_surface_shows_is_not(
+def test_transparency_is_noted_only_where_the_surface_uses_the_texture(
     form: str, mode: str, everywhere: bool, noted: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An atlas is often transparent beside its parts."""
+    """A texture atlas is often transparent between its parts."""
     box = solids.box((0.06, 0.04, 0.03))
     used = cv2.dilate(used_texels(box.uv, *box.texture.shape[:2]), np.ones((3, 3), np.uint8))
     alpha = np.zeros_like(used) if everywhere else 255 * used
@@ -68,8 +68,8 @@ def test_a_surface_that_is_transparent_is_noted_and_what_no_surface_shows_is_not
 
 
 def clear_window(path: Path, opacity: str, mode: str = "BLEND") -> None:
-    """A cube without a texture, one side of which is of another material. opacity: of that, as lines of an
-    MTL file or as the alpha of a glTF."""
+    """Writes a cube without a texture, one side of which has another material. opacity: of that material, as
+    lines of an MTL file or as the alpha of a glTF."""
     box = solids.box((0.06, 0.06, 0.06))
     if path.suffix == ".obj":
         corners = [f"v {x * 1000:g} {y * 1000:g} {z * 1000:g}" for x, y, z in box.vertices]

@@ -33,7 +33,7 @@ TEXT = """
 
 @pytest.fixture
 def config(tmp_path, tea_box, base_port):
-    """Two workers whose networks see a tea box in BOX, and outline what they are prompted with."""
+    """Two workers whose networks detect a tea box in BOX, and segment the box that they get."""
     save_model(tea_box, tmp_path / "bundles" / "tea_box.huepose")
     networks.sam_encoder(tmp_path / "encoder.onnx")
     networks.sam_decoder(tmp_path / "decoder.onnx")
@@ -46,7 +46,7 @@ def config(tmp_path, tea_box, base_port):
 
 @pytest.fixture
 def buses(config):
-    """One for the worker, one for everybody else."""
+    """One bus for the worker, one for all others."""
     endpoint = config.endpoint("detector")
     sessions = zenoh.open(zenoh_config([endpoint], [])), open_reader_session([endpoint])
     made = [Bus(session, config.keys, "test") for session in sessions]
@@ -62,7 +62,7 @@ def _frame():
 
 
 def _answer(ask, work, bus, place, kind, wait_until):
-    """Ask and let the worker work until its answer is there: subscriptions take a moment to be known."""
+    """Requests and steps the worker until its answer is there: subscriptions take a moment to be known."""
 
     def answered():
         ask()
@@ -72,8 +72,10 @@ def _answer(ask, work, bus, place, kind, wait_until):
     return wait_until(answered)
 
 
-def test_an_object_that_the_network_has_no_class_for_is_told_from_the_start(config, buses, tmp_path, printed):
-    """By validate and by the worker's health, until there is a class or nobody looks for it any more."""
+def test_an_object_without_a_class_of_the_network_is_reported_from_the_start(
+    config, buses, tmp_path, printed
+):
+    """By validate and by the worker's health, until it has a class or is not searched for any more."""
     known = load_models(config.bundles, ["tea_box"])["tea_box"]
     save_model(replace(known, name="can"), tmp_path / "bundles" / "can.huepose")
     objects = [ObjectConfig(name="tea_box"), ObjectConfig(name="can")]
@@ -93,14 +95,14 @@ def test_an_object_that_the_network_has_no_class_for_is_told_from_the_start(conf
     assert not [w for w in worker.health.message().warnings if "never gives a box" in w]
 
 
-def test_what_the_detector_sees_is_what_the_segmenter_outlines(config, buses, wait_until):
+def test_the_segmenter_segments_what_the_detector_finds(config, buses, wait_until):
     worker, other = buses
     keys = config.keys
     boxes, masks = other.inbox.ring(keys.detections), other.inbox.ring(keys.masks)
     finding = detector.make(worker, config)
     outlining = segmenter.make(worker, config)
     assert worker.health.counters["provider_cpu"] == 2
-    picture, now = _frame(), now_ns()
+    packed_frame, now = _frame(), now_ns()
     header = FrameHeader(
         publish_ns=now,
         camera_epoch=1,
@@ -108,8 +110,8 @@ def test_what_the_detector_sees_is_what_the_segmenter_outlines(config, buses, wa
         capture_ns=now,
         clock=this_clock(),
         frame="cam0_color_optical",
-        intrinsics=picture.intrinsics,
-        buffers=picture.buffers,
+        intrinsics=packed_frame.intrinsics,
+        buffers=packed_frame.buffers,
     )
     wanted = RequestedObject(object="tea_box", instance=None)
     request = PerceptionRequest(
@@ -117,11 +119,11 @@ def test_what_the_detector_sees_is_what_the_segmenter_outlines(config, buses, wa
     )
 
     def ask_for_boxes():
-        other.put_pixels(keys.frame, header, picture.payload)
+        other.put_pixels(keys.frame, header, packed_frame.payload)
         other.put_control(keys.request, request)
 
     found, payload = _answer(ask_for_boxes, finding, other, boxes, Detections, wait_until)
-    assert payload == picture.payload
+    assert payload == packed_frame.payload
     assert found.objects[0].box == pytest.approx(BOX, abs=0.01)
     assert found.objects[0].score == pytest.approx(0.8)
 

@@ -97,7 +97,7 @@ def test_a_known_network_is_fetched_once_and_checked(server, entry):
 
 
 @pytest.mark.parametrize("ranges", [True, False])
-def test_a_download_that_broke_off_is_taken_up_again(server, entry, ranges):
+def test_a_download_that_broke_off_is_continued(server, entry, ranges):
     server.breaks_after, server.ranges = 100_000, ranges
     with pytest.raises(InputError, match="the downloaded part is kept"):
         fetch(entry, server.url)
@@ -106,7 +106,7 @@ def test_a_download_that_broke_off_is_taken_up_again(server, entry, ranges):
     assert server.asked == [0, 100_000 if ranges else 0]
 
 
-def test_another_file_is_thrown_away(server, entry, folder):
+def test_a_file_with_another_digest_is_deleted(server, entry, folder):
     server.content = CONTENT[:-1] + b"x"
     with pytest.raises(InputError, match="expected " + entry.network.sha256):
         fetch(entry, server.url)
@@ -118,7 +118,7 @@ def test_without_a_server_it_says_where_the_file_goes(entry):
         fetch(entry, "http://127.0.0.1:9/known.onnx")
 
 
-def test_what_has_no_digest_is_not_fetched(entry, server):
+def test_a_network_without_a_digest_is_not_fetched(entry, server):
     unknown = replace(entry, network=replace(entry.network, sha256=None))
     with pytest.raises(InputError, match="huepose models add FILE --name known"):
         fetch(unknown, server.url)
@@ -133,7 +133,7 @@ def test_progress_is_shown_on_a_terminal(server, entry, monkeypatch, capsys):
     assert said.endswith("\x1b[Kknown: 0.3 MB downloaded\n")
 
 
-def test_a_log_says_that_a_download_begins_and_that_it_is_there(server, entry, capsys):
+def test_a_log_says_that_a_download_begins_and_ends(server, entry, capsys):
     fetch(entry, server.url)
     assert capsys.readouterr().err.splitlines() == ["known: downloading 0.3 MB", "known: 0.3 MB downloaded"]
 
@@ -154,7 +154,7 @@ def test_a_file_of_yours_is_added_listed_and_used_by_name(mine, folder, tmp_path
         deployed.check(config)
 
 
-def test_a_file_put_there_by_hand_is_seen(mine, folder, printed):
+def test_a_file_put_there_by_hand_is_listed(mine, folder, printed):
     folder.mkdir()
     (folder / "by-hand.onnx").write_bytes(mine.read_bytes())
     assert "by-hand  [installed]" in printed(["models"])
@@ -167,7 +167,7 @@ def test_a_wrong_file_or_name_is_not_added(mine, folder, name):
     assert not folder.exists()
 
 
-def test_what_is_no_network_is_not_added(tmp_path):
+def test_a_file_that_is_no_network_is_not_added(tmp_path):
     file = tmp_path / "text.onnx"
     file.write_text("hello")
     with pytest.raises(InputError, match="ONNX"):
@@ -175,7 +175,7 @@ def test_what_is_no_network_is_not_added(tmp_path):
 
 
 @pytest.mark.parametrize("words", [["add", "{mine}"], ["list"]])
-def test_without_a_home_it_is_said_which_variable_names_the_folder(words, mine, monkeypatch, refused):
+def test_without_a_home_folder_the_error_names_the_variables_to_set(words, mine, monkeypatch, refused):
     """As in a container that runs as a user whom its system does not know."""
 
     def unknown(number):
@@ -188,7 +188,7 @@ def test_without_a_home_it_is_said_which_variable_names_the_folder(words, mine, 
     assert "the user's home folder: found none: HOME is not set. Set HOME, or HUEPOSE_NETWORKS to a" in said
 
 
-def test_of_a_folder_that_cannot_be_written_it_is_said_how_to_name_another(
+def test_if_the_folder_cannot_be_written_the_error_says_how_to_name_another(
     mine, entry, server, monkeypatch, refused
 ):
     monkeypatch.setenv("HUEPOSE_NETWORKS", "/proc/networks")
@@ -222,7 +222,7 @@ def test_a_provider_that_is_not_installed_is_refused_before_a_worker_needs_it(mi
     deployed.check(parse(f"networks: {{providers: [{missing}]}}", tmp_path / "p.yaml"))
 
 
-def test_without_classes_they_are_called_as_the_objects_are(tmp_path):
+def test_without_classes_those_with_the_names_of_objects_are_used(tmp_path):
     names = {"names": "{0: 'mug', 1: 'jug'}"}
     networks.constant_output(tmp_path / "named.onnx", np.zeros((1, 30, 6)), metadata=names)
     networks.constant_output(tmp_path / "nameless.onnx", np.zeros((1, 30, 6)))
@@ -237,7 +237,7 @@ def test_without_classes_they_are_called_as_the_objects_are(tmp_path):
         deployed.check(parse(text.format("nameless", ""), tmp_path / "p.yaml"))
 
 
-def test_sam_without_files_takes_the_networks_of_that_name(tmp_path, folder):
+def test_sam_without_files_takes_nanosam(tmp_path, folder):
     with pytest.raises(InputError, match="nanosam-encoder"):
         deployed.check(parse("segmenter: {kind: sam}", tmp_path / "p.yaml"))
     folder.mkdir()

@@ -30,7 +30,7 @@ pytestmark = [pytest.mark.live, pytest.mark.pipeline, pytest.mark.timeout(240)]
 
 @dataclass
 class Running:
-    """The pipeline, what is seen of it, and how to talk to it."""
+    """The pipeline, a watch on it, and functions to control it."""
 
     path: Path
     watch: Watch
@@ -43,14 +43,14 @@ class Running:
         return {k[1] for k, p in self.watch.view().poses.items() if p.state in ("TRACKING", "SUSPECT")}
 
     def order(self, action, name=None, **more):
-        """What the pipeline answers to an order about its list of objects."""
+        """The pipeline's reply to a request about its list of objects."""
         request = ControlRequest(publish_ns=now_ns(), action=action, object=name, **more)
         return ask(self.watch.pipeline, request)
 
 
 @pytest.fixture(scope="module")
 def running(recording, tmp_path_factory):
-    """One for all tests here, in their order: it plays the recording again and again."""
+    """One pipeline for all tests here, in their order; it repeats the recording."""
     folder, _, _ = recording
     path = tmp_path_factory.mktemp("running") / "pipeline.yaml"
     path.write_text(json.dumps(patient_pipeline(folder / "bundles", folder / "scene")))
@@ -103,7 +103,7 @@ def _listening(pid):
     return out
 
 
-def test_it_says_how_it_is_and_nobody_outside_can_reach_a_worker(running):
+def test_the_status_is_complete_and_no_worker_can_be_reached_from_outside(running):
     running.watch.look_at_all(1.0, 20.0)
     view = running.watch.view()
     assert view.well
@@ -125,11 +125,11 @@ def test_no_worker_has_loaded_what_only_onboarding_needs(running):
     assert [worker for worker, maps in loaded.items() if "/open3d/" in maps] == []
 
 
-def test_a_thousand_bad_messages_a_second_on_every_key_are_counted_and_disturb_nobody(running, wait_until):
+def test_a_thousand_bad_messages_a_second_on_every_key_are_counted_and_disturb_no_worker(running, wait_until):
     before = running.watch.view()
     sent = flood(before.pipeline.endpoints, Keys("local", "cam0"), 2.0)
     assert sent >= 1000
-    # Of pixels only the newest are looked at, so fewer are counted there.
+    # Of messages with pixels only the newest is read, so fewer are counted there.
     least = {"tracker": 20, "reinit": 20, "detector": 20, "segmenter": 1, "estimator": 1}
 
     def counted():
@@ -165,8 +165,8 @@ def test_the_list_of_objects_is_changed_while_it_runs(running, recording, wait_u
     wait_until(instances, 60.0)
 
 
-def test_nothing_was_compiled_after_the_workers_said_that_they_are_ready(running):
-    """Through all that was asked of them above."""
+def test_nothing_was_compiled_after_the_workers_were_ready(running):
+    """During all tests above."""
     running.watch.look_at_all(1.0, 20.0)
     health = running.watch.view().health
     assert {
@@ -177,7 +177,7 @@ def test_nothing_was_compiled_after_the_workers_said_that_they_are_ready(running
     assert {"tracker", "estimator", "detector", "segmenter"} <= set(health)
 
 
-def test_a_second_instance_of_a_worker_is_refused_and_the_first_ends_when_told_to(running):
+def test_a_second_process_of_a_worker_is_refused_and_the_first_ends_in_order(running):
     second = running.start("run", "segmenter", running.path)
     _, err = second.communicate(timeout=60.0)
     assert second.returncode == 2

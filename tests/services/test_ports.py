@@ -3,7 +3,7 @@ import socket
 from huepose_services.runtime.run_folder import free_ports, is_taken, make_folder
 
 
-def test_ports_that_somebody_has_are_passed_over(tmp_path, monkeypatch):
+def test_ports_in_use_are_skipped(tmp_path, monkeypatch):
     monkeypatch.setenv("HUEPOSE_RUN", str(tmp_path / "run"))
     first = free_ports(3)
     with socket.socket(socket.AF_UNIX) as taken:
@@ -12,4 +12,4 @@ def test_ports_that_somebody_has_are_passed_over(tmp_path, monkeypatch):
         assert is_taken(make_folder(), first + 1)
         second = free_ports(3)
         assert second > first
-    assert free_ports(3) == first, "a socket that its process left behind is nobody's"
+    assert free_ports(3) == first, "the port of a socket whose process has ended is free"

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.live
 
 
 def _messages(reader, kind, timeout_s=30.0):
-    """All messages until the workers that were seen are gone."""
+    """All messages until the workers that were seen have ended."""
     got, deadline = [], time.monotonic() + timeout_s
     while time.monotonic() < deadline and not (reader.seen and not reader.live):
         message = reader.next(0.1)
@@ -35,7 +35,7 @@ def _messages(reader, kind, timeout_s=30.0):
 def test_a_recording_is_played_once_on_time_and_ends_the_pipeline(
     pipeline, huepose, base_port, tmp_path, monkeypatch
 ):
-    """Whoever was there first, in a folder that says nothing of it, finds it and ends with it."""
+    """A subscriber that started first, in a folder without its file, finds the pipeline and ends with it."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = pipeline(first_frame_s=2.0)
     (tmp_path / "elsewhere").mkdir()
@@ -44,7 +44,7 @@ def test_a_recording_is_played_once_on_time_and_ends_the_pipeline(
     assert "waiting for a pipeline" in printer.stderr.readline()
     with Reader([endpoint(base_port)], "huepose/*/*/truth") as reader:
         process = huepose("up", path)
-        # The first frame is said again and again while it stands.
+        # The first frame is sent repeatedly during its pause.
         truths = list({t.frame_id: t for t in _messages(reader, TruthMessage)}.values())
     out, err = process.communicate(timeout=15.0)
     assert process.returncode == 0, err
@@ -52,13 +52,13 @@ def test_a_recording_is_played_once_on_time_and_ends_the_pipeline(
     assert [t.image for t in truths] == list(range(3, 15))
     assert [t.frame_id for t in truths] == list(range(3, 15))
     assert len({t.camera_epoch for t in truths}) == 1
-    # The recorded intervals are kept in the stamps exactly, after the pause on the first frame.
+    # The recorded intervals are kept in the timestamps exactly, after the pause on the first frame.
     stamps = [t.capture_ns for t in truths]
     gaps = [b - a for a, b in pairwise(stamps)]
     recorded = [b - a for a, b in pairwise(STAMPS_NS)]
     assert 1.99e9 < gaps[0] - recorded[0] < 3.0e9
     late = sum(a != b for a, b in zip(gaps[1:], recorded[1:], strict=True))
-    assert late <= 2, "the schedule moves only when the machine stands still"
+    assert late <= 2, "the schedule moves only if the machine is blocked"
     assert all(t.publish_ns >= t.capture_ns for t in truths)
     assert truths[3].objects[0].translation == (0.0, 0.0, 0.503)
     assert truths[3].objects[0].object_id == 5
@@ -72,9 +72,9 @@ def test_a_recording_is_played_once_on_time_and_ends_the_pipeline(
 
 
 @pytest.fixture
-def film(base_port, tmp_path, python_camera, recording):
-    """A function that writes cam.py, which gives so many pictures, 0.1 s apart, and then does something, and
-    pipeline.yaml, which plays it once to a tracker. It returns the path of the first."""
+def python_recording(base_port, tmp_path, python_camera, recording):
+    """A function that writes cam.py, which gives so many images, 0.1 s apart, and then runs `then`; and
+    pipeline.yaml, which plays it once to a tracker. It gives the path of cam.py."""
 
     def write(pictures, then=""):
         python_camera("pass", every_s=0.1)
@@ -89,11 +89,11 @@ def film(base_port, tmp_path, python_camera, recording):
     return write
 
 
-def test_a_film_of_a_python_file_is_played_once_to_the_workers_that_are_there_and_ends_the_pipeline(
-    huepose, base_port, tmp_path, film
+def test_a_recording_of_a_python_file_is_played_once_to_all_workers_and_ends_the_pipeline(
+    huepose, base_port, tmp_path, python_recording
 ):
-    """Twelve pictures, 0.1 s apart: the tracker takes longer to start, and has read all of them."""
-    film(12)
+    """Twelve images, 0.1 s apart: the tracker takes longer to start, and still reads all of them."""
+    python_recording(12)
     with Reader([endpoint(base_port), endpoint(base_port + 1)], "huepose/*/*/health/*") as reader:
         process = huepose("up", tmp_path / "pipeline.yaml")
         said = _messages(reader, HealthMessage, 60.0)
@@ -106,10 +106,10 @@ def test_a_film_of_a_python_file_is_played_once_to_the_workers_that_are_there_an
     assert len({health.camera_epoch for health in said if health.frame_id is not None}) == 1
 
 
-def test_a_film_of_a_python_file_that_raises_is_not_begun_again_and_its_error_ends_the_pipeline(
-    huepose, tmp_path, film
+def test_a_recording_of_a_python_file_that_raises_is_not_restarted_and_ends_the_pipeline(
+    huepose, tmp_path, python_recording
 ):
-    path = film(4, "    raise OSError('the disk is gone')\n")
+    path = python_recording(4, "    raise OSError('the disk is gone')\n")
     process = huepose("up", tmp_path / "pipeline.yaml")
     _, err = process.communicate(timeout=60.0)
     assert process.returncode == 1, err
@@ -193,7 +193,7 @@ def test_a_worker_that_is_killed_or_hangs_is_started_again_and_ends_with_its_sup
 @pytest.mark.parametrize("verb", ["up", "run", "validate"])
 def test_bad_input_is_a_paragraph_and_exit_code_2(pipeline, huepose, capsys, verb, change, parts):
     path = str(pipeline(**change))
-    if verb == "run":  # it is a worker by then
+    if verb == "run":  # the worker itself refuses it
         process = huepose("run", "camera", path)
         err = process.communicate(timeout=30.0)[1]
         assert process.returncode == 2
@@ -219,7 +219,7 @@ def test_a_damaged_reference_model_is_named_once_before_a_worker_starts(
         assert main([verb, str(path)]) == 0
         capsys.readouterr()
     whole = model.read_bytes()
-    model.unlink()  # it may be mapped still
+    model.unlink()  # it may still be mapped
     model.write_bytes(whole[: len(whole) // 2])
     said = refused([verb, path])
     assert said.startswith(f"huepose {verb}: {model}: found a damaged or foreign file")
@@ -242,7 +242,7 @@ def test_a_method_whose_tables_the_reference_models_lack_is_refused_before_a_wor
         path.write_text(json.dumps(data))
         assert main([verb, str(path)]) == 0, "the method full needs none"
         path.write_text(json.dumps(data | {"workers": ["camera"], "estimator": {"method": "colorpair"}}))
-        assert main([verb, str(path)]) == 0, "nobody here estimates"
+        assert main([verb, str(path)]) == 0, "no estimator runs here"
 
 
 @pytest.mark.parametrize("verb", [("up",), ("run", "camera")])
@@ -263,7 +263,7 @@ def test_an_unknown_worker_is_named(pipeline, refused):
     assert "worker 'cook'" in refused(["run", "cook", pipeline()])
 
 
-def test_validate_says_what_a_pipeline_is(pipeline, printed, base_port):
+def test_validate_describes_a_pipeline(pipeline, printed, base_port):
     out = printed(["validate", pipeline()])
     assert "huepose/local/cam0" in out
     assert f"in {run_folder()}: camera {base_port}" in out

@@ -1,4 +1,4 @@
-"""The processors that a worker keeps to."""
+"""The processors on which a worker runs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ print(os.sched_getaffinity(0), *seen)
 """
 
 
-def test_a_worker_and_its_threads_keep_to_the_processors_that_are_named() -> None:
+def test_a_worker_and_its_threads_run_on_the_named_processors() -> None:
     processor = max(os.sched_getaffinity(0))
     said = subprocess.run(
         [sys.executable, "-c", KEPT.format(processor=processor)], capture_output=True, text=True, check=True
@@ -32,8 +32,8 @@ def test_a_worker_and_its_threads_keep_to_the_processors_that_are_named() -> Non
     assert said.stdout.strip() == f"{{{processor}}} {{{processor}}}"
 
 
-def test_a_worker_of_a_session_of_its_own_comes_after_other_sessions_as_after_its_own() -> None:
-    """Perception, which any user may put last: where sessions share time, their own niceness counts."""
+def test_a_perception_worker_lowers_the_priority_of_a_session_of_its_own() -> None:
+    """If the kernel shares time among sessions, the niceness of the session counts."""
     if not Path("/proc/self/autogroup").exists():
         pytest.skip("this kernel does not share time among sessions")
     code = "from huepose_services.runtime.worker import come_first\n"
@@ -46,11 +46,11 @@ def test_a_worker_of_a_session_of_its_own_comes_after_other_sessions_as_after_it
     }
     expected = os.nice(0) + 3
     assert said[True][1:] == ["nice", str(expected)]
-    # A session that others are in stays as it is.
+    # A session with other processes is not changed.
     assert said[False][1:] != ["nice", str(expected)]
 
 
-def test_a_processor_that_there_is_not_is_named() -> None:
+def test_a_missing_processor_is_named() -> None:
     before = os.sched_getaffinity(0)
     with pytest.raises(InputError, match="found 1022; expected processors of this computer"):
         keep_to([1022])

@@ -1,4 +1,4 @@
-"""The re-initialisation worker tells at once what it searches for, and says nothing of an older search."""
+"""The re-initialisation worker publishes at once what it searches for, without reasons of an older search."""
 
 from dataclasses import asdict
 
@@ -35,7 +35,7 @@ EPOCH = 5
 
 class _Bus(FakeBus):
     def mug(self):
-        """What was last told of the mug."""
+        """The mug's entry in the last published list."""
         return [m for m in self.said if isinstance(m, ObjectsMessage)][-1].objects[0]
 
 
@@ -51,7 +51,7 @@ def objects():
 
 @pytest.fixture
 def step(bus, objects, monkeypatch):
-    """Step the worker, a tick later each time."""
+    """Steps the worker, a tick later each time."""
     bus.work = work = ReinitWork(bus, ReinitLoop(ReinitConfig(), [ObjectSlot("mug", 1, 0.1)]), objects)
 
     def once():
@@ -76,7 +76,7 @@ def pose(instance):
 
 
 def answer(bus, **changes):
-    """Perception's answer to the request of the worker: nothing found, but for what is given."""
+    """Perception's answer to the request of the worker: nothing found, unless changed."""
     request = next(m for m in bus.said if not isinstance(m, ObjectsMessage))
     now = now_ns()
     message = Estimates(
@@ -86,7 +86,7 @@ def answer(bus, **changes):
 
 
 def found():
-    """A new mug that perception is sure of."""
+    """The estimate of a new mug, TRACKING."""
     return msgspec.structs.replace(
         example(Estimates).estimates[0],
         object="mug",
@@ -97,7 +97,7 @@ def found():
     )
 
 
-def test_that_an_object_is_found_is_told_at_once(bus, step):
+def test_that_an_object_is_found_is_published_at_once(bus, step):
     step()
     assert bus.mug().searching == 1
     bus.arriving[PoseMessage].append(pose(0))
@@ -106,7 +106,7 @@ def test_that_an_object_is_found_is_told_at_once(bus, step):
 
 
 @pytest.mark.parametrize(("frame_id", "counted"), [(9, "held"), (10, "expired")])
-def test_a_request_expires_only_where_the_camera_has_given_another_frame(
+def test_a_request_expires_only_if_the_camera_has_given_another_frame(
     bus, objects, monkeypatch, frame_id, counted
 ):
     at = [now_ns()]
@@ -131,14 +131,14 @@ def test_a_request_expires_only_where_the_camera_has_given_another_frame(
 
 
 @pytest.mark.parametrize(("worker", "requests"), [("segmenter", 2), ("uplink", 2), ("viewer", 1)])
-def test_a_request_is_made_anew_when_who_it_needs_begins(bus, step, worker, requests):
+def test_a_request_is_sent_again_when_a_worker_that_it_needs_starts(bus, step, worker, requests):
     step()
     bus.begun.append(worker)
     step()
     assert sum(isinstance(m, PerceptionRequest) for m in bus.said) == requests
 
 
-def test_what_is_said_against_the_camera_goes_on_with_every_correction(bus, step):
+def test_a_fault_of_the_camera_is_passed_on_with_every_correction(bus, step):
     step()
     bus.arriving[Estimates].append(answer(bus, estimates=[found()], camera="Too large."))
     step()
@@ -146,7 +146,7 @@ def test_what_is_said_against_the_camera_goes_on_with_every_correction(bus, step
     assert {(c.object, c.verdict, c.camera) for c in corrections} == {("mug", "acquire", "Too large.")}
 
 
-def test_what_is_said_against_an_object_goes_on_with_its_correction(bus, step):
+def test_a_doubt_about_an_object_is_passed_on_with_its_correction(bus, step):
     step()
     larger = msgspec.structs.replace(found(), reason="Larger than its mesh.")
     bus.arriving[Estimates].append(answer(bus, estimates=[larger]))
@@ -155,7 +155,7 @@ def test_what_is_said_against_an_object_goes_on_with_its_correction(bus, step):
     assert (correction.reason, correction.camera) == ("Larger than its mesh.", "")
 
 
-def test_what_was_found_and_never_followed_is_not_said_to_be_followed(bus, objects, step):
+def test_a_found_object_that_was_never_tracked_is_reported_as_not_confirmed(bus, objects, step):
     step()
     bus.arriving[Estimates].append(answer(bus, estimates=[found()]))
     step()
@@ -169,8 +169,8 @@ def test_what_was_found_and_never_followed_is_not_said_to_be_followed(bus, objec
 
 
 @pytest.mark.parametrize("since", [0, SECOND // 2])
-def test_a_second_one_is_spoken_of_only_while_the_first_is_followed(bus, objects, step, since):
-    """since: how long before perception's picture the tracker that followed it has died."""
+def test_a_second_instance_is_mentioned_only_while_the_first_is_tracked(bus, objects, step, since):
+    """since: how long before perception's frame the tracker died."""
     objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
     step()
     last = pose(0)
@@ -183,7 +183,7 @@ def test_a_second_one_is_spoken_of_only_while_the_first_is_followed(bus, objects
     assert (bus.mug().searching, bus.mug().reason) == (2, said)
 
 
-def test_of_one_that_is_followed_no_more_no_older_reason_is_said(bus, objects, step):
+def test_an_object_that_is_no_longer_tracked_has_no_older_reason(bus, objects, step):
     """As after a restart of the tracker, which finds another object first."""
     objects.decide(ControlRequest(publish_ns=1, action="add", object="mug", max_instances=2))
     step()
@@ -200,13 +200,13 @@ def test_of_one_that_is_followed_no_more_no_older_reason_is_said(bus, objects, s
     assert (bus.mug().searching, bus.mug().reason) == (3, "")
 
 
-def test_what_no_tracker_follows_any_more_is_searched_for_while_perception_sees_pictures(bus, step):
-    """As after a restart of the tracker before things that stand still: what is seen agrees with what was
-    followed, and nothing else is published."""
+def test_an_object_that_is_no_longer_tracked_is_searched_for_while_perception_gets_frames(bus, step):
+    """As after a restart of the tracker in a static scene: estimates agree with the last pose, and nothing
+    else is published."""
     last = msgspec.structs.replace(pose(0), capture_ns=now_ns() - 3 * SECOND)
     bus.arriving[PoseMessage].append(last)
     step()
-    assert bus.mug().searching == 0, "no picture came since, so it may be followed"
+    assert bus.mug().searching == 0, "no frame came since, so it may be tracked"
     bus.arriving[Estimates].append(answer(bus, capture_ns=last.capture_ns + SECOND))
     step()
     assert bus.mug().searching == 0, "its pose may be on its way"
@@ -219,7 +219,7 @@ def test_what_no_tracker_follows_any_more_is_searched_for_while_perception_sees_
     assert (correction.instance, correction.verdict) == (1, "acquire")
 
 
-def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus, objects, step):
+def test_an_answer_to_a_request_from_before_a_reset_gives_no_reason_after_it(bus, objects, step):
     step()
     objects.decide(ControlRequest(publish_ns=1, action="reset", object="mug"))
     bus.arriving[Estimates].append(answer(bus))
@@ -227,7 +227,7 @@ def test_an_answer_to_what_was_asked_before_a_reset_gives_no_reason_after_it(bus
     assert (bus.mug().searching, bus.mug().reason) == (1, "")
 
 
-def test_a_box_is_looked_at_in_the_camera_s_picture(bus, objects, step):
+def test_a_box_outside_the_cameras_image_is_refused(bus, objects, step):
     camera = example(CameraMessage)
     bus.arriving[CameraMessage].append(camera)
     step()
@@ -237,7 +237,7 @@ def test_a_box_is_looked_at_in_the_camera_s_picture(bus, objects, step):
     assert (done, f"{width} x {height}" in text) == (False, True)
 
 
-def test_a_reset_that_comes_within_a_step_is_told_with_the_instances_that_are_over(
+def test_a_reset_that_comes_within_a_step_is_published_with_the_retired_instances(
     bus, objects, step, monkeypatch
 ):
     bus.arriving[PoseMessage].append(pose(4))
@@ -254,8 +254,8 @@ def test_a_reset_that_comes_within_a_step_is_told_with_the_instances_that_are_ov
     bus.work._next_objects_ns = 0
     step()
     step()
-    told = [message.objects[0] for message in bus.said if isinstance(message, ObjectsMessage)]
-    assert {(mug.resets, mug.retired) for mug in told} == {(0, None), (1, (EPOCH, 5))}
+    published = [message.objects[0] for message in bus.said if isinstance(message, ObjectsMessage)]
+    assert {(mug.resets, mug.retired) for mug in published} == {(0, None), (1, (EPOCH, 5))}
 
 
 def test_a_reset_forgets_the_reason_of_the_search_before(bus, objects, step):
@@ -274,10 +274,10 @@ def test_a_reset_forgets_the_reason_of_the_search_before(bus, objects, step):
     ("after_s", "state", "advised"),
     [(12, "", True), (5, "", False), (12, "SUSPECT", True), (12, "TRACKING", False)],
 )
-def test_where_nothing_was_ever_sure_it_says_what_to_look_at(
+def test_if_nothing_was_ever_tracking_the_reason_says_what_to_check(
     bus, objects, monkeypatch, after_s, state, advised
 ):
-    """As with a focal length that is twice too large: nothing is found in pictures that are good."""
+    """As with a focal length of twice the right value: nothing is found in good images."""
     at = [now_ns()]
     monkeypatch.setattr("huepose_services.reinit.now_ns", lambda: at[0])
     slots = [ObjectSlot("mug", 2, 0.1)]
@@ -297,7 +297,7 @@ def test_where_nothing_was_ever_sure_it_says_what_to_look_at(
     assert bus.mug().reason == (f"{said} {IF_IN_PLAIN_VIEW}" if advised else said)
 
 
-def test_what_is_wrong_with_the_picture_is_the_reason_why_nothing_is_found_in_it(bus, objects, step):
+def test_a_fault_of_the_image_is_the_reason_why_nothing_is_found_in_it(bus, objects, step):
     step()
     said = "All depth is 6.4 m away or farther: is the depth scale right?"
     bus.arriving[Estimates].append(answer(bus, picture=said))
@@ -307,7 +307,7 @@ def test_what_is_wrong_with_the_picture_is_the_reason_why_nothing_is_found_in_it
     assert bus.mug().reason == said
 
 
-def test_what_the_camera_says_of_its_pictures_comes_before_what_perception_makes_of_them(bus, step):
+def test_a_fault_that_the_camera_reports_comes_before_one_that_perception_reports(bus, step):
     step()
     said = "cam.py: depth looks like millimetres read as metres"
     bus.arriving[HealthMessage].append(msgspec.structs.replace(example(HealthMessage), picture=said))
@@ -319,7 +319,7 @@ def test_what_the_camera_says_of_its_pictures_comes_before_what_perception_makes
     assert bus.mug().reason == "The frame has no depth."
 
 
-def test_that_no_picture_comes_is_said_of_an_object_that_was_found_before(bus, step):
+def test_that_no_image_comes_is_also_the_reason_of_an_object_that_was_found(bus, step):
     bus.arriving[PoseMessage].append(pose(0))
     step()
     assert (bus.mug().searching, bus.mug().reason) == (0, "")
@@ -332,14 +332,14 @@ def test_that_no_picture_comes_is_said_of_an_object_that_was_found_before(bus, s
 @pytest.mark.parametrize(
     ("age_s", "took_s", "warns"), [(3.0, 2.9, True), (11.0, 0.1, False), (0.3, 0.2, False)]
 )
-def test_perception_is_called_slow_only_where_it_took_long_itself(age_s, took_s, warns):
-    """Not where a camera that has stopped leaves an old picture to look at."""
+def test_perception_is_called_slow_only_if_it_took_long_itself(age_s, took_s, warns):
+    """Not if a stopped camera leaves it an old image."""
     assert bool(slow_text(age_s, took_s)) == warns
 
 
 @pytest.mark.parametrize("changes", [{"camera_epoch": EPOCH + 1}, {"frame_id": 2**40}])
-def test_a_camera_whose_stamps_begin_anew_is_followed_at_once(bus, step, changes):
-    """Opened anew, or its clock set back, by a minute: what is older by its stamp is not over for that."""
+def test_poses_of_a_camera_whose_timestamps_begin_anew_count_at_once(bus, step, changes):
+    """Opened again, or its clock set back, by a minute: its poses are not ignored as older ones."""
     now = now_ns()
     step()
     bus.arriving[PoseMessage] += [pose(0), msgspec.structs.replace(pose(7), object="can")]
@@ -349,13 +349,13 @@ def test_a_camera_whose_stamps_begin_anew_is_followed_at_once(bus, step, changes
         msgspec.structs.replace(pose(0), capture_ns=now - 60 * SECOND, **changes)
     )
     if "camera_epoch" in changes:
-        bus.work._camera = OneCamera()  # the camera before has been silent
+        bus.work._camera = OneCamera()  # the previous camera has been silent
     step()
     assert bus.mug().searching == 0
     assert list(bus.work._tracks) == [("mug", 0)]
 
 
-def test_answers_about_a_camera_that_was_opened_anew_count_though_old_poses_are_said_again(
+def test_answers_about_a_camera_that_was_opened_again_count_despite_repeated_old_poses(
     bus, step, monkeypatch
 ):
     at = [now_ns()]
@@ -368,11 +368,12 @@ def test_answers_about_a_camera_that_was_opened_anew_count_though_old_poses_are_
     bus.arriving[Estimates].append(answer(bus, capture_ns=at[0], camera_epoch=EPOCH + 1))
     step()
     assert "answers_of_another_camera" not in bus.health.counters
-    assert not bus.work._tracks, "what was followed is over"
+    assert not bus.work._tracks, "the old tracks have ended"
 
 
-def test_a_list_of_objects_fits_its_message_whatever_the_reason(bus):
-    """As many objects as it can have, with all that an entry may say, in the largest bytes of UTF-8."""
+def test_the_largest_list_of_objects_fits_into_its_message(bus):
+    """As many objects as it can have, with the largest values of an entry, in the longest characters of
+    UTF-8."""
     entries = [
         ObjectEntry(
             object=f"{k:064d}",
@@ -413,17 +414,15 @@ def test_more_objects_than_a_list_can_have_are_refused(bus, monkeypatch):
         ([], []),
     ],
 )
-def test_a_worker_that_is_started_anew_says_how_its_objects_differ_from_the_file(
-    bus, monkeypatch, names, said
-):
+def test_a_restarted_worker_says_how_its_objects_differ_from_the_file(bus, monkeypatch, names, said):
     entries = [ObjectEntry(object="mug", max_instances=1, searching=1)]
-    told = []
+    published = []
     monkeypatch.setattr("huepose_services.reinit.recall", lambda bus: entries)
     monkeypatch.setattr("huepose_services.reinit._slot", lambda name, count, model: ObjectSlot(name, count))
     monkeypatch.setattr("huepose_services.models.load_one", lambda config, name: None)
-    monkeypatch.setattr(bus.log, "say", told.append)
+    monkeypatch.setattr(bus.log, "say", published.append)
     work = make(bus, Config(objects=[ObjectConfig(name=name) for name in names]))
     assert [entry.object for entry in work._objects.entries()] == ["mug"]
-    assert [text.split("; ", 1)[1] for text in told] == [
+    assert [text.split("; ", 1)[1] for text in published] == [
         f"{one} (huepose objects add, remove)" for one in said
     ]

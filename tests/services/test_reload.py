@@ -1,4 +1,4 @@
-"""pipeline.yaml is read again: what is taken over at once, what waits, and what is wrong."""
+"""pipeline.yaml is read again: what is applied at once, what waits for the next start, and errors."""
 
 import io
 import json
@@ -26,7 +26,8 @@ from tests.services.fake_bus import FakeBus
 
 @pytest.fixture
 def worker(tmp_path):
-    """Of a worker: writes a file and has it read again; returns what was taken over, and what was said."""
+    """A function of a worker's name that gives another: it writes the file, has it read again, and gives the
+    applied configuration, the log and the warnings."""
     path = tmp_path / "pipeline.yaml"
     path.write_text("{}")
 
@@ -45,7 +46,7 @@ def worker(tmp_path):
     return make
 
 
-def test_what_can_be_is_taken_over_and_the_rest_waits_in_words(worker):
+def test_live_keys_are_applied_and_the_others_are_listed_as_waiting(worker):
     write = worker("tracker")
     config, said, warnings = write({"tracker": {"max_age_ms": 200, "history_frames": 30}, "site": "roof"})
     assert config.tracker.max_age_ms == 200.0
@@ -53,34 +54,34 @@ def test_what_can_be_is_taken_over_and_the_rest_waits_in_words(worker):
     assert warnings == [
         'changes that wait for the next start: site ("local" > "roof"), tracker.history_frames (20 > 30)'
     ]
-    # What waits is compared with how it was started; as it was, nothing waits.
+    # The file is compared with the values at the start: where they are equal again, nothing waits.
     config, said, warnings = write({"tracker": {"max_age_ms": 250}})
     assert config.tracker.max_age_ms == 250.0
     assert warnings == []
 
 
-def test_the_gateway_takes_over_how_old_a_pose_may_be(worker):
+def test_the_gateway_applies_how_old_a_pose_may_be(worker):
     config, said, warnings = worker("gateway")({"tracker": {"max_age_ms": 200}})
     assert config.tracker.max_age_ms == 200.0
     assert "was read again: tracker.max_age_ms (300.0 > 200.0)" in said
     assert warnings == []
 
 
-def test_a_worker_that_lacks_what_the_file_has_hears_of_it_though_the_file_is_as_before(worker):
+def test_the_worker_reinit_gets_the_file_even_if_it_is_unchanged(worker):
     config, said, warnings = worker("reinit")({})
     assert config is not None
     assert (said, warnings) == ("", [])
 
 
-def test_objects_that_wait_are_not_said_to_be_taken_over(worker):
-    """From all models to some: whoever has the list of objects refuses that itself."""
+def test_objects_that_wait_are_not_reported_as_applied(worker):
+    """A change from all models to some: the worker with the list of objects refuses it itself."""
     write = worker("reinit")
     for _ in range(2):
         assert write({"objects": [{"name": "mug"}]})[1] == ""
     assert "was read again: reinit.rate_hz" in write({"reinit": {"rate_hz": 4}})[1]
 
 
-def test_what_is_another_workers_is_not_told(worker):
+def test_keys_of_other_workers_are_not_reported(worker):
     write = worker("segmenter")
     assert write({"tracker": {"max_age_ms": 200, "history_frames": 30}, "restarts": {"limit": 3}}) == (
         *(None, ""),
@@ -88,7 +89,7 @@ def test_what_is_another_workers_is_not_told(worker):
     )
 
 
-def test_a_wrong_file_changes_nothing_and_is_told(worker):
+def test_a_wrong_file_changes_nothing_and_is_reported(worker):
     write = worker("tracker")
     config, said, warnings = write({"tracker": {"max_age_ms": -1}})
     assert config is None
@@ -97,7 +98,7 @@ def test_a_wrong_file_changes_nothing_and_is_told(worker):
     assert write({})[2] == []
 
 
-def test_every_key_that_is_live_is_one_of_the_configuration():
+def test_every_live_key_is_one_of_the_configuration():
     other = {"objects": [{"name": "mug"}], "gateway": {"tls": {"readers": ["robot"]}}}
     before = {"gateway": {"tls": dict.fromkeys(("authority", "certificate", "key"), "x")}}
     merged = {"gateway": {"tls": before["gateway"]["tls"] | other["gateway"]["tls"]}}
@@ -129,15 +130,15 @@ def test_objects_come_and_go_with_the_file_and_those_added_by_hand_stay():
     assert {e.object: e.max_instances for e in objects.entries()} == {"mug": 3, "lid": 1, "by hand": 1}
     assert loop.config.period_ms == 250.0
     missing.clear()
-    assert work.reload(config(mug=3, lid=1, ghost=1)) == [], "it is asked for again"
+    assert work.reload(config(mug=3, lid=1, ghost=1)) == [], "it is tried again"
     assert {e.object for e in objects.entries()} == {"mug", "lid", "ghost", "by hand"}
     assert work.reload(config(mug=3, lid=1)) == []
     assert {e.object for e in objects.entries()} == {"mug", "lid", "by hand"}
     assert "objects" in work.reload(Config())[0]
 
 
-def test_what_the_file_has_and_a_worker_started_anew_does_not_know_comes_when_it_is_read_again():
-    """The list is of before the file was changed; what is not in it may be added by hand, and stays."""
+def test_after_a_restart_missing_objects_of_the_file_are_added_when_it_is_read_again():
+    """The list is older than the file; an object that is not in the file may be added by hand, and stays."""
     entries = [ObjectEntry(object=name, max_instances=1, searching=0) for name in ("mug", "jar")]
     objects = ObjectList(entries, ObjectSlot)
     config = msgspec.convert({"objects": [{"name": "mug", "max_instances": 2}, {"name": "lid"}]}, Config)
@@ -145,10 +146,10 @@ def test_what_the_file_has_and_a_worker_started_anew_does_not_know_comes_when_it
     assert work.reload(config) == []
     assert {e.object: e.max_instances for e in objects.entries()} == {"mug": 2, "jar": 1, "lid": 1}
     work = ReinitWork(FakeBus("reinit"), work._loop, ObjectList(entries[1:], ObjectSlot), config.objects)
-    assert work.reload(config) == [], "also where it knows none of the file's"
+    assert work.reload(config) == [], "also if it knows none of the file's objects"
 
 
-def test_a_terminal_that_is_closed_ends_it():
+def test_closing_the_terminal_ends_the_process():
     code = (
         "import signal, time; from huepose_services.runtime.reload import asked_again\n"
         "again = asked_again(); signal.raise_signal(signal.SIGHUP); assert again() and not again()\n"

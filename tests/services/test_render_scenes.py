@@ -8,7 +8,7 @@ from huepose_services.cli.main import BAD_INPUT, DONE, main
 from tests.services.conftest import Says
 
 
-def test_scenes_of_the_builtin_objects_are_drawn_with_their_meshes(
+def test_scenes_of_the_builtin_objects_are_rendered_with_their_meshes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], refused: Says
 ) -> None:
     out = tmp_path / "heaps"
@@ -24,7 +24,7 @@ def test_scenes_of_the_builtin_objects_are_drawn_with_their_meshes(
     assert main(["render-scenes", "--models", "builtin", "--out", str(out), "--frames", "0"]) == BAD_INPUT
 
 
-def test_look_alikes_stand_where_the_objects_would_in_other_textures(tmp_path: Path) -> None:
+def test_look_alikes_have_the_poses_of_the_objects_and_other_textures(tmp_path: Path) -> None:
     scenes = []
     for textures in ("0", "1"):
         out = tmp_path / textures

@@ -1,4 +1,4 @@
-"""A log that is flooded: what comes again and again is counted and summed up."""
+"""In a flooded log, lines that repeat are counted and summed up."""
 
 from huepose_services.runtime.log import Repeats
 
@@ -11,11 +11,11 @@ def test_a_warning_every_three_seconds_for_thirteen_minutes_is_a_handful_of_line
         lines += [text for _, text in repeats.due(3.4 * k + 1.0)]
     assert len(lines) < 10
     assert lines[:2] == ["late", "late"]
-    told = len(lines) + sum(int(line.split("(")[1].split(" ")[0]) for line in lines[2:] if "more" in line)
-    assert 230 - 90 <= told <= 230, "but for those of the last five minutes all are counted"
+    counted = len(lines) + sum(int(line.split("(")[1].split(" ")[0]) for line in lines[2:] if "more" in line)
+    assert 230 - 90 <= counted <= 230, "all are counted, except those of the last five minutes"
 
 
-def test_what_was_held_back_is_told_also_when_nothing_follows():
+def test_lines_that_were_held_back_are_reported_also_when_nothing_follows():
     repeats = Repeats()
     assert [repeats.offer("a", "bad bytes", t / 10) for t in range(5)] == ["bad bytes", *[None] * 4]
     assert repeats.due(0.9) == []
@@ -23,8 +23,8 @@ def test_what_was_held_back_is_told_also_when_nothing_follows():
     assert repeats.due(100.0) == []
 
 
-def test_what_is_told_late_says_how_long_ago_it_was():
-    """It may not be so any more."""
+def test_a_late_report_says_how_long_ago_it_was():
+    """It may no longer be true."""
     repeats = Repeats()
     repeats.offer("a", "slow", 0.0)
     repeats.offer("a", "slow", 1.5)
@@ -33,7 +33,7 @@ def test_what_is_told_late_says_how_long_ago_it_was():
     assert repeats.due(5.6) == [("a", "slower (1 more in 4 s, the last 4 s ago)")]
 
 
-def test_what_comes_again_after_long_is_told_at_once():
+def test_a_line_that_comes_again_after_a_long_time_is_reported_at_once():
     repeats = Repeats()
     assert repeats.offer("a", "x", 0.0) == "x"
     assert repeats.offer("a", "x", 0.5) is None
@@ -41,7 +41,7 @@ def test_what_comes_again_after_long_is_told_at_once():
     assert repeats.offer("a", "x", 200.0) == "x"
 
 
-def test_lines_that_are_each_another_one_take_no_memory():
+def test_lines_that_all_differ_take_limited_memory():
     repeats = Repeats()
     for k in range(10_000):
         repeats.offer(f"line {k}", "text", 0.001 * k)

@@ -1,4 +1,4 @@
-"""Pipelines that run are found, others not; where several run, the one that is meant has to be said."""
+"""Pipelines that run are found, others are not; if several run, one must be named."""
 
 import argparse
 import dataclasses
@@ -37,7 +37,7 @@ def runtime_folder(tmp_path, monkeypatch):
 
 def test_a_pipeline_is_found_while_it_runs():
     assert running() == []
-    assert pick() == Pipeline(base_port=17447)  # where one would be
+    assert pick() == Pipeline(base_port=17447)  # the default one
     with noted(HERE):
         assert running() == [HERE]
         assert pick() == HERE
@@ -59,7 +59,7 @@ def test_the_note_of_a_dead_process_is_removed(runtime_folder):
         assert not dead.exists()
 
 
-def test_the_note_of_a_killed_process_is_removed_though_another_one_has_its_number(runtime_folder):
+def test_the_note_of_a_killed_process_is_removed_even_if_another_one_has_its_pid(runtime_folder):
     with noted(HERE):
         own = json.loads(next(runtime_folder.glob("*.json")).read_text())
         later = runtime_folder / f"{os.getppid()}-18000.json"
@@ -68,14 +68,14 @@ def test_the_note_of_a_killed_process_is_removed_though_another_one_has_its_numb
         assert not later.exists()
 
 
-def test_a_folder_that_others_may_write_is_not_believed(runtime_folder):
+def test_a_folder_that_others_may_write_is_not_trusted(runtime_folder):
     runtime_folder.mkdir()
     (runtime_folder / f"{os.getpid()}.json").write_text('{"base_port": 18000}')
     runtime_folder.chmod(0o777)
     assert running() == []
 
 
-def test_of_two_pipelines_one_has_to_be_named(runtime_folder):
+def test_of_two_pipelines_one_must_be_named(runtime_folder):
     with noted(HERE):
         # Another process that surely runs: the one that started this one.
         (runtime_folder / f"{os.getppid()}.json").write_text(
@@ -93,7 +93,7 @@ def test_of_two_pipelines_one_has_to_be_named(runtime_folder):
             pick(which="attic")
 
 
-def test_a_file_that_is_said_to_choose_can_be_copied_to_a_shell(runtime_folder):
+def test_a_suggested_file_is_quoted_for_the_shell(runtime_folder):
     with noted(msgspec.structs.replace(HERE, file="/my robot/lab.yaml")):
         other = {"base_port": 18200, "site": "hall", "camera": "eye", "file": "/my robot/hall.yaml"}
         (runtime_folder / f"{os.getppid()}.json").write_text(json.dumps(other))
@@ -101,7 +101,7 @@ def test_a_file_that_is_said_to_choose_can_be_copied_to_a_shell(runtime_folder):
             pick()
 
 
-def test_of_two_cameras_of_one_file_the_file_is_not_said_to_choose(runtime_folder):
+def test_of_two_cameras_of_one_file_the_file_is_not_suggested(runtime_folder):
     with noted(HERE):
         other = '{"base_port": 18120, "site": "lab", "camera": "right", "file": "/etc/lab.yaml"}'
         (runtime_folder / f"{os.getppid()}.json").write_text(other)
@@ -109,7 +109,7 @@ def test_of_two_cameras_of_one_file_the_file_is_not_said_to_choose(runtime_folde
             pick()
 
 
-def test_of_two_pipelines_of_one_name_the_port_says_which(runtime_folder):
+def test_two_pipelines_of_one_name_are_distinguished_by_their_ports(runtime_folder):
     with noted(HERE):
         other = '{"base_port": 18200, "site": "lab", "camera": "cam0"}'
         (runtime_folder / f"{os.getppid()}.json").write_text(other)
@@ -118,13 +118,13 @@ def test_of_two_pipelines_of_one_name_the_port_says_which(runtime_folder):
         assert pick(which="18200").base_port == 18200
 
 
-def test_a_pipeline_is_told_of_another_one_of_its_name(runtime_folder):
+def test_another_pipeline_of_the_same_name_is_reported(runtime_folder):
     with noted(HERE):
         assert namesake(HERE) is None, "this one is meant"
         other = {"base_port": 18200, "site": "lab", "camera": "cam0", "file": "hall.yaml"}
         note = runtime_folder / f"{os.getppid()}.json"
         note.write_text(json.dumps(other))
-        assert namesake(HERE) is None, "a recording that is played is none"
+        assert namesake(HERE) is None, "a recording that is played does not count"
         note.write_text(json.dumps(other | {"workers": ["camera"]}))
         warning = namesake(HERE)
         assert "lab/cam0 at port 18200 (hall.yaml) has the same name" in warning
@@ -141,7 +141,7 @@ def test_a_port_that_is_taken_is_explained(runtime_folder):
     config = Config(bus=BusConfig(base_port=18200))
     assert occupant(config, "tracker") == "another program there"
     with noted(Pipeline(base_port=18200, workers=("tracker",))):
-        assert occupant(config, "tracker") == "another program there", "this process itself is none"
+        assert occupant(config, "tracker") == "another program there", "this process itself does not count"
         text = '{"base_port": 18200, "site": "h", "camera": "c", "workers": ["tracker"], "file": "/h.yaml"}'
         (runtime_folder / f"{os.getppid()}.json").write_text(text)
         assert occupant(config, "tracker") == "the tracker of h/c there, which runs already (/h.yaml)"
@@ -150,7 +150,7 @@ def test_a_port_that_is_taken_is_explained(runtime_folder):
         assert occupant(config, "tracker") == "a recording there that is played (/h.mcap)"
 
 
-def test_a_pipeline_that_is_being_prepared_is_said_to_come(tmp_path, monkeypatch, capsys, refused):
+def test_a_pipeline_that_is_being_prepared_is_reported_as_starting(tmp_path, monkeypatch, capsys, refused):
     path = tmp_path / "lab.yaml"
     path.write_text(f"site: lab\nbus: {{base_port: {HERE.base_port}}}\n")
 
@@ -199,8 +199,8 @@ def test_status_names_a_pipeline_of_another_folder_once(tmp_path, monkeypatch, c
 
 
 @pytest.mark.usefixtures("same_handlers")
-def test_top_ends_at_ctrl_c_wherever_that_comes(monkeypatch):
-    """An exception is lost where Python cannot raise it, as in a finaliser."""
+def test_top_ends_at_ctrl_c_even_within_a_finaliser(monkeypatch):
+    """Python cannot raise an exception from a finaliser: it would be lost."""
 
     class Finalised:
         def __del__(self):
@@ -221,7 +221,7 @@ def test_top_ends_at_ctrl_c_wherever_that_comes(monkeypatch):
 @pytest.mark.parametrize(
     ("before", "said"), [("SIG_DFL", "True\n"), ("SIG_IGN", "False\n")], ids=["terminal", "nohup"]
 )
-def test_a_terminal_that_is_closed_ends_it_in_order_unless_nohup_is_before_it(before, said):
+def test_closing_the_terminal_ends_a_command_in_order_unless_it_runs_under_nohup(before, said):
     code = (
         f"import signal; signal.signal(signal.SIGHUP, signal.{before})\n"
         "from huepose_services.cli.options import catch_stop_signals\n"
@@ -232,7 +232,7 @@ def test_a_terminal_that_is_closed_ends_it_in_order_unless_nohup_is_before_it(be
 
 
 @pytest.mark.parametrize("words", [["objects", "list"], ["graph"]])
-def test_who_looks_for_a_pipeline_says_so_and_at_which_port(words, tmp_path, monkeypatch, capsys):
+def test_a_command_says_at_which_port_it_looks_for_a_pipeline(words, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("huepose_services.cli.objects._CONNECT_WITHIN_S", 0.1)
     monkeypatch.setattr("huepose_services.cli.graph._LOOK_S", 0.1)
     path = tmp_path / "lab.yaml"
@@ -266,13 +266,13 @@ def test_a_box_with_a_negative_side_is_explained_by_its_size(refused):
         ("add mug --max-instances 65", "--max-instances: found 65; expected 1 to 64."),
     ],
 )
-def test_what_is_no_request_is_explained_by_what_is_wrong_with_it(words, said, refused):
+def test_an_invalid_request_is_refused_with_the_reason(words, said, refused):
     assert refused(["objects", *words.split()]) == f"huepose objects: {said}\n"
 
 
-def test_a_recording_that_is_played_is_no_pipeline_that_starts(tmp_path, monkeypatch, capsys):
+def test_a_recording_that_is_played_is_not_taken_for_a_starting_pipeline(tmp_path, monkeypatch, capsys):
     def waits_for_an_answer(*_):
-        pytest.fail("nobody steers a recording")
+        pytest.fail("a recording takes no requests")
 
     monkeypatch.setattr("huepose_services.cli.objects.ask", waits_for_an_answer)
     played = Pipeline(base_port=29347, site="lab", camera="cam0", file=str(tmp_path / "run1.mcap"))
@@ -289,7 +289,7 @@ def test_the_second_computer_of_a_pipeline_says_that_poses_and_objects_are_at_th
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setattr(
-        "huepose_services.cli.objects.ask", lambda *_: pytest.fail("nobody is there to answer")
+        "huepose_services.cli.objects.ask", lambda *_: pytest.fail("there is no worker to answer")
     )
     config = Config(hosts={"desk": ("estimator",)}, link=LinkConfig(connect="robot:7448"))
     desk, robot = (described(config.at(host), tmp_path / "pipeline.yaml") for host in ("desk", None))
@@ -316,7 +316,7 @@ def test_the_second_computer_of_a_pipeline_says_that_poses_and_objects_are_at_th
         ),
     ],
 )
-def test_where_nobody_answers_the_worker_that_should_is_named(tmp_path, monkeypatch, capsys, workers, said):
+def test_if_nobody_answers_the_worker_that_should_is_named(tmp_path, monkeypatch, capsys, workers, said):
     monkeypatch.setattr("huepose_services.cli.objects.ask", lambda *_: None)
     with noted(described(Config(workers=workers), tmp_path / "pipeline.yaml")):
         assert main(["objects", "list"]) == 1
@@ -324,7 +324,7 @@ def test_where_nobody_answers_the_worker_that_should_is_named(tmp_path, monkeypa
 
 
 @pytest.mark.parametrize("text", [None, "bus: {base_port: none}\n"])
-def test_a_pipeline_that_runs_is_recorded_though_its_file_is_wrong_by_now(tmp_path, text):
+def test_a_running_pipeline_is_recorded_even_if_its_file_is_wrong_now(tmp_path, text):
     path = tmp_path / "pipeline.yaml"
     config = Config(site="lab", bus=BusConfig(base_port=18100, frame_pool_mib=9.0))
     arguments = argparse.Namespace(config=None, pipeline=None)
@@ -333,11 +333,11 @@ def test_a_pipeline_that_runs_is_recorded_though_its_file_is_wrong_by_now(tmp_pa
             path.write_text(text)
         found = chosen_config(arguments, names_suffice=True)
         assert (found.keys, found.bus) == (config.keys, config.bus)
-        assert set(found.workers) > set(config.workers), "all that may speak are listened to"
+        assert set(found.workers) > set(config.workers), "all workers that may publish are read"
         with pytest.raises(InputError):
             chosen_config(arguments)
     path.write_text("bus: {base_port: none}\n")
-    with pytest.raises(InputError):  # nobody runs it
+    with pytest.raises(InputError):  # no pipeline runs from it
         chosen_config(arguments, names_suffice=True)
 
 

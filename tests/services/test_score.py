@@ -1,4 +1,4 @@
-"""The demo's figures on runs whose worth is known."""
+"""The demo's figures on runs with known results."""
 
 import numpy as np
 import pytest
@@ -16,12 +16,12 @@ POINTS = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3)).astype(np.float
 EXAMPLE = example(PoseMessage)
 
 
-def _place(frame):
+def _true_pose(frame):
     return se3.make(se3.rotation_exp([0.0, 0.01 * frame, 0.0]), np.array([0.001 * frame, 0.0, 0.7]))
 
 
 def _truth(frame, visib_fract=1.0):
-    translation, quaternion = pose_to_wire(_place(frame))
+    translation, quaternion = pose_to_wire(_true_pose(frame))
     thing = TruthObject(
         object="thing",
         object_id=None,
@@ -52,7 +52,7 @@ def _pose(frame, state="TRACKING", off_m=0.0, quality=0.9):
             ("translation", "quaternion", "covariance", "velocity_linear", "velocity_angular")
         )
     else:
-        T = _place(frame)
+        T = _true_pose(frame)
         T[0, 3] += off_m
         changes["translation"], changes["quaternion"] = pose_to_wire(T)
     return msgspec.structs.replace(EXAMPLE, state=state, quality=quality, **changes)
@@ -80,20 +80,20 @@ def test_a_perfect_run_has_perfect_figures():
     assert shortcomings(summary) == []
 
 
-def test_a_rotation_under_which_it_looks_the_same_is_no_error():
-    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+def test_an_equivalent_rotation_is_no_error():
+    rotation_180 = np.diag([-1.0, -1.0, 1.0, 1.0])
     changes = {}
-    changes["translation"], changes["quaternion"] = pose_to_wire(_place(0) @ half_turn)
-    turned = replace(_pose(0), **changes)
-    for equivalents, false in ((None, 1), (np.stack([np.eye(4), half_turn]), 0)):
+    changes["translation"], changes["quaternion"] = pose_to_wire(_true_pose(0) @ rotation_180)
+    rotated = replace(_pose(0), **changes)
+    for equivalents, false in ((None, 1), (np.stack([np.eye(4), rotation_180]), 0)):
         score = Score({"thing": Yardstick.of(POINTS, 0.17, equivalents)})
         score.add_truth(_truth(0))
-        score.add_pose(turned)
+        score.add_pose(rotated)
         assert score.summary(score.last_ns)["false_tracking_frames"] == false
         assert (score.latest()["thing"].error_m < 1e-6) == (false == 0)
 
 
-def test_frames_without_a_pose_are_wrong_from_the_confirmation_on_and_acquisition_is_timed():
+def test_frames_without_a_pose_count_as_wrong_after_the_confirmation_and_acquisition_is_timed():
     states = [_pose(i, "SEARCHING") for i in range(10)]
     states += [_pose(i, "SUSPECT") for i in range(10, 15)] + [_pose(i) for i in range(15, 48)]
     score = _score([_truth(i) for i in range(55)], states)
@@ -118,14 +118,14 @@ def test_a_wrong_pose_as_tracking_is_counted_and_as_suspect_not():
     ]
 
 
-def test_one_wrong_frame_that_costs_no_recall_is_a_shortcoming():
+def test_a_single_false_tracking_frame_is_a_shortcoming():
     poses = [_pose(i, off_m=0.03 if i == 20 else 0.0) for i in range(50)]
     summary = _score([_truth(i) for i in range(50)], poses).summary(5 * SECOND)
     assert summary["recall_add"] == 98.0
     assert shortcomings(summary) == ["false TRACKING, on which a robot would have acted: thing in 1 frame"]
 
 
-def test_hidden_frames_are_left_out_and_the_last_ones_too():
+def test_frames_with_an_occluded_object_and_the_last_ones_are_left_out():
     frames = [_truth(i, 0.0 if 20 <= i < 30 else 1.0) for i in range(60)]
     poses = [_pose(i) for i in range(50) if not 20 <= i < 30] + [_pose(i, "LOST") for i in range(20, 30)]
     score = _score(frames, poses)
@@ -134,7 +134,7 @@ def test_hidden_frames_are_left_out_and_the_last_ones_too():
     assert summary["frames"] == 50
 
 
-def test_of_two_tracks_of_an_object_the_surer_counts():
+def test_of_two_tracks_of_an_object_the_one_of_higher_quality_counts():
     poses = [p for i in range(9) for p in (_pose(i, quality=0.9), _pose(i, off_m=0.05, quality=0.5))]
     score = _score([_truth(i) for i in range(9)], poses)
     assert score.summary(score.last_ns)["recall_add"] == 100.0
@@ -180,7 +180,7 @@ def test_the_report_says_why_an_object_is_often_not_tracking():
     assert said in report({"summary": summary, "workers": {}})
 
 
-def test_frames_before_all_workers_were_there_do_not_count():
+def test_frames_before_all_workers_were_ready_do_not_count():
     score = Score({"thing": Yardstick.of(POINTS, 0.17)})
     score.begin(20 * SECOND // 10)
     for i in range(50):

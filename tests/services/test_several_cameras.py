@@ -18,14 +18,14 @@ MOUNTS = {
     "right": {"parent": "base_link", "translation": [-1.0, 0.2, 0.5], "quaternion": [HALF, 0.0, 0.0, HALF]},
 }
 MOMENT_NS = 1_000_000
-"""After the newest pose, so that it is predicted from that one, by next to nothing."""
-TURNS = {
+"""Time after the newest pose: the prediction starts from that pose, and hardly changes it."""
+ROTATIONS = {
     "left": np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
     "right": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
 }
 
 
-def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, printed):
+def test_both_cameras_give_the_object_in_the_robots_frame(recording, tmp_path, printed):
     folder, _, truths = recording
     bus = {"base_port": free_port_range(40)}
     pipeline = patient_pipeline(folder / "bundles", folder / "scene", bus=bus)
@@ -34,7 +34,7 @@ def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, pri
     path = tmp_path / "pipeline.yaml"
     path.write_text(json.dumps(pipeline))
     assert "local/right" in printed(["validate", path])
-    ends = [pick(path, name).endpoints[:2] for name in MOUNTS]  # cameras say where they are
+    ends = [pick(path, name).endpoints[:2] for name in MOUNTS]  # cameras publish their mounts
     right = dict.fromkeys(MOUNTS, 0)
     with processes() as start, PoseClient([one for of_one in ends for one in of_one]) as both:
         start("up", path)
@@ -51,10 +51,10 @@ def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, pri
                 if found is None or found.basis.frame_id != pose.frame_id or found.T_parent_obj is None:
                     continue
                 T_cam_obj = truths[pose.frame_id % PLAYED].T_cam_obj
-                place = TURNS[name] @ T_cam_obj[:3, 3] + MOUNTS[name]["translation"]
+                position = ROTATIONS[name] @ T_cam_obj[:3, 3] + MOUNTS[name]["translation"]
                 assert found.mount is not None
                 assert found.mount.parent == "base_link"
-                assert np.linalg.norm(found.T_parent_obj[:3, 3] - place) < 0.01
+                assert np.linalg.norm(found.T_parent_obj[:3, 3] - position) < 0.01
                 right[name] += 1
             printer = start("poses", "--robot", "--config", path, "--pipeline", "left")
             printed = next((line.split() for line in printer.stdout if " m " in line), None)
@@ -62,6 +62,8 @@ def test_both_give_the_object_in_the_frame_of_the_robot(recording, tmp_path, pri
             heard = {pose.frame for pose in iter(lambda: both.next(0.0), None)}
     assert min(right.values()) >= 5, f"poses in the robot's frame: {right}"
     assert heard == {"left_color_optical", "right_color_optical"}
-    frame_id, place = int(printed[0]), np.array(printed[4:7], dtype=float)
+    frame_id, position = int(printed[0]), np.array(printed[4:7], dtype=float)
     T_cam_obj = truths[frame_id % PLAYED].T_cam_obj
-    assert place == pytest.approx(TURNS["left"] @ T_cam_obj[:3, 3] + MOUNTS["left"]["translation"], abs=0.01)
+    assert position == pytest.approx(
+        ROTATIONS["left"] @ T_cam_obj[:3, 3] + MOUNTS["left"]["translation"], abs=0.01
+    )

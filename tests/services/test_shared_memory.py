@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-# All is imported before the rights go: an ordinary user may not be able to read this Python.
+# Imports come before the change of user: an ordinary user may not be able to read this Python.
 _PROLOGUE = """
 import json, os, resource, sys, time
 import encodings.idna
@@ -71,7 +71,7 @@ os._exit(0)
 
 
 @pytest.mark.live
-def test_no_frame_is_lost_by_an_ordinary_user_also_when_the_camera_was_started_again(base_port, monkeypatch):
+def test_an_ordinary_user_loses_no_frame_also_after_a_restart_of_the_camera(base_port, monkeypatch):
     def start(code, *arguments):
         command = [sys.executable, "-c", code, *map(str, arguments)]
         return subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -88,9 +88,9 @@ def test_no_frame_is_lost_by_an_ordinary_user_also_when_the_camera_was_started_a
             seen = json.loads(reader.communicate(timeout=30.0)[0])
         finally:
             reader.kill()
-    # A ring of one may skip a frame when this machine stands still.
+    # A ring of one may skip a frame when this machine is blocked.
     assert sum(i < 100 for i in seen["got"]) >= 27
     assert sum(i >= 100 for i in seen["got"]) >= 27
     assert seen["frames_by_shared_memory"] >= 25
-    # A pool of 6 MiB, 1280 KiB beside it, and a little for each link.
+    # A pool of 6 MiB, 1280 KiB more, and a little for each link.
     assert 7.2 < seen["locked_mib"] < 7.4

@@ -1,4 +1,4 @@
-"""What a worker says of itself to those who started it: the pulse, systemd's datagrams, the log."""
+"""What a worker reports to the process that started it: heartbeats, systemd's datagrams, the log."""
 
 import errno
 import io
@@ -39,7 +39,7 @@ def kernel(x):
 
 @pytest.fixture
 def manager(tmp_path, monkeypatch):
-    """A socket as systemd's, and what arrives there."""
+    """A socket like that of systemd."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
         end.bind(str(tmp_path / "notify"))
         end.settimeout(1.0)
@@ -59,7 +59,7 @@ def test_a_rate_counts_from_the_first_work_not_from_the_start(monkeypatch):
     assert health.message().rate_hz == pytest.approx(30.0, abs=0.5)
 
 
-def test_systemd_hears_of_readiness_and_of_work(manager, monkeypatch):
+def test_systemd_is_notified_of_readiness_and_of_work(manager, monkeypatch):
     monkeypatch.setenv("WATCHDOG_USEC", "2000000")
     monkeypatch.setenv("WATCHDOG_PID", str(os.getpid()))
     assert watchdog_s() == 2.0
@@ -73,22 +73,22 @@ def test_systemd_hears_of_readiness_and_of_work(manager, monkeypatch):
     assert manager.recv(1000) == b"WATCHDOG=1"
     manager.setblocking(False)
     with pytest.raises(BlockingIOError):
-        manager.recv(1000)  # a beat comes five times a second at most
+        manager.recv(1000)  # at most five heartbeats are sent a second
 
 
-def test_a_watchdog_that_is_meant_for_another_process_is_not_fed(monkeypatch):
+def test_a_watchdog_of_another_process_is_ignored(monkeypatch):
     monkeypatch.setenv("WATCHDOG_USEC", "2000000")
     monkeypatch.setenv("WATCHDOG_PID", "1")
     assert watchdog_s() is None
 
 
 @pytest.mark.parametrize("address", ["", "relative", "/nonexistent/socket", "@nobody-listens-here"])
-def test_nobody_to_tell_is_no_error(monkeypatch, address):
+def test_a_socket_without_a_listener_is_no_error(monkeypatch, address):
     monkeypatch.setenv("NOTIFY_SOCKET", address)
     assert notify("READY=1") is False
 
 
-def test_the_supervisor_hears_the_pulse_through_a_pipe(monkeypatch):
+def test_the_supervisor_gets_heartbeats_through_a_pipe(monkeypatch):
     read_end, write_end = os.pipe()
     monkeypatch.setenv("HUEPOSE_READY_FD", str(write_end))
     pulse = Pulse()
@@ -96,11 +96,11 @@ def test_the_supervisor_hears_the_pulse_through_a_pipe(monkeypatch):
     pulse.beat()
     assert os.read(read_end, 100) == b"ready\n."
     os.close(read_end)
-    pulse.ready()  # a supervisor that is gone stops nobody
+    pulse.ready()  # without the supervisor this is no error
     os.close(write_end)
 
 
-def test_a_kernel_that_is_compiled_late_is_told_while_it_is_compiled(monkeypatch, manager):
+def test_a_kernel_that_is_compiled_late_is_reported_while_it_is_compiled(monkeypatch, manager):
     monkeypatch.setenv("WATCHDOG_USEC", "2000000")
     monkeypatch.setenv("WATCHDOG_PID", str(os.getpid()))
     read_end, write_end = os.pipe()
@@ -118,7 +118,7 @@ def test_a_kernel_that_is_compiled_late_is_told_while_it_is_compiled(monkeypatch
         os.close(end)
 
 
-def test_every_line_says_when_how_grave_and_who(capsys):
+def test_every_line_of_the_log_has_time_level_and_worker(capsys):
     Log("tracker").warn("one\ntwo")
     lines = capsys.readouterr().err.splitlines()
     assert [line[13:] for line in lines] == ["warn  tracker   one", "warn  tracker   two"]
@@ -146,7 +146,7 @@ def test_repeats_are_held_back_and_counted(capsys, monkeypatch):
     assert capsys.readouterr().err.splitlines()[-1].endswith("again (4 more in 0 s)")
 
 
-def test_a_change_of_state_is_one_line_and_a_flicker_is_none(capsys):
+def test_a_change_of_state_gives_one_line_and_a_flicker_none(capsys):
     changes = StateChanges(Log("tracker"), every_s=0.1, moment_s=0.05)
 
     def stays(state, seconds):
@@ -164,7 +164,7 @@ def test_a_change_of_state_is_one_line_and_a_flicker_is_none(capsys):
     assert lines == ["mug/0 TRACKING (quality 0.90)", "mug/0 TRACKING > LOST (quality 0.90)"]
 
 
-def test_locked_memory_that_has_piled_up_is_a_warning():
+def test_too_much_locked_memory_is_a_warning():
     health = Health("tracker")
     assert health.message().warnings == []
     health.much_locked_mib = -1.0
@@ -173,7 +173,7 @@ def test_locked_memory_that_has_piled_up_is_a_warning():
     assert "restart this worker" in health.message().warnings[0]
 
 
-def test_health_counts_what_failed_and_keeps_the_last_of_it():
+def test_health_counts_errors_and_keeps_the_last_one():
     health = Health("tracker")
     health.failed("first")
     health.failed("x" * 5000)
@@ -182,7 +182,7 @@ def test_health_counts_what_failed_and_keeps_the_last_of_it():
     assert message.memory_mib > 10.0
 
 
-def test_health_and_status_say_how_often_a_worker_was_started_again(monkeypatch):
+def test_health_and_status_say_how_often_a_worker_was_restarted(monkeypatch):
     monkeypatch.setenv("HUEPOSE_RESTARTS", "3")
     message = Health("tracker").message()
     assert message.restarts == 3
@@ -193,8 +193,8 @@ def test_health_and_status_say_how_often_a_worker_was_started_again(monkeypatch)
     assert row.split()[-1] == "3"
 
 
-def test_text_that_is_no_utf8_is_said_all_the_same(manager):
-    """As the name of a file of another time, in an error."""
+def test_text_that_is_no_utf8_is_sent_escaped(manager):
+    """As the name of an old file, in an error."""
     health, text = Health("camera"), "no such file: caf\udce9.png"
     health.failed(text)
     health.warn_while("file", text)
@@ -211,7 +211,7 @@ class FullDisk(io.StringIO):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def test_a_log_that_cannot_be_written_ends_nothing(monkeypatch):
+def test_a_log_that_cannot_be_written_raises_no_error(monkeypatch):
     monkeypatch.setattr("huepose_services.runtime.log._FIRST_S", 0.01)
     log = Log("tracker", FullDisk())
     log.error("it broke")
@@ -222,12 +222,12 @@ def test_a_log_that_cannot_be_written_ends_nothing(monkeypatch):
 
 
 class Line(str):
-    """One whose memory is watched."""
+    """A string that can have weak references."""
 
     __slots__ = ("__weakref__",)
 
 
-def test_lines_that_are_each_another_one_are_forgotten():
+def test_lines_that_all_differ_are_forgotten():
     log, kept = Log("tracker", io.StringIO()), []
     for k in range(1000):
         line = Line(f"line {k}")

@@ -1,4 +1,4 @@
-"""How long a process waited for a processor: of real processes that share one."""
+"""How long a process waited for a processor, with real processes that share one."""
 
 import os
 import subprocess
@@ -27,7 +27,7 @@ def start():
         process.wait()
 
 
-def test_who_shares_a_processor_waits_and_who_sleeps_does_not(start):
+def test_a_process_that_shares_a_processor_waits_and_one_that_sleeps_does_not(start):
     processor = min(os.sched_getaffinity(0))
     busy = [start(BUSY, processor) for _ in range(4)]
     asleep = start("import time; time.sleep(60)", processor)
@@ -39,10 +39,10 @@ def test_who_shares_a_processor_waits_and_who_sleeps_does_not(start):
     took_s = time.monotonic() - began
     assert 0.5 * took_s < waited_s <= took_s + 0.1, "three others run at least half of the time"
     assert slept_s < 0.1 * took_s
-    assert of_busy.since_last_s() < 0.5, "asked again at once: what was told is not told again"
+    assert of_busy.since_last_s() < 0.5, "only the time since the last call counts"
 
 
-def test_a_process_that_is_gone_waits_for_nothing(start):
+def test_a_process_that_has_ended_does_not_wait(start):
     process = start("pass", min(os.sched_getaffinity(0)))
     starved = Starved(process.pid)
     process.wait()

@@ -1,4 +1,4 @@
-"""The list of objects: what may be changed, who follows, and what is over."""
+"""The list of objects: requests that change it, workers that follow it, and retired instances."""
 
 import threading
 import time
@@ -46,14 +46,14 @@ def objects():
     return ObjectList([entry("mug")], load)
 
 
-def test_a_reset_object_is_said_to_be_searched_at_once_and_without_the_reason_of_before(objects):
+def test_a_reset_object_is_listed_as_searched_for_at_once_without_the_old_reason(objects):
     objects.tell("mug", 0, (5, 3), "Hidden.")
     assert objects.decide(order("reset", "mug"))[0]
     (mug,) = objects.entries()
     assert (mug.searching, mug.reason, mug.retired) == (1, "", (5, 3))
 
 
-def test_a_pose_is_over_when_its_object_was_reset_or_removed():
+def test_a_pose_is_retired_when_its_object_was_reset_or_removed():
     pose = example(PoseMessage)
     name, epoch, number = pose.object, pose.camera_epoch, pose.instance
     assert not is_over(pose, None)
@@ -64,7 +64,7 @@ def test_a_pose_is_over_when_its_object_was_reset_or_removed():
     assert is_over(pose, [entry(f"not_{name}")])
 
 
-def test_what_may_be_done_is_done(objects):
+def test_valid_requests_change_the_list(objects):
     assert objects.decide(order("add", "jar", max_instances=2)) == (
         True,
         "jar is searched for, up to 2 of it",
@@ -101,7 +101,7 @@ def test_a_refusal_says_why_and_changes_nothing(objects, request_, reason):
 
 
 @pytest.mark.parametrize(("action", "name"), [("reset", "mug"), ("add", "jar")])
-def test_a_box_outside_of_the_picture_is_refused_once_its_size_is_known(objects, action, name):
+def test_a_box_outside_of_the_image_is_refused_once_its_size_is_known(objects, action, name):
     outside = order(action, name, box=(900.0, 100.0, 50.0, 50.0))
     objects.picture_size = (640, 480)
     done, text = objects.decide(outside)
@@ -113,16 +113,16 @@ def test_a_box_outside_of_the_picture_is_refused_once_its_size_is_known(objects,
     assert objects.decide(outside)[0]
 
 
-def test_another_number_of_a_known_object_is_no_refusal(objects):
+def test_another_number_of_instances_of_a_known_object_is_accepted(objects):
     assert objects.decide(order("add", "mug", max_instances=3))[0]
     assert [(o.name, o.slot.max_instances) for o in objects.orders()] == [("mug", 3)]
 
 
 def test_two_objects_that_are_added_at_the_same_time_have_two_numbers(objects, monkeypatch):
-    both_are_at_it = threading.Barrier(2, timeout=5.0)
+    both_are_adding = threading.Barrier(2, timeout=5.0)
 
     def made(**fields):
-        both_are_at_it.wait()
+        both_are_adding.wait()
         return ObjectEntry(**fields)
 
     monkeypatch.setattr(steering, "ObjectEntry", made)
@@ -151,7 +151,7 @@ def test_of_two_objects_that_are_added_at_the_same_time_only_one_takes_the_last_
 
 @pytest.mark.parametrize(("second", "done"), [(1, False), (2, True)])
 def test_an_object_that_is_added_twice_at_the_same_time_is_added_once(second, done):
-    """The second order is one about an object that is looked for already."""
+    """The second request is then about an object that is searched for already."""
 
     def loads(name, count):
         if name == "jar" and not inner:
@@ -189,7 +189,7 @@ def test_a_worker_follows_the_list():
     (change,) = _changes(follower)
     assert (change.entry.object, change.added, change.removed) == ("jar", "JAR", False)
     assert threads[0] is not threading.current_thread()
-    # The first list told how often the mug was reset; only what comes after that is an order.
+    # The first list says how often the mug was reset so far; only later resets count.
     bus.arriving[ObjectsMessage] = [ObjectsMessage(publish_ns=2, objects=[entry("mug", resets=6)])]
     gone, anew = follower.changes()
     assert (gone.entry.object, gone.removed) == ("jar", True)
@@ -199,19 +199,19 @@ def test_a_worker_follows_the_list():
 
 
 def lists(objects, *orders):
-    """The list of objects after these orders, as it is published."""
+    """The list of objects after these requests, as it is published."""
     for action in orders:
         assert objects.decide(order(action, "mug"))[0]
     return [ObjectsMessage(publish_ns=1, objects=objects.entries())]
 
 
 def both(follower):
-    """That an object is gone, and, once it was read, that it is there again."""
+    """The change that removes an object, and the one that adds it again, once its model was read."""
     gone, *new = _changes(follower)
     return [gone, *(new or _changes(follower))]
 
 
-def test_a_worker_that_was_busy_loads_anew_what_was_removed_and_added_meanwhile(objects):
+def test_a_busy_worker_loads_an_object_again_that_was_removed_and_added_meanwhile(objects):
     bus, models = FakeBus("worker"), iter(["of Tuesday", "of Wednesday"])
     follower = Follower(bus, lambda name: next(models), ["mug"])
     bus.arriving[ObjectsMessage] = lists(objects)
@@ -223,13 +223,13 @@ def test_a_worker_that_was_busy_loads_anew_what_was_removed_and_added_meanwhile(
     bus.arriving[ObjectsMessage] = lists(objects, "reset")
     (anew,) = follower.changes()
     assert (anew.added, anew.removed) == (None, False), "a reset reads no model"
-    # Who publishes the list was started anew, and has it as it was published.
+    # The worker that publishes the list was restarted, and has the list as it was published.
     objects = ObjectList(objects.entries(), load)
     bus.arriving[ObjectsMessage] = lists(objects, "remove", "add")
     assert [change.added for change in both(follower)] == [None, "of Wednesday"]
 
 
-def test_what_was_read_before_an_object_was_removed_and_added_is_not_taken(objects):
+def test_a_model_that_was_read_before_its_object_was_removed_and_added_is_not_used(objects):
     bus, reading, go_on = FakeBus("worker"), iter(["of Monday", "of Tuesday"]), threading.Event()
 
     def read(name):
@@ -248,7 +248,7 @@ def test_what_was_read_before_an_object_was_removed_and_added_is_not_taken(objec
     assert [change.added for change in _changes(follower)] == ["of Tuesday"]
 
 
-def test_an_object_that_could_not_be_loaded_for_want_of_memory_is_loaded_with_the_next_list():
+def test_an_object_that_could_not_be_loaded_for_lack_of_memory_is_loaded_with_the_next_list():
     bus, tries = FakeBus("worker"), []
 
     def read(name):
@@ -267,7 +267,7 @@ def test_an_object_that_could_not_be_loaded_for_want_of_memory_is_loaded_with_th
     bus.arriving[ObjectsMessage] = [ObjectsMessage(publish_ns=2, objects=[entry("jar"), entry("ghost")])]
     (change,) = _changes(follower)
     assert (change.entry.object, change.added) == ("jar", "JAR")
-    # What is not there is not looked for again and again.
+    # A model that does not exist is not tried again.
     for _ in range(2):
         _changes(follower, 0.1)
         bus.arriving[ObjectsMessage] = [ObjectsMessage(publish_ns=3, objects=[entry("jar"), entry("ghost")])]
@@ -282,7 +282,7 @@ def test_retired_instances_are_those_of_their_epoch_below_a_number():
     assert retired.below == {"mug": (7, 3)}
 
 
-def test_a_box_that_was_pointed_at_counts_until_the_object_has_a_pose():
+def test_a_given_box_is_used_until_the_object_has_a_pose():
     header = example(FrameHeader)  # an image of 4 x 2
     anywhere, known = RequestedObject(object="mug", instance=None), RequestedObject(object="mug", instance=0)
     other = RequestedObject(object="jar", instance=None)

@@ -1,4 +1,4 @@
-"""When a worker is taken for hung or late. That it is then ended and started again: test_processes."""
+"""When a worker counts as hung or late. test_processes tests that it is then ended and restarted."""
 
 import errno
 import io
@@ -50,19 +50,19 @@ def supervisor():
         ("camera", 11.0, False, "is not ready after 10 s"),
     ],
 )
-def test_silence_and_lateness(supervisor, worker, silent_s, runs, fault):
+def test_a_silent_or_late_worker_has_a_fault(supervisor, worker, silent_s, runs, fault):
     found = supervisor._fault(Running(worker, silent_s, runs))
     assert found is None if fault is None else found.startswith(fault)
 
 
-def test_who_waits_for_the_compiler_is_not_taken_for_hung(supervisor):
+def test_a_worker_that_waits_for_the_compiler_does_not_count_as_hung(supervisor):
     assert supervisor._fault(Running("tracker", 8.0, compiling=True)) is None
     assert supervisor._fault(Running("tracker", 8.0)) is not None
     fault = supervisor._fault(Running("tracker", 11.0, compiling=True))
     assert fault == "has compiled for more than 10 s"
 
 
-def test_each_time_the_patience_doubles(supervisor):
+def test_after_each_fault_the_allowed_silence_doubles(supervisor):
     assert supervisor._fault(Running("tracker", 3.0)) is not None
     assert supervisor._fault(Running("tracker", 3.0)) is None
     assert supervisor._fault(Running("tracker", 5.0)) is not None
@@ -70,7 +70,7 @@ def test_each_time_the_patience_doubles(supervisor):
     assert supervisor._fault(Running("reinit", 3.0)) is not None, "each worker by itself"
 
 
-def test_a_time_in_which_nothing_ran_does_not_count(supervisor):
+def test_a_time_in_which_the_machine_was_blocked_does_not_count(supervisor):
     child = Running("tracker", 0.5)
     supervisor._children["tracker"] = child
     supervisor._polled = time.monotonic() - 30.0
@@ -80,7 +80,7 @@ def test_a_time_in_which_nothing_ran_does_not_count(supervisor):
 
 
 class Waited:
-    """A process that waited for a processor for so long since it was last asked."""
+    """A process that waited for a processor for so long since the last call."""
 
     def __init__(self, seconds):
         self.seconds = seconds
@@ -95,18 +95,18 @@ def test_a_time_in_which_others_had_the_processor_does_not_count(supervisor):
     child.started = child.heard = time.monotonic() - 9.0
     child._starved = Waited(4.0)
     child.forgive_starving()
-    assert supervisor._fault(child) is None, "five of nine seconds count, of six"
+    assert supervisor._fault(child) is None, "five of nine seconds count; six are allowed"
     child._starved = Waited(0.0)
     child.heard -= 2.0
     child.forgive_starving()
     assert supervisor._fault(child) is not None
     child._starved = Waited(60.0)
     child.forgive_starving()
-    assert child.heard <= time.monotonic(), "no patience is saved up"
+    assert child.heard <= time.monotonic(), "the time is not credited for later"
 
 
-def test_the_log_of_a_worker_is_read_on_where_it_cannot_be_written():
-    """Who reads a pipe no more stops the one who writes into it."""
+def test_the_log_of_a_worker_is_read_even_if_it_cannot_be_written():
+    """If nobody reads the pipe any more, the worker that writes into it blocks."""
 
     class FullDisk(io.StringIO):
         def write(self, text):
@@ -122,7 +122,7 @@ def test_the_log_of_a_worker_is_read_on_where_it_cannot_be_written():
     assert next(lines, None) is None
 
 
-def test_why_a_worker_has_ended_is_an_error_of_its_own(monkeypatch):
+def test_the_reason_why_a_worker_has_ended_is_logged_as_its_error(monkeypatch):
     monkeypatch.delenv("HUEPOSE_LOG", raising=False)
     child = object.__new__(Child)
     child._log_name, child._out = "camera", io.StringIO()
@@ -158,7 +158,7 @@ def test_a_worker_that_cannot_be_started_now_is_started_later(alone, monkeypatch
     assert supervisor.exit_code is None
 
 
-def test_a_worker_whose_log_nobody_can_read_is_not_left_to_run(alone, monkeypatch):
+def test_a_worker_whose_log_cannot_be_read_is_ended(alone, monkeypatch):
     supervisor, out = alone
     started, popen = [], subprocess.Popen
 
@@ -186,7 +186,7 @@ class Held:
         return self.code
 
     def wait(self, timeout=None):
-        assert timeout is not None, "it would be waited for without an end"
+        assert timeout is not None, "it would wait for ever"
         raise subprocess.TimeoutExpired("worker", timeout)
 
     def send_signal(self, number):
@@ -197,7 +197,7 @@ class Held:
 
 
 def ended(supervisor, worker, code):
-    """One poll of a supervisor whose worker has just ended so."""
+    """One poll of a supervisor whose worker has just ended with this code."""
     child = object.__new__(Child)
     child.worker, child.process, child.pipe, child._starved = worker, Held(), None, None
     child.ready, child.runs, child.compiling, child.killed = True, True, False, False
@@ -209,7 +209,7 @@ def ended(supervisor, worker, code):
     supervisor.poll(0.0)
 
 
-def test_a_worker_whose_file_was_overwritten_in_place_is_said_to_have_died_of_that(alone):
+def test_a_file_that_was_overwritten_in_place_is_named_as_the_cause_of_a_workers_end(alone):
     supervisor, out = alone
     ended(supervisor, "tracker", -signal.SIGBUS)
     assert (
@@ -219,7 +219,7 @@ def test_a_worker_whose_file_was_overwritten_in_place_is_said_to_have_died_of_th
     assert "tracker killed by signal 9: starting it again" in out.getvalue()
 
 
-def test_who_is_given_up_is_not_said_to_read_the_file_again(tmp_path):
+def test_a_worker_that_was_given_up_is_not_reported_to_read_the_file_again(tmp_path):
     out, path = io.StringIO(), tmp_path / "pipeline.yaml"
     path.write_text("{}")
     config = Config(workers=("camera", "tracker"), restarts=RestartConfig(limit=0))
@@ -231,7 +231,7 @@ def test_who_is_given_up_is_not_said_to_read_the_file_again(tmp_path):
     assert "all workers but tracker, given up, read the configuration again" in out.getvalue()
 
 
-def test_a_killed_worker_that_does_not_end_is_started_again_when_it_has(alone):
+def test_a_killed_worker_that_does_not_end_is_restarted_when_it_has_ended(alone):
     supervisor, out = alone
     child = object.__new__(Child)
     child.worker, child.process, child.pipe, child._starved = "tracker", Held(), None, None

@@ -1,4 +1,4 @@
-"""Whoever kills `huepose up` by SIGKILL leaves nothing behind, and can start it again at once."""
+"""After SIGKILL of `huepose up` no worker is left, and it can be started again at once."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def test_all_workers_end_with_their_supervisor_and_it_starts_again(
     _until_it_answers(listen, wait_until)
     workers = started_by(first.pid)
     assert len(workers) == 2
-    if stopped:  # one that hangs ends as well
+    if stopped:  # a worker that hangs also ends
         os.kill(workers[1], signal.SIGSTOP)
     first.kill()
     started = time.monotonic()
@@ -49,7 +49,7 @@ def test_all_workers_end_with_their_supervisor_and_it_starts_again(
     assert second.wait(10.0) == 0
 
 
-def test_a_worker_that_is_only_starting_ends_too(with_gateway, huepose, wait_until):
+def test_a_worker_that_is_still_starting_ends_too(with_gateway, huepose, wait_until):
     path, _ = with_gateway
     process = huepose("up", path)
     workers = wait_until(lambda: started_by(process.pid))

@@ -1,4 +1,4 @@
-"""Things that stand still before the camera have poses again after the tracker died."""
+"""Static objects have poses again after the tracker died."""
 
 import json
 import os
@@ -14,8 +14,8 @@ from tests.services.conftest import patient_pipeline
 pytestmark = [pytest.mark.live, pytest.mark.pipeline, pytest.mark.timeout(180)]
 
 
-def test_what_stands_still_is_tracked_again_after_the_tracker_died(recording, tmp_path, huepose, wait_until):
-    """Perception then agrees with the last poses, which nobody follows any more."""
+def test_a_static_object_is_tracked_again_after_the_tracker_died(recording, tmp_path, huepose, wait_until):
+    """Perception then agrees with the last poses, which no tracker tracks any more."""
     folder, _, _ = recording
     still = tmp_path / "still"
     for part in ("rgb", "depth"):

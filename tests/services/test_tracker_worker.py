@@ -1,4 +1,5 @@
-"""What the tracker worker lets out: no old pose to act on, nothing that is no pose, nothing that is over."""
+"""What the tracker worker publishes: no old pose as TRACKING, no invalid pose, nothing of retired
+instances."""
 
 import time
 from dataclasses import replace
@@ -25,7 +26,7 @@ from tests.services.tracker_work import CENTRE, CORRECTION, MS, BusStandIn, fram
 HAND = {"parent": "tool0", "translation": [0.0, 0.1, 0.0], "quaternion": [0.0, 0.0, 0.0, 1.0]}
 
 
-def test_an_object_that_is_added_is_made_ready_where_it_is_loaded(tea_box, monkeypatch):
+def test_an_added_object_is_prepared_while_it_is_loaded(tea_box, monkeypatch):
     added, listed = replace(tea_box), []
     monkeypatch.setattr(subject, "window_table", listed.append)
     monkeypatch.setattr(models, "load", lambda config: {})
@@ -48,12 +49,12 @@ def test_an_object_that_is_added_is_made_ready_where_it_is_loaded(tea_box, monke
         ({}, False, False),
     ],
 )
-def test_where_a_camera_stands_its_motion_is_not_measured(camera, odometry, measured):
+def test_the_motion_of_a_fixed_camera_is_not_measured(camera, odometry, measured):
     config = msgspec.convert({"camera": camera, "tracker": {"odometry": odometry}}, Config)
     assert tracker_of(config, {}).config.odometry == measured
 
 
-def test_hypotheses_are_said_while_somebody_listens():
+def test_hypotheses_are_published_while_somebody_subscribes():
     work, bus, _ = worker()
     work._tracker.instances = (("mug", 0),)
     bus.arriving[FrameHeader] = [frame_of_age(1, 0.0), frame_of_age(2, 0.0)]
@@ -72,7 +73,7 @@ def test_hypotheses_are_said_while_somebody_listens():
 
 
 @pytest.mark.parametrize(("age_ms", "state"), [(0.0, "TRACKING"), (400.0, "SUSPECT")])
-def test_an_old_pose_is_never_one_to_act_on(age_ms, state):
+def test_an_old_pose_is_never_tracking(age_ms, state):
     work, bus, _ = worker()
     bus.arriving[FrameHeader] = [frame_of_age(1, 0.0), frame_of_age(2, age_ms)]
     work.step()
@@ -89,7 +90,7 @@ def test_a_pose_comes_with_the_centre_of_its_object():
     assert [p.centre for p in bus.said] == [tuple(CENTRE)]
 
 
-def test_the_first_frame_of_a_recording_stands_and_does_not_get_old():
+def test_the_first_frame_of_a_recording_does_not_get_old():
     work, bus, _ = worker(once=True)
     bus.arriving[FrameHeader] = [frame_of_age(1, 2000.0), frame_of_age(2, 400.0)]
     work.step()
@@ -100,7 +101,7 @@ def test_the_first_frame_of_a_recording_stands_and_does_not_get_old():
 @pytest.mark.parametrize(
     ("scale", "y"), [((1, 1, 1), np.nan), ((1, 1, 1), np.inf), ((1, 1, -1), 0.0), ((1.01, 1, 1), 0.0)]
 )
-def test_what_is_no_pose_is_not_published(scale, y, capfd):
+def test_an_invalid_pose_is_not_published(scale, y, capfd):
     T_cam_obj = se3.make(np.diag(scale), np.array([0.0, y, 0.5]))
     work, bus, _ = worker(T_cam_obj)
     bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
@@ -110,7 +111,7 @@ def test_what_is_no_pose_is_not_published(scale, y, capfd):
     assert "pose of mug/0" in capfd.readouterr().err
 
 
-def test_a_correction_of_an_instance_that_is_over_is_not_applied():
+def test_a_correction_of_a_retired_instance_is_not_applied():
     work, bus, objects = worker(np.eye(4))
     name, epoch = CORRECTION.object, CORRECTION.camera_epoch
     entry = ObjectEntry(object=name, max_instances=1, searching=1, resets=1, retired=(epoch, 4))
@@ -122,7 +123,7 @@ def test_a_correction_of_an_instance_that_is_over_is_not_applied():
 
 
 @pytest.mark.parametrize("removed", [True, False])
-def test_of_instances_that_are_over_nothing_is_kept(removed, monkeypatch):
+def test_nothing_is_kept_of_retired_instances(removed, monkeypatch):
     work, bus, objects = worker()
     monkeypatch.setattr(work._tracker, "remove_object", lambda name: None, raising=False)
     bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
@@ -136,7 +137,7 @@ def test_of_instances_that_are_over_nothing_is_kept(removed, monkeypatch):
     assert (list(work._told._now), list(work._told._told)) == (["mugs/0"], [])
 
 
-def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
+def test_while_perception_answers_too_late_a_warning_says_what_to_do(capfd):
     work, bus, _ = worker()
     header, payload = frame_of_age(1, 0.0)
     bus.arriving[FrameHeader] = [(header, payload)]
@@ -150,7 +151,7 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     (warning,) = bus.health.message().warnings
     assert "answers 8.0 s after" in warning
     assert "kept for 4.0 s" in warning
-    # 1.3 times 8 s are to be reached: 6.4 s more than 4 s, two frames for each 4/15 s.
+    # It should keep 1.3 times 8 s: 6.4 s more than 4 s, two frames for each 4/15 s.
     assert "tracker.older_frames to 72" in warning
     said = "found another pose of mug/0 in an image 8.0 s old; it is not applied: perception answers"
     assert capfd.readouterr().err.count(said) == 1
@@ -161,7 +162,7 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     work._tracker.answer, work._tracker.reach_s = Applied.REFUSED_OLD, None
     bus.arriving[CorrectionMessage] = [msgspec.structs.replace(late, seq=late.seq + 2)]
     work.step()
-    assert bus.health.message().warnings == [], "a tracker that has just begun remembers little"
+    assert bus.health.message().warnings == [], "a tracker that has just started keeps few frames"
 
 
 @pytest.mark.parametrize(
@@ -190,7 +191,7 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
             "tracked. Nothing needs to be done",
         ),
         (
-            # Of an instance that the tracker before it followed.
+            # Of an instance of the previous tracker process.
             Applied.REFUSED_OLD,
             "correct",
             4.0,
@@ -208,7 +209,7 @@ def test_who_answers_too_late_is_told_what_to_do_until_it_is_in_time(capfd):
     ],
 )
 def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, age_ms, said):
-    """And only what comes too late makes perception slow."""
+    """And only corrections that come too late make perception slow."""
     work, bus, _ = worker()
     header, payload = frame_of_age(1, 0.0)
     bus.arriving[FrameHeader] = [(header, payload)]
@@ -224,7 +225,7 @@ def test_the_log_says_what_was_refused_and_why(capfd, answer, verdict, reach_s, 
     assert bus.health.message().warnings == []
 
 
-def test_who_starts_it_without_a_camera_is_told_once_until_a_frame_comes(capfd, monkeypatch):
+def test_without_a_camera_the_tracker_warns_until_a_frame_comes(capfd, monkeypatch):
     at = [now_ns()]
     monkeypatch.setattr(first_frame, "now_ns", lambda: at[0])
     work, bus, _ = worker()
@@ -241,7 +242,7 @@ def test_who_starts_it_without_a_camera_is_told_once_until_a_frame_comes(capfd, 
     assert bus.health.message().warnings == []
 
 
-def test_beside_a_supervisor_the_camera_says_itself_what_is_in_its_way(monkeypatch):
+def test_under_a_supervisor_the_tracker_does_not_warn_of_a_missing_camera(monkeypatch):
     monkeypatch.setenv(SUPERVISOR, "1")
     at = [now_ns()]
     monkeypatch.setattr(first_frame, "now_ns", lambda: at[0])
@@ -264,7 +265,7 @@ def test_a_change_of_state_is_in_the_log_once(capfd):
 
 
 def test_no_correction_of_the_far_future_is_taken():
-    """Its number would be above those of all that come after it."""
+    """Its number would be above those of all later corrections."""
     work, bus, _ = worker(np.eye(4))
     now = now_ns()
     bus.arriving[CorrectionMessage] = [
@@ -276,7 +277,7 @@ def test_no_correction_of_the_far_future_is_taken():
     assert bus.health.counters["wire_errors"] == 1
 
 
-def test_without_a_new_frame_nothing_stays_to_be_acted_on():
+def test_without_a_new_frame_no_pose_stays_tracking():
     work, bus, _ = worker()
     assert work.due_ns() is None
     bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
@@ -285,7 +286,7 @@ def test_without_a_new_frame_nothing_stays_to_be_acted_on():
     assert due_ns is not None
     assert 0 < due_ns - now_ns() <= 300 * MS
     work.step()
-    assert [p.state for p in bus.said] == ["TRACKING"], "not before its time"
+    assert [p.state for p in bus.said] == ["TRACKING"], "not before it is due"
     time.sleep((due_ns - now_ns()) * 1e-9 + 0.001)
     work.step()
     work.step()
@@ -304,10 +305,10 @@ def test_without_a_new_frame_nothing_stays_to_be_acted_on():
         (True, "No new frame came: the recording has ended, or it falls behind."),
     ],
 )
-def test_who_comes_after_the_camera_stopped_hears_once_a_second_that_it_has(once, why):
+def test_after_the_camera_stopped_suspect_poses_are_published_once_a_second(once, why):
     at = [now_ns()]
     work, bus, objects = worker(once=once, clock=lambda: at[0])
-    # That which stands first never gets old.
+    # The repeated first frame never gets old.
     bus.arriving[FrameHeader] = [frame_of_age(0, 0.0)] * once + [frame_of_age(1, 0.0)]
     work.step()
     if once:
@@ -324,17 +325,17 @@ def test_who_comes_after_the_camera_stopped_hears_once_a_second_that_it_has(once
     work._tracker.remove_object = lambda name: None
     at[0] += 2 * SECOND
     work.step()
-    assert bus.said[1:] == said, "nothing is said of an object that is gone"
+    assert bus.said[1:] == said, "nothing is published of a removed object"
     assert work.due_ns() is None
 
 
 @pytest.mark.parametrize("raises", [True, False])
-def test_poses_are_withdrawn_where_the_frames_that_come_are_not_tracked(raises, monkeypatch):
+def test_poses_are_withdrawn_if_the_next_frames_are_not_tracked(raises, monkeypatch):
     at = [now_ns()]
     work, bus, _ = worker(clock=lambda: at[0])
     bus.arriving[FrameHeader] = [frame_of_age(5, 0.0), frame_of_age(2, 200.0)]
     work.step()
-    believed = work._tracker.step(SimpleNamespace(epoch=1, frame_id=5, stamp_ns=at[0]))
+    last_poses = work._tracker.step(SimpleNamespace(epoch=1, frame_id=5, stamp_ns=at[0]))
 
     def step(frame):
         if raises:
@@ -342,7 +343,7 @@ def test_poses_are_withdrawn_where_the_frames_that_come_are_not_tracked(raises, 
         return []  # an older one
 
     monkeypatch.setattr(work._tracker, "step", step)
-    monkeypatch.setattr(work._tracker, "poses", lambda: believed)
+    monkeypatch.setattr(work._tracker, "poses", lambda: last_poses)
     if raises:
         with pytest.raises(ValueError, match="broken"):
             work.step()
@@ -354,7 +355,7 @@ def test_poses_are_withdrawn_where_the_frames_that_come_are_not_tracked(raises, 
     assert [(p.state, p.frame_id) for p in bus.said] == [("TRACKING", 5), ("SUSPECT", 5)]
 
 
-def test_the_first_frame_of_a_recording_stands_for_as_long_as_it_takes():
+def test_the_repeated_first_frame_of_a_recording_stays_tracking():
     work, bus, _ = worker(once=True)
     bus.arriving[FrameHeader] = [frame_of_age(1, 2000.0)]
     work.step()
@@ -362,7 +363,7 @@ def test_the_first_frame_of_a_recording_stands_for_as_long_as_it_takes():
     assert work.due_ns() is None
 
 
-def test_a_pose_of_the_future_is_not_one_to_act_on():
+def test_a_pose_of_the_future_is_not_tracking():
     work, bus, _ = worker()
     bus.arriving[FrameHeader] = [frame_of_age(1, -400.0)]
     work.step()

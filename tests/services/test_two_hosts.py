@@ -1,6 +1,6 @@
-"""One pipeline over two computers that share no clock; the cable between them delays, loses and is cut.
+"""One pipeline on two computers without a common clock; the cable between them delays, loses and is cut.
 
-Each is a network namespace; the other computer has a monotonic clock and a boot of its own."""
+Each is a network namespace; the second computer has a monotonic clock and a boot id of its own."""
 
 import os
 import shutil
@@ -47,7 +47,7 @@ pytestmark = [
 
 
 class TwoHosts:
-    """Two folders, two namespaces, a cable, and what is said at the camera's computer."""
+    """Two folders, two namespaces, a cable, and the messages at the camera's computer."""
 
     def __init__(self, folder, cable):
         self.folder, self._cable = folder, cable
@@ -58,13 +58,13 @@ class TwoHosts:
         self.truth, self.errors_m = {}, []
 
     def order(self, *orders):
-        """Orders to the cable; bytes that went each way so far."""
+        """Sends commands to the cable; gives the bytes sent each way so far."""
         self._cable.stdin.write("".join(f"{order}\n" for order in orders))
         self._cable.stdin.flush()
         return [self._cable.stdout.readline() for _ in orders][-1].split()
 
     def look(self, seconds, until=lambda: False):
-        """Listen for so long, or until something holds: whether it does."""
+        """Listens for some seconds, or until a condition holds; gives whether it holds."""
         end = time.monotonic() + seconds
         while not (holds := until()) and (left := end - time.monotonic()) > 0:
             self._take(self.reader.next(min(left, 0.2)))
@@ -87,12 +87,12 @@ class TwoHosts:
             self.truth[message.frame_id] = {o.object: o.translation for o in message.objects}
 
     def tracked(self, for_s=1.0):
-        """What was TRACKING lately."""
+        """The objects that were TRACKING lately."""
         since = time.monotonic() - for_s
         return {m.object for now, m in self.poses if now > since and m.state == "TRACKING"}
 
     def longest_gap_s(self, since):
-        """Without a pose message."""
+        """The longest time without a pose message."""
         return float(np.diff([since, *(now for now, _ in self.poses if now > since), time.monotonic()]).max())
 
 
@@ -122,7 +122,7 @@ def _namespaces(*names):
 
 @contextmanager
 def two_hosts(folder):
-    """A pipeline over two computers, all of it started."""
+    """A running pipeline on two computers."""
     made = Authority.make(folder / "robot" / "secure", [CAMERAS], 30)
     made.add("desk", 30)
     (folder / "desk" / "secure").mkdir(parents=True)
@@ -166,14 +166,14 @@ def _reset(folder, name):
 def test_tracking_goes_on_alone_while_the_cable_is_cut_and_is_corrected_afterwards(tmp_path):
     with two_hosts(tmp_path) as hosts:
         assert hosts.look(120.0, lambda: len(hosts.tracked()) == 5), "not all five objects were found"
-        # The answers name their frames by the camera's clock, whatever the other computer's says.
+        # Answers have the time of the camera's clock, whatever that of the other computer says.
         hosts.order("delay 20", "loss 0.005")
         hosts.answers.clear()
         assert hosts.look(30.0, lambda: len(hosts.answers) >= 5)
         assert all(0.0 < age_s < 10.0 for _, age_s in hosts.answers)
         assert hosts.health["estimator"].age_ms is None
         assert not hosts.health["uplink"].warnings
-        # Cut: it is said, tracking goes on, what is lost stays lost.
+        # Cut: there is a warning, tracking goes on, a lost object stays lost.
         hosts.order("cut")
         cut = time.monotonic()
         _reset(tmp_path, "tea_box")
@@ -182,7 +182,7 @@ def test_tracking_goes_on_alone_while_the_cable_is_cut_and_is_corrected_afterwar
         assert hosts.longest_gap_s(cut) < 1.0
         assert len(hosts.tracked(2.0)) == 4
         assert hosts.searching["tea_box"] == 1
-        # Mended: all by itself.
+        # Mended: everything recovers by itself.
         hosts.answers.clear()
         hosts.order("delay 0", "loss 0", "mend")
         assert hosts.look(15.0, lambda: len(hosts.answers) > 0)

@@ -1,4 +1,4 @@
-"""The systemd units: what they say, and what systemd itself says of them."""
+"""The systemd units: their content, and systemd's own checks of them."""
 
 import json
 import os
@@ -62,7 +62,7 @@ def installed(request, tmp_path):
 
 
 @needs_systemd
-def test_systemd_finds_nothing_to_say(installed):
+def test_systemd_has_no_complaint_about_the_units(installed):
     workers = re.findall(r"Wants=(.*)", (installed / "huepose.target").read_text())
     files = [str(installed / name) for name in ["huepose.target", *workers]]
     # Instances exist only through their template, beside which systemd looks for it.
@@ -84,8 +84,8 @@ def test_systemd_finds_nothing_to_say(installed):
 @needs_systemd
 @pytest.mark.parametrize("live", [False, True])
 def test_the_sandbox_of_every_worker_is_tight(live, tmp_path):
-    """As the manual says: 1.9 of 10; the gateway and the viewer, which other machines reach, and the camera
-    and a network's worker, which have devices, a little more."""
+    """As the documentation says: 1.9 of 10; a little more for the gateway and the viewer, which other
+    machines reach, and for the camera and a network's worker, which have devices."""
     path = ROOT / "pipeline.yaml"
     if live:
         path = tmp_path / "pipeline.yaml"
@@ -109,7 +109,7 @@ def test_the_target_starts_the_workers_of_the_file():
     assert "Nice=-5" in files["huepose@camera.service.d/needs.conf"]
 
 
-def test_each_camera_has_its_workers_named_as_run_is_told(tmp_path, monkeypatch):
+def test_the_workers_of_each_camera_have_the_names_that_run_accepts(tmp_path, monkeypatch):
     path = tmp_path / "pipeline.yaml"
     cameras = [{"name": "left", "source": "realsense"}, {"name": "right", "source": "bop", "path": "scene"}]
     path.write_text(json.dumps({"workers": ["camera", "tracker"], "bundles": "bundles", "cameras": cameras}))
@@ -129,7 +129,7 @@ def test_each_camera_has_its_workers_named_as_run_is_told(tmp_path, monkeypatch)
         with pytest.raises(SystemExit):
             main(["run", worker, str(path)])
     assert ran == [(worker, worker.split(".")[0]) for worker in wants]
-    assert main(["run", "tracker", str(path)]) == 2  # of which camera?
+    assert main(["run", "tracker", str(path)]) == 2  # the camera is not named
 
 
 def test_restarts_and_watchdog_are_those_of_the_file():
@@ -141,7 +141,7 @@ def test_restarts_and_watchdog_are_those_of_the_file():
     for worker in ("camera", "tracker"):
         own = files[f"huepose@{worker}.service.d/needs.conf"]
         assert float(_value(own, "WatchdogSec")) == config.restarts.hung_after_s
-    # A search for many objects on a busy board takes longer, and systemd's patience does not grow.
+    # A search for many objects on a busy board takes longer, and systemd's limit does not grow.
     assert float(_value(template, "WatchdogSec")) == 12 * config.restarts.hung_after_s
     assert float(_value(template, "TimeoutStartSec")) >= config.restarts.start_within_s
     assert _value(template, "RestartPreventExitStatus") == "2"
@@ -160,7 +160,7 @@ def test_a_camera_has_the_rights_of_its_source(source, devices, network):
     assert ("IPAddressDeny=\n" in own) == network
 
 
-def test_only_those_that_need_them_see_devices_and_the_network():
+def test_only_workers_that_need_them_can_use_devices_and_the_network():
     config = Config(
         workers=(*CHAIN, "gateway"),
         camera=CameraConfig(source="realsense"),
@@ -186,8 +186,8 @@ def test_paths_with_blanks_and_percent_signs_stay_one_word():
     assert _value(template, "ExecStart") == f'"/opt/my apps/100%%/huepose" run %i {CONFIG}'
 
 
-def test_what_the_services_cannot_see_is_said(tmp_path, capsys, monkeypatch):
-    """In a home or among temporary files they find neither reference models nor the program itself."""
+def test_paths_that_the_services_cannot_see_are_reported(tmp_path, capsys, monkeypatch):
+    """In home folders and among temporary files they find neither reference models nor the program itself."""
     monkeypatch.setattr("huepose_services.cli.units._HIDDEN", (str(tmp_path / "home"), "/nowhere"))
     for folder in ("home", "etc"):
         (tmp_path / folder).mkdir()
@@ -202,7 +202,7 @@ def test_what_the_services_cannot_see_is_said(tmp_path, capsys, monkeypatch):
     assert capsys.readouterr().err == ""
 
 
-def test_what_is_no_user_is_refused(tmp_path, capsys):
+def test_an_invalid_user_name_is_refused(tmp_path, capsys):
     assert main(["units", str(ROOT / "pipeline.yaml"), "--out", str(tmp_path), "--user", "bob smith"]) == 2
     assert "--user: found bob smith; expected a user name" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
@@ -223,14 +223,14 @@ def test_a_dry_run_says_what_it_would_do_and_does_nothing():
     assert not Path("/opt/huepose").exists()
 
 
-def test_what_workers_and_the_gateway_need_is_installed_where_nothing_else_is_said():
+def test_by_default_what_workers_and_the_gateway_need_is_installed():
     """The worker ros2 and `huepose secure` belong to the robot's own computer."""
     for line in (r'extras="(.*?)"', r"EXTRAS:-(.*?)}"):
         script = INSTALL if line.startswith("extras") else ROOT / "deploy" / "bundle.sh"
         assert {"edge", "viewer", "ros2", "secure"} <= set(re.search(line, script.read_text())[1].split())
 
 
-def test_a_time_that_is_none_is_refused_before_anything_is_installed():
+def test_an_invalid_time_is_refused_before_anything_is_installed():
     done = _install("--dry-run", "--ready-within", "soon")
     assert (done.returncode, done.stdout) == (2, "")
     assert "--ready-within is a number of seconds, not soon" in done.stderr
@@ -259,12 +259,12 @@ def test_there_is_nothing_to_go_back_to_before_an_upgrade():
 @pytest.fixture
 def two_versions(tmp_path):
     """A folder with two versions, the second in use with its units, and an installer for it that needs no
-    root and whose systemctl only notes what it is told. The programs are scripts."""
+    root and whose systemctl only writes down its arguments. The programs are scripts."""
     places = " ".join(f"{name}={tmp_path / name}" for name in ("units", "rules", "home"))
     text = re.sub(r"^units=/etc.*$", places, INSTALL.read_text(), flags=re.MULTILINE)
     text = text.replace("/tmp/*) fail", "/nowhere/*) fail").replace("/run/systemd/system", str(tmp_path))
     (tmp_path / "install.sh").write_text(text)
-    scripts = {"bin/id": "echo 0", "bin/systemctl": f'echo "$*" >> {tmp_path}/told'}
+    scripts = {"bin/id": "echo 0", "bin/systemctl": f'echo "$*" >> {tmp_path}/calls'}
     for number in (1, 2):
         # `huepose units FILE --out DIR --user NAME` writes a target; anything else succeeds.
         units = f'[ "$1" = units ] || exit 0\nmkdir -p "$4"\necho "of {number}" > "$4/huepose.target"'
@@ -297,7 +297,7 @@ def _files(folder):
 
 
 @pytest.mark.parametrize("refuses", ["validate", "units"])
-def test_where_the_version_before_refuses_the_configuration_the_one_in_use_stays(two_versions, refuses):
+def test_if_the_previous_version_refuses_the_configuration_the_one_in_use_stays(two_versions, refuses):
     before = _files(two_versions / "units")
     old = two_versions / "opt/releases/1/.venv/bin/huepose"
     _script(old, f'[ "$1" != {refuses} ] || {{ echo "newkey: unknown" >&2; exit 2; }}')
@@ -307,18 +307,18 @@ def test_where_the_version_before_refuses_the_configuration_the_one_in_use_stays
     assert ("the installed version keeps running" in done.stderr) == (refuses == "validate")
     assert _files(two_versions / "units") == before
     assert (two_versions / "opt/.venv").readlink() == two_versions / "opt/releases/2/.venv"
-    assert not (two_versions / "told").exists()
+    assert not (two_versions / "calls").exists()
 
 
-def test_with_another_version_come_its_units_and_only_its_workers_go_on(two_versions):
-    """A restart of the target starts all that run again: also a worker that it does not name any more."""
+def test_a_rollback_installs_the_units_of_that_version_and_runs_only_its_workers(two_versions):
+    """A restart of the target restarts all workers that run, also one that it no longer names."""
     done = _roll_back(two_versions)
     assert done.returncode == 0, done.stderr
     assert _files(two_versions / "units") == {"huepose.target": "of 1\n"}
     assert (two_versions / "opt/.venv").readlink() == two_versions / "opt/releases/1/.venv"
-    told = (two_versions / "told").read_text().splitlines()
+    calls = (two_versions / "calls").read_text().splitlines()
     order = ["daemon-reload", "stop huepose@*.service", "restart --no-block huepose.target"]
-    assert [line for line in told if line in order] == order
+    assert [line for line in calls if line in order] == order
 
 
 def test_uninstalling_leaves_the_configuration():

@@ -1,4 +1,4 @@
-"""What is known of a pipeline whose workers come and go."""
+"""What a watch knows about a pipeline whose workers start and end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ENTRY = ObjectEntry(object=POSE.object, max_instances=2, searching=1)
 
 
 class FakeReader:
-    """Gives the messages of `waiting`; `live` as it is set."""
+    """Gives the messages in `waiting`; a test sets `live`."""
 
     def __init__(self, endpoints: list[str], *keys: str) -> None:
         self.live, self.waiting = set[str](), list[Message]()
@@ -32,7 +32,8 @@ def says(pid: int, state: str) -> HealthMessage:
 
 
 class Watched:
-    """What is known of a pipeline of which these workers are there and say this; `after`: of its camera."""
+    """A watch on a pipeline; `after`: the camera's pid and state, after these workers have sent these
+    messages."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.watch = Watch(pipeline)
@@ -52,7 +53,7 @@ def _no_bus(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("huepose_services.watch.Reader", FakeReader)
 
 
-def test_a_worker_that_was_killed_and_started_again_is_not_ready_until_it_says_so() -> None:
+def test_a_worker_that_was_killed_and_restarted_is_not_ready_until_it_says_so() -> None:
     camera = Watched(PIPELINE)
     assert camera.after(["camera"], says(1, "ready")) == (1, "ready")
     assert camera.after(["camera"]) == (1, "ready")
@@ -79,7 +80,7 @@ def test_poses_end_with_their_tracker_and_the_list_of_objects_with_its_worker(
     assert (len(view.poses), view.objects) == (poses, objects)
 
 
-def test_a_recording_that_is_played_says_how_workers_were_that_are_not_there() -> None:
+def test_a_played_recording_shows_the_recorded_state_of_its_workers() -> None:
     camera = Watched(msgspec.structs.replace(PIPELINE, workers=(), folder="/run/huepose"))
     assert camera.after(["replay"], says(1, "ready")) == (1, "ready")
     assert camera.after(["replay"]) == (1, "ready")

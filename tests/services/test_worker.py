@@ -43,7 +43,7 @@ sys.exit(worker.run_worker("camera", parse_all("workers: [camera]", path)[0], pa
         ("self.finished = True", "raise KeyError('in closing')", 0),
     ],
 )
-def test_the_camera_is_let_go_however_its_work_ends(tmp_path: Path, step: str, close: str, code: int) -> None:
+def test_the_camera_is_closed_however_its_work_ends(tmp_path: Path, step: str, close: str, code: int) -> None:
     done = subprocess.run(
         [sys.executable, "-c", CLOSED.format(step=step, close=close)],
         capture_output=True,
@@ -67,7 +67,7 @@ def test_the_camera_is_let_go_however_its_work_ends(tmp_path: Path, step: str, c
         ("raise ValueError('in its work')", "error in its work, going on:", 1),
     ],
 )
-def test_only_of_a_mistake_of_ours_the_log_says_where_it_is(
+def test_only_unexpected_errors_have_a_traceback_in_the_log(
     tmp_path: Path, step: str, said: str, tracebacks: int
 ) -> None:
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""The tracker worker's work between a tracker and a bus whose answers a test knows, and frames for it."""
+"""The work of a tracker worker, with a tracker and a bus of known answers, and frames for it."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -30,7 +30,7 @@ AHEAD = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]))
 
 
 class TrackerStandIn:
-    """Says of every frame that one object is tracked at the given pose."""
+    """Gives for every frame one object, TRACKING at the given pose."""
 
     instances: tuple[tuple[str, int], ...] = ()
     config = tracking.TrackerConfig()
@@ -58,9 +58,9 @@ class TrackerStandIn:
         return None
 
     def hypotheses(self, name, instance):
-        turned = se3.make(se3.rotation_exp(np.array([0.0, 0.0, 1.0])), self.T_cam_obj[:3, 3])
+        rotated = se3.make(se3.rotation_exp(np.array([0.0, 0.0, 1.0])), self.T_cam_obj[:3, 3])
         opinion = Hypothesis(self.T_cam_obj, NOTHING, np.eye(6), "flow", log_odds=np.log(3.0))
-        return opinion, Hypothesis(turned, NOTHING, np.eye(6), "turn", log_odds=0.0)
+        return opinion, Hypothesis(rotated, NOTHING, np.eye(6), "turn", log_odds=0.0)
 
     def remove_instances(self, name):
         self.instances = tuple(key for key in self.instances if key[0] != name)
@@ -71,7 +71,7 @@ class TrackerStandIn:
 
 
 class Loser(TrackerStandIn):
-    """Says of every frame that the object is not seen."""
+    """Gives for every frame the object as LOST."""
 
     def step(self, frame):
         return [
@@ -80,7 +80,7 @@ class Loser(TrackerStandIn):
 
 
 class BusStandIn(FakeBus):
-    """Keeps what was put as the bytes that travel have it."""
+    """Keeps the published messages, encoded and decoded."""
 
     def __init__(self):
         super().__init__("tracker")
@@ -127,20 +127,20 @@ def frame_of_age(number, age_ms):
 def changed_frame(number, color=0, depth=0, **intrinsics):
     """A frame with other pixels or intrinsics."""
     header, _ = frame_of_age(number, 0.0)
-    pictures = images()
-    pictures["color"] = pictures["color"] + np.uint8(color)
-    pictures["depth"] = np.where(depth < 0, 0, pictures["depth"] + np.uint16(max(depth, 0))).astype(np.uint16)
-    specs, payload = pack(pictures)
+    pixels = images()
+    pixels["color"] = pixels["color"] + np.uint8(color)
+    pixels["depth"] = np.where(depth < 0, 0, pixels["depth"] + np.uint16(max(depth, 0))).astype(np.uint16)
+    specs, payload = pack(pixels)
     changed = msgspec.structs.replace(header.intrinsics, **intrinsics)
     return msgspec.structs.replace(header, buffers=specs, intrinsics=changed), payload
 
 
 def frame_at(distance_m):
-    """A frame all of which is so far away, in colour."""
+    """A frame with this depth everywhere, and colour."""
     header, _ = frame_of_age(1, 0.0)
-    pictures = images()
-    pictures["color"] = np.random.default_rng(0).integers(40, 200, pictures["color"].shape, np.uint8)
-    pictures["depth"] = np.full_like(pictures["depth"], 1000)
-    specs, payload = pack(pictures)
+    pixels = images()
+    pixels["color"] = np.random.default_rng(0).integers(40, 200, pixels["color"].shape, np.uint8)
+    pixels["depth"] = np.full_like(pixels["depth"], 1000)
+    specs, payload = pack(pixels)
     wide = msgspec.structs.replace(header.intrinsics, fx=6.0, fy=6.0, depth_scale_m=distance_m / 1000.0)
     return msgspec.structs.replace(header, buffers=specs, intrinsics=wide), payload

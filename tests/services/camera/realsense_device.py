@@ -16,7 +16,7 @@ def intrinsics(rs, coefficients=None):
 
 
 class SoftwareCamera:
-    """A device that gives what it is told to."""
+    """A device that gives the images that a test pushes."""
 
     def __init__(self, rs, coefficients=None, record_to=None):
         self.rs = rs
@@ -54,12 +54,12 @@ class SoftwareCamera:
         frame.pixels, frame.stride, frame.bpp = pixels, WIDTH * bytes_per_pixel, bytes_per_pixel
         frame.timestamp, frame.domain = 1000.0 + number * 1000 / 30, self.rs.timestamp_domain.hardware_clock
         frame.frame_number, frame.profile = number, profile.as_video_stream_profile()
-        # Without the rate the SDK's syncer does not know for how long to wait for the other picture.
+        # Without the rate the SDK's syncer does not know for how long to wait for the other image.
         sensor.set_metadata(self.rs.frame_metadata_value.actual_fps, 30_000)
         sensor.on_video_frame(frame)
 
     def push(self, number):
-        """A wall at 0.6 m with a step to 0.3 m; colour tells the number."""
+        """A wall at 0.6 m with a step to 0.3 m; the colour encodes the number."""
         self.push_depth(number, depth_of(number))
         self.push_color(number, np.full((HEIGHT, WIDTH, 3), (number, 2 * number, 3 * number), np.uint8))
 

@@ -1,4 +1,4 @@
-"""What is wrong with pictures that come is said in words, soon, and no longer than it lasts."""
+"""Faults of a camera's images are reported soon, and only while they last."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -30,32 +30,32 @@ def shot(at_ns, **changes):
     return replace(good, **changes)
 
 
-def said_after(condition, seconds, spoil=lambda one: one, rate_hz=RATE_HZ, start_s=0.0, counted=0):
-    """Feeds pictures; what is complained of, by kind, with the time at which it was first."""
+def said_after(condition, seconds, change=lambda one: one, rate_hz=RATE_HZ, start_s=0.0, counted=0):
+    """Feeds images; gives the complaints by kind, each with the time at which it first came."""
     first = {}
     for k in range(int(seconds * rate_hz)):
         now = round((start_s + k / rate_hz) * SECOND)
-        condition.look(spoil(shot(now)), now)
+        condition.look(change(shot(now)), now)
         condition.count(counted + k, now)
         for kind, text in condition.complaints(now).items():
             first.setdefault(kind, (k / rate_hz, text))
     return first
 
 
-def test_good_pictures_are_not_complained_of():
+def test_good_images_give_no_complaint():
     assert said_after(Condition(RATE_HZ, FARTHEST_M), 20.0) == {}
     assert said_after(Condition(RATE_HZ, FARTHEST_M), 20.0, rate_hz=0.9 * RATE_HZ) == {}
 
 
 def holes(one):
-    """Every eighth column is left: much for a broken sensor, little for a good one."""
+    """Only each eighth column has depth: more than of a broken sensor, less than of a good one."""
     depth = np.zeros_like(one.depth)
     depth[:, ::8] = 0.7
     return replace(one, depth=depth)
 
 
 @pytest.mark.parametrize(
-    ("kind", "words", "spoil"),
+    ("kind", "words", "change"),
     [
         ("dark", "its image is black", lambda one: replace(one, color=one.color // 10)),
         ("depth", "no depth: under 1 %", lambda one: replace(one, depth=np.zeros_like(one.depth))),
@@ -78,9 +78,9 @@ def holes(one):
         ),
     ],
 )
-def test_each_fault_is_named_within_a_second_and_forgotten_when_it_is_over(kind, words, spoil):
+def test_each_fault_is_named_within_a_second_and_forgotten_when_it_is_over(kind, words, change):
     condition = Condition(RATE_HZ, FARTHEST_M)
-    said = said_after(condition, 3.0, spoil)
+    said = said_after(condition, 3.0, change)
     assert list(said) == [kind]
     assert 0.4 < said[kind][0] < 1.0
     assert words in said[kind][1]
@@ -91,7 +91,7 @@ def grey(one):
     return replace(one, color=np.repeat(one.color[..., :1], 3, axis=2))
 
 
-def test_a_picture_without_colour_is_named_when_it_is_not_what_is_shown_just_now():
+def test_images_without_colour_are_named_only_if_they_last():
     condition = Condition(RATE_HZ, FARTHEST_M)
     assert said_after(condition, 1.5, grey) == {}
     assert said_after(condition, 0.5, start_s=1.5, counted=45) == {}
@@ -102,7 +102,7 @@ def test_a_picture_without_colour_is_named_when_it_is_not_what_is_shown_just_now
     assert said_after(condition, 1.0, start_s=5.0, counted=150) == {}
 
 
-def test_a_falling_rate_is_named_when_all_that_is_counted_came_after_its_fall():
+def test_a_falling_rate_is_stated_from_images_after_the_fall_alone():
     condition = Condition(RATE_HZ, FARTHEST_M)
     assert said_after(condition, 3.0) == {}
     said = said_after(condition, 3.0, rate_hz=12.0, start_s=3.0, counted=90)
@@ -113,16 +113,16 @@ def test_a_falling_rate_is_named_when_all_that_is_counted_came_after_its_fall():
 
 
 @pytest.mark.parametrize("rate_hz", [RATE_HZ, 0.85 * RATE_HZ])
-def test_of_a_camera_that_gives_no_picture_any_more_no_rate_is_blamed(rate_hz):
+def test_a_camera_that_gives_no_more_images_is_not_called_slow(rate_hz):
     condition = Condition(RATE_HZ, FARTHEST_M)
     assert said_after(condition, 3.0, rate_hz=rate_hz) == {}
-    for k in range(60):  # the worker counts on, and none comes
+    for k in range(60):  # the worker goes on counting, and no image comes
         now = 3 * SECOND + k * SECOND // 20
         condition.count(int(3 * rate_hz), now)
         assert condition.complaints(now) == {}
 
 
-def test_the_rate_of_a_camera_that_is_slower_than_the_worker_looks_is_named_as_it_is():
+def test_a_rate_below_that_of_the_workers_checks_is_stated_correctly():
     condition = Condition(RATE_HZ, FARTHEST_M)
     assert said_after(condition, 3.0) == {}
     said = []
@@ -135,7 +135,8 @@ def test_the_rate_of_a_camera_that_is_slower_than_the_worker_looks_is_named_as_i
 
 
 def rates_said(asked_hz, gives_hz, seconds, condition=None, from_s=0.0):
-    """What is said of the rate, with the time, of a camera that gives so many, counted 20 times a second."""
+    """The complaints about the rate of a camera, each with its time; its images are counted 20 times a
+    second."""
     condition, said = condition or Condition(asked_hz, FARTHEST_M), []
     for k in range(int(20 * seconds)):
         at_s = from_s + k / 20
@@ -145,41 +146,40 @@ def rates_said(asked_hz, gives_hz, seconds, condition=None, from_s=0.0):
 
 
 @pytest.mark.parametrize(
-    ("asked_hz", "gives_hz", "told", "within_s"),
+    ("asked_hz", "gives_hz", "stated", "within_s"),
     [(30.0, 1.0, "1", 6.0), (30.0, 0.6, "0.", 12.0), (1.0, 0.5, "0.5", 15.0), (0.5, 0.25, "0.25", 30.0)],
 )
-def test_a_rate_of_a_picture_a_second_or_less_is_named_and_stays_named(asked_hz, gives_hz, told, within_s):
+def test_a_rate_of_one_image_a_second_or_less_is_named_all_the_time(asked_hz, gives_hz, stated, within_s):
     said = rates_said(asked_hz, gives_hz, 40.0)
     assert said[0][0] < within_s
-    assert f"it gives {told}" in said[0][1]
+    assert f"it gives {stated}" in said[0][1]
     assert f"images a second instead of {asked_hz:g}" in said[0][1]
     assert len(said) == round(20 * (40.0 - said[0][0])), "it is said all the time"
 
 
 @pytest.mark.parametrize(("asked_hz", "gives_hz"), [(1.0, 1.0), (1.0, 0.9), (0.5, 0.45), (2.0, 1.8)])
-def test_of_a_slow_camera_that_gives_what_it_is_asked_for_nothing_is_said(asked_hz, gives_hz):
+def test_a_slow_camera_at_its_configured_rate_gives_no_complaint(asked_hz, gives_hz):
     assert rates_said(asked_hz, gives_hz, 60.0) == []
 
 
-def test_a_picture_whose_depth_is_of_another_time_is_not_used():
+def test_an_image_with_depth_of_another_time_is_not_used():
     condition = Condition(RATE_HZ, FARTHEST_M)
     assert condition.look(shot(SECOND), SECOND)
-    # Half a period: two sensors that nothing ties together. A whole one: they do not belong together.
+    # Up to about half a period: sensors that are not synchronised. Nearly a whole one: another image's depth.
     assert condition.look(shot(SECOND, depth_ns=SECOND - 20_000_000), SECOND)
     assert not condition.look(shot(SECOND, depth_ns=SECOND - 30_000_000), SECOND)
-    assert condition.look(shot(SECOND, depth_ns=None), SECOND), "what is not known is not held against it"
+    assert condition.look(shot(SECOND, depth_ns=None), SECOND), "an unknown time of depth is no fault"
 
 
-def test_one_spoilt_picture_is_nothing():
+def test_one_bad_image_gives_no_complaint():
     condition = Condition(RATE_HZ, FARTHEST_M)
-    spoilt = iter([False] * 30 + [True] + [False] * 59)
+    bad = iter([False] * 30 + [True] + [False] * 59)
     assert (
-        said_after(condition, 3.0, lambda one: replace(one, color=one.color * 0) if next(spoilt) else one)
-        == {}
+        said_after(condition, 3.0, lambda one: replace(one, color=one.color * 0) if next(bad) else one) == {}
     )
 
 
-def test_another_size_or_focal_length_is_said_for_a_while():
+def test_another_size_or_focal_length_is_reported_for_a_while():
     condition = Condition(RATE_HZ, FARTHEST_M)
     condition.look(shot(SECOND), SECOND)
     condition.look(shot(2 * SECOND, camera=replace(CAMERA, fx=90.0)), 2 * SECOND)
@@ -193,20 +193,20 @@ def test_another_size_or_focal_length_is_said_for_a_while():
     assert condition.complaints(3 * SECOND) == {}
 
 
-def test_holes_are_no_missing_depth():
+def test_holes_are_not_reported_as_missing_depth():
     assert said_after(Condition(RATE_HZ, FARTHEST_M), 3.0, holes) == {}
 
 
-def test_a_picture_shows_the_same_only_where_every_pixel_does():
+def test_images_show_the_same_only_if_all_pixels_are_equal():
     one = shot(SECOND)
     assert one.shows_the_same(shot(SECOND, number=2, device_ns=5))
     assert not one.shows_the_same(shot(2 * SECOND))
     assert not one.shows_the_same(shot(SECOND, depth=one.depth + np.float32(1e-4)))
     black = shot(SECOND, color=one.color * 0)
-    assert not black.shows_the_same(black), "a lid gives the same picture again and again"
+    assert not black.shows_the_same(black), "a covered lens gives the same image repeatedly"
 
 
-def test_metres_that_are_millimetres_are_called_so():
+def test_millimetres_read_as_metres_are_recognised():
     said = said_after(
         Condition(RATE_HZ, FARTHEST_M), 2.0, lambda one: replace(one, depth=1242.0 * np.ones_like(one.depth))
     )
@@ -217,21 +217,21 @@ def test_metres_that_are_millimetres_are_called_so():
 
 
 @pytest.mark.parametrize("farther", [1242.0, 20.0])
-def test_what_is_said_of_a_fault_stands_still_while_the_depth_wavers(farther):
-    def wavering(one):
+def test_the_text_of_a_fault_does_not_change_while_the_depth_varies(farther):
+    def varying(one):
         return replace(one, depth=np.float32(farther * (1.0 + 0.002 * (one.number % 5))) * one.depth)
 
     condition, said = Condition(RATE_HZ, FARTHEST_M), set()
     for k in range(60):
         now = round(k / RATE_HZ * SECOND)
-        condition.look(wavering(shot(now)), now)
+        condition.look(varying(shot(now)), now)
         said.add(condition.complaints(now).get("depth"))
     said.remove(None)
     assert len(said) == 1
 
 
-def test_a_still_picture_and_one_stamp_for_all_are_named():
-    """A source of one's own may show a still picture on purpose, so it is only said."""
+def test_an_unchanging_image_and_a_constant_timestamp_are_named():
+    """A camera of one's own may show one image on purpose, so this is only reported."""
     still = shot(0)
 
     def same(one):
@@ -257,8 +257,8 @@ def test_a_still_picture_and_one_stamp_for_all_are_named():
         (-63524.0, "64000 s behind"),
     ],
 )
-def test_stamps_of_another_clock_are_named_where_they_should_be_of_this_one(seconds, says):
-    """As of wall time, or of seconds in the place of nanoseconds."""
+def test_timestamps_of_another_clock_are_named_if_they_should_be_of_this_one(seconds, says):
+    """For example of wall time, or seconds instead of nanoseconds."""
     for clock_is_host in (True, False):
         condition = Condition(RATE_HZ, FARTHEST_M)
         for k in range(60):
@@ -271,7 +271,7 @@ def test_stamps_of_another_clock_are_named_where_they_should_be_of_this_one(seco
 
 
 def _still_from(second):
-    """Spoils what comes from a second on: the picture of then, with stamps of its own."""
+    """Changes all shots from a second on: the image of that second, with their own timestamps."""
 
     def still(one):
         if one.device_ns < second * SECOND:
@@ -281,7 +281,7 @@ def _still_from(second):
     return still
 
 
-def test_a_picture_that_stands_still_after_others_is_of_a_camera_that_has_stopped():
+def test_an_image_that_stops_changing_means_that_the_camera_has_stopped():
     condition = Condition(RATE_HZ, FARTHEST_M)
     ((kind, (begun_s, text)),) = said_after(condition, 4.0, _still_from(2)).items()
     assert kind == "stopped"
@@ -290,10 +290,12 @@ def test_a_picture_that_stands_still_after_others_is_of_a_camera_that_has_stoppe
     assert "camera.check: false" in text
     assert said_after(condition, 1.0, start_s=4.0, counted=120) == {}
     condition.reopened()
-    assert list(said_after(condition, 3.0, _still_from(5), start_s=5.0)) == ["again"], "still from its first"
+    assert list(said_after(condition, 3.0, _still_from(5), start_s=5.0)) == ["again"], (
+        "unchanged from the first image on"
+    )
 
 
-def test_a_slower_sensor_whose_pictures_are_sent_three_times_is_not_doubted():
+def test_a_slow_sensor_whose_images_are_sent_three_times_is_not_reported():
     def of_10_hz(one):
         k = round(one.number * RATE_HZ / SECOND)
         kept = shot(round(k // 3 * 3 / RATE_HZ * SECOND))
@@ -305,7 +307,7 @@ def test_a_slower_sensor_whose_pictures_are_sent_three_times_is_not_doubted():
     assert said_after(condition, 10.0, of_10_hz) == {}
 
 
-def test_one_bit_of_depth_or_colour_is_another_picture():
+def test_one_changed_depth_value_makes_another_image():
     def nearly(one):
         still = _still_from(2)(one)
         still.depth[5, 5] += 1e-4 * (one.number % 2)
@@ -314,6 +316,6 @@ def test_one_bit_of_depth_or_colour_is_another_picture():
     assert said_after(Condition(RATE_HZ, FARTHEST_M), 5.0, nearly) == {}
 
 
-def test_who_shows_still_pictures_on_purpose_says_so():
+def test_with_the_check_off_an_unchanging_image_does_not_mean_stopped():
     condition = Condition(RATE_HZ, FARTHEST_M, check=False)
     assert list(said_after(condition, 5.0, _still_from(2))) == ["again"]

@@ -1,4 +1,4 @@
-"""The device's clock on this machine's: drift, jitter, jumps, restarts."""
+"""Times of the device's clock as times of this machine's: drift, jitter, jumps, restarts."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ FASTEST_NS = 5_000_000
 
 
 def _play(clock, seconds, *, drift=0.0, device_from=10**9, host_from=987_654_321_000_000, seed=0):
-    """Errors of the stamps in ms against capture + the fastest journey; pictures come at 30 Hz."""
+    """Errors of the timestamps in ms, against capture plus the shortest delay; images come at 30 Hz."""
     rng = np.random.default_rng(seed)
     errors = []
     for i in range(round(30 * seconds)):
@@ -26,14 +26,14 @@ def _play(clock, seconds, *, drift=0.0, device_from=10**9, host_from=987_654_321
 def test_drift_of_a_real_camera_is_removed(drift):
     clock = DeviceClock()
     errors = _play(clock, 300, drift=drift)
-    # Left alone, the stamps would be off by 22 ms at the end.
+    # Uncorrected timestamps would be off by 22 ms at the end.
     assert np.abs(errors[30 * 60 :]).max() < 0.1
     assert np.abs(errors[30 * 10 :]).max() < 3.0
     assert clock.drift == pytest.approx(drift, abs=1e-6)
     assert clock.restarts == 0
 
 
-def test_stamps_never_go_back_and_jitter_does_not_reach_them():
+def test_timestamps_never_go_back_and_have_no_jitter():
     clock, rng = DeviceClock(), np.random.default_rng(1)
     stamps = [
         clock.capture_ns(round(i / 30 * 1e9), round(i / 30 * 1e9) + 10**12 + round(rng.exponential(20e6)))
@@ -44,9 +44,9 @@ def test_stamps_never_go_back_and_jitter_does_not_reach_them():
     assert np.abs(gaps[300:] - 1e9 / 30).max() < 2e6
 
 
-def test_time_goes_on_where_the_stamps_were_too_late():
-    """The first picture was late and a pause came after it, so that the line is too high for six seconds;
-    as it comes down, a picture is held up, and those behind it come in a burst."""
+def test_time_goes_on_if_timestamps_were_too_late():
+    """The first image was late and a pause came after it, so the line is too high for six seconds. While it
+    comes down, one image is delayed, and the images after it come in a burst."""
     captured = [0, *(3 * 10**9 + round(i / 30 * 1e9) for i in range(200))]
     arrived = [at + FASTEST_NS for at in captured]
     arrived[0] += 400_000_000
@@ -61,7 +61,7 @@ def test_time_goes_on_where_the_stamps_were_too_late():
 
 
 @pytest.mark.parametrize("device_from", [0, 10**15])
-def test_a_device_that_starts_anew_or_jumps_ahead_begins_a_new_line(device_from):
+def test_a_device_clock_that_restarts_or_jumps_ahead_begins_a_new_line(device_from):
     clock = DeviceClock()
     _play(clock, 20, device_from=500 * 10**9)
     errors = _play(clock, 20, device_from=device_from, host_from=987_684_321_000_000, seed=3)
@@ -69,7 +69,7 @@ def test_a_device_that_starts_anew_or_jumps_ahead_begins_a_new_line(device_from)
     assert np.abs(errors[90:]).max() < 2.0
 
 
-def test_a_picture_that_was_held_up_is_stamped_when_it_was_captured():
+def test_a_delayed_image_has_the_timestamp_of_its_capture():
     clock = DeviceClock()
     _play(clock, 20)
     device, host = 10**9 + 20 * 10**9, 987_654_321_000_000 + 20 * 10**9

@@ -1,5 +1,5 @@
-"""When the frames of a source are due, what the camera says when they are late, and how a recording that is
-played once waits for its readers."""
+"""When the frames of a source are due, what the camera worker reports if they are late, and how a recording
+that is played once waits for its subscribers."""
 
 import io
 import time
@@ -63,7 +63,7 @@ def test_a_loop_at_a_fixed_rate_never_drifts():
         assert schedule.due_ns(i) - 1000 == pytest.approx(i * SECOND / 30, abs=i / 4 + 1)
 
 
-def test_time_never_goes_back_and_a_recorders_jump_is_cut():
+def test_time_never_goes_back_and_a_jump_in_the_recorded_times_is_limited():
     schedule = _schedule({0: 5, 1: 3, 2: 10**15}, rate="recorded")
     dues = [schedule.due_ns(i) for i in range(6)]
     assert dues == sorted(dues)
@@ -75,7 +75,7 @@ def test_a_loop_at_recorded_times_goes_on_with_the_usual_gap():
     assert [schedule.due_ns(i) - 1000 for i in (3, 4, 5)] == [90, 120, 150]
 
 
-def test_a_picture_without_a_stamp_moves_no_other():
+def test_an_image_without_a_timestamp_does_not_move_others():
     def stamp_ns(image):
         if image in (4, 9):
             raise InputError("scene_camera.json", found="no such picture")
@@ -86,16 +86,16 @@ def test_a_picture_without_a_stamp_moves_no_other():
     assert [schedule.due_ns(i) for i in (0, 2)] == [STAMPS[3], STAMPS[7]]
 
 
-def test_postponing_moves_only_what_is_to_come():
+def test_postponing_moves_only_later_frames():
     schedule = _schedule(rate="recorded")
     schedule.postpone(500)
     assert schedule.due_ns(1) == 1000 + 500 + STAMPS[4]
 
 
-def test_a_camera_that_is_late_again_and_again_says_what_that_means():
+def test_a_camera_that_is_late_repeatedly_warns_of_a_busy_computer():
     busy = Busy()
     assert busy.late(104_000_000, 0) == "frames come 104 ms late: this computer is busy"
-    assert busy.warning(SECOND) is None, "once means nothing"
+    assert busy.warning(SECOND) is None, "once is no reason to warn"
     for k in range(1, 5):
         busy.late(150_000_000, k * SECOND)
     warning = busy.warning(6 * SECOND)
@@ -106,11 +106,11 @@ def test_a_camera_that_is_late_again_and_again_says_what_that_means():
 
 
 def _said_while_played(config, source, seconds, lines):
-    """The first lines of the camera's log; waits so long for all of them."""
+    """The lines of the camera's log, after so many lines or seconds."""
 
     def said():
         texts = [line.split("camera ", 1)[1].strip() for line in out.getvalue().splitlines()]
-        return [text for text in texts if not text.startswith("frames come ")]  # late: others are busy here
+        return [text for text in texts if not text.startswith("frames come ")]  # late on a busy computer
 
     out, taken = io.StringIO(), SimpleNamespace(put=lambda *_: None, put_pixels=lambda *_: None)
     bus = SimpleNamespace(
@@ -123,7 +123,7 @@ def _said_while_played(config, source, seconds, lines):
     return said()
 
 
-def test_that_a_recording_begins_again_and_objects_jump_is_said_each_time(scene):
+def test_each_time_a_recording_begins_again_the_log_says_that_objects_jump(scene):
     camera = CameraConfig(source="bop", path=str(scene), rate=12.0)
     said = _said_while_played(Config(workers=("camera",), camera=camera), BopScene(scene), 20.0, 2)
     assert len(said) == 2
@@ -132,17 +132,17 @@ def test_that_a_recording_begins_again_and_objects_jump_is_said_each_time(scene)
     }
 
 
-def test_of_a_drawn_scene_it_is_said_once_that_objects_are_hidden_in_it(tmp_path, monkeypatch):
+def test_the_log_says_once_that_a_rendered_scene_occludes_objects(tmp_path, monkeypatch):
     monkeypatch.setattr("huepose.scenes.plan._ATTEMPTS", 1)  # any plan does
     mesh = {"tea_box": demo_objects(0)["tea_box"]}
-    drawn = SyntheticScene(3, 1.0, mesh, CAMERA.scaled(0.25), cache=tmp_path)
+    rendered = SyntheticScene(3, 1.0, mesh, CAMERA.scaled(0.25), cache=tmp_path)
     config = Config(workers=("camera",), camera=CameraConfig(source="synthetic", rate=30.0))
-    (said,) = _said_while_played(config, drawn, 2.5, 2)
+    (said,) = _said_while_played(config, rendered, 2.5, 2)
     assert said.startswith("a rendered scene, repeated every 1 s: objects rotate fast, pass in front of")
 
 
 def _ingest(scene, **camera):
-    """The camera of a scene, its bus, and what its log says."""
+    """The camera worker of a scene, its bus and its log."""
     settings = CameraConfig(source="bop", path=str(scene), rate=200.0, first_frame_s=0.0, **camera)
     config, out = Config(workers=("camera",), camera=settings), io.StringIO()
     bus = FakeBus("camera", config.keys)
@@ -150,15 +150,15 @@ def _ingest(scene, **camera):
     return Ingest(bus, config, BopScene(scene)), bus, out
 
 
-def _stepped_to_its_end(ingest):
+def _step_to_the_end(ingest):
     until(lambda: ingest.finished, 20.0, ingest.step)
 
 
-def test_pictures_that_cannot_be_read_are_left_out_and_counted(scene):
+def test_unreadable_images_are_left_out_and_counted(scene):
     (scene / "depth" / "000005.png").unlink()
     (scene / "rgb" / "000014.png").write_bytes(b"no picture")
     ingest, bus, out = _ingest(scene, once=True)
-    _stepped_to_its_end(ingest)
+    _step_to_the_end(ingest)
     assert ingest.fault is None
     assert [h.frame_id for h in bus.headers] == [3, 4, *range(6, 14)]
     assert bus.health.counters["frames_unread"] == 2
@@ -167,30 +167,30 @@ def test_pictures_that_cannot_be_read_are_left_out_and_counted(scene):
     assert "the recording has ended after 10 of 12 frames: 2 could not be read\n" in said
 
 
-def test_where_no_picture_of_a_whole_pass_can_be_read_it_ends_with_that_error(scene):
+def test_a_pass_without_any_readable_image_ends_with_the_error(scene):
     ingest, bus, _ = _ingest(scene)
     for path in (scene / "depth").iterdir():
         path.unlink()
-    _stepped_to_its_end(ingest)
+    _step_to_the_end(ingest)
     assert [h.frame_id for h in bus.headers] == [3]
     assert "no such file" in str(ingest.fault)
 
 
-def test_after_an_error_the_picture_before_is_not_shown_as_the_next_one(scene):
+def test_after_an_error_the_previous_image_is_not_sent_as_the_next_one(scene):
     ingest, bus, _ = _ingest(scene, once=True)
     read, shown = ingest._source.frame, []
     ingest._source.frame = lambda image: 1 / 0 if image == 7 else read(image)
     bus.put_pixels = lambda key, header, payload: shown.append((header.frame_id, payload[0]))
     with pytest.raises(ZeroDivisionError):
-        _stepped_to_its_end(ingest)
-    _stepped_to_its_end(ingest)
-    # The colour of picture n is n - 3; picture 8 is red.
+        _step_to_the_end(ingest)
+    _step_to_the_end(ingest)
+    # The colour of image n is n - 3; image 8 is red.
     assert shown == [(n, 255 if n == 8 else n - 3) for n in range(3, 15) if n != 7]
 
 
 @pytest.mark.live
-def test_it_waits_for_poses_and_for_its_last_reader(scene, base_port, wait_until):
-    """With real sessions; the tracker's end of the bus is the test's own."""
+def test_the_camera_waits_for_poses_and_for_its_last_subscriber(scene, base_port, wait_until):
+    """With real sessions; the test itself is the tracker."""
     config = Config(
         workers=("camera", "tracker"),
         objects=[ObjectConfig(name=POSE.object)],
@@ -213,13 +213,13 @@ def test_it_waits_for_poses_and_for_its_last_reader(scene, base_port, wait_until
         assert step() == [], "the tracker is not there yet"
     token = tracker.session.liveliness().declare_token(config.keys.live("tracker"))
     wait_until(lambda: len(step()) >= 3)
-    assert {h.frame_id for h in seen} == {3}, "it stands on its first frame"
+    assert {h.frame_id for h in seen} == {3}, "it repeats its first frame"
     tracker.put(config.keys.pose(POSE.object, 0), POSE)
     wait_until(lambda: step()[-1].frame_id == 14)
     assert list(dict.fromkeys(h.frame_id for h in seen)) == list(range(3, 15))
     for _ in range(10):
         step()
-    assert not ingest.finished, "nobody has said that the last frame was read"
+    assert not ingest.finished, "no subscriber has reported the last frame"
     tracker.health.camera_epoch, tracker.health.frame_id = seen[-1].camera_epoch, 14
     tracker.say_health()
     wait_until(lambda: step() and ingest.finished)
@@ -228,6 +228,6 @@ def test_it_waits_for_poses_and_for_its_last_reader(scene, base_port, wait_until
         close_bus(bus)
 
 
-def test_the_truth_of_a_scene_in_a_folder_that_is_no_utf8_can_be_told(scene):
+def test_a_scene_whose_folder_name_is_no_utf8_can_be_sent(scene):
     frame = BopScene(scene).frame(3)
     assert packed(frame, 1e-4, (), "caf\udce9").scene == r"caf\udce9"

@@ -9,7 +9,7 @@ from huepose_services.camera.live import CameraError, the_one
 TWO = {"048322071234": "left", "048322079999": "right"}
 
 
-def test_the_camera_of_the_serial_number_or_the_only_one() -> None:
+def test_the_camera_with_the_serial_number_or_the_only_one_is_opened() -> None:
     assert the_one(TWO, "048322079999", "none") == "right"
     assert the_one({"048322071234": "left"}, None, "none") == "left"
 
@@ -23,6 +23,8 @@ def test_the_camera_of_the_serial_number_or_the_only_one() -> None:
         (TWO, "1", "no camera with serial number 1; connected: 048322071234, 048322079999"),
     ],
 )
-def test_what_is_said_otherwise(connected: dict[str, str], serial: str | None, said: str) -> None:
+def test_any_other_choice_is_an_error_with_what_to_do(
+    connected: dict[str, str], serial: str | None, said: str
+) -> None:
     with pytest.raises(CameraError, match=said):
         the_one(connected, serial, "plug one in")

@@ -1,4 +1,4 @@
-"""What the camera worker says of pictures in which nothing can be found."""
+"""What the camera worker reports about images in which nothing can be found."""
 
 import re
 import time
@@ -19,7 +19,7 @@ from tests.services.fake_bus import FakeBus
 
 @pytest.fixture
 def ingest_of(tmp_path: Path, python_camera):
-    """The camera worker of a Python camera that does this to its depth."""
+    """A function: the camera worker of a Python camera that runs `change` for each frame, and its bus."""
     made = []
 
     def make(change, check="true"):
@@ -36,61 +36,62 @@ def ingest_of(tmp_path: Path, python_camera):
         ingest.close()
 
 
-def _goes_on(ingest, seconds, until=lambda: False):
-    """Steps for so long, or until something is so."""
+def _step_for(ingest, seconds, until=lambda: False):
+    """Steps for some seconds, or until a condition holds."""
     end = time.monotonic() + seconds
     while not until() and time.monotonic() < end:
         ingest.step()
 
 
-def _picture(ingest, bus, seconds=3.0):
-    """What health says of the picture, as soon as it says something; empty where it does not in time."""
-    _goes_on(ingest, seconds, lambda: bus.health.picture)
+def _reported_fault(ingest, bus, seconds=3.0):
+    """The fault of the images in the worker's health, as soon as there is one; empty if there is none in
+    time."""
+    _step_for(ingest, seconds, lambda: bus.health.picture)
     return bus.health.message().picture
 
 
-def test_depth_in_millimetres_is_why_nothing_is_found(ingest_of):
-    said = _picture(*ingest_of("depth *= 1000.0"))
+def test_depth_in_millimetres_is_reported(ingest_of):
+    said = _reported_fault(*ingest_of("depth *= 1000.0"))
     assert said.startswith("cam.py: depth looks like millimetres")
 
 
-def test_where_every_picture_is_refused_it_says_that_none_comes_and_why(ingest_of):
+def test_if_every_image_is_refused_health_says_that_none_comes_and_why(ingest_of):
     ingest, bus = ingest_of("color = color[:24]")
     why = "No image comes, and perception waits for the next. cam.py: Input"
-    assert _picture(ingest, bus).startswith(why)
+    assert _reported_fault(ingest, bus).startswith(why)
     assert bus.headers == []
 
 
-def test_where_every_picture_is_too_large_to_be_sent_it_says_so_and_which_is_not(ingest_of, monkeypatch):
+def test_if_every_image_is_too_large_health_says_so_with_the_limit(ingest_of, monkeypatch):
     monkeypatch.setattr("huepose_services.convert.MOST_PIXELS", 2_000)
     ingest, bus = ingest_of("pass")
-    said = _picture(ingest, bus)
+    said = _reported_fault(ingest, bus)
     assert "cam.py: image: found 64 x 48 pixels; expected at most 0.0 million of them. Set a smaller" in said
     assert bus.headers == []
 
 
 @pytest.mark.parametrize("change", ["pass", "depth[0] = np.nan", "depth[0, :9] = np.inf"])
-def test_of_good_pictures_nothing_is_said(ingest_of, change):
+def test_no_fault_is_reported_for_good_images(ingest_of, change):
     ingest, bus = ingest_of(change)
-    assert _picture(ingest, bus, 1.0) == ""
+    assert _reported_fault(ingest, bus, 1.0) == ""
     assert len(bus.headers) > 5
 
 
-def test_the_log_names_the_rate_of_a_camera_that_has_become_slow_as_it_is(ingest_of):
+def test_the_log_states_the_rate_of_a_camera_that_has_become_slow(ingest_of):
     ingest, bus = ingest_of(
         "began = locals().get('began', time.monotonic())\n"
         "        time.sleep(0.48 if time.monotonic() - began > 1.5 else 0.0)"
     )
     said = []
     bus.log.seldom = lambda kind, text: said.append((kind, text))
-    _goes_on(ingest, 8.0, lambda: said)
+    _step_for(ingest, 8.0, lambda: said)
     ((kind, text),) = said
     assert kind == "pictures: rate"
     assert any(f"it gives {rate} images a second instead of 30" in text for rate in (1, 2, 3)), text
 
 
-def test_a_camera_that_hangs_is_said_to_give_no_picture_after_a_second_and_no_slow_rate(ingest_of):
-    """From a picture after 1.5 s on it gives none for 2.6 s, then goes on."""
+def test_a_camera_that_hangs_is_reported_as_giving_no_image_not_as_slow(ingest_of):
+    """After 1.5 s it gives no image for 2.6 s, then goes on."""
     ingest, bus = ingest_of(
         "began = locals().get('began', time.monotonic())\n"
         "        hung = locals().get('hung', False)\n"
@@ -98,23 +99,23 @@ def test_a_camera_that_hangs_is_said_to_give_no_picture_after_a_second_and_no_sl
         "            hung = True\n"
         "            time.sleep(2.6)"
     )
-    logged, told, pictures, warnings = [], [], set(), set()
+    logged, sent, pictures, warnings = [], [], set(), set()
     bus.log.seldom = lambda kind, text: logged.append(kind)
-    bus.say_health = lambda: told.append((len(bus.headers), bus.health.message()))
+    bus.say_health = lambda: sent.append((len(bus.headers), bus.health.message()))
     until = time.monotonic() + 5.0
     while time.monotonic() < until:
         ingest.step()
         pictures.add(bus.health.picture)
         warnings.update(bus.health.message().warnings)
-    said = [(frames, message) for frames, message in told if "no image for" in message.picture]
+    said = [(frames, message) for frames, message in sent if "no image for" in message.picture]
     ((frames, message),) = said
     age_s = 1e-9 * (message.publish_ns - bus.headers[frames - 1].capture_ns)
     assert 1.0 < age_s < 1.3
     assert message.state == "waiting"
     assert message.picture.startswith("No image comes, and perception waits for the next. cam.py: no ima")
     assert message.warnings[0] == "cam.py: no image for 1 s"
-    assert told[-1][1].state == "ready"
-    assert told[-1][1].picture == ""
+    assert sent[-1][1].state == "ready"
+    assert sent[-1][1].picture == ""
     known = "No image has come for 2 s, and perception waits for the next. cam.py: reading it takes longer"
     assert any(picture.startswith(known) for picture in pictures)
     assert "pictures: rate" not in logged
@@ -125,10 +126,8 @@ def test_a_camera_that_hangs_is_said_to_give_no_picture_after_a_second_and_no_sl
     ("still", "check", "doubted"),
     [("1 < age < 3", "true", True), ("1 < age < 3", "false", False), ("age >= 0", "true", False)],
 )
-def test_a_frame_says_that_its_camera_has_stopped_until_it_shows_another_picture(
-    ingest_of, still, check, doubted
-):
-    """One that shows one picture from its first on has not."""
+def test_frames_say_that_their_camera_has_stopped_until_the_image_changes(ingest_of, still, check, doubted):
+    """A camera that shows one image from the beginning has not stopped."""
     ingest, bus = ingest_of(
         "began = locals().get('began', time.monotonic())\n"
         "        age = time.monotonic() - began\n"
@@ -136,7 +135,7 @@ def test_a_frame_says_that_its_camera_has_stopped_until_it_shows_another_picture
         "        kept = color",
         check,
     )
-    _goes_on(ingest, 4.0 if doubted else 2.5)
+    _step_for(ingest, 4.0 if doubted else 2.5)
     begun_ns = bus.headers[0].capture_ns
     said_s = [1e-9 * (h.capture_ns - begun_ns) for h in bus.headers if h.camera]
     if not doubted:
@@ -148,28 +147,28 @@ def test_a_frame_says_that_its_camera_has_stopped_until_it_shows_another_picture
     assert bus.headers[-1].camera == ""
 
 
-def test_a_frame_says_what_its_camera_knows_of_the_picture(ingest_of):
+def test_a_frame_states_the_fault_of_its_image(ingest_of):
     ingest, bus = ingest_of("depth *= 1000.0")
-    assert _picture(ingest, bus)
-    _goes_on(ingest, 0.3)
+    assert _reported_fault(ingest, bus)
+    _step_for(ingest, 0.3)
     assert bus.headers[-1].picture.startswith("cam.py: depth looks like millimetres")
     assert bus.headers[-1].camera == ""
 
 
-def test_health_says_at_once_what_is_wrong_with_the_pictures_and_that_it_is_over(ingest_of):
+def test_health_reports_at_once_that_a_fault_of_the_images_begins_and_ends(ingest_of):
     ingest, bus = ingest_of(
         "began = locals().get('began', time.monotonic())\n"
         "        depth *= 1000.0 if time.monotonic() - began < 1.5 else 1.0"
     )
-    _goes_on(ingest, 2.5)
+    _step_for(ingest, 2.5)
     wrong, over = (said.picture for said in bus.healths)
     assert wrong.startswith("cam.py: depth looks like millimetres")
     assert over == ""
 
 
 class Paired:
-    """Colour and depth of 64 x 48 pixels at 50 Hz; apart: whether depth is 100 ms older. Unplugged after so
-    many pictures."""
+    """Colour and depth of 64 x 48 pixels at 50 Hz; apart: whether depth is 100 ms older; pictures: number of
+    images after which it is unplugged."""
 
     device_clock_is_host = is_sensor = False
 
@@ -192,15 +191,15 @@ class Paired:
 
 
 @pytest.mark.parametrize("good_before", [0, 10])
-def test_where_every_picture_of_an_opening_is_left_out_it_is_said(good_before):
-    """From the first one on, also where an opening before it was good."""
+def test_it_is_reported_if_all_images_since_the_camera_was_opened_are_left_out(good_before):
+    """Also if its images were good when it was opened before."""
     openings = iter([Paired(apart=False, pictures=good_before)] * bool(good_before))
     source = LiveSource("sensors", "", lambda: next(openings, Paired(apart=True, pictures=1000)))
     config = Config(camera=CameraConfig(source="python", path="x"))
     bus = FakeBus("camera", config.keys)
     ingest = LiveIngest(bus, config, source)
     try:
-        _goes_on(ingest, 5.0, lambda: "100 ms older" in bus.health.picture)
+        _step_for(ingest, 5.0, lambda: "100 ms older" in bus.health.picture)
     finally:
         ingest.close()
     health = bus.health.message()
@@ -211,13 +210,13 @@ def test_where_every_picture_of_an_opening_is_left_out_it_is_said(good_before):
 
 
 @pytest.mark.parametrize(("back_s", "epochs"), [(3.0, 2), (0.2, 1)])
-def test_stamps_that_go_back_begin_an_epoch_where_readers_would_wait_for_long(ingest_of, back_s, epochs):
+def test_timestamps_that_go_far_back_begin_a_new_epoch(ingest_of, back_s, epochs):
     ingest, bus = ingest_of(
         "began = locals().get('began', time.monotonic())\n"
         f"        back_s = {back_s} if time.monotonic() - began > 0.5 else 0.0\n"
         "        stamp_ns = time.monotonic_ns() - int(back_s * 1e9)"
     )
-    _goes_on(ingest, 1.0)
+    _step_for(ingest, 1.0)
     assert len({header.camera_epoch for header in bus.headers}) == epochs
     warnings = [text for text in bus.health.message().warnings if "timestamps went back by 3 s" in text]
     assert len(warnings) == len(bus.logged["pictures: back"]) == epochs - 1
@@ -226,11 +225,11 @@ def test_stamps_that_go_back_begin_an_epoch_where_readers_would_wait_for_long(in
         assert all(a.capture_ns < b.capture_ns for a, b in of_one)
 
 
-def test_a_matrix_that_is_another_in_each_picture_is_logged_once_with_digits_that_differ(ingest_of):
+def test_intrinsics_that_change_with_each_image_are_logged_once_with_different_digits(ingest_of):
     ingest, bus = ingest_of("focal += 0.01")
     lines = []
     bus.log.say = lines.append
-    _goes_on(ingest, 0.5)
+    _step_for(ingest, 0.5)
     assert len({header.camera_epoch for header in bus.headers}) > 5
     assert len(lines) == 1
     (said,) = bus.logged["pictures: change"]

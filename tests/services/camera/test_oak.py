@@ -44,18 +44,18 @@ class Producer(dai.node.ThreadedHostNode):
                 return
             color, depth = _images(number)
             self.color.send(color)
-            if number != 5:  # a depth picture that is lost must not pair with the next colour
+            if number != 5:  # colour without its depth must not be paired with other depth
                 self.depth.send(depth)
             time.sleep(0.02)
 
 
 def _end(pipeline):
-    """Wait for nodes that are written in Python: taking a pipeline apart holds the lock that they need."""
+    """Waits for nodes that are written in Python: destroying a pipeline holds the lock that they need."""
     pipeline.stop()
     pipeline.wait()
 
 
-def test_groups_of_colour_and_depth_become_pictures_until_the_pipeline_ends():
+def test_groups_of_colour_and_depth_become_shots_until_the_pipeline_ends():
     pipeline = dai.Pipeline(createImplicitDevice=False)
     producer = pipeline.create(Producer)
     queue = synchronised(dai, pipeline, producer.color, producer.depth, 50.0, on_host=True)
@@ -78,7 +78,7 @@ def test_groups_of_colour_and_depth_become_pictures_until_the_pipeline_ends():
     _end(pipeline)
 
 
-def test_read_keeps_its_time_when_nothing_comes():
+def test_read_returns_in_time_when_nothing_comes():
     class Silent(dai.node.ThreadedHostNode):
         def __init__(self):
             super().__init__()
@@ -100,7 +100,7 @@ def test_read_keeps_its_time_when_nothing_comes():
     _end(pipeline)
 
 
-def test_pictures_that_do_not_belong_together_are_refused():
+def test_colour_and_depth_of_different_sizes_are_refused():
     with pytest.raises(CameraError, match="depth is 32 x 24, colour 64 x 48"):
         shot_of(*_images(1, (24, 32)), 0)
 
@@ -153,7 +153,7 @@ _RETURNS = {
 
 
 @pytest.mark.parametrize("platform", ["RVC2", "RVC4"])
-def test_the_pipeline_of_the_device_is_built_of_what_the_package_has(platform):
+def test_the_devices_pipeline_uses_only_what_the_package_has(platform):
     calls = []
 
     class Package:

@@ -1,4 +1,4 @@
-"""A camera that is a Python file: the one in the documentation, and what is said of those that are none."""
+"""A camera that is a Python file: the documentation's example, and the errors of wrong files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def open_file(folder: Path, name: str) -> LiveSource:
     return open_source(load(folder / "pipeline.yaml"))
 
 
-def test_the_camera_of_the_documentation_gives_pictures(tmp_path: Path) -> None:
+def test_the_camera_of_the_documentation_gives_images(tmp_path: Path) -> None:
     (text,) = re.findall(r"```python\n(# my_camera.py.*?)```", PAGE.read_text(), re.DOTALL)
     camera = source(tmp_path, text).open()
     one, two = camera.read(1.0), camera.read(1.0)
@@ -39,7 +39,7 @@ def test_the_camera_of_the_documentation_gives_pictures(tmp_path: Path) -> None:
     assert one.device_ns < two.device_ns <= two.arrived_ns
 
 
-def test_arrays_that_are_filled_anew_for_each_picture_give_different_ones(tmp_path: Path) -> None:
+def test_arrays_that_are_reused_for_each_image_give_different_images(tmp_path: Path) -> None:
     text = """import numpy as np
 
 from huepose import Camera, RgbdFrame
@@ -94,7 +94,7 @@ def test_a_file_that_is_no_camera_is_refused(tmp_path: Path, text: str, says: st
         ),
     ],
 )
-def test_what_is_no_picture_is_said_and_tried_again(tmp_path: Path, text: str, says: str) -> None:
+def test_what_is_no_frame_is_a_camera_error(tmp_path: Path, text: str, says: str) -> None:
     with pytest.raises(CameraError, match=says):
         source(tmp_path, text).open().read(1.0)
 

@@ -1,4 +1,5 @@
-"""The thread around a camera: whatever the camera does, `take` keeps its time and `trouble` says why."""
+"""The thread around a camera: whatever the camera does, `take` returns in time and `trouble` gives the
+reason."""
 
 import asyncio
 import threading
@@ -23,7 +24,7 @@ def _shot(number, color=None):
 
 
 class Device:
-    """Plugged in or not; reads what `behave` gives for the count of its reads."""
+    """Plugged in or not; `behave` makes each read."""
 
     name, if_silent, once = "test camera", "Plug it in.", False
     device_clock_is_host = True
@@ -66,7 +67,7 @@ def reader_of():
         reader.close()
 
 
-def test_a_missing_camera_is_reported_at_once_and_picked_up_when_it_comes(reader_of):
+def test_a_missing_camera_is_reported_at_once_and_opened_when_it_is_plugged_in(reader_of):
     device = Device(_paced, plugged=False)
     reader = reader_of(device)
     assert reader.take(0.1) is None
@@ -78,7 +79,7 @@ def test_a_missing_camera_is_reported_at_once_and_picked_up_when_it_comes(reader
     assert reader.trouble is None
 
 
-def test_the_newest_picture_is_given_once(reader_of, wait_until):
+def test_the_newest_image_is_given_once(reader_of, wait_until):
     device = Device(lambda d, s: _shot(d.reads) if d.reads <= 5 else time.sleep(0.01))
     reader = reader_of(device)
     wait_until(lambda: device.reads > 6)
@@ -87,7 +88,7 @@ def test_the_newest_picture_is_given_once(reader_of, wait_until):
     assert reader.skipped == 4
 
 
-def test_a_read_that_hangs_does_not_hang_the_taker_and_is_named(reader_of, wait_until):
+def test_a_read_that_hangs_does_not_block_take_and_is_reported(reader_of, wait_until):
     device = Device(lambda d, s: d.release.wait(30.0) and None)
     reader = reader_of(device)
     start = time.monotonic()
@@ -98,7 +99,7 @@ def test_a_read_that_hangs_does_not_hang_the_taker_and_is_named(reader_of, wait_
     assert reader.stuck_s() > 1.0
 
 
-def test_a_camera_that_is_pulled_out_is_closed_and_opened_again(reader_of, wait_until):
+def test_a_camera_that_is_unplugged_is_closed_and_opened_again(reader_of, wait_until):
     def behave(device, timeout_s):
         if device.reads == 3:
             raise RuntimeError("xioctl(VIDIOC_QBUF) failed: No such device")
@@ -111,7 +112,7 @@ def test_a_camera_that_is_pulled_out_is_closed_and_opened_again(reader_of, wait_
     assert device.closed == 1
 
 
-def test_the_last_picture_over_and_over_is_no_news(reader_of, wait_until, monkeypatch):
+def test_the_last_image_repeated_is_not_a_new_image(reader_of, wait_until, monkeypatch):
     monkeypatch.setattr("huepose_services.camera.reader._SILENT_NS", 200_000_000)
     frozen = _shot(7)
 
@@ -129,7 +130,7 @@ def test_the_last_picture_over_and_over_is_no_news(reader_of, wait_until, monkey
 
 
 @pytest.mark.parametrize("is_sensor", [True, False])
-def test_the_last_picture_with_new_stamps_is_no_news_of_a_sensor(
+def test_the_last_image_with_new_timestamps_is_not_a_new_image_of_a_sensor(
     reader_of, wait_until, monkeypatch, is_sensor
 ):
     monkeypatch.setattr("huepose_services.camera.reader._SILENT_NS", 200_000_000)
@@ -151,7 +152,7 @@ def test_the_last_picture_with_new_stamps_is_no_news_of_a_sensor(
 
 
 @pytest.mark.parametrize("error", [asyncio.CancelledError, SystemExit, GeneratorExit])
-def test_what_is_raised_and_is_no_exception_ends_no_reading(reader_of, wait_until, error):
+def test_a_base_exception_does_not_end_the_reading(reader_of, wait_until, error):
     def behave(device, timeout_s):
         if device.reads == 3:
             raise error("of its own")
@@ -166,8 +167,8 @@ def test_what_is_raised_and_is_no_exception_ends_no_reading(reader_of, wait_unti
 
 
 @pytest.mark.parametrize("blocks", [True, False])
-def test_a_camera_is_as_slow_as_its_rate_without_trouble(reader_of, wait_until, monkeypatch, blocks):
-    """Whether it waits for its image in one call, or says again and again that none is there."""
+def test_a_camera_at_its_slow_rate_gives_no_trouble(reader_of, wait_until, monkeypatch, blocks):
+    """Whether `read` waits for an image in one call, or returns None until there is one."""
     for limit in ("_SLOW_NS", "_SILENT_NS"):
         monkeypatch.setattr(f"huepose_services.camera.reader.{limit}", 20_000_000)
 
@@ -182,7 +183,7 @@ def test_a_camera_is_as_slow_as_its_rate_without_trouble(reader_of, wait_until, 
     assert (reader.openings, device.closed) == (1, 0)
 
 
-def test_an_error_that_names_a_file_in_another_encoding_can_be_told(reader_of, wait_until):
+def test_an_error_that_names_a_file_in_another_encoding_can_be_sent(reader_of, wait_until):
     def behave(device, timeout_s):
         raise OSError("no caf\udce9.png")
 

@@ -34,12 +34,12 @@ def _settings(path=None, **device):
 
 
 def _first_shot(software, camera, numbers):
-    """The first complete pair; the syncer gives single pictures until it knows both streams."""
+    """The first complete pair; the syncer gives single images until it knows both streams."""
     for number in numbers:
         software.push(number)
         if (shot := camera.read(0.5)) is not None:
             return shot
-    raise AssertionError("no picture came")
+    raise AssertionError("no image came")
 
 
 @pytest.fixture
@@ -47,28 +47,28 @@ def software():
     return SoftwareCamera(rs)
 
 
-def test_depth_is_brought_into_the_pixels_of_colour(software):
+def test_depth_is_aligned_to_the_pixels_of_colour(software):
     camera = RealSenseCamera(rs, software.device, _settings())
     shot = _first_shot(software, camera, range(1, 6))
     camera.close()
     assert shot.color[0, 0].tolist() == [shot.number, 2 * shot.number, 3 * shot.number]
     assert shot.device_ns == round((1000.0 + shot.number * 1000 / 30) * 1e6)
     assert (shot.camera.fx, shot.camera.cx, shot.camera.width) == (FOCAL, 31.5, WIDTH)
-    # The lens of colour is 30 mm to the right: what is 0.3 m away is 6 pixels further left in depth.
+    # The colour lens is 30 mm to the right: a surface 0.3 m away moves 6 pixels to the left.
     near = np.argwhere(np.isclose(shot.depth, 0.3))
     assert near.min(0).tolist() == [10, 14]
     assert near.max(0).tolist() == [19, 23]
     assert set(np.unique(shot.depth).round(3)) == {0.0, np.float32(0.3).round(3), np.float32(0.6).round(3)}
 
 
-def test_without_align_depth_stays_as_it_is(software):
+def test_without_align_depth_is_unchanged(software):
     camera = RealSenseCamera(rs, software.device, _settings(align=False))
     shot = _first_shot(software, camera, range(1, 6))
     camera.close()
     assert np.allclose(shot.depth, depth_of(0) * 0.001)
 
 
-def test_colour_without_depth_is_no_picture_and_read_keeps_its_time(software):
+def test_colour_without_depth_gives_no_shot_and_read_returns_in_time(software):
     camera = RealSenseCamera(rs, software.device, _settings())
     _first_shot(software, camera, range(1, 6))
     software.push_color(20, np.zeros((HEIGHT, WIDTH, 3), np.uint8))
@@ -89,7 +89,7 @@ def test_an_option_that_it_does_not_have_is_refused_with_those_that_it_has(softw
 
 
 def test_depth_is_filtered_as_configured(software):
-    """A wall with a step: what is over half a metre away is left out, and then filled from its neighbours."""
+    """A wall with a step: depth beyond 0.5 m is removed, and then filled from its neighbours."""
     filters = {"hole_filling": {"holes_fill": 1}, "threshold": {"max_distance": 0.5}}
     farthest = {}
     for chosen in ({}, {"threshold": filters["threshold"]}, filters):
@@ -117,12 +117,12 @@ def test_depth_is_filtered_as_configured(software):
         ),
     ],
 )
-def test_a_filter_that_cannot_be_set_so_is_refused_with_what_can(filters, said):
+def test_a_wrong_option_of_a_filter_is_refused_with_the_reason(filters, said):
     with pytest.raises(CameraError, match=said):
         made_filters(rs, filters)
 
 
-def test_filters_come_in_the_order_that_keeps_them_from_spoiling_each_other():
+def test_filters_are_applied_in_a_fixed_order_with_disparity_around_temporal():
     names = [
         type(f).__name__ for f in made_filters(rs, {"hole_filling": {}, "temporal": {}, "decimation": {}})
     ]
@@ -151,10 +151,10 @@ def test_a_missing_camera_is_named_at_once_with_what_to_do():
     assert time.monotonic() - start < 5.0, "the SDK alone would take over 11 s"
 
 
-def test_rectified_pixels_lie_where_the_sdk_says_that_rays_go():
+def test_rectified_pixels_agree_with_the_projection_of_the_sdk():
     coefficients = [-0.055, 0.065, -0.0006, 0.0004, -0.02]
     distorted = intrinsics(rs, coefficients)
-    # A picture that tells its own columns and rows: rectified, each pixel tells where it came from.
+    # The colours are columns and rows: after rectification, each pixel says where it came from.
     rows, columns = np.mgrid[0:HEIGHT, 0:WIDTH]
     image = np.stack([columns * 4, rows * 4, rows * 0], -1).astype(np.uint8)
     out = Rectification(rs, distorted).color(image)
@@ -168,7 +168,7 @@ def test_rectified_pixels_lie_where_the_sdk_says_that_rays_go():
 
 @pytest.fixture
 def recording(tmp_path):
-    """30 pictures, pushed through the SDK's recorder."""
+    """30 images, pushed through the SDK's recorder."""
     path = tmp_path / "recording.db3"
     software = SoftwareCamera(rs, record_to=str(path))
     sensors = software.recorder.query_sensors()
@@ -189,7 +189,7 @@ def recording(tmp_path):
     return path
 
 
-def test_a_recording_gives_its_pictures_and_its_end(recording):
+def test_a_recording_gives_its_images_and_its_end(recording):
     camera = source_of(rs, _settings(str(recording))).open()
     shots = []
     with suppress(CameraError):
@@ -211,7 +211,7 @@ def test_a_recording_that_has_ended_is_played_again(recording):
         while True:
             once.read(0.3)
     once.close()
-    again = source.open()  # with the first one still known, as a reader knows it
+    again = source.open()  # while the first one is still referenced, as by a reader
     assert again.read(2.0) is not None
     again.close()
 
@@ -227,7 +227,7 @@ def _device(**settings):
 
 
 @pytest.mark.live
-def test_the_camera_worker_publishes_a_recording_and_says_what_the_camera_is(
+def test_the_camera_worker_publishes_a_recording_and_the_cameras_intrinsics(
     pipeline, huepose, base_port, recording
 ):
     path = pipeline(**_device(path=str(recording), device={"width": WIDTH, "height": HEIGHT}))

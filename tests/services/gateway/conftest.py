@@ -1,4 +1,4 @@
-"""A gateway with real sessions, a tracker's end of the bus beside it, and a real authority."""
+"""A gateway with real sessions, a tracker's end of the bus, and a real certificate authority."""
 
 import time
 
@@ -15,7 +15,7 @@ from tests.services.sessions import Working, close_bus, open_bus
 
 
 class Running:
-    """A tracker's end of the bus that says what a test wants, and a gateway beside it."""
+    """A tracker's end of the bus, which publishes what a test wants, and a gateway."""
 
     def __init__(self, base_port: int, host: str = "127.0.0.1", **gateway: object) -> None:
         self.port = base_port + 9
@@ -36,7 +36,7 @@ class Running:
         self._working.close()
 
     def say(self, frame_id, **changes):
-        """A pose of the example object; the stamps are those of now."""
+        """Publishes a pose of the example object with the current time."""
         now = time.monotonic_ns()
         clock = {"realtime_offset_ns": time.time_ns() - now}
         pose = msgspec.structs.replace(
@@ -47,7 +47,7 @@ class Running:
         return pose
 
     def say_until(self, condition, timeout_s=8.0):
-        """Poses at 100 a second until something holds; returns the last."""
+        """Publishes 100 poses a second until a condition holds; gives the last."""
         poses = [self.say(1001)]
 
         def say():
@@ -77,7 +77,7 @@ def start(base_port):
 
 @pytest.fixture(scope="module")
 def authority(tmp_path_factory):
-    """Files of an authority, a gateway and some readers; one of them has another authority's certificate."""
+    """Files of an authority, a gateway and some readers; `stranger` has another authority's certificate."""
     folder, other = (tmp_path_factory.mktemp("certificates") for _ in range(2))
     ours = Authority.make(folder, ["localhost", "127.0.0.1", "::1"], 30)
     for name in ("robot1", "robot2"):

@@ -1,4 +1,4 @@
-"""Nobody takes the places of others, however often he comes."""
+"""No reader can take the sessions of others, however often it connects."""
 
 import socket
 import ssl
@@ -41,7 +41,7 @@ def test_who_does_not_say_who_he_is_takes_no_place_for_long(start, authority):
         link.close()
 
 
-def test_who_opens_no_session_takes_only_places_of_his_own_and_not_for_long(start, wait_until):
+def test_connections_without_a_session_block_only_their_own_address_for_a_short_time(start, wait_until):
     one = start(host="0.0.0.0", sessions_per_reader=8)
     silent = [socket.create_connection(("127.0.0.1", one.port), 10.0, ("127.0.0.2", 0)) for _ in range(8)]
     with PoseClient(f"tcp/127.0.0.1:{one.port}") as reader:
@@ -71,7 +71,7 @@ def test_a_reader_that_asks_without_end_is_slowed_and_the_others_are_not(start, 
         wait_until(lambda: reader.latest().frame_id == pose.frame_id, 2.0)
 
 
-def test_what_a_reader_may_say_is_one_allowance_for_all_its_sessions():
+def test_all_sessions_of_a_reader_share_one_rate_limit():
     reader = _Reader()
     assert reader.wait_s(BURST_BYTES) == 0.0
     assert reader.wait_s(RATE_BYTES_S) == pytest.approx(1.0, abs=0.1)

@@ -1,4 +1,4 @@
-"""The gateway with real sessions: what is seen outside, and that nothing comes in."""
+"""The gateway with real sessions: what can be read outside, and that nothing comes in."""
 
 import json
 import re
@@ -32,7 +32,7 @@ ALL = "huepose/*/*/remote/**"
 DOCS = Path(__file__).parents[3] / "docs"
 
 
-def test_poses_objects_camera_and_health_are_seen_outside_and_at_once_by_who_comes_late(start):
+def test_poses_objects_camera_and_health_can_be_read_outside_also_by_late_clients(start):
     one = start()
     with (
         PoseClient(f"tcp/127.0.0.1:{one.port}") as first,
@@ -48,7 +48,7 @@ def test_poses_objects_camera_and_health_are_seen_outside_and_at_once_by_who_com
         one.tracker.put(key, example(kind))
     pose = one.say(5000, state="SUSPECT")
     time.sleep(0.1)
-    # From now on nobody says anything.
+    # From now on nothing is published.
     session = open_session([f"tcp/127.0.0.1:{one.port}"])
     deadline, replies = time.monotonic() + 5.0, {}
     while len(replies) < 4 and time.monotonic() < deadline:
@@ -63,20 +63,20 @@ def test_poses_objects_camera_and_health_are_seen_outside_and_at_once_by_who_com
         assert late.next(5.0) == pose
 
 
-def test_who_asks_after_the_tracker_died_is_not_told_that_its_last_pose_may_be_acted_on(start):
+def test_after_the_tracker_died_its_last_pose_is_answered_as_suspect(start):
     one = start()
     address = f"tcp/127.0.0.1:{one.port}"
     with PoseClient(address) as before:
         last = one.say_until(lambda: before.latest() is not None)
     time.sleep(1.5e-3 * one.config.tracker.max_age_ms)
     with PoseClient(address) as late:
-        told = late.next(5.0)
-        assert told.publish_ns > last.publish_ns
+        answer = late.next(5.0)
+        assert answer.publish_ns > last.publish_ns
         said = {
             "state": "SUSPECT",
             "reason": "Nothing was published about it for a while: the tracker has ended, or hangs.",
         }
-        assert told == msgspec.structs.replace(last, publish_ns=told.publish_ns, **said)
+        assert answer == msgspec.structs.replace(last, publish_ns=answer.publish_ns, **said)
         died_s = 1e-9 * (time.monotonic_ns() - last.capture_ns)
         assert late.silent_s() == pytest.approx(died_s, abs=0.05)
         assert late.latest(max_age_s=0.9 * died_s) is None
@@ -85,7 +85,7 @@ def test_who_asks_after_the_tracker_died_is_not_told_that_its_last_pose_may_be_a
 
 
 @pytest.mark.parametrize("removed", [True, False])
-def test_who_comes_late_hears_nothing_of_what_was_removed_or_is_over(start, removed):
+def test_a_late_client_gets_no_pose_of_a_removed_object_or_retired_instance(start, removed):
     one = start()
     address, keys = f"tcp/127.0.0.1:{one.port}", one.tracker.keys
     with PoseClient(address) as before:
@@ -105,7 +105,7 @@ def test_who_comes_late_hears_nothing_of_what_was_removed_or_is_over(start, remo
         assert late.next(1.0 if removed else 5.0) == (None if removed else new)
 
 
-def test_a_pose_is_answered_as_it_was_said_until_it_is_too_old():
+def test_a_pose_is_answered_unchanged_until_it_is_too_old():
     for state, age_ns, answered in (
         ("TRACKING", 5, "TRACKING"),
         ("TRACKING", 6, "SUSPECT"),
@@ -117,7 +117,7 @@ def test_a_pose_is_answered_as_it_was_said_until_it_is_too_old():
         assert decode(answer_of(said, 1000 + age_ns, 5), PoseMessage).state == answered
 
 
-def test_a_fast_source_is_cut_to_the_rate_but_a_change_of_state_passes_at_once(start):
+def test_the_rate_is_limited_but_a_change_of_state_passes_at_once(start):
     one = start(max_rate_hz=10.0)
     with PoseClient(f"tcp/127.0.0.1:{one.port}") as client:
         one.say_until(lambda: client.latest() is not None)
@@ -133,13 +133,13 @@ def test_a_fast_source_is_cut_to_the_rate_but_a_change_of_state_passes_at_once(s
             got.append(pose.frame_id)
     assert 5050 in got
     assert got[-1] == 5099, "the newest arrives, late"
-    # One for each tenth of the time that it took, and two that nothing holds back.
+    # One for each tenth of a second that it took, and two that are not held back.
     assert len(got) < 40
 
 
-def test_the_newest_word_about_a_frame_is_what_a_subscriber_knows_of_it(start):
-    """As when the camera stops: the last pose is said again, as one to doubt. What is only repeated, and
-    what is older, is not heard again."""
+def test_a_subscriber_keeps_the_newest_pose_of_each_frame(start):
+    """As when the camera stops: the last pose is published again, as SUSPECT. Repeated and older messages are
+    not given again."""
     one = start()
     with PoseClient(one.config.endpoint("tracker")) as client:
         one.say_until(lambda: client.latest() is not None)
@@ -167,17 +167,17 @@ def test_the_newest_word_about_a_frame_is_what_a_subscriber_knows_of_it(start):
     ("listens", "hosts"),
     [("[::1]", ["[::1]"]), ("[::]", ["[::1]", "127.0.0.1"]), ("localhost", ["127.0.0.1", "localhost"])],
 )
-def test_it_listens_at_an_address_of_ipv6_too(start, listens, hosts):
+def test_the_gateway_also_listens_at_ipv6_addresses(start, listens, hosts):
     one = start(host=listens)
     for host in hosts:
         with PoseClient(f"tcp/{host}:{one.port}") as client:
             one.say_until(lambda reader=client: reader.latest() is not None)
     assert bool(one.gateway.health.message().warnings) == (listens == "[::]"), (
-        "who may read it from elsewhere"
+        "a warning that others can read it"
     )
 
 
-def test_by_tls_an_address_of_ipv6_needs_a_name_and_the_client_says_so(start, authority):
+def test_over_tls_the_client_asks_for_a_name_instead_of_an_ipv6_address(start, authority):
     one = start(host="[::]", tls=tls(authority))
     files = credentials(authority, "robot1")
     with PoseClient(f"tls/[::1]:{one.port}", **files) as client:
@@ -190,7 +190,7 @@ def test_by_tls_an_address_of_ipv6_needs_a_name_and_the_client_says_so(start, au
         assert re.fullmatch(r"connected: the last pose came \d\.\d s ago", client.why_silent())
 
 
-def test_a_client_that_was_just_made_does_not_say_that_nothing_comes(start):
+def test_a_new_client_does_not_report_that_nothing_comes(start):
     one = start()
     with PoseClient(f"localhost:{one.port}") as client:
         one.say_until(lambda: client.latest() is not None)
@@ -199,7 +199,7 @@ def test_a_client_that_was_just_made_does_not_say_that_nothing_comes(start):
             assert re.fullmatch(r"connected: the last pose came [0-3]\.\d s ago", client.why_silent())
 
 
-def test_a_tracker_that_starts_is_told_from_objects_that_are_not_in_view(start, wait_until):
+def test_a_tracker_that_starts_is_distinguished_from_objects_out_of_view(start, wait_until):
     one = start()
     with PoseClient(f"localhost:{one.port}") as client:
         wait_until(lambda: client.connected)
@@ -212,12 +212,12 @@ def test_a_tracker_that_starts_is_told_from_objects_that_are_not_in_view(start, 
         assert client.why_silent() == said + "`huepose status` says why"
 
 
-def test_nobody_at_an_address_of_ipv6_is_said(base_port):
+def test_an_ipv6_address_without_a_gateway_is_reported(base_port):
     with PoseClient(f"[::1]:{base_port}") as client:
         assert client.why_silent().endswith(f"tcp/[::1]:{base_port}: no program listens there")
 
 
-def test_what_comes_from_outside_changes_nothing(start, wait_until):
+def test_messages_from_outside_change_nothing(start, wait_until):
     one = start()
     correction = encode(example(CorrectionMessage))
     with PoseClient(f"tcp/127.0.0.1:{one.port}") as client:
@@ -232,7 +232,7 @@ def test_what_comes_from_outside_changes_nothing(start, wait_until):
                 for key in (keys.pose("forged", 0), keys.outside(keys.pose("forged", 0))):
                     other.put(key, forged)
                 time.sleep(0.005)
-        # The way inside is open for the tracker's own neighbours, so the silence above is not an accident.
+        # Workers inside reach the tracker, so it is no accident that nothing arrived from outside.
         assert one.tracker.take(one.corrections, CorrectionMessage) is None
         one.gateway.put_control(keys.correction, example(CorrectionMessage))
         wait_until(lambda: one.tracker.take(one.corrections, CorrectionMessage) is not None)
@@ -250,7 +250,7 @@ def test_garbage_inside_is_not_passed_on(start, wait_until):
         while client.next(5.0).frame_id != frame:
             pass
         assert client.refused == 0
-    # What is put at another priority than poses may come after them.
+    # Messages of another priority than poses may arrive after them.
     wait_until(lambda: one.gateway.health.counters["wire_errors"] == 4)
 
 
@@ -259,7 +259,7 @@ def test_poses_are_printed_on_another_machine_the_latest_at_once(start, authorit
     address, files = f"localhost:{one.port}", credentials(authority, "robot1")
     with PoseClient(f"tls/{address}", **files) as client:
         last = one.say_until(lambda: client.latest() is not None)
-    # From now on nobody says anything.
+    # From now on nothing is published.
     printer = huepose("poses", "--json", "--gateway", address, "--tls", *files.values())
     assert json.loads(printer.stdout.readline())["frame_id"] == last.frame_id
     one.stop_gateway()
@@ -276,7 +276,7 @@ def test_poses_are_printed_on_another_machine_the_latest_at_once(start, authorit
     assert printer.wait(5.0) == 0
 
 
-def test_a_client_that_is_there_first_survives_a_gateway_that_comes_and_goes(base_port):
+def test_a_client_survives_a_gateway_that_starts_later_and_restarts(base_port):
     with PoseClient(f"tcp/127.0.0.1:{base_port + 9}") as client:
         assert client.next(0.2) is None
         assert not client.connected
@@ -304,7 +304,7 @@ def twenty_lines():
     return re.search(r"## Without our package.*?```python\n(.*?)```", page, re.DOTALL)[1]
 
 
-def test_the_twenty_lines_of_the_manual_say_that_there_is_no_gateway(base_port):
+def test_the_twenty_lines_of_the_documentation_report_a_missing_gateway(base_port):
     endpoint = f"tcp/127.0.0.1:{base_port}"
     done = subprocess.run([sys.executable, "-c", twenty_lines(), endpoint], capture_output=True, text=True)
     assert done.returncode == 1
@@ -312,7 +312,7 @@ def test_the_twenty_lines_of_the_manual_say_that_there_is_no_gateway(base_port):
     assert endpoint in done.stderr
 
 
-def test_the_twenty_lines_of_the_manual_print_poses(start):
+def test_the_twenty_lines_of_the_documentation_print_poses(start):
     code = twenty_lines()
     lines = [line for line in code.splitlines() if line.strip()]
     assert len(lines) <= 20
@@ -328,8 +328,8 @@ def test_the_twenty_lines_of_the_manual_print_poses(start):
     process.kill()
     reader.join()
     process.communicate()
-    place = json.loads(json.dumps(pose.translation))
-    assert got[0].startswith(f"{pose.object} {pose.instance} TRACKING {place} ")
+    position = json.loads(json.dumps(pose.translation))
+    assert got[0].startswith(f"{pose.object} {pose.instance} TRACKING {position} ")
 
 
 def test_the_worker_processes_of_a_camera_and_a_gateway(pipeline, huepose, base_port, wait_until):

@@ -1,4 +1,4 @@
-"""Another user of the same machine: may neither hear the workers nor say anything to them."""
+"""Another user of the same machine can neither read messages of the workers nor send them any."""
 
 import os
 import socket
@@ -17,7 +17,7 @@ pytestmark = [
     pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user"),
 ]
 
-# Everything is imported before the rights go: another user may not be able to read this Python.
+# Imports come before the change of user: another user may not be able to read this Python.
 _STRANGER = """
 import encodings.idna, json, os, sys, threading, time
 import zenoh

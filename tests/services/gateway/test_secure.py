@@ -1,4 +1,4 @@
-"""What `huepose secure` makes lets the right readers in, and one that was let in can be sent away."""
+"""The files of `huepose secure` admit the right readers, and a reader's certificate can be revoked."""
 
 import shlex
 import socket
@@ -21,7 +21,7 @@ from tests.services.conftest import parse
 from .conftest import credentials, tls
 
 
-def test_the_printed_section_is_a_configuration_with_files_that_are_there(tmp_path, printed, monkeypatch):
+def test_the_printed_section_is_a_configuration_with_existing_files(tmp_path, printed, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = printed(["secure", "init", "--host", "robot.local", "--host", "10.0.0.7"])
     section = text[text.index("gateway:\n") : text.index("Then, for each")]
@@ -42,7 +42,7 @@ def test_the_next_command_that_is_printed_finds_the_folder(tmp_path, printed, mo
         assert main(["arm" if word == "NAME" else word for word in command]) == 0
 
 
-def test_a_certificate_of_the_second_computer_is_not_taken_for_a_readers(tmp_path, printed, monkeypatch):
+def test_the_use_as_reader_and_as_second_computer_are_both_explained(tmp_path, printed, monkeypatch):
     monkeypatch.chdir(tmp_path)
     printed(["secure", "init", "--host", "robot.local"])
     said = printed(["secure", "add", "desk"])
@@ -51,7 +51,7 @@ def test_a_certificate_of_the_second_computer_is_not_taken_for_a_readers(tmp_pat
     assert second.startswith("There, as the second computer of a pipeline (`hosts`): put them in the folder")
 
 
-def test_an_address_that_no_reader_can_give_is_noted(tmp_path, capsys):
+def test_an_address_that_no_reader_can_use_is_noted(tmp_path, capsys):
     folder = str(tmp_path / "secure")
     assert main(["secure", "init", "--folder", folder, "--host", "fd00::2", "--host", "10.0.0.7"]) == 0
     assert (
@@ -69,7 +69,7 @@ def test_a_host_is_a_name_or_an_address_alone(host, tmp_path, capsys):
     assert not folder.exists()
 
 
-def test_keys_are_their_users_alone(tmp_path):
+def test_only_their_user_can_read_keys(tmp_path):
     authority = Authority.make(tmp_path / "secure", ["localhost"], 30)
     authority.add("arm", 30)
     assert stat.S_IMODE((tmp_path / "secure").stat().st_mode) == 0o700
@@ -82,7 +82,8 @@ def _names(certificate):
 
 @contextmanager
 def _listens(folder):
-    """The port of a server that shows the gateway's certificate, and says a byte to whom it lets in."""
+    """The port of a server with the gateway's certificate, which sends a byte to each client that it
+    accepts."""
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=folder / "authority.pem")
     context.load_cert_chain(folder / "gateway.pem", folder / "gateway.key")
     context.verify_mode = ssl.CERT_REQUIRED
@@ -126,7 +127,7 @@ def test_another_name_of_the_gateway_gets_a_certificate_that_readers_accept(tmp_
         assert why_unreachable("127.0.0.1", port, reader.context()) is None
 
 
-def test_a_host_that_is_none_leaves_the_certificate_as_it_is(tmp_path, capsys):
+def test_an_invalid_host_leaves_the_certificate_unchanged(tmp_path, capsys):
     folder = tmp_path / "secure"
     Authority.make(folder, ["robot.local"], 30)
     before = (folder / "gateway.pem").read_bytes()
@@ -136,7 +137,7 @@ def test_a_host_that_is_none_leaves_the_certificate_as_it_is(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("name", ["", "Arm", "../arm", "arm/..", "authority", "gateway", "revoked", "a" * 65])
-def test_what_is_no_readers_name_is_refused(tmp_path, name):
+def test_an_invalid_name_of_a_reader_is_refused(tmp_path, name):
     folder = tmp_path / "secure"
     Authority.make(folder, ["localhost"], 30)
     before = {path: path.read_bytes() for path in folder.iterdir()}
@@ -183,12 +184,12 @@ def test_a_reader_is_let_in_while_the_gateway_runs_and_sent_away_again(start, tm
         one.say_until(lambda: arm.latest() and leg.latest())
         assert main(["secure", "revoke", "arm", "--folder", str(folder)]) == 0
         refused = one.work._door.refused
-        # The other finds it again, and goes on.
+        # The other reader connects again, and goes on.
         one.say_until(lambda: one.work._door.refused > refused + 1 and leg.connected and not arm.connected)
         last = one.say(5000)
         wait_until(lambda: leg.latest().frame_id == last.frame_id)
         assert arm.latest().frame_id < last.frame_id
-        # Another certificate of the same name counts: it is the certificate that was taken back.
+        # Another certificate of the same name is accepted: the certificate was revoked, not the name.
         authority.add("arm", 30)
         with PoseClient(address, **credentials(folder, "arm")) as again:
             one.say_until(lambda: again.latest() is not None)

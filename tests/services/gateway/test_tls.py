@@ -1,4 +1,5 @@
-"""Who reads through the gateway and who does not, with a real authority; and what those are told."""
+"""Who can read through the gateway and who cannot, with a real certificate authority; and the reasons
+given."""
 
 import socket
 import time
@@ -34,7 +35,7 @@ def test_only_the_authoritys_certificates_read(start, authority):
     }
     clients["no TLS"] = PoseClient(f"tcp/localhost:{one.port}")
     one.say_until(lambda: clients["robot1"].latest() and clients["robot2"].latest())
-    # As long again for the others.
+    # Time for the others to get something.
     for i in range(60):
         one.say(7000 + i)
         time.sleep(0.01)
@@ -64,7 +65,7 @@ def test_only_listed_names_read_and_a_reader_cannot_steer(start, authority):
         client.close()
 
 
-def test_other_readers_are_let_in_while_it_runs_and_these_sent_away(start, authority):
+def test_a_reload_replaces_the_permitted_readers(start, authority):
     one = start(tls=tls(authority, ["robot1"]))
     address = f"tls/localhost:{one.port}"
     with (
@@ -77,7 +78,7 @@ def test_other_readers_are_let_in_while_it_runs_and_these_sent_away(start, autho
         one.say_until(lambda: after.latest() is not None and not before.connected)
 
 
-def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monkeypatch):
+def test_the_reason_why_a_gateway_is_not_reached_is_given(start, authority, base_port, monkeypatch):
     monkeypatch.setattr("huepose_protos.reach._WITHIN_S", 0.5)
     one = start(tls=tls(authority))
     shown = {name: Credentials(*credentials(authority, name).values()) for name in ("robot1", "stranger")}
@@ -117,12 +118,12 @@ def test_why_a_gateway_is_not_reached_is_said(start, authority, base_port, monke
         ),
     ],
 )
-def test_options_for_another_machine_that_cannot_work_are_refused(authority, refused, options, said):
+def test_gateway_options_that_cannot_work_are_refused(authority, refused, options, said):
     assert said in refused(["poses", *(option.format(authority) for option in options)])
 
 
-def test_a_list_of_revoked_that_is_none_is_refused(authority):
-    """With one no reader at all was let in."""
+def test_an_invalid_revocation_list_is_refused(authority):
+    """With it no reader at all could connect."""
     given = msgspec.structs.replace(tls(authority), revoked=str(authority / "authority.pem"))
     with pytest.raises(InputError, match=r"gateway\.tls\.revoked .*found CERTIFICATE; expected a list"):
         check_door(GatewayConfig(listen="127.0.0.1:1", tls=given))
@@ -130,7 +131,8 @@ def test_a_list_of_revoked_that_is_none_is_refused(authority):
 
 @pytest.mark.parametrize("address", ["192.0.2.7:7447", "[2001:db8::7]:7447"])
 def test_a_gateway_waits_for_its_address(address):
-    """At a start without a network nobody has it yet; to end with wrong input would be for ever."""
+    """A machine that starts without a network has no address yet; an input error would end the worker for
+    ever."""
     gateway, said = GatewayConfig(listen=address), []
     with pytest.raises(InputError, match="Cannot assign requested address; expected an address of this"):
         check_door(gateway)
@@ -139,8 +141,8 @@ def test_a_gateway_waits_for_its_address(address):
     assert said == [f"gateway.listen {address}: no network here has that address yet, so nobody can connect"]
 
 
-def test_the_log_says_why_each_kind_of_reader_is_not_let_in(start, authority, wait_until, capsys):
-    """Also beside one that goes on trying: what repeats is held back, and other reasons are not."""
+def test_the_log_says_why_each_kind_of_reader_is_refused(start, authority, wait_until, capsys):
+    """Also if one goes on trying: a repeated reason is logged once, other reasons are logged too."""
     one = start(tls=tls(authority, ["robot1"]))
     expired = authority.parent / "expired"
     expired.mkdir(exist_ok=True)
@@ -154,7 +156,7 @@ def test_the_log_says_why_each_kind_of_reader_is_not_let_in(start, authority, wa
                 link.recv(1)
     for files in shown:
         assert "its log says why" in why_unreachable("localhost", one.port, files.context())
-    # A reader far from the log finds the same by itself, where that is possible.
+    # A reader on another machine finds the same reason itself, if possible.
     assert [fault_of(*files) for files in shown] == [
         None,
         "another authority signed it",
@@ -172,7 +174,7 @@ def test_the_log_says_why_each_kind_of_reader_is_not_let_in(start, authority, wa
 
 
 def _expired(authority, folder):
-    """A certificate of the authority, `old`, that held until yesterday."""
+    """A certificate of the authority, `old`, that was valid until yesterday."""
     with pytest.MonkeyPatch.context() as patch:
         before = datetime.now(timezone.utc) - timedelta(days=2)
         patch.setattr("huepose_services.authority._now", lambda: before)
@@ -182,7 +184,7 @@ def _expired(authority, folder):
 
 
 @pytest.mark.parametrize("name", ["authority", "certificate", "key"])
-def test_files_that_are_not_there_are_named(base_port, authority, name):
+def test_missing_files_are_named(base_port, authority, name):
     from huepose_services.gateway_session import open_outside
 
     broken = msgspec.structs.replace(tls(authority), **{name: str(authority / "nothing.pem")})
@@ -190,7 +192,7 @@ def test_files_that_are_not_there_are_named(base_port, authority, name):
         open_outside(GatewayConfig(listen=f"127.0.0.1:{base_port}", tls=broken), print)
 
 
-def test_an_open_port_without_tls_is_warned_of(base_port):
+def test_an_open_port_without_tls_gives_a_warning(base_port):
     from huepose_services.gateway_session import open_outside
 
     session, door, warning = open_outside(GatewayConfig(listen=f"0.0.0.0:{base_port}"), print)

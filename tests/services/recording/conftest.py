@@ -1,4 +1,4 @@
-"""A recording of a tracker worker that follows a box, made in this process; and frames of a few pixels."""
+"""A recording of a tracker worker that tracks a box, made in this process; and frames of a few pixels."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def tiny_frame(number):
 
 
 def parts(path, limits=None, jpeg=False, **about):
-    """A recording that is begun."""
+    """A recording that has begun."""
     return Parts(path, limits or Limits(2**40, None, 0), UNIX_NS, {"site": "a"} | about, jpeg)
 
 
 class _Clock:
-    """Goes on by a microsecond with every look at it, and as it is told."""
+    """A clock that advances by a microsecond with each reading, and as a test sets it."""
 
     def __init__(self):
         self.now_ns = now_ns()
@@ -64,7 +64,7 @@ class _Clock:
 
 
 class _Bus(ReplayBus):
-    """Keeps what the worker says, in order."""
+    """Keeps what the worker publishes, in order."""
 
     def put(self, key, message):
         super().put(key, message)
@@ -77,7 +77,7 @@ class _Bus(ReplayBus):
 
 @dataclass
 class Followed:
-    """The recording, the folder of the model, and how to write it anew with changes."""
+    """The recording, the folder of the model, and a function that writes it again with changes."""
 
     path: Path
     bundles: Path
@@ -86,7 +86,7 @@ class Followed:
     def rewritten(
         self, change: Callable[[Event], Event | None], noted: bool = True, noted_last: bool = False, **options
     ) -> Path:
-        """Another recording of the same with what `change` makes of each event; None: it is left out. noted,
+        """The path of another recording, with what `change` makes of each event; None leaves it out. noted,
         noted_last: whether it says at its beginning, and at its end, which models were used."""
         recording, out = Recording(self.path), None
         path = self.folder / f"{len(list(self.folder.iterdir()))}.mcap"
@@ -106,7 +106,7 @@ class Followed:
 
 @pytest.fixture(scope="session")
 def followed(tea_box, take_picture, standing, tmp_path_factory):
-    """A second and a half of a box that is found, followed, agreed with and corrected."""
+    """14 frames of a tracked box, with a correction of each kind: acquire, agree, correct."""
     folder = tmp_path_factory.mktemp("followed")
     bundles = folder / "bundles"
     save_model(tea_box, model_path(bundles, NAME))
@@ -129,7 +129,7 @@ def followed(tea_box, take_picture, standing, tmp_path_factory):
         out.frame(header, *frame_images(header, payload), KEY + "frame")
         corrections = []
         if number in (3, 6, 9):
-            # About the frame before.
+            # About the previous frame.
             verdict = {3: "acquire", 6: "agree", 9: "correct"}[number]
             nearly = se3.perturb(before[1], np.full(6, 0.003 if verdict == "correct" else 0.0))
             translation, quaternion = pose_to_wire(nearly)
@@ -153,7 +153,7 @@ def followed(tea_box, take_picture, standing, tmp_path_factory):
         work.step()
         for key, message in bus.said:
             out.message(key, message)
-    # Then nothing comes for so long that the last pose is not to be acted on any more.
+    # Then no frame comes for so long that the last pose becomes SUSPECT.
     clock.now_ns += 11_000_000_000
     bus.said = []
     bus.give(msgspec.structs.replace(example(IntakeMessage), corrections=[]), None, [])
@@ -182,7 +182,7 @@ def written(path, numbers=(7, 8, 12), jpeg=False, chunks=False):
 
 
 def frames(events):
-    """Header, colour and depth of each."""
+    """Header, colour and depth of each frame."""
     return [
         (e.message, *frame_images(e.message, e.payload)) for e in events if isinstance(e.message, FrameHeader)
     ]
@@ -201,6 +201,6 @@ def mcap_of(path, **message):
 
 
 def chunks_of(path):
-    """The index of its chunks."""
+    """The index of the file's chunks."""
     with path.open("rb") as file:
         return make_reader(file).get_summary().chunk_indexes

@@ -1,4 +1,4 @@
-"""A recorder that is slow loses frames and counts them; what it has comes in order."""
+"""A slow recorder loses frames and counts them; what it keeps is in order."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from tests.services.conftest import until
 
 
 class _Channel:
-    """As much of zenoh as is looked at: what is sent, and a subscription that can be ended."""
+    """The used parts of zenoh: the samples, and a subscription that can be ended."""
 
     def __init__(self, samples):
         self._samples = samples
@@ -37,7 +37,7 @@ class _Bytes(bytes):
 
 
 @pytest.mark.parametrize("most", [25, 100])
-def test_frames_beyond_the_bound_are_missed_and_messages_never(most):
+def test_frames_beyond_the_memory_limit_are_lost_and_messages_never(most):
     samples = []
     for number in range(5):
         samples += [_Sample("frame", b"%d" % number, bytes(10)), _Sample("pose", b"p%d" % number)]

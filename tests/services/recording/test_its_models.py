@@ -1,4 +1,4 @@
-"""What is drawn of a recording that is played: the objects of its own pipeline, and no others."""
+"""Which objects the viewer draws of a played recording: those of its own pipeline, and no others."""
 
 import argparse
 import json
@@ -21,34 +21,34 @@ from .conftest import KEY, NAME, parts
 
 
 @pytest.fixture(autouse=True)
-def nothing_is_learnt(monkeypatch):
-    def learnt(*_):
-        pytest.fail("built-in objects are learnt")
+def no_model_is_made(monkeypatch):
+    def made(*_):
+        pytest.fail("built-in models are made")
 
-    monkeypatch.setattr(builtin, "builtin_bundles", learnt)
+    monkeypatch.setattr(builtin, "builtin_bundles", made)
 
 
 def _recorded(path, **config):
     """A recording of a pipeline of that configuration."""
     out = parts(path)
-    told = json.loads(msgspec.json.encode(Config())) | config
+    settings = json.loads(msgspec.json.encode(Config())) | config
     out.message(
-        KEY + "tracker/memory", msgspec.structs.replace(example(MemoryMessage), config=json.dumps(told))
+        KEY + "tracker/memory", msgspec.structs.replace(example(MemoryMessage), config=json.dumps(settings))
     )
     out.close()
     return out.path
 
 
-def test_its_own_models_are_found_where_its_pipeline_had_them(followed):
+def test_models_are_found_in_the_folder_of_the_recorded_pipeline(followed):
     assert load_one(followed.path, NAME).name == NAME
 
 
-def test_so_are_those_of_a_version_that_had_other_keys(followed, tmp_path):
+def test_models_are_also_found_if_the_recorded_configuration_has_other_keys(followed, tmp_path):
     path = _recorded(tmp_path / "old", bundles=str(followed.bundles), colour={"of": "old"})
     assert load_one(path, NAME).name == NAME
 
 
-def test_of_models_that_moved_it_is_said_how_to_name_their_folder(tmp_path):
+def test_if_models_moved_the_error_says_how_to_name_their_folder(tmp_path):
     path = _recorded(tmp_path / "moved", bundles=str(tmp_path / "gone"))
     with pytest.raises(
         InputError, match=r"gone: found no such folder.*replay \S*/moved.mcap --config PIPELINE"
@@ -56,14 +56,14 @@ def test_of_models_that_moved_it_is_said_how_to_name_their_folder(tmp_path):
         load_one(path, NAME)
 
 
-def test_for_a_name_that_no_built_in_object_has_none_is_learnt(tmp_path):
+def test_no_model_is_made_for_a_name_that_no_built_in_object_has(tmp_path):
     out = parts(tmp_path / "poses")
     out.close()
     with pytest.raises(InputError, match=r"'my_box': found no such built-in .*--config PIPELINE.yaml"):
         load_one(out.path, "my_box")
 
 
-def test_what_is_looked_for_in_a_recording_that_is_played_is_drawn(followed, tmp_path, monkeypatch):
+def test_objects_that_a_played_recording_searches_for_are_drawn(followed, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.chdir(tmp_path)
     arguments = argparse.Namespace(config=None, pipeline=None, pairs=False)

@@ -1,4 +1,4 @@
-"""A recording as a BOP scene, as a camera, as a pipeline that is played again and computed again."""
+"""A recording as a BOP scene, as a camera, and as a pipeline that is played and computed again."""
 
 import json
 import os
@@ -41,7 +41,7 @@ from .conftest import KEY, chunks_of, frames, mcap_of, parts, tiny_frame, writte
 POSE = example(PoseMessage)
 
 
-def test_it_is_exported_as_a_bop_scene(tmp_path):
+def test_a_recording_is_exported_as_a_bop_scene(tmp_path):
     out = parts(tmp_path / "out")
     truth = msgspec.structs.replace(example(TruthMessage), frame_id=8)
     for epoch, number in ((1, 7), (1, 8), (2, 3)):
@@ -53,7 +53,7 @@ def test_it_is_exported_as_a_bop_scene(tmp_path):
     folder = tmp_path / "bop"
     assert main(["replay", str(out.path), "--bop", str(folder)]) == 0
     scene = BopScene(folder)
-    # The second opening of the camera goes on counting.
+    # After the camera was opened again, the numbers go on.
     assert scene.image_ids == (7, 8, 12)
     for image, number in ((7, 7), (8, 8), (12, 3)):
         header, color, depth = tiny_frame(number)
@@ -83,7 +83,7 @@ def test_on_a_full_disk_an_export_names_its_file(tmp_path, capsys):
     out.message(KEY + "pose/x/1", msgspec.structs.replace(POSE, camera_epoch=header.camera_epoch, frame_id=7))
     out.close()
     folder = tmp_path / "bop"
-    with full_disk(room_bytes=500):  # a picture has room there, a pose has not
+    with full_disk(room_bytes=500):  # enough for an image, not for a pose
         assert main(["replay", str(out.path), "--bop", str(folder)]) == 2
     assert f"{folder / 'poses.jsonl'}: found File too large" in capsys.readouterr().err
 
@@ -98,15 +98,15 @@ def test_the_size_of_a_recording_that_filled_the_disk_is_that_of_its_file(tmp_pa
 
 
 def test_poses_of_objects_without_numbers_are_scored(tmp_path, tea_box, capsys):
-    """As in the recording of a pipeline of one's own objects, which have names alone."""
+    """As in a recording of one's own objects, which have only names."""
     save_model(tea_box, model_path(tmp_path / "bundles", "tea_box"))
     out = parts(tmp_path / "out")
     one = msgspec.structs.replace(
         example(TruthMessage).objects[0], object="tea_box", object_id=None, visib_fract=1.0
     )
     numbered = msgspec.structs.replace(one, object=None, object_id=7, instance=1)
-    nobody = msgspec.structs.replace(numbered, object_id=None)
-    for number, objects in ((0, [one, numbered]), (1, [one]), (2, [one, nobody])):
+    unnamed = msgspec.structs.replace(numbered, object_id=None)
+    for number, objects in ((0, [one, numbered]), (1, [one]), (2, [one, unnamed])):
         header, color, depth = tiny_frame(number)
         out.frame(header, color, depth, KEY + "frame")
         this = {"camera_epoch": header.camera_epoch, "frame_id": number}
@@ -133,13 +133,13 @@ def test_poses_of_objects_without_numbers_are_scored(tmp_path, tea_box, capsys):
     with full_disk():
         assert main(["eval", "poses", str(folder / "poses.jsonl"), *arguments]) == 2
     said = capsys.readouterr()
-    assert "poses for 100.0 % of frames" in said.out, "what was measured is told all the same"
+    assert "poses for 100.0 % of frames" in said.out, "the results are printed all the same"
     assert f"{result}: found File too large" in said.err
 
 
-def test_it_is_a_camera(tmp_path):
+def test_a_recording_is_a_camera(tmp_path):
     out = parts(tmp_path / "out")
-    for number in (4, 4, 5):  # shown again, as the first frame of a recording is
+    for number in (4, 4, 5):  # sent again, as the first frame of a recording is
         out.frame(*tiny_frame(number), KEY + "frame")
         out._due = 0.0
         out.commit()
@@ -160,7 +160,7 @@ def test_it_is_a_camera(tmp_path):
         RecordedScene(mcap_of(tmp_path / "x.mcap", topic="/other"))
 
 
-def test_a_recording_of_what_no_camera_can_have_taken_is_refused(tmp_path):
+def test_a_recording_with_impossible_intrinsics_is_refused(tmp_path):
     out = parts(tmp_path / "out")
     header, color, depth = tiny_frame(4)
     far_off = msgspec.structs.replace(header.intrinsics, cx=1.5e308, cy=1.5e308)
@@ -171,7 +171,7 @@ def test_a_recording_of_what_no_camera_can_have_taken_is_refused(tmp_path):
 
 
 class _Bus:
-    """Keeps what is put."""
+    """Keeps the published messages."""
 
     def __init__(self):
         self.out = []
@@ -198,7 +198,7 @@ def _played(events, **options):
     return bus.out, due
 
 
-def test_it_is_played_in_order_with_its_ages_at_any_speed(tmp_path):
+def test_a_recording_is_played_in_order_with_its_ages_at_any_speed(tmp_path):
     events = list(Recording(written(tmp_path / "out").path).events())
     out, due = _played(events[::-1], speed=2.0)
     assert [m.frame_id for _, m in out] == [7, 7, 8, 8, 12, 12]
@@ -209,31 +209,31 @@ def test_it_is_played_in_order_with_its_ages_at_any_speed(tmp_path):
         e.message.publish_ns - e.message.capture_ns for e in in_order(events)
     ]
     assert {key for key, _ in out} == {"huepose/here/cam/frame", "huepose/here/cam/pose/x/1"}
-    # One camera, which is not the recorded one.
+    # One camera epoch, which is not the recorded one.
     assert len({m.camera_epoch for _, m in out}) == 1
     assert out[0][1].camera_epoch != events[0].message.camera_epoch
 
 
 @pytest.mark.parametrize("speed", [1.0, 4.0])
-def test_the_mounts_and_epochs_that_it_tells_are_of_the_time_at_which_it_is_played(speed):
-    second, moves = 10**9, Mount(parent="base", translation=(1.0, 0.0, 0.0))
+def test_played_mounts_and_epochs_are_of_the_time_of_the_playback(speed):
+    second, mount = 10**9, Mount(parent="base", translation=(1.0, 0.0, 0.0))
     pose = msgspec.structs.replace(POSE, publish_ns=101 * second, capture_ns=101 * second - 10**7)
     entry = ObjectEntry(object="mug", max_instances=1, searching=0)
     over = msgspec.structs.replace(entry, object="jar", retired=(pose.camera_epoch, 3))
     stamps = range(100 * second, 102 * second, second // 20)
-    camera = msgspec.structs.replace(example(CameraMessage), mount=moves)
+    camera = msgspec.structs.replace(example(CameraMessage), mount=mount)
     objects = ObjectsMessage(publish_ns=101 * second, objects=[entry, over])
     messages = [msgspec.structs.replace(camera, publish_ns=at + 10**6, mount_ns=at) for at in stamps]
     out, _ = _played([Event(KEY + "x", m) for m in (*messages, pose, objects)], speed=speed)
     played = {kind: [m for _, m in out if isinstance(m, kind)] for kind in map(type, (camera, pose, objects))}
-    told = [(m.mount_ns, m.mount) for m in played[CameraMessage]]
+    mounts = [(m.mount_ns, m.mount) for m in played[CameraMessage]]
     (pose,) = played[PoseMessage]
-    assert mount_at(told, pose.capture_ns) == moves
+    assert mount_at(mounts, pose.capture_ns) == mount
     (objects,) = played[ObjectsMessage]
     assert [e.retired for e in objects.objects] == [None, (pose.camera_epoch, 3)]
 
 
-def test_it_can_be_stopped_before_it_plays(tmp_path, monkeypatch, capsys):
+def test_a_replay_can_be_stopped_before_it_begins(tmp_path, monkeypatch, capsys):
     path = tmp_path / "pipeline.yaml"
     path.write_text(json.dumps({"bus": {"base_port": free_port_range(20)}}))
     monkeypatch.setattr("huepose_services.cli.replay.catch_stop_signals", lambda: lambda: True)
@@ -241,7 +241,7 @@ def test_it_can_be_stopped_before_it_plays(tmp_path, monkeypatch, capsys):
     assert "stopped after" in capsys.readouterr().err
 
 
-def test_an_export_that_is_stopped_leaves_nothing_in_the_way(tmp_path):
+def test_an_export_that_is_stopped_leaves_no_files(tmp_path):
     event = next(Recording(written(tmp_path / "out").path).events())
 
     def stopped():
@@ -261,7 +261,7 @@ def test_an_export_that_is_stopped_leaves_nothing_in_the_way(tmp_path):
 
 
 def test_recordings_of_several_cameras_are_played_each_as_its_own(tmp_path, monkeypatch, refused):
-    """Together, as far apart as they were recorded; or one, as the camera that is named."""
+    """Together, as far apart in time as they were recorded; or one, as the named camera."""
     for camera, number in (("left", 4), ("right", 7)):  # a tenth of a second later
         out = parts(tmp_path / camera)
         out.frame(*tiny_frame(number), f"huepose/a/{camera}/frame")
@@ -325,10 +325,10 @@ def test_a_camera_is_recorded_and_replayed(pipeline, scene, huepose, base_port, 
 
 @pytest.mark.live
 @pytest.mark.parametrize("verb", ["record", "view"])
-def test_who_waits_finds_a_pipeline_that_starts_at_another_port(
+def test_a_waiting_command_finds_a_pipeline_that_starts_at_another_port(
     verb, pipeline, huepose, tea_box, tmp_path, monkeypatch
 ):
-    """In a folder that says nothing of it."""
+    """In a folder without its pipeline.yaml."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = pipeline(once=False, rate=20)
     (tmp_path / "bundles").mkdir()
@@ -346,7 +346,7 @@ def test_who_waits_finds_a_pipeline_that_starts_at_another_port(
     assert any("waiting for a pipeline" in line for line in said)
     huepose("run", "camera", path)
     assert any("which runs from" in line for line in said)
-    # What it writes grows.
+    # The file that it writes grows.
     file = Path("out.mcap" if verb == "record" else "v.rrd")
     begun = until(lambda: file.exists() and file.stat().st_size, 60.0)
     until(lambda: file.stat().st_size > 2 * begun, 60.0)
@@ -359,10 +359,9 @@ def test_who_waits_finds_a_pipeline_that_starts_at_another_port(
 @pytest.mark.pipeline
 @pytest.mark.timeout(900)
 def test_a_live_pipeline_is_computed_again_bit_by_bit(huepose, wait_until, tmp_path):
-    """At 10 Hz: how much of 30 a busy computer can do is not what this is about. Recorded from before the
-    pipeline began, so nothing need be skipped; long enough for two times all that was believed, so there is
-    much to compare also where a step was lost beside other programs. Cut anywhere, what comes before the
-    last chunk stays."""
+    """At 10 Hz, because a busy computer may be too slow for 30. The recording begins before the pipeline, so
+    nothing has to be skipped. It is long enough for two states of the tracker, so there is enough to compare
+    even if a step was lost on a busy computer. Cut anywhere, it keeps its whole chunks."""
     out = tmp_path / "live.mcap"
     system = LivePipeline(slow=3.0)
     recorder = huepose("record", out, "--config", system.path, "--free", "0")

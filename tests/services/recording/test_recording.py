@@ -1,4 +1,4 @@
-"""What is recorded is read back exactly, by others too; however it ends, what was written stays."""
+"""A recording is read back exactly, also by other programs; however it ends, what was written stays."""
 
 import errno
 import json
@@ -48,7 +48,7 @@ def test_what_is_written_is_read_back_exactly(tmp_path):
     assert msgspec.structs.replace(events[1].message, frame_id=42, publish_ns=POSE.publish_ns) == POSE
 
 
-def test_other_programs_read_it_by_well_known_schemas(tmp_path):
+def test_other_programs_read_a_recording_by_well_known_schemas(tmp_path):
     path = written(tmp_path / "out.mcap", numbers=(7,)).path
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -76,8 +76,8 @@ def test_other_programs_read_it_by_well_known_schemas(tmp_path):
     pose = shown["/cam0/pose/006_mustard_bottle/3"][1]
     assert pose.frame_id == image.frame_id == "cam0_color_optical"
     assert (pose.pose.position.z, pose.pose.orientation.w) == (POSE.translation[2], POSE.quaternion[3])
-    turned = shown["/tf"][1]
-    assert (turned.parent_frame_id, turned.child_frame_id) == ("cam0_color_optical", "006_mustard_bottle/3")
+    tf = shown["/tf"][1]
+    assert (tf.parent_frame_id, tf.child_frame_id) == ("cam0_color_optical", "006_mustard_bottle/3")
     encoding, schema, message = said[KEY + "pose/x/1"]
     assert (encoding, schema.encoding, schema.name) == ("json", "jsonschema", "PoseMessage")
     assert json.loads(schema.data)["type"] == "object"
@@ -87,7 +87,7 @@ def test_other_programs_read_it_by_well_known_schemas(tmp_path):
 SHOWN = ["/cam0/color", "/cam0/depth", "/cam0/calibration", "/cam0/pose/006_mustard_bottle/3", "/tf"]
 
 
-def test_jpeg_is_smaller_and_says_so(tmp_path):
+def test_a_recording_with_jpeg_says_that_it_is_not_exact(tmp_path):
     recording = Recording(written(tmp_path / "out", jpeg=True).path)
     for (_, color, depth), number in zip(frames(recording.events()), (7, 8, 12), strict=True):
         assert color.shape == (4, 6, 3)
@@ -95,7 +95,7 @@ def test_jpeg_is_smaller_and_says_so(tmp_path):
     assert not recording.exact
 
 
-def test_cut_at_any_byte_it_is_readable_up_to_the_last_chunk(tmp_path):
+def test_a_recording_cut_at_any_byte_is_readable_up_to_the_last_whole_chunk(tmp_path):
     path = written(tmp_path / "out", numbers=range(8), chunks=True).path
     whole, data = list(Recording(path).events()), path.read_bytes()
     ends = [index.chunk_start_offset + index.chunk_length for index in chunks_of(path)]
@@ -110,7 +110,7 @@ def test_cut_at_any_byte_it_is_readable_up_to_the_last_chunk(tmp_path):
         assert recording.cut == "it was cut off"
 
 
-def test_every_chunk_is_on_the_disk_when_it_is_done(tmp_path, monkeypatch):
+def test_every_chunk_is_on_the_disk_when_it_is_complete(tmp_path, monkeypatch):
     synced = []
     monkeypatch.setattr("os.fdatasync", lambda number: synced.append(number))
     out = parts(tmp_path / "out")
@@ -119,13 +119,13 @@ def test_every_chunk_is_on_the_disk_when_it_is_done(tmp_path, monkeypatch):
     assert not synced
     out._due = 0.0
     out.commit()
-    # Here the power goes: nothing was closed.
+    # As after a power failure: nothing was closed.
     assert len(synced) == 1
     assert len(frames(Recording(out.path).events())) == 1
     out.close()
 
 
-def test_one_that_has_just_begun_says_what_it_is(tmp_path):
+def test_a_recording_that_has_just_begun_has_its_notes(tmp_path):
     out = parts(tmp_path / "out")
     recording = Recording(out.path)
     assert recording.notes["huepose"]["site"] == "a"
@@ -134,7 +134,7 @@ def test_one_that_has_just_begun_says_what_it_is(tmp_path):
 
 
 @pytest.mark.parametrize("number", [1, 4, 7])
-def test_a_changed_byte_ends_it_and_is_said(tmp_path, number):
+def test_a_changed_byte_ends_the_reading_and_is_reported(tmp_path, number):
     path = written(tmp_path / "out", numbers=range(8), chunks=True).path
     whole, data = list(Recording(path).events()), bytearray(path.read_bytes())
     chunk = chunks_of(path)[number]
@@ -145,10 +145,10 @@ def test_a_changed_byte_ends_it_and_is_said(tmp_path, number):
     assert "damaged" in recording.cut
 
 
-def test_it_goes_on_in_new_files_and_deletes_the_oldest(tmp_path):
+def test_a_recording_goes_on_in_new_files_and_deletes_the_oldest(tmp_path):
     out = parts(tmp_path / "out", Limits(part=30_000, keep=100_000, free=0))
     out.note("models", {"mug": "12"})
-    _goes_on(out)
+    _write_many(out)
     out.close()
     paths = sorted(tmp_path.iterdir())
     assert len(paths) > 2
@@ -163,10 +163,10 @@ def test_it_goes_on_in_new_files_and_deletes_the_oldest(tmp_path):
     assert out.size > 100_000
     assert out.frames == 400
     said = _how_far(SimpleNamespace(missed=0, lost=0, span=Span()), out)
-    assert said.startswith(f"{paths[0]} to {paths[-1].name}: 400 frames, "), "files that are there"
+    assert said.startswith(f"{paths[0]} to {paths[-1].name}: 400 frames, "), "files that exist"
 
 
-def test_it_ends_before_the_disk_is_full(tmp_path):
+def test_a_recording_ends_before_the_disk_is_full(tmp_path):
     with pytest.raises(
         InputError, match=r"out\.mcap: found \d+ MiB are free on the disk, and \d+ must stay free"
     ):
@@ -182,14 +182,14 @@ def test_it_ends_before_the_disk_is_full(tmp_path):
     assert len(list(Recording(out.path).events())) == 1
 
 
-def test_a_file_that_is_there_is_left_alone(tmp_path):
+def test_an_existing_file_is_not_overwritten(tmp_path):
     (tmp_path / "out.mcap").write_text("mine")
     with pytest.raises(InputError, match="a file of that name"):
         parts(tmp_path / "out")
     assert (tmp_path / "out.mcap").read_text() == "mine"
 
 
-def test_a_disk_that_takes_nothing_leaves_no_empty_file_in_the_way(tmp_path):
+def test_on_a_full_disk_no_empty_file_is_left(tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
     try:
@@ -201,7 +201,7 @@ def test_a_disk_that_takes_nothing_leaves_no_empty_file_in_the_way(tmp_path):
 
 
 @pytest.mark.parametrize(("left", "taken"), [("out_0003.mcap", True), ("out_20260101.mcap", False)])
-def test_a_part_that_is_left_of_another_recording_is_said_at_the_start(tmp_path, left, taken):
+def test_a_part_of_another_recording_is_refused_at_the_start(tmp_path, left, taken):
     (tmp_path / left).write_text("mine")
     if taken:
         with pytest.raises(InputError, match=r"out_0003\.mcap: found a part of another recording"):
@@ -212,8 +212,8 @@ def test_a_part_that_is_left_of_another_recording_is_said_at_the_start(tmp_path,
     assert (tmp_path / "out.mcap").exists() != taken
 
 
-def _goes_on(out):
-    """Frames until its next file is due."""
+def _write_many(out):
+    """Writes frames until the next file is due."""
     for number in range(400):
         out.frame(*tiny_frame(number), KEY + "frame")
         out._due = 0.0
@@ -221,7 +221,7 @@ def _goes_on(out):
 
 
 @pytest.mark.parametrize("refusal", [None, errno.ENOSPC])
-def test_where_the_next_file_cannot_be_made_what_was_written_stays(tmp_path, monkeypatch, refusal):
+def test_if_the_next_file_cannot_be_made_what_was_written_stays(tmp_path, monkeypatch, refusal):
     """Another program has made a file of that name, or the disk has no room for one."""
     out = parts(tmp_path / "out", Limits(part=30_000, keep=None, free=0))
     (tmp_path / "out_0001.mcap").write_text("mine")
@@ -232,7 +232,7 @@ def test_where_the_next_file_cannot_be_made_what_was_written_stays(tmp_path, mon
     if refusal is not None:
         monkeypatch.setattr(Path, "open", refused)
     with pytest.raises(OSError, match="File exists" if refusal is None else "refused"):
-        _goes_on(out)
+        _write_many(out)
     monkeypatch.undo()
     out.close()
     assert out.paths == [tmp_path / "out.mcap"]
@@ -270,17 +270,17 @@ def test_what_was_recorded_is_never_deleted(tmp_path, monkeypatch, capsys):
     assert len(frames(Recording(tmp_path / "out.mcap").events())) == 1
 
 
-def test_who_gives_a_film_is_told_what_to_record_instead(tmp_path):
-    film = tmp_path / "turned.MP4"
-    film.write_bytes(b"\0\0\0\x20ftypisom")
+def test_a_video_is_refused_with_what_to_record_instead(tmp_path):
+    video = tmp_path / "turned.MP4"
+    video.write_bytes(b"\0\0\0\x20ftypisom")
     with pytest.raises(InputError, match=r"another kind of file; .* video has no depth, .*`huepose record`"):
-        Recording(film)
+        Recording(video)
 
 
 @pytest.mark.parametrize(
     "data", [b"{}", b"nonsense", b"[]", b"\xff\xfe{}", b"[" * 100_000, b'{"quality": 1e999}']
 )
-def test_a_message_that_is_none_is_refused_with_its_key(tmp_path, data):
+def test_an_invalid_message_is_refused_with_its_key(tmp_path, data):
     path = mcap_of(tmp_path / "x.mcap", data=data)
     with pytest.raises(InputError, match="pose/x/1"):
         list(Recording(path).events())
@@ -289,7 +289,7 @@ def test_a_message_that_is_none_is_refused_with_its_key(tmp_path, data):
 @pytest.mark.parametrize(
     ("topic", "encoding"), [("/odometry", "json"), (KEY + "pose/x/1", "cdr"), ("pose", "json")]
 )
-def test_what_other_programs_wrote_is_passed_over(tmp_path, topic, encoding):
+def test_messages_of_other_programs_are_skipped(tmp_path, topic, encoding):
     assert list(Recording(mcap_of(tmp_path / "x.mcap", topic=topic, encoding=encoding)).events()) == []
 
 
@@ -300,7 +300,7 @@ def test_a_header_without_images_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"no recording at all", None])
-def test_what_is_no_recording_is_refused(tmp_path, content, refused):
+def test_a_file_that_is_no_recording_is_refused(tmp_path, content, refused):
     path = tmp_path / "x.mcap"
     path.mkdir() if content is None else path.write_bytes(content)
     for arguments in ([], ["--verify"], ["--bop", str(tmp_path / "bop")]):
@@ -317,7 +317,7 @@ def test_a_recording_without_frames_is_no_scene(tmp_path, capsys):
 
 
 def test_a_small_file_does_not_fill_the_memory(tmp_path):
-    """A chunk that says it is larger than it is, and one that is larger than it may be."""
+    """A chunk that is larger than it says, and one that says more than is allowed."""
     import lz4.frame
 
     bomb = lz4.frame.compress(bytes(2**28))
@@ -339,12 +339,12 @@ def test_a_small_file_does_not_fill_the_memory(tmp_path):
         tracemalloc.stop()
 
 
-def test_what_the_tracker_remembers_from_before_does_not_count_as_recorded_time():
+def test_frames_from_before_the_recording_do_not_count_as_recorded_time():
     span, second = Span(), 1_000_000_000
     assert (span.seconds, span.before_s) == (0.0, 0.0)
     span.saw(99_990_000_000, 100 * second)
     span.saw(98_200_000_000, 101 * second, asked_for=True)
-    span.saw(100_500_000_000, 102 * second, asked_for=True)  # one that was lost on the way
+    span.saw(100_500_000_000, 102 * second, asked_for=True)  # a frame that was lost on the way
     span.saw(114 * second, 114 * second)
     assert span.older == 1
     assert span.seconds == pytest.approx(14.0)

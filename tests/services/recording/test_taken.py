@@ -1,4 +1,5 @@
-"""A recording holds what the tracker took: what did not come is asked for; what it passed over goes first."""
+"""A recording has all that the tracker took: what did not arrive is requested; skipped frames are dropped
+first."""
 
 import msgspec
 import pytest
@@ -13,7 +14,7 @@ from .test_arrivals import _Channel, _Sample
 
 EPOCH = example(FrameHeader).camera_epoch
 LATER = 1e9
-"""When all patience is over."""
+"""A time after all waiting times."""
 
 
 def _frame(number):
@@ -30,7 +31,7 @@ def _step(seq, frame=None, again=False, publish_ns=None):
     return "huepose/a/cam0/tracker/" + ("again" if again else "intake"), encode(message)
 
 
-def test_what_the_tracker_took_and_did_not_come_is_asked_for_until_it_comes():
+def test_what_the_tracker_took_and_did_not_arrive_is_requested_until_it_arrives():
     taken = Taken()
     for number in (1, 2, 4):
         taken.frame(_frame(number))
@@ -46,7 +47,7 @@ def test_what_the_tracker_took_and_did_not_come_is_asked_for_until_it_comes():
     assert taken.lost == 0
 
 
-def test_what_the_tracker_remembers_is_asked_for_at_the_beginning():
+def test_frames_that_the_tracker_keeps_are_requested_at_the_beginning():
     taken = Taken()
     frames = [(EPOCH, number) for number in range(6)]
     memory = msgspec.structs.replace(example(MemoryMessage), frames=frames)
@@ -55,7 +56,7 @@ def test_what_the_tracker_remembers_is_asked_for_at_the_beginning():
     assert taken.wanted(LATER) == (frames[4:], [])
 
 
-def test_what_never_comes_is_counted_and_a_tracker_that_was_started_again_owes_nothing():
+def test_what_never_arrives_is_counted_and_after_a_restart_nothing_older_is_requested():
     taken = Taken()
     taken.message(*_step(500))
     taken.message(*_step(3, publish_ns=10**13))
@@ -66,7 +67,7 @@ def test_what_never_comes_is_counted_and_a_tracker_that_was_started_again_owes_n
     assert taken.lost == 1
 
 
-def test_frames_from_before_the_recording_began_are_asked_for_and_not_missed():
+def test_frames_from_before_the_recording_are_requested_and_do_not_count_as_lost():
     taken = Taken()
     taken.frame(_frame(5))
     frames = [(EPOCH, number) for number in (3, 4, 5, 6)]
@@ -78,8 +79,8 @@ def test_frames_from_before_the_recording_began_are_asked_for_and_not_missed():
 
 
 @pytest.mark.parametrize("later", [EPOCH + 1, EPOCH - 1])
-def test_a_frame_that_is_lost_after_the_camera_was_opened_anew_is_missed(later):
-    """Epochs are random numbers."""
+def test_a_frame_lost_after_the_camera_was_opened_again_is_counted(later):
+    """Epochs are random numbers: they have no order."""
     taken = Taken()
     taken.frame(_frame(5))
     memory = msgspec.structs.replace(example(MemoryMessage), frames=[(EPOCH, 4), (later, 9), (later, 2)])
@@ -89,8 +90,8 @@ def test_a_frame_that_is_lost_after_the_camera_was_opened_anew_is_missed(later):
     assert taken.lost == 2
 
 
-def test_a_slow_recorder_lets_go_of_frames_that_the_tracker_passed_over():
-    """Of ten frames each third is taken; there is room for four."""
+def test_a_slow_recorder_drops_frames_that_the_tracker_skipped():
+    """Of ten frames the tracker takes each third; there is room for four."""
     samples = []
     for number in range(10):
         samples.append(_Sample("frame", _frame(number), bytes(10)))
@@ -102,7 +103,7 @@ def test_a_slow_recorder_lets_go_of_frames_that_the_tracker_passed_over():
 
     arrivals = Arrivals(_Channel(samples), ["all"], 40, ask)
     until(lambda: not samples)
-    # What was dropped before the tracker said that it took it is had again.
+    # A frame that was dropped before the tracker said that it took it is requested again.
     kept = set()
 
     def take():

@@ -1,4 +1,4 @@
-"""What is computed again is the same bit by bit; what is not the same is named with its frame and stage."""
+"""A recording computed again is the same bit by bit; a difference is named with its frame and stage."""
 
 import shutil
 from dataclasses import replace
@@ -23,7 +23,7 @@ def _verified(path, bundles=None):
     return verify([Recording(path)], bundles)
 
 
-def test_all_of_it_is_the_same_bit_by_bit(followed):
+def test_a_recording_computed_again_is_the_same_bit_by_bit(followed):
     report = _verified(followed.path)
     assert report.difference == ""
     assert (report.skipped, report.steps, report.gaps, report.unrecorded) == (1, STEPS, [], 0)
@@ -43,13 +43,13 @@ def test_all_of_it_is_the_same_bit_by_bit(followed):
     one = replace(report, steps=1, skipped=2, skipped_first=1).text
     assert one.startswith("1 step of the tracker computed again, from")
     assert "not checked: 1 step after a gap, until" in one
-    # The last of it was taken back when nothing newer came.
+    # The last pose became SUSPECT when no newer frame came.
     assert [pose.state for pose in said[-2:]] == ["TRACKING", "SUSPECT"]
     assert said[-1].frame_id == said[-2].frame_id
 
 
 def _change(kind, frame_id, **changes):
-    """Change messages of a kind at a frame."""
+    """A function that changes the messages of a kind at a frame."""
 
     def change(event):
         message = event.message
@@ -112,13 +112,13 @@ def test_a_difference_is_named_with_its_first_frame_and_stage(followed, change, 
     assert "cut off" not in said.err, "the recording is whole"
 
 
-def test_what_it_believed_beside_the_poses_is_compared_as_well(followed):
-    seen = []
+def test_recorded_states_of_the_tracker_are_compared_as_well(followed):
+    memories = []
 
     def change(event):
         if isinstance(event.message, MemoryMessage):
-            seen.append(event.message)
-            if len(seen) == 2:
+            memories.append(event.message)
+            if len(memories) == 2:
                 plain, *own = msgspec.msgpack.decode(event.message.memory)
                 other = msgspec.msgpack.encode((plain | {"_steps": 99}, *own))
                 message = msgspec.structs.replace(event.message, memory=other)
@@ -131,7 +131,7 @@ def test_what_it_believed_beside_the_poses_is_compared_as_well(followed):
 
 
 @pytest.mark.parametrize("kind", [IntakeMessage, FrameHeader])
-def test_after_what_is_missing_it_goes_on_from_the_next_memory(followed, kind):
+def test_after_a_gap_the_check_goes_on_from_the_next_recorded_state(followed, kind):
     report = _verified(
         followed.rewritten(lambda e: None if isinstance(e.message, kind) and e.message.frame_id == 5 else e)
     )
@@ -142,12 +142,12 @@ def test_after_what_is_missing_it_goes_on_from_the_next_memory(followed, kind):
     if kind is IntakeMessage:
         assert report.steps == 4 + (STEPS - 8) + 1
     else:
-        # The memory names the frame that is missing.
+        # The next recorded state needs the frame that is missing.
         assert report.steps == 4
 
 
-def test_a_tracker_that_takes_few_of_the_frames_is_followed(followed, tmp_path):
-    """As on a busy computer: the camera goes on meanwhile, and its frames do not push out those taken."""
+def test_a_tracker_that_takes_few_of_the_frames_is_computed_again(followed, tmp_path):
+    """As on a busy computer: the frames between do not displace those that the tracker took."""
     out = parts(tmp_path / "slow")
     numbers = count(100_000)
     for event in Recording(followed.path).events():
@@ -165,8 +165,8 @@ def test_a_tracker_that_takes_few_of_the_frames_is_followed(followed, tmp_path):
     assert (report.difference, report.steps, report.gaps) == ("", STEPS, [])
 
 
-def test_what_begins_in_mid_run_says_from_when_it_is_checked_and_why(followed, printed):
-    """The pictures that the tracker remembered when the recording began are not in it."""
+def test_a_recording_that_begins_in_mid_run_says_from_when_it_is_checked_and_why(followed, printed):
+    """The frames that the tracker had kept before the recording began are not in it."""
     memories = []
 
     def change(event):
@@ -206,12 +206,12 @@ def test_jpeg_cannot_be_verified(followed):
         _verified(followed.rewritten(lambda e: e, jpeg=True))
 
 
-def test_where_there_are_no_pictures_none_is_said_to_be_a_jpeg(followed):
-    def unseen(event):
+def test_a_recording_without_images_is_not_refused_as_jpeg(followed):
+    def without_frames(event):
         return None if isinstance(event.message, FrameHeader) else event
 
-    report = _verified(followed.rewritten(unseen, jpeg=True))
-    assert report == _verified(followed.rewritten(unseen))
+    report = _verified(followed.rewritten(without_frames, jpeg=True))
+    assert report == _verified(followed.rewritten(without_frames))
     assert (report.steps, report.difference) == (0, "")
 
 
@@ -233,13 +233,13 @@ def other_bundles(tea_box, tmp_path):
     return tmp_path / "other"
 
 
-def test_a_folder_without_the_model_is_answered_with_what_to_do(followed, tmp_path, refused):
+def test_a_folder_without_the_model_is_refused_with_what_to_do(followed, tmp_path, refused):
     said = refused(["replay", "--verify", followed.path, "--bundles", tmp_path])
     assert f"{tmp_path}/tea_box.huepose: found no such file; expected the reference model tea_box." in said
     assert "Give the folder of the models that it was recorded with: --bundles DIR." in said
 
 
-def test_another_model_that_nothing_tells_is_named_beside_the_difference(followed, other_bundles):
+def test_if_models_were_not_noted_a_difference_says_that_they_may_differ(followed, other_bundles):
     path = followed.rewritten(lambda e: e, noted=False)
     assert _verified(path).difference == ""
     difference = _verified(path, other_bundles).difference
@@ -248,7 +248,7 @@ def test_another_model_that_nothing_tells_is_named_beside_the_difference(followe
 
 
 def test_another_model_that_is_noted_later_is_refused(followed, other_bundles):
-    """As that of an object which was added while it was recorded."""
+    """As the model of an object that was added during the recording."""
     path = followed.rewritten(lambda e: e, noted=False, noted_last=True)
     assert _verified(path).difference == ""
     with pytest.raises(InputError, match=r"reference model tea_box: .*--bundles DIR"):
@@ -263,7 +263,7 @@ def test_a_recording_without_frames_has_nothing_to_verify(followed, capsys):
     assert "same" not in out
 
 
-def test_a_recording_that_ends_before_a_memory_says_to_record_for_longer(followed, capsys):
+def test_a_recording_without_a_recorded_state_says_to_record_for_longer(followed, capsys):
     path = followed.rewritten(lambda e: None if isinstance(e.message, MemoryMessage) else e)
     assert main(["replay", "--verify", str(path)]) == 1
     assert capsys.readouterr().out.startswith("nothing to compare: record for longer than ten seconds")

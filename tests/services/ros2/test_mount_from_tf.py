@@ -1,4 +1,4 @@
-"""The camera's place from /tf: messages of another library than the one that reads them, over a router."""
+"""The camera pose from /tf: messages of another library than the one that reads them, over a router."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_transforms_of_another_library_are_read() -> None:
     assert second == (at + 1, "camera", expected)
 
 
-def test_one_transform_that_is_none_leaves_the_others() -> None:
+def test_an_invalid_transform_does_not_affect_the_others() -> None:
     data = written(
         (5, "base", "wheel", (float("nan"), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)),
         (5, "base", "mimic", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)),
@@ -87,7 +87,7 @@ def test_bytes_that_are_no_message_are_refused_and_raise_nothing() -> None:
 
 
 @pytest.mark.live
-def test_the_worker_does_not_hear_itself(base_port: int) -> None:
+def test_the_worker_ignores_its_own_transforms(base_port: int) -> None:
     connect = f"tcp/127.0.0.1:{base_port + 9}"
     config = Config(bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=connect))
     bus = open_bus(config, "ros2")
@@ -113,20 +113,20 @@ def test_the_worker_does_not_hear_itself(base_port: int) -> None:
 
 
 @pytest.mark.live
-def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
+def test_the_camera_gets_the_pose_that_the_robot_publishes(base_port: int) -> None:
     connect = f"tcp/127.0.0.1:{base_port + 9}"
     config = Config(bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=connect))
     bus, camera = (open_bus(config, worker) for worker in ("ros2", "camera"))
-    told: list[MountMessage] = []
+    mounts: list[MountMessage] = []
     camera.session.declare_subscriber(
-        config.keys.mount, lambda sample: told.append(decode(sample.payload.to_bytes(), MountMessage))
+        config.keys.mount, lambda sample: mounts.append(decode(sample.payload.to_bytes(), MountMessage))
     )
 
     def warnings() -> str:
         return " ".join(bus.health.message().warnings)
 
     with zenoh.open(listening(connect, mode="router")) as robot:
-        # As rmw_zenoh keeps what is said once, before anybody listens.
+        # As rmw_zenoh keeps a message that is published once, before anybody listens.
         static = ext.declare_advanced_publisher(
             robot,
             topic_key("/tf_static", TRANSFORMS, 0, "rmw_zenoh"),
@@ -146,16 +146,16 @@ def test_the_camera_is_told_what_the_robot_says(base_port: int) -> None:
             robot.put(
                 key, written((at_ns, "base_link", "tool0", (1.0, 2.0, 3.0), (QUARTER, 0.0, 0.0, QUARTER)))
             )
-            return len(told) >= 3
+            return len(mounts) >= 3
 
         until(said, 20.0, work.step)
         off_ns = time.monotonic_ns() - time.time_ns()
-        last = told[-1]
+        last = mounts[-1]
         assert last.mount.parent == "base_link"
-        # A quarter turn about x takes the tool's z to the base's -y.
+        # A rotation by 90 degrees about x takes the tool's z to the base's -y.
         assert np.allclose(last.mount.translation, (1.0, 1.9, 3.0))
         assert abs(last.capture_ns - (at_ns + off_ns)) < 500_000_000
-        assert len({message.capture_ns for message in told}) == len(told)
+        assert len({message.capture_ns for message in mounts}) == len(mounts)
         assert "tf" not in warnings()
         robot.put(key, written((at_ns - 9 * 10**9, "base_link", "tool0", (0.0,) * 3, (0.0, 0.0, 0.0, 1.0))))
         until(lambda: "timestamps 9" in warnings(), 20.0, work.step)

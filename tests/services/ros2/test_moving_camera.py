@@ -1,4 +1,4 @@
-"""A camera on an arm that moves round a box on a table, drawn: the box stands still in the robot's frame."""
+"""A rendered camera on an arm that moves round a box on a table: the box is static in the robot's frame."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ import numpy as np
 from huepose import Camera, RgbdFrame
 from huepose_protos.mount_sender import MountSender
 
-drawn = np.load("{folder}/drawn.npz")
-color, depth, arm = drawn["color"], drawn["depth"], drawn["arm"]
-camera = Camera(*drawn["camera"].tolist()[:4], 640, 480)
+rendered = np.load("{folder}/rendered.npz")
+color, depth, arm = rendered["color"], rendered["depth"], rendered["arm"]
+camera = Camera(*rendered["camera"].tolist()[:4], 640, 480)
 T0, GAP, STEP = time.monotonic_ns(), {gap}, {gap} // 5
 
 
 def tell():
-    # The arm measures where it is in the middle between two pictures and elsewhere, never when one is taken.
+    # The arm measures its pose between two images, never at the time of one.
     with MountSender("base_link", base_port={port}) as sender:
         k = 0
         while not Path("{folder}/silent").exists():
@@ -69,27 +69,27 @@ def frames():
 
 
 def camera_at(periods: float) -> np.ndarray:
-    """T_base_cam: to and fro round the middle of the table by 17 degrees, up to 0.2 m/s."""
-    turn = se3.rotation_exp(np.array([0.0, 0.0, 0.3 * np.sin(2.0 * np.pi * periods)]))
+    """T_base_cam: back and forth round the middle of the table by 17 degrees, up to 0.2 m/s."""
+    rotation = se3.rotation_exp(np.array([0.0, 0.0, 0.3 * np.sin(2.0 * np.pi * periods)]))
     _, T_cam_table = table_top()
-    return se3.make(turn, np.zeros(3)) @ np.linalg.inv(T_cam_table)
+    return se3.make(rotation, np.zeros(3)) @ np.linalg.inv(T_cam_table)
 
 
-def draw(folder: Path, model: ReferenceModel, port: int) -> None:
-    """The pictures, where the arm is, and the camera that gives both."""
+def write_camera(folder: Path, model: ReferenceModel, port: int) -> None:
+    """Writes the images, the poses of the arm, and the camera file that gives both."""
     table, _ = table_top()
-    pictures = []
+    rendered = []
     for k in range(FRAMES):
         T_cam_base = np.linalg.inv(camera_at(k / FRAMES))
-        pictures.append(render([(table, T_cam_base), (model.mesh, T_cam_base @ T_BASE_OBJ)], CAMERA))
+        rendered.append(render([(table, T_cam_base), (model.mesh, T_cam_base @ T_BASE_OBJ)], CAMERA))
     T_tool_cam = np.eye(4)
     T_tool_cam[:3, :3] = rotation_matrix(np.array(HAND["quaternion"]))
     T_tool_cam[:3, 3] = HAND["translation"]
     arm = [camera_at((k + 1 / 3) / (5 * FRAMES)) @ np.linalg.inv(T_tool_cam) for k in range(5 * FRAMES)]
     np.savez(
-        folder / "drawn.npz",
-        color=[p.color for p in pictures],
-        depth=[p.depth for p in pictures],
+        folder / "rendered.npz",
+        color=[p.color for p in rendered],
+        depth=[p.depth for p in rendered],
         arm=arm,
         camera=[CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy],
     )
@@ -98,7 +98,7 @@ def draw(folder: Path, model: ReferenceModel, port: int) -> None:
 
 
 def off_m(T_base_obj: np.ndarray) -> float:
-    """How far the farthest corner of the box is from where it stands."""
+    """The largest distance of a corner of the box from its true position."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * [0.045, 0.03, 0.075]
     return float(
         np.linalg.norm(se3.apply(T_base_obj, corners) - se3.apply(T_BASE_OBJ, corners), axis=1).max()
@@ -110,12 +110,12 @@ def of_tf(move: Any) -> Mount:
     return mount_of(move.header.frame_id, np.array([t.x, t.y, t.z]), np.array([q.x, q.y, q.z, q.w]))
 
 
-def test_poses_and_the_tree_of_ros_2_are_right_while_the_arm_moves_and_end_with_what_it_tells(
+def test_poses_and_the_tree_of_ros_2_are_right_until_the_arm_sends_no_more_poses(
     tea_box: ReferenceModel, tmp_path: Path
 ) -> None:
     port = free_port_range(20)
     save_model(tea_box, model_path(tmp_path / "bundles", "tea_box"))
-    draw(tmp_path, tea_box, port)
+    write_camera(tmp_path, tea_box, port)
     path = tmp_path / "pipeline.yaml"
     pipeline = patient_pipeline(
         "bundles",
@@ -156,7 +156,7 @@ def test_poses_and_the_tree_of_ros_2_are_right_while_the_arm_moves_and_end_with_
     assert len(off) >= 100, f"{len(off)} poses in the robot's frame"
     print(f"robot frame: median {np.median(off) * 1e3:.2f} mm, largest {max(off) * 1e3:.2f} of {len(off)}")
     assert max(off) < WITHIN_M
-    assert "camera.moving" in warned, "the arm fell silent"
+    assert "camera.moving" in warned, "the arm sends no more poses"
     assert last is not None, "in the camera's frame poses go on"
     assert gone is None or gone.T_parent_obj is None
 
@@ -169,9 +169,9 @@ def test_poses_and_the_tree_of_ros_2_are_right_while_the_arm_moves_and_end_with_
     cameras.sort(key=lambda one: one[0])
     placed = []
     for at, in_camera in objects:
-        place = mount_at(cameras, at)
-        if place is not None:
-            both = composed(place, in_camera)
+        mount = mount_at(cameras, at)
+        if mount is not None:
+            both = composed(mount, in_camera)
             T_base_obj = np.eye(4)
             T_base_obj[:3, :3] = rotation_matrix(np.array(both.quaternion))
             T_base_obj[:3, 3] = both.translation

@@ -1,4 +1,4 @@
-"""Poses for ROS 2: decoded by a library that did not write them, on keys and with tokens that are known."""
+"""Poses for ROS 2: decoded by a library that did not write them, with known keys and tokens."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from tests.services.sessions import close_bus, listening, open_bus
 EXAMPLE = example(PoseMessage)
 MOUNT = Mount(parent="base_link", translation=(1.0, 2.0, 3.0), quaternion=(0.0, 0.0, 0.5**0.5, 0.5**0.5))
 CAMERA_SEEN = msgspec.structs.replace(example(CameraMessage), mount=MOUNT)
-# As the documentation of rmw_zenoh has it.
+# From the documentation of rmw_zenoh.
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 
 
@@ -55,7 +55,7 @@ def unwanted(key: str, found: str, expected: str, fix: str) -> None:
 
 
 def read(kind: str, payload: bytes) -> Any:
-    """What a library makes of CDR that knows nothing of the one that wrote it."""
+    """CDR decoded by a library that is independent of the one that wrote it."""
     text, _ = types().generate_msgdef(kind, ros_version=2)
     short = kind.replace("/msg/", "/")
     return generate_dynamic(short, text)[short](payload)
@@ -65,7 +65,7 @@ def unix_ns(header: Any) -> int:
     return int(header.stamp.sec) * 10**9 + int(header.stamp.nanosec)
 
 
-def test_a_pose() -> None:
+def test_a_pose_is_decoded_unchanged() -> None:
     back = read(POSE, cdr(pose_stamped(pose())))
     assert unix_ns(back.header) == EXAMPLE.capture_ns + EXAMPLE.realtime_offset_ns
     assert back.header.frame_id == EXAMPLE.frame
@@ -82,8 +82,8 @@ def test_the_tree_leads_from_the_robot_to_the_object() -> None:
 
     def matrix(transform: Any) -> np.ndarray:
         q, t = transform.rotation, transform.translation
-        turned = pose(quaternion=(q.x, q.y, q.z, q.w), translation=(t.x, t.y, t.z))
-        found = pose_at([turned], turned.capture_ns)
+        as_pose = pose(quaternion=(q.x, q.y, q.z, q.w), translation=(t.x, t.y, t.z))
+        found = pose_at([as_pose], as_pose.capture_ns)
         assert found is not None
         return found.T_cam_obj
 
@@ -94,12 +94,12 @@ def test_the_tree_leads_from_the_robot_to_the_object() -> None:
     mounted = type(found)(**{**vars(found), "mount": MOUNT}).T_parent_obj
     assert mounted is not None
     assert np.allclose(T_parent_obj, mounted)
-    # A quarter turn about z, then the shift: x of the camera is y of the robot.
+    # A rotation by 90 degrees about z, then the translation: x of the camera is y of the robot.
     x, y, z = EXAMPLE.translation
     assert np.allclose(mounted[:3, 3], [1.0 - y, 2.0 + x, 3.0 + z])
 
 
-def test_a_frame_has_one_parent_though_two_cameras_see_the_object() -> None:
+def test_a_frame_has_one_parent_also_if_two_cameras_see_the_object() -> None:
     cameras = [CameraConfig(name="left"), CameraConfig(name="right")]
     children = [
         read(TRANSFORMS, cdr(transforms([pose(object="tea-box")], None, each.ros2.frame_prefix)))
@@ -111,7 +111,7 @@ def test_a_frame_has_one_parent_though_two_cameras_see_the_object() -> None:
 
 
 @pytest.mark.parametrize("name", ["tea_box", "tea-box", "003_cracker_box", "0"])
-def test_topics_have_names_that_ros_2_takes(name: str) -> None:
+def test_topics_have_names_that_ros_2_accepts(name: str) -> None:
     (config,) = of_cameras(Config(cameras=[CameraConfig(name=name)]), False, unwanted)
     topic = f"/{config.ros2.namespace}/{pose_topic(pose(object=name))}"
     # rmw/validate_full_topic_name.h
@@ -119,7 +119,7 @@ def test_topics_have_names_that_ros_2_takes(name: str) -> None:
     assert len(topic) <= 247
 
 
-def test_detections_and_the_camera() -> None:
+def test_detections_and_camera_info_are_decoded_unchanged() -> None:
     box = np.array([[-0.05, -0.1, -0.05], [0.05, 0.1, 0.25]])
     upright = pose(quaternion=(0.0, 0.0, 0.0, 1.0))
     (found,) = read(DETECTIONS, cdr(detections([upright], {upright.object: box}))).detections
@@ -162,7 +162,7 @@ class Heard:
 
 
 @pytest.mark.live
-def test_what_is_tracked_arrives_at_a_router_that_comes_later(base_port: int) -> None:
+def test_tracking_poses_arrive_at_a_router_that_starts_later(base_port: int) -> None:
     connect = f"tcp/127.0.0.1:{base_port + 9}"
     config = Config(bus=BusConfig(base_port=base_port), ros2=Ros2Config(connect=connect))
     bus, tracker = (open_bus(config, worker) for worker in ("ros2", "tracker"))
@@ -174,10 +174,10 @@ def test_what_is_tracked_arrives_at_a_router_that_comes_later(base_port: int) ->
         heard = Heard([])
         router.declare_subscriber("0/**", heard.samples.append)
         shown = pose(frame_id=1)
-        doubted = pose(state="SUSPECT", instance=9)
+        suspect = pose(state="SUSPECT", instance=9)
 
         def arrived() -> bool:
-            for message in (shown, doubted):
+            for message in (shown, suspect):
                 tracker.put(config.keys.pose(message.object, message.instance), message)
             tracker.put(config.keys.camera_info, CAMERA_SEEN)
             return bool(heard.of("/detections/")) and bus.health.message().warnings == []
@@ -192,14 +192,14 @@ def test_what_is_tracked_arrives_at_a_router_that_comes_later(base_port: int) ->
     assert read(POSE, sample.payload.to_bytes()).pose.position.x == shown.translation[0]
     assert sample.attachment is not None
     assert struct.unpack("<q", sample.attachment.to_bytes()[:8]) == (1,)
-    assert not heard.of(f"{doubted.object}_9/")
+    assert not heard.of(f"{suspect.object}_9/")
     assert heard.of("0/tf/")
     assert heard.of("/camera_info/")
     assert any("/MP/%/%/huepose/%tf/" in token for token in tokens)
     assert any(token.endswith("/NN/%/%/huepose") for token in tokens)
 
 
-def test_the_camera_says_where_it_is_fixed() -> None:
+def test_a_camera_message_has_its_mount_with_a_unit_quaternion() -> None:
     back = decode(encode(CAMERA_SEEN), CameraMessage)
     assert back.mount == MOUNT
     with pytest.raises(ValueError, match="unit length"):

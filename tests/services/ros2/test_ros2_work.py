@@ -1,4 +1,4 @@
-"""What the worker tells ROS 2 of the poses that it hears, on a bus and with a router that are none."""
+"""What the worker publishes in ROS 2 about the poses that it gets, with a fake bus and a fake router."""
 
 from __future__ import annotations
 
@@ -28,19 +28,21 @@ from tests.services.ros2.test_ros2 import CAMERA_SEEN, pose
 
 
 class _Router:
-    """Keeps what is published, read back, by its type."""
+    """Keeps the published messages, decoded, by their type."""
 
     connected, node = True, None
 
     def __init__(self) -> None:
-        self.told: dict[str, list[Any]] = defaultdict(list)
+        self.published: dict[str, list[Any]] = defaultdict(list)
 
     def publish(self, topic: str, kind: str, payload: bytes) -> None:
-        self.told[kind].append(types().deserialize_cdr(payload, kind))
+        self.published[kind].append(types().deserialize_cdr(payload, kind))
 
     def edges(self) -> set[tuple[str, str]]:
         """Parent and child of all transforms."""
-        return {(t.header.frame_id, t.child_frame_id) for m in self.told[TRANSFORMS] for t in m.transforms}
+        return {
+            (t.header.frame_id, t.child_frame_id) for m in self.published[TRANSFORMS] for t in m.transforms
+        }
 
 
 def _work(mount: MountFromTf | None = None) -> tuple[Ros2Work, FakeBus, _Router]:
@@ -62,16 +64,16 @@ def test_poses_of_one_frame_that_come_far_apart_are_one_array() -> None:
             work.step()
             time.sleep(0.015)
             work.step()
-    assert [len(told.detections) for told in router.told[DETECTIONS]] == [2, 2, 2]
-    # Nobody waits for the others who wants the pose of one.
+    assert [len(published.detections) for published in router.published[DETECTIONS]] == [2, 2, 2]
+    # A single pose is published without waiting for the others.
     bus.arriving[PoseMessage].append(_now("box", 4))
     work.step()
-    assert (len(router.told[POSE]), len(router.told[DETECTIONS])) == (7, 3)
+    assert (len(router.published[POSE]), len(router.published[DETECTIONS])) == (7, 3)
     assert 0 < work.due_ns() - now_ns() <= 25_000_000
 
 
 @pytest.mark.parametrize("theirs", [True, False])
-def test_a_frame_that_the_robot_places_itself_gets_no_second_parent(theirs: bool) -> None:
+def test_a_frame_whose_transform_the_robot_publishes_gets_no_second_parent(theirs: bool) -> None:
     child = CAMERA_SEEN.frame if theirs else "tool0"
     mount = MountFromTf(cast(Bus, FakeBus("ros2")), TfConfig(parent="base_link", child=child))
     work, bus, router = _work(mount=mount)
@@ -83,7 +85,7 @@ def test_a_frame_that_the_robot_places_itself_gets_no_second_parent(theirs: bool
         work.step()
     assert (CAMERA_SEEN.frame, f"box_{pose().instance}") in router.edges()
     assert (("base_link", CAMERA_SEEN.frame) in router.edges()) is not theirs
-    assert all(message.transforms for message in router.told[TRANSFORMS])
+    assert all(message.transforms for message in router.published[TRANSFORMS])
 
 
 def test_an_object_that_is_added_later_has_its_box(
@@ -101,12 +103,12 @@ def test_an_object_that_is_added_later_has_its_box(
 
     def boxes() -> dict[str, tuple[float, float, float]]:
         found = {}
-        for one in router.told[DETECTIONS][-1].detections:
+        for one in router.published[DETECTIONS][-1].detections:
             size = one.bbox.size
             found[one.results[0].hypothesis.class_id] = (size.x, size.y, size.z)
         return found
 
-    while not router.told[DETECTIONS] or not boxes().get("tea_box", (0.0,))[0]:
+    while not router.published[DETECTIONS] or not boxes().get("tea_box", (0.0,))[0]:
         assert time.monotonic() < until
         frame += 1
         bus.arriving[PoseMessage] += [_now(name, frame) for name in ("can", "tea_box", "ghost")]

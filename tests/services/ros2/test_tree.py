@@ -1,4 +1,4 @@
-"""The way through a tree of frames, beside the same with matrices."""
+"""Transforms through a tree of frames, compared with products of matrices."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_chain_of_moving_joints_and_static_links() -> None:
     assert found[0] == T0
     assert found[1].parent == "base"
     assert np.allclose(matrix(found[1]), a @ b @ c)
-    assert tree.newest(T0 + MS) is None, "each stamp once"
+    assert tree.newest(T0 + MS) is None, "each timestamp once"
 
 
 @pytest.mark.parametrize(("parent", "child"), [("arm", "camera"), ("camera", "arm")])
@@ -64,23 +64,23 @@ def test_frames_on_two_branches(parent: str, child: str) -> None:
 
 
 def test_two_publishers_that_do_not_measure_at_the_same_time() -> None:
-    """The slower one's last stamp counts; the faster one is interpolated there, exactly for a turn about an
-    axis at one speed."""
+    """The last timestamp of the slower one counts; the faster one is interpolated there, exactly for a
+    rotation about an axis at constant speed."""
 
-    def turned(seconds: float) -> np.ndarray:
+    def rotated(seconds: float) -> np.ndarray:
         return se3.make(se3.rotation_exp(np.array([0.0, 0.0, 2.0 * seconds])), np.array([seconds, 0.0, 0.0]))
 
     tree = Tree("map", "tool")
     for k in range(4):
-        tree.take([(T0 + k * 20 * MS, "tool", mount("base", turned(k * 0.02)))], static=False)
+        tree.take([(T0 + k * 20 * MS, "tool", mount("base", rotated(k * 0.02)))], static=False)
     tree.take([(T0 + 50 * MS, "base", mount("map", np.eye(4)))], static=False)
     found = tree.newest(T0)
     assert found is not None
     assert found[0] == T0 + 50 * MS
-    assert np.allclose(matrix(found[1]), turned(0.05))
+    assert np.allclose(matrix(found[1]), rotated(0.05))
 
 
-def test_what_is_late_changes_nothing_and_a_clock_that_is_set_back_begins_anew() -> None:
+def test_a_late_transform_is_ignored_and_a_clock_that_is_set_back_begins_anew() -> None:
     here, there = mount("base", np.eye(4)), mount("base", se3.make(np.eye(3), np.ones(3)))
     tree = Tree("base", "tool")
     tree.take([(T0, "tool", here)], static=False)
@@ -93,7 +93,7 @@ def test_what_is_late_changes_nothing_and_a_clock_that_is_set_back_begins_anew()
     assert found == (T0 - 5000 * MS, there)
 
 
-def test_what_never_moves_is_known_after_the_wall_clock_was_set_back() -> None:
+def test_static_transforms_are_known_after_the_wall_clock_was_set_back() -> None:
     tree = Tree("base", "tool")
     tree.take([(0, "tool", mount("base", np.eye(4)))], static=True)
     for now_ns in (T0, T0 + 1000 * MS, T0 - 3_600_000 * MS):
@@ -102,7 +102,7 @@ def test_what_never_moves_is_known_after_the_wall_clock_was_set_back() -> None:
         assert found[0] == now_ns
 
 
-def test_a_ring_of_frames_ends() -> None:
+def test_a_cycle_of_frames_does_not_loop_for_ever() -> None:
     tree = Tree("base", "a")
     place = mount("b", np.eye(4))
     tree.take([(T0, "a", place), (T0, "b", mount("a", np.eye(4)))], static=True)

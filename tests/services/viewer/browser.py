@@ -1,4 +1,4 @@
-"""Headless Chromium for tests: a page's picture, asked for through a pipe; graphics by software."""
+"""Headless Chromium for tests: pictures of a page, requested through a pipe; graphics by software."""
 
 from __future__ import annotations
 
@@ -42,18 +42,18 @@ _SWITCHES = (
     "--disable-sync",
     "--disable-quic",
     "--no-first-run",
-    # No name but this machine's is looked up: the page has to do without the internet.
+    # No name but this machine's is resolved: the page must work without the internet.
     "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     "--remote-debugging-pipe",
 )
 
 
 class NotYetError(RuntimeError):
-    """The page is on its way to another address, in a process that is not there yet."""
+    """The page is opening another address, in a process that has not started yet."""
 
 
 class Page:
-    """One page of a browser, steered by the DevTools protocol: JSON that ends with a zero byte."""
+    """One page of a browser, controlled by the DevTools protocol: JSON that ends with a zero byte."""
 
     def __init__(self, write: int, read: int) -> None:
         self._write, self._read = write, read
@@ -61,7 +61,7 @@ class Page:
         self._session: str | None = None
 
     def attach(self) -> None:
-        """Take the browser's first page."""
+        """Attaches to the browser's first page."""
         while not (pages := self._pages()):
             time.sleep(0.1)
         target = pages[0]
@@ -72,7 +72,7 @@ class Page:
         return [target["targetId"] for target in targets if target["type"] == "page"]
 
     def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """The answer to a command; RuntimeError where it is an error. Events are left out."""
+        """The answer to a command; RuntimeError if it is an error. Events are skipped."""
         self._number += 1
         message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
         if self._session is not None:
@@ -156,5 +156,5 @@ def opened(address: str, folder: Path, width: int = 1400, height: int = 840) -> 
 
 
 def save(picture: UInt8, path: Path) -> None:
-    """Write a picture, to be looked at."""
+    """Writes a picture to a file, for people."""
     cv2.imwrite(str(path), picture[..., ::-1])

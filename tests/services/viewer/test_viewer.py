@@ -1,4 +1,4 @@
-"""What the viewer draws, against geometry that is known, and what it writes, read back."""
+"""The viewer's drawings against known geometry, and the files that it writes, read back."""
 
 import re
 import subprocess
@@ -47,7 +47,7 @@ def _box():
     return demo_objects()["tea_box"]
 
 
-def test_an_outline_is_the_border_of_what_the_mesh_covers():
+def test_an_outline_encloses_the_projected_mesh():
     mesh = _box()
     T_cam_obj = se3.make(np.eye(3), np.array([0.0, 0.0, 0.5]) - mesh.centre)
     (line,) = outlines(mesh, T_cam_obj, CAMERA)
@@ -57,7 +57,7 @@ def test_an_outline_is_the_border_of_what_the_mesh_covers():
     assert line.max(0) == pytest.approx(pixels.max(0), abs=1.5)
 
 
-def test_nothing_is_drawn_of_what_is_behind_the_camera():
+def test_nothing_behind_the_camera_is_drawn():
     mesh = _box()
     T_cam_obj = se3.make(np.eye(3), np.array([0.0, 0.0, -0.5]))
     assert outlines(mesh, T_cam_obj, CAMERA) == []
@@ -72,7 +72,7 @@ def test_axes_begin_in_the_middle_and_point_along_the_image():
     assert z == pytest.approx(np.array([[50, 40], [50, 40]]))
 
 
-def test_the_cloud_lies_where_the_pixels_look():
+def test_the_point_cloud_lies_on_the_rays_of_its_pixels():
     depth = np.zeros((81, 101), np.uint16)
     depth[40, 50], depth[41, 60], depth[0, 0] = 5000, 7000, 65535
     color = np.arange(81 * 101 * 3, dtype=np.int64).reshape(81, 101, 3).astype(np.uint8)
@@ -81,7 +81,7 @@ def test_the_cloud_lies_where_the_pixels_look():
     assert (colors == color[[40, 41], [50, 60]]).all()
 
 
-def test_graphics_get_the_same_triangles_and_a_small_texture():
+def test_a_drawable_mesh_has_the_same_triangles_and_a_small_texture():
     mesh = _box()
     shown = drawable(mesh)
     triangles = shown["triangle_indices"]
@@ -106,7 +106,7 @@ def test_colours_survive_as_luma_and_chroma_planes():
         max_size=8,
     )
 )
-def test_labels_never_cover_one_another_and_stay_in_the_picture(found):
+def test_labels_do_not_overlap_and_stay_in_the_image(found):
     sizes = [label_size(text) for _, _, text in found]
     placed = apart([(x, y) for x, y, _ in found], sizes, 640, 480)
     boxes = [(x - w / 2, y, x + w / 2, y + h) for (x, y), (w, h) in zip(placed, sizes, strict=True)]
@@ -121,7 +121,7 @@ def test_labels_never_cover_one_another_and_stay_in_the_picture(found):
             assert beside or top >= b2 - tiny or bottom <= t2 + tiny
 
 
-def test_a_label_that_is_alone_stays_where_it_was():
+def test_a_single_label_is_not_moved():
     assert apart([(300.0, 100.0)], [(80.0, 20.0)], 640, 480) == [(300.0, 100.0)]
 
 
@@ -132,7 +132,7 @@ def test_a_depth_image_without_readings_has_a_range():
 
 @pytest.fixture
 def shown(tmp_path):
-    """Makes a Show of these bodies; `written` completes its file."""
+    """A function that makes a Show of bodies; its `written` completes the file and gives its path."""
     pytest.importorskip("rerun")
     from huepose_services.viewer.show import Show
     from huepose_services.viewer.sinks import saved
@@ -231,7 +231,7 @@ def test_without_a_screen_it_says_what_to_do(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["v.png", "run"])
-def test_a_file_of_another_ending_is_refused_before_anything_is_looked_for(name, tmp_path, refused):
+def test_a_file_with_another_extension_is_refused_first(name, tmp_path, refused):
 
     said = refused(["view", "--save", tmp_path / name, "--config", tmp_path / "none.yaml"])
     assert "expected a file for the rerun viewer, FILE.rrd" in said
@@ -265,7 +265,7 @@ with full_disk(100_000):
 """
 
 
-def test_a_full_disk_is_said_where_a_file_begins_and_once_it_takes_no_more(tmp_path):
+def test_a_full_disk_is_reported_at_the_start_of_a_file_and_later(tmp_path):
     pytest.importorskip("rerun")
     # In a process of its own: rerun never gives up a file that it could not write.
     program = [sys.executable, "-c", FULL, str(tmp_path)]
@@ -277,7 +277,7 @@ def test_a_full_disk_is_said_where_a_file_begins_and_once_it_takes_no_more(tmp_p
 
 
 @pytest.mark.parametrize("begins_with_picture", [True, False])
-def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_picture):
+def test_a_file_begins_with_an_image_and_loses_no_state_change(begins_with_picture):
     from unittest.mock import MagicMock
 
     from huepose_services.viewer import work
@@ -308,7 +308,7 @@ def test_a_file_begins_with_a_picture_and_loses_no_change_of_state(begins_with_p
     [{"cx": 1.5e308, "cy": 1.5e308}, {"width": 5}],
     ids=["no camera has it", "does not fit its pixels"],
 )
-def test_a_frame_of_no_camera_is_refused_and_the_next_one_is_shown(wrong):
+def test_a_frame_with_wrong_intrinsics_is_refused_and_the_next_one_shown(wrong):
     from unittest.mock import MagicMock
 
     from huepose_services.viewer.work import ViewerWork
@@ -321,11 +321,11 @@ def test_a_frame_of_no_camera_is_refused_and_the_next_one_is_shown(wrong):
     viewer = ViewerWork(bus, show, {}, MagicMock(), 1e9)
     until(lambda: viewer.step() or show.frame.called)
     assert bus.refuse.call_count == 1
-    assert [told.args[0].intrinsics for told in show.frame.call_args_list] == [SIZE]
+    assert [call.args[0].intrinsics for call in show.frame.call_args_list] == [SIZE]
 
 
 def _rows(path, entity, column):
-    """What of a column was logged at an entity, by its times."""
+    """The values of a column that were logged at an entity, in order of time."""
     from rerun.chunk import RrdReader
 
     out = []
@@ -340,7 +340,7 @@ def _rows(path, entity, column):
     return [value for _, value in sorted(out, key=lambda one: one[0])]
 
 
-def test_what_comes_later_than_its_first_pose_or_in_its_place_is_drawn(shown):
+def test_a_mesh_that_comes_after_the_first_pose_or_replaces_another_is_drawn(shown):
     bodies = {}
     show, pose = shown(bodies), example(PoseMessage)
     show.at(10**18, 1)
@@ -357,7 +357,7 @@ def test_what_comes_later_than_its_first_pose_or_in_its_place_is_drawn(shown):
 
 
 def _viewer(show):
-    """A viewer, and what it is shown a picture and poses with, at a time in seconds."""
+    """A function that gives a viewer poses, and an image unless told not to, of a time in seconds."""
     from unittest.mock import MagicMock
 
     from huepose_services.viewer import work
@@ -381,7 +381,7 @@ def _viewer(show):
     return step
 
 
-def test_who_is_silent_for_a_second_of_pictures_leaves_no_ghost(shown, monkeypatch):
+def test_an_object_without_poses_for_a_second_of_images_disappears(shown, monkeypatch):
     monkeypatch.setattr("huepose_services.viewer.work._PATIENCE_NS", 0)
     step = _viewer(shown({}))
     stays = example(PoseMessage)
@@ -400,8 +400,8 @@ def test_who_is_silent_for_a_second_of_pictures_leaves_no_ghost(shown, monkeypat
     assert sum("can/0  is no longer" in text for text in said) == 1
 
 
-def test_whose_poses_come_late_is_no_ghost(monkeypatch):
-    """Over a second after their pictures, as of a tracker on a computer that is much too slow."""
+def test_an_object_whose_poses_come_late_does_not_disappear(monkeypatch):
+    """Poses over a second after their images, as from a tracker on a computer that is much too slow."""
     from unittest.mock import MagicMock
 
     monkeypatch.setattr("huepose_services.viewer.work._PATIENCE_NS", 0)

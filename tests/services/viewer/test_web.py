@@ -1,4 +1,4 @@
-"""The viewer's page in a browser: what it shows of a frame whose objects are where the test put them."""
+"""The viewer's page in a browser, for a frame with objects at known poses."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ pytestmark = [
     pytest.mark.skipif(browser.PROGRAM is None, reason="there is no Chromium: apt-get install chromium"),
 ]
 RATE_HZ = 2.0
-# The view "Camera and poses", at 1400 x 840: x from and to, y from and to.
+# Rows and columns of the view "Camera and poses" in a page of 1400 x 840 pixels.
 VIEW = (slice(66, 588), slice(0, 699))
 SURE, DOUBTED = standing_pose(0.6, -0.15, 0.0), standing_pose(-0.4, 0.15, 0.0)
-TURNED = se3.compose(DOUBTED, se3.make(se3.rotation_exp(np.array([0.0, 0.0, 0.8])), np.zeros(3)))
+ROTATED = se3.compose(DOUBTED, se3.make(se3.rotation_exp(np.array([0.0, 0.0, 0.8])), np.zeros(3)))
 
 
 @pytest.fixture
 def config(tea_box: ReferenceModel, tmp_path: Path, base_port: int) -> Config:
-    """Of a pipeline of a camera and a tracker, which the test stands in for."""
+    """The configuration of a camera and a tracker; the test publishes in their place."""
     save_model(tea_box, tmp_path / "bundles" / "tea_box.huepose")
     path = tmp_path / "pipeline.yaml"
     said = {"workers": ["camera", "tracker"], "bundles": "bundles", "bus": {"base_port": base_port}}
@@ -60,7 +60,7 @@ def config(tea_box: ReferenceModel, tmp_path: Path, base_port: int) -> Config:
 
 
 def messages_of(frame: RgbdFrame, frame_id: int) -> tuple[FrameHeader, bytes, list[Message]]:
-    """A frame as the camera sends it, and what the tracker says of it: one box sure, one doubted."""
+    """A frame as the camera sends it, and the tracker's messages about it: one box TRACKING, one SUSPECT."""
     now = time.monotonic_ns()
     stamps = {"publish_ns": now, "capture_ns": now, "frame_id": frame_id, "camera_epoch": 7}
     header, payload = sent(frame, **stamps)
@@ -82,7 +82,7 @@ def messages_of(frame: RgbdFrame, frame_id: int) -> tuple[FrameHeader, bytes, li
         HeldHypothesis(translation=t, quaternion=q, share=share, source=source)
         for (t, q), share, source in (
             (pose_to_wire(DOUBTED), 0.7, "velocity"),
-            (pose_to_wire(TURNED), 0.3, "turn"),
+            (pose_to_wire(ROTATED), 0.3, "turn"),
         )
     ]
     held = HypothesesMessage(
@@ -94,7 +94,7 @@ def messages_of(frame: RgbdFrame, frame_id: int) -> tuple[FrameHeader, bytes, li
 
 @contextmanager
 def published(config: Config, frame: RgbdFrame) -> Iterator[None]:
-    """That frame again and again, from the camera's and the tracker's places."""
+    """Publishes the frame repeatedly, at the endpoints of the camera and the tracker."""
     keys = config.keys
     places = [config.endpoint(worker) for worker in config.workers]
     Path(places[0].removeprefix("unixsock-stream/")).parent.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -115,7 +115,7 @@ def published(config: Config, frame: RgbdFrame) -> Iterator[None]:
 
 
 def columns_of(picture: UInt8, colour: tuple[int, int, int]) -> np.ndarray:
-    """The columns of the pixels in the view that have a colour, about; as many as there are."""
+    """The column of each pixel in the view that has about this colour."""
     view = picture[VIEW].astype(int)
     return np.nonzero((np.abs(view - colour) < 24).all(-1))[1]
 

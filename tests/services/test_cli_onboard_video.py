@@ -66,9 +66,9 @@ def file_of_bag(path: Path, frames: list[RgbdFrame]) -> None:
 
 def rotating() -> list[RgbdFrame]:
     """Three frames of an object that rotates by 12 degrees."""
-    from tests.onboarding.test_from_video import drawn, pose
+    from tests.onboarding.test_from_video import pose, rendered
 
-    return [drawn(pose(np.radians(6.0 * k)), k) for k in range(3)]
+    return [rendered(pose(np.radians(6.0 * k)), k) for k in range(3)]
 
 
 def given_for(recording: Path, out: Path) -> list[str]:

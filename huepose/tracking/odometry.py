@@ -1,15 +1,16 @@
-"""Visual odometry: the motion of the camera, measured from its pictures where no pose of it is given.
+"""Visual odometry: the camera motion, measured from its images where no camera pose is given.
 
-Corners of a keyframe, with their depth, are followed from picture to picture (Lucas and Kanade, pyramidal,
-forward and back); the pose of the camera is the one that most of them agree on (EPnP in RANSAC, then least
-squares). A camera stands as long as half of the corners are where they were in the keyframe, so one at rest
-does not drift. If the motion cannot be measured, the camera is taken to have stood.
+- Corners of a keyframe, with their depth, are tracked from image to image (Lucas and Kanade, pyramidal,
+  forward and back). The camera pose is the one with most inliers (EPnP in RANSAC, then least squares).
+- If too few corners are found again, as after a large step, SIFT features of the last two images are
+  matched.
+- A camera is static while half of the corners are where they were in the keyframe. So a static camera does
+  not drift. If the motion cannot be measured, the camera is taken for static.
+- A slowly moving camera is not measured: a tracker follows small motions of the whole image just as well.
+  Phase correlation of two thumbnails gives the shift of the whole image, and the first guess of where
+  corners are.
 
-Nothing of this is done for a camera that moves slowly: a track follows what is seen to move by little just as
-well. How far the whole picture moves is told by phase correlation of two thumbnails. That is also where the
-corners are first looked for.
-
-Constants that say nothing else were chosen on films of `studies.on_hand` (seeds 924 and 904) and on the
+Constants without another origin were chosen on films of `studies.on_hand` (seeds 924 and 904) and on the
 built-in scene.
 """
 
@@ -28,60 +29,68 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
+from huepose.propose.features import Sift
 
 THUMBNAIL_PX, FAST, CALM_S = 80, 1 / 160, 1.0
-"""Width of a thumbnail; the least shift of a picture from frame to frame, as a share of its width, of a
-camera that moves fast (4 of 640 pixels, some 10 degrees a second at 30 Hz); and for how long its motion is
-measured then. Three films of a camera on a hand move by 8 to 13 pixels in the median, the built-in scene by
-3.3 at most."""
+"""Width of a thumbnail. A camera moves fast if its image shifts by more than this share of its width from
+frame to frame: 4 of 640 pixels, some 10 degrees per second at 30 Hz. Its motion is then measured for so
+long. Three films of a camera on a hand shift by 8 to 13 pixels in the median, the built-in scene by 3.3 at
+most."""
 
 WIDTH_PX = 320
-"""Corners are followed in pictures of this width, or of a camera's own if that is less."""
+"""Corners are tracked in images of this width, or of the camera's own width if that is less."""
 
 CORNERS, APART_PX, WORST = 300, 7, 0.01
-"""Most corners of a keyframe, their least distance, and the least strength of one as a share of the best."""
+"""Most corners of a keyframe, their least distance, and the least strength of one as a share of the
+strongest."""
 
 WINDOW_PX, LEVELS = 15, 4
-"""Of Lucas and Kanade: side of a window, and levels of the pyramids: corners are found again up to some
-hundred pixels off."""
+"""Lucas and Kanade: side of a window, and levels of the pyramids. Corners are found again up to about a
+hundred pixels from the first guess."""
 
-PROBES, CELL_PX, STANDS_PX, STILL_SHARE = 40, 40, 0.12, 0.5
-"""The camera stands if, of so many corners, spread over cells of the picture, that share is no farther than
-this from where it was in the keyframe. What moves before a camera at rest seldom covers so many."""
+PROBES, CELL_PX, STATIC_PX, STATIC_SHARE = 40, 40, 0.12, 0.5
+"""A camera is static if this share of PROBES corners, spread over cells of the image, is within STATIC_PX
+of where it was in the keyframe. An object that moves before a static camera seldom covers more than half of
+them."""
 
 MOVED_PX, EXPLAINED = 0.3, 0.6
-"""A corner that has moved by more than this must be so much more alike there than where it was: else it is
-noise that is followed. Of the difference 0.04 to 0.2 are left where a camera on a hand moves (six films), and
-0.85 to 0.89 before a smooth wall."""
+"""If a corner moves by more than MOVED_PX, its window must differ there by less than this share of its
+difference at the old place; else noise was tracked. The share is 0.04 to 0.2 before a camera on a hand (six
+films), and 0.85 to 0.89 before a smooth wall."""
 
 OFF_PX = 0.75
-"""Most that a corner may lie off where the pose puts it, or where it is followed back to."""
+"""Largest reprojection error of an inlier, and of a corner that is tracked back to where it came from."""
+
+RATIO, MATCHED_PX = 0.85, 1.5
+"""SIFT features: ratio test (Lowe), and the largest reprojection error of an inlier. A feature is located
+less precisely than a corner is tracked: with OFF_PX half of the right matches are outliers."""
 
 FEWEST, MAJORITY = 25, 0.5
-"""Corners that have to agree on a motion, and their share of those that were found again."""
+"""Least number of inliers of a motion, and their least share of all corners that were found again."""
 
-VOTE, FEWEST_OF_ROOM = 3, 10
-"""A part of the picture stands if so many of its corners do, and the share of them with which the camera
-does; else it agrees with a motion if as many do, and the share that has to. The parts are tracked objects and
-the room, what lies outside of them. The room has to agree, or if it has fewer corners than the last, two
-objects; and no more objects may stand than agree: else something large passes before a camera at rest."""
+VOTE, FEWEST_OF_BACKGROUND = 3, 10
+"""Parts of the image are the tracked objects and the background, which is all the rest. A part is static if
+at least VOTE of its corners, and STATIC_SHARE of them, have not moved. It agrees with a motion if at least
+VOTE, and MAJORITY, are inliers. The background has to agree; if it has fewer than FEWEST_OF_BACKGROUND
+corners, two objects have to. And at least as many objects must agree as are static: else something large
+passes before a static camera."""
 
 BESIDE_PX = 5.0
-"""So far outside of its box a corner may be an object's outline."""
+"""A corner up to so far outside of an object's box may be on its outline."""
 
 SILENT_S = 1.0
-"""So long after the last pose that was told nobody tells any more: a robot tells ten a second, or misses
-some."""
+"""So long after the last given camera pose, odometry takes over. A robot gives ten per second, and some are
+missing."""
 
 WORN = 0.9
-"""A new keyframe is begun where less than this share of a keyframe's corners is left: what is followed from
-picture to picture drifts."""
+"""A new keyframe begins when less than this share of a keyframe's corners is left: corners that are tracked
+from image to image drift."""
 
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """grey (h, w): the picture; points (N, 3): corners in its camera's axes, metres; pixels (N, 2), strongest
-    first; probes (P,): those that tell whether the camera stands; T_room_cam (4, 4)."""
+    """grey (h, w): the image; points (N, 3): corners in camera axes, metres; pixels (N, 2), strongest
+    first; probes (P,): indices of the corners that decide whether the camera is static; T_room_cam (4, 4)."""
 
     grey: UInt8
     points: Float64
@@ -92,8 +101,8 @@ class Keyframe:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """The last picture, in grey (h, w); alive (N,): the corners of the keyframe that are followed in it, by
-    their indices; pixels (N, 2): where they are."""
+    """The last image, grey (h, w); alive (N,): indices of the keyframe's corners that are tracked in it;
+    pixels (N, 2): where they are."""
 
     grey: UInt8
     alive: Int64
@@ -101,49 +110,50 @@ class Seen:
 
     @staticmethod
     def as_in(key: Keyframe, grey: UInt8) -> Seen:
-        """A picture in which all corners are where they are in the keyframe."""
+        """An image in which all corners are where they are in the keyframe."""
         return Seen(grey, np.arange(len(key.pixels)), key.pixels)
 
 
 class Odometry:
-    """Where one camera is, frame by frame: where it is told to be, else, if `on`, where it is measured to be,
-    in the axes of what came first. What is told after it was measured is taken to these axes.
+    """Adds camera poses to the frames of one camera. The given pose of a frame is used; if none is given,
+    and `on`, it is measured. All are in the axes of what came first: poses that are given after measured
+    ones are transformed.
 
-    Single frames of which nobody tells it have no place: what is told next says better how it moved. It is
-    measured meanwhile, so that its place is known where nobody tells any more (`SILENT_S`)."""
+    A single frame without a given pose stays without: the next given pose says better how the camera moved.
+    It is measured all the same, so that odometry can go on if no more poses are given (`SILENT_S`)."""
 
     def __init__(self, on: bool = True) -> None:
         self._on = on
         self._T_room_parent: Float64 | None = None
-        self._told_ns: int | None = None
+        self._given_ns: int | None = None
         self._before: RgbdFrame | None = None
         self._fast_ns: int | None = None
-        self._followed: tuple[Keyframe, Seen] | None = None
+        self._tracked: tuple[Keyframe, Seen] | None = None
         self._T_room_cam: Float64 = np.eye(4)
 
     def placed(self, frame: RgbdFrame, objects: Callable[[], Sequence[Box]]) -> RgbdFrame:
-        """The next frame from where its camera was. objects: gives the boxes of tracked objects in the frame
-        before."""
+        """The next frame, with its camera pose. objects: returns the boxes of tracked objects in the last
+        frame."""
         if not self._on:
             return frame
-        told, told_ns = frame.T_parent_cam, self._told_ns
-        silent = told_ns is None or not 0 <= frame.stamp_ns - told_ns <= SILENT_S * 1e9
-        if told is None or silent:
-            self._go_on(frame, objects)
-        if told is None:
+        given, given_ns = frame.T_parent_cam, self._given_ns
+        silent = given_ns is None or not 0 <= frame.stamp_ns - given_ns <= SILENT_S * 1e9
+        if given is None or silent:
+            self._update(frame, objects)
+        if given is None:
             self._before = frame.seen_from(self._T_room_cam)
             return self._before if silent else frame
         if silent and self._before is not None:
-            self._T_room_parent = se3.compose(self._T_room_cam, se3.inverse(told))
+            self._T_room_parent = se3.compose(self._T_room_cam, se3.inverse(given))
         if self._T_room_parent is not None:
-            told = se3.compose(self._T_room_parent, told)
-            frame = frame.seen_from(told)
+            given = se3.compose(self._T_room_parent, given)
+            frame = frame.seen_from(given)
         self._rest()
-        self._before, self._told_ns, self._T_room_cam = frame, frame.stamp_ns, told
+        self._before, self._given_ns, self._T_room_cam = frame, frame.stamp_ns, given
         return frame
 
-    def _go_on(self, frame: RgbdFrame, objects: Callable[[], Sequence[Box]]) -> None:
-        """Find out where the camera is, if it moves fast or did a moment ago."""
+    def _update(self, frame: RgbdFrame, objects: Callable[[], Sequence[Box]]) -> None:
+        """Measure the camera pose if the camera moves fast, or did so within the last CALM_S."""
         before, now_ns = self._before, frame.stamp_ns
         if before is None or before.camera != frame.camera:
             self._rest()
@@ -157,40 +167,43 @@ class Odometry:
             self._measure(before, frame, shift, objects())
 
     def _rest(self) -> None:
-        """Measure nothing until the camera moves fast."""
-        self._fast_ns = self._followed = None
+        """Stop measuring until the camera moves fast."""
+        self._fast_ns = self._tracked = None
 
     def _measure(self, before: RgbdFrame, frame: RgbdFrame, shift: Float64, objects: Sequence[Box]) -> None:
-        """Find out where the camera of a frame was; shift (2,): of its picture; objects: as above."""
+        """Measure the camera pose of a frame. shift (2,): of the whole image since the last frame; objects:
+        boxes of tracked objects in the last frame."""
         factor = min(1.0, WIDTH_PX / frame.camera.width)
         camera = frame.camera.scaled(factor)
         grey = _grey(frame, camera)
         boxes = [_scaled(box, factor) for box in objects]
-        key, seen = self._followed or _begun(before, camera, _grey(before, camera), boxes, self._T_room_cam)
-        if _stands(key, grey):
-            self._T_room_cam, self._followed = key.T_room_cam, (key, Seen.as_in(key, grey))
+        key, seen = self._tracked or _begun(before, camera, _grey(before, camera), boxes, self._T_room_cam)
+        if _is_static(key, grey):
+            self._T_room_cam, self._tracked = key.T_room_cam, (key, Seen.as_in(key, grey))
             return
         guess = (seen.pixels + shift * camera.width).astype(np.float32)
         found = _moved(key, seen, camera, grey, guess, boxes)
         if found is None:
-            self._rest()
+            T_cam_before = _matched(before, camera, _grey(before, camera), grey, boxes)
+            if T_cam_before is None:
+                self._rest()
+                return
+            self._T_room_cam = se3.compose(self._T_room_cam, se3.inverse(T_cam_before))
+            self._tracked = _begun(frame, camera, grey, boxes, self._T_room_cam)
             return
         T_cam_key, seen = found
         self._T_room_cam = se3.compose(key.T_room_cam, se3.inverse(T_cam_key))
         worn = len(seen.alive) < WORN * len(key.pixels)
-        self._followed = _begun(frame, camera, grey, boxes, self._T_room_cam) if worn else (key, seen)
+        self._tracked = _begun(frame, camera, grey, boxes, self._T_room_cam) if worn else (key, seen)
 
 
 def _begun(
     frame: RgbdFrame, camera: Camera, grey: UInt8, boxes: Sequence[Box], T_room_cam: Float64
 ) -> tuple[Keyframe, Seen]:
-    """A keyframe made of a frame, and its corners there; camera, boxes: in the smaller picture."""
+    """A new keyframe, and its corners in it. camera, boxes: of the smaller image."""
     corners: Any = cv2.goodFeaturesToTrack(grey, CORNERS, WORST, APART_PX)
     pixels: Float32 = np.zeros((0, 2), np.float32) if corners is None else corners.reshape(-1, 2)
-    whole = frame.camera.width, frame.camera.height
-    inside = (pixels + 0.5) * (np.array(whole) / (camera.width, camera.height)) - 0.5
-    columns, rows = np.clip(np.rint(inside).astype(np.int64), 0, np.array(whole) - 1).T
-    depth = frame.depth[rows, columns]
+    depth = _depth_at(frame, camera, pixels)
     known = depth > NEAR_M
     pixels = np.ascontiguousarray(pixels[known])
     points, probes = camera.backproject(pixels, depth[known]), _probes(pixels, _parts(pixels, boxes))
@@ -201,35 +214,87 @@ def _begun(
 def _moved(
     key: Keyframe, seen: Seen, camera: Camera, grey: UInt8, guess: Float32, boxes: Sequence[Box]
 ) -> tuple[Float64, Seen] | None:
-    """From the keyframe's axes to those of the camera now (4, 4), and the corners there; None where too few
-    agree. guess (N, 2): about where the corners are now; boxes: of tracked objects in the last picture."""
+    """T_cam_key (4, 4) of a new image by its tracked corners, and these; None if too few agree. guess (N,
+    2): about where the corners are now; boxes: of tracked objects in the last image."""
     parts = _parts(seen.pixels, boxes)
-    pixels, found, off = _flowed(seen.grey, grey, seen.pixels, guess, LEVELS)
-    back, found_back, _ = _flowed(grey, seen.grey, pixels, seen.pixels, 1)
+    pixels, found, off = _track(seen.grey, grey, seen.pixels, guess, LEVELS)
+    back, found_back, _ = _track(grey, seen.grey, pixels, seen.pixels, 1)
     found &= found_back & (np.linalg.norm(back - seen.pixels, axis=1) < OFF_PX)
     found &= ~_noise(seen.grey, grey, seen.pixels, pixels, off)
     alive, pixels = seen.alive[found], pixels[found]
     if len(alive) < FEWEST:
         return None
-    points, places = key.points[alive], pixels.astype(np.float64)
-    fits, turn, shift, inliers = cv2.solvePnPRansac(
-        points, places, camera.K, None, reprojectionError=OFF_PX, flags=cv2.SOLVEPNP_EPNP
+    static = np.linalg.norm(pixels - key.pixels[alive], axis=1) <= STATIC_PX
+    fitted = _fitted(key.points[alive], pixels, camera, parts[found], static, OFF_PX)
+    if fitted is None:
+        return None
+    # Outliers move by themselves, so they are not tracked any more.
+    return fitted[0], Seen(grey, alive[fitted[1]], pixels[fitted[1]])
+
+
+def _matched(
+    before: RgbdFrame, camera: Camera, grey_before: UInt8, grey: UInt8, boxes: Sequence[Box]
+) -> Float64 | None:
+    """T_cam_before (4, 4) of a new image by SIFT features matched with those of the last frame, however far
+    they moved; None if too few agree. boxes: of tracked objects in the last frame."""
+    (pixels, descriptors), (pixels_now, descriptors_now) = _features(grey_before), _features(grey)
+    if min(len(pixels), len(pixels_now)) < FEWEST:
+        return None
+    similarity = descriptors @ descriptors_now.T
+    rows, best = np.arange(len(pixels)), similarity.argmax(1)
+    mutual = similarity.argmax(0)[best] == rows
+    most = similarity[rows, best]
+    similarity[rows, best] = 0.0
+    distinct = 1.0 - most < RATIO**2 * (1.0 - similarity.max(1))
+    depth = _depth_at(before, camera, pixels)
+    used = mutual & distinct & (depth > NEAR_M)
+    if np.count_nonzero(used) < FEWEST:
+        return None
+    pixels, there = pixels[used], pixels_now[best[used]]
+    static = np.linalg.norm(there - pixels, axis=1) <= OFF_PX
+    fitted = _fitted(
+        camera.backproject(pixels, depth[used]), there, camera, _parts(pixels, boxes), static, MATCHED_PX
     )
-    agree = np.zeros(len(alive), bool)
+    return None if fitted is None else fitted[0]
+
+
+def _features(grey: UInt8) -> tuple[Float32, Float32]:
+    """SIFT features of a grey image: pixels (N, 2), descriptors (N, 128)."""
+    found = Sift().extract(np.repeat(grey[..., None], 3, 2))
+    return found.pixels, found.descriptors
+
+
+def _fitted(
+    points: Float64, pixels: Float32, camera: Camera, parts: Int64, static: Bool, off_px: float
+) -> tuple[Float64, Bool] | None:
+    """The transform (4, 4) from points (N, 3) to the camera in whose image they are at pixels (N, 2), and
+    the inliers (N,) up to off_px; None if too few, or too few of their parts (N,), agree. static (N,):
+    which have not moved."""
+    places = pixels.astype(np.float64)
+    fits, turn, shift, inliers = cv2.solvePnPRansac(
+        points, places, camera.K, None, reprojectionError=off_px, flags=cv2.SOLVEPNP_EPNP
+    )
+    agree = np.zeros(len(points), bool)
     if fits and inliers is not None:
         agree[np.asarray(inliers).ravel()] = True
-    stand = np.linalg.norm(pixels - key.pixels[alive], axis=1) <= STANDS_PX
-    if agree.sum() < FEWEST or agree.mean() < MAJORITY or not _by_all(parts[found], agree, stand):
+    if agree.sum() < FEWEST or agree.mean() < MAJORITY or not _parts_agree(parts, agree, static):
         return None
     turn, shift = cv2.solvePnPRefineLM(points[agree], places[agree], camera.K, None, turn, shift)
     R: Any = cv2.Rodrigues(turn)[0]
-    # What moves by itself is not followed on.
-    return se3.make(R, np.asarray(shift, np.float64).ravel()), Seen(grey, alive[agree], pixels[agree])
+    return se3.make(R, np.asarray(shift, np.float64).ravel()), agree
+
+
+def _depth_at(frame: RgbdFrame, camera: Camera, pixels: Float32) -> Float32:
+    """Depth (N,) of a frame, metres, at pixels (N, 2) of its smaller image; camera: of the smaller image."""
+    whole = np.array((frame.camera.width, frame.camera.height))
+    inside = (pixels + 0.5) * (whole / (camera.width, camera.height)) - 0.5
+    columns, rows = np.clip(np.rint(inside).astype(np.int64), 0, whole - 1).T
+    return frame.depth[rows, columns]
 
 
 def _shift(before: RgbdFrame, frame: RgbdFrame) -> Float64:
-    """By how much the whole picture moved from one frame to the next of the same camera (2,), right and down,
-    as shares of its width; zero where the two have nothing in common."""
+    """Shift (2,) of the whole image from one frame to the next of the same camera, right and down, as
+    shares of its width; zero if the two images have nothing in common."""
     size = THUMBNAIL_PX, max(2, round(THUMBNAIL_PX * frame.camera.height / frame.camera.width))
     first, second = (
         cv2.cvtColor(cv2.resize(f.color, size, interpolation=cv2.INTER_NEAREST), cv2.COLOR_RGB2GRAY)
@@ -243,36 +308,37 @@ def _shift(before: RgbdFrame, frame: RgbdFrame) -> Float64:
 
 @cache
 def _fading(width: int, height: int) -> Float32:
-    """Weights (h, w) that fall to the border, where a picture does not go on as it does on the other side."""
+    """Weights (h, w) that fall to zero at the border: phase correlation takes images for periodic."""
     return np.asarray(cv2.createHanningWindow((width, height), cv2.CV_32F), np.float32)
 
 
 def _grey(frame: RgbdFrame, camera: Camera) -> UInt8:
-    """The picture in grey, as small as that of a camera."""
+    """The grey image in the size of a camera's."""
     grey = cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY)
     size = camera.width, camera.height
     return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def _scaled(box: Box, factor: float) -> Box:
-    """An object's box in a picture made smaller by a factor, with what may be the object's beside it."""
+    """An object's box in an image scaled by a factor, grown by BESIDE_PX."""
     return Box(*(factor * x for x in (box.x, box.y, box.w, box.h))).grown(0.0, BESIDE_PX)
 
 
 def _parts(pixels: Float32, boxes: Sequence[Box]) -> Int64:
-    """Which part of the picture each corner (N, 2) shows (N,): the number of its box, 0 for the room."""
+    """The part of the image each corner (N, 2) belongs to (N,): the number of its box, 0 for the
+    background."""
     parts = np.zeros(len(pixels), np.int64)
     for number, box in enumerate(boxes, 1):
         parts[((pixels >= (box.x, box.y)) & (pixels <= (box.x1, box.y1))).all(1)] = number
     return parts
 
 
-def _flowed(
+def _track(
     before: UInt8, now: UInt8, pixels: Float32, guess: Float32, levels: int
 ) -> tuple[Float32, Bool, Float32]:
-    """Where points (N, 2) of one picture are in another (N, 2), which were found again (N,), and by how much
-    their windows differ then (N,), in grey levels. guess (N, 2): about where; with more levels of the
-    pyramids, farther off that."""
+    """Track points (N, 2) of one image in another: where they are (N, 2), which were found again (N,), and
+    by how much their windows differ (N,), grey levels. guess (N, 2): about where; with more levels of the
+    pyramids, the guess may be farther off."""
     if not len(pixels):
         return pixels, np.zeros(0, bool), np.zeros(0, np.float32)
     there: Any = guess[:, None].copy()
@@ -290,8 +356,8 @@ def _flowed(
 
 
 def _noise(before: UInt8, now: UInt8, pixels: Float32, there: Float32, off: Float32) -> Bool:
-    """Which points (N, 2) of one picture seem to have moved in another, to `there` (N, 2), but their windows
-    differ there (N,) nearly as much as if they had stayed."""
+    """Which points (N, 2) seem to have moved to `there` (N, 2), but whose windows differ there (`off`, N)
+    nearly as much as at the old place: noise was tracked."""
     apart = cv2.blur(cv2.absdiff(before, now).astype(np.float32), (WINDOW_PX,) * 2)
     columns, rows = np.clip(np.rint(pixels).astype(np.int64), 0, (now.shape[1] - 1, now.shape[0] - 1)).T
     moved = np.linalg.norm(there - pixels, axis=1) > MOVED_PX
@@ -299,7 +365,8 @@ def _noise(before: UInt8, now: UInt8, pixels: Float32, there: Float32, off: Floa
 
 
 def _probes(pixels: Float32, parts: Int64) -> Int64:
-    """Indices (P,) of corners (N, 2): those of the room first, and of them the strongest of each cell."""
+    """Indices (P,) of corners (N, 2): those of the background first, the strongest of each cell before
+    others."""
     cells = (pixels // CELL_PX).astype(np.int64) @ (1, WIDTH_PX)
     by_cell = np.argsort(cells, kind="stable")
     _, first, count = np.unique(cells[by_cell], return_index=True, return_counts=True)
@@ -308,19 +375,21 @@ def _probes(pixels: Float32, parts: Int64) -> Int64:
     return np.lexsort((rank, parts > 0))[:PROBES]
 
 
-def _stands(key: Keyframe, grey: UInt8) -> bool:
-    """Whether a picture is taken from where the keyframe was."""
+def _is_static(key: Keyframe, grey: UInt8) -> bool:
+    """Whether the camera of an image is where it was in the keyframe."""
     there = key.pixels[key.probes]
-    pixels, found, _ = _flowed(key.grey, grey, there, there, 1)
-    stand = found & (np.linalg.norm(pixels - there, axis=1) <= STANDS_PX)
-    return bool(stand.sum() >= max(1.0, STILL_SHARE * len(there)))
+    pixels, found, _ = _track(key.grey, grey, there, there, 1)
+    static = found & (np.linalg.norm(pixels - there, axis=1) <= STATIC_PX)
+    return bool(static.sum() >= max(1.0, STATIC_SHARE * len(there)))
 
 
-def _by_all(parts: Int64, agree: Bool, stand: Bool) -> bool:
-    """Whether the parts (N,) of a picture agree with a motion, by the corners (N,) that agree with it and
-    those that stand still."""
-    corners, agreeing, standing = (np.bincount(parts, one, minlength=1) for one in (None, agree, stand))
-    against = (standing >= VOTE) & (standing >= STILL_SHARE * corners)
+def _parts_agree(parts: Int64, agree: Bool, static: Bool) -> bool:
+    """Whether enough parts of an image agree with a motion. parts (N,): of each corner; agree (N,): inliers
+    of the motion; static (N,): corners that have not moved."""
+    corners, agreeing, unmoved = (np.bincount(parts, one, minlength=1) for one in (None, agree, static))
+    against = (unmoved >= VOTE) & (unmoved >= STATIC_SHARE * corners)
     votes = (agreeing >= VOTE) & (agreeing >= MAJORITY * corners) & ~against
     objects = votes[1:].sum()
-    return bool((votes[0] if corners[0] >= FEWEST_OF_ROOM else objects >= 2) and objects >= against[1:].sum())
+    return bool(
+        (votes[0] if corners[0] >= FEWEST_OF_BACKGROUND else objects >= 2) and objects >= against[1:].sum()
+    )

@@ -65,6 +65,21 @@ def test_a_camera_that_is_carried_about_knows_where_it_is(walked, step) -> None:
     assert np.linalg.norm(T_room_cam[:3, 3]) > 0.05
 
 
+@pytest.mark.parametrize("sideways", [0.0, 0.25])
+def test_a_step_too_large_to_track_corners_is_measured_by_matched_features(
+    tea_box, wall, shoot, sideways
+) -> None:
+    """The image rotates by 30 degrees, and shifts by a third of its width."""
+    odometry, (tiles, T_room_mesh) = Odometry(), wall
+    mesh = replace(tiles, vertices=0.5 * tiles.vertices)
+    T_room_cam = se3.make(se3.rotation_exp(np.array([0.1, sideways, 0.52])), np.array([0.05, 0.0, 0.03]))
+    for number, T in enumerate((np.eye(4), T_room_cam)):
+        placed = odometry.placed(shoot([(mesh, se3.compose(se3.inverse(T), T_room_mesh))], 10 * number), list)
+    off = se3.compose(se3.inverse(T_room_cam), placed.T_parent_cam)
+    assert 1e3 * np.linalg.norm(off[:3, 3]) < 6.0
+    assert np.degrees(se3.rotation_angle(off, np.eye(4))) < 0.5
+
+
 def test_a_camera_at_rest_does_not_move_whatever_passes_before_it(tea_box, wall, shoot, path) -> None:
     odometry = Odometry()
     for number in range(30):

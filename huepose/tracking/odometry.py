@@ -7,8 +7,7 @@
 - A camera is static while half of the corners are where they were in the keyframe. So a static camera does
   not drift. If the motion cannot be measured, the camera is taken for static.
 - A slowly moving camera is not measured: a tracker follows small motions of the whole image just as well.
-  Phase correlation of two thumbnails gives the shift of the whole image, and the first guess of where
-  corners are.
+  The shift of the whole image (`camera_shift`) is the first guess of where corners are.
 
 Constants without another origin were chosen on films of `studies.on_hand` (seeds 924 and 904) and on the
 built-in scene.
@@ -18,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import cv2
@@ -30,12 +28,10 @@ from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
 from huepose.propose.features import Sift
+from huepose.tracking.camera_shift import image_shift
 
-THUMBNAIL_PX, FAST, CALM_S = 80, 1 / 160, 1.0
-"""Width of a thumbnail. A camera moves fast if its image shifts by more than this share of its width from
-frame to frame: 4 of 640 pixels, some 10 degrees per second at 30 Hz. Its motion is then measured for so
-long. Three films of a camera on a hand shift by 8 to 13 pixels in the median, the built-in scene by 3.3 at
-most."""
+CALM_S = 1.0
+"""So long after the camera moved fast its motion is measured."""
 
 WIDTH_PX = 320
 """Corners are tracked in images of this width, or of the camera's own width if that is less."""
@@ -158,8 +154,8 @@ class Odometry:
         if before is None or before.camera != frame.camera:
             self._rest()
             return
-        shift = _shift(before, frame)
-        if np.hypot(*shift) > FAST:
+        shift, fast = image_shift(before, frame)
+        if fast:
             self._fast_ns = now_ns
         if self._fast_ns is None or not 0 <= now_ns - self._fast_ns <= CALM_S * 1e9:
             self._rest()
@@ -289,27 +285,7 @@ def _depth_at(frame: RgbdFrame, camera: Camera, pixels: Float32) -> Float32:
     whole = np.array((frame.camera.width, frame.camera.height))
     inside = (pixels + 0.5) * (whole / (camera.width, camera.height)) - 0.5
     columns, rows = np.clip(np.rint(inside).astype(np.int64), 0, whole - 1).T
-    return frame.depth[rows, columns]
-
-
-def _shift(before: RgbdFrame, frame: RgbdFrame) -> Float64:
-    """Shift (2,) of the whole image from one frame to the next of the same camera, right and down, as
-    shares of its width; zero if the two images have nothing in common."""
-    size = THUMBNAIL_PX, max(2, round(THUMBNAIL_PX * frame.camera.height / frame.camera.width))
-    first, second = (
-        cv2.cvtColor(cv2.resize(f.color, size, interpolation=cv2.INTER_NEAREST), cv2.COLOR_RGB2GRAY)
-        for f in (before, frame)
-    )
-    shift, alike = cv2.phaseCorrelate(
-        np.asarray(first, np.float32), np.asarray(second, np.float32), _fading(*size)
-    )
-    return np.array(shift) / THUMBNAIL_PX if alike > 0.0 else np.zeros(2)
-
-
-@cache
-def _fading(width: int, height: int) -> Float32:
-    """Weights (h, w) that fall to zero at the border: phase correlation takes images for periodic."""
-    return np.asarray(cv2.createHanningWindow((width, height), cv2.CV_32F), np.float32)
+    return np.asarray(frame.depth[rows, columns], np.float32)
 
 
 def _grey(frame: RgbdFrame, camera: Camera) -> UInt8:

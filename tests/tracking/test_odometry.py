@@ -80,6 +80,19 @@ def test_a_step_too_large_to_track_corners_is_measured_by_matched_features(
     assert np.degrees(se3.rotation_angle(off, np.eye(4))) < 0.5
 
 
+@pytest.mark.parametrize("axis", ["roll", "forwards"])
+def test_a_camera_that_rolls_or_moves_forwards_is_measured(wall, shoot, axis) -> None:
+    """Then the middle of the image stays where it is."""
+    odometry = Odometry()
+    for number in range(6):
+        angle, way_m = (np.radians(4.0 * number), 0.0) if axis == "roll" else (0.0, 0.03 * number)
+        T_room_cam = se3.make(se3.rotation_exp(np.array([0.0, 0.0, angle])), np.array([0.0, 0.0, way_m]))
+        frame = shoot([(wall[0], se3.compose(se3.inverse(T_room_cam), wall[1]))], number)
+        off = se3.compose(se3.inverse(T_room_cam), odometry.placed(frame, list).T_parent_cam)
+        assert 1e3 * np.linalg.norm(off[:3, 3]) < 6.0
+        assert np.degrees(se3.rotation_angle(off, np.eye(4))) < 0.5
+
+
 def test_a_camera_at_rest_does_not_move_whatever_passes_before_it(tea_box, wall, shoot, path) -> None:
     odometry = Odometry()
     for number in range(30):

@@ -1,0 +1,58 @@
+"""How far the image shifts from frame to frame, by phase correlation of thumbnails, and whether that is
+fast."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+
+from huepose.geometry.arrays import Float32, Float64
+from huepose.geometry.frame import RgbdFrame
+
+WIDTH_PX, FAST = 80, 1 / 160
+"""Width of a thumbnail. A camera moves fast if its image, or three quarters of it, shift by more than FAST, a
+share of the width, from frame to frame: 4 of 640 pixels, some 10 degrees per second at 30 Hz. Three films of
+a camera on a hand (`studies.on_hand`) shift by 8 to 13 pixels in the median, the built-in scene by 3.3 at
+most. Quarters show that a camera rolls or moves forwards; an object before a static camera seldom moves three
+of them (never in 286 frames of fast objects and of a real video)."""
+
+
+def image_shift(before: RgbdFrame, now: RgbdFrame) -> tuple[Float64, bool]:
+    """Shift (2,) of the whole image from one frame to the next of the same camera, right and down, as
+    shares of its width; and whether the camera moves fast. The shift is zero if the images have nothing in
+    common."""
+    thumbnails = _thumbnail(before), _thumbnail(now)
+    shift = _shift(*thumbnails)
+    return shift, bool(np.hypot(*shift) > FAST or _quarters_shift(*thumbnails))
+
+
+def _thumbnail(frame: RgbdFrame) -> Float32:
+    """A small grey image (h, w) of a frame."""
+    size = WIDTH_PX, max(4, round(WIDTH_PX * frame.camera.height / frame.camera.width))
+    small = cv2.resize(frame.color, size, interpolation=cv2.INTER_NEAREST)
+    return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), np.float32)
+
+
+def _shift(before: Float32, now: Float32) -> Float64:
+    """Shift (2,) of the whole image from one thumbnail (h, w), or the same part of it, to the next, right and
+    down, as shares of the image's width; zero if the two have nothing in common."""
+    height, width = before.shape
+    shift, alike = cv2.phaseCorrelate(before, now, _fading(width, height))
+    return np.array(shift) / WIDTH_PX if alike > 0.0 else np.zeros(2)
+
+
+def _quarters_shift(before: Float32, now: Float32) -> bool:
+    """Whether three quarters of a thumbnail (h, w) shift by more than FAST to those of the next one."""
+    height, width = before.shape
+    quarters = [
+        np.s_[y : y + height // 2, x : x + width // 2] for y in (0, height // 2) for x in (0, width // 2)
+    ]
+    return sum(bool(np.hypot(*_shift(before[q].copy(), now[q].copy())) > FAST) for q in quarters) >= 3
+
+
+@cache
+def _fading(width: int, height: int) -> Float32:
+    """Weights (h, w) that fall to zero at the border: phase correlation takes images for periodic."""
+    return np.asarray(cv2.createHanningWindow((width, height), cv2.CV_32F), np.float32)

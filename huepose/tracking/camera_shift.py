@@ -19,13 +19,20 @@ most. Quarters show that a camera rolls or moves forwards; an object before a st
 of them (never in 286 frames of fast objects and of a real video)."""
 
 
-def image_shift(before: RgbdFrame, now: RgbdFrame) -> tuple[Float64, bool]:
+def image_shift(before: RgbdFrame, now: RgbdFrame) -> Float64:
     """Shift (2,) of the whole image from one frame to the next of the same camera, right and down, as
-    shares of its width; and whether the camera moves fast. The shift is zero if the images have nothing in
-    common."""
-    thumbnails = _thumbnail(before), _thumbnail(now)
-    shift = _shift(*thumbnails)
-    return shift, bool(np.hypot(*shift) > FAST or _quarters_shift(*thumbnails))
+    shares of its width; zero if the images have nothing in common."""
+    return _shift(_thumbnail(before), _thumbnail(now))
+
+
+def quarters_shift(before: RgbdFrame, now: RgbdFrame) -> bool:
+    """Whether three quarters of the image shift by more than FAST from one frame to the next."""
+    first, second = _thumbnail(before), _thumbnail(now)
+    height, width = first.shape
+    quarters = [
+        np.s_[y : y + height // 2, x : x + width // 2] for y in (0, height // 2) for x in (0, width // 2)
+    ]
+    return sum(bool(np.hypot(*_shift(first[q].copy(), second[q].copy())) > FAST) for q in quarters) >= 3
 
 
 def _thumbnail(frame: RgbdFrame) -> Float32:
@@ -41,15 +48,6 @@ def _shift(before: Float32, now: Float32) -> Float64:
     height, width = before.shape
     shift, alike = cv2.phaseCorrelate(before, now, _fading(width, height))
     return np.array(shift) / WIDTH_PX if alike > 0.0 else np.zeros(2)
-
-
-def _quarters_shift(before: Float32, now: Float32) -> bool:
-    """Whether three quarters of a thumbnail (h, w) shift by more than FAST to those of the next one."""
-    height, width = before.shape
-    quarters = [
-        np.s_[y : y + height // 2, x : x + width // 2] for y in (0, height // 2) for x in (0, width // 2)
-    ]
-    return sum(bool(np.hypot(*_shift(before[q].copy(), now[q].copy())) > FAST) for q in quarters) >= 3
 
 
 @cache

@@ -2,8 +2,7 @@
 
 - Corners of a keyframe, with their depth, are tracked from image to image (Lucas and Kanade, pyramidal,
   forward and back). The camera pose is the one with most inliers (EPnP in RANSAC, then least squares).
-- If too few corners are found again, as after a large step, SIFT features of the last two images are
-  matched.
+- If too few corners are found again after a long step, SIFT features of the last two images are matched.
 - A camera is static while half of the corners are where they were in the keyframe. So a static camera does
   not drift. If the motion cannot be measured, the camera is taken for static.
 - A slowly moving camera is not measured: a tracker follows small motions of the whole image just as well.
@@ -58,8 +57,9 @@ films), and 0.85 to 0.89 before a smooth wall."""
 OFF_PX = 0.75
 """Largest reprojection error of an inlier, and of a corner that is tracked back to where it came from."""
 
-RATIO, MATCHED_PX = 0.85, 1.5
-"""SIFT features: ratio test (Lowe), and the largest reprojection error of an inlier. A feature is located
+LONG_STEP_S, RATIO, MATCHED_PX = 0.06, 0.85, 1.5
+"""SIFT features are matched after steps of more than a frame at 30 Hz, which leave time for it (25 CPU ms);
+ratio test (Lowe), and the largest reprojection error of an inlier. A feature is located
 less precisely than a corner is tracked: with OFF_PX half of the right matches are outliers."""
 
 FEWEST, MAJORITY = 25, 0.5
@@ -189,17 +189,25 @@ class Odometry:
         guess = (seen.pixels + shift * camera.width).astype(np.float32)
         found = _moved(key, seen, camera, grey, guess, boxes)
         if found is None:
-            T_cam_before = _matched(before, camera, _grey(before, camera), grey, boxes)
-            if T_cam_before is None:
-                self._rest()
-                return
-            self._T_room_cam = se3.compose(self._T_room_cam, se3.inverse(T_cam_before))
-            self._tracked = _begun(frame, camera, grey, boxes, self._T_room_cam)
+            self._measure_long_step(before, frame, camera, grey, boxes)
             return
         T_cam_key, seen = found
         self._T_room_cam = se3.compose(key.T_room_cam, se3.inverse(T_cam_key))
         worn = len(seen.alive) < WORN * len(key.pixels)
         self._tracked = _begun(frame, camera, grey, boxes, self._T_room_cam) if worn else (key, seen)
+
+    def _measure_long_step(
+        self, before: RgbdFrame, frame: RgbdFrame, camera: Camera, grey: UInt8, boxes: Sequence[Box]
+    ) -> None:
+        """Measure the camera pose of a frame by matched features, if the step is long; else give up. camera,
+        grey (h, w), boxes: of the smaller image."""
+        long = frame.stamp_ns - before.stamp_ns > LONG_STEP_S * 1e9
+        T_cam_before = _matched(before, camera, _grey(before, camera), grey, boxes) if long else None
+        if T_cam_before is None:
+            self._rest()
+            return
+        self._T_room_cam = se3.compose(self._T_room_cam, se3.inverse(T_cam_before))
+        self._tracked = _begun(frame, camera, grey, boxes, self._T_room_cam)
 
 
 def _begun(

@@ -1,4 +1,4 @@
-"""The motion of a camera of which nobody tells, from its pictures."""
+"""Visual odometry: the camera motion measured from the images."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SKEW = np.array([0.3, -0.2, 0.0])
 
 @pytest.fixture(scope="module")
 def wall() -> tuple[Mesh, Float64]:
-    """A wall of printed tiles, 1 m ahead and aslant, and its pose T_room_mesh."""
+    """A slanted wall of printed tiles 1 m ahead, and its pose T_room_mesh."""
     corners = np.array([[-2, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]], np.float32)
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)[faces]
@@ -33,7 +33,7 @@ def wall() -> tuple[Mesh, Float64]:
 
 
 def camera_at(number: float) -> Float64:
-    """T_room_cam of a hand: up to 0.4 m/s and 40 degrees a second."""
+    """T_room_cam of a camera on a hand: up to 0.4 m/s and 40 degrees per second."""
     t = number / 30.0
     turn = se3.rotation_exp(np.array([0.1 * np.sin(4.0 * t), 0.12 * np.sin(3.5 * t), 0.15 * np.sin(3.0 * t)]))
     return se3.make(turn, np.array([0.06 * np.sin(5.0 * t), 0.05 * np.sin(4.0 * t), 0.03 * np.sin(6.0 * t)]))
@@ -41,7 +41,7 @@ def camera_at(number: float) -> Float64:
 
 @pytest.fixture
 def walked(tea_box, wall, shoot):
-    """A function of a frame number: the frame of that camera, and the pose of a box that stands still."""
+    """A function of a frame number: the frame of that camera, and the pose of a static box."""
 
     def take(number: int, pace: float = 1.0):
         T_cam_room = se3.inverse(camera_at(pace * number))
@@ -55,7 +55,7 @@ def walked(tea_box, wall, shoot):
 
 
 @pytest.mark.parametrize("step", [1, 3, 5, 8])
-def test_a_camera_that_is_carried_about_knows_where_it_is(walked, step) -> None:
+def test_the_pose_of_a_moving_camera_is_measured(walked, step) -> None:
     odometry = Odometry()
     for number in range(0, 45, step):
         T_room_cam = odometry.placed(walked(number)[0], list).T_parent_cam
@@ -66,7 +66,7 @@ def test_a_camera_that_is_carried_about_knows_where_it_is(walked, step) -> None:
 
 
 @pytest.mark.parametrize("sideways", [0.0, 0.25])
-def test_a_step_too_large_to_track_corners_is_measured_by_matched_features(
+def test_a_step_too_large_for_tracked_corners_is_measured_by_matched_features(
     tea_box, wall, shoot, sideways
 ) -> None:
     """The image rotates by 30 degrees, and shifts by a third of its width."""
@@ -93,15 +93,15 @@ def test_a_camera_that_rolls_or_moves_forwards_is_measured(wall, shoot, axis) ->
         assert np.degrees(se3.rotation_angle(off, np.eye(4))) < 0.5
 
 
-def test_a_camera_at_rest_does_not_move_whatever_passes_before_it(tea_box, wall, shoot, path) -> None:
+def test_an_object_that_moves_before_a_static_camera_does_not_move_it(tea_box, wall, shoot, path) -> None:
     odometry = Odometry()
     for number in range(30):
         T_room_cam = odometry.placed(shoot([wall, (tea_box.mesh, path(number))], number), list).T_parent_cam
         np.testing.assert_array_equal(T_room_cam, np.eye(4))
 
 
-def test_what_is_tracked_does_not_speak_for_the_camera(tea_box, shoot, path) -> None:
-    """Before a wall without a corner the printed box is all that moves."""
+def test_tracked_objects_do_not_count_for_the_camera_motion(tea_box, shoot, path) -> None:
+    """The wall has no corners: only the printed box moves."""
     bare = [(Mesh(*_bare_wall()), se3.make(np.eye(3), np.array([0.0, 0.0, 1.0])))]
     places = {}
     for tracked in (True, False):
@@ -113,7 +113,7 @@ def test_what_is_tracked_does_not_speak_for_the_camera(tea_box, shoot, path) -> 
             box = [Box(0.0, 0.0, 320.0, 240.0)] if tracked else []
             places[tracked] = odometry.placed(frame, partial(list, box)).T_parent_cam
     np.testing.assert_array_equal(places[True], np.eye(4))
-    assert np.linalg.norm(places[False][:3, 3]) > 0.01, "it looks as if the camera had moved"
+    assert np.linalg.norm(places[False][:3, 3]) > 0.01, "without it, the camera seems to move"
 
 
 def _bare_wall():
@@ -124,8 +124,8 @@ def _bare_wall():
 
 
 @pytest.mark.parametrize("sigma", [1.0, 2.0, 3.0, 6.0])
-def test_noise_before_a_smooth_wall_is_no_motion(sigma) -> None:
-    """It alone looks like corners that go anywhere."""
+def test_noise_on_a_smooth_wall_is_no_motion(sigma) -> None:
+    """Noise looks like corners that move at random."""
     odometry, rng = Odometry(), np.random.default_rng(5)
     camera = Camera(600.0, 600.0, 319.5, 239.5, 640, 480)
     grey = np.broadcast_to(120.0 + np.linspace(-40.0, 40.0, 640)[:, None], (480, 640, 1))
@@ -136,7 +136,9 @@ def test_noise_before_a_smooth_wall_is_no_motion(sigma) -> None:
         np.testing.assert_array_equal(odometry.placed(frame, list).T_parent_cam, np.eye(4))
 
 
-def test_what_passes_before_a_tracked_object_at_rest_does_not_move_the_camera(tea_box, wall, shoot) -> None:
+def test_a_board_that_passes_before_a_static_tracked_object_does_not_move_the_camera(
+    tea_box, wall, shoot
+) -> None:
     tiles = wall[0]
     board = replace(tiles, vertices=0.3 * tiles.vertices)
     T_box = se3.make(se3.rotation_exp(np.array([1.9, 0.3, 0.4])), np.array([0.0, 0.05, 0.45]))
@@ -150,7 +152,7 @@ def test_what_passes_before_a_tracked_object_at_rest_does_not_move_the_camera(te
         assert (np.linalg.norm(T_room_cam[:3, 3]) < 1e-3) == tracked
 
 
-def test_a_picture_that_shows_nothing_says_nothing(shoot, walked) -> None:
+def test_images_without_colour_or_depth_give_no_motion(shoot, walked) -> None:
     odometry = Odometry()
     black = replace(shoot([]), color=np.zeros((240, 320, 3), np.uint8))
     no_depth = replace(shoot([]), depth=np.zeros((240, 320), np.float32))
@@ -159,7 +161,7 @@ def test_a_picture_that_shows_nothing_says_nothing(shoot, walked) -> None:
 
 
 @pytest.mark.parametrize(("width", "height"), [(2, 2), (1280, 2), (2, 720), (40, 30)])
-def test_pictures_of_any_size_do(width, height) -> None:
+def test_images_of_any_size_are_accepted(width, height) -> None:
     odometry = Odometry()
     for number in range(4):
         color = np.random.default_rng(number).integers(0, 255, (height, width, 3)).astype(np.uint8)
@@ -169,9 +171,7 @@ def test_pictures_of_any_size_do(width, height) -> None:
 
 
 @pytest.mark.parametrize("odometry", [True, False])
-def test_at_large_steps_before_a_moving_camera_what_stands_still_is_followed(
-    tea_box, walked, odometry
-) -> None:
+def test_a_static_object_before_a_moving_camera_is_tracked_at_large_steps(tea_box, walked, odometry) -> None:
     tracker, good = Tracker({"tea_box": tea_box}, replace(CONFIG, odometry=odometry, tries_per_s=0.0)), 0
     for number in range(0, 90, 5):
         frame, T_cam_box = walked(number)
@@ -182,14 +182,14 @@ def test_at_large_steps_before_a_moving_camera_what_stands_still_is_followed(
     assert (good >= 15) == odometry
 
 
-def test_before_a_camera_that_moves_slowly_nothing_is_measured(walked) -> None:
+def test_a_slow_camera_is_not_measured(walked) -> None:
     odometry = Odometry()
     for number in range(30):
-        seen = odometry.placed(walked(number, 0.1)[0], partial(pytest.fail, "it was asked for objects"))
+        seen = odometry.placed(walked(number, 0.1)[0], partial(pytest.fail, "objects were asked for"))
         np.testing.assert_array_equal(seen.T_parent_cam, np.eye(4))
 
 
-def test_what_is_told_only_later_is_in_the_axes_of_what_was_measured(walked) -> None:
+def test_poses_given_later_are_in_the_axes_of_the_measured_ones(walked) -> None:
     odometry, T_base_room = Odometry(), se3.make(se3.rotation_exp(SKEW), np.array([3.0, 0.0, 1.0]))
     for number in range(30):
         frame, _ = walked(number)
@@ -201,34 +201,34 @@ def test_what_is_told_only_later_is_in_the_axes_of_what_was_measured(walked) -> 
         assert np.degrees(se3.rotation_angle(off, np.eye(4))) < 0.5
 
 
-def test_a_camera_that_is_told_from_the_first_is_where_it_is_told_to_be(walked) -> None:
+def test_poses_given_from_the_first_frame_on_are_used_unchanged(walked) -> None:
     odometry = Odometry()
     for number in range(0, 12, 3):
         frame = replace(walked(number)[0], T_parent_cam=camera_at(number))
         assert odometry.placed(frame, list) is frame
     frame, _ = walked(12)
-    assert odometry.placed(frame, list) is frame, "what is told next says it better"
+    assert odometry.placed(frame, list) is frame, "the next given pose is better"
 
 
-@pytest.mark.parametrize("first_told", [0, 4])
-def test_where_nobody_tells_any_more_it_is_measured_again(walked, first_told) -> None:
-    """From the axes of what was told, without a jump; and in these axes, what is told again."""
+@pytest.mark.parametrize("first_given", [0, 4])
+def test_a_second_after_the_last_given_pose_odometry_takes_over(walked, first_given) -> None:
+    """Without a jump, in the axes of the given poses; poses given again are in these axes, too."""
     odometry, T_base_room = Odometry(), se3.make(se3.rotation_exp(SKEW), np.array([3.0, 0.0, 1.0]))
-    T_room = T_base_room if first_told == 0 else np.eye(4)
+    T_room = T_base_room if first_given == 0 else np.eye(4)
     for number in range(0, 90, 2):
         frame, _ = walked(number)
-        if first_told <= number <= 10 or number > 60:
+        if first_given <= number <= 10 or number > 60:
             frame = replace(frame, T_parent_cam=se3.compose(T_base_room, camera_at(number)))
         seen = odometry.placed(frame, list)
         if 10 < number <= 40:
-            assert seen is frame, "for a second it may be told again"
+            assert seen is frame, "a pose may be given again within a second"
             continue
         off = se3.compose(se3.inverse(se3.compose(T_room, camera_at(number))), seen.T_parent_cam)
-        assert 1e3 * np.linalg.norm(off[:3, 3]) < 12.0, "of a hand that moves by up to 7 cm either way"
+        assert 1e3 * np.linalg.norm(off[:3, 3]) < 12.0, "the hand moves by up to 7 cm to each side"
         assert np.degrees(se3.rotation_angle(off, np.eye(4))) < 1.0
 
 
-def test_a_frame_of_which_nobody_tells_it_leaves_what_is_told_as_it_is(walked) -> None:
+def test_single_frames_without_a_given_pose_change_nothing(walked) -> None:
     odometry = Odometry()
     for number in range(0, 40, 2):
         frame = walked(number)[0]
@@ -237,13 +237,13 @@ def test_a_frame_of_which_nobody_tells_it_leaves_what_is_told_as_it_is(walked) -
         assert odometry.placed(frame, list) is frame
 
 
-def test_after_the_clock_was_set_back_it_is_measured(walked) -> None:
+def test_odometry_works_after_the_clock_was_set_back(walked) -> None:
     odometry = Odometry()
     odometry.placed(replace(walked(60)[0], T_parent_cam=camera_at(60)), list)
     assert odometry.placed(walked(0)[0], list).T_parent_cam is not None
 
 
-def test_another_tracker_goes_on_from_where_the_camera_is(tea_box, walked) -> None:
+def test_a_restored_tracker_continues_at_the_same_camera_pose(tea_box, walked) -> None:
     first, other = (Tracker({"tea_box": tea_box}, CONFIG) for _ in range(2))
     frames = {}
     for number in range(16):

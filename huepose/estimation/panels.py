@@ -36,7 +36,7 @@ AGREES, DIFFERS, SEEN_THROUGH, OCCLUDED, UNKNOWN = (
 """Colours of a pose's pixels: depth fits and the texture agrees; depth fits, the texture differs; free-space
 violation; occluded; no depth."""
 
-LEGEND = "green: agrees, yellow: texture differs, red: seen through, blue: occluded, grey: no depth"
+LEGEND = "green: agrees, yellow: texture differs, red: free-space violation, blue: occluded, grey: no depth"
 
 BOX, MASK, TRUTH = (250, 250, 250), (80, 220, 120), (255, 120, 220)
 DIFFERENT = 16.0

@@ -82,14 +82,14 @@ def _in_all_cells(coarse: CoarseViews, values: Float32) -> Float32:
     return out
 
 
-APART, BESIDE, LIKEST, LIKE = 0.3, 0.36, 16, 0.18
+APART, BESIDE, MOST_SIMILAR, LIKE = 0.3, 0.36, 16, 0.18
 """A coarse-to-fine search. First, windows at least APART diameters from each other are encoded. Then all
-windows within BESIDE diameters of the LIKEST most similar ones are encoded, if these have a likeness of
+windows within BESIDE diameters of the MOST_SIMILAR most similar ones are encoded, if these have a likeness of
 LIKE with some view (docs/detection_measured.md, codes of views)."""
 
 
 @dataclass(frozen=True, eq=False)
-class LikestViews:
+class SimilarViews:
     """Pairs of a window and a view, most similar first: poses T_cam_obj (K, 4, 4), cosines of their codes
     (K,), and the windows' indices (K,)."""
 
@@ -134,10 +134,10 @@ def narrowed(table: WindowTable, windows: Windows, chosen: Int64, first: int) ->
     some = np.flatnonzero(taken)
     alike = compared(table, windows, chosen[some])
     most = alike.max(0)
-    order = np.argsort(-most, kind="stable")[:LIKEST]
-    likest = some[order[most[order] >= LIKE]]
+    order = np.argsort(-most, kind="stable")[:MOST_SIMILAR]
+    similar = some[order[most[order] >= LIKE]]
     with stage("look"):
-        beside = (cdist(places, places[likest]) < BESIDE).any(1)
+        beside = (cdist(places, places[similar]) < BESIDE).any(1)
     more = np.flatnonzero(beside & ~taken)
     both = np.concatenate([some, more])
     order = np.argsort(both)
@@ -153,12 +153,12 @@ def most_similar_views(
     camera: Camera,
     count: int,
     each: int,
-) -> LikestViews:
+) -> SimilarViews:
     """The `count` most similar pairs of a view and one of the chosen windows (W,), at most `each` per
     window. alike: cosines (N, W) of views and windows. A pose has the depth at which the view's relief
     fits."""
     if not len(chosen):
-        return LikestViews(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
+        return SimilarViews(np.zeros((0, 4, 4)), np.zeros(0), np.zeros(0, np.int64))
     with stage("look"):
         each = min(each, alike.shape[0])
         best = np.argpartition(-alike, each - 1, axis=0)[:each]
@@ -174,7 +174,7 @@ def most_similar_views(
         poses = np.tile(np.eye(4), (len(order), 1, 1))
         poses[:, :3, :3] = to_rays @ table.rotations[view]
         poses[:, :3, 3] = rays * depth_m[:, None] + np.einsum("nij,nj->ni", to_rays, table.origins[view])
-    return LikestViews(poses, alike[view, window].astype(np.float64), window)
+    return SimilarViews(poses, alike[view, window].astype(np.float64), window)
 
 
 @jit

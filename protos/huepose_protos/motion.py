@@ -87,18 +87,20 @@ def mount_at(mounts: Sequence[tuple[int, Mount]], stamp_ns: int) -> Mount | None
 
     Between two it is interpolated; after the newest it is extrapolated for 100 ms, with the motion since an
     older one at least 20 ms before. None later than that, before the first, in a gap of more than 200 ms, and
-    after a single one."""
+    after the newest if none is so much older."""
     after = min(bisect_left(mounts, stamp_ns, key=_stamp), len(mounts) - 1)
     if not mounts or (after == 0 and mounts[0][0] != stamp_ns):
         return None
     end_ns, end = mounts[after]
     if stamp_ns == end_ns:
         return end
-    before = after - 1
-    while stamp_ns > end_ns and before > 0 and end_ns - mounts[before][0] < _BASELINE_NS:
+    before, least_ns = after - 1, _BASELINE_NS if stamp_ns > end_ns else 0
+    while before > 0 and end_ns - mounts[before][0] < least_ns:
         before -= 1
     start_ns, start = mounts[before]
-    if end_ns - start_ns > _MAX_GAP_NS or stamp_ns - end_ns > MAX_AHEAD_NS or end.parent != start.parent:
+    if not least_ns <= end_ns - start_ns <= _MAX_GAP_NS:
+        return None
+    if stamp_ns - end_ns > MAX_AHEAD_NS or end.parent != start.parent:
         return None
     share = (stamp_ns - start_ns) / (end_ns - start_ns)
     return mount_of(end.parent, *_interpolated(start, end, share))

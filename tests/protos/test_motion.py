@@ -145,6 +145,9 @@ def test_a_moving_cameras_mount_is_interpolated_and_briefly_extrapolated():
     assert mount_at([mounts[0], (1_300_000_000, end)], 1_150_000_000) is None, "a gap"
     assert mount_at(mounts[:1], 1_010_000_000) is None
     assert mount_at([], 0) is None
+    near = [(1_000_000_000, start), (1_002_000_000, end)]
+    assert mount_at(near, 1_001_000_000) is not None
+    assert mount_at(near, 1_010_000_000) is None, "noise over 2 ms is no velocity"
 
 
 def test_composed_mounts_and_quaternions_of_matrices():

@@ -34,7 +34,7 @@ from huepose.support.jit import jit
 from huepose_services.builtin import builtin_bundles
 
 MANY = {
-    "huepose.propose.views._check": "views",
+    "huepose.propose.close_look._check": "views",
     "huepose.propose.quick_look._score_windows": "views",
     "huepose.judge.terms._score_all": "poses",
     "huepose.refine.coordinate_search._search_all": "poses",

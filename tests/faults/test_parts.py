@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 from huepose.geometry import Camera, RgbdFrame
-from huepose.model import load_models
 from huepose.model.io import model_path
-from huepose.scenes.builtin import SyntheticScene
 from huepose_protos import PoseClient
 from huepose_protos.examples import example
 from huepose_protos.messages import PoseMessage
@@ -74,11 +72,6 @@ def test_23_a_subscriber_with_a_wrong_clock_does_not_take_old_poses_for_new(skew
             assert grown.all(), "and its uncertainty grows"
         client._arrived = {key: at - 5.0 for key, at in client._arrived.items()}
         assert client.latest(max_age_s=4.0) is None
-
-
-@pytest.fixture(scope="module")
-def film():
-    return SyntheticScene(0), load_models(builtin_bundles(0))
 
 
 def test_14_a_damaged_model_is_named_and_the_pipeline_ends(tmp_path):

@@ -253,8 +253,8 @@ def gaps(folder: Path, parts: Mapping[str, Collection[int]], numbers: Collection
     out when the scene is played. parts: the image numbers in each part, by its name."""
     missing = {part: sorted(set(numbers) - set(present)) for part, present in parts.items()}
     return [
-        f"{folder}: {len(absent)} of {len(numbers)} images are not in {part}, the first is number "
-        f"{absent[0]}; they are left out when it is played"
+        f"{folder}: {part} lacks {len(absent)} of {len(numbers)} images, the first is number {absent[0]}; "
+        "they are left out when it is played"
         for part, absent in missing.items()
         if absent
     ]

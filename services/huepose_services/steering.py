@@ -16,6 +16,7 @@ import zenoh
 from huepose.geometry.box import given_box
 from huepose.reinit.types import ObjectSlot
 from huepose.support.errors import InputError
+from huepose.support.words import counted
 from huepose_protos import WireError, decode, encode
 from huepose_protos.messages import ControlReply, ControlRequest, ObjectEntry
 from huepose_services.runtime.bus import Bus, bytes_of
@@ -114,7 +115,7 @@ class ObjectList:
         count = request.max_instances
         if known is not None and known.max_instances == count:
             fix = f"; to search for it again: huepose objects reset {name}"
-            return False, f"{name} is searched for already (up to {count} of it){fix}"
+            return False, f"{name} is searched for already (up to {counted(count, 'instance')}){fix}"
         if known is not None and request.box is not None:
             fix = f"huepose objects reset {name} --box X Y W H"
             return False, f"{name} is searched for already: add takes no box then; to search there: {fix}"
@@ -136,7 +137,7 @@ class ObjectList:
                     now = msgspec.structs.replace(fresh, added=self._added)
                 entry = msgspec.structs.replace(now, max_instances=count, box=request.box)
                 self._take(Order(name, entry, slot))
-                return True, f"{name} is searched for, up to {count} of it"
+                return True, f"{name} is searched for, up to {counted(count, 'instance')}"
         return self._add(request, name, now)
 
     def _accept(self, order: Order) -> None:

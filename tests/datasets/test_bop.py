@@ -216,15 +216,15 @@ def test_gaps_name_the_first_image_that_is_incomplete(bop_scene: Path) -> None:
     edit(bop_scene / "scene_camera.json", lambda r: (r.pop("10"), r["100"].pop("cam_K"), r.update({"7": 3})))
     left = "they are left out when it is played"
     assert BopScene(bop_scene).gaps() == [
-        f"{bop_scene}: 1 of 4 images are not in rgb/, the first is number 7; {left}",
-        f"{bop_scene}: 2 of 4 images are not in depth/, the first is number 10; {left}",
-        f"{bop_scene}: 3 of 4 images are not in scene_camera.json with cam_K and depth_scale, the first is "
+        f"{bop_scene}: rgb/ lacks 1 of 4 images, the first is number 7; {left}",
+        f"{bop_scene}: depth/ lacks 2 of 4 images, the first is number 10; {left}",
+        f"{bop_scene}: scene_camera.json with cam_K and depth_scale lacks 3 of 4 images, the first is "
         f"number 7; {left}",
     ]
 
 
 def test_depth_with_another_file_name_than_colour_counts_as_missing(bop_scene: Path) -> None:
     (bop_scene / "depth" / "000010.png").rename(bop_scene / "depth" / "10.png")
-    assert "1 of 3 images are not in depth/, the first is number 10" in BopScene(bop_scene).gaps()[0]
+    assert "depth/ lacks 1 of 3 images, the first is number 10" in BopScene(bop_scene).gaps()[0]
     with pytest.raises(InputError, match=r"000010\.png"):
         BopScene(bop_scene).frame(10)

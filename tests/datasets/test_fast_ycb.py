@@ -113,6 +113,6 @@ def test_gaps_name_the_first_image_that_is_incomplete(fast_sequence: Path) -> No
     packed_depth(fast_sequence)
     assert FastYcbSequence(fast_sequence, None).with_depth == (0, 2)
     assert FastYcbSequence(fast_sequence, None).gaps() == [
-        f"{fast_sequence}: 1 of 3 images are not in depth/, the first is number 1; they are left out when "
+        f"{fast_sequence}: depth/ lacks 1 of 3 images, the first is number 1; they are left out when "
         "it is played"
     ]

@@ -363,7 +363,7 @@ def test_validate_says_which_images_are_missing(scene, pipeline, capsys, printed
     for number in range(7, 15):
         (scene / "depth" / f"{number:06d}.png").unlink()
     assert main(["validate", str(path)]) == 0
-    said = f"  WARNING  {scene}: 8 of 12 images are not in depth/, the first is number 7; they are left out"
+    said = f"  WARNING  {scene}: depth/ lacks 8 of 12 images, the first is number 7; they are left out"
     assert said in capsys.readouterr().out
 
 

@@ -67,7 +67,7 @@ def test_a_pose_is_retired_when_its_object_was_reset_or_removed():
 def test_valid_requests_change_the_list(objects):
     assert objects.decide(order("add", "jar", max_instances=2)) == (
         True,
-        "jar is searched for, up to 2 of it",
+        "jar is searched for, up to 2 instances",
     )
     assert objects.decide(order("reset", "mug", box=(1.0, 2.0, 3.0, 4.0)))[0]
     assert objects.decide(order("remove", "jar"))[0]
@@ -143,7 +143,7 @@ def test_of_two_objects_that_are_added_at_the_same_time_only_one_takes_the_last_
     inner = []
     objects = ObjectList([entry(f"mug{n}") for n in range(steering.MOST_OBJECTS - 1)], loads)
     done, text = objects.decide(order("add", "jar"))
-    assert inner == [(True, "lid is searched for, up to 1 of it")]
+    assert inner == [(True, "lid is searched for, up to 1 instance")]
     assert not done
     assert text == f"{steering.MOST_OBJECTS} objects are searched for, which is the most: remove one first"
     assert len(objects.entries()) == steering.MOST_OBJECTS
@@ -162,7 +162,7 @@ def test_an_object_that_is_added_twice_at_the_same_time_is_added_once(second, do
     inner = []
     objects = ObjectList([entry("mug")], loads)
     answer = objects.decide(order("add", "jar", max_instances=second))
-    assert inner[1] == (True, "jar is searched for, up to 1 of it")
+    assert inner[1] == (True, "jar is searched for, up to 1 instance")
     assert answer[0] == done
     assert ("already" in answer[1]) != done
     assert [(o.entry.added, o.entry.max_instances) for o in objects.orders()] == [(1, 1), (1, 2)][: 1 + done]

@@ -130,7 +130,7 @@ def test_wrong_bop_folders_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no obj_NNNNNN.*huepose onboard MESH"):
         bop_models(tmp_path)
     folder = bop_folder(tmp_path / "models")
-    with pytest.raises(InputError, match=r"no mesh of object 5; expected one of 3, 12\. Ask for one"):
+    with pytest.raises(InputError, match=r"no mesh of object 5; expected one of 3, 12\. Choose one"):
         bop_models(folder, [3, 5])
     (folder / "models_info.json").write_text("{")
     with pytest.raises(InputError, match=r"models_info.json: found no valid JSON"):

@@ -129,12 +129,12 @@ def test_nothing_is_kept_of_retired_instances(removed, monkeypatch):
     bus.arriving[FrameHeader] = [frame_of_age(1, 0.0)]
     work.step()
     assert list(work._told._now) == ["mug/0"]
-    work._told._told["mug/0"] = ("TRACKING", 0.0)
+    work._told._logged["mug/0"] = ("TRACKING", 0.0)
     work._told.note("mugs/0", "TRACKING")
     objects.next = [Change(ObjectEntry(object="mug", max_instances=1, searching=1), removed=removed)]
     work.step()
     assert bus.forgotten == [bus.keys.pose("mug", 0).removesuffix("/0")]
-    assert (list(work._told._now), list(work._told._told)) == (["mugs/0"], [])
+    assert (list(work._told._now), list(work._told._logged)) == (["mugs/0"], [])
 
 
 def test_while_perception_answers_too_late_a_warning_says_what_to_do(capfd):

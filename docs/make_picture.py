@@ -19,8 +19,9 @@ from huepose.colorpair.extract import extract
 from huepose.datasets.boxes import disturbed
 from huepose.drawing.contact_sheet import contact_sheet
 from huepose.drawing.depth_color import depth_to_color
-from huepose.drawing.overlay import Body, draw_color_pairs, draw_poses
+from huepose.drawing.overlay import Body, draw_poses
 from huepose.evaluation.metrics import add
+from huepose.geometry.arrays import Float, UInt8
 from huepose.rendering.render import render
 from huepose.scenes.builtin import SyntheticScene
 from huepose_services.builtin import builtin_bundles
@@ -67,6 +68,17 @@ def main() -> None:
     target = Path(__file__).parent / "images" / "overview.jpg"
     cv2.imwrite(str(target), np.ascontiguousarray(sheet[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 88])
     print(target)
+
+
+def draw_color_pairs(image: UInt8, pixels: Float, colors: UInt8, radius: int = 3) -> UInt8:
+    """The image (H, W, 3) with a disc at each of the pixels (N, 2), a half in each of its two colours (N, 2,
+    3)."""
+    picture = image.copy()
+    for (u, v), (one, other) in zip(np.rint(pixels).astype(int).tolist(), colors.tolist(), strict=True):
+        cv2.circle(picture, (u, v), radius + 1, (255, 255, 255), -1, cv2.LINE_AA)
+        cv2.ellipse(picture, (u, v), (radius, radius), 0, 90, 270, one, -1, cv2.LINE_AA)
+        cv2.ellipse(picture, (u, v), (radius, radius), 0, -90, 90, other, -1, cv2.LINE_AA)
+    return picture
 
 
 if __name__ == "__main__":

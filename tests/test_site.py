@@ -1,11 +1,13 @@
 """The documentation as a site: all links work, and the reference of pipeline.yaml has every key."""
 
+import importlib.util
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
 from msgspec import structs
 
 from huepose_services.runtime.config import Config, ViewerConfig
@@ -34,3 +36,9 @@ def test_the_site_is_built_without_a_warning_and_explains_every_key(tmp_path):
         "images a second; all poses are shown",
     ]
     assert "demo.webp" in (tmp_path / "index.html").read_text()
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "docs").glob("make_*.py")), ids=lambda path: path.name)
+def test_the_scripts_that_make_the_pages_images_find_what_they_import(script):
+    spec = importlib.util.spec_from_file_location(script.stem, script)
+    spec.loader.exec_module(importlib.util.module_from_spec(spec))

@@ -274,6 +274,6 @@ def test_who_is_there_is_seen_and_nobody_else_comes_or_steers(sides, folder):
     assert not stranger.info.peers_zid()
     stranger.close()
     # After 2.5 s without a message there is a warning, and its workers no longer count as running.
-    until(lambda: "desk is not heard" in str(robot.bus.health.message().warnings), 5.0)
+    until(lambda: "desk has sent nothing" in str(robot.bus.health.message().warnings), 5.0)
     assert robot.bus.health.state == "waiting"
     assert not robot.work._tokens

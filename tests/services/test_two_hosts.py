@@ -177,7 +177,7 @@ def test_tracking_goes_on_alone_while_the_cable_is_cut_and_is_corrected_afterwar
         hosts.order("cut")
         cut = time.monotonic()
         _reset(tmp_path, "tea_box")
-        assert hosts.look(8.0, lambda: "desk is not heard" in str(hosts.health["uplink"].warnings))
+        assert hosts.look(8.0, lambda: "desk has sent nothing" in str(hosts.health["uplink"].warnings))
         hosts.look(10.0)
         assert hosts.longest_gap_s(cut) < 1.0
         assert len(hosts.tracked(2.0)) == 4

@@ -17,6 +17,10 @@ from huepose.geometry.arrays import Bool, Float32, UInt8
 SIFT_WIDTH = 128
 """Numbers in a descriptor."""
 
+RATIO = 0.85
+"""Ratio test: descriptor distance of the best match over that of the best one elsewhere. Looser than Lowe's
+0.8, because a consensus of matches rejects wrong ones later."""
+
 
 @dataclass(frozen=True, eq=False)
 class Features:
@@ -31,6 +35,11 @@ class Features:
 
     def __getitem__(self, index: np.ndarray) -> Features:
         return Features(self.pixels[index], self.descriptors[index])
+
+
+def distinct(best: Float32, second: Float32) -> Bool:
+    """Which best matches (N,) pass the ratio test against the second best; both by their similarity."""
+    return np.asarray(1.0 - best < RATIO**2 * (1.0 - second))
 
 
 class FeatureSource(Protocol):

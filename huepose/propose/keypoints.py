@@ -19,12 +19,8 @@ from huepose.geometry import kabsch, se3
 from huepose.geometry.arrays import Bool, Float32, Float64, Int64
 from huepose.geometry.camera import FLOOR_M, STEREO_NOISE_PER_M, Camera
 from huepose.model.types import Keypoints
-from huepose.propose.features import Features
+from huepose.propose.features import Features, distinct
 from huepose.propose.products import product
-
-RATIO = 0.85
-"""Ratio test: descriptor distance of the best match over that of the best one elsewhere. Looser than Lowe's
-0.8, because the distances between matches later reject wrong ones."""
 
 SAME_SPOT_PX, SPOT_NEIGHBOURS = 5.0, 6
 """Features within this radius are at the same spot and are no rivals in the ratio test; at most this many
@@ -129,7 +125,7 @@ def match(model: ModelKeypoints, image: ImageFeatures) -> Matches:
     best = similarity.argmax(1)
     most = similarity[rows, best]
     similarity[rows[:, None], image.near[best]] = 0.0
-    found = 1.0 - most < RATIO**2 * (1.0 - similarity.max(1))
+    found = distinct(most, similarity.max(1))
     pixels = image.features.pixels[best[found]].astype(np.float64)
     return Matches(model.points[found], model.normals[found], pixels)
 

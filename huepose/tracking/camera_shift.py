@@ -19,35 +19,28 @@ most. Quarters show that a camera rolls or moves forwards; an object before a st
 of them (never in 286 frames of fast objects and of a real video)."""
 
 
-def image_shift(before: RgbdFrame, now: RgbdFrame) -> Float64:
-    """Shift (2,) of the whole image from one frame to the next of the same camera, right and down, as
-    shares of its width; zero if the images have nothing in common."""
-    return _shift(_thumbnail(before), _thumbnail(now))
-
-
-def quarters_shift(before: RgbdFrame, now: RgbdFrame) -> bool:
-    """Whether three quarters of the image shift by more than FAST from one frame to the next."""
-    first, second = _thumbnail(before), _thumbnail(now)
-    height, width = first.shape
-    quarters = [
-        np.s_[y : y + height // 2, x : x + width // 2] for y in (0, height // 2) for x in (0, width // 2)
-    ]
-    return sum(bool(np.hypot(*_shift(first[q].copy(), second[q].copy())) > FAST) for q in quarters) >= 3
-
-
-def _thumbnail(frame: RgbdFrame) -> Float32:
+def thumbnail(frame: RgbdFrame) -> Float32:
     """A small grey image (h, w) of a frame."""
     size = WIDTH_PX, max(4, round(WIDTH_PX * frame.camera.height / frame.camera.width))
     small = cv2.resize(frame.color, size, interpolation=cv2.INTER_NEAREST)
     return np.asarray(cv2.cvtColor(small, cv2.COLOR_RGB2GRAY), np.float32)
 
 
-def _shift(before: Float32, now: Float32) -> Float64:
-    """Shift (2,) of the whole image from one thumbnail (h, w), or the same part of it, to the next, right and
-    down, as shares of the image's width; zero if the two have nothing in common."""
+def image_shift(before: Float32, now: Float32) -> Float64:
+    """Shift (2,) from one thumbnail (h, w), or a part of it, to the next of the same camera, right and down,
+    as shares of the image's width; zero if the two have nothing in common."""
     height, width = before.shape
     shift, alike = cv2.phaseCorrelate(before, now, _fading(width, height))
     return np.array(shift) / WIDTH_PX if alike > 0.0 else np.zeros(2)
+
+
+def quarters_shift(before: Float32, now: Float32) -> bool:
+    """Whether three quarters of the image shift by more than FAST from one thumbnail (h, w) to the next."""
+    height, width = before.shape
+    quarters = [
+        np.s_[y : y + height // 2, x : x + width // 2] for y in (0, height // 2) for x in (0, width // 2)
+    ]
+    return sum(bool(np.hypot(*image_shift(before[q].copy(), now[q].copy())) > FAST) for q in quarters) >= 3
 
 
 @cache

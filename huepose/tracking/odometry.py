@@ -26,8 +26,9 @@ from huepose.geometry.arrays import Bool, Float32, Float64, Int64, UInt8
 from huepose.geometry.box import Box
 from huepose.geometry.camera import NEAR_M, Camera
 from huepose.geometry.frame import RgbdFrame
-from huepose.propose.features import Sift
-from huepose.tracking.camera_shift import FAST, image_shift, quarters_shift
+from huepose.propose.features import Sift, distinct
+from huepose.propose.products import product
+from huepose.tracking.camera_shift import FAST, image_shift, quarters_shift, thumbnail
 
 CALM_S, QUARTERS_S = 1.0, 0.1
 """So long after the camera moved fast its motion is measured; quarters of the image, which cost 0.2 ms, are
@@ -57,10 +58,10 @@ films), and 0.85 to 0.89 before a smooth wall."""
 OFF_PX = 0.75
 """Largest reprojection error of an inlier, and of a corner that is tracked back to where it came from."""
 
-LONG_STEP_S, RATIO, MATCHED_PX = 0.06, 0.85, 1.5
+LONG_STEP_S, MATCHED_PX = 0.06, 1.5
 """SIFT features are matched after steps of more than a frame at 30 Hz, which leave time for it (25 CPU ms);
-ratio test (Lowe), and the largest reprojection error of an inlier. A feature is located
-less precisely than a corner is tracked: with OFF_PX half of the right matches are outliers."""
+and the largest reprojection error of an inlier. A feature is located less precisely than a corner is tracked:
+with OFF_PX half of the right matches are outliers."""
 
 FEWEST, MAJORITY = 25, 0.5
 """Least number of inliers of a motion, and their least share of all corners that were found again."""
@@ -156,20 +157,21 @@ class Odometry:
         if before is None or before.camera != frame.camera:
             self._rest()
             return
-        shift = image_shift(before, frame)
-        if np.hypot(*shift) > FAST or self._quarters_shift(before, frame):
+        thumbnails = thumbnail(before), thumbnail(frame)
+        shift = image_shift(*thumbnails)
+        if np.hypot(*shift) > FAST or (self._quarters_due(now_ns) and quarters_shift(*thumbnails)):
             self._fast_ns = now_ns
         if self._fast_ns is None or not 0 <= now_ns - self._fast_ns <= CALM_S * 1e9:
             self._rest()
         else:
             self._measure(before, frame, shift, objects())
 
-    def _quarters_shift(self, before: RgbdFrame, frame: RgbdFrame) -> bool:
-        """Whether quarters of the image show fast motion; they are compared once in QUARTERS_S at most."""
-        if self._quarters_ns is not None and 0 <= frame.stamp_ns - self._quarters_ns < QUARTERS_S * 1e9:
+    def _quarters_due(self, now_ns: int) -> bool:
+        """Whether quarters of the image are to be compared now: once in QUARTERS_S at most."""
+        if self._quarters_ns is not None and 0 <= now_ns - self._quarters_ns < QUARTERS_S * 1e9:
             return False
-        self._quarters_ns = frame.stamp_ns
-        return quarters_shift(before, frame)
+        self._quarters_ns = now_ns
+        return True
 
     def _rest(self) -> None:
         """Stop measuring until the camera moves fast."""
@@ -189,7 +191,7 @@ class Odometry:
         guess = (seen.pixels + shift * camera.width).astype(np.float32)
         found = _moved(key, seen, camera, grey, guess, boxes)
         if found is None:
-            self._measure_long_step(before, frame, camera, grey, boxes)
+            self._measure_long_step(before, frame, camera, (seen.grey, grey), boxes)
             return
         T_cam_key, seen = found
         self._T_room_cam = se3.compose(key.T_room_cam, se3.inverse(T_cam_key))
@@ -197,17 +199,22 @@ class Odometry:
         self._tracked = _begun(frame, camera, grey, boxes, self._T_room_cam) if worn else (key, seen)
 
     def _measure_long_step(
-        self, before: RgbdFrame, frame: RgbdFrame, camera: Camera, grey: UInt8, boxes: Sequence[Box]
+        self,
+        before: RgbdFrame,
+        frame: RgbdFrame,
+        camera: Camera,
+        greys: tuple[UInt8, UInt8],
+        boxes: Sequence[Box],
     ) -> None:
         """Measure the camera pose of a frame by matched features, if the step is long; else give up. camera,
-        grey (h, w), boxes: of the smaller image."""
+        greys (h, w), boxes: of the smaller images of the last frame and this one."""
         long = frame.stamp_ns - before.stamp_ns > LONG_STEP_S * 1e9
-        T_cam_before = _matched(before, camera, _grey(before, camera), grey, boxes) if long else None
+        T_cam_before = _matched(before, camera, *greys, boxes) if long else None
         if T_cam_before is None:
             self._rest()
             return
         self._T_room_cam = se3.compose(self._T_room_cam, se3.inverse(T_cam_before))
-        self._tracked = _begun(frame, camera, grey, boxes, self._T_room_cam)
+        self._tracked = _begun(frame, camera, greys[1], boxes, self._T_room_cam)
 
 
 def _begun(
@@ -250,31 +257,28 @@ def _matched(
 ) -> Float64 | None:
     """T_cam_before (4, 4) of a new image by SIFT features matched with those of the last frame, however far
     they moved; None if too few agree. boxes: of tracked objects in the last frame."""
-    (pixels, descriptors), (pixels_now, descriptors_now) = _features(grey_before), _features(grey)
-    if min(len(pixels), len(pixels_now)) < FEWEST:
+    sift = Sift()
+    first, second = (
+        sift.extract(np.asarray(cv2.cvtColor(one, cv2.COLOR_GRAY2RGB), np.uint8))
+        for one in (grey_before, grey)
+    )
+    if min(len(first), len(second)) < FEWEST:
         return None
-    similarity = descriptors @ descriptors_now.T
-    rows, best = np.arange(len(pixels)), similarity.argmax(1)
+    similarity = product(first.descriptors, second.descriptors.T)
+    rows, best = np.arange(len(first)), similarity.argmax(1)
     mutual = similarity.argmax(0)[best] == rows
     most = similarity[rows, best]
     similarity[rows, best] = 0.0
-    distinct = 1.0 - most < RATIO**2 * (1.0 - similarity.max(1))
-    depth = _depth_at(before, camera, pixels)
-    used = mutual & distinct & (depth > NEAR_M)
+    depth = _depth_at(before, camera, first.pixels)
+    used = mutual & distinct(most, similarity.max(1)) & (depth > NEAR_M)
     if np.count_nonzero(used) < FEWEST:
         return None
-    pixels, there = pixels[used], pixels_now[best[used]]
+    pixels, there = first.pixels[used], second.pixels[best[used]]
     static = np.linalg.norm(there - pixels, axis=1) <= OFF_PX
     fitted = _fitted(
         camera.backproject(pixels, depth[used]), there, camera, _parts(pixels, boxes), static, MATCHED_PX
     )
     return None if fitted is None else fitted[0]
-
-
-def _features(grey: UInt8) -> tuple[Float32, Float32]:
-    """SIFT features of a grey image: pixels (N, 2), descriptors (N, 128)."""
-    found = Sift().extract(np.repeat(grey[..., None], 3, 2))
-    return found.pixels, found.descriptors
 
 
 def _fitted(

@@ -14,16 +14,17 @@ from huepose.believe.state import State
 from huepose.geometry import Box, Camera, RgbdFrame, se3
 from huepose.geometry.arrays import Float, Float64, UInt16
 from huepose.geometry.camera import whole_steps
-from huepose.reinit.types import Prior, RequestedObject
+from huepose.reinit.types import Prior, Request, RequestedObject
 from huepose.support.errors import InputError
 from huepose.tracking.types import TrackedPose, Verdict
 from huepose_protos import WireError
 from huepose_protos.buffers import MAX_PAYLOAD, frame_images
 from huepose_protos.fields import BoxXYWH, Quaternion, Vector3
-from huepose_protos.messages import FrameHeader, Intrinsics, PoseMessage, TruthMessage
+from huepose_protos.messages import FrameHeader, Intrinsics, PerceptionRequest, PoseMessage, TruthMessage
 from huepose_protos.messages import Prior as WirePrior
 from huepose_protos.messages import RequestedObject as WireRequested
 from huepose_protos.motion import rigid
+from huepose_services.runtime.clock import now_ns
 
 S = TypeVar("S", bound=Struct)
 V = TypeVar("V", bound="_Value")
@@ -174,10 +175,25 @@ def requested_from_wire(asked: WireRequested) -> RequestedObject:
     return from_wire(RequestedObject, asked, prior=prior, others=tuple(map(prior_from_wire, asked.others)))
 
 
-def requested_to_wire(asked: RequestedObject) -> WireRequested:
+def _requested_to_wire(asked: RequestedObject) -> WireRequested:
     """The part of a request about one object, for a message."""
     prior = None if asked.prior is None else to_wire(WirePrior, asked.prior)
     return to_wire(WireRequested, asked, prior=prior, others=[to_wire(WirePrior, o) for o in asked.others])
+
+
+def request_to_wire(request: Request) -> PerceptionRequest:
+    """The message of a request."""
+    objects, waiting = (
+        [_requested_to_wire(one) for one in some] for some in (request.objects, request.waiting)
+    )
+    return to_wire(
+        PerceptionRequest,
+        request,
+        publish_ns=now_ns(),
+        seq=request.number,
+        objects=objects,
+        waiting=waiting,
+    )
 
 
 def frame_from_wire(header: FrameHeader, payload: bytes) -> RgbdFrame:

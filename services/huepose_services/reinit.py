@@ -13,7 +13,7 @@ from huepose.geometry.image_faults import IF_IN_PLAIN_VIEW
 from huepose.model import ReferenceModel
 from huepose.reinit import ReinitConfig, ReinitLoop, warm_up
 from huepose.reinit.newest_frame import Began, NewestFrame
-from huepose.reinit.types import ObjectSlot, PerceptionResult, Request
+from huepose.reinit.types import ObjectSlot, PerceptionResult
 from huepose.support.errors import InputError
 from huepose.support.words import listed
 from huepose.tracking.types import Correction, TrackedPose, Verdict
@@ -26,11 +26,10 @@ from huepose_protos.messages import (
     HealthMessage,
     ObjectEntry,
     ObjectsMessage,
-    PerceptionRequest,
     PoseMessage,
 )
 from huepose_services import models
-from huepose_services.convert import from_wire, requested_to_wire, to_wire
+from huepose_services.convert import from_wire, request_to_wire, to_wire
 from huepose_services.following import Retired, recall
 from huepose_services.runtime.bus import Bus
 from huepose_services.runtime.clock import SECOND, check_number, now_ns
@@ -387,18 +386,3 @@ def result_from_wire(message: Estimates) -> PerceptionResult:
         for e in message.estimates
     )
     return from_wire(PerceptionResult, message, request=message.request_seq, estimates=estimates)
-
-
-def request_to_wire(request: Request) -> PerceptionRequest:
-    """The message of a request."""
-    objects, waiting = (
-        [requested_to_wire(one) for one in some] for some in (request.objects, request.waiting)
-    )
-    return to_wire(
-        PerceptionRequest,
-        request,
-        publish_ns=now_ns(),
-        seq=request.number,
-        objects=objects,
-        waiting=waiting,
-    )

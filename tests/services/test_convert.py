@@ -31,10 +31,11 @@ from huepose_services.convert import (
     pose_from_wire,
     pose_to_wire,
     prior_from_wire,
+    request_to_wire,
     to_wire,
     tracked_to_wire,
 )
-from huepose_services.reinit import reasons_not_seen, request_to_wire, result_from_wire
+from huepose_services.reinit import reasons_not_seen, result_from_wire
 
 T = se3.make(se3.rotation_exp(np.array([0.4, -1.2, 0.3])), np.array([0.1, -0.05, 0.8]))
 VELOCITY = np.array([0.1, 0.2, -0.3, 1.0, -2.0, 0.5])
